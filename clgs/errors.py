@@ -1,0 +1,25 @@
+"""The failures a user can cause, each with the exit code that the commands return for it."""
+
+from __future__ import annotations
+
+
+class ClgsError(Exception):
+    """One clear line for the user: what is wrong, where, and the remedy. Exit code 1."""
+
+    exit_code = 1
+
+
+class DataError(ClgsError):
+    """Input data is missing, damaged or of an unknown kind. Exit code 3."""
+
+    exit_code = 3
+
+
+class CodecError(DataError):
+    """A bitstream is not a .clgs file, or is damaged; names the section and offset. Exit code 3."""
+
+
+class DeviceError(ClgsError):
+    """No usable OpenCL device, or a kernel does not build. Exit code 4."""
+
+    exit_code = 4

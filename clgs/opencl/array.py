@@ -1,0 +1,33 @@
+"""Arrays that live on an OpenCL device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class DeviceArray:
+    """A C-contiguous array in a device buffer; the memory returns to the pool with the object.
+
+    ``buffer`` is what kernels take as argument; an empty array still has a buffer of one element.
+    """
+
+    buffer: Any
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return int(np.prod(self.shape))
+
+    @property
+    def nbytes(self) -> int:
+        """Number of bytes of the elements."""
+        return self.size * self.dtype.itemsize
+
+    def __len__(self) -> int:
+        return self.shape[0]

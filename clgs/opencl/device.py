@@ -1,0 +1,184 @@
+"""One OpenCL device: its queue, memory pool, compiled kernels and specialisation."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyopencl as cl
+import pyopencl.tools
+
+from clgs import constants
+from clgs.errors import DeviceError
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.choose import choose_device
+from clgs.opencl.profile import Profile
+from clgs.opencl.source import read_program
+
+SPECIALISATIONS = ("cpu", "gpu")
+BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero")
+
+
+class Device:
+    """Runs kernels on one device, in order, and owns the memory that they use.
+
+    ``specialisation`` selects the form of the kernels: "cpu" (vectors of ``vec`` lanes, one
+    work-item a tile, no local memory) or "gpu" (scalars, work-groups, local memory).
+    """
+
+    def __init__(self, name: str | None = None, specialisation: str | None = None) -> None:
+        """Open a device.
+
+        Args:
+            name: as for :func:`clgs.opencl.choose.choose_device`.
+            specialisation: "cpu" or "gpu"; default CLGS_SPECIALISATION, else by device type.
+
+        Raises:
+            DeviceError: no such device.
+        """
+        self.cl_device = choose_device(name)
+        self.context = cl.Context([self.cl_device])
+        self.queue = cl.CommandQueue(self.context)
+        self.specialisation = specialisation or self._default_specialisation()
+        self.vec = 16 if self.specialisation == "cpu" else 1
+        self.profile = Profile()
+        allocator = cl.tools.ImmediateAllocator(self.queue)
+        self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=6)
+        self._kernels: dict[tuple[Any, ...], cl.Kernel] = {}
+        self._programs: dict[tuple[Any, ...], cl.Program] = {}
+
+    def _default_specialisation(self) -> str:
+        chosen = os.environ.get("CLGS_SPECIALISATION", "")
+        if chosen:
+            if chosen not in SPECIALISATIONS:
+                raise DeviceError(f"CLGS_SPECIALISATION={chosen}: use cpu or gpu")
+            return chosen
+        return "cpu" if self.cl_device.type & cl.device_type.CPU else "gpu"
+
+    @property
+    def name(self) -> str:
+        """Device name, without surrounding blanks."""
+        return str(self.cl_device.name).strip()
+
+    def empty(self, shape: Sequence[int], dtype: npt.DTypeLike = np.float32) -> DeviceArray:
+        """Uninitialised array."""
+        dtype = np.dtype(dtype)
+        nbytes = max(int(np.prod(shape)), 1) * dtype.itemsize
+        return DeviceArray(self._pool.allocate(nbytes), tuple(shape), dtype)
+
+    def zeros(self, shape: Sequence[int], dtype: npt.DTypeLike = np.float32) -> DeviceArray:
+        """Array of zeros."""
+        array = self.empty(shape, dtype)
+        self.fill_zero(array)
+        return array
+
+    def fill_zero(self, array: DeviceArray) -> None:
+        """Overwrite an array with zero bytes."""
+        if array.nbytes:
+            cl.enqueue_fill_buffer(self.queue, array.buffer, np.zeros(1, np.uint8), 0, array.nbytes)
+
+    def upload(self, host: npt.NDArray[Any]) -> DeviceArray:
+        """Copy of a host array on the device, same shape and dtype."""
+        array = self.empty(host.shape, host.dtype)
+        self.write(array, host)
+        return array
+
+    def write(self, array: DeviceArray, host: npt.NDArray[Any]) -> None:
+        """Overwrite ``array`` with ``host`` (same size and dtype)."""
+        if array.size != host.size or array.dtype != host.dtype:
+            raise ValueError(f"cannot write {host.dtype}{host.shape} to {array.dtype}{array.shape}")
+        if array.nbytes:
+            cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(host))
+
+    def download(self, array: DeviceArray) -> npt.NDArray[Any]:
+        """Copy of a device array on the host; waits for all work before it."""
+        host = np.empty(array.shape, array.dtype)
+        if array.nbytes:
+            cl.enqueue_copy(self.queue, host, array.buffer)
+        return host
+
+    def kernel(self, program: str, name: str, **defines: int | float) -> cl.Kernel:
+        """Kernel ``name`` of ``kernels_cl/<program>.cl``; same arguments, same object.
+
+        The method's constants and the specialisation (VEC, USE_LOCAL) are always defined;
+        ``defines`` adds to or overrides them. Floats become float32 literals.
+
+        Raises:
+            DeviceError: the program does not build on this device.
+        """
+        key = (program, name, *sorted(defines.items()))
+        if key not in self._kernels:
+            self._kernels[key] = cl.Kernel(self._program(program, defines), name)
+        return self._kernels[key]
+
+    def _program(self, program: str, defines: dict[str, int | float]) -> cl.Program:
+        key = (program, *sorted(defines.items()))
+        if key not in self._programs:
+            specialised = {"VEC": self.vec, "USE_LOCAL": int(self.specialisation == "gpu")}
+            macros = {**constants.defines(), **specialised, **defines}
+            options = [f"-D{name}={_literal(value)}" for name, value in sorted(macros.items())]
+            try:
+                built = cl.Program(self.context, read_program(f"{program}.cl"))
+                self._programs[key] = built.build(options=[*BUILD_OPTIONS, *options])
+            except cl.RuntimeError as error:
+                raise DeviceError(
+                    f"kernels_cl/{program}.cl does not build on {self.name}: "
+                    f"{_first_complaint(str(error))}"
+                ) from error
+        return self._programs[key]
+
+    def run(
+        self,
+        kernel: cl.Kernel,
+        global_size: Sequence[int],
+        local_size: Sequence[int] | None,
+        *arguments: Any,
+    ) -> None:
+        """Enqueue a kernel; device arrays and NumPy scalars as arguments, in order.
+
+        ``global_size`` must be a multiple of ``local_size``; nothing runs where it holds a zero.
+        """
+        if 0 in global_size:
+            return
+        plain = [a.buffer if isinstance(a, DeviceArray) else a for a in arguments]
+        kernel(self.queue, tuple(global_size), tuple(local_size) if local_size else None, *plain)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Attribute the time of the enclosed work to ``name`` while profiling is on."""
+        if not self.profile.enabled:
+            yield
+            return
+        self.queue.finish()
+        with self.profile.measure(name):
+            yield
+            self.queue.finish()
+
+    def finish(self) -> None:
+        """Wait for all enqueued work."""
+        self.queue.finish()
+
+
+def _first_complaint(log: str) -> str:
+    """The first line of a build log that names a source line, else its last line."""
+    lines = [line.strip() for line in log.splitlines() if line.strip()]
+    marked = [line for line in lines if re.search(r"\.(cl|h):\d+", line)]
+    errors = [line for line in marked if "error" in line]
+    return (errors or marked or lines[-1:] or ["no build log"])[0]
+
+
+def _literal(value: int | float) -> str:
+    if isinstance(value, int):
+        return str(value)
+    text = f"{np.float32(value):.9g}"
+    return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
+
+
+def round_up(count: int, multiple: int) -> int:
+    """The smallest multiple of ``multiple`` that is at least ``count``."""
+    return -(-count // multiple) * multiple

@@ -1,0 +1,34 @@
+"""Read the OpenCL sources in ``kernels_cl/`` and expand their includes."""
+
+from __future__ import annotations
+
+import importlib.resources
+import re
+from importlib.resources.abc import Traversable
+
+_INCLUDE = re.compile(r'\s*#include\s+"(?P<name>[^"]+)"\s*')
+
+
+def kernel_root() -> Traversable:
+    """Folder of the shipped kernels, in a wheel and in an editable install alike."""
+    return importlib.resources.files("clgs") / "kernels_cl"
+
+
+def read_program(name: str) -> str:
+    """Source text of one program, includes expanded once, ``#line`` marks kept."""
+    return _expand(name, seen=set())
+
+
+def _expand(name: str, seen: set[str]) -> str:
+    seen.add(name)
+    out = [f'#line 1 "{name}"']
+    text = kernel_root().joinpath(*name.split("/")).read_text(encoding="utf-8")
+    for number, line in enumerate(text.splitlines(), start=1):
+        include = _INCLUDE.fullmatch(line)
+        if include is None:
+            out.append(line)
+            continue
+        if include["name"] not in seen:
+            out.append(_expand(include["name"], seen))
+        out.append(f'#line {number + 1} "{name}"')
+    return "\n".join(out)

@@ -1,0 +1,1 @@
+"""Tests of clgs; ``tests.compare`` and ``tests/conftest.py`` serve them all."""

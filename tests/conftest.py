@@ -1,0 +1,58 @@
+"""Fixtures of all tests: a device in both specialisations, shared data, a seeded generator."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+if "POCL_CACHE_DIR" not in os.environ:
+    # Before pyopencl is imported: runs side by side must not share PoCL's kernel cache.
+    _cache = tempfile.mkdtemp(prefix="clgs-pocl-")
+    os.environ["POCL_CACHE_DIR"] = _cache
+    atexit.register(shutil.rmtree, _cache, ignore_errors=True)
+
+
+@pytest.fixture(scope="session")
+def open_device() -> Callable[..., Any]:
+    """``open_device("cpu")``: the device in one specialisation, opened once a session."""
+    from clgs.opencl.device import Device
+
+    opened: dict[str, Any] = {}
+
+    def open_one(specialisation: str) -> Any:
+        if specialisation not in opened:
+            opened[specialisation] = Device(specialisation=specialisation)
+        return opened[specialisation]
+
+    return open_one
+
+
+@pytest.fixture(scope="session", params=["cpu", "gpu"])
+def device(request: pytest.FixtureRequest, open_device: Callable[..., Any]) -> Any:
+    """The machine's device, with the kernels' CPU form and with their GPU form."""
+    return open_device(request.param)
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of real captures beside the checkout (CLGS_SHARED_DATA names another)."""
+    folder = Path(os.environ.get("CLGS_SHARED_DATA", SHARED_DATA))
+    if not folder.is_dir():
+        pytest.skip(f"no shared data: {folder} is missing")
+    return folder
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Random numbers, the same in every run."""
+    return np.random.default_rng(20240607)

@@ -1,0 +1,149 @@
+"""The projection kernels against the float64 reference, on both specialisations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.constants import NEAR_PLANE
+from clgs.ops import project
+from clgs.reference import project as reference
+from tests.compare import assert_close, relative_l2
+from tests.ops.project_cases import camera_at, gaussians, widen
+
+EPSILON = 2.0**-24
+
+
+def run_forward(device, values, packed):
+    arrays = {name: device.upload(value) for name, value in values.items()}
+    camera = device.upload(packed)
+    return arrays, camera, project.forward(device, **arrays, camera=camera)
+
+
+def downloads(device, projected):
+    names = ("mean2d", "whitening", "depth", "extent")
+    return {name: device.download(getattr(projected, name)) for name in names}
+
+
+def test_forward_agrees_with_reference(device, rng):
+    values = gaussians(rng, 5000)
+    packed = camera_at().pack(NEAR_PLANE)
+    actual = downloads(device, run_forward(device, values, packed)[2])
+    expected = reference.forward(**widen(values), camera=packed)
+    drawn = expected.extent[:, 0] > 0
+    assert 0.5 < drawn.mean() < 1.0
+    assert np.array_equal(actual["extent"][:, 0] > 0, drawn)
+    # a dozen roundings of terms no larger than focal * |point| / z + |centre|
+    assert_close(actual["mean2d"], expected.mean2d, 12 * EPSILON * 1500, "mean2d")
+    assert_close(actual["depth"], expected.depth, 8 * EPSILON * 8, "depth")
+    # relative: 40 roundings on the way to the covariance, halved by the square root
+    floor = np.abs(expected.whitening).max(axis=0)
+    assert_close(actual["whitening"], expected.whitening, 60 * EPSILON * floor, "whitening")
+    # near opacity = cut the logarithm vanishes: 1 ulp of opacity/cut moves its root
+    limit = 60 * EPSILON * expected.extent + 2e-4 * EPSILON**0.5 * expected.extent.max()
+    assert_close(actual["extent"], expected.extent, limit + 1e-6, "extent")
+
+
+@pytest.mark.parametrize(("ratio", "limit"), [(10.0, 1e-5), (1e3, 1e-4), (1e5, 1e-3)])
+def test_backward_agrees_with_reference(device, rng, ratio, limit):
+    values = gaussians(rng, 4000, ratio)
+    packed = camera_at().pack(NEAR_PLANE)
+    arrays, camera, projected = run_forward(device, values, packed)
+    expected = reference.forward(**widen(values), camera=packed)
+    d_mean2d = rng.normal(size=(4000, 2)).astype(np.float32)
+    # as the blend makes them: moments of order one, mapped to r1, l, r2
+    r1, _, r2 = np.where(expected.whitening == 0, 1, expected.whitening).T
+    moment = rng.normal(size=(4000, 3))
+    d_whitening = np.stack([moment[:, 0] / r1, moment[:, 1] * r2 / r1, moment[:, 2] / r2], 1)
+    d_whitening = d_whitening.astype(np.float32)
+    three = (arrays["mean"], arrays["scale"], arrays["rotation"])
+    result = project.backward(
+        device, three, camera, projected, device.upload(d_mean2d), device.upload(d_whitening)
+    )
+    wide = widen(values)
+    wanted = reference.backward(
+        (wide["mean"], wide["scale"], wide["rotation"]),
+        packed,
+        expected,
+        d_mean2d.astype(np.float64),
+        d_whitening.astype(np.float64),
+    )
+    for name, array, target in zip(
+        ("d_mean", "d_scale", "d_rotation"),
+        (result.d_mean, result.d_scale, result.d_rotation),
+        wanted,
+        strict=True,
+    ):
+        if name == "d_scale":  # by log scale, as it is trained
+            scales = wide["scale"]
+            assert relative_l2(device.download(array) * scales, target * scales) <= limit
+        else:
+            assert relative_l2(device.download(array), target) <= limit, name
+
+
+def test_whitening_survives_needles(device, rng):
+    """N05: exp(-power) inside 3.3 sigma and a 4096-pixel frame, axis ratios up to 1e6."""
+    count = 1000
+    packed = camera_at(focal=1000.0, width=4096, height=4096).pack(NEAR_PLANE)
+    for ratio, limit in ((30.0, 2e-6), (1e3, 5e-5), (1e6, 5e-4)):
+        values = gaussians(rng, count)
+        values["mean"] *= np.float32(0.3)
+        values["scale"][:] = np.float32(1e-3) * np.array([1.0, 1.0, ratio], np.float32)
+        actual = downloads(device, run_forward(device, values, packed)[2])
+        expected = reference.forward(**widen(values), camera=packed)
+        drawn = (expected.extent[:, 0] > 0) & (actual["extent"][:, 0] > 0)
+        assert drawn.mean() > 0.9
+        r1, slope, r2 = expected.whitening[drawn].T
+        y1, y2 = 3.3 * rng.uniform(-0.7, 0.7, (2, int(drawn.sum())))
+        dx = y1 / r1
+        dy = y2 / r2 + slope * dx
+        inside = np.minimum(1, 2048 / np.maximum(np.abs(dx), np.abs(slope * dx)))
+        y1, dx, dy = y1 * inside, dx * inside, dy + (inside - 1) * slope * dx
+        q1, k, q2 = actual["whitening"][drawn].astype(np.float64).T
+        power = 0.5 * ((dx * q1) ** 2 + ((dy - k * dx) * q2) ** 2)
+        error = np.abs(np.exp(-power) - np.exp(-0.5 * (y1**2 + y2**2)))
+        assert error.max() <= limit, ratio
+
+
+@pytest.mark.parametrize("slot", ["mean", "scale", "rotation", "opacity"])
+@pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf, 1e38, -1e38])
+def test_poison_stays_in_its_row(device, rng, slot, poison):
+    values = gaussians(rng, 65)
+    packed = camera_at().pack(NEAR_PLANE)
+    clean = downloads(device, run_forward(device, values, packed)[2])
+    values[slot][30] = poison
+    arrays, camera, projected = run_forward(device, values, packed)
+    dirty = downloads(device, projected)
+    others = np.arange(65) != 30
+    for name in clean:
+        assert np.isfinite(dirty[name]).all(), name
+        assert np.array_equal(clean[name][others], dirty[name][others]), name
+    three = (arrays["mean"], arrays["scale"], arrays["rotation"])
+    ones = device.upload(np.ones((65, 2), np.float32)), device.upload(np.ones((65, 3), np.float32))
+    result = project.backward(device, three, camera, projected, *ones)
+    for array in (result.d_mean, result.d_scale, result.d_rotation):
+        assert np.isfinite(device.download(array)[others]).all()
+
+
+def test_near_plane_is_exact(device):
+    """N07: z must exceed the near plane; the value itself and the next below are culled."""
+    near = np.float32(NEAR_PLANE)
+    depths = np.array(
+        [-1, 0, 1e-30, np.nextafter(near, 0), near, np.nextafter(near, np.float32(1)), 1],
+        np.float32,
+    )
+    camera = camera_at()
+    camera = type(camera)(np.eye(3), np.zeros(3), 10.0, 10.0, 160.0, 120.0, 320, 240)
+    values = gaussians(np.random.default_rng(0), len(depths))
+    values["mean"][:] = 0
+    values["mean"][:, 2] = depths
+    values["opacity"][:] = 0.5
+    projected = run_forward(device, values, camera.pack(NEAR_PLANE))[2]
+    drawn = device.download(projected.extent)[:, 0] > 0
+    assert drawn.tolist() == [False] * 5 + [True] * 2
+
+
+def test_no_gaussians(device):
+    values = {name: value[:0] for name, value in gaussians(np.random.default_rng(0), 1).items()}
+    projected = run_forward(device, values, camera_at().pack(NEAR_PLANE))[2]
+    assert projected.mean2d.shape == (0, 2)
