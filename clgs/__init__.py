@@ -1,5 +1,51 @@
-"""Vendor-neutral Gaussian splatting: training, compression and rendering on OpenCL."""
+"""Vendor-neutral Gaussian splatting: training, compression and rendering on OpenCL.
+
+The names of this module do the whole job; nothing heavy is imported before one is used.
+
+- ``prepare(photos, output)``: poses and points from a folder of photos (structure from motion)
+- ``load_dataset(folder)``: Blender, transforms.json or COLMAP data with its views
+- ``preset(name)``: a training configuration; ``.scaled(steps)`` sets the length
+- ``train(dataset, folder, config)``: a trained, quantised, encoded scene
+- ``encode(scene)`` / ``decode(data)``: a scene to bytes and back, bit for bit
+- ``save_scene(path, scene)`` / ``load_scene(path)``: a scene as a NumPy archive
+- ``Renderer(device, scene)`` and ``render(scene, camera)``: pictures from any camera
+- ``evaluate_views(device, scene, views)``: PSNR and SSIM against photos
+- ``Camera``, ``Device``, ``TrainConfig``: what the functions above take
+"""
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "Camera": "clgs.scene.camera",
+    "Device": "clgs.opencl.device",
+    "Renderer": "clgs.render.renderer",
+    "TrainConfig": "clgs.train.config",
+    "decode": "clgs.codec.decode",
+    "encode": "clgs.codec.encode",
+    "evaluate_views": "clgs.train.evaluation",
+    "load_dataset": "clgs.data.dataset",
+    "load_scene": "clgs.scene.storage",
+    "prepare": "clgs.data.photos",
+    "preset": "clgs.train.config",
+    "render": "clgs.render.renderer",
+    "save_scene": "clgs.scene.storage",
+    "train": "clgs.train.session",
+}
+
+__all__ = sorted(_HOMES)  # the list is made from the table above
+
+
+def __getattr__(name: str) -> Any:
+    """Import the module that holds ``name`` on first use (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'clgs' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

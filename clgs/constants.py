@@ -5,6 +5,8 @@ Sources: Voxel-GS (arXiv 2512.17528) and the Scaffold-GS / 3DGS rasteriser that 
 
 from __future__ import annotations
 
+import math
+
 K_OFFSETS = 10
 """Neural Gaussians an anchor (k in the paper)."""
 
@@ -63,6 +65,8 @@ def defines() -> dict[str, int | float]:
         "BLUR": BLUR,
         "ALPHA_CUT": ALPHA_CUT,
         "ALPHA_MAX": ALPHA_MAX,
+        "LOG2_ALPHA_CUT": math.log2(ALPHA_CUT),
+        "LOG2_ALPHA_MAX": math.log2(ALPHA_MAX),
         "TRANSMITTANCE_STOP": TRANSMITTANCE_STOP,
         "LOG_SCALE_LIMIT": LOG_SCALE_LIMIT,
     }

@@ -9,6 +9,12 @@ class ClgsError(Exception):
     exit_code = 1
 
 
+class UsageError(ClgsError):
+    """A setting or argument that cannot be used; names it and what is allowed. Exit code 2."""
+
+    exit_code = 2
+
+
 class DataError(ClgsError):
     """Input data is missing, damaged or of an unknown kind. Exit code 3."""
 

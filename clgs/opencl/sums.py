@@ -1,0 +1,28 @@
+"""Sums that kernels leave on the device block by block."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+
+
+@dataclass(frozen=True)
+class BlockSums:
+    """Float32 sums (blocks, columns), one row a block, and the ``count`` of values behind a column.
+
+    Nothing waits for the device until :meth:`mean` is called, so that a step can enqueue all its
+    work first. The blocks are added in float64 and in order: same bits in every run.
+    """
+
+    partials: DeviceArray
+    count: int
+
+    def mean(self, device: Device) -> npt.NDArray[np.float64]:
+        """(columns,) float64: the sum of every column divided by ``count``; 0 of nothing."""
+        total = device.download(self.partials).sum(axis=0, dtype=np.float64)
+        return np.asarray(total / max(self.count, 1), np.float64)

@@ -1,0 +1,126 @@
+"""Adam on device-resident parameters, one fused kernel a group (Kingma and Ba 2015).
+
+    m = beta1 m + (1 - beta1) g,   v = beta2 v + (1 - beta2) g^2,
+    p = p - m / (sqrt(v) / sqrt(1 - beta2^t) + epsilon) * learning_rate / (1 - beta1^t)
+
+The factors that depend on t are computed in double on the host. Moments too small to matter become
+zero, so that those of rows that get no gradient do not decay into subnormals. ``clgs.train.adam``
+is the same update in NumPy, equal to the bit where division and roots are correctly rounded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device, round_up
+
+BETA1 = 0.9
+BETA2 = 0.999
+EPSILON = 1e-15
+MIN_FIRST_MOMENT = 1e-30
+MIN_SECOND_MOMENT = 1e-36
+"""Moments below these are set to zero; see kernels_cl/adam.cl for the reason of the two sizes."""
+
+GROUP_SIZE = 64
+CHECKED_PER_ITEM = 256
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Running means of the gradient and of its square, float32, shaped like the parameter."""
+
+    first: DeviceArray
+    second: DeviceArray
+
+
+@dataclass(frozen=True)
+class StepFactors:
+    """What changes from step to step: ``correction`` of the root, and the ``step`` length."""
+
+    correction: float
+    step: float
+
+
+def factors(learning_rate: float, count: int) -> StepFactors:
+    """Bias-corrected factors of update number ``count``, which starts at 1; double precision."""
+    return StepFactors(
+        correction=(1.0 - BETA2**count) ** -0.5,
+        step=learning_rate / (1.0 - BETA1**count),
+    )
+
+
+def zero_moments(device: Device, parameter: DeviceArray) -> Moments:
+    """Moments before the first step."""
+    return Moments(device.zeros(parameter.shape), device.zeros(parameter.shape))
+
+
+def finite_flag(device: Device) -> DeviceArray:
+    """(1,) int32 holding 1: no gradient seen yet that is not finite."""
+    return device.upload(np.ones(1, np.int32))
+
+
+def check_finite(device: Device, arrays: Iterable[DeviceArray], flag: DeviceArray) -> None:
+    """Clear ``flag`` (1,) int32 where an element of a float32 array is infinite or NaN."""
+    kernel = device.kernel("adam", "adam_check")
+    for array in arrays:
+        items = round_up(-(-array.size // CHECKED_PER_ITEM), GROUP_SIZE)
+        device.run(kernel, (items,), (GROUP_SIZE,), array, np.uint32(array.size), flag)
+
+
+def step(
+    device: Device,
+    parameter: DeviceArray,
+    gradient: DeviceArray,
+    moments: Moments,
+    factors_now: StepFactors,
+    flag: DeviceArray,
+    part: slice | None = None,
+) -> None:
+    """Update ``parameter`` and ``moments`` in place.
+
+    Args:
+        device: where the arrays live.
+        parameter: float32, any shape.
+        gradient: float32, as many elements.
+        moments: float32, as many elements each.
+        factors_now: from :func:`factors`.
+        flag: (1,) int32; where it holds 0 nothing changes.
+        part: elements to update, counted through; default: all.
+
+    Raises:
+        ValueError: sizes or dtypes differ.
+    """
+    for name, array in (
+        ("gradient", gradient),
+        ("first moment", moments.first),
+        ("second moment", moments.second),
+    ):
+        if array.size != parameter.size or array.dtype != np.float32:
+            raise ValueError(f"{name}: {array.dtype}{array.shape} does not fit {parameter.shape}")
+    start, stop, _ = (part or slice(None)).indices(parameter.size)
+    betas = np.array([BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2], np.float32)
+    device.run(
+        device.kernel(
+            "adam",
+            "adam_step",
+            MIN_FIRST_MOMENT=MIN_FIRST_MOMENT,
+            MIN_SECOND_MOMENT=MIN_SECOND_MOMENT,
+        ),
+        (round_up(-(-(stop - start) // device.vec), GROUP_SIZE),),
+        (GROUP_SIZE,),
+        parameter,
+        gradient,
+        moments.first,
+        moments.second,
+        np.uint32(start),
+        np.uint32(stop - start),
+        betas,
+        np.float32(factors_now.correction),
+        np.float32(EPSILON),
+        np.float32(factors_now.step),
+        flag,
+    )

@@ -1,0 +1,195 @@
+"""The image loss and the volume term (VOXELGS.md section 5).
+
+    value = l1_weight * mean |x - y| + ssim_weight * (1 - SSIM)
+    SSIM = mean over pixels and channels of
+           (2 mu_x mu_y + C1)(2 cov_xy + C2) / ((mu_x^2 + mu_y^2 + C1)(var_x + var_y + C2))
+
+with moments under an 11 x 11 Gaussian window of sigma 1.5 and zero padding (Wang et al. 2004). The
+kernel takes the moments of centred pixels, tile by tile, and writes the maps that the backward pass
+blurs once more; kernels_cl/loss.cl has the equations. The derivative of |x| at 0 is 0.
+
+The volume term is the mean over Gaussians of the product of their scales (Scaffold-GS).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clgs import constants
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.opencl.sums import BlockSums
+from clgs.shapes import Shapes
+
+TILE_COLUMNS = 16
+TILE_ROWS = {"cpu": 32, "gpu": 16}
+"""Tile height by specialisation: taller ones blur fewer rows twice, but need more memory."""
+
+GROUP_SIZE = {"cpu": 1, "gpu": 256}
+VOLUME_BLOCK = 256
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Factors of the L1 term and of 1 - SSIM."""
+
+    l1: float = 0.8
+    ssim: float = 0.2
+
+
+@dataclass(frozen=True)
+class LossValue:
+    """Mean absolute error, SSIM and their weighted sum; not finite where the image is not."""
+
+    l1: float
+    ssim: float
+    value: float
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What the forward pass leaves on the device, float32.
+
+    sums: per tile the sums of |x - y| and of 1 - SSIM; shift (tiles, 2): the level about which the
+    moments of image and target were taken; maps: three of (3, H, W), see kernels_cl/loss.cl.
+    """
+
+    sums: BlockSums
+    weights: Weights
+    shift: DeviceArray
+    maps: tuple[DeviceArray, DeviceArray, DeviceArray]
+
+    def value(self, device: Device) -> LossValue:
+        """Download the block sums and add them up; waits for the device."""
+        l1, lost = (float(mean) for mean in self.sums.mean(device))
+        return LossValue(l1, 1.0 - lost, self.weights.l1 * l1 + self.weights.ssim * lost)
+
+
+def forward(
+    device: Device, image: DeviceArray, target: DeviceArray, weights: Weights | None = None
+) -> Loss:
+    """Compare an image with a photo.
+
+    Args:
+        device: where the arrays live.
+        image: (3, H, W) float32, planar.
+        target: (3, H, W) uint8, planar; 255 is 1.0.
+        weights: of the two terms; default 0.8 and 0.2.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    height, width = _check(image, target)
+    across, down = _tiles(device, height, width)
+    sums = device.empty((3 * across * down, 2))
+    shift = device.empty((3 * across * down, 2))
+    maps = (device.empty(image.shape), device.empty(image.shape), device.empty(image.shape))
+    group = GROUP_SIZE[device.specialisation]
+    device.run(
+        device.kernel("loss", "loss_forward", **_defines(device)),
+        (across * group, down, 3),
+        (group, 1, 1),
+        image,
+        target,
+        np.int32(width),
+        np.int32(height),
+        shift,
+        *maps,
+        sums,
+    )
+    return Loss(BlockSums(sums, 3 * height * width), weights or Weights(), shift, maps)
+
+
+def backward(device: Device, image: DeviceArray, target: DeviceArray, loss: Loss) -> DeviceArray:
+    """d_image (3, H, W) float32, the gradient of ``loss.value(device).value``.
+
+    Args:
+        device: where the arrays live.
+        image: as given to :func:`forward`.
+        target: as given to :func:`forward`.
+        loss: what :func:`forward` returned.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    height, width = _check(image, target)
+    across, down = _tiles(device, height, width)
+    d_image = device.empty(image.shape)
+    count = max(3 * height * width, 1)
+    group = GROUP_SIZE[device.specialisation]
+    device.run(
+        device.kernel("loss", "loss_backward", **_defines(device)),
+        (across * group, down, 3),
+        (group, 1, 1),
+        image,
+        target,
+        np.int32(width),
+        np.int32(height),
+        loss.shift,
+        *loss.maps,
+        np.float32(loss.weights.l1 / count),
+        np.float32(-loss.weights.ssim / count),
+        d_image,
+    )
+    return d_image
+
+
+def volume(device: Device, scale: DeviceArray, weight: float, d_scale: DeviceArray) -> BlockSums:
+    """Mean product of the scales; ``weight`` times its gradient is added to ``d_scale``.
+
+    Args:
+        device: where the arrays live.
+        scale: (N, 3) float32, scene units.
+        weight: factor of the term in the loss; the returned mean is without it.
+        d_scale: (N, 3) float32, changed in place.
+
+    Returns:
+        Sums whose ``mean(device)`` is (1,): the mean over N, 0 where N is 0.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    shapes = Shapes()
+    shapes.check("scale", scale, "N 3", np.float32)
+    shapes.check("d_scale", d_scale, "N 3", np.float32)
+    count = shapes.axes["N"]
+    blocks = -(-count // VOLUME_BLOCK)
+    sums = device.empty((blocks, 1))
+    group = GROUP_SIZE[device.specialisation]
+    device.run(
+        device.kernel("loss", "loss_volume", **_defines(device)),
+        (blocks * group,),
+        (group,),
+        scale,
+        np.int32(count),
+        np.float32(weight / max(count, 1)),
+        d_scale,
+        sums,
+    )
+    return BlockSums(sums, count)
+
+
+def _check(image: DeviceArray, target: DeviceArray) -> tuple[int, int]:
+    shapes = Shapes()
+    shapes.check("image", image, "3 H W", np.float32)
+    shapes.check("target", target, "3 H W", np.uint8)
+    return shapes.axes["H"], shapes.axes["W"]
+
+
+def _tiles(device: Device, height: int, width: int) -> tuple[int, int]:
+    return -(-width // TILE_COLUMNS), -(-height // TILE_ROWS[device.specialisation])
+
+
+def _defines(device: Device) -> dict[str, Any]:
+    taps = [
+        math.exp(-0.5 * (tap / constants.SSIM_SIGMA) ** 2)
+        for tap in range(constants.SSIM_WINDOW // 2 + 1)
+    ]
+    total = taps[0] + 2 * sum(taps[1:])
+    weights = {f"SSIM_WEIGHT_{tap}": weight / total for tap, weight in enumerate(taps)}
+    levels = {"SSIM_C1": constants.SSIM_C1, "SSIM_C2": constants.SSIM_C2}
+    return {"TILE_ROWS": TILE_ROWS[device.specialisation], **weights, **levels}

@@ -1,0 +1,50 @@
+"""Quantisation with straight-through gradients (VOXELGS.md section 6).
+
+    forward:  rint(x q) / q, ties to even;    backward:  d_x = d_rounded, so there is no kernel.
+
+The integers are the source of truth of the bitstream; for |rint(x q)| < 2^22 they come back from
+the dequantised values unchanged.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device, round_up
+
+GROUP_SIZE = 64
+
+
+def forward(device: Device, x: DeviceArray, q: float) -> DeviceArray:
+    """rint(x q) / q in a new float32 array of the shape of ``x``.
+
+    Args:
+        device: where ``x`` lives.
+        x: float32, any shape.
+        q: quantisation scale, positive.
+
+    Raises:
+        TypeError: ``x`` is not float32.
+    """
+    return _run(device, "quantize_forward", x, q, device.empty(x.shape, np.float32))
+
+
+def integers(device: Device, x: DeviceArray, q: float) -> DeviceArray:
+    """rint(x q) in a new int32 array; arguments as for :func:`forward`."""
+    return _run(device, "quantize_integers", x, q, device.empty(x.shape, np.int32))
+
+
+def _run(device: Device, kernel: str, x: DeviceArray, q: float, result: DeviceArray) -> DeviceArray:
+    if x.dtype != np.float32:
+        raise TypeError(f"x: dtype is {x.dtype}, expected float32")
+    device.run(
+        device.kernel("quantize", kernel),
+        (round_up(-(-x.size // device.vec), GROUP_SIZE),),
+        (GROUP_SIZE,),
+        x,
+        np.uint32(x.size),
+        np.float32(q),
+        result,
+    )
+    return result

@@ -1,0 +1,296 @@
+"""The rate proxy: bits that an ideal coder needs for an attribute (VOXELGS.md section 7).
+
+A symbol n = rint(x q) costs -log2 of the Laplace mass of [n - 1/2, n + 1/2]. With d = |n - mu|, in
+nats,
+
+    d >= 1/2:  (d - 1/2)/b - log((1 - exp(-1/b))/2)
+    d <  1/2:  -log(1 - (exp(-(1/2 - d)/b) + exp(-(1/2 + d)/b))/2)
+
+Form "channel" (the default): mu and b = std/sqrt(2) of every channel, no clamp and no floor; a
+channel of equal symbols costs nothing. Form "pooled" is the code of Voxel-GS: one mean and standard
+deviation (unbiased, at least 0.01) for the whole attribute, the deviation taken as b, d clamped to
+3 deviations, the mass floored at 1e-5. Gradients flow through mu and b, and stop at clamps.
+
+At most one integer lies within 1/2 of mu, and beyond it the cost is linear in d. So a channel's
+bits follow from five sums of integers, which the kernels take; the rest is float64 on the host.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device, round_up
+
+Form = Literal["channel", "pooled"]
+Values = npt.NDArray[np.float64]
+
+GROUP_SIZE = 64
+VECTORS_PER_BLOCK = 256
+POOLED_CLAMP = 3.0
+POOLED_MIN_SCALE = 0.01
+POOLED_MAX_NATS = float(np.log(1e5))
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Bits a row, and the derivative of that by the symbols.
+
+    ``table`` (8, channels; 1 channel where pooled) float64: the centre m; with k = n - m the limits
+    low and high of k; the slope by k; and the offsets for k below, at and above 0 and outside of
+    the limits. The derivative by a symbol is slope * k + offset.
+    """
+
+    bits: float
+    q: float
+    table: Values
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Nats of symbols at a distance from mu, and their derivatives by distance and by b."""
+
+    nats: Values
+    by_distance: Values
+    by_b: Values
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Per channel: number of symbols, centre, mean - centre, and the sums of rate_statistics."""
+
+    count: int
+    centre: Values
+    mean: Values
+    below: Values
+    above: Values
+    outside: Values
+    distance: Values
+    square: Values
+
+
+def forward(device: Device, x: DeviceArray, q: float, form: Form = "channel") -> Rate:
+    """Bits a row of the symbols rint(x q).
+
+    Args:
+        device: where ``x`` lives.
+        x: (rows, ...) float32; every index behind the first is a channel.
+        q: quantisation scale.
+        form: "channel" or "pooled".
+
+    Raises:
+        TypeError: ``x`` is not float32.
+        ValueError: there is no such form.
+    """
+    if form not in ("channel", "pooled"):
+        raise ValueError(f"form is '{form}'; use channel or pooled")
+    if x.dtype != np.float32:
+        raise TypeError(f"x: dtype is {x.dtype}, expected float32")
+    channels = _channels(x) if form == "channel" else 1
+    if x.size == 0:
+        return Rate(0.0, q, np.zeros((8, channels)))
+    with np.errstate(all="ignore"):
+        sums = _statistics(device, x, q, _centre(device, x, q, channels), None)
+        if form == "pooled":
+            limits = _pooled_limits(sums)
+            sums = _statistics(device, x, q, (sums.centre, sums.mean), limits)
+            nats, table = _pooled(sums, limits)
+        else:
+            nats, table = _per_channel(sums)
+    scale = 1.0 / (np.log(2.0) * x.shape[0])
+    table[3:] *= scale
+    return Rate(float(nats.sum() * scale), q, table)
+
+
+def backward(device: Device, rate: Rate, x: DeviceArray, weight: float, d_x: DeviceArray) -> None:
+    """Add the gradient of ``weight * rate.bits`` to ``d_x`` in place, rounding passed through.
+
+    Args:
+        device: where the arrays live.
+        rate: what :func:`forward` returned for ``x``.
+        x: (rows, ...) float32.
+        weight: factor of the bits a row in the loss.
+        d_x: float32, as many elements as ``x``.
+
+    Raises:
+        ValueError, TypeError: ``d_x`` does not fit.
+    """
+    if d_x.size != x.size or d_x.dtype != np.float32:
+        raise ValueError(f"d_x: {d_x.dtype}{d_x.shape} does not fit x {x.shape}")
+    table = rate.table.copy()
+    table[3:] *= weight * rate.q
+    period = table.shape[1]
+    device.run(
+        device.kernel("rate", "rate_backward"),
+        (round_up(-(-x.size // device.vec), GROUP_SIZE),),
+        (GROUP_SIZE,),
+        x,
+        np.uint32(x.size),
+        np.float32(rate.q),
+        np.uint32(period),
+        _upload(device, table),
+        d_x,
+    )
+
+
+def cost(distance: Values, b: Values) -> Cost:
+    """Nats of symbols at ``distance`` >= 0 from mu under Laplace scale ``b`` > 0, both (n,)."""
+    with np.errstate(all="ignore"):
+        near, far = _near(np.minimum(distance, 0.5), b), _far(distance, b)
+    outer = distance >= 0.5
+    return Cost(
+        np.where(outer, far.nats, near.nats),
+        np.where(outer, far.by_distance, near.by_distance),
+        np.where(outer, far.by_b, near.by_b),
+    )
+
+
+def _far(distance: Values, b: Values) -> Cost:
+    beyond = distance - 0.5
+    nats = beyond / b - np.log(-0.5 * np.expm1(-1 / b))
+    return Cost(nats, 1 / b, (1 / np.expm1(1 / b) - beyond) / b**2)
+
+
+def _near(distance: Values, b: Values) -> Cost:
+    inner, outer = -(0.5 - distance) / b, -(0.5 + distance) / b
+    lower, upper = np.exp(inner), np.exp(outer)
+    mass = -0.5 * (np.expm1(inner) + np.expm1(outer))
+    # each form keeps its digits where the other loses them: mass near 1, and small mass
+    nats = np.where(b < 0.7, -np.log1p(-0.5 * (lower + upper)), -np.log(mass))
+    by_distance = (lower - upper) / (2 * b * mass)
+    by_b = (lower * (0.5 - distance) + upper * (0.5 + distance)) / (2 * b**2 * mass)
+    return Cost(nats, by_distance, by_b)
+
+
+def _per_channel(sums: _Sums) -> tuple[Values, Values]:
+    """(nats of every channel, table by nats) with b = std/sqrt(2) and no limits."""
+    b = np.sqrt(0.5 * (sums.square / sums.count - sums.mean**2))
+    constant = b == 0
+    b = np.where(constant, 1.0, b)
+    at_centre = cost(np.abs(sums.mean), b)
+    far = _far_sums(sums, b)
+    hits = sums.count - sums.below - sums.above
+    nats = hits * at_centre.nats + far.nats
+    by_b = hits * at_centre.by_b + far.by_b
+    infinite = np.full_like(b, np.inf)
+    table = _table(sums, b, at_centre, by_b / (2 * b * sums.count), infinite)
+    table[3:, constant] = 0
+    return np.where(constant, 0.0, nats), table
+
+
+def _deviation(sums: _Sums) -> Values:
+    return np.sqrt((sums.square - sums.count * sums.mean**2) / max(sums.count - 1, 1))
+
+
+def _pooled_limits(sums: _Sums) -> Values:
+    """Largest distance from the mean at which the cost still varies: clamp or floor, (1,)."""
+    b = np.maximum(_deviation(sums), POOLED_MIN_SCALE)
+    floor = 0.5 + b * (POOLED_MAX_NATS + np.log(-0.5 * np.expm1(-1 / b)))
+    return np.minimum(POOLED_CLAMP * b, floor)
+
+
+def _pooled(sums: _Sums, limits: Values) -> tuple[Values, Values]:
+    """As :func:`_per_channel`, in the form of the code of Voxel-GS."""
+    deviation = _deviation(sums)
+    b = np.maximum(deviation, POOLED_MIN_SCALE)
+    at_centre = _floored(cost(np.abs(sums.mean), b))
+    clamped = _floored(cost(POOLED_CLAMP * b, b))
+    far = _far_sums(sums, b)
+    hits = sums.count - sums.below - sums.above - sums.outside
+    nats = hits * at_centre.nats + far.nats + sums.outside * clamped.nats
+    by_b = hits * at_centre.by_b + far.by_b
+    by_b += sums.outside * (POOLED_CLAMP * clamped.by_distance + clamped.by_b)
+    free = deviation >= POOLED_MIN_SCALE
+    slope = np.where(free, by_b / (max(sums.count - 1, 1) * b), 0.0)
+    return nats, _table(sums, b, at_centre, slope, limits)
+
+
+def _floored(cost_of: Cost) -> Cost:
+    free = cost_of.nats <= POOLED_MAX_NATS
+    return Cost(
+        np.minimum(cost_of.nats, POOLED_MAX_NATS),
+        np.where(free, cost_of.by_distance, 0.0),
+        np.where(free, cost_of.by_b, 0.0),
+    )
+
+
+def _far_sums(sums: _Sums, b: Values) -> Cost:
+    """Sums over the symbols that are neither at the centre nor outside of the limits."""
+    count = sums.below + sums.above
+    distance = sums.distance - sums.mean * (sums.above - sums.below)
+    edge = _far(np.full_like(b, 0.5), b)
+    beyond = distance - 0.5 * count
+    return Cost(
+        beyond / b + count * edge.nats,
+        count / b,
+        count * edge.by_b - beyond / b**2,
+    )
+
+
+def _table(sums: _Sums, b: Values, at_centre: Cost, slope: Values, limits: Values) -> Values:
+    """``Rate.table`` by nats; mu moves by 1/count with every symbol."""
+    centre_slope = np.sign(-sums.mean) * at_centre.by_distance
+    hits = sums.count - sums.below - sums.above - sums.outside
+    total = (sums.above - sums.below) / b + hits * centre_slope
+    shared = -total / sums.count - slope * sums.mean
+    low, high = np.ceil(sums.mean - limits), np.floor(sums.mean + limits)
+    sides = (shared - 1 / b, shared + centre_slope, shared + 1 / b, shared)
+    return np.stack([sums.centre, np.minimum(low, 0), np.maximum(high, 0), slope, *sides])
+
+
+def _channels(x: DeviceArray) -> int:
+    return int(np.prod(x.shape[1:]))
+
+
+def _centre(device: Device, x: DeviceArray, q: float, channels: int) -> tuple[Values, Values]:
+    """(centre, mean - centre) of every channel; the centre is the integer next to the mean."""
+    mean = _run(device, "rate_total", 1, (x, q, channels))[0] / (x.size // channels)
+    centre = np.rint(mean)
+    return centre, mean - centre
+
+
+def _statistics(
+    device: Device, x: DeviceArray, q: float, mean: tuple[Values, Values], limits: Values | None
+) -> _Sums:
+    centre, fraction = mean
+    reach = np.full_like(centre, np.inf) if limits is None else limits
+    low = np.minimum(np.ceil(fraction - reach), 0)
+    high = np.maximum(np.floor(fraction + reach), 0)
+    tables = (_upload(device, centre[None]), _upload(device, np.stack([low, high])))
+    columns = _run(device, "rate_statistics", 5, (x, q, len(centre)), *tables)
+    return _Sums(x.size // len(centre), centre, fraction, *columns)
+
+
+def _run(
+    device: Device,
+    kernel: str,
+    planes: int,
+    source: tuple[DeviceArray, float, int],
+    *tables: DeviceArray,
+) -> Values:
+    """Sums (planes, channels) of a kernel over (x, q, channels), added up in float64."""
+    x, q, channels = source
+    blocks = -(-x.size // (device.vec * channels * VECTORS_PER_BLOCK))
+    sums = device.empty((planes, blocks, device.vec, channels))
+    device.run(
+        device.kernel("rate", kernel),
+        (round_up(blocks * channels, GROUP_SIZE),),
+        (GROUP_SIZE,),
+        x,
+        np.uint32(x.size),
+        np.float32(q),
+        np.uint32(channels),
+        np.uint32(blocks),
+        *tables,
+        sums,
+    )
+    return np.asarray(device.download(sums).sum(axis=(1, 2), dtype=np.float64))
+
+
+def _upload(device: Device, table: Values) -> DeviceArray:
+    """A table (rows, channels), repeated for every lane row of the kernels' period."""
+    return device.upload(np.tile(table, (1, device.vec)).astype(np.float32))

@@ -1,0 +1,23 @@
+"""Adam in float64, as Kingma and Ba (2015) write it, epsilon beside the corrected root."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+def step(
+    parameter: Array,
+    gradient: Array,
+    moments: tuple[Array, Array],
+    learning_rate: float,
+    count: int,
+) -> tuple[Array, tuple[Array, Array]]:
+    """The parameter and its moments after update number ``count`` (from 1)."""
+    first = 0.9 * moments[0] + 0.1 * gradient
+    second = 0.999 * moments[1] + 0.001 * gradient**2
+    mean = first / (1 - 0.9**count)
+    deviation = np.sqrt(second / (1 - 0.999**count))
+    return parameter - learning_rate * mean / (deviation + 1e-15), (first, second)

@@ -1,0 +1,148 @@
+"""Checkpoints: the whole state of a run in one file, written atomically, the last two kept.
+
+A checkpoint is an .npz file (an uncompressed zip of .npy members, no pickle) with one more
+member, ``metadata.json``: format version, configuration digest, scalars, and CRC-32, dtype and
+shape of every array.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import struct
+import warnings
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.errors import ClgsError, DataError
+from clgs.files import atomic_path
+
+FORMAT_VERSION = 1
+KEPT = 2
+METADATA = "metadata.json"
+
+Arrays = dict[str, npt.NDArray[Any]]
+Scalars = dict[str, Any]
+
+DAMAGE = (
+    *(OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, OverflowError),
+    *(MemoryError, zipfile.BadZipFile, zlib.error, struct.error),
+    RuntimeError,  # zipfile: a flag for encryption or another compression method
+)
+"""What reading a damaged zip, JSON or .npy can raise."""
+
+
+def save(folder: Path, arrays: Arrays, scalars: Scalars, digest: str) -> Path:
+    """Write a checkpoint; returns its path.
+
+    Older ones are removed afterwards but for the newest, and so are those of later steps, which
+    a run that went back has abandoned.
+
+    Args:
+        folder: made where it is missing; holds the checkpoints of one run.
+        arrays: by name; any dtype but object.
+        scalars: JSON-able, with the number of the last step done under "step".
+        digest: of the configuration; :func:`load` asks for the same.
+
+    Raises:
+        ClgsError: the file cannot be written; older checkpoints are intact.
+    """
+    step = int(scalars["step"])
+    path = folder / f"step_{step:08d}.npz"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with atomic_path(path) as temporary:
+            _write(temporary, arrays, {"scalars": scalars, "digest": digest})
+        _clean(folder, path)
+    except OSError as error:
+        raise ClgsError(
+            f"{path}: cannot write the checkpoint ({error.strerror or error}); "
+            "free space or choose another run folder"
+        ) from error
+    return path
+
+
+def load(folder: Path, digest: str) -> tuple[Arrays, Scalars]:
+    """(arrays, scalars) of the newest usable checkpoint; a warning names each damaged one.
+
+    Raises:
+        DataError: there is none, all are damaged, or it has another digest or format.
+    """
+    paths = checkpoints(folder)
+    for path in reversed(paths):
+        try:
+            arrays, scalars, written_for = _read(path)
+        except DAMAGE as error:
+            warnings.warn(f"{path}: damaged checkpoint ({error}), skipped", stacklevel=2)
+            continue
+        if written_for != digest:
+            raise DataError(
+                f"{path}: was made with another configuration; "
+                "resume with the run's own config.toml or choose another run folder"
+            )
+        return arrays, scalars
+    found = f"all {len(paths)} checkpoints are damaged" if paths else "no checkpoint"
+    raise DataError(f"{folder}: {found}; start the run anew")
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    """Paths of the checkpoints in a folder, by step."""
+    return sorted(
+        path for path in folder.glob("step_*.npz") if re.fullmatch(r"step_\d+", path.stem)
+    )
+
+
+def _write(path: Path, arrays: Arrays, metadata: dict[str, Any]) -> None:
+    described = {name: _description(array) for name, array in arrays.items()}
+    document = json.dumps({"version": FORMAT_VERSION, **metadata, "arrays": described})
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
+        archive.writestr(zipfile.ZipInfo(METADATA), document)
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+
+
+def _read(path: Path) -> tuple[Arrays, Scalars, str]:
+    """Arrays, scalars and digest; raises one of DAMAGE or, for another format, DataError."""
+    with zipfile.ZipFile(path) as archive:
+        metadata = json.loads(archive.read(METADATA))
+        if metadata["version"] != FORMAT_VERSION:
+            raise DataError(
+                f"{path}: checkpoint format {metadata['version']}, this program reads "
+                f"{FORMAT_VERSION}; resume with the program that wrote it"
+            )
+        arrays = {name: _member(archive, name) for name in metadata["arrays"]}
+    for name, array in arrays.items():
+        if _description(array) != metadata["arrays"][name]:
+            raise ValueError(f"{name} differs from its checksum")
+    return arrays, metadata["scalars"], metadata["digest"]
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
+    """One array; read whole first, so that no declared size is trusted."""
+    data = io.BytesIO(archive.read(f"{name}.npy"))
+    return np.asarray(np.lib.format.read_array(data, allow_pickle=False))
+
+
+def _description(array: npt.NDArray[Any]) -> dict[str, Any]:
+    contiguous = np.ascontiguousarray(array)
+    return {
+        "dtype": array.dtype.str,
+        "shape": list(array.shape),
+        "crc32": zlib.crc32(contiguous.reshape(-1).view(np.uint8).data),
+    }
+
+
+def _clean(folder: Path, newest: Path) -> None:
+    """Remove old and abandoned checkpoints and what a killed process left half-written."""
+    earlier = [path for path in checkpoints(folder) if path.name < newest.name]
+    kept = {newest, *earlier[-(KEPT - 1) :]}
+    for path in (*checkpoints(folder), *folder.glob(".step_*.npz")):
+        if path not in kept:
+            path.unlink(missing_ok=True)

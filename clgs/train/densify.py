@@ -1,0 +1,115 @@
+"""Decide when anchors grow and are pruned, and move them between device and host for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clgs.constants import K_OFFSETS
+from clgs.opencl.device import Device
+from clgs.ops import density as density_op
+from clgs.render.frame import Frame, SceneGradients
+from clgs.train.config import TrainConfig
+from clgs.train.density import Statistics, TrainState, grow, mask_prune, merge_cells, prune
+from clgs.train.parameters import Parameters, download_anchors, upload_anchors
+
+
+class Densifier:
+    """Accumulates statistics on the device; every interval grows and prunes on the host."""
+
+    def __init__(self, device: Device, config: TrainConfig, count: int) -> None:
+        """Start with zero statistics for ``count`` anchors."""
+        self._device, self._config = device, config
+        self.statistics = self._upload(zero_statistics(count))
+
+    def after_backward(
+        self,
+        parameters: Parameters,
+        frame: Frame,
+        gradients: SceneGradients,
+        step: int,
+        rng: np.random.Generator,
+    ) -> Parameters | None:
+        """Statistics of this step; the replaced parameters where anchors changed, else None."""
+        config = self._config
+        if not config.statistics_start < step < config.growth_end:
+            return None
+        seen = density_op.ScreenGradients(
+            frame.gaussians.slot, frame.projected.extent, gradients.d_mean2d, *frame.size
+        )
+        activations = frame.activations
+        density_op.accumulate(
+            self._device, self.statistics, activations.output, activations.visible, seen
+        )
+        due = step > config.growth_start and step % config.growth_interval == 0
+        return self._change_anchors(parameters, frame, rng) if due else None
+
+    def align(self, parameters: Parameters, q_position: float) -> tuple[Parameters, int]:
+        """Anchors moved to the grid of 1/Q_P, those of one cell merged, and how many merged.
+
+        A no-op where the grid is that of the voxels, as it is by default.
+        """
+        anchors, moments = download_anchors(self._device, parameters)
+        state = TrainState(anchors, self.download(), moments)
+        merged = merge_cells(state, q_position)
+        return self._replace(parameters, state), merged
+
+    def _change_anchors(
+        self, parameters: Parameters, frame: Frame, rng: np.random.Generator
+    ) -> Parameters:
+        device = self._device
+        anchors, moments = download_anchors(device, parameters)
+        state = TrainState(anchors, self.download(), moments)
+        visible = device.download(frame.activations.visible)
+        opacity = device.download(frame.activations.output)[:K_OFFSETS, : len(visible)].T
+        mask_prune(state, visible, opacity)
+        grow(state, self._config, rng)
+        prune(state, self._config)
+        return self._replace(parameters, state)
+
+    def _replace(self, parameters: Parameters, state: TrainState) -> Parameters:
+        self.statistics = self._upload(state.statistics)
+        scene = parameters.scene
+        return upload_anchors(
+            self._device,
+            state.anchors,
+            state.moments,
+            scene.weights,
+            parameters.moments["weights"],
+        )
+
+    def download(self) -> Statistics:
+        """Host copy of the statistics."""
+        arrays = self.statistics
+        return Statistics(
+            *(
+                self._device.download(array)
+                for array in (
+                    arrays.opacity_sum,
+                    arrays.visits,
+                    arrays.gradient_sum,
+                    arrays.gradient_count,
+                )
+            )
+        )
+
+    def restore(self, statistics: Statistics) -> None:
+        """Continue from saved statistics."""
+        self.statistics = self._upload(statistics)
+
+    def _upload(self, statistics: Statistics) -> density_op.Statistics:
+        return density_op.Statistics(
+            self._device.upload(statistics.opacity_sum),
+            self._device.upload(statistics.visits),
+            self._device.upload(statistics.gradient_sum),
+            self._device.upload(statistics.gradient_count),
+        )
+
+
+def zero_statistics(count: int) -> Statistics:
+    """Statistics of ``count`` anchors that nothing has seen yet."""
+    return Statistics(
+        np.zeros(count, np.float32),
+        np.zeros(count, np.int32),
+        np.zeros((count, K_OFFSETS), np.float32),
+        np.zeros((count, K_OFFSETS), np.int32),
+    )

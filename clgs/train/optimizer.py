@@ -1,0 +1,52 @@
+"""Adam over all trained tensors with the method's learning-rate schedule."""
+
+from __future__ import annotations
+
+from clgs.constants import HEAD_DIMS
+from clgs.opencl.device import Device
+from clgs.ops import adam
+from clgs.render.frame import SceneGradients
+from clgs.scene.mlps import head_slice
+from clgs.train.config import TrainConfig
+from clgs.train.parameters import ANCHOR_GROUPS, Parameters
+from clgs.train.schedule import learning_rates
+
+
+class Optimizer:
+    """Updates parameters in place; leaves all of them untouched where a gradient is not finite."""
+
+    def __init__(self, device: Device, config: TrainConfig, radius: float) -> None:
+        """``radius`` in scene units scales the learning rate of offsets."""
+        self._device, self._config, self._radius = device, config, radius
+
+    def step(
+        self, parameters: Parameters, gradients: SceneGradients, step: int, anchors: bool
+    ) -> bool:
+        """One Adam step number ``step`` (from 1); whether all gradients were finite.
+
+        ``anchors`` is False on steps that replace the anchors: only the MLPs learn then.
+        """
+        rates = learning_rates(self._config, step, self._radius)
+        names = (*ANCHOR_GROUPS, "weights") if anchors else ("weights",)
+        by_name = {name: getattr(gradients, f"d_{name}") for name in names}
+        flag = adam.finite_flag(self._device)
+        adam.check_finite(self._device, by_name.values(), flag)
+        for name in names:
+            for part, rate in _parts(name, by_name[name].size, rates):
+                adam.step(
+                    self._device,
+                    getattr(parameters.scene, name),
+                    by_name[name],
+                    parameters.moments[name],
+                    adam.factors(rate, step),
+                    flag,
+                    part,
+                )
+        return bool(self._device.download(flag)[0])
+
+
+def _parts(name: str, size: int, rates: dict[str, float]) -> list[tuple[slice, float]]:
+    """Elements of a tensor with one learning rate, and that rate; the MLPs have one a head."""
+    if name == "weights":
+        return [(head_slice(head), rates[f"mlp_{head}"]) for head in HEAD_DIMS]
+    return [(slice(0, size), rates[name])]

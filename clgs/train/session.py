@@ -1,0 +1,205 @@
+"""A whole training run in a run folder: log, checkpoints, results. Resumes where it stopped."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clgs.codec.encode import encode
+from clgs.data.dataset import Dataset, View
+from clgs.errors import DataError
+from clgs.export.image import comparison, save_png
+from clgs.files import atomic_write
+from clgs.opencl.device import Device
+from clgs.scene.scene import QuantizedScene
+from clgs.scene.storage import save_scene
+from clgs.train.config import TrainConfig
+from clgs.train.evaluation import ViewScore, evaluate_views, summarize
+from clgs.train.hashes import fingerprint
+from clgs.train.loop import StepResult, Trainer
+from clgs.train.progress import ProgressLog
+from clgs.train.resume import load_checkpoint, save_checkpoint
+
+HASHED_VIEWS = 3
+MLP_BYTES = 50_000
+POSITION_BITS = 12.0
+"""Bits that an anchor's position takes, for the size estimate shown while training."""
+
+
+@dataclass
+class Progress:
+    """What a progress display shows: the last step, PSNR on fixed views, estimated bytes."""
+
+    result: StepResult
+    psnr: float | None = None
+    estimated_bytes: int | None = None
+
+
+@dataclass
+class RunResult:
+    """A finished run: its folder, the quantised scene, the bitstream and the summary."""
+
+    folder: Path
+    scene: QuantizedScene
+    bitstream: bytes
+    summary: dict[str, Any] = field(default_factory=dict)
+
+
+class Session:
+    """Trains in ``folder``; call :meth:`run` once."""
+
+    def __init__(
+        self, dataset: Dataset, folder: Path, config: TrainConfig, device: Device, resume: bool
+    ) -> None:
+        """Prepare a new run or the continuation of an interrupted one.
+
+        Raises:
+            DataError: there is nothing to train on, or the folder holds another run.
+        """
+        if not dataset.train:
+            raise DataError("the dataset has no training views; check the folder of images")
+        self.folder, self.config, self.device = folder, config, device
+        self.dataset = dataset
+        folder.mkdir(parents=True, exist_ok=True)
+        self.trainer = Trainer(device, dataset, config)
+        if resume:
+            load_checkpoint(folder / "checkpoint", self.trainer)
+        atomic_write(folder / "config.toml", config.to_toml().encode())
+        self.log = ProgressLog(folder / "progress.csv", self.trainer.steps_done)
+        self.seconds = 0.0
+
+    def run(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
+        """Train to the end, then quantise, encode, render and score the held-out views.
+
+        An interruption (KeyboardInterrupt) leaves a checkpoint behind.
+        """
+        start = time.perf_counter()
+        try:
+            while self.trainer.steps_done < self.config.steps:
+                progress = self._advance()
+                if on_progress is not None:
+                    on_progress(progress)
+        except KeyboardInterrupt:
+            self._checkpoint()
+            raise
+        finally:
+            self.log.close()
+            self.seconds = time.perf_counter() - start
+        return self._finish()
+
+    def _advance(self) -> Progress:
+        trainer, config = self.trainer, self.config
+        if trainer.steps_done == config.switch_step:
+            self._log_psnr("before quantisation")
+        result = trainer.step()
+        progress = Progress(result)
+        marks = {config.switch_step + 1: "just after", config.switch_step + 500: "500 steps after"}
+        if result.step in marks and result.step > config.switch_step:
+            progress.psnr = self._log_psnr(f"{marks[result.step]} the switch")
+        if result.step % config.log_interval == 0 or result.step == config.steps:
+            progress.psnr = self.fixed_view_psnr()
+            progress.estimated_bytes = self._estimated_bytes()
+            self.log.write(result, progress.psnr, progress.estimated_bytes)
+        if config.checkpoint_interval and result.step % config.checkpoint_interval == 0:
+            self._checkpoint()
+        return progress
+
+    def _log_psnr(self, moment: str) -> float:
+        psnr = self.fixed_view_psnr()
+        self.log.event(self.trainer.steps_done, f"psnr {moment}", psnr)
+        return psnr
+
+    def _checkpoint(self) -> None:
+        save_checkpoint(self.folder / "checkpoint", self.trainer)
+
+    def fixed_views(self) -> list[View]:
+        """The training views on which progress is measured, evenly spread."""
+        views = self.dataset.train
+        count = min(self.config.fixed_views, len(views))
+        return [views[int(i)] for i in np.linspace(0, len(views) - 1, count).round()]
+
+    def fixed_view_psnr(self) -> float:
+        """PSNR on the fixed training views, of the rounded scene while quantising."""
+        return self.trainer.psnr(self.fixed_views())
+
+    def _estimated_bytes(self) -> int:
+        bits = self.trainer.estimated_bits() + POSITION_BITS
+        return int(self.trainer.parameters.count * bits / 8) + MLP_BYTES
+
+    def _finish(self) -> RunResult:
+        scene = self.trainer.quantized_scene()
+        save_scene(self.folder / "scene.npz", scene)
+        views = (self.dataset.test or self.dataset.train)[:HASHED_VIEWS]
+        hashes = fingerprint(self.device, scene, [view.camera for view in views])
+        write_json(self.folder / "hashes.json", hashes)
+        bitstream = encode(scene)
+        atomic_write(self.folder / "scene.clgs", bitstream)
+        scores = evaluate_views(self.device, scene, self.dataset.test or self.dataset.train)
+        summary = summarize(scene, scores, len(bitstream))
+        summary |= {
+            "split": "test" if self.dataset.test else "train",
+            "steps": self.config.steps,
+            "train_seconds": self.seconds,
+            "seconds_per_step": self.seconds / max(1, self.config.steps),
+            "device": self.device.name,
+            "skipped_images": self.dataset.skipped,
+            "merged_anchors": self.trainer.merged,
+            "switch_psnr": self.log.events,
+        }
+        self._write_results(summary, scores)
+        return RunResult(self.folder, scene, bitstream, summary)
+
+    def _write_results(self, summary: dict[str, Any], scores: list[ViewScore]) -> None:
+        write_json(self.folder / "results.json", summary)
+        write_json(self.folder / "per_view.json", [score.record() for score in scores])
+        write_pictures(self.folder / "test" / f"ours_{self.config.steps}", scores)
+        if scores:
+            save_png(self.folder / "preview.png", comparison(scores[0].photo, scores[0].render))
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as indented JSON, atomically."""
+    atomic_write(path, (json.dumps(value, indent=1) + "\n").encode())
+
+
+def write_pictures(folder: Path, scores: list[ViewScore]) -> None:
+    """Renders and photos as PNG in the layout that the 3DGS family's tools read."""
+    for kind, attribute in (("renders", "render"), ("gt", "photo")):
+        (folder / kind).mkdir(parents=True, exist_ok=True)
+        for score in scores:
+            name = f"{Path(score.name).stem}.png"
+            save_png(folder / kind / name, getattr(score, attribute))
+
+
+def train(
+    dataset: Dataset,
+    folder: str | Path,
+    config: TrainConfig | None = None,
+    *,
+    device: Device | None = None,
+    resume: bool = False,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> RunResult:
+    """Train a scene; the run folder receives everything, ``scene.clgs`` included.
+
+    Args:
+        dataset: from :func:`clgs.load_dataset`.
+        folder: run folder, made where it is missing.
+        config: default ``TrainConfig()`` resolved for the dataset.
+        device: default: chosen as ``clgs devices`` shows.
+        resume: continue from the folder's checkpoint.
+        on_progress: called after every step.
+
+    Raises:
+        DataError: nothing to train on, or no checkpoint to resume from.
+        NonFiniteLossError: the loss is not finite; names step and view.
+    """
+    resolved = (config or TrainConfig()).for_dataset(dataset.kind)
+    session = Session(dataset, Path(folder), resolved, device or Device(), resume)
+    return session.run(on_progress)

@@ -1,0 +1,105 @@
+"""The fused Adam kernel against NumPy's float32 update and the float64 reference."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.ops import adam
+from clgs.reference import adam as reference
+from clgs.train.adam import Adam
+from tests.compare import assert_close
+
+
+def gradients(rng, steps, size):
+    """Sizes from 1e-30 to 1e10, some zeros, and rows that stop getting any."""
+    for number in range(steps):
+        g = rng.normal(size=size) * 10.0 ** rng.uniform(-30, 10, size)
+        g[rng.random(size) < 0.1] = 0
+        g[: size // 4] *= number < steps // 2
+        yield g.astype(np.float32)
+
+
+def test_equals_numpy_to_the_bit(device, rng):
+    parameter = rng.normal(size=1003).astype(np.float32)
+    on_device, flag = device.upload(parameter), adam.finite_flag(device)
+    moments, numpy_adam = adam.zero_moments(device, on_device), Adam((1003,))
+    for count, g in enumerate(gradients(rng, 60, 1003), start=1):
+        rate = 0.01 * 0.99**count
+        numpy_adam.step(parameter, g, rate)
+        now = adam.factors(rate, count)
+        adam.step(device, on_device, device.upload(g), moments, now, flag)
+    assert np.array_equal(device.download(on_device), parameter)
+    assert np.array_equal(device.download(moments.first), numpy_adam.first)
+    assert np.array_equal(device.download(moments.second), numpy_adam.second)
+    assert np.isfinite(parameter).all()
+
+
+def test_follows_float64(device, rng):
+    start = rng.normal(size=500)
+    wide, moments64 = start.copy(), (np.zeros(500), np.zeros(500))
+    on_device, flag = device.upload(start.astype(np.float32)), adam.finite_flag(device)
+    moments = adam.zero_moments(device, on_device)
+    size = 10.0 ** rng.uniform(-12, 5, 500)
+    for count in range(1, 1001):
+        g = (rng.normal(size=500) * size).astype(np.float32)
+        wide, moments64 = reference.step(wide, g.astype(np.float64), moments64, 1e-3, count)
+        now = adam.factors(1e-3, count)
+        adam.step(device, on_device, device.upload(g), moments, now, flag)
+    # 1,000 roundings of the parameter itself, random in sign, and of steps of 1e-3
+    assert_close(device.download(on_device), wide, 1e-5 * np.maximum(np.abs(wide), 1), "parameter")
+    second = device.download(moments.second)
+    assert_close(second, moments64[1], 1e-4 * moments64[1], "second moment")
+
+
+def test_tiny_gradients_still_move(device):
+    # a second moment flushed at 1e-30 would make this step ten times too long
+    on_device, flag = device.zeros((1,)), adam.finite_flag(device)
+    moments = adam.zero_moments(device, on_device)
+    gradient = device.upload(np.float32([1e-14]))
+    adam.step(device, on_device, gradient, moments, adam.factors(0.1, 1), flag)
+    expected = reference.step(np.zeros(1), np.array([1e-14]), (np.zeros(1), np.zeros(1)), 0.1, 1)[0]
+    assert_close(device.download(on_device), expected, 1e-6, "parameter")
+
+
+def test_moments_decay_to_zero_not_to_subnormals(device):
+    on_device, flag = device.zeros((40,)), adam.finite_flag(device)
+    moments = adam.Moments(*(device.upload(np.full(40, x, np.float32)) for x in (1e-29, 1e-35)))
+    zero = device.zeros((40,))
+    for count in range(1, 40):
+        adam.step(device, on_device, zero, moments, adam.factors(0.1, count), flag)
+    assert not device.download(moments.first).any()
+    second = device.download(moments.second)
+    assert ((second == 0) | (second >= adam.MIN_SECOND_MOMENT)).all()
+
+
+@pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", [0, 255, 256, 1001])
+def test_bad_gradients_change_nothing(device, rng, poison, place):
+    parameter = rng.normal(size=1002).astype(np.float32)
+    g = rng.normal(size=1002).astype(np.float32)
+    on_device, flag = device.upload(parameter), adam.finite_flag(device)
+    moments = adam.zero_moments(device, on_device)
+    fine = device.upload(g)
+    adam.check_finite(device, [fine, device.zeros((0, 3))], flag)
+    assert device.download(flag)[0] == 1
+    g[place] = poison
+    bad = device.upload(g)
+    adam.check_finite(device, [bad, fine], flag)
+    assert device.download(flag)[0] == 0
+    adam.step(device, on_device, bad, moments, adam.factors(0.1, 1), flag)
+    assert np.array_equal(device.download(on_device), parameter)
+    assert not device.download(moments.first).any()
+
+
+def test_bias_correction_is_exact():
+    now = adam.factors(0.5, 1)
+    assert_close(now.correction, 1000**0.5, 1e-11, "correction")  # 1 - 0.999 in double
+    assert_close(now.step, 5.0, 1e-14, "step")
+
+
+def test_wrong_sizes_are_refused(device):
+    parameter, flag = device.zeros((3, 4)), adam.finite_flag(device)
+    moments = adam.zero_moments(device, parameter)
+    with pytest.raises(ValueError, match="gradient"):
+        adam.step(device, parameter, device.zeros((3, 5)), moments, adam.factors(1.0, 1), flag)

@@ -1,0 +1,75 @@
+"""The densification statistics against the plain reference."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.constants import K_OFFSETS, OUTPUT_DIM
+from clgs.ops import density
+from clgs.reference import density as reference
+from tests.compare import assert_close
+
+SIZE = (320, 200)
+
+
+def view(rng, anchors, visible_count, drawn=0.8):
+    """MLP outputs and Gaussians of one view, as the pipeline would leave them."""
+    visible = np.sort(rng.choice(anchors, visible_count, replace=False)).astype(np.int32)
+    padded = -(-max(visible_count, 1) // 32) * 32
+    output = rng.normal(size=(OUTPUT_DIM, padded)).astype(np.float32)
+    slot = np.flatnonzero(output[:K_OFFSETS, :visible_count].T.ravel() > 0).astype(np.int32)
+    extent = rng.uniform(1, 9, (len(slot), 2)) * (rng.random((len(slot), 1)) < drawn)
+    d_mean2d = rng.normal(0, 1e-5, (len(slot), 2))
+    return output, visible, slot, extent.astype(np.float32), d_mean2d.astype(np.float32)
+
+
+def add(device, statistics, output, visible, slot, extent, d_mean2d):
+    arrays = (device.upload(array) for array in (slot, extent, d_mean2d))
+    gradients = density.ScreenGradients(*arrays, *SIZE)
+    density.accumulate(device, statistics, device.upload(output), device.upload(visible), gradients)
+
+
+def test_agrees_with_reference(device, rng):
+    statistics, expected = density.zeros(device, 700), reference.zeros(700)
+    for count in (700, 0, 1, 333):
+        values = view(rng, 700, count)
+        add(device, statistics, *values)
+        output, visible, slot, extent, d_mean2d = values
+        wide = (slot, extent, d_mean2d.astype(np.float64))
+        reference.accumulate(expected, output.astype(np.float64), visible, wide, SIZE)
+    assert np.array_equal(device.download(statistics.visits), expected.visits)
+    assert np.array_equal(device.download(statistics.gradient_count), expected.gradient_count)
+    # ten positive terms and three views; two products, a root and three views
+    limit = 16 * 2.0**-24
+    assert_close(
+        device.download(statistics.opacity_sum),
+        expected.opacity_sum,
+        limit * expected.opacity_sum,
+        "opacity_sum",
+    )
+    assert_close(
+        device.download(statistics.gradient_sum),
+        expected.gradient_sum,
+        limit * expected.gradient_sum,
+        "gradient_sum",
+    )
+
+
+def test_nothing_drawn_leaves_gradients(device, rng):
+    statistics = density.zeros(device, 50)
+    add(device, statistics, *view(rng, 50, 50, drawn=0.0))
+    assert not device.download(statistics.gradient_count).any()
+    assert not device.download(statistics.gradient_sum).any()
+    assert device.download(statistics.visits).all()
+
+
+def test_wrong_shapes_are_refused(device, rng):
+    statistics = density.zeros(device, 50)
+    output, visible, slot, extent, d_mean2d = view(rng, 50, 40)
+    with pytest.raises(ValueError, match="output"):
+        add(device, statistics, output[:, :32], visible, slot, extent, d_mean2d)
+    with pytest.raises(ValueError, match="extent"):
+        add(device, statistics, output, visible, slot, extent[1:], d_mean2d)
+    with pytest.raises(TypeError, match="slot"):
+        add(device, statistics, output, visible, slot.astype(np.int64), extent, d_mean2d)

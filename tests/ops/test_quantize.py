@@ -1,0 +1,88 @@
+"""Rounding on the device equals NumPy's, value by value."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.ops import quantize
+from clgs.reference import quantize as reference
+
+SCALES = [1.0, 8.0, 200.0, 256.0, 1024.0]
+
+
+def rounded(device, x, q):
+    array = device.upload(x)
+    return (
+        device.download(quantize.forward(device, array, q)),
+        device.download(quantize.integers(device, array, q)),
+    )
+
+
+@pytest.mark.parametrize("first", [-(2**22), -(2**20), -70000, 0, 2**21, 2**22 - 100_000])
+def test_halves_and_their_neighbours(device, first):
+    halves = np.arange(first, first + 100_001, dtype=np.float64).astype(np.float32) + np.float32(
+        0.5
+    )
+    for x in (halves, np.nextafter(halves, np.inf), np.nextafter(halves, -np.inf)):
+        x = x.astype(np.float32)
+        values, integers = rounded(device, x, 1.0)
+        assert np.array_equal(values, np.rint(x))
+        assert np.array_equal(integers, np.rint(x).astype(np.int32))
+
+
+@pytest.mark.slow
+def test_all_halves(device):
+    for first in range(-(2**22), 2**22, 2**20):
+        halves = np.arange(first, first + 2**20, dtype=np.int64) + np.float64(0.5)
+        x = halves.astype(np.float32)
+        assert np.array_equal(rounded(device, x, 1.0)[1], np.rint(x).astype(np.int32))
+
+
+@pytest.mark.parametrize("q", SCALES)
+def test_agrees_with_reference(device, rng, q):
+    x = (rng.normal(0, 1, 100_003) * np.exp(rng.uniform(-8, 8, 100_003))).astype(np.float32)
+    x = np.concatenate(
+        [x, np.float32([0.49999997, -0.49999997, (2**23 + 1) / q, 0.0, -0.0, 1e-38])]
+    )
+    values, integers = rounded(device, x, q)
+    assert np.array_equal(values, reference.forward(x, q))
+    assert np.array_equal(np.signbit(values), np.signbit(reference.forward(x, q)))
+    assert np.array_equal(integers, reference.integers(x, q))
+
+
+@pytest.mark.parametrize("q", SCALES)
+def test_integers_survive_the_round_trip(device, q):
+    n = np.arange(-(2**20), 2**20 + 1, dtype=np.int32)
+    values = (n.astype(np.float32) / np.float32(q)).astype(np.float32)
+    again, integers = rounded(device, values, q)
+    assert np.array_equal(integers, n)
+    assert np.array_equal(again, values)
+
+
+def test_values_beyond_integers(device):
+    x = np.float32([np.nan, np.inf, -np.inf, 3e38, 1e10, -1e10] * 5)
+    values, integers = rounded(device, x, 8.0)
+    with np.errstate(over="ignore"):
+        assert np.array_equal(values, reference.forward(x, 8.0), equal_nan=True)
+    assert integers[0] == 0
+    assert integers[1] == integers[4] == 2**31 - 1
+    assert integers[2] == integers[5] == -(2**31)
+
+
+@pytest.mark.parametrize("shape", [(0,), (1,), (15, 1), (2, 3, 4), (7, 6)])
+def test_shapes(device, rng, shape):
+    x = rng.normal(0, 5, shape).astype(np.float32)
+    values, integers = rounded(device, x, 1.0)
+    assert np.array_equal(values, np.rint(x))
+    assert np.array_equal(integers, np.rint(x).astype(np.int32))
+
+
+def test_gradient_passes_straight_through(rng):
+    d_rounded = rng.normal(size=(5, 6))
+    assert reference.backward(d_rounded) is d_rounded
+
+
+def test_wrong_dtype_is_refused(device):
+    with pytest.raises(TypeError, match="int32"):
+        quantize.forward(device, device.zeros((3,), np.int32), 1.0)

@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from clgs.errors import DataError, UsageError
+from clgs.train.config import LearningRates, TrainConfig, from_toml, preset
+
+
+def test_defaults_are_the_published_ones() -> None:
+    config = TrainConfig()
+    assert (config.steps, config.switch_step) == (30_000, 15_000)
+    assert (config.l1_weight, config.ssim_weight, config.rate_weight) == (0.8, 0.2, 1e-4)
+    assert (config.statistics_start, config.growth_start, config.growth_end) == (500, 1500, 15000)
+    assert (config.slot_seen, config.anchor_visits) == (100 * 0.8 * 0.5, 100 * 0.8)
+    assert (config.growth_interval, config.growth_levels, config.growth_cell) == (100, 3, 4)
+    assert (config.growth_threshold, config.prune_opacity) == (2e-4, 0.005)
+    assert (config.offset_q, config.feature_q, config.scaling_q) == (1.0, 1.0, 8.0)
+    assert (config.background, config.near, config.scaling_cap) == ("black", 0.2, 0.05)
+    assert config.learning_rates.mlp_opacity == (0.002, 2e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "voxel", "position_q", "volume_weight"),
+    [
+        ("default", "blender", 0.001, 1000.0, 0.0),
+        ("default", "colmap", 0.005, 200.0, 0.01),
+        ("default", "transforms", 0.005, 200.0, 0.01),
+        ("paper", "blender", 0.001, 1024.0, 0.0),
+        ("paper", "colmap", 0.005, 200.0, 0.01),
+    ],
+)
+def test_open_settings_follow_the_dataset(
+    name: str, kind: str, voxel: float, position_q: float, volume_weight: float
+) -> None:
+    config = preset(name).for_dataset(kind)
+    assert (config.voxel, config.position_q) == (voxel, position_q)
+    assert config.volume_weight == volume_weight
+    assert config.for_dataset(kind) == config
+
+
+def test_given_settings_win_over_the_dataset() -> None:
+    config = TrainConfig(voxel=0.01, volume_weight=0.0).for_dataset("colmap")
+    assert (config.voxel, config.position_q, config.volume_weight) == (0.01, 100.0, 0.0)
+    assert TrainConfig(position_q=256).for_dataset("blender").position_q == 256.0
+
+
+def test_scaled_moves_moments_and_keeps_intervals() -> None:
+    full, short = TrainConfig(), TrainConfig().scaled(3000)
+    moved = {
+        "steps": 3000,
+        "statistics_start": 50,
+        "growth_start": 150,
+        "growth_end": 1500,
+        "switch_step": 1500,
+        "learning_rate_steps": 3000,
+    }
+    assert short == dataclasses.replace(full, **moved)
+    assert (short.growth_interval, short.rate_interval) == (100, 10)
+    assert (short.slot_seen, short.anchor_visits) == (40, 80)
+
+
+def test_scaled_rounds_to_the_nearest_step() -> None:
+    short = TrainConfig().scaled(777)  # 12.95, 38.85, 388.5
+    assert (short.statistics_start, short.growth_start, short.switch_step) == (13, 39, 389)
+
+
+@given(st.integers(1, 200_000))
+def test_any_number_of_steps_gives_a_valid_run(steps: int) -> None:
+    config = TrainConfig().scaled(steps)
+    assert config.steps == steps
+    assert config.statistics_start <= config.growth_start <= config.growth_end
+    assert config.growth_end <= config.switch_step <= steps
+    assert config.learning_rate_steps == steps
+
+
+def test_presets() -> None:
+    quick, paper = preset("quick"), preset("paper")
+    assert quick == dataclasses.replace(TrainConfig().scaled(3000), preset="quick")
+    assert (paper.normalize, paper.proxy, paper.steps) == (False, "pooled", 30_000)
+    assert (paper.l1_weight, paper.ssim_weight) == (0.8, 0.2)
+    with pytest.raises(UsageError, match="default, quick, paper"):
+        preset("best")
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        TrainConfig(),
+        preset("paper").for_dataset("blender"),
+        TrainConfig(seed=2**40, learning_rates=LearningRates(offset=(0.1, 0.3))).scaled(777),
+    ],
+)
+def test_toml_round_trip(config: TrainConfig) -> None:
+    text = config.to_toml()
+    assert from_toml(text) == config
+    assert from_toml(text).to_toml() == text
+    assert from_toml(text).digest() == config.digest()
+    names = {field.name for field in dataclasses.fields(config)}
+    assert names - set(tomllib.loads(text)) <= {"volume_weight"}
+
+
+def test_digest_tells_settings_apart_but_not_spellings() -> None:
+    assert TrainConfig(seed=1).digest() != TrainConfig().digest()
+    assert TrainConfig(near=1).digest() == TrainConfig(near=1.0).digest()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("stepz = 3", "unknown key stepz"),
+        ("[learning_rates]\nposition = [1.0, 1.0]", "unknown key learning_rates.position"),
+        ("learning_rates = 3", "learning_rates: is not a table"),
+        ("[learning_rates]\noffset = 0.1", "learning_rates.offset"),
+        ("[learning_rates]\noffset = [0.1, 0.0]", "learning_rates.offset"),
+        ("steps = 3.5", "steps: 3.5 is not a whole number"),
+        ("steps = true", "steps: True is not a whole number"),
+        ("normalize = 1", "normalize: 1 is not true or false"),
+        ("near = nan", "near: nan is not a finite number"),
+        ("near = 'close'", "near: 'close' is not a finite number"),
+        ("l1_weight = -0.1", "l1_weight: -0.1 is not at least 0"),
+        ("offset_q = 0", "offset_q: 0 is not above 0"),
+        ("background = 'grey'", "black, white, random"),
+        ("background = 7", "black, white, random"),
+        ("proxy = ['channel']", "channel, pooled"),
+        ("steps = 3000", "switch_step: 15000 is after steps 3000"),
+        ("growth_end = 20000", "growth_end: 20000 is after switch_step 15000"),
+        ("steps = ", "not a TOML file"),
+    ],
+)
+def test_bad_files_are_refused_with_one_line(text: str, message: str) -> None:
+    with pytest.raises(DataError) as caught:
+        from_toml(text, "run/config.toml")
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("run/config.toml: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_values_in_code_are_usage_errors() -> None:
+    with pytest.raises(UsageError) as caught:
+        TrainConfig(growth_interval=0)
+    assert caught.value.exit_code == 2
+    with pytest.raises(UsageError, match="steps: 0"):
+        TrainConfig().scaled(0)
+    assert TrainConfig(scaling_cap=-1).scaling_cap == -1.0
