@@ -1,0 +1,96 @@
+"""Section META: counts, scales, transform and render settings (codec_c/FORMAT.md, part 2)."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.scene.anchors import QuantizationScales
+from clgs.scene.mlps import MLP_SIZE
+from clgs.scene.scene import RenderSettings, SceneTransform
+
+SCALING_DIM = 6
+CONTENT_HASH_SIZE = 8
+_LAYOUT = struct.Struct("<IHHHHI16d8s")
+_SHAPE = (K_OFFSETS, FEATURE_DIM, SCALING_DIM, 0, MLP_SIZE)
+
+
+@dataclass(frozen=True)
+class Meta:
+    """What META holds; ``content_hash``: the first 8 bytes of SHA-256 over the decoded arrays."""
+
+    anchors: int
+    scales: QuantizationScales
+    transform: SceneTransform
+    settings: RenderSettings
+    content_hash: bytes
+
+    def pack(self) -> bytes:
+        """The bytes of the section."""
+        scales, settings = self.scales, self.settings
+        return _LAYOUT.pack(
+            self.anchors,
+            *_SHAPE,
+            *(scales.position, scales.offset, scales.feature, scales.scaling),
+            *self.transform.centre,
+            self.transform.scale,
+            *settings.background,
+            *(settings.near, settings.alpha_cut, settings.alpha_max),
+            *(settings.transmittance_stop, settings.blur),
+            self.content_hash,
+        )
+
+    def check(self) -> None:
+        """Raise ValueError, naming the field, where a number makes no sense."""
+        for name, value, valid in self._rules():
+            if not (math.isfinite(value) and valid):
+                raise ValueError(f"{name} is {value!r}")
+
+    def _rules(self) -> Iterator[tuple[str, float, bool]]:
+        """(field, value, whether it is in range) of every number."""
+        for name, value in vars(self.scales).items():
+            yield f"Q of {name}", value, _is_scale(value)
+        yield "transform scale", self.transform.scale, _is_scale(self.transform.scale)
+        for value in self.transform.centre:
+            yield "transform centre", value, True
+        settings = self.settings
+        for value in settings.background:
+            yield "background", value, 0 <= value <= 1
+        yield "near", settings.near, _is_scale(settings.near)
+        yield "alpha_cut", settings.alpha_cut, 0 < settings.alpha_cut < 1
+        yield "alpha_max", settings.alpha_max, settings.alpha_cut < settings.alpha_max <= 1
+        stop = settings.transmittance_stop
+        yield "transmittance_stop", stop, 0 <= stop < 1
+        yield "blur", settings.blur, 0 <= settings.blur <= 2.0**64
+
+
+def unpack_meta(data: bytes | memoryview) -> Meta:
+    """Read section META.
+
+    Raises:
+        ValueError: wrong size, another network shape, or a number out of range.
+    """
+    if len(data) != _LAYOUT.size:
+        raise ValueError(f"{len(data)} bytes instead of {_LAYOUT.size}")
+    values = _LAYOUT.unpack(data)
+    if values[1:6] != _SHAPE:
+        raise ValueError(f"shape is {values[1:6]}, this build reads {_SHAPE}")
+    numbers = values[6:22]
+    centre, background = numbers[4:7], numbers[8:11]
+    meta = Meta(
+        anchors=values[0],
+        scales=QuantizationScales(*numbers[0:4]),
+        transform=SceneTransform((centre[0], centre[1], centre[2]), numbers[7]),
+        settings=RenderSettings((background[0], background[1], background[2]), *numbers[11:16]),
+        content_hash=values[22],
+    )
+    meta.check()
+    return meta
+
+
+def _is_scale(value: float) -> bool:
+    """Whether products and quotients with any int32 stay finite and normal in float32."""
+    return 2.0**-64 <= value <= 2.0**64

@@ -1,0 +1,79 @@
+"""Anchor positions to bytes and back, and the Morton order that all sections share."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs import _codec
+from clgs.errors import CodecError
+
+MAX_EXTENT = 1 << 21
+"""Positions span fewer cells than this on each axis: 3 x 21 bits fit a Morton code."""
+
+MAX_POINTS_A_BYTE = 1 << 15
+"""No octree stream holds more: a leaf costs a decision, a decision at least 1/22,711 byte."""
+
+
+def morton_codes(position: npt.NDArray[np.int32]) -> npt.NDArray[np.uint64]:
+    """Morton codes (A,) of ``position`` (A, 3) int32 relative to its least corner, x highest.
+
+    Raises:
+        CodecError: the extent reaches 2^21 on an axis.
+    """
+    code = np.empty(len(position), np.uint64)
+    if len(position) == 0:
+        return code
+    low = position.min(axis=0).astype(np.int64)
+    extent = position.max(axis=0) - low + 1
+    for axis in range(3):
+        if extent[axis] > MAX_EXTENT:
+            raise CodecError(
+                f"position: {'xyz'[axis]} spans {extent[axis]} cells, at most {MAX_EXTENT} fit; "
+                "use a smaller Q_P or crop the scene"
+            )
+    _codec.morton_encode(np.ascontiguousarray(position, np.int32), code, *map(int, low))
+    return code
+
+
+def morton_order(position: npt.NDArray[np.int32]) -> npt.NDArray[np.intp]:
+    """The permutation (A,) that sorts ``position`` (A, 3) int32 into Morton order.
+
+    Raises:
+        CodecError: the extent reaches 2^21 on an axis, or two rows are alike.
+    """
+    code = morton_codes(position)
+    order = np.argsort(code, kind="stable")
+    twins = np.flatnonzero(code[order][1:] == code[order][:-1])
+    if len(twins):
+        first, second = sorted(map(int, order[twins[0] : twins[0] + 2]))
+        raise CodecError(
+            f"position: anchors {first} and {second} share cell {position[first].tolist()}; "
+            "merge anchors of the same cell"
+        )
+    return order
+
+
+def encode(position: npt.NDArray[np.int32]) -> bytes:
+    """The octree stream of ``position`` (A, 3) int32, unique and in Morton order.
+
+    Raises:
+        ValueError: not unique, not in Morton order, or the extent reaches 2^21.
+    """
+    return _codec.octree_encode(np.ascontiguousarray(position, np.int32)) if len(position) else b""
+
+
+def decode(data: bytes | memoryview, count: int) -> npt.NDArray[np.int32]:
+    """``count`` positions (count, 3) int32 in Morton order.
+
+    Raises:
+        ValueError: the stream is damaged, or holds another number of points.
+    """
+    if count > len(data) * MAX_POINTS_A_BYTE:
+        raise ValueError(f"{len(data)} bytes cannot hold {count} points")
+    position = np.empty((count, 3), np.int32)
+    if count > 0:
+        _codec.octree_decode(data, position)
+    elif len(data) > 0:
+        raise ValueError("bytes follow the last symbol of the stream")
+    return position

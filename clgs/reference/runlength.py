@@ -1,0 +1,227 @@
+"""Attribute rows and MLP weights, for reading (FORMAT.md, parts 5 and 6); same bytes as C."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.reference.coding import (
+    WEIGHT_ONE,
+    Coder,
+    RangeDecoder,
+    RangeEncoder,
+    State,
+    code_mixed,
+)
+
+SLOW_LIMIT, FAST_LIMIT, SHIFT = 1000, 250, 14
+CLAMP = 255
+TREES = {2: (16, 1), 3: (17, 2), 4: (20, 3), 5: (27, 4), 6: (42, 5), 7: (73, 4), 8: (88, 4)}
+"""For each length in bits: first node of the tree of leading bits, and its depth."""
+LONG_TREE = (103, 3)
+CORRUPT = "the stream holds what no encoder writes"
+
+
+class Symbol:
+    """Spells integers by binary decisions; every node has one state a context and its weights."""
+
+    def __init__(self, limits: tuple[int, ...]) -> None:
+        self.states: dict[tuple[int, ...], State] = {}
+        self.limits = limits
+        start = WEIGHT_ONE // len(limits)
+        self.weights: dict[int, list[int]] = defaultdict(lambda: [start] * len(limits))
+        self.contexts: tuple[int, ...] = (0,) * len(limits)
+
+    def bit(self, coder: Coder, node: int, bit: int) -> int:
+        """Code one decision in the current contexts."""
+        states = [
+            self.states.setdefault((i, context, node), State(limit))
+            for i, (context, limit) in enumerate(zip(self.contexts, self.limits, strict=True))
+        ]
+        return code_mixed(coder, bit, states, self.weights[node], SHIFT)
+
+    def size(self, coder: Coder, size: int) -> int:
+        """Code ``size`` in [1, 2^32): its length in bits, then the bits below the top one."""
+        length = 1
+        while length < 32 and self.bit(coder, 1 + min(length, 14), int(size.bit_length() > length)):
+            length += 1
+        if length == 1:
+            return 1
+        first, depth = TREES.get(length, LONG_TREE)
+        prefix = 1
+        for place in range(length - 2, -1, -1):
+            bit = size >> place & 1
+            if length - 2 - place < depth:
+                bit = self.bit(coder, first + prefix - 1, bit)
+            else:
+                bit = coder.code(bit, 32768)
+            prefix = prefix << 1 | bit
+        return prefix
+
+    def value(self, coder: Coder, value: int) -> int:
+        """Code a signed integer."""
+        if not self.bit(coder, 0, int(value != 0)):
+            return 0
+        negative = self.bit(coder, 1, int(value < 0))
+        size = self.size(coder, abs(value))
+        return -size if negative else size
+
+
+def encode(value: npt.NDArray[np.int32]) -> bytes:
+    """The run-length stream of ``value`` (rows, channels) int32."""
+    rows = [[int(x) for x in row] for row in value]
+    raw = b"\0" + np.asarray(value, "<i4").tobytes()
+    if not rows:
+        return raw
+    centres = [_find_centre(column) for column in zip(*rows, strict=True)]
+    coder = RangeEncoder()
+    _code_rows(coder, centres, len(rows), rows)
+    coded = b"\1" + b"".join(map(_varint, centres)) + coder.finish()
+    return coded if len(coded) <= len(raw) else raw
+
+
+def decode(data: bytes, rows: int, channels: int) -> npt.NDArray[np.int32]:
+    """The matrix (rows, channels) int32.
+
+    Raises:
+        ValueError: the stream is damaged.
+    """
+    if data[0] == 0:
+        return np.frombuffer(data, "<i4", rows * channels, offset=1).reshape(rows, channels)
+    centres, at = [], 1
+    for _ in range(channels):
+        centre, at = _read_varint(data, at)
+        centres.append(centre)
+    coder = RangeDecoder(data[at:])
+    decoded = _code_rows(coder, centres, rows, None)
+    coder.finish()
+    return np.array(decoded, np.int32).reshape(rows, channels)
+
+
+def encode_weights(weights: npt.NDArray[np.float32]) -> bytes:
+    """The plane stream of ``weights`` (n,) float32."""
+    words = [int(word) for word in weights.view(np.uint32)]
+    raw = b"\0" + np.asarray(weights, "<f4").tobytes()
+    coder = RangeEncoder()
+    _code_words(coder, len(words), words)
+    coded = b"\1" + coder.finish()
+    return coded if words and len(coded) <= len(raw) else raw
+
+
+def decode_weights(data: bytes, count: int) -> npt.NDArray[np.float32]:
+    """``count`` weights (count,) float32.
+
+    Raises:
+        ValueError: the stream is damaged.
+    """
+    if data[0] == 0:
+        return np.frombuffer(data, "<f4", count, offset=1)
+    coder = RangeDecoder(data[1:])
+    words = _code_words(coder, count, None)
+    coder.finish()
+    return np.array(words, np.uint32).view(np.float32)
+
+
+def _code_rows(
+    coder: Coder, centres: list[int], count: int, rows: list[list[int]] | None
+) -> list[list[int]]:
+    """Code ``count`` rows as runs of rows equal to ``centres``, each followed by another row."""
+    symbols = [Symbol((SLOW_LIMIT, FAST_LIMIT, FAST_LIMIT)) for _ in centres]
+    runs = Symbol((FAST_LIMIT,))
+    done: list[list[int]] = []
+    before = [[0] * len(centres), [0] * len(centres)]
+    while len(done) < count:
+        run = 0
+        while rows and len(done) + run < count and rows[len(done) + run] == centres:
+            run += 1
+        run = runs.size(coder, run + 1) - 1
+        if run > count - len(done):
+            raise ValueError(CORRUPT)
+        done += [list(centres)] * run
+        before = ([[0] * len(centres)] * min(run, 2) + before)[:2]
+        if len(done) < count:
+            row = rows[len(done)] if rows else centres
+            residuals = [x - centre for x, centre in zip(row, centres, strict=True)]
+            residuals = _code_row(coder, symbols, before, residuals)
+            done.append([x + c for x, c in zip(residuals, centres, strict=True)])
+            before = [[_clamp(x) for x in residuals], before[0]]
+        if not all(-(2**31) <= x < 2**31 for x in done[-1]):
+            raise ValueError(CORRUPT)
+    return done
+
+
+def _code_row(
+    coder: Coder, symbols: list[Symbol], before: list[list[int]], row: list[int]
+) -> list[int]:
+    """Code one row of differences; contexts: the two rows before, the two channels before."""
+    coded: list[int] = []
+    for j, symbol in enumerate(symbols):
+        left = [_clamp(coded[k]) if k >= 0 else 0 for k in (j - 1, j - 2)]
+        cross = 4 * level(left[0]) + small_level(left[1])
+        symbol.contexts = (0, level(before[0][j] + before[1][j]), cross)
+        coded.append(symbol.value(coder, row[j]))
+    return coded
+
+
+def level(value: int) -> int:
+    """Class of a neighbour: |value| of 0, 1, 2, 3-4, 5-8, 9-16, 17-32, above; + 8 if negative."""
+    size = sum(abs(value) > limit for limit in (0, 1, 2, 4, 8, 16, 32))
+    return size + 8 if value < 0 else size
+
+
+def small_level(value: int) -> int:
+    """Class of a neighbour: |value| of 0, 1-2, 3-8, above."""
+    return sum(abs(value) > limit for limit in (0, 2, 8))
+
+
+def _code_words(coder: Coder, count: int, words: list[int] | None) -> list[int]:
+    """Code words byte by byte from the top; contexts: plane, and top byte or exponent."""
+    plain: dict[tuple[int, ...], State] = defaultdict(lambda: State(FAST_LIMIT))
+    joint: dict[tuple[int, ...], State] = defaultdict(lambda: State(FAST_LIMIT))
+    weights: dict[tuple[int, int], list[int]] = defaultdict(lambda: [WEIGHT_ONE // 2] * 2)
+    done: list[int] = []
+    for i in range(count):
+        word, context = 0, done[-1] >> 24 if done else 0
+        for plane in range(4):
+            byte, node = (words[i] >> (24 - 8 * plane) & 255 if words else 0), 1
+            for place in range(7, -1, -1):
+                states = [plain[plane, node], joint[plane, context, node]]
+                bit = byte >> place & 1
+                node = node << 1 | code_mixed(coder, bit, states, weights[plane, node], SHIFT)
+            word = word << 8 | (node & 255)
+            context = word if plane == 0 else word >> 7 & 255 if plane == 1 else context
+        done.append(word)
+    return done
+
+
+def _find_centre(column: tuple[int, ...]) -> int:
+    """0 where a quarter of the values are 0, otherwise the mean, halves rounded up."""
+    if 4 * column.count(0) >= len(column):
+        return 0
+    return (2 * sum(column) + len(column)) // (2 * len(column))
+
+
+def _clamp(value: int) -> int:
+    return min(max(value, -CLAMP), CLAMP)
+
+
+def _varint(value: int) -> bytes:
+    """Zigzag in groups of 7 bits, lowest first; the top bit says that more follow."""
+    zigzag = 2 * value if value >= 0 else -2 * value - 1
+    out = bytearray()
+    while zigzag >= 128:
+        out.append(zigzag & 127 | 128)
+        zigzag >>= 7
+    return bytes([*out, zigzag])
+
+
+def _read_varint(data: bytes, at: int) -> tuple[int, int]:
+    zigzag, shift = 0, 0
+    while True:
+        byte = data[at]
+        zigzag |= (byte & 127) << shift
+        at, shift = at + 1, shift + 7
+        if byte < 128:
+            return (zigzag >> 1) ^ -(zigzag & 1), at

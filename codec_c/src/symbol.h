@@ -1,0 +1,35 @@
+/* Binary decisions that spell one integer: zero, sign, length in bits, the bits below the top. */
+#ifndef CLGS_SYMBOL_H
+#define CLGS_SYMBOL_H
+
+#include "model.h"
+
+#define CLGS_NODES 128 /* decisions with states of their own; 110 are used */
+#define CLGS_NODE_ZERO 0
+#define CLGS_NODE_SIGN 1
+#define CLGS_NODE_LENGTH 1 /* + length, from 1 to 14: is the number longer? */
+#define CLGS_LAST_LENGTH 14
+#define CLGS_MAX_LENGTH 32
+
+/* The states and weights of one symbol: `base[i] + node`, `weight + inputs * node`. */
+typedef struct clgs_symbol {
+    clgs_mix mix;
+    uint32_t *base[CLGS_MAX_INPUTS];
+    int32_t *weight;
+} clgs_symbol;
+
+static inline uint32_t clgs_symbol_bit(clgs_symbol *symbol, uint32_t node, uint32_t bit)
+{
+    for (uint32_t i = 0; i < symbol->mix.inputs; i++)
+        symbol->mix.state[i] = symbol->base[i] + node;
+    symbol->mix.weight = symbol->weight + symbol->mix.inputs * node;
+    return clgs_mix_code(&symbol->mix, bit);
+}
+
+/* Code `size` >= 1, below 2^32: its length in bits, then the bits below the top one. */
+uint32_t clgs_symbol_size(clgs_symbol *symbol, uint32_t size);
+
+/* Code a difference in (-2^32, 2^32). */
+int64_t clgs_symbol_value(clgs_symbol *symbol, int64_t value);
+
+#endif

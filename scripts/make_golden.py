@@ -1,0 +1,114 @@
+"""Write the golden files of the codec's tests: ``python scripts/make_golden.py [FOLDER]``.
+
+The scenes are drawn with integer arithmetic from fixed seeds, so that every machine makes the
+same files. Files of released versions are never made again: the tests compare with them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from clgs.codec.encode import encode
+from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.mlps import MLP_SIZE, Mlps
+from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
+
+FOLDER = Path(__file__).resolve().parents[1] / "tests" / "codec" / "golden"
+
+
+def main() -> None:
+    """Write every scene of ``golden_scenes`` and the list of hashes."""
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = []
+    for name, scene in golden_scenes().items():
+        data = encode(scene)
+        (folder / f"{name}.clgs").write_bytes(data)
+        lines.append(f"{hashlib.sha256(data).hexdigest()}  {name}.clgs\n")
+        print(f"{name}.clgs: {len(data)} bytes")
+    (folder / "SHA256SUMS").write_text("".join(lines), encoding="ascii")
+
+
+def golden_scenes() -> dict[str, QuantizedScene]:
+    """Scenes by file name; together they take every branch of the format."""
+    settings = RenderSettings(background=(1.0, 0.5, 0.0), near=0.125)
+    transform = SceneTransform((1.5, -2.25, 1e6), 0.0625)
+    return {
+        "empty": _scene(np.empty((0, 3), np.int32), 0, 1),
+        "one": _scene(np.array([[-5, 7, 2**31 - 1]], np.int32), 3, 2),
+        "surface": _scene(_surface(), 3, 3, settings, transform),
+        "scattered": _scene(_scattered(), 40, 4, settings),
+        "cube": _scene(np.argwhere(np.ones((4, 4, 4), bool)).astype(np.int32), 1, 5),
+        "extremes": _scene(_scattered()[:4] - 2**20, 2**31 - 1, 6),
+    }
+
+
+def _surface() -> np.ndarray:
+    """A bent sheet: 36 voxels with neighbours."""
+    x, y = np.divmod(np.arange(36), 6)
+    return np.stack([x, y, (x * x + 3 * y) // 8 - 3], 1).astype(np.int32)
+
+
+def _scattered() -> np.ndarray:
+    """24 lonely voxels over 2^20 cells."""
+    i = np.arange(1, 25, dtype=np.int64)
+    return (np.stack([i * 7919, i * i * 104729, i**3 * 1299709], 1) % (1 << 20)).astype(np.int32)
+
+
+def _scene(
+    position: np.ndarray,
+    spread: int,
+    seed: int,
+    settings: RenderSettings | None = None,
+    transform: SceneTransform | None = None,
+) -> QuantizedScene:
+    """A scene with attributes of size up to ``spread`` and a few weights that are not zero."""
+    count = len(position)
+    draw = _Draw(seed)
+    anchors = QuantizedAnchors(
+        position,
+        draw.peaked(count * K_OFFSETS * 3, spread).reshape(count, K_OFFSETS, 3),
+        draw.peaked(count * FEATURE_DIM, spread).reshape(count, FEATURE_DIM),
+        draw.peaked(count * 6, min(spread, 2**28) * 4).reshape(count, 6),
+    )
+    anchors.offset[count // 2 :] *= anchors.offset[count // 2 :, :, :1] & 1  # zero triplets
+    for array in (anchors.offset, anchors.feature, anchors.scaling):
+        array[count // 3 : count // 2] = 0  # runs of zero rows
+    weights = np.zeros(MLP_SIZE, np.float32)
+    weights[::29] = draw.peaked(len(weights[::29]), 512) / np.float32(1024)
+    return QuantizedScene(
+        anchors,
+        Mlps(weights),
+        QuantizationScales(),
+        settings or RenderSettings(),
+        transform or SceneTransform(),
+    )
+
+
+class _Draw:
+    """Integers from a 64-bit multiplicative generator (Knuth's MMIX constants)."""
+
+    def __init__(self, seed: int) -> None:
+        self.state = seed
+
+    def uniform(self, count: int) -> np.ndarray:
+        """``count`` integers (count,) int64 in [0, 2^32)."""
+        numbers = []
+        for _ in range(count):
+            self.state = (self.state * 6364136223846793005 + 1442695040888963407) % (1 << 64)
+            numbers.append(self.state >> 32)
+        return np.array(numbers, np.int64)
+
+    def peaked(self, count: int, spread: int) -> np.ndarray:
+        """``count`` int32 in [-spread - 1, spread], small ones most often."""
+        first, second = self.uniform(count) - 2**31, self.uniform(count)
+        return ((first * (second >> 1) >> 31) * spread >> 31).astype(np.int32)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,249 @@
+/* Round trips, truncations, bit flips and random damage of every stream kind.
+ *
+ * Inputs and outputs lie in allocations of their exact size, so that the address sanitizer sees
+ * the first byte outside. A damaged stream may decode to other values, but must end.
+ */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "clgs_codec.h"
+
+#define CHECK(condition) check((condition) != 0, #condition, __LINE__)
+
+typedef enum stream_part { OCTREE, RUNLENGTH, PLANES } stream_part;
+
+typedef struct stream {
+    stream_part part;
+    size_t rows, channels;
+    int32_t *value;
+    uint8_t *data;
+    size_t size;
+    void *workspace; /* of its exact size, too */
+} stream;
+
+static uint64_t random_state = 1;
+
+static void check(int holds, const char *condition, int line)
+{
+    if (holds)
+        return;
+    fprintf(stderr, "test_codec.c:%d: %s\n", line, condition);
+    exit(1);
+}
+
+static uint32_t random_u32(void)
+{
+    random_state = random_state * 6364136223846793005u + 1442695040888963407u;
+    return (uint32_t)(random_state >> 32);
+}
+
+static void *allocate(size_t size)
+{
+    void *block = malloc(size > 0 ? size : 1);
+    CHECK(block != NULL);
+    return block;
+}
+
+static size_t words(const stream *s)
+{
+    return s->rows * s->channels;
+}
+
+static size_t workspace_size(const stream *s)
+{
+    if (s->part == OCTREE)
+        return clgs_octree_workspace(s->rows);
+    return s->part == RUNLENGTH ? clgs_runlength_workspace(s->channels) : clgs_planes_workspace();
+}
+
+static size_t bound(const stream *s)
+{
+    if (s->part == OCTREE)
+        return clgs_octree_bound(s->rows);
+    return s->part == RUNLENGTH ? clgs_runlength_bound(s->rows, s->channels)
+                                : clgs_planes_bound(s->rows);
+}
+
+static size_t encode(const stream *s, uint8_t *out, size_t capacity)
+{
+    size_t size;
+    if (s->part == OCTREE)
+        size = clgs_octree_encode(s->value, s->rows, out, capacity, s->workspace);
+    else if (s->part == RUNLENGTH)
+        size = clgs_runlength_encode(s->value, s->rows, s->channels, out, capacity, s->workspace);
+    else
+        size = clgs_planes_encode((uint32_t *)s->value, s->rows, out, capacity, s->workspace);
+    return size;
+}
+
+static clgs_error decode(const stream *s, const uint8_t *data, size_t size, int32_t *value)
+{
+    uint8_t *exact = allocate(size);
+    clgs_error error;
+    if (size > 0)
+        memcpy(exact, data, size);
+    if (s->part == OCTREE)
+        error = clgs_octree_decode(exact, size, value, s->rows, s->workspace);
+    else if (s->part == RUNLENGTH)
+        error = clgs_runlength_decode(exact, size, value, s->rows, s->channels, s->workspace);
+    else
+        error = clgs_planes_decode(exact, size, (uint32_t *)value, s->rows, s->workspace);
+    free(exact);
+    return error;
+}
+
+static void test_round_trip(stream *s, int32_t *value)
+{
+    size_t capacity = bound(s);
+    uint8_t *out = allocate(capacity);
+    s->size = encode(s, out, capacity);
+    CHECK(s->size > 0 && s->size <= capacity);
+    s->data = allocate(s->size);
+    memcpy(s->data, out, s->size);
+    CHECK(encode(s, out, capacity) == s->size && memcmp(out, s->data, s->size) == 0);
+    CHECK(encode(s, out, capacity - 1) == 0);
+    free(out);
+    CHECK(decode(s, s->data, s->size, value) == CLGS_OK);
+    CHECK(memcmp(value, s->value, 4 * words(s)) == 0);
+}
+
+static void test_lengths(const stream *s, int32_t *value)
+{
+    for (size_t size = 0; size < s->size; size++)
+        CHECK(decode(s, s->data, size, value) < 0);
+    uint8_t *longer = allocate(s->size + 16);
+    memcpy(longer, s->data, s->size);
+    memset(longer + s->size, 0, 16);
+    for (size_t more = 1; more <= 16; more++)
+        CHECK(decode(s, longer, s->size + more, value) < 0);
+    free(longer);
+}
+
+static void test_damage(const stream *s, int32_t *value)
+{
+    uint8_t *damaged = allocate(s->size);
+    for (size_t bit = 0; bit < 8 * s->size; bit++) {
+        memcpy(damaged, s->data, s->size);
+        damaged[bit / 8] ^= (uint8_t)(1u << (bit & 7));
+        CHECK(clgs_error_text(decode(s, damaged, s->size, value)) != NULL);
+    }
+    for (int round = 0; round < 200; round++) {
+        memcpy(damaged, s->data, s->size);
+        for (uint32_t n = random_u32() % 8 + 1; n > 0; n--)
+            damaged[random_u32() % s->size] = (uint8_t)random_u32();
+        CHECK(clgs_error_text(decode(s, damaged, s->size, value)) != NULL);
+    }
+    for (int round = 0; round < 200; round++) {
+        for (size_t i = 2; i < s->size; i++)
+            damaged[i] = (uint8_t)random_u32();
+        damaged[0] = 1;
+        if (s->size > 1)
+            damaged[1] = (uint8_t)(random_u32() % 22);
+        CHECK(clgs_error_text(decode(s, damaged, s->size, value)) != NULL);
+    }
+    free(damaged);
+}
+
+static void test_stream(stream_part part, size_t rows, size_t channels, const int32_t *source)
+{
+    stream s = {.part = part, .rows = rows, .channels = channels};
+    size_t size = 4 * rows * channels;
+    int32_t *value = allocate(size);
+    s.value = allocate(size);
+    memcpy(s.value, source, size);
+    s.workspace = allocate(workspace_size(&s));
+    test_round_trip(&s, value);
+    test_lengths(&s, value);
+    test_damage(&s, value);
+    free(value);
+    free(s.value);
+    free(s.data);
+    free(s.workspace);
+}
+
+/* A box of `edge` cells a side, in Morton order, each cell kept with chance `keep` / 256. */
+static size_t fill_box(int32_t *position, uint32_t edge, uint32_t keep, int32_t scale)
+{
+    size_t count = 0;
+    for (uint32_t code = 0; code < edge * edge * edge; code++) {
+        int32_t cell[3] = {0, 0, 0};
+        if (random_u32() % 256 >= keep)
+            continue;
+        for (uint32_t bit = 0; bit < 30; bit++)
+            cell[2 - bit % 3] |= (int32_t)((code >> bit & 1) << bit / 3);
+        for (int axis = 0; axis < 3; axis++)
+            position[3 * count + (size_t)axis] = cell[axis] * scale - 1000;
+        count++;
+    }
+    return count;
+}
+
+static void test_octrees(void)
+{
+    int32_t position[3 * 512];
+    const int32_t far_apart[6] = {INT32_MAX - 0x1FFFFF, 0, -5, INT32_MAX, 0x1FFFFF, 0x1FFFFF - 5};
+    const int32_t too_wide[6] = {0, 0, 0, 0x200000, 0, 0};
+    const int32_t twins[6] = {1, 2, 3, 1, 2, 3};
+    const int32_t unsorted[6] = {1, 0, 0, 0, 0, 0};
+    uint8_t out[64];
+    stream bad = {.part = OCTREE, .rows = 2, .channels = 3};
+    test_stream(OCTREE, fill_box(position, 4, 256, 1), 3, position);
+    test_stream(OCTREE, fill_box(position, 8, 60, 1), 3, position);
+    test_stream(OCTREE, fill_box(position, 8, 30, 262144), 3, position);
+    test_stream(OCTREE, 2, 3, far_apart);
+    test_stream(OCTREE, 1, 3, far_apart);
+    bad.workspace = allocate(workspace_size(&bad));
+    bad.value = (int32_t *)too_wide;
+    CHECK(encode(&bad, out, sizeof out) == 0);
+    bad.value = (int32_t *)twins;
+    CHECK(encode(&bad, out, sizeof out) == 0);
+    bad.value = (int32_t *)unsorted;
+    CHECK(encode(&bad, out, sizeof out) == 0);
+    free(bad.workspace);
+}
+
+static void fill_values(int32_t *value, size_t count, uint32_t shift)
+{
+    for (size_t i = 0; i < count; i++) {
+        uint32_t bits = random_u32() >> (shift + random_u32() % (32 - shift));
+        value[i] = random_u32() & 1 ? (int32_t)(bits >> 1) : -(int32_t)(bits >> 1) - 1;
+        if (i / 60 % 3 == 0)
+            value[i] = 0;
+    }
+}
+
+static void test_runlengths(void)
+{
+    int32_t value[600];
+    fill_values(value, 600, 27);
+    test_stream(RUNLENGTH, 100, 6, value);
+    test_stream(RUNLENGTH, 2, 256, value);
+    fill_values(value, 600, 0);
+    test_stream(RUNLENGTH, 60, 5, value);
+    memset(value, 0, sizeof value);
+    test_stream(RUNLENGTH, 300, 2, value);
+    CHECK(clgs_runlength_bound(1, 0) == 0 && clgs_runlength_bound(1, 257) == 0);
+    CHECK(clgs_runlength_bound(CLGS_MAX_POINTS + 1, 1) == 0);
+}
+
+static void test_planes(void)
+{
+    int32_t word[200];
+    for (size_t i = 0; i < 200; i++)
+        word[i] = (int32_t)((random_u32() & 0x80FFF000u) | 0x3C000000u);
+    test_stream(PLANES, 200, 1, word);
+    fill_values(word, 200, 0);
+    test_stream(PLANES, 50, 1, word);
+    test_stream(PLANES, 0, 1, word);
+}
+
+int main(void)
+{
+    CHECK(clgs_crc32c((const uint8_t *)"123456789", 9) == 0xE3069283u);
+    test_octrees();
+    test_runlengths();
+    test_planes();
+    puts("codec: all tests passed");
+    return 0;
+}

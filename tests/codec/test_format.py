@@ -1,0 +1,46 @@
+"""The worked examples of ``codec_c/FORMAT.md``, by both implementations."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from clgs import _codec
+from clgs.codec import octree, runlength
+from clgs.reference import octree as octree_reference
+from clgs.reference import runlength as runlength_reference
+from tests.codec.scenes import ROOT
+
+TEXT = (ROOT / "codec_c" / "FORMAT.md").read_text(encoding="utf-8")
+EXAMPLES = {
+    1: ("encode", np.array([[5, -2, 7]], np.int32)),
+    2: ("encode", np.array([[5, -2, 7], [5, -2, 8], [6, -1, 8]], np.int32)),
+    3: ("encode", np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32)),
+    4: ("encode", np.array([[10], [11], [9], [10]], np.int32)),
+    5: ("encode", np.zeros((1000, 3), np.int32)),
+    6: ("encode_weights", np.array([1.0, -1.0], np.float32)),
+}
+
+
+def documented(number: int) -> bytes:
+    """The bytes that the document gives for an example: its last run of hexadecimal pairs."""
+    body = re.split(r"\*\*Example \d\.\*\*|\n## ", TEXT.split(f"**Example {number}.**")[1])[0]
+    runs = re.findall(r"`((?:[0-9A-F]{2}[ |]*)+)`", body)
+    return bytes.fromhex(runs[-1].replace("|", ""))
+
+
+@pytest.mark.parametrize("number", EXAMPLES)
+def test_example(number):
+    function, array = EXAMPLES[number]
+    modules = (octree, octree_reference) if number < 3 else (runlength, runlength_reference)
+    for module in modules:
+        assert getattr(module, function)(array) == documented(number)
+
+
+def test_checksum_of_the_document():
+    assert "E3069283" in TEXT
+    assert _codec.crc32c(b"123456789") == 0xE3069283
+    assert _codec.crc32c(b"") == 0
+    assert _codec.crc32c(bytes(32)) == 0x8A9136AA  # RFC 3720, B.4

@@ -1,0 +1,116 @@
+"""Positions: round trips, agreement with the reference, refusal of what is not a point set."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from clgs.codec import octree
+from clgs.errors import CodecError
+from clgs.reference import octree as reference
+
+
+def sorted_unique(position: np.ndarray) -> np.ndarray:
+    position = np.unique(position, axis=0).astype(np.int32)
+    return position[octree.morton_order(position)]
+
+
+def clouds() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(1)
+    grid = np.argwhere(np.ones((5, 6, 7), bool))
+    return {
+        "point": np.array([[-(2**31), 0, 2**31 - 1]]),
+        "pair": np.array([[0, 0, 0], [2**21 - 1, 2**21 - 1, 2**21 - 1]]) - 77,
+        "line": np.stack([np.arange(300), np.zeros(300), np.zeros(300)], 1).astype(int),
+        "full": grid,
+        "dense": grid[rng.random(len(grid)) < 0.7],
+        "surface": np.stack([*(i := np.indices((20, 20))), (i[0] ** 2 + i[1]) // 9], -1).reshape(
+            -1, 3
+        ),
+        "sparse": rng.integers(-(2**20), 2**20, (60, 3)),
+        "clusters": rng.integers(0, 4, (200, 3)) + 5000 * rng.integers(0, 3, (200, 1)),
+    }
+
+
+@pytest.mark.parametrize("name", clouds())
+def test_same_bytes_as_the_reference_in_both_directions(name):
+    position = sorted_unique(clouds()[name])
+    data = octree.encode(position)
+    assert data == reference.encode(position)
+    np.testing.assert_array_equal(octree.decode(data, len(position)), position)
+    np.testing.assert_array_equal(reference.decode(data, len(position)), position)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    npst.arrays(np.int32, st.tuples(st.integers(1, 60), st.just(3)), elements=st.integers(0, 40)),
+    st.integers(0, 15),
+    st.integers(-(2**31), 2**30),
+)
+def test_round_trip(position, shift, origin):
+    position = sorted_unique((position.astype(np.int64) << shift) + origin)
+    data = octree.encode(position)
+    np.testing.assert_array_equal(octree.decode(data, len(position)), position)
+
+
+def test_large_scattered_cloud_round_trips():
+    position = sorted_unique(np.random.default_rng(2).integers(0, 2**21, (20_000, 3)))
+    data = octree.encode(position)
+    np.testing.assert_array_equal(octree.decode(data, len(position)), position)
+    assert len(data) < 8 * len(position)
+
+
+def test_raw_codes_stand_in_for_a_stream_that_grows():
+    position = np.array([[3, 1, 2], [4, 1, 2]], np.int32)
+    raw = bytes([0, 1]) + np.array([3, 1, 2], "<i4").tobytes() + np.array([0, 4], "<u8").tobytes()
+    np.testing.assert_array_equal(octree.decode(raw, 2), position)
+    np.testing.assert_array_equal(reference.decode(raw, 2), position)
+
+
+def test_morton_order_has_x_highest_and_sorts_negative_cells():
+    position = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, 0, 0]], np.int32)
+    order = octree.morton_order(position)
+    assert position[order].tolist() == [[-1, 0, 0], [0, 0, 0], [0, 0, 1], [0, 1, 0], [1, 0, 0]]
+
+
+def test_empty_cloud_is_an_empty_stream():
+    assert octree.encode(np.empty((0, 3), np.int32)) == b""
+    assert octree.decode(b"", 0).shape == (0, 3)
+    with pytest.raises(ValueError, match="follow"):
+        octree.decode(b"\0", 0)
+
+
+def test_twins_and_wide_extents_are_refused_by_name():
+    with pytest.raises(CodecError, match=r"anchors 0 and 2 share cell \[1, 2, 3\]"):
+        octree.morton_order(np.array([[1, 2, 3], [4, 5, 6], [1, 2, 3]], np.int32))
+    with pytest.raises(CodecError, match="y spans 2097153 cells"):
+        octree.morton_order(np.array([[0, -1, 0], [0, 2**21 - 1, 0]], np.int32))
+    with pytest.raises(CodecError, match="z spans 4294967296 cells"):
+        octree.morton_order(np.array([[0, 0, -(2**31)], [0, 0, 2**31 - 1]], np.int32))
+
+
+@pytest.mark.parametrize("rows", [[[0, 0, 1], [0, 0, 0]], [[0, 0, 0], [0, 0, 0]]])
+def test_the_coder_itself_refuses_wrong_order(rows):
+    with pytest.raises(ValueError, match="cannot be encoded"):
+        octree.encode(np.array(rows, np.int32))
+
+
+def test_wrong_counts_are_refused():
+    position = sorted_unique(clouds()["surface"])
+    data = octree.encode(position)
+    for count in (1, len(position) - 1, len(position) + 1, 2 * len(position)):
+        with pytest.raises(ValueError, match="stream"):
+            octree.decode(data, count)
+    with pytest.raises(ValueError, match="cannot hold"):
+        octree.decode(data, len(data) * octree.MAX_POINTS_A_BYTE + 1)
+
+
+@pytest.mark.parametrize("mode", [0, 1])
+def test_positions_past_int32_are_refused(mode):
+    payload = (8).to_bytes(8, "little") if mode == 0 else b"\0" * 4
+    data = bytes([mode, 2]) + np.array([2**31 - 1] * 3, "<i4").tobytes() + payload
+    with pytest.raises(ValueError, match="stream"):
+        octree.decode(data, 1)
