@@ -48,7 +48,7 @@ class Device:
         self.vec = 16 if self.specialisation == "cpu" else 1
         self.profile = Profile()
         allocator = cl.tools.ImmediateAllocator(self.queue)
-        self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=6)
+        self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=2)
         self._kernels: dict[tuple[Any, ...], cl.Kernel] = {}
         self._programs: dict[tuple[Any, ...], cl.Program] = {}
 

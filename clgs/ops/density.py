@@ -1,4 +1,4 @@
-"""Statistics for growing and pruning anchors (VOXELGS.md section 8; Scaffold-GS).
+"""Statistics for growing and pruning anchors (Scaffold-GS; Voxel-GS).
 
 Per anchor the sum of the positive opacities of its slots and the number of views that it was
 visible in; per slot the sum of the screen-space gradient norms in NDC units,

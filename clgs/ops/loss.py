@@ -1,4 +1,4 @@
-"""The image loss and the volume term (VOXELGS.md section 5).
+"""The image loss and the volume term (Voxel-GS; Scaffold-GS).
 
     value = l1_weight * mean |x - y| + ssim_weight * (1 - SSIM)
     SSIM = mean over pixels and channels of

@@ -1,4 +1,4 @@
-"""Quantisation with straight-through gradients (VOXELGS.md section 6).
+"""Quantisation with straight-through gradients (Voxel-GS).
 
     forward:  rint(x q) / q, ties to even;    backward:  d_x = d_rounded, so there is no kernel.
 

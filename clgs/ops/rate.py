@@ -1,4 +1,4 @@
-"""The rate proxy: bits that an ideal coder needs for an attribute (VOXELGS.md section 7).
+"""The rate proxy: bits that an ideal coder needs for an attribute (Voxel-GS).
 
 A symbol n = rint(x q) costs -log2 of the Laplace mass of [n - 1/2, n + 1/2]. With d = |n - mu|, in
 nats,

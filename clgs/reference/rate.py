@@ -1,4 +1,4 @@
-"""The rate proxy in float64, symbol by symbol, from the two forms of VOXELGS.md section 7."""
+"""The rate proxy in float64, symbol by symbol, from its two forms."""
 
 from __future__ import annotations
 

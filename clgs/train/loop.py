@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clgs.codec.octree import morton_order
+from clgs.codec.encode import sort_anchors
 from clgs.data.dataset import Dataset, View
 from clgs.errors import ClgsError
 from clgs.opencl.array import DeviceArray
@@ -14,7 +14,7 @@ from clgs.opencl.device import Device
 from clgs.ops import loss, rate
 from clgs.render.frame import DeviceScene, Frame, SceneGradients
 from clgs.render.pipeline import render_backward, render_forward
-from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.anchors import QuantizationScales
 from clgs.scene.mlps import Mlps, init_mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
@@ -200,11 +200,8 @@ class Trainer:
     def quantized_scene(self) -> QuantizedScene:
         """The trained scene as integers, in Morton order: what is encoded and rendered."""
         anchors, _ = download_anchors(self.device, self.parameters)
-        quantized = quantized_anchors(anchors, self.scales)
-        order = morton_order(quantized.position)
-        names = ("position", "offset", "feature", "scaling")
         return QuantizedScene(
-            QuantizedAnchors(*(getattr(quantized, name)[order] for name in names)),
+            sort_anchors(quantized_anchors(anchors, self.scales)),
             Mlps(self.device.download(self.parameters.scene.weights)),
             self.scales,
             self.settings,

@@ -68,7 +68,8 @@ typedef CLGS_CAT(int, VEC) iv;
         return AS_F(AS_I(p) + (AS_I(shifted) << 23));                                              \
     }
 
-/* e^x, relative error 1e-7; x is clamped to [-87, 88]. */
+/* e^x, relative error 1e-7; x is clamped to [-87, 88]. A NaN stays one: the select is needed where
+ * its low bits are set, as in the NaN that NVIDIA GPUs make. */
 #define DEFINE_EXP(name, F, I, AS_F, AS_I)                                                         \
     inline F name(F x)                                                                             \
     {                                                                                              \
@@ -82,7 +83,7 @@ typedef CLGS_CAT(int, VEC) iv;
         p = fma(p, r, (F)(1.66664109e-01f));                                                       \
         p = fma(p, r, (F)(4.99999911e-01f));                                                       \
         p = fma(p * r, r, r) + 1.0f;                                                               \
-        return AS_F(AS_I(p) + (AS_I(shifted) << 23));                                              \
+        return x == x ? AS_F(AS_I(p) + (AS_I(shifted) << 23)) : x;                                 \
     }
 
 /* Natural logarithm of a positive normal number, absolute error 1e-7 * max(1, |log x|). */

@@ -1,0 +1,64 @@
+"""``clgs devices``: the OpenCL devices of this machine."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from clgs.opencl.describe import DeviceInfo
+
+HEADINGS = (
+    *("", "index", "type", "name", "platform", "driver"),
+    *("units", "memory", "work-group", "local", "lanes"),
+)
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command's arguments."""
+    parser = subparsers.add_parser(
+        "devices",
+        help="list the OpenCL devices and the one that is used",
+        description="List the OpenCL devices; a star marks the one that is used by default. "
+        "The number or a part of the name goes to --device of other commands.",
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the devices; exit code 0.
+
+    Raises:
+        DeviceError: there are none.
+    """
+    import json
+    from dataclasses import asdict
+
+    from clgs.opencl.describe import describe_devices
+
+    devices = describe_devices()
+    if args.json:
+        print(json.dumps([asdict(device) for device in devices], indent=2))
+        return 0
+    rows = [HEADINGS, *map(_row, devices)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        print(line.rstrip())
+    return 0
+
+
+def _row(device: DeviceInfo) -> tuple[str, ...]:
+    return (
+        "*" if device.chosen else "",
+        str(device.index),
+        device.type,
+        device.name,
+        device.platform,
+        device.driver,
+        str(device.compute_units),
+        f"{device.memory / 2**30:.1f} GiB",
+        str(device.max_work_group),
+        f"{device.local_memory / 2**10:.0f} KiB",
+        str(device.vector_width),
+    )

@@ -1,0 +1,61 @@
+"""``clgs info``: what a .clgs file holds, section by section."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command's arguments."""
+    parser = subparsers.add_parser(
+        "info",
+        help="show what a .clgs file holds",
+        description="Show the header and the sections of a .clgs file, with their bytes.",
+    )
+    parser.add_argument("scene", type=Path, metavar="scene.clgs", help="the file")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the description of a file; exit code 0.
+
+    Raises:
+        DataError: the file is missing.
+        CodecError: it is no .clgs file, or is damaged.
+    """
+    import json
+
+    from clgs.codec.decode import describe
+    from clgs.errors import CodecError, DataError
+
+    if not args.scene.is_file():
+        raise DataError(f"{args.scene}: no such file; make one with clgs encode")
+    try:
+        description = describe(args.scene.read_bytes())
+    except CodecError as error:
+        raise CodecError(f"{args.scene}: {error}") from error
+    if args.json:
+        print(json.dumps(description, indent=2))
+        return 0
+    rows = list(flatten(description))
+    width = max(len(name) for name, _ in rows)
+    for name, value in rows:
+        print(f"{name.ljust(width)}  {value}")
+    return 0
+
+
+def flatten(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """(dotted name, text) of every leaf; a list of plain values is one leaf."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from flatten(inner, f"{name}.{key}" if name else str(key))
+    elif isinstance(value, list | tuple) and any(isinstance(x, dict) for x in value):
+        for index, inner in enumerate(value):
+            yield from flatten(inner, f"{name}.{index}")
+    elif isinstance(value, list | tuple):
+        yield name, " ".join(map(str, value))
+    else:
+        yield name, f"{value:,}" if isinstance(value, int) else str(value)

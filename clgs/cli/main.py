@@ -1,0 +1,112 @@
+"""The ``clgs`` command: parse arguments, run a subcommand, turn errors into one line and a code.
+
+Exit codes: 0 success, 1 failure, 2 usage, 3 data, 4 device, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from clgs import __version__
+from clgs.errors import ClgsError, DeviceError
+
+COMMANDS = (
+    "devices",
+    "prepare",
+    "train",
+    "encode",
+    "decode",
+    "render",
+    "eval",
+    "info",
+    "selftest",
+    "bench",
+)
+"""Each is a module of ``clgs.cli`` with ``register(subparsers)`` and ``run(args)``."""
+
+EPILOG = """\
+exit codes: 0 success, 1 failure, 2 usage, 3 data, 4 device
+environment: PYOPENCL_CTX chooses a device as --device does; CLGS_DEBUG=1 shows tracebacks"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands; the commands' heavy imports wait until they run."""
+    parser = argparse.ArgumentParser(
+        prog="clgs",
+        description="Gaussian splatting on OpenCL: from photos to one compressed file and back.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"clgs {__version__}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        importlib.import_module(f"clgs.cli.{command}").register(subparsers)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command that ``argv`` names (default: the process's arguments); its exit code."""
+    args = build_parser().parse_args(argv)
+    try:
+        code: int = importlib.import_module(f"clgs.cli.{args.command}").run(args)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader went away, as in `clgs devices | head -1`; keep Python from complaining later.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        print("clgs: interrupted", file=sys.stderr)
+        return 130
+    except Exception as error:
+        return _complain(error)
+    return code
+
+
+def _complain(error: Exception) -> int:
+    if os.environ.get("CLGS_DEBUG"):
+        import traceback
+
+        traceback.print_exception(error)
+    message, code = explain(error)
+    print(f"clgs: error: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+def explain(error: Exception) -> tuple[str, int]:
+    """One line for the user and the exit code."""
+    if isinstance(error, ClgsError):
+        return str(error), error.exit_code
+    if isinstance(error, OSError):
+        name = f"{error.filename}: " if error.filename is not None else ""
+        return f"{name}{error.strerror or error}", ClgsError.exit_code
+    if isinstance(error, MemoryError):
+        return "out of memory; try a larger --downscale", ClgsError.exit_code
+    if isinstance(error, ImportError):
+        return _explain_import(error)
+    if type(error).__module__.startswith("pyopencl"):
+        return _explain_opencl(error), DeviceError.exit_code
+    hint = "this is a bug in clgs; CLGS_DEBUG=1 shows where"
+    return f"{type(error).__name__}: {error} ({hint})", ClgsError.exit_code
+
+
+def _explain_opencl(error: Exception) -> str:
+    first = (str(error).strip().splitlines() or ["unknown error"])[0]
+    if "MemoryError" in type(error).__name__:
+        return f"the device is out of memory ({first}); try a larger --downscale"
+    return f"OpenCL: {type(error).__name__}: {first}"
+
+
+def _explain_import(error: ImportError) -> tuple[str, int]:
+    name = error.name or "a library"
+    if name.startswith("pyopencl"):
+        remedy = "install it: pip install pyopencl"
+        return f"pyopencl cannot be loaded ({error}); {remedy}", DeviceError.exit_code
+    return f"{name} cannot be loaded ({error}); install clgs again", ClgsError.exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

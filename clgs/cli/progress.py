@@ -1,0 +1,123 @@
+"""Progress bars and tables on the terminal; plain lines where the output is no terminal."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import TypeVar
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from clgs.opencl.profile import Profile
+from clgs.train.session import Progress as TrainingProgress
+from clgs.train.session import RunResult
+
+Item = TypeVar("Item")
+PLAIN_SECONDS = 15.0
+"""Without a terminal, training prints one line this often."""
+
+
+@contextmanager
+def bar(total: int, label: str) -> Iterator[Callable[[], None]]:
+    """A bar of ``total`` units; the block receives a function that advances it by one."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as progress:
+        task = progress.add_task(label, total=total)
+        yield lambda: progress.advance(task)
+
+
+def track(items: list[Item], label: str) -> Iterable[Item]:
+    """Iterate over ``items`` behind a bar."""
+    with bar(len(items), label) as advance:
+        for item in items:
+            yield item
+            advance()
+
+
+class TrainingDisplay:
+    """Step, steps a second, time left, PSNR, anchors and estimated bytes of a training run."""
+
+    def __init__(self, steps: int, done: int) -> None:
+        """A run of ``steps`` of which ``done`` lie behind."""
+        self._console = Console(stderr=True)
+        self._progress = Progress(
+            TextColumn("training"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}"),
+            console=self._console,
+            disable=not self._console.is_terminal,
+        )
+        self._task = self._progress.add_task("", total=steps, completed=done, rate="", note="")
+        self._steps, self._start_step = steps, done
+        self._start = time.perf_counter()
+        self._printed = self._start
+        self._psnr = self._size = ""
+
+    def __enter__(self) -> TrainingDisplay:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def update(self, progress: TrainingProgress) -> None:
+        """Show the state after a step."""
+        if progress.psnr is not None:
+            self._psnr = f"{progress.psnr:.2f} dB"
+        if progress.estimated_bytes is not None:
+            self._size = f"~{progress.estimated_bytes / 1e6:.2f} MB"
+        now = time.perf_counter()
+        step = progress.result.step
+        speed = f"{(step - self._start_step) / max(now - self._start, 1e-9):.1f} it/s"
+        parts = (self._psnr, f"{progress.result.anchors:,} anchors", self._size)
+        note = "  ".join(part for part in parts if part)
+        self._progress.update(self._task, completed=step, rate=speed, note=note)
+        due = now - self._printed > PLAIN_SECONDS or step == self._steps
+        if due and not self._console.is_terminal:
+            self._printed = now
+            print(f"step {step}/{self._steps}  {speed}  {note}", file=sys.stderr, flush=True)
+
+
+def print_profile(profile: Profile) -> None:
+    """Table of the stages' times."""
+    table = Table("stage", title="Time by stage")
+    for column in ("calls", "median ms", "total s", "share"):
+        table.add_column(column, justify="right")
+    rows = profile.rows()
+    total = sum(seconds for *_, seconds in rows) or 1.0
+    for name, calls, milliseconds, seconds in rows:
+        share = f"{100 * seconds / total:.1f} %"
+        table.add_row(name, str(calls), f"{milliseconds:.2f}", f"{seconds:.1f}", share)
+    Console().print(table)
+
+
+def print_summary(result: RunResult) -> None:
+    """One line with the scores and one that says where the results are."""
+    summary = result.summary
+    print(
+        f"{summary['split']} views: PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.4f}; "
+        f"{summary['bytes']:,} bytes, {summary['anchors']:,} anchors, "
+        f"{summary['train_seconds']:.0f} s"
+    )
+    print(f"{result.folder / 'scene.clgs'}  {result.folder / 'results.json'}")

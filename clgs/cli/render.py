@@ -1,0 +1,37 @@
+"""`clgs render SCENE --data DATA --split test -o DIR`: pictures of a scene."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from clgs.cli.view_options import add_view_options
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser("render", help="render the views of a dataset as PNG files")
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="run folder or .clgs file")
+    add_view_options(parser, data_required=True)
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Render; exit code 0."""
+    from clgs.cli.progress import track
+    from clgs.cli.scene_argument import read_scene
+    from clgs.cli.view_options import selected_views
+    from clgs.export.image import save_png
+    from clgs.opencl.device import Device
+    from clgs.render.renderer import Renderer
+    from clgs.train.evaluate import to_8bit
+
+    scene, _ = read_scene(args.scene)
+    views = selected_views(args, scene)
+    renderer = Renderer(Device(args.device), scene.dequantize())
+    args.output.mkdir(parents=True, exist_ok=True)
+    for view in track(views, "rendering"):
+        name = f"{Path(view.name).stem}.png"
+        save_png(args.output / name, to_8bit(renderer.render(view.camera)))
+    print(f"{args.output}: {len(views)} pictures")
+    return 0

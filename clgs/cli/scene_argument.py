@@ -1,0 +1,47 @@
+"""The SCENE argument of commands: a run folder, a .clgs file or a decoded .npz."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from clgs.codec.decode import decode
+from clgs.errors import CodecError, DataError
+from clgs.scene.scene import QuantizedScene
+from clgs.scene.storage import load_scene
+
+
+def read_scene(path: Path) -> tuple[QuantizedScene, int | None]:
+    """The scene and, where it is a bitstream, its size in bytes.
+
+    Raises:
+        DataError: there is no scene at ``path``, or it is damaged.
+    """
+    if path.is_dir():
+        return read_run(path)
+    if not path.exists():
+        raise DataError(f"{path}: no such file or folder; name a run folder or a .clgs file")
+    if path.suffix == ".npz":
+        return load_scene(path), None
+    return read_bitstream(path)
+
+
+def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:
+    """The scene of a finished run and the size of its bitstream."""
+    if not (folder / "scene.npz").exists():
+        raise DataError(f"{folder}: holds no scene.npz; let `clgs train` finish (--resume)")
+    bitstream = folder / "scene.clgs"
+    size = bitstream.stat().st_size if bitstream.exists() else None
+    return load_scene(folder / "scene.npz"), size
+
+
+def read_bitstream(path: Path) -> tuple[QuantizedScene, int]:
+    """The scene in a .clgs file, and the file's size.
+
+    Raises:
+        CodecError: it is no .clgs file, or is damaged.
+    """
+    data = path.read_bytes()
+    try:
+        return decode(data), len(data)
+    except CodecError as error:
+        raise CodecError(f"{path}: {error}") from error

@@ -1,0 +1,117 @@
+"""`clgs train DATA -o RUN`: photos with poses to a trained, quantised, encoded scene."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from clgs.train.config import TrainConfig
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "train",
+        help="train a scene from photos with poses",
+        description="Train a scene. RUN receives config.toml, progress.csv, scene.clgs, "
+        "results.json, per_view.json, hashes.json, test/ and preview.png.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    add = parser.add_argument
+    add("data", type=Path, help="Blender, transforms.json or COLMAP folder")
+    add("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder")
+    add(
+        "--preset",
+        choices=("quick", "paper"),
+        help="quick: 3,000 steps; paper: published constants and the data's own units",
+    )
+    add(
+        "--steps",
+        type=int,
+        help="training steps; scales the start of statistics, the growth "
+        "window, the quantisation switch and the learning-rate horizons (default: 30000)",
+    )
+    add("--seed", type=int, default=0, help="of all random choices")
+    add("--device", help="number or part of the name, see `clgs devices`")
+    add("--downscale", type=int, default=1, metavar="N", help="reduce the photos N times")
+    add(
+        "--background",
+        choices=("black", "white", "random"),
+        default="black",
+        help="behind transparent photos and unfinished pixels",
+    )
+    add(
+        "--proxy",
+        choices=("channel", "pooled"),
+        help="rate proxy: one Laplace model a channel (default), or the paper's pooled form "
+        "(default of --preset paper)",
+    )
+    add(
+        "--loss-weights",
+        type=float,
+        nargs=2,
+        metavar=("L1", "SSIM"),
+        default=(0.8, 0.2),
+        help="weights of L1 and of 1 - SSIM",
+    )
+    add(
+        "--volume-weight",
+        type=float,
+        metavar="W",
+        help="weight of the volume term (default: 0.01 on photos, 0 on Blender scenes)",
+    )
+    add("--resume", action="store_true", help="continue an interrupted run from its checkpoint")
+    add("--profile", action="store_true", help="show the time of every stage (slower)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train; exit code 0."""
+    from clgs.cli.progress import TrainingDisplay, print_profile, print_summary
+    from clgs.data.dataset import load_dataset
+    from clgs.errors import DataError
+    from clgs.opencl.device import Device
+    from clgs.train.session import Session
+
+    if not args.resume and (args.output / "config.toml").exists():
+        raise DataError(f"{args.output}: holds a run already; add --resume or name another folder")
+    config = make_config(args)
+    device = Device(args.device)
+    device.profile.enabled = args.profile
+    dataset = load_dataset(
+        args.data,
+        downscale=args.downscale,
+        preset_units=not config.normalize,
+        cache=args.output,
+        seed=args.seed,
+    )
+    config = config.for_dataset(dataset.kind)
+    session = Session(dataset, args.output, config, device, resume=args.resume)
+    with TrainingDisplay(config.steps, session.trainer.steps_done) as display:
+        result = session.run(display.update)
+    if args.profile:
+        print_profile(device.profile)
+    print_summary(result)
+    return 0
+
+
+def make_config(args: argparse.Namespace) -> TrainConfig:
+    """The configuration that the options describe, not yet resolved for a dataset."""
+    from dataclasses import replace
+
+    from clgs.train.config import preset
+
+    config = preset(args.preset or "default")
+    if args.steps is not None:
+        config = config.scaled(args.steps)
+    given = {
+        "seed": args.seed,
+        "background": args.background,
+        "l1_weight": args.loss_weights[0],
+        "ssim_weight": args.loss_weights[1],
+        "downscale": args.downscale,
+    }
+    optional = {"volume_weight": args.volume_weight, "proxy": args.proxy}
+    given |= {name: value for name, value in optional.items() if value is not None}
+    return replace(config, **given)

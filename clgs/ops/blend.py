@@ -1,0 +1,275 @@
+"""Blend the Gaussians of every tile, front to back.
+
+With the whitened offsets of ``clgs.ops.project`` and the list of the pixel's tile in order i:
+    alpha_i = min(ALPHA_MAX, opacity_i exp(-(y1^2 + y2^2) / 2)), skipped where < ALPHA_CUT,
+    image = sum_i color_i alpha_i T_i + T background,   T_{i+1} = T_i (1 - alpha_i);
+a pixel stops before the first i that would bring T below TRANSMITTANCE_STOP.
+Backward, with B_i the colour behind i relative to T_{i+1}, both dotted with d_image:
+    dL/d(alpha_i) = T_i (color_i - B_i),   B_{i-1} = B_i + alpha_i (color_i - B_i).
+The geometric gradients are gathered as moments of v = alpha dL/d(alpha) in whitened coordinates:
+one row an entry, summed for each Gaussian in a fixed order, so that runs agree bit for bit.
+
+Sources: 3DGS (Kerbl et al. 2023); the whitened moments are our own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.constants import TILE_SIZE
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device, round_up
+from clgs.ops.project import Projected
+from clgs.ops.tiles import TileLists, tile_count
+from clgs.shapes import Shapes
+
+GROUP_SIZE = 64
+RECORD_SIZE = 16
+ROW_SIZE = 16
+
+
+@dataclass(frozen=True)
+class Blended:
+    """The picture, and what the backward pass needs of the forward one.
+
+    image (3, H, W) and transmittance (H, W), float32; last_contributor (H, W) int32: number of
+    entries of the pixel's list up to and including the last one blended; records: the Gaussian of
+    every entry, ready to blend.
+    """
+
+    image: DeviceArray
+    transmittance: DeviceArray
+    last_contributor: DeviceArray
+    records: DeviceArray
+
+
+@dataclass(frozen=True)
+class BlendGradients:
+    """Gradients of the loss, float32; zero for Gaussians that touch nothing.
+
+    d_mean2d (N, 2) per pixel, d_whitening (N, 3), d_color (N, 3), d_opacity (N,).
+    """
+
+    d_mean2d: DeviceArray
+    d_whitening: DeviceArray
+    d_color: DeviceArray
+    d_opacity: DeviceArray
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """Per entry and pixel of its tile (row-major): bool (I, TILE_SIZE^2) on the host.
+
+    contributed: the entry was blended into the pixel; saturated: with alpha at ALPHA_MAX.
+    """
+
+    contributed: npt.NDArray[np.bool_]
+    saturated: npt.NDArray[np.bool_]
+
+
+def forward(
+    device: Device,
+    projected: Projected,
+    color: DeviceArray,
+    opacity: DeviceArray,
+    tiles: TileLists,
+    background: DeviceArray,
+    size: tuple[int, int],
+) -> Blended:
+    """Render an image.
+
+    Args:
+        device: where the arrays live.
+        projected: N Gaussians on the screen.
+        color: (N, 3) float32, clamped to +-1000; a Gaussian with a NaN is not drawn.
+        opacity: (N,) float32.
+        tiles: lists made for the same image size.
+        background: (3,) float32.
+        size: width and height of the image, pixels.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    width, height = _check(projected, color, opacity, tiles, background, size)
+    result = Blended(
+        image=device.empty((3, height, width)),
+        transmittance=device.empty((height, width)),
+        last_contributor=device.empty((height, width), np.int32),
+        records=_gather(device, projected, color, opacity, tiles, width),
+    )
+    kernel = device.kernel("blend", "blend_forward", VEC=_lanes(device))
+    device.run(kernel, *_grid(device, tiles), *_forward_arguments(result, tiles, background))
+    return result
+
+
+def backward(
+    device: Device,
+    projected: Projected,
+    color: DeviceArray,
+    opacity: DeviceArray,
+    tiles: TileLists,
+    background: DeviceArray,
+    blended: Blended,
+    d_image: DeviceArray,
+) -> BlendGradients:
+    """Gradients from that of the image, (3, H, W) float32; other arguments as in :func:`forward`.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    height, width = blended.transmittance.shape
+    _check(projected, color, opacity, tiles, background, (width, height))
+    Shapes(H=height, W=width).check("d_image", d_image, "3 H W", np.float32)
+    rows = device.empty((len(tiles.gaussian), ROW_SIZE))
+    kernel = device.kernel("blend", "blend_backward", VEC=_lanes(device))
+    arguments = _backward_arguments(blended, tiles, background, d_image)
+    device.run(kernel, *_grid(device, tiles), *arguments, rows)
+    return _sum_rows(device, rows, projected, color, opacity, tiles)
+
+
+def decisions(
+    device: Device,
+    tiles: TileLists,
+    background: DeviceArray,
+    blended: Blended,
+    d_image: DeviceArray,
+) -> tuple[Decisions, Decisions]:
+    """What the forward and what the backward kernel decide; slow, for tests.
+
+    Both are compiled from the same source as ever, with EXPORT_DECISIONS.
+    """
+    entries = len(tiles.gaussian)
+    rows = device.empty((entries, ROW_SIZE))
+    forward_arguments = _forward_arguments(blended, tiles, background)
+    backward_arguments = (*_backward_arguments(blended, tiles, background, d_image), rows)
+    found = []
+    for name, arguments in (
+        ("blend_forward", forward_arguments),
+        ("blend_backward", backward_arguments),
+    ):
+        bits = [device.zeros((entries, TILE_SIZE**2 // 32), np.uint32) for _ in range(2)]
+        kernel = device.kernel("blend", name, VEC=_lanes(device), EXPORT_DECISIONS=1)
+        device.run(kernel, *_grid(device, tiles), *arguments, *bits)
+        found.append(Decisions(*(_unpack(device.download(words)) for words in bits)))
+    return found[0], found[1]
+
+
+def _unpack(words: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
+    bits = words[:, :, None] >> np.arange(32, dtype=np.uint32) & np.uint32(1)
+    return bits.reshape(len(words), -1).astype(bool)
+
+
+def _lanes(device: Device) -> int:
+    """Pixels that one vector holds: as many as a register of the device, on a CPU."""
+    if device.specialisation == "gpu":
+        return 1
+    return 16 if device.cl_device.native_vector_width_float >= 16 else 8
+
+
+def _grid(device: Device, tiles: TileLists) -> tuple[tuple[int], tuple[int]]:
+    """One work-item a tile, or one work-group of a work-item a pixel."""
+    group = TILE_SIZE**2 if device.specialisation == "gpu" else 1
+    return ((len(tiles.tile_range) - 1) * group,), (group,)
+
+
+def _gather(
+    device: Device,
+    projected: Projected,
+    color: DeviceArray,
+    opacity: DeviceArray,
+    tiles: TileLists,
+    width: int,
+) -> DeviceArray:
+    count, lanes = len(opacity), _lanes(device)
+    splats = device.empty((count, RECORD_SIZE))
+    records = device.empty((len(tiles.gaussian), RECORD_SIZE))
+    device.run(
+        device.kernel("blend", "blend_prepare", VEC=lanes),
+        (round_up(count, GROUP_SIZE),),
+        (GROUP_SIZE,),
+        projected.mean2d,
+        projected.whitening,
+        color,
+        opacity,
+        np.int32(count),
+        splats,
+    )
+    lists = tiles.gaussian, tiles.row, tiles.tile_range
+    gather = device.kernel("blend", "blend_gather", VEC=lanes)
+    device.run(gather, *_grid(device, tiles), splats, *lists, np.int32(width), records)
+    return records
+
+
+def _forward_arguments(
+    blended: Blended, tiles: TileLists, background: DeviceArray
+) -> tuple[DeviceArray | np.int32, ...]:
+    height, width = blended.transmittance.shape
+    read = blended.records, tiles.tile_range, background, np.int32(width), np.int32(height)
+    return *read, blended.image, blended.transmittance, blended.last_contributor
+
+
+def _backward_arguments(
+    blended: Blended, tiles: TileLists, background: DeviceArray, d_image: DeviceArray
+) -> tuple[DeviceArray | np.int32, ...]:
+    height, width = blended.transmittance.shape
+    read = blended.records, tiles.tile_range, background, np.int32(width), np.int32(height)
+    return *read, blended.transmittance, blended.last_contributor, d_image
+
+
+def _sum_rows(
+    device: Device,
+    rows: DeviceArray,
+    projected: Projected,
+    color: DeviceArray,
+    opacity: DeviceArray,
+    tiles: TileLists,
+) -> BlendGradients:
+    count = len(opacity)
+    result = BlendGradients(
+        d_mean2d=device.empty((count, 2)),
+        d_whitening=device.empty((count, 3)),
+        d_color=device.empty((count, 3)),
+        d_opacity=device.empty((count,)),
+    )
+    device.run(
+        device.kernel("blend", "blend_sum", VEC=_lanes(device)),
+        (round_up(count, GROUP_SIZE),),
+        (GROUP_SIZE,),
+        rows,
+        tiles.row_range,
+        np.int32(count),
+        projected.whitening,
+        color,
+        opacity,
+        result.d_mean2d,
+        result.d_whitening,
+        result.d_color,
+        result.d_opacity,
+    )
+    return result
+
+
+def _check(
+    projected: Projected,
+    color: DeviceArray,
+    opacity: DeviceArray,
+    tiles: TileLists,
+    background: DeviceArray,
+    size: tuple[int, int],
+) -> tuple[int, int]:
+    shapes = Shapes(tiles_and_end=tile_count(*size) + 1)
+    shapes.check("mean2d", projected.mean2d, "N 2", np.float32)
+    shapes.check("whitening", projected.whitening, "N 3", np.float32)
+    shapes.check("color", color, "N 3", np.float32)
+    shapes.check("opacity", opacity, "N", np.float32)
+    shapes.check("background", background, "3", np.float32)
+    shapes.check("gaussian", tiles.gaussian, "I", np.int32)
+    shapes.check("row", tiles.row, "I", np.int32)
+    shapes.check("tile_range", tiles.tile_range, "tiles_and_end", np.int32)
+    Shapes(rows_and_end=len(opacity) + 1).check(
+        "row_range", tiles.row_range, "rows_and_end", np.int32
+    )
+    return size

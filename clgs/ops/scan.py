@@ -1,0 +1,86 @@
+"""Exclusive prefix sums: where each item's output starts.
+
+offsets[i] = counts[0] + ... + counts[i-1]. The total is summed in 64 bits and checked before anyone
+allocates by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clgs.errors import ClgsError
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.shapes import Shapes
+
+GROUP_SIZE = 256
+MAX_TOTAL = 2**31 - 1
+SHORTEST_CHUNK = {"cpu": 4096, "gpu": 1024}
+MOST_CHUNKS = {"cpu": 16, "gpu": 2048}
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """``offset`` (n + 1,) int32, the last entry being the total; ``total`` (1,) int64."""
+
+    offset: DeviceArray
+    total: DeviceArray
+
+
+def exclusive(device: Device, counts: DeviceArray) -> tuple[DeviceArray, int]:
+    """Offsets (n,) int32 of non-negative counts (n,) int32, and their total; waits for the device.
+
+    The buffer of the offsets has one more entry, the total.
+
+    Raises:
+        ClgsError: the total does not fit in 31 bits.
+        ValueError, TypeError: ``counts`` has the wrong shape or dtype.
+    """
+    result = on_device(device, counts)
+    total = checked_total(device, result)
+    return DeviceArray(result.offset.buffer, counts.shape, result.offset.dtype), total
+
+
+def checked_total(device: Device, offsets: Offsets) -> int:
+    """Download the total; waits for the device.
+
+    Raises:
+        ClgsError: the total does not fit in 31 bits.
+    """
+    total = int(device.download(offsets.total)[0])
+    if total > MAX_TOTAL:
+        raise ClgsError(
+            f"{total} entries are needed, at most {MAX_TOTAL} fit; "
+            "use a smaller image or fewer Gaussians"
+        )
+    return total
+
+
+def on_device(device: Device, counts: DeviceArray) -> Offsets:
+    """As :func:`exclusive`, but nothing is downloaded and the total is not checked."""
+    shapes = Shapes()
+    shapes.check("counts", counts, "n", np.int32)
+    count = shapes.axes["n"]
+    chunk, chunks = chunk_plan(device, count)
+    offset = device.empty((count + 1,), np.int32)
+    sums, total = device.empty((chunks,), np.int64), device.empty((1,), np.int64)
+    wide = GROUP_SIZE if device.specialisation == "gpu" else 1
+    size, length = np.int32(count), np.int32(chunk)
+    all_chunks, group = (chunks * wide,), (wide,)
+    reduce, spine, apply = (
+        device.kernel("scan", name) for name in ("scan_reduce", "scan_spine", "scan_apply")
+    )
+    device.run(reduce, all_chunks, group, counts, size, length, sums)
+    device.run(spine, group, group, sums, np.int32(chunks), total)
+    device.run(apply, all_chunks, group, counts, size, length, sums, total, offset)
+    return Offsets(offset, total)
+
+
+def chunk_plan(device: Device, count: int) -> tuple[int, int]:
+    """(items a chunk, chunks): few long chunks on a CPU, many on a GPU; at least one chunk."""
+    shortest, most = (table[device.specialisation] for table in (SHORTEST_CHUNK, MOST_CHUNKS))
+    chunks = max(1, min(most, count // shortest))
+    chunk = max(1, -(-count // chunks))
+    return chunk, max(1, -(-count // chunk))

@@ -1,0 +1,84 @@
+"""A seeded synthetic scene of anchors in front of one camera, for benchmarks and self-tests."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.data.dataset import Dataset, View
+from clgs.scene.anchors import AnchorSet
+from clgs.scene.camera import Camera
+from clgs.scene.mlps import Mlps, init_mlps, unpack_head
+from clgs.scene.scene import Scene, SceneTransform
+
+DRAWN_SHARE = 0.4
+"""Share of slots with positive opacity, as in trained scenes."""
+
+DISTANCE = 4.0
+
+
+def square_camera(size: int) -> Camera:
+    """A camera of ``size`` x ``size`` pixels, DISTANCE before the origin, 53 degrees wide."""
+    return Camera(
+        np.eye(3),
+        np.array([0.0, 0.0, DISTANCE]),
+        float(size),
+        float(size),
+        size / 2,
+        size / 2,
+        size,
+        size,
+    )
+
+
+def anchor_scene(gaussians: int, size: int, seed: int = 0) -> tuple[Scene, Camera]:
+    """A scene of which about ``gaussians`` small neural Gaussians are drawn, and its camera.
+
+    Anchors fill the middle of the view; Gaussians have a median standard deviation of about one
+    pixel, as neural Gaussians of trained scenes do.
+    """
+    rng = np.random.default_rng(seed)
+    count = max(1, round(gaussians / (DRAWN_SHARE * K_OFFSETS)))
+    pixel = DISTANCE / size
+    position = rng.uniform(-1, 1, (count, 3)) * np.array([1.7, 1.7, 0.5])
+    scaling = np.log(pixel) + rng.normal(0.9, 0.4, (count, 6))
+    anchors = AnchorSet(
+        position.astype(np.float32),
+        rng.normal(0, 1.0, (count, K_OFFSETS, 3)).astype(np.float32),
+        rng.normal(0, 1.0, (count, FEATURE_DIM)).astype(np.float32),
+        scaling.astype(np.float32),
+    )
+    camera = square_camera(size)
+    return Scene(anchors, _calibrated_mlps(anchors, camera, rng)), camera
+
+
+def _calibrated_mlps(anchors: AnchorSet, camera: Camera, rng: np.random.Generator) -> Mlps:
+    """Random MLPs whose opacity biases leave DRAWN_SHARE of the slots positive."""
+    mlps = init_mlps(rng)
+    layers = unpack_head(mlps.flat, "opacity")
+    direction = anchors.position - camera.centre.astype(np.float32)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    inputs = np.concatenate([anchors.feature, direction], 1)
+    hidden = np.maximum(inputs @ layers["hidden_weight"].T + layers["hidden_bias"], 0)
+    logits = hidden @ layers["output_weight"].T
+    layers["output_bias"][:] = -np.quantile(logits, 1 - DRAWN_SHARE, axis=0)
+    return mlps
+
+
+def photo_dataset(camera: Camera, points: npt.NDArray[np.float32], seed: int = 0) -> Dataset:
+    """A data set of one smooth random photo seen by ``camera``."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.integers(0, 256, (camera.height // 8 + 1, camera.width // 8 + 1, 3))
+    image = np.kron(coarse, np.ones((8, 8, 1)))[: camera.height, : camera.width].astype(np.uint8)
+    view = View("synthetic", camera, np.ascontiguousarray(image), None)
+    return Dataset(
+        train=[view],
+        test=[],
+        points=points,
+        point_colors=None,
+        transform=SceneTransform(),
+        radius=1.0,
+        kind="transforms",
+        skipped=0,
+    )

@@ -1,0 +1,73 @@
+"""Time one training step on a seeded synthetic scene, stage by stage."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from statistics import median
+
+import numpy as np
+
+from clgs.opencl.device import Device
+from clgs.testing.anchor_scene import anchor_scene, photo_dataset
+from clgs.train.config import LearningRates, TrainConfig
+from clgs.train.densify import Densifier
+from clgs.train.loop import Trainer
+from clgs.train.parameters import new_parameters
+
+WARM_UP = 3
+STILL = LearningRates(*[(1e-12, 1e-12)] * 6)
+"""Learning rates that leave the scene as it is, so that every step does the same work."""
+
+
+@dataclass(frozen=True)
+class StepTimes:
+    """Median milliseconds of a whole step, of each stage, and what the step worked on."""
+
+    step: float
+    stages: dict[str, float]
+    anchors: int
+    gaussians: int
+    intersections: int
+
+
+def bench_step(device: Device, gaussians: int, size: int, repeats: int, seed: int) -> StepTimes:
+    """Time ``repeats`` steps as a whole, then as many stage by stage (with waits in between)."""
+    trainer = synthetic_trainer(device, gaussians, size, seed)
+    for _ in range(WARM_UP):
+        trainer.step()
+    device.finish()
+    whole = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        trainer.step()
+        device.finish()
+        whole.append(1e3 * (time.perf_counter() - start))
+    device.profile.clear()
+    device.profile.enabled = True
+    for _ in range(repeats):
+        trainer.step()
+    device.profile.enabled = False
+    stages = {name: milliseconds for name, _, milliseconds, _ in device.profile.rows()}
+    frame = trainer.last_frame
+    assert frame is not None
+    return StepTimes(
+        median(whole),
+        stages,
+        trainer.parameters.count,
+        len(frame.gaussians.opacity),
+        len(frame.tiles.gaussian),
+    )
+
+
+def synthetic_trainer(device: Device, gaussians: int, size: int, seed: int) -> Trainer:
+    """A trainer in the middle of its statistics phase, on a synthetic scene and photo."""
+    scene, camera = anchor_scene(gaussians, size, seed)
+    dataset = photo_dataset(camera, scene.anchors.position, seed)
+    config = replace(TrainConfig(), learning_rates=STILL, seed=seed).for_dataset("photos")
+    trainer = Trainer(device, dataset, config)
+    trainer.parameters = new_parameters(device, scene.anchors, scene.mlps)
+    trainer.densifier = Densifier(device, config, trainer.parameters.count)
+    trainer.steps_done = config.statistics_start + 1
+    trainer.rng = np.random.default_rng(seed)
+    return trainer

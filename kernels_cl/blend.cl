@@ -1,0 +1,152 @@
+/* Blend the Gaussians of every tile front to back, and take the blend apart again for gradients.
+ *
+ * Forward:  color += alpha T c,  T *= 1 - alpha; a pixel stops before T < TRANSMITTANCE_STOP.
+ * Backward: back to front with T / (1 - alpha) and one scalar a pixel, the colour behind the splat
+ * dotted with d_image. Every (tile, Gaussian) entry writes one row of moments at a place of its
+ * own, and every Gaussian then sums its rows in order: no atomics, the same bits in every run.
+ *
+ * CPU form: one work-item a tile, pixels in units of VEC. GPU form: one work-item a pixel, records
+ * staged in local memory.
+ */
+#include "include/blend_step.h"
+#include "include/tile.h"
+
+#ifndef USE_LOCAL
+#define USE_LOCAL 0
+#endif
+#define UNIT_INVERSE (1.0f / WHITENING_UNIT)
+#define BATCH 256     /* records staged at a time (GPU form) */
+#define OPEN_CHECK 32 /* splats between two looks for finished units (CPU form) */
+
+#ifdef EXPORT_DECISIONS
+/* For tests: 256 bits an entry, bit x + 16 y of the tile: took part; was clamped to ALPHA_MAX. */
+#define DECISIONS , __global uint *blended, __global uint *clamped
+#define DECISION_ARGUMENTS , blended, clamped
+#define EXPORT(entry, x, y, taken, saturated)                                                      \
+    export_decisions(blended, clamped, entry, x, y, taken, saturated)
+
+inline void export_bit(__global uint *words, int entry, int pixel)
+{
+    atomic_or(&words[8 * (size_t)entry + (size_t)(pixel / 32)], 1u << (pixel % 32));
+}
+
+inline void export_decisions(__global uint *blended, __global uint *clamped, int entry, int x,
+                             int y, iv taken, iv saturated)
+{
+    int is_taken[VEC], is_saturated[VEC];
+    STORE_V(taken, 0, is_taken);
+    STORE_V(saturated, 0, is_saturated);
+    for (int i = 0; i < VEC; ++i) {
+        const int pixel = x + i % 4 + TILE_SIZE * (y + i / 4);
+        if (is_taken[i])
+            export_bit(blended, entry, pixel);
+        if (is_taken[i] && is_saturated[i])
+            export_bit(clamped, entry, pixel);
+    }
+}
+#else
+#define DECISIONS
+#define DECISION_ARGUMENTS
+#define EXPORT(entry, x, y, taken, saturated) (void)(entry), (void)(taken)
+#endif
+
+inline float clamp_color(float value)
+{
+    return value < -COLOR_LIMIT ? -COLOR_LIMIT : (value > COLOR_LIMIT ? COLOR_LIMIT : value);
+}
+
+/* Record of every Gaussian. */
+__kernel void blend_prepare(__global const float *mean2d, __global const float *whitening,
+                            __global const float *color, __global const float *opacity,
+                            const int count, __global float *splats)
+{
+    const int i = (int)get_global_id(0);
+    if (i >= count)
+        return;
+    const Splat s = make_splat2d(mean2d, whitening, opacity, i);
+    const Reach r = reach_of(&s);
+    const float red = clamp_color(color[3 * i]), green = clamp_color(color[3 * i + 1]),
+                blue = clamp_color(color[3 * i + 2]);
+    const bool valid = red + green + blue <= 3.0f * COLOR_LIMIT; /* NaN touches nothing */
+    __global float *to = splats + RECORD_SIZE * (size_t)i;
+    vstore4((float4)(s.x, s.y, s.r1, s.l), 0, to);
+    vstore4((float4)(s.r2, valid ? s.bias : -INFINITY, valid ? red : 0.0f, valid ? green : 0.0f), 1,
+            to);
+    vstore4((float4)(valid ? blue : 0.0f, r.half_x, r.half_y, 0.0f), 2, to);
+}
+
+/* Units that the box of a Gaussian overlaps in the tile at (x, y). */
+inline uint record_units(__global const float *splat, int x, int y)
+{
+#if VEC == 1
+    (void)splat, (void)x, (void)y;
+    return 1u;
+#else
+    const float2 centre = (float2)(splat[0] - (float)x, splat[1] - (float)y);
+    const float2 half_size = (float2)(splat[RECORD_HALF], splat[RECORD_HALF + 1]);
+    return units_of(pixel_box(centre, half_size, (float2)((float)TILE_SIZE)));
+#endif
+}
+
+/* Records of all entries. One work-group a tile. */
+__kernel void blend_gather(__global const float *splats, __global const int *gaussian,
+                           __global const int *row, __global const int *tile_range, const int width,
+                           __global float *records)
+{
+    const int tile = (int)get_group_id(0);
+    const int columns = (width + TILE_SIZE - 1) / TILE_SIZE;
+    const int x = tile % columns * TILE_SIZE, y = tile / columns * TILE_SIZE;
+    const int begin = tile_range[tile] + (int)get_local_id(0), end = tile_range[tile + 1];
+    const int step = (int)get_local_size(0);
+    /* two loops: in a short one, more of the scattered reads are under way at the same time */
+    for (int k = begin; k < end; k += step) {
+        __global const float *splat = splats + RECORD_SIZE * (size_t)gaussian[k];
+        __global float *record = records + RECORD_SIZE * (size_t)k;
+        vstore8(vload8(0, splat), 0, record);
+        vstore4((float4)(splat[8], splat[RECORD_HALF], splat[RECORD_HALF + 1], as_float(row[k])), 2,
+                record);
+    }
+    for (int k = begin; k < end; k += step) {
+        __global float *record = records + RECORD_SIZE * (size_t)k;
+        record[RECORD_UNITS] = as_float(record_units(record, x, y));
+    }
+}
+
+#if USE_LOCAL
+#include "include/blend_group.h"
+#else
+#include "include/blend_tile.h"
+#endif
+
+/* Gradients of every Gaussian, from its rows. */
+__kernel void blend_sum(__global const float *rows, __global const int *row_range, const int count,
+                        __global const float *whitening, __global const float *color,
+                        __global const float *opacity, __global float *d_mean2d,
+                        __global float *d_whitening, __global float *d_color,
+                        __global float *d_opacity)
+{
+    const int i = (int)get_global_id(0);
+    if (i >= count)
+        return;
+    float8 sum = (float8)(0.0f);
+    float d_log_alpha = 0.0f;
+    for (int k = row_range[i]; k < row_range[i + 1]; ++k) {
+        sum += vload8(0, rows + ROW_SIZE * (size_t)k);
+        d_log_alpha += rows[ROW_SIZE * (size_t)k + 8];
+    }
+    const float r1 = whitening[3 * i], l = whitening[3 * i + 1], r2 = whitening[3 * i + 2];
+    const bool drawn = (row_range[i] < row_range[i + 1]) & (opacity[i] > 0.0f) & (r1 > 0.0f) &
+                       (r2 > 0.0f) & (fabs(l) < INFINITY);
+    const float sigma = 1.0f / r1;
+    const float m1 = sum.s0 * UNIT_INVERSE, m2 = sum.s1 * UNIT_INVERSE;
+    const float3 square = (float3)(sum.s2, sum.s3, sum.s4) * (UNIT_INVERSE * UNIT_INVERSE);
+    d_mean2d[2 * i] = drawn ? fma(r1, m1, -l * r2 * m2) : 0.0f;
+    d_mean2d[2 * i + 1] = drawn ? r2 * m2 : 0.0f;
+    d_whitening[3 * i] = drawn ? -square.x * sigma : 0.0f;
+    d_whitening[3 * i + 1] = drawn ? square.y * r2 * sigma : 0.0f;
+    d_whitening[3 * i + 2] = drawn ? -square.z / r2 : 0.0f;
+    d_opacity[i] = drawn ? d_log_alpha / opacity[i] : 0.0f;
+    d_color[3 * i] = fabs(color[3 * i]) <= COLOR_LIMIT ? sum.s5 : 0.0f;
+    d_color[3 * i + 1] = fabs(color[3 * i + 1]) <= COLOR_LIMIT ? sum.s6 : 0.0f;
+    d_color[3 * i + 2] = fabs(color[3 * i + 2]) <= COLOR_LIMIT ? sum.s7 : 0.0f;
+}

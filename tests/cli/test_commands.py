@@ -1,0 +1,138 @@
+"""The commands, as a user runs them, on a tiny scene."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tests.small_scene import write_scene
+
+
+def clgs(*arguments, **environment):
+    command = [sys.executable, "-m", "clgs.cli.main", *map(str, arguments)]
+    return subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, **environment}, check=False
+    )
+
+
+def succeed(*arguments, **environment):
+    done = clgs(*arguments, **environment)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return write_scene(tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="module")
+def run(data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    succeed("train", data, "-o", folder, "--steps", 200)
+    return folder
+
+
+def test_run_folder_is_complete(run):
+    files = ["config.toml", "progress.csv", "scene.clgs", "results.json", "per_view.json"]
+    for name in [*files, "hashes.json", "preview.png"]:
+        assert (run / name).stat().st_size > 0, name
+    pictures = sorted(path.name for path in (run / "test" / "ours_200" / "renders").iterdir())
+    assert pictures == sorted(path.name for path in (run / "test" / "ours_200" / "gt").iterdir())
+    assert len(pictures) == 3
+    results = json.loads((run / "results.json").read_text())
+    assert results["psnr"] > 15
+    assert results["bytes"] == (run / "scene.clgs").stat().st_size
+    assert set(results["switch_psnr"]) >= {"psnr before quantisation", "psnr just after the switch"}
+
+
+def test_encode_decode_eval_from_the_file_alone(run, data, tmp_path):
+    file = tmp_path / "scene.clgs"
+    succeed("encode", run, "-o", file)
+    assert file.read_bytes() == (run / "scene.clgs").read_bytes()
+    succeed("decode", file, "-o", tmp_path / "scene.npz")
+    with np.load(tmp_path / "scene.npz") as mine, np.load(run / "scene.npz") as theirs:
+        assert sorted(mine.files) == sorted(theirs.files)
+        assert all(np.array_equal(mine[name], theirs[name]) for name in mine.files)
+    assert "all equal" in succeed("eval", file, "--hashes", run / "hashes.json")
+    succeed("eval", file, "--data", data, "--json", tmp_path / "scores.json")
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    results = json.loads((run / "results.json").read_text())
+    assert scores["psnr"] == results["psnr"]
+    assert scores["bytes"] == results["bytes"]
+    assert "clgs" in scores["protocol"]
+    succeed("render", file, "--data", data, "--split", "test", "-o", tmp_path / "pictures")
+    for path in (run / "test" / "ours_200" / "renders").iterdir():
+        assert (tmp_path / "pictures" / path.name).read_bytes() == path.read_bytes()
+    assert "ANCH" in succeed("info", file)
+
+
+def test_hashes_tell_a_difference(run, tmp_path):
+    hashes = json.loads((run / "hashes.json").read_text())
+    hashes["renders"][1] = "0" * 64
+    (tmp_path / "hashes.json").write_text(json.dumps(hashes))
+    done = clgs("eval", run, "--hashes", tmp_path / "hashes.json")
+    assert done.returncode == 1
+    assert "render 1" in done.stdout
+
+
+def test_same_command_same_file_for_any_number_of_threads(data, run, tmp_path):
+    for threads in ("1", "2"):
+        folder = tmp_path / threads
+        succeed("train", data, "-o", folder, "--steps", 200, POCL_MAX_PTHREAD_COUNT=threads)
+        assert (folder / "scene.clgs").read_bytes() == (run / "scene.clgs").read_bytes()
+
+
+def one_line(done, code, *words):
+    assert done.returncode == code, (done.returncode, done.stderr)
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert all(word in lines[0] for word in words), lines[0]
+
+
+def test_bad_input_is_one_line(run, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "text.clgs").write_text("no scene at all")
+    whole = (run / "scene.clgs").read_bytes()
+    (tmp_path / "cut.clgs").write_bytes(whole[: len(whole) // 2])
+    flipped = bytearray(whole)
+    flipped[len(whole) // 2] ^= 4
+    (tmp_path / "flipped.clgs").write_bytes(flipped)
+    one_line(clgs("train", tmp_path / "missing", "-o", tmp_path / "r"), 3, "missing")
+    one_line(clgs("train", tmp_path / "empty", "-o", tmp_path / "r"), 3, "empty")
+    for name in ("text", "cut", "flipped"):
+        file, output = tmp_path / f"{name}.clgs", tmp_path / f"{name}.npz"
+        one_line(clgs("decode", file, "-o", output), 3, "clgs: error:")
+        assert not output.exists()
+        one_line(clgs("info", file), 3, "clgs: error:")
+        one_line(clgs("eval", file, "--hashes", run / "hashes.json"), 3, "clgs: error:")
+    one_line(clgs("encode", tmp_path / "empty", "-o", tmp_path / "x.clgs"), 3, "scene.npz")
+    assert not (tmp_path / "x.clgs").exists()
+    assert not (tmp_path / "r" / "config.toml").exists()
+
+
+def test_run_folder_is_not_overwritten(run, data):
+    one_line(clgs("train", data, "-o", run, "--steps", 5), 3, "--resume")
+
+
+def test_no_device_is_exit_code_4(run, tmp_path):
+    one_line(
+        clgs("selftest", OCL_ICD_VENDORS=str(tmp_path), PYOPENCL_CTX="no such device"), 4, "device"
+    )
+
+
+def test_usage_is_exit_code_2(data, tmp_path):
+    assert clgs("train", data).returncode == 2
+    assert clgs("train", data, "-o", tmp_path / "r", "--steps", "0").returncode == 2
+    assert clgs("nonsense").returncode == 2
+
+
+@pytest.mark.slow
+def test_selftest_and_bench():
+    assert "all checks passed" in succeed("selftest")
+    assert "blend backward" in succeed("bench", "step", "--gaussians", 2000, "--size", 64)

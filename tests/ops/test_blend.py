@@ -1,0 +1,244 @@
+"""The blend kernels against the float64 reference that takes the kernels' decisions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.reference import blend as reference
+from clgs.testing.scenes import ProjectedScene, projected_scene
+from tests.compare import assert_close, relative_l2
+from tests.ops.blend_cases import (
+    BACKGROUND,
+    GRADIENTS,
+    decisions,
+    every_tile_lists,
+    in_float64,
+    render,
+)
+
+LEVEL = 1.0 / 255.0
+TYPICAL = {  # count, width, height, median sigma, ratio of axes
+    "small": (4000, 70, 64, 1.1, 3.0),
+    "medium": (1500, 83, 70, 3.5, 3.0),
+    "large": (300, 64, 50, 15.0, 3.0),
+    "needles": (1500, 80, 64, 12.0, 30.0),
+}
+
+
+def compared(device, scene, size, rng):
+    """(kernel image, reference image, kernel gradients, reference gradients), same decisions."""
+    d_image = rng.normal(size=(3, size[1], size[0])).astype(np.float32)
+    rendered = render(device, scene, size)
+    made, made_backward = decisions(rendered, d_image)
+    assert np.array_equal(made.contributed, made_backward.contributed)
+    assert np.array_equal(made.saturated, made_backward.saturated)
+    arguments = in_float64(rendered, scene)
+    expected = reference.forward(**arguments, size=size, decisions=made)
+    assert np.array_equal(rendered.host("last_contributor"), expected.last_contributor)
+    wanted = reference.backward(**arguments, decisions=made, d_image=d_image.astype(np.float64))
+    return rendered, expected, rendered.backward(d_image), wanted
+
+
+@pytest.mark.parametrize("kind", TYPICAL)
+def test_agrees_with_decision_matched_reference(device, rng, kind):
+    count, width, height, sigma, ratio = TYPICAL[kind]
+    scene = projected_scene(rng, count, width, height, sigma, ratio)
+    rendered, expected, actual, wanted = compared(device, scene, (width, height), rng)
+    error = np.abs(rendered.host("image") - expected.image) / LEVEL
+    assert np.quantile(error, 0.999) <= 1e-3
+    assert error.max() <= 5e-3
+    # NUMERICS 2.1: T keeps 5e-6 relative even after 1,500 layers
+    t_error = np.abs(rendered.host("transmittance") / expected.transmittance - 1)
+    assert t_error.max() <= 5e-6
+    for name in GRADIENTS:
+        one, other = actual[name].astype(np.float64), getattr(wanted, name)
+        assert relative_l2(one, other) <= 1e-5, name
+        floor = np.maximum(np.abs(other), 1e-3 * np.sqrt(np.mean(other**2)))
+        element = np.abs(one - other) / floor
+        assert np.quantile(element, 0.99) <= 3e-4, name
+        cosine = np.sum(one * other) / np.linalg.norm(one) / np.linalg.norm(other)
+        assert 1 - cosine <= 1e-9, name
+
+
+def test_free_reference_differs_at_few_pixels(device, rng):
+    scene = projected_scene(rng, 6000, 160, 128, 1.5)
+    rendered = render(device, scene, (160, 128))
+    expected = reference.forward(**in_float64(rendered, scene), size=(160, 128))
+    error = np.abs(rendered.host("image") - expected.image).max(axis=0) / LEVEL
+    assert np.mean(error > 0.1) <= 1e-4  # one flip in 20,480 pixels at most twice
+    assert error.max() <= 1.05
+
+
+def test_both_forms_render_the_same_bits(open_device, rng):
+    """The CPU form skips units of a tile, finished units and tiles; the GPU form does not."""
+    scene = projected_scene(rng, 4000, 120, 90, 2.5, 10.0)
+    d_image = rng.normal(size=(3, 90, 120)).astype(np.float32)
+    cpu, gpu = (render(open_device(name), scene, (120, 90)) for name in ("cpu", "gpu"))
+    for name in ("image", "transmittance", "last_contributor"):
+        assert np.array_equal(cpu.host(name), gpu.host(name)), name
+    for one, other in zip(decisions(cpu, d_image), decisions(gpu, d_image), strict=True):
+        assert np.array_equal(one.contributed, other.contributed)
+        assert np.array_equal(one.saturated, other.saturated)
+    one, other = cpu.backward(d_image), gpu.backward(d_image)
+    for name in GRADIENTS:  # sums over a tile's pixels run in another order
+        assert relative_l2(one[name], other[name]) <= 1e-6, name
+
+
+@pytest.mark.parametrize(("sigma", "ratio"), [(1.1, 3.0), (4.0, 40.0), (200.0, 2000.0)])
+def test_tile_culling_changes_no_bit(device, rng, sigma, ratio):
+    """N12: rendering with every Gaussian in every tile gives the same image and gradients."""
+    scene = projected_scene(rng, 400, 75, 50, sigma, ratio)
+    d_image = rng.normal(size=(3, 50, 75)).astype(np.float32)
+    culled = render(device, scene, (75, 50))
+    full = render(device, scene, (75, 50), every_tile_lists(device, scene, (75, 50)))
+    assert len(culled.inputs["tiles"].gaussian) < len(full.inputs["tiles"].gaussian)
+    for name in ("image", "transmittance"):
+        assert np.array_equal(culled.host(name), full.host(name)), name
+    one, other = culled.backward(d_image), full.backward(d_image)
+    for name in GRADIENTS:
+        assert np.array_equal(one[name], other[name]), name
+
+
+def test_repeats_bit_for_bit(device, rng):
+    scene = projected_scene(rng, 3000, 100, 80, 2.0)
+    d_image = rng.normal(size=(3, 80, 100)).astype(np.float32)
+    first, second = (render(device, scene, (100, 80)) for _ in range(2))
+    assert np.array_equal(first.host("image"), second.host("image"))
+    one, other = first.backward(d_image), second.backward(d_image)
+    assert all(np.array_equal(one[name], other[name]) for name in GRADIENTS)
+
+
+def stack(opacity: np.ndarray, rng: np.random.Generator) -> ProjectedScene:
+    """Layers (n, p): each a Gaussian that covers one of p pixels of a row, and no other."""
+    layers, pixels = opacity.shape
+    mean2d = np.stack(np.broadcast_arrays(np.arange(pixels) + 0.5, np.full(opacity.shape, 0.5)), 2)
+    count = layers * pixels
+    return ProjectedScene(
+        mean2d=mean2d.reshape(count, 2).astype(np.float32),
+        whitening=np.tile(np.float32([20.0, 0.0, 20.0]), (count, 1)),
+        depth=np.repeat(np.arange(1, layers + 1), pixels).astype(np.float32),
+        extent=np.full((count, 2), 0.2, np.float32),
+        color=rng.uniform(0, 1, (count, 3)).astype(np.float32),
+        opacity=opacity.reshape(count).astype(np.float32),
+    )
+
+
+def regime(kind: str, layers: int, rng: np.random.Generator) -> np.ndarray:
+    opacity = rng.uniform(1.02 / 255, 8.5 / layers + 1.1 / 255, (layers, 8))
+    if kind == "mixed":
+        opacity[rng.integers(0, layers, 3)] = 0.5
+    if kind == "opaque last":
+        opacity[-1] = 0.99
+    return opacity
+
+
+@pytest.mark.parametrize("layers", [100, 300, 1000, 2300])
+@pytest.mark.parametrize("kind", ["thin", "mixed", "opaque last"])
+def test_every_layer_of_a_deep_pixel(device, rng, layers, kind):
+    """N14: the error of dL/d(alpha) relative to the largest value that it could take."""
+    scene = stack(regime(kind, layers, rng), rng)
+    rendered, expected, actual, wanted = compared(device, scene, (8, 1), np.random.default_rng(7))
+    d_image = np.random.default_rng(7).normal(size=(3, 8))
+    contributed = expected.decisions.contributed[:, :8].any(axis=1)
+    assert contributed.mean() > 0.5
+    assert_close(rendered.host("image"), expected.image, 2e-3 * LEVEL, "image")
+    # the list's order is by layer, then pixel, as the scene's
+    transmitted = np.cumprod(1 - scene.opacity.astype(np.float64).reshape(layers, 8), axis=0)
+    before = np.concatenate([np.ones((1, 8)), transmitted[:-1]])
+    largest = (before * np.abs(d_image).sum(axis=0)).ravel()
+    error = np.abs(actual["d_opacity"] - wanted.d_opacity) / largest
+    assert np.quantile(error[contributed], 0.999) <= 5e-6
+    assert error[contributed].max() <= 2e-5
+
+
+@pytest.mark.parametrize("count", [16, 200, 2000])
+def test_coincident_opaque_splats(device, rng, count):
+    """N13: alpha saturates; the second layer already ends every pixel that it covers."""
+    scene = projected_scene(rng, count, 20, 20, 5.0)
+    scene = replace(
+        scene,
+        mean2d=np.full((count, 2), 9.7, np.float32),
+        whitening=np.tile(scene.whitening[:1], (count, 1)),
+        extent=np.tile(scene.extent[:1] + 20, (count, 1)),
+        opacity=np.ones(count, np.float32),
+    )
+    rendered, expected, actual, wanted = compared(device, scene, (20, 20), rng)
+    assert expected.decisions.saturated.any()
+    assert_close(rendered.host("image"), expected.image, 5e-3 * LEVEL, "image")
+    for name in GRADIENTS:
+        assert relative_l2(actual[name], getattr(wanted, name)) <= 1e-5, name
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 17), (17, 1), (15, 16), (33, 47), (257, 257)])
+def test_any_image_size(device, rng, size):
+    """N26."""
+    scene = projected_scene(rng, 120, *size, 3.0)
+    rendered, expected, actual, wanted = compared(device, scene, size, rng)
+    assert_close(rendered.host("image"), expected.image, 5e-3 * LEVEL, "image")
+    for name in GRADIENTS:
+        assert relative_l2(actual[name], getattr(wanted, name)) <= 1e-5, name
+
+
+def test_crop_of_a_larger_render_is_the_same(device, rng):
+    scene = projected_scene(rng, 500, 41, 23, 3.0)
+    small = render(device, scene, (41, 23)).host("image")
+    large = render(device, scene, (80, 64)).host("image")
+    assert np.array_equal(small, large[:, :23, :41])
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_nothing_drawn_leaves_the_background(device, rng, count):
+    """N17: no Gaussians, or only culled ones."""
+    scene = projected_scene(rng, count, 20, 30)
+    scene = replace(scene, extent=np.zeros((count, 2), np.float32))
+    rendered = render(device, scene, (20, 30))
+    assert np.array_equal(rendered.host("image"), np.tile(BACKGROUND[:, None, None], (1, 30, 20)))
+    assert np.all(rendered.host("transmittance") == 1)
+    assert np.all(rendered.host("last_contributor") == 0)
+    actual = rendered.backward(np.ones((3, 30, 20), np.float32))
+    for name in GRADIENTS:
+        assert len(actual[name]) == count
+        assert np.all(actual[name] == 0), name
+
+
+POISON = [np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-45, 1e10]
+
+
+@pytest.mark.parametrize("value", POISON)
+@pytest.mark.parametrize("slot", ["mean2d", "whitening", "color", "opacity"])
+def test_poison_stays_where_it_is(device, rng, slot, value):
+    """Whatever one Gaussian holds, images and gradients are finite, and NaN draws nothing."""
+    scene = projected_scene(rng, 120, 40, 40, 4.0)
+    array = getattr(scene, slot).copy()
+    array.reshape(120, -1)[60, -1] = value
+    poisoned = render(device, replace(scene, **{slot: array}), (40, 40))
+    assert np.isfinite(poisoned.host("image")).all()
+    d_image = rng.normal(size=(3, 40, 40)).astype(np.float32)
+    gradients = poisoned.backward(d_image)
+    others = np.arange(120) != 60
+    for name in GRADIENTS:
+        assert np.isfinite(gradients[name][others]).all(), name
+    if np.isnan(value):
+        keep = replace(scene, extent=np.where(others[:, None], scene.extent, 0))
+        assert np.array_equal(poisoned.host("image"), render(device, keep, (40, 40)).host("image"))
+        assert all(np.isfinite(gradients[name]).all() for name in GRADIENTS)
+
+
+def test_clamped_color_has_no_gradient(device, rng):
+    scene = projected_scene(rng, 50, 32, 32, 4.0)
+    scene.color[3] = 1e10, 0.5, -1e38
+    actual = render(device, scene, (32, 32)).backward(np.ones((3, 32, 32), np.float32))
+    assert actual["d_color"][3, 0] == actual["d_color"][3, 2] == 0.0
+    assert actual["d_color"][3, 1] != 0.0
+
+
+def test_wrong_shapes_are_refused(device, rng):
+    scene = projected_scene(rng, 10, 32, 32)
+    rendered = render(device, scene, (32, 32))
+    with pytest.raises(ValueError, match="d_image"):
+        rendered.backward(np.ones((3, 31, 32), np.float32))
+    with pytest.raises(ValueError, match="tile_range"):
+        render(device, scene, (64, 32), rendered.inputs["tiles"])

@@ -1,0 +1,79 @@
+"""Whole renders and their gradients against float64 with the kernels' decisions (tier 1)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.ops import loss
+from clgs.reference import loss as loss_reference
+from clgs.render.frame import upload_scene
+from clgs.render.pipeline import render_backward, render_forward
+from clgs.scene.scene import RenderSettings
+from clgs.testing.anchor_scene import anchor_scene
+from clgs.testing.reference_render import backward_reference, render_reference
+from tests.compare import relative_l2
+
+LEVEL = 1 / 255
+VOLUME_WEIGHT = 0.01
+
+
+def rendered(device, gaussians, size, seed, background):
+    scene, camera = anchor_scene(gaussians, size, seed)
+    uploaded = upload_scene(device, scene)
+    settings = RenderSettings(background=background)
+    frame = render_forward(device, uploaded, camera, settings)
+    photo = np.random.default_rng(seed).integers(0, 256, (3, size, size)).astype(np.uint8)
+    return scene, uploaded, frame, photo
+
+
+@pytest.mark.parametrize(
+    ("gaussians", "size", "background"),
+    [(3000, 96, (0, 0, 0)), (800, 65, (1, 1, 1)), (6000, 48, (0.2, 0.5, 0.8))],
+)
+def test_image_and_gradients_match_float64(device, gaussians, size, background):
+    scene, uploaded, frame, photo = rendered(device, gaussians, size, 7, background)
+    target = device.upload(photo)
+    compared = loss.forward(device, frame.image, target)
+    d_image = loss.backward(device, frame.image, target, compared)
+    gradients = render_backward(device, uploaded, frame, d_image, VOLUME_WEIGHT)
+    reference = render_reference(device, scene, frame, d_image)
+    image = device.download(frame.image).astype(np.float64)
+
+    error = np.abs(image - reference.image)
+    assert np.quantile(error, 0.999) <= 1e-3 * LEVEL
+    assert error.max() <= 5e-3 * LEVEL
+
+    wanted_d_image = loss_reference.backward(reference.image, photo)
+    assert relative_l2(device.download(d_image), wanted_d_image) <= 1e-5
+    # from here on the kernels' own d_image: |x| has a kink where render and photo agree
+    wanted = backward_reference(
+        reference, device.download(d_image).astype(np.float64), VOLUME_WEIGHT
+    )
+    for name, expected in wanted.items():
+        actual = device.download(getattr(gradients, name))
+        assert np.abs(expected).max() > 0, name
+        assert relative_l2(actual, expected) <= 1e-5, name
+
+
+def test_same_bits_twice(device):
+    first, second = (rendered(device, 2000, 64, 3, (0, 0, 0)) for _ in range(2))
+    images = [device.download(result[2].image).tobytes() for result in (first, second)]
+    assert images[0] == images[1]
+    d_image = device.upload(np.ones((3, 64, 64), np.float32))
+    gradients = [
+        device.download(render_backward(device, result[1], result[2], d_image).d_weights).tobytes()
+        for result in (first, second)
+    ]
+    assert gradients[0] == gradients[1]
+
+
+def test_specialisations_agree(open_device):
+    images = []
+    for specialisation in ("cpu", "gpu"):
+        device = open_device(specialisation)
+        images.append(device.download(rendered(device, 3000, 96, 1, (0, 0, 0))[2].image))
+    # single pairs at the alpha cut may flip: at most one level there, float32 noise elsewhere
+    error = np.abs(images[0] - images[1])
+    assert np.quantile(error, 0.999) <= 1e-3 * LEVEL
+    assert error.max() <= LEVEL
