@@ -40,7 +40,7 @@ def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
     from clgs.data.repose import repose
 
     downscale = args.downscale or trained_downscale(args.scene)
-    return repose(load_dataset(args.data, downscale=downscale), scene.transform)
+    return repose(load_dataset(args.data, downscale=downscale, load_points=False), scene.transform)
 
 
 def trained_downscale(scene: Path) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -21,7 +22,8 @@ from clgs.opencl.profile import Profile
 from clgs.opencl.source import read_program
 
 SPECIALISATIONS = ("cpu", "gpu")
-BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero")
+BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
+"""Subnormals cost CPUs dearly; warnings are for scripts/lint_kernels.sh, not for the terminal."""
 
 
 class Device:
@@ -124,7 +126,11 @@ class Device:
             options = [f"-D{name}={_literal(value)}" for name, value in sorted(macros.items())]
             try:
                 built = cl.Program(self.context, read_program(f"{program}.cl"))
-                self._programs[key] = built.build(options=[*BUILD_OPTIONS, *options])
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", cl.CompilerWarning)
+                    with warnings.catch_warnings():  # drivers chatter; lint_kernels.sh is strict
+                    warnings.simplefilter("ignore", cl.CompilerWarning)
+                    self._programs[key] = built.build(options=[*BUILD_OPTIONS, *options])
             except cl.RuntimeError as error:
                 raise DeviceError(
                     f"kernels_cl/{program}.cl does not build on {self.name}: "

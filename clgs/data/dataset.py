@@ -1,0 +1,214 @@
+"""A folder on disk to a data set that can be trained on: views, initial points, scene units."""
+
+from __future__ import annotations
+
+import logging
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.images import Pixels, box_downscale, list_images, read_image
+from clgs.data.lens import Lens, undistort_lens, undistort_pixels
+from clgs.data.photo import Photo, PhotoSet
+from clgs.data.points import keep_near, random_points, viewpoint
+from clgs.errors import DataError
+from clgs.scene.camera import Camera
+from clgs.scene.scene import SceneTransform
+
+SCENE_RADIUS = 4.4
+"""Camera radius that structure-from-motion scenes are scaled to; that of Synthetic-NeRF."""
+
+RADIUS_MARGIN = 1.1
+"""The radius is this times the largest distance of a camera from the mean camera centre."""
+
+MIN_POINTS = 100
+"""Fewer triangulated points count as a failure."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class View:
+    """One photo, undistorted and downscaled, and its camera in scene units.
+
+    image (H, W, 3) uint8; alpha (H, W) uint8 or None where opaque. Without loaded images H = W = 0.
+    """
+
+    name: str
+    camera: Camera
+    image: npt.NDArray[np.uint8]
+    alpha: npt.NDArray[np.uint8] | None
+
+
+@dataclass
+class Dataset:
+    """Views and initial points in scene units.
+
+    points (P, 3) float32, may be empty; point_colors (P, 3) uint8 or None; radius: 1.1 times the
+    largest distance of a training camera from their mean; transform: world to scene; kind:
+    "blender", "transforms" or "colmap"; skipped: photos named by the data set but missing.
+    """
+
+    train: list[View]
+    test: list[View]
+    points: npt.NDArray[np.float32]
+    point_colors: npt.NDArray[np.uint8] | None
+    transform: SceneTransform
+    radius: float
+    kind: str
+    skipped: int
+
+
+def load_dataset(
+    path: Path | str,
+    *,
+    downscale: int = 1,
+    preset_units: bool = False,
+    cache: Path | None = None,
+    seed: int = 0,
+    load_images: bool = True,
+    load_points: bool = True,
+) -> Dataset:
+    """The data set in the folder ``path``: Blender, transforms.json or COLMAP.
+
+    Args:
+        path: the folder.
+        downscale: images are made this many times smaller, by box means, after undistortion.
+        preset_units: keep the given units instead of scaling to SCENE_RADIUS.
+        cache: folder in which triangulated points are kept; never the data folder.
+        seed: of random and triangulated points.
+        load_images: without, views have empty images, and points come from COLMAP models only.
+        load_points: without, none are triangulated or drawn: enough to render and evaluate.
+
+    Raises:
+        DataError: nothing usable there; one line with file, field and remedy.
+    """
+    if downscale < 1:
+        raise DataError(f"downscale is {downscale}; give a whole number of at least 1")
+    photos = _read_photos(Path(path))
+    if not photos.train:
+        raise DataError(f"{path}: no photo is left to train on; at least two are needed")
+    transform, radius = _normalise(photos, preset_units)
+    to_view = partial(_view, transform=transform, downscale=downscale, load_image=load_images)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        views = list(pool.map(to_view, photos.train + photos.test))
+    train, test = views[: len(photos.train)], views[len(photos.train) :]
+    make_points = load_images and load_points
+    if make_points and photos.points is None and photos.kind != "blender":
+        _triangulate(photos, cache, seed)
+    points, colors = _scene_points(photos, transform, radius)
+    if make_points and not len(points):
+        viewpoints = [viewpoint(view.camera, view.alpha) for view in train]
+        points, colors = random_points(viewpoints, radius, photos.kind == "blender", seed), None
+    return Dataset(train, test, points, colors, transform, radius, photos.kind, photos.skipped)
+
+
+def composite(view: View, background: npt.ArrayLike) -> npt.NDArray[np.uint8]:
+    """The view's image over ``background`` (3,) in [0, 1], as (3, H, W) uint8 planes."""
+    image = view.image
+    if view.alpha is not None:
+        alpha = view.alpha[..., None].astype(np.float32) / np.float32(255)
+        behind = np.asarray(background, np.float32) * np.float32(255)
+        image = np.rint(image * alpha + behind * (1 - alpha)).astype(np.uint8)
+    return np.ascontiguousarray(image.transpose(2, 0, 1))
+
+
+def _read_photos(root: Path) -> PhotoSet:
+    """Dispatch on the files that are there."""
+    from clgs.data.colmap import find_model, read_colmap
+    from clgs.data.transforms import read_blender, read_transforms
+
+    if not root.is_dir():
+        raise DataError(f"{root}: no such folder; check the path")
+    if (root / "transforms_train.json").is_file():
+        return read_blender(root)
+    if (root / "transforms.json").is_file():
+        return read_transforms(root)
+    model = find_model(root)
+    if model is not None:
+        return read_colmap(root, model)
+    folders = [root, root / "images"]
+    if any(list_images(folder) for folder in folders if folder.is_dir()):
+        raise DataError(f"{root}: photos without poses; run: clgs prepare {root} -o DATA")
+    raise DataError(
+        f"{root}: no transforms.json, transforms_train.json, sparse/0 or photos; check the path"
+    )
+
+
+def _normalise(photos: PhotoSet, keep_units: bool) -> tuple[SceneTransform, float]:
+    """Scene units and the camera radius in them, from the training cameras."""
+    centres = np.array([photo.centre for photo in photos.train])
+    middle = centres.mean(axis=0)
+    radius = RADIUS_MARGIN * float(np.linalg.norm(centres - middle, axis=1).max())
+    if not radius > 1e-9 * (1.0 + float(np.abs(centres).max())):
+        # Cameras in one place (or a single one) say nothing about the size of the scene.
+        radius = SCENE_RADIUS
+    if keep_units or photos.kind == "blender":
+        return SceneTransform(), radius
+    x, y, z = map(float, middle)
+    return SceneTransform((x, y, z), SCENE_RADIUS / radius), SCENE_RADIUS
+
+
+def _view(photo: Photo, *, transform: SceneTransform, downscale: int, load_image: bool) -> View:
+    """The photo undistorted at full resolution, cropped to valid pixels, then downscaled."""
+    try:
+        lens, _ = undistort_lens(photo.lens)
+    except DataError as error:
+        raise DataError(f"{photo.path}: {error}; correct k1, k2, p1, p2") from error
+    width, height = (max(1, round(size / downscale)) for size in (lens.width, lens.height))
+    image = Pixels(np.empty((0, 0, 3), np.uint8), None)
+    if load_image:
+        pixels = read_image(photo.path, (photo.lens.width, photo.lens.height))
+        image = box_downscale(undistort_pixels(pixels, photo.lens)[0], downscale)
+    camera = _camera(photo, lens.resized(width, height), transform)
+    return View(photo.name, camera, image.color, image.alpha)
+
+
+def _camera(photo: Photo, lens: Lens, transform: SceneTransform) -> Camera:
+    """With x_world = x_scene / s + c, x_cam = R x_world + t becomes R x_scene + s (R c + t)."""
+    moved = photo.rotation @ np.array(transform.centre) + photo.translation
+    return Camera(
+        photo.rotation,
+        transform.scale * moved,
+        lens.fx,
+        lens.fy,
+        lens.cx,
+        lens.cy,
+        lens.width,
+        lens.height,
+    )
+
+
+def _triangulate(photos: PhotoSet, cache: Path | None, seed: int) -> None:
+    """Fill in the points from the training photos; on failure they stay None."""
+    from clgs.data.triangulate import triangulate
+
+    try:
+        points = triangulate(photos.train, cache, seed)
+    except DataError as error:
+        _log.warning("no triangulated points, starting from random ones: %s", error)
+        return
+    if len(points.position) < MIN_POINTS:
+        _log.warning("only %d points triangulated, starting from random ones", len(points.position))
+        return
+    photos.points, photos.point_colors = points.position, points.color
+
+
+def _scene_points(
+    photos: PhotoSet, transform: SceneTransform, radius: float
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8] | None]:
+    """The photo set's points in scene units without those too far away."""
+    if photos.points is None:
+        return np.empty((0, 3), np.float32), None
+    points = transform.to_scene(photos.points)
+    centres = transform.to_scene(np.array([photo.centre for photo in photos.train]))
+    near = keep_near(points, centres.mean(axis=0), radius)
+    if not near.all():
+        _log.info("dropped %d of %d points as too far away", (~near).sum(), len(near))
+    colors = photos.point_colors
+    return points[near].astype(np.float32), None if colors is None else colors[near]

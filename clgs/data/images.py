@@ -1,0 +1,185 @@
+"""Photos on disk to 8-bit arrays: checked before decoding, upright, box-downscaled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, UnidentifiedImageError
+from scipy import sparse
+
+from clgs.errors import DataError
+
+FORMATS = ("JPEG", "PNG")
+SUFFIXES = (".jpg", ".jpeg", ".png")
+MAX_PIXELS = 100_000_000
+"""Larger images are refused before they are decoded."""
+
+_ORIENTATION = 0x0112
+_TRANSPOSED = (5, 6, 7, 8)
+_ROTATIONS = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+_FAILURES = (OSError, SyntaxError, ValueError, Image.DecompressionBombError)
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """color (H, W, 3) uint8 RGB; alpha (H, W) uint8 or None for an opaque image."""
+
+    color: npt.NDArray[np.uint8]
+    alpha: npt.NDArray[np.uint8] | None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self.color.shape[1], self.color.shape[0]
+
+
+def list_images(folder: Path) -> list[Path]:
+    """JPEG and PNG files directly in ``folder``, sorted by name."""
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) after the EXIF rotation, from the header alone.
+
+    Raises:
+        DataError: the file is no JPEG or PNG, or larger than MAX_PIXELS.
+    """
+    with _opened(path) as picture:
+        return _upright_size(picture)
+
+
+def read_image(path: Path, expected: tuple[int, int] | None = None) -> Pixels:
+    """The image as 8-bit RGB with its alpha, EXIF rotation applied.
+
+    Where ``expected`` (width, height) is the size before but not after the rotation, the poses were
+    made for the unrotated pixels, and these are returned.
+
+    Raises:
+        DataError: no JPEG or PNG, larger than MAX_PIXELS, truncated or damaged.
+    """
+    with _opened(path) as picture:
+        rotate = expected is None or not _only_unrotated(picture, expected)
+        operation = _ROTATIONS.get(_orientation(picture)) if rotate else None
+        picture.load()
+        return _to_8_bit(picture if operation is None else picture.transpose(operation))
+
+
+def is_plain(path: Path) -> bool:
+    """Whether the file is upright 8-bit RGB or grey already, as other programs expect it."""
+    with _opened(path) as picture:
+        return (
+            _orientation(picture) == 1
+            and picture.mode in ("RGB", "L")
+            and (not picture.has_transparency_data)
+        )
+
+
+def stored_size(path: Path, expected: tuple[int, int]) -> tuple[int, int]:
+    """The size that ``read_image`` with the same arguments returns, from the header alone."""
+    with _opened(path) as picture:
+        return picture.size if _only_unrotated(picture, expected) else _upright_size(picture)
+
+
+def box_downscale(pixels: Pixels, factor: int) -> Pixels:
+    """Each output pixel is the mean of its box of input pixels; sizes are rounded.
+
+    Boxes have fractional edges where a size is no multiple of ``factor``, so nothing is cropped and
+    nothing is shifted. Color is averaged premultiplied by alpha.
+    """
+    if factor == 1:
+        return pixels
+    width, height = (max(1, round(size / factor)) for size in pixels.size)
+    if pixels.alpha is None:
+        return Pixels(_to_uint8(_box(pixels.color.astype(np.float32), height, width)), None)
+    alpha = pixels.alpha.astype(np.float32)[..., None]
+    mean_alpha = _box(alpha, height, width)
+    color = _box(pixels.color * alpha, height, width) / np.maximum(mean_alpha, 1e-3)
+    return Pixels(_to_uint8(color), _to_uint8(mean_alpha)[..., 0])
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """An image whose header has been checked; every failure of Pillow becomes a DataError."""
+    try:
+        with Image.open(path, formats=FORMATS) as picture:
+            if picture.width * picture.height > MAX_PIXELS:
+                raise DataError(
+                    f"{path}: {picture.width}x{picture.height} pixels exceed the limit of "
+                    f"{MAX_PIXELS // 10**6} megapixels; downscale the image first"
+                )
+            yield picture
+    except UnidentifiedImageError:
+        raise DataError(f"{path}: not a JPEG or PNG image; convert or remove it") from None
+    except _FAILURES as error:
+        raise DataError(f"{path}: damaged image ({_one_line(error)}); replace it") from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def _orientation(picture: Image.Image) -> int:
+    """The EXIF orientation, 1 where there is none; Pillow's getexif would decode a whole PNG."""
+    exif = Image.Exif()
+    exif.load(picture.info.get("exif", b""))
+    return int(exif.get(_ORIENTATION, 1))
+
+
+def _upright_size(picture: Image.Image) -> tuple[int, int]:
+    transposed = _orientation(picture) in _TRANSPOSED
+    return (picture.height, picture.width) if transposed else picture.size
+
+
+def _only_unrotated(picture: Image.Image, expected: tuple[int, int]) -> bool:
+    return picture.size == expected != _upright_size(picture)
+
+
+def _to_8_bit(image: Image.Image) -> Pixels:
+    """Any mode of Pillow to RGB and alpha; 16-bit grey is divided by 257, not clipped."""
+    if image.mode.startswith("I") or image.mode == "F":
+        grey = np.asarray(image, np.float64)
+        image = Image.fromarray(_to_uint8(grey / 257.0))
+    if image.has_transparency_data:
+        rgba = np.asarray(image.convert("RGBA"))
+        alpha = np.ascontiguousarray(rgba[..., 3])
+        return Pixels(np.ascontiguousarray(rgba[..., :3]), None if alpha.min() == 255 else alpha)
+    return Pixels(np.array(image.convert("RGB")), None)
+
+
+def _to_uint8(values: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
+    return np.asarray(np.clip(np.rint(values), 0, 255), np.uint8)
+
+
+def _box(values: npt.NDArray[np.float32], height: int, width: int) -> npt.NDArray[np.float32]:
+    """Area means of values (H, W, C) float32 on a (height, width) grid."""
+    rows, columns, channels = values.shape
+    down = _box_weights(rows, height) @ values.reshape(rows, -1)
+    across = down.reshape(height, columns, channels).transpose(1, 0, 2).reshape(columns, -1)
+    mean = _box_weights(columns, width) @ across
+    return np.asarray(mean.reshape(width, height, channels).transpose(1, 0, 2))
+
+
+def _box_weights(inputs: int, outputs: int) -> sparse.csr_array:
+    """(outputs, inputs) float32: the share of each input pixel in each output pixel's box."""
+    edges = np.arange(outputs + 1) * (inputs / outputs)
+    cuts = np.union1d(np.arange(inputs + 1), edges)
+    # An edge a rounding error away from a pixel border cuts off nothing.
+    cuts = cuts[np.concatenate([[True], np.diff(cuts) > 1e-9])]
+    middle = (cuts[:-1] + cuts[1:]) / 2
+    row = np.minimum((middle * (outputs / inputs)).astype(np.int64), outputs - 1)
+    column = np.minimum(middle.astype(np.int64), inputs - 1)
+    weight = (np.diff(cuts) * (outputs / inputs)).astype(np.float32)
+    return sparse.csr_array((weight, (row, column)), shape=(outputs, inputs))

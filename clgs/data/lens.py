@@ -1,0 +1,235 @@
+"""Lenses: pinhole intrinsics with distortion, and the map that takes the distortion out.
+
+Models: OpenCV's rational radial-tangential model and its equidistant fisheye, which between them
+contain COLMAP's and nerfstudio's usual camera models. Pixel centres are at +0.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.images import Pixels
+from clgs.errors import DataError
+
+Floats = npt.NDArray[np.float64]
+
+_MAX_ANGLE = np.radians(80.0)
+"""A fisheye ray further from the axis has no place in a pinhole image of sensible size."""
+
+_BAND_PIXELS = 65_536
+"""Pixels resampled at a time, so that the work stays in the cache."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics in pixels of a width x height raster, and distortion coefficients.
+
+    radial: up to four coefficients of r^2, r^4, r^6, r^8 (of theta for a fisheye); divisor: the
+    same for the denominator; tangential: p1, p2.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    radial: tuple[float, ...] = ()
+    divisor: tuple[float, ...] = ()
+    tangential: tuple[float, float] = (0.0, 0.0)
+    fisheye: bool = False
+
+    @property
+    def distorted(self) -> bool:
+        """Whether the lens differs from a pinhole."""
+        return self.fisheye or any(self.radial + self.divisor + self.tangential)
+
+    def resized(self, width: int, height: int) -> Lens:
+        """The same lens on a raster of another size; each axis by its own ratio."""
+        x, y = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * x,
+            cx=self.cx * x,
+            fy=self.fy * y,
+            cy=self.cy * y,
+        )
+
+    def distort(self, points: Floats) -> Floats:
+        """Ideal image-plane points (N, 2) = (x/z, y/z) to where the lens puts them, (N, 2)."""
+        if self.fisheye:
+            radius = np.hypot(points[:, 0], points[:, 1])
+            angle = np.arctan(radius)
+            bent = angle * _polynomial(self.radial, angle**2)
+            return points * (bent / np.maximum(radius, 1e-12))[:, None]
+        x, y = points.T
+        square = x * x + y * y
+        radial = _polynomial(self.radial, square) / _polynomial(self.divisor, square)
+        p1, p2 = self.tangential
+        return np.stack(
+            [
+                x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+                y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+            ],
+            axis=1,
+        )
+
+    def undistort(self, points: Floats) -> Floats:
+        """The inverse of ``distort`` by damped Newton steps, (N, 2) to (N, 2) float64.
+
+        Raises:
+            DataError: the model cannot be inverted within the image.
+        """
+        start = points
+        if self.fisheye:
+            bent = np.hypot(points[:, 0], points[:, 1])
+            angle = np.minimum(_invert_polynomial(self.radial, bent), _MAX_ANGLE)
+            return points * (np.tan(angle) / np.maximum(bent, 1e-12))[:, None]
+        current = start.copy()
+        for _ in range(50):
+            error = self.distort(current) - points
+            if np.abs(error).max(initial=0.0) < 1e-12:
+                break
+            current -= np.clip(_solve_2x2(self._jacobian(current), error), -0.25, 0.25)
+        if not np.abs(self.distort(current) - points).max(initial=0.0) < 1e-7:
+            raise DataError("the distortion coefficients cannot be undone inside the image")
+        return current
+
+    def _jacobian(self, points: Floats) -> Floats:
+        """Derivative of ``distort`` (N, 2, 2) by central differences."""
+        step = 1e-6
+        columns = [
+            (self.distort(points + offset) - self.distort(points - offset)) / (2 * step)
+            for offset in np.eye(2) * step
+        ]
+        return np.stack(columns, axis=2)
+
+
+def undistort_lens(lens: Lens) -> tuple[Lens, tuple[int, int]]:
+    """The pinhole lens of the undistorted image, and the (x, y) of its corner.
+
+    Focal lengths stay; the raster is the largest upright rectangle between the undistorted borders,
+    so that every pixel has a source. At most twice as large as the input.
+    """
+    if not lens.distorted:
+        return lens, (0, 0)
+    left, right = _border(lens, 0, 0.0).max(), _border(lens, 0, 1.0).min()
+    top, bottom = _border(lens, 1, 0.0).max(), _border(lens, 1, 1.0).min()
+    x0 = int(np.ceil(max(left, -0.5 * lens.width) - 1e-9))
+    x1 = int(np.floor(min(right, 1.5 * lens.width) + 1e-9))
+    y0 = int(np.ceil(max(top, -0.5 * lens.height) - 1e-9))
+    y1 = int(np.floor(min(bottom, 1.5 * lens.height) + 1e-9))
+    if not (x1 > x0 and y1 > y0):
+        raise DataError("the distortion coefficients leave no valid pixel")
+    pinhole = Lens(x1 - x0, y1 - y0, lens.fx, lens.fy, lens.cx - x0, lens.cy - y0)
+    return pinhole, (x0, y0)
+
+
+def undistort_pixels(pixels: Pixels, lens: Lens) -> tuple[Pixels, Lens]:
+    """Bilinear resampling to the pinhole image of ``undistort_lens``; color and alpha alike."""
+    pinhole, _ = undistort_lens(lens)
+    if not lens.distorted:
+        return pixels, lens
+    channels = pixels.color
+    if pixels.alpha is not None:
+        channels = np.concatenate([channels, pixels.alpha[..., None]], axis=2)
+    result = _resample(channels, *_sources(lens))
+    result = result.reshape(pinhole.height, pinhole.width, -1)
+    alpha = None if pixels.alpha is None else np.ascontiguousarray(result[..., 3])
+    return Pixels(np.ascontiguousarray(result[..., :3]), alpha), pinhole
+
+
+@lru_cache(maxsize=2)
+def _sources(lens: Lens) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]:
+    """For each output pixel the flat index (N,) of its upper left source pixel and the weights.
+
+    Weights (N, 2) in x and y; positions are clamped so that the lower right neighbour exists.
+    """
+    pinhole, _ = undistort_lens(lens)
+    index = np.empty(pinhole.width * pinhole.height, np.int32)
+    weight = np.empty((len(index), 2), np.float32)
+    limit = np.array([lens.width - 1, lens.height - 1])
+    columns = (np.arange(pinhole.width) + 0.5 - pinhole.cx) / lens.fx
+    for row in range(pinhole.height):
+        y = np.full(pinhole.width, (row + 0.5 - pinhole.cy) / lens.fy)
+        bent = lens.distort(np.stack([columns, y], axis=1))
+        source = bent * (lens.fx, lens.fy) + (lens.cx - 0.5, lens.cy - 0.5)
+        source = np.clip(source, 0, limit)
+        corner = np.minimum(source.astype(np.int32), np.maximum(limit - 1, 0))
+        part = slice(row * pinhole.width, (row + 1) * pinhole.width)
+        index[part] = corner[:, 1] * lens.width + corner[:, 0]
+        weight[part] = source - corner
+    return index, weight
+
+
+def _resample(
+    image: npt.NDArray[np.uint8], index: npt.NDArray[np.int32], weight: npt.NDArray[np.float32]
+) -> npt.NDArray[np.uint8]:
+    """Bilinear samples (N, C) uint8 of image (H, W, C)."""
+    height, width, channels = image.shape
+    flat = image.reshape(-1, channels)
+    right, below = int(width > 1), width * int(height > 1)
+    result = np.empty((len(index), channels), np.uint8)
+    for start in range(0, len(index), _BAND_PIXELS):
+        part = slice(start, start + _BAND_PIXELS)
+        at, x, y = index[part], weight[part, :1], weight[part, 1:]
+        upper = _between(flat[at], flat[at + right], x)
+        lower = _between(flat[at + below], flat[at + below + right], x)
+        result[part] = np.rint(upper + (lower - upper) * y)
+    return result
+
+
+def _between(
+    first: npt.NDArray[np.uint8], second: npt.NDArray[np.uint8], weight: npt.NDArray[np.float32]
+) -> npt.NDArray[np.float32]:
+    return first + (second - first.astype(np.float32)) * weight
+
+
+def _border(lens: Lens, axis: int, side: float) -> Floats:
+    """Undistorted pixel coordinates along ``axis`` of one border of the image."""
+    size = np.array([lens.width, lens.height], np.float64)
+    steps = np.linspace(0.0, 1.0, 129)
+    pixels = np.empty((len(steps), 2))
+    pixels[:, axis] = side * size[axis]
+    pixels[:, 1 - axis] = steps * size[1 - axis]
+    focal, centre = np.array([lens.fx, lens.fy]), np.array([lens.cx, lens.cy])
+    ideal = lens.undistort((pixels - centre) / focal)
+    return np.asarray((ideal * focal + centre)[:, axis])
+
+
+def _polynomial(coefficients: tuple[float, ...], x: Floats) -> Floats:
+    """1 + c0 x + c1 x^2 + ..."""
+    result = np.zeros_like(x)
+    for coefficient in reversed(coefficients):
+        result = (result + coefficient) * x
+    return 1.0 + result
+
+
+def _invert_polynomial(coefficients: tuple[float, ...], bent: Floats) -> Floats:
+    """The angle (N,) whose bent angle theta * poly(theta^2) is given: table, then Newton steps."""
+    grid = np.linspace(0.0, np.pi / 2, 4097)
+    values = grid * _polynomial(coefficients, grid**2)
+    falling = np.flatnonzero(np.diff(values) <= 0)
+    rising = slice(0, falling[0] + 1 if len(falling) else len(grid))
+    angle = np.interp(bent, values[rising], grid[rising])
+    for _ in range(5):
+        error = angle * _polynomial(coefficients, angle**2) - bent
+        slope = np.interp(angle, grid, np.gradient(values, grid))
+        angle = angle - np.where(slope > 0.05, error / np.maximum(slope, 0.05), 0.0)
+    return np.clip(angle, 0.0, np.pi / 2)
+
+
+def _solve_2x2(matrix: Floats, right: Floats) -> Floats:
+    """Solutions (N, 2) of matrix (N, 2, 2) @ x = right (N, 2); singular ones give a zero step."""
+    (a, b), (c, d) = matrix[:, 0].T, matrix[:, 1].T
+    determinant = a * d - b * c
+    safe = np.where(np.abs(determinant) > 1e-12, determinant, np.inf)
+    x = (d * right[:, 0] - b * right[:, 1]) / safe
+    y = (a * right[:, 1] - c * right[:, 0]) / safe
+    return np.stack([x, y], axis=1)

@@ -1,0 +1,149 @@
+"""Initial points: random ones where a data set has none, and the removal of useless ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter
+
+from clgs.scene.camera import Camera
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+RANDOM_POINTS = 100_000
+"""Random points that are aimed at."""
+
+BLENDER_HALF_EDGE = 1.3
+"""Half the edge of the cube around the origin that holds every Synthetic-NeRF object."""
+
+SEEN_SHARE = 0.5
+"""A random point must lie in the image of at least this share of the cameras."""
+
+MASK_MARGIN = 2
+"""Alpha masks are grown by so many pixels before points are carved with them."""
+
+FAR_LIMIT = 50.0
+"""Points further than this many radii (or median distances, where larger) are dropped."""
+
+MAX_COORDINATE = 2.0**20 / 200.0
+"""Largest |coordinate| in scene units: the codec stores 21 bits of 1/200 unit."""
+
+_BATCH = 200_000
+_MAX_BATCHES = 20
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A camera and, where its image has alpha, the grown mask (H, W) of what is not background."""
+
+    camera: Camera
+    mask: Mask | None
+
+
+def viewpoint(camera: Camera, alpha: npt.NDArray[np.uint8] | None) -> Viewpoint:
+    """The camera with its mask alpha > 0 grown by MASK_MARGIN pixels."""
+    if alpha is None:
+        return Viewpoint(camera, None)
+    return Viewpoint(camera, maximum_filter(alpha, size=2 * MASK_MARGIN + 1) > 0)
+
+
+def random_points(
+    viewpoints: list[Viewpoint], radius: float, blender: bool, seed: int
+) -> npt.NDArray[np.float32]:
+    """About RANDOM_POINTS points (P, 3) float32 in the volume that the cameras share.
+
+    A point is kept where at least SEEN_SHARE of the cameras have it in their image and none of
+    those shows background there. ``blender``: drawn in the cube of Synthetic-NeRF, unless no camera
+    sees it; else along random viewing rays at depths of 0.2 to 5 times ``radius``. Scene units.
+    """
+    rng = np.random.default_rng(seed)
+    points = _in_cube(rng, viewpoints) if blender else np.empty((0, 3))
+    if not len(points):
+        points = _collect(lambda: _on_rays(rng, viewpoints, radius), viewpoints)
+    return points[:RANDOM_POINTS].astype(np.float32)
+
+
+def keep_near(points: Floats, centre: Floats, radius: float) -> Mask:
+    """Which of the points (P, 3) in scene units are worth keeping, (P,) bool.
+
+    Dropped: not finite, beyond the range of the codec, further from the mean camera ``centre`` (3,)
+    than FAR_LIMIT times the larger of ``radius`` and the median distance.
+    """
+    usable = np.all(np.abs(points) < MAX_COORDINATE, axis=1)
+    if not usable.any():
+        return np.asarray(usable)
+    distance = np.linalg.norm(np.where(usable[:, None], points - centre, 0.0), axis=1)
+    limit = FAR_LIMIT * max(radius, float(np.median(distance[usable])))
+    return np.asarray(usable & (distance <= limit))
+
+
+def _collect(draw: Callable[[], Floats], viewpoints: list[Viewpoint]) -> Floats:
+    """Batches of ``draw`` carved until RANDOM_POINTS are left, or none ever is."""
+    kept: list[Floats] = []
+    for _ in range(_MAX_BATCHES):
+        points = draw()
+        kept.append(points[_shared(points, viewpoints)])
+        found = sum(map(len, kept))
+        if found == 0 or found >= RANDOM_POINTS:
+            break
+    return np.concatenate(kept)
+
+
+def _in_cube(rng: np.random.Generator, viewpoints: list[Viewpoint]) -> Floats:
+    """Points of the cube of Synthetic-NeRF; after a first look only of the part that is full."""
+    low, high = np.full(3, -BLENDER_HALF_EDGE), np.full(3, BLENDER_HALF_EDGE)
+    first = rng.uniform(low, high, (_BATCH, 3))
+    first = first[_shared(first, viewpoints)]
+    if not len(first):
+        return first
+    margin = 0.05 * (first.max(axis=0) - first.min(axis=0)) + 0.01
+    low = np.maximum(low, first.min(axis=0) - margin)
+    high = np.minimum(high, first.max(axis=0) + margin)
+    return _collect(lambda: rng.uniform(low, high, (_BATCH, 3)), viewpoints)
+
+
+def _on_rays(rng: np.random.Generator, viewpoints: list[Viewpoint], radius: float) -> Floats:
+    """Points of random pixels of random cameras, depth log-uniform."""
+    depth = radius * np.exp(rng.uniform(np.log(0.2), np.log(5.0), _BATCH))
+    owner = rng.integers(len(viewpoints), size=_BATCH)
+    pixel = rng.uniform(size=(_BATCH, 2))
+    points = np.empty((_BATCH, 3))
+    for number, viewpoint_ in enumerate(viewpoints):
+        mine, camera = owner == number, viewpoint_.camera
+        at = pixel[mine] * (camera.width, camera.height)
+        ray = (at - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        local = np.column_stack([ray, np.ones(len(ray))]) * depth[mine, None]
+        points[mine] = (local - camera.translation) @ camera.rotation
+    return points
+
+
+def _shared(points: Floats, viewpoints: list[Viewpoint]) -> Mask:
+    """Which points (P, 3) enough cameras see and none sees through."""
+    alive = np.arange(len(points))
+    seen = np.zeros(len(points), np.int64)
+    for viewpoint_ in viewpoints:
+        inside, column, row = _pixels(points[alive], viewpoint_.camera)
+        seen[alive] += inside
+        if viewpoint_.mask is not None:
+            alive = alive[~inside | viewpoint_.mask[row, column]]
+    kept = np.zeros(len(points), bool)
+    kept[alive] = seen[alive] >= SEEN_SHARE * len(viewpoints)
+    return kept
+
+
+def _pixels(
+    points: Floats, camera: Camera
+) -> tuple[Mask, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Whether points (P, 3) fall into the image, and the column and row (P,) where they do."""
+    local = points @ camera.rotation.T + camera.translation
+    ahead = local[:, 2] > 1e-6
+    depth = np.where(ahead, local[:, 2], 1.0)
+    x = local[:, 0] / depth * camera.fx + camera.cx
+    y = local[:, 1] / depth * camera.fy + camera.cy
+    inside = ahead & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+    column = np.where(inside, x, 0.0).astype(np.int64)
+    return inside, column, np.where(inside, y, 0.0).astype(np.int64)

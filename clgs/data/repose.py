@@ -1,0 +1,38 @@
+"""Move a dataset's cameras into the units of another scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from clgs.data.dataset import Dataset, View
+from clgs.scene.camera import Camera
+from clgs.scene.scene import SceneTransform
+
+
+def repose(dataset: Dataset, transform: SceneTransform) -> Dataset:
+    """The dataset with cameras in the units of ``transform``; itself where it has them already.
+
+    A scene keeps the transform that it was trained with; the photos that were added or removed
+    since then would normalise to slightly different units.
+    """
+    if dataset.transform == transform:
+        return dataset
+
+    def move(view: View) -> View:
+        return replace(view, camera=_move(view.camera, dataset.transform, transform))
+
+    return replace(
+        dataset,
+        train=[move(view) for view in dataset.train],
+        test=[move(view) for view in dataset.test],
+        transform=transform,
+    )
+
+
+def _move(camera: Camera, old: SceneTransform, new: SceneTransform) -> Camera:
+    """x_cam scales with the scene: t = scale * (R centre + t_world)."""
+    world = camera.translation / old.scale - camera.rotation @ np.array(old.centre)
+    translation = new.scale * (camera.rotation @ np.array(new.centre) + world)
+    return replace(camera, translation=translation)

@@ -1,0 +1,264 @@
+"""Blender (Synthetic-NeRF) and nerfstudio / instant-ngp ``transforms.json`` to posed photos.
+
+Poses are OpenGL camera-to-world matrices: y and z of the camera are flipped to get OpenCV's.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.images import SUFFIXES, image_size, stored_size
+from clgs.data.lens import Lens
+from clgs.data.photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
+from clgs.errors import DataError
+
+CAMERA_MODELS = {
+    "SIMPLE_PINHOLE": "",
+    "PINHOLE": "",
+    "SIMPLE_RADIAL": "k1",
+    "RADIAL": "k1 k2",
+    "OPENCV": "k1 k2 k3 k4 p1 p2",
+    "FULL_OPENCV": "k1 k2 k3 k4 k5 k6 p1 p2",
+    "SIMPLE_RADIAL_FISHEYE": "k1",
+    "RADIAL_FISHEYE": "k1 k2",
+    "OPENCV_FISHEYE": "k1 k2 k3 k4",
+}
+"""Distortion coefficients that each ``camera_model`` reads; missing ones are zero."""
+
+MAX_BYTES = 256 * 2**20
+"""A larger transforms.json is refused before it is parsed."""
+
+
+def read_blender(root: Path) -> PhotoSet:
+    """The split of transforms_train.json and transforms_test.json; file order kept.
+
+    Without a test file every 8th photo is held out.
+
+    Raises:
+        DataError: naming file, frame and field.
+    """
+    train, skipped = _read_photos(root, root / "transforms_train.json")
+    if not (root / "transforms_test.json").is_file():
+        return PhotoSet("blender", *hold_out(train), skipped)
+    test, more_skipped = _read_photos(root, root / "transforms_test.json")
+    return PhotoSet("blender", train, test, skipped + more_skipped)
+
+
+def read_transforms(root: Path) -> PhotoSet:
+    """The photos of transforms.json; split by train_filenames and test_filenames where given.
+
+    Raises:
+        DataError: naming file, frame and field.
+    """
+    file = root / "transforms.json"
+    document = _parse(file)
+    photos, skipped = _read_photos(root, file)
+    test_key = "test_filenames" if "test_filenames" in document else "val_filenames"
+    if test_key not in document:
+        return PhotoSet("transforms", *hold_out(photos), skipped)
+    test_names = _names(document, test_key, file)
+    test = [photo for photo in photos if _listed(photo, test_names)]
+    train = [photo for photo in photos if not _listed(photo, test_names)]
+    if "train_filenames" in document:
+        train_names = _names(document, "train_filenames", file)
+        train = [photo for photo in train if _listed(photo, train_names)]
+    return PhotoSet("transforms", train, test, skipped)
+
+
+@dataclass(frozen=True)
+class _Fields:
+    """One frame's fields, with the file's shared ones behind them, read with checks."""
+
+    frame: dict[str, Any]
+    shared: dict[str, Any]
+    source: str
+
+    def has(self, key: str) -> bool:
+        return key in self.frame or key in self.shared
+
+    def fail(self, key: str, problem: str) -> NoReturn:
+        raise DataError(f"{self.source}: {key} {problem}")
+
+    def number(self, key: str, default: float) -> float:
+        value = self.frame.get(key, self.shared.get(key, default))
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            self.fail(key, "is not a number; correct it")
+        if not abs(value) < 1e15:
+            self.fail(key, "is not a finite number of sensible size; correct it")
+        return float(value)
+
+    def text(self, key: str, default: str) -> str:
+        value = self.frame.get(key, self.shared.get(key, default))
+        if not isinstance(value, str):
+            self.fail(key, "is not a string; correct it")
+        return value
+
+    def pose(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """World-to-camera rotation and translation, OpenCV axes."""
+        try:
+            matrix = np.array(self.frame.get("transform_matrix"), np.float64)
+        except (TypeError, ValueError, OverflowError):
+            self.fail("transform_matrix", "is not a 4x4 matrix of numbers; correct it")
+        if matrix.shape not in ((4, 4), (3, 4)):
+            self.fail("transform_matrix", "is missing or not 4x4; correct it")
+        camera_to_world = matrix[:3, :3] * np.array([1.0, -1.0, -1.0])
+        rotation = rigid(camera_to_world, f"{self.source}: transform_matrix").T
+        centre = matrix[:3, 3]
+        if not np.all(np.abs(centre) < 1e12):
+            self.fail("transform_matrix", "has no finite position; correct it")
+        return rotation, -rotation @ centre
+
+
+def _read_photos(root: Path, file: Path) -> tuple[list[Photo], int]:
+    """Photos that exist in file order, and the number of missing ones."""
+    shared = _parse(file)
+    frames = shared.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise DataError(f"{file}: frames is missing or empty; list one entry for each photo")
+    photos: dict[str, Photo] = {}
+    skipped = 0
+    for number, frame in enumerate(frames):
+        source = f"{file}: frame {number}"
+        if not isinstance(frame, dict):
+            raise DataError(f"{source} is not an object; correct it")
+        photo = _read_photo(root, _Fields(frame, shared, source))
+        if photo is None:
+            skipped += 1
+        elif photo.name in photos:
+            raise DataError(f"{source}: file_path {photo.name!r} occurs twice; keep one of the two")
+        else:
+            photos[photo.name] = photo
+    if not photos:
+        raise DataError(f"{file}: none of the {len(frames)} images of frames exists; add them")
+    return list(photos.values()), skipped
+
+
+def _read_photo(root: Path, fields: _Fields) -> Photo | None:
+    """The photo of one frame, or None where its file is missing."""
+    rotation, translation = fields.pose()
+    path = _find_image(root, fields)
+    declared = _declared_size(fields)
+    # The fields are checked even where the image is missing: a bad file is bad everywhere.
+    lens = _read_lens(fields, *(declared or (1, 1)))
+    if path is None:
+        return None
+    actual = image_size(path) if declared is None else stored_size(path, declared)
+    lens = fit_lens(_read_lens(fields, *actual) if declared is None else lens, actual, path)
+    name = path.relative_to(root).as_posix()
+    return Photo(name, path, lens, rotation, translation)
+
+
+def _find_image(root: Path, fields: _Fields) -> Path | None:
+    """The existing file of ``file_path``, which may lack its extension."""
+    if "file_path" not in fields.frame:
+        fields.fail("file_path", "is missing; name the image")
+    path = inside(root, fields.text("file_path", ""), f"{fields.source}: file_path")
+    if path.is_file():
+        return path
+    suffixes = (*SUFFIXES, *(suffix.upper() for suffix in SUFFIXES))
+    extended = (path.with_name(path.name + suffix) for suffix in suffixes)
+    found = next((candidate for candidate in extended if candidate.is_file()), None)
+    return found and inside(root, found.relative_to(root).as_posix(), fields.source)
+
+
+def _declared_size(fields: _Fields) -> tuple[int, int] | None:
+    if not (fields.has("w") and fields.has("h")):
+        return None
+    width, height = fields.number("w", 0), fields.number("h", 0)
+    if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
+        fields.fail("w, h", "are not image sizes; correct them")
+    return round(width), round(height)
+
+
+def _read_lens(fields: _Fields, width: int, height: int) -> Lens:
+    """The lens of a frame for a raster of the given size."""
+    coefficients, fisheye = _distortion(fields)
+    fx, fy = _focal_lengths(fields, width, height)
+    radial = tuple(coefficients.get(f"k{i}", 0.0) for i in (1, 2, 3, 4))
+    divisor: tuple[float, ...] = ()
+    if fields.text("camera_model", "") == "FULL_OPENCV":
+        divisor = tuple(coefficients.get(f"k{i}", 0.0) for i in (4, 5, 6))
+        radial = radial[:3]
+    return Lens(
+        width,
+        height,
+        fx,
+        fy,
+        fields.number("cx", width / 2),
+        fields.number("cy", height / 2),
+        radial,
+        divisor,
+        (coefficients.get("p1", 0.0), coefficients.get("p2", 0.0)),
+        fisheye,
+    )
+
+
+def _distortion(fields: _Fields) -> tuple[dict[str, float], bool]:
+    """Distortion coefficients by name, and whether they are a fisheye's."""
+    flagged = fields.frame.get("is_fisheye", fields.shared.get("is_fisheye", False)) is True
+    model = fields.text("camera_model", "OPENCV_FISHEYE" if flagged else "OPENCV")
+    if model not in CAMERA_MODELS:
+        known = ", ".join(CAMERA_MODELS)
+        fields.fail("camera_model", f"{model[:40]!r} is unknown; undistort to one of {known}")
+    coefficients = {key: fields.number(key, 0.0) for key in CAMERA_MODELS[model].split()}
+    return coefficients, "FISHEYE" in model
+
+
+def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, float]:
+    """fl_x and fl_y, or what the fields of view give; square pixels where only one is known."""
+    known = {}
+    for axis, size in (("x", width), ("y", height)):
+        if fields.has(f"fl_{axis}"):
+            known[axis] = fields.number(f"fl_{axis}", 0.0)
+        elif fields.has(f"camera_angle_{axis}"):
+            angle = fields.number(f"camera_angle_{axis}", 0.0)
+            if not 0 < angle < np.pi:
+                fields.fail(f"camera_angle_{axis}", "is not between 0 and pi; correct it")
+            known[axis] = 0.5 * size / float(np.tan(angle / 2))
+    if not known:
+        fields.fail("fl_x", "and camera_angle_x are missing; give one of them")
+    fx = known.get("x", known.get("y", 0.0))
+    # A given fl_x without fl_y means square pixels, whatever a rounded camera_angle_y says.
+    fy = known.get("y", fx) if fields.has("fl_y") or not fields.has("fl_x") else fx
+    if not (fx > 0 and fy > 0):
+        fields.fail("fl_x, fl_y", "are not positive; correct them")
+    return fx, fy
+
+
+def _parse(file: Path) -> dict[str, Any]:
+    """The JSON object in ``file``; NaN and Infinity are refused."""
+    if not file.is_file():
+        raise DataError(f"{file}: missing; the data set needs it")
+    if file.stat().st_size > MAX_BYTES:
+        raise DataError(f"{file}: larger than {MAX_BYTES >> 20} MiB; split the data set")
+
+    def refuse(constant: str) -> NoReturn:
+        raise ValueError(f"{constant} is not a number")
+
+    try:
+        document = json.loads(file.read_bytes(), parse_constant=refuse)
+    except RecursionError:
+        raise DataError(f"{file}: nested too deeply; it is no transforms file") from None
+    except ValueError as error:
+        problem = " ".join(str(error).split())[:120]
+        raise DataError(f"{file}: invalid JSON ({problem}); correct it") from error
+    if not isinstance(document, dict):
+        raise DataError(f"{file}: not a JSON object with frames; it is no transforms file")
+    return document
+
+
+def _names(document: dict[str, Any], key: str, file: Path) -> set[str]:
+    names = document[key]
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+        raise DataError(f"{file}: {key} is not a list of strings; correct it")
+    return {PurePosixPath(name.replace("\\", "/")).as_posix() for name in names}
+
+
+def _listed(photo: Photo, names: set[str]) -> bool:
+    return photo.name in names or str(PurePosixPath(photo.name).with_suffix("")) in names

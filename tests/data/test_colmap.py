@@ -1,0 +1,155 @@
+"""COLMAP models written by pycolmap, whole and damaged."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clgs.data.colmap import find_model, read_colmap
+from clgs.data.colmap_check import check_binary_model
+from clgs.data.photo import PhotoSet
+from clgs.errors import DataError
+from tests.data.folders import ring, write_colmap
+
+pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+
+
+def load(root: Path) -> PhotoSet:
+    model = find_model(root)
+    assert model is not None
+    return read_colmap(root, model)
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("rigs", [True, False])
+@pytest.mark.parametrize("shared", [True, False])
+def test_forms_of_a_model(tmp_path: Path, text: bool, rigs: bool, shared: bool):
+    write_colmap(tmp_path, text=text, rigs=rigs, shared=shared)
+    photos = load(tmp_path)
+    assert [p.name for p in photos.test] == ["001.png", "009.png"]
+    assert len(photos.train) == 8
+    assert photos.train[0].centre == pytest.approx(ring(10)[1][:3, 3])
+    assert (photos.train[0].lens.width, photos.train[0].lens.cx) == (41, 20.5)
+    assert photos.points is not None
+    assert photos.points.shape == (20, 3)
+    assert photos.point_colors is not None
+    assert photos.point_colors[0].tolist() == [10, 20, 30]
+
+
+@pytest.mark.parametrize("model", ["SIMPLE_PINHOLE", "RADIAL", "OPENCV", "FULL_OPENCV"])
+def test_camera_models(tmp_path: Path, model: str):
+    write_colmap(tmp_path, model=model)
+    lens = load(tmp_path).train[0].lens
+    assert lens.fx == pytest.approx(50.0)
+    assert lens.distorted == (model != "SIMPLE_PINHOLE")
+
+
+def test_model_without_undistortion_here(tmp_path: Path):
+    write_colmap(tmp_path, model="THIN_PRISM_FISHEYE")
+    with pytest.raises(DataError, match="image_undistorter"):
+        load(tmp_path)
+
+
+def test_missing_images_are_counted_before_the_split(tmp_path: Path):
+    write_colmap(tmp_path)
+    (tmp_path / "images" / "001.png").unlink()
+    photos = load(tmp_path)
+    assert photos.skipped == 1
+    assert [p.name for p in photos.test] == ["002.png", "010.png"]
+
+
+def test_sparse_without_number_and_missing_file(tmp_path: Path):
+    write_colmap(tmp_path)
+    for file in (tmp_path / "sparse" / "0").iterdir():
+        file.rename(tmp_path / "sparse" / file.name)
+    assert len(load(tmp_path).train) == 8
+    (tmp_path / "sparse" / "points3D.bin").unlink()
+    with pytest.raises(DataError, match=r"points3D\.bin"):
+        load(tmp_path)
+
+
+def patch(path: Path, at: int, data: bytes) -> None:
+    content = bytearray(path.read_bytes())
+    content[at : at + len(data)] = data
+    path.write_bytes(content)
+
+
+NAN = struct.pack("<d", float("nan"))
+IMAGE_NAME = 8 + 4 + 56 + 4
+DAMAGE = {
+    "huge width": ("cameras", 16, struct.pack("<Q", 2**63)),
+    "zero width": ("cameras", 16, struct.pack("<Q", 0)),
+    "NaN focal": ("cameras", 32, NAN),
+    "negative focal": ("cameras", 32, struct.pack("<d", -1.0)),
+    "unknown model": ("cameras", 12, struct.pack("<i", 99)),
+    "camera count": ("cameras", 0, struct.pack("<Q", 2**60)),
+    "NaN pose": ("images", 12, NAN),
+    "zero quaternion": ("images", 12, bytes(32)),
+    "parent name": ("images", IMAGE_NAME, b"../../a"),
+    "absolute name": ("images", IMAGE_NAME, b"/etc/aa"),
+    "not UTF-8": ("images", IMAGE_NAME, b"\xff\xfe"),
+    "no terminator": ("images", IMAGE_NAME, b"a" * 1200),
+    "image count": ("images", 0, struct.pack("<Q", 2**40)),
+    "observations": ("images", IMAGE_NAME + 8, struct.pack("<Q", 2**40)),
+    "point count": ("points3D", 0, struct.pack("<Q", 2**32)),
+    "NaN point": ("points3D", 16, NAN),
+    "track length": ("points3D", 8 + 8 + 24 + 3 + 8, struct.pack("<Q", 2**40)),
+    "frame NaN": ("frames", 16, NAN),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damage_is_found_before_pycolmap_reads(tmp_path: Path, name: str):
+    write_colmap(tmp_path)
+    file, at, data = DAMAGE[name]
+    patch(tmp_path / "sparse" / "0" / f"{file}.bin", at, data)
+    with pytest.raises(DataError, match=rf"{file}\.bin") as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D", "rigs", "frames"])
+def test_truncations_are_found(tmp_path: Path, name: str):
+    write_colmap(tmp_path)
+    file = tmp_path / "sparse" / "0" / f"{name}.bin"
+    whole = file.read_bytes()
+    # Every length near the front, where all kinds of fields are, and a sample of the rest.
+    for length in [*range(min(200, len(whole))), *range(200, len(whole), 7), len(whole) - 1]:
+        file.write_bytes(whole[:length])
+        with pytest.raises(DataError, match=rf"{name}\.bin"):
+            check_binary_model(file.parent)
+
+
+def test_bit_flips_are_refused_or_harmless(tmp_path: Path, rng: np.random.Generator):
+    """Whatever is not refused with a DataError has finite poses and points."""
+    write_colmap(tmp_path)
+    for name in ("cameras", "images", "points3D", "rigs", "frames"):
+        file = tmp_path / "sparse" / "0" / f"{name}.bin"
+        whole = file.read_bytes()
+        for bit in rng.choice(8 * len(whole), 40, replace=False).tolist():
+            damaged = bytearray(whole)
+            damaged[bit // 8] ^= 1 << bit % 8
+            file.write_bytes(damaged)
+            photos = None
+            with contextlib.suppress(DataError):
+                photos = load(tmp_path)
+            if photos is not None:
+                assert np.isfinite([p.centre for p in photos.train + photos.test]).all()
+                assert photos.points is not None
+                assert np.isfinite(photos.points).all()
+        file.write_bytes(whole)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "1 PINHOLE x\n", "1 PINHOLE 41\n", "1 NOSUCH 41 31 1 2 3 4\n"]
+)
+def test_damaged_text_is_one_line(tmp_path: Path, text: str):
+    write_colmap(tmp_path, text=True, rigs=False)
+    (tmp_path / "sparse" / "0" / "cameras.txt").write_text(text)
+    with pytest.raises(DataError) as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,180 @@
+"""Folders to data sets: units, downscaling, initial points, the shared captures, bad folders."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from clgs.data.dataset import SCENE_RADIUS, View, composite, load_dataset
+from clgs.data.points import MAX_COORDINATE, keep_near
+from clgs.errors import DataError
+from clgs.scene.camera import Camera
+from tests.data.folders import (
+    noise_image,
+    opengl,
+    ring,
+    save_json,
+    write_blender,
+    write_colmap,
+    write_transforms,
+)
+
+
+def project(camera: Camera, points: np.ndarray) -> np.ndarray:
+    local = points @ camera.rotation.T + camera.translation
+    return local[:, :2] / local[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+
+
+def test_scene_units_keep_the_projection(tmp_path: Path):
+    pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+    write_colmap(tmp_path)
+    scaled, given = load_dataset(tmp_path), load_dataset(tmp_path, preset_units=True)
+    assert scaled.radius == SCENE_RADIUS
+    centres = np.array([view.camera.centre for view in scaled.train])
+    spread = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
+    assert 1.1 * spread == pytest.approx(SCENE_RADIUS)
+    assert np.abs(centres.mean(axis=0)).max() <= 1e-9
+    assert given.transform.scale == 1.0
+    assert scaled.points.dtype == np.float32
+    back = scaled.transform.to_world(scaled.points.astype(np.float64))
+    assert np.abs(back - given.points).max() <= 1e-5
+    for a, b in zip(scaled.train, given.train, strict=True):
+        assert (
+            np.abs(project(a.camera, scaled.points) - project(b.camera, given.points)).max() < 1e-3
+        )
+
+
+def test_far_offset_costs_no_precision(tmp_path: Path):
+    """Poses a million units away give the same pixels as poses around the origin."""
+    offset = np.array([1e6, -2e6, 5e5])
+    views = []
+    for name, shift in (("near", np.zeros(3)), ("far", offset)):
+        document = write_transforms(tmp_path / name)
+        for frame, pose in zip(document["frames"], ring(10), strict=True):
+            moved = pose.copy()
+            moved[:3, 3] += shift
+            frame["transform_matrix"] = opengl(moved)
+        save_json(tmp_path / name, document)
+        views.append(load_dataset(tmp_path / name, load_images=False).train[3].camera)
+    points = np.random.default_rng(0).uniform(-1, 1, (50, 3)).astype(np.float32)
+    packed = [c.pack(0.2).astype(np.float64) for c in views]
+    assert np.abs(packed[0] - packed[1]).max() <= 1e-5
+    assert np.abs(project(views[0], points) - project(views[1], points)).max() <= 1e-4
+
+
+@pytest.mark.parametrize("size", [(40, 30), (41, 31), (53, 39)])
+@pytest.mark.parametrize("downscale", [1, 2, 3])
+def test_downscaled_intrinsics(tmp_path: Path, size: tuple[int, int], downscale: int):
+    """A point keeps its place relative to the borders of the image at every size."""
+    write_transforms(tmp_path, 4, size, cx=17.0)
+    full = load_dataset(tmp_path, load_images=False, downscale=1).train[0].camera
+    small = load_dataset(tmp_path, load_images=False, downscale=downscale).train[0].camera
+    assert (small.width, small.height) == tuple(round(s / downscale) for s in size)
+    points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
+    ratio = np.array([small.width / full.width, small.height / full.height])
+    expected = project(full, points) * ratio
+    assert np.abs(project(small, points) - expected).max() <= 1e-9
+
+
+def test_blender_points_are_carved_and_seeded(tmp_path: Path):
+    write_blender(tmp_path)
+    data = load_dataset(tmp_path)
+    assert (data.kind, len(data.train), len(data.test), data.skipped) == ("blender", 8, 3, 0)
+    assert data.transform.scale == 1.0
+    assert 90_000 <= len(data.points) <= 100_000
+    distance = np.linalg.norm(data.points, axis=1)
+    # The masks are grown by 2 pixels of 40, about 0.2 units; views from one height only leave
+    # cones above and below the ball.
+    assert np.hypot(*data.points[:, :2].T).max() <= 0.8
+    assert distance.max() <= 1.3
+    again = load_dataset(tmp_path, downscale=2, load_points=False)
+    assert again.train[0].image.shape == (20, 20, 3)
+    assert len(again.points) == 0
+    assert np.array_equal(load_dataset(tmp_path).points, data.points)
+    assert not np.array_equal(load_dataset(tmp_path, seed=1).points, data.points)
+
+
+def test_photos_that_do_not_match_start_from_random_points(tmp_path: Path):
+    pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+    write_transforms(tmp_path)
+    data = load_dataset(tmp_path, cache=tmp_path.parent / "cache")
+    assert len(data.points) >= 50_000
+    assert data.point_colors is None
+    seen = sum(
+        np.all((project(v.camera, data.points) >= 0), axis=1).astype(int) for v in data.train
+    )
+    assert seen.min() >= len(data.train) / 2
+
+
+def test_composite():
+    image = np.full((2, 3, 3), 200, np.uint8)
+    alpha = np.array([[0, 255, 51], [0, 255, 102]], np.uint8)
+    camera = Camera(np.eye(3), np.zeros(3), 1.0, 1.0, 1.0, 1.0, 3, 2)
+    planes = composite(View("a", camera, image, alpha), (1.0, 0.0, 0.5))
+    assert planes.shape == (3, 2, 3)
+    assert planes.flags.c_contiguous
+    assert planes[:, 0, 0].tolist() == [255, 0, 128]
+    assert planes[:, 0, 1].tolist() == [200, 200, 200]
+    assert planes[:, 0, 2].tolist() == [244, 40, 142]
+    assert composite(View("a", camera, image, None), (0, 0, 0))[0].min() == 200
+
+
+def test_far_points_are_dropped():
+    points = np.zeros((10, 3))
+    points[0] = np.nan
+    points[1] = 2 * MAX_COORDINATE
+    points[2] = 1000.0
+    points[3] = 100.0
+    kept = keep_near(points, np.zeros(3), radius=4.4)
+    assert kept.tolist() == [False] * 3 + [True] * 7
+    far_away = points[4:] + np.array([300.0, 0, 0])
+    assert keep_near(far_away, np.zeros(3), radius=4.4).all()
+    assert not keep_near(points[:2], np.zeros(3), 4.4).any()
+
+
+def test_one_camera_is_enough_for_units(tmp_path: Path):
+    document = write_transforms(tmp_path, 2)
+    document["test_filenames"] = ["images/001.png"]
+    save_json(tmp_path, document)
+    data = load_dataset(tmp_path, load_images=False)
+    assert data.radius == SCENE_RADIUS
+    assert data.transform.scale == 1.0
+
+
+def test_bad_folders_are_one_line(tmp_path: Path):
+    with pytest.raises(DataError, match="no such folder"):
+        load_dataset(tmp_path / "missing")
+    with pytest.raises(DataError, match="check the path"):
+        load_dataset(tmp_path)
+    (tmp_path / "images").mkdir()
+    Image.fromarray(noise_image(8, 8)).save(tmp_path / "images" / "a.jpg")
+    with pytest.raises(DataError, match="clgs prepare"):
+        load_dataset(tmp_path)
+    with pytest.raises(DataError, match="downscale"):
+        load_dataset(tmp_path, downscale=0)
+
+
+def test_truncated_image_and_impossible_lens(tmp_path: Path):
+    write_transforms(tmp_path, 4)
+    path = tmp_path / "images" / "002.png"
+    path.write_bytes(path.read_bytes()[:900])
+    with pytest.raises(DataError, match=r"002\.png: damaged"):
+        load_dataset(tmp_path)
+    document = json.loads((tmp_path / "transforms.json").read_text())
+    save_json(tmp_path, document | {"k1": -9.0})
+    with pytest.raises(DataError, match="distortion"):
+        load_dataset(tmp_path, load_images=False)
+
+
+def test_shared_captures_have_the_known_counts(shared_data: Path):
+    expected = {"fox": (43, 7, 17), "nerf_synthetic_400/chair": (100, 200, 0)}
+    if (shared_data / "fern_colmap_8").is_dir():
+        pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+        expected["fern_colmap_8"] = (17, 3, 0)
+    for name, counts in expected.items():
+        data = load_dataset(shared_data / name, load_images=False)
+        assert (len(data.train), len(data.test), data.skipped) == counts

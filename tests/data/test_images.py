@@ -1,0 +1,123 @@
+"""Reading of every accepted kind of image, refusal of the others, box means."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from clgs.data.images import Pixels, box_downscale, image_size, read_image, stored_size
+from clgs.errors import DataError
+from tests.data.folders import noise_image
+
+
+@pytest.mark.parametrize("mode", ["L", "P", "1", "LA", "RGB", "RGBA", "I;16", "CMYK"])
+def test_modes_become_8_bit_rgb(tmp_path: Path, mode: str):
+    path = tmp_path / ("a.jpg" if mode == "CMYK" else "a.png")
+    if mode == "I;16":
+        image = Image.fromarray(np.full((4, 6), 40000, np.uint16))
+    else:
+        image = Image.new("RGB", (6, 4), (204, 204, 204)).convert(mode)
+    image.save(path)
+    pixels = read_image(path)
+    assert pixels.color.shape == (4, 6, 3)
+    assert pixels.color.dtype == np.uint8
+    assert pixels.alpha is None
+    expected = {"I;16": round(40000 / 257)}.get(mode, 204)
+    if mode == "1":
+        assert set(np.unique(pixels.color)) <= {0, 255}
+    else:
+        assert np.abs(pixels.color.astype(int) - expected).max() <= 2
+
+
+def test_alpha_is_kept(tmp_path: Path):
+    rgba = np.dstack([noise_image(5, 4), np.arange(20, dtype=np.uint8).reshape(4, 5)])
+    Image.fromarray(rgba).save(tmp_path / "a.png")
+    pixels = read_image(tmp_path / "a.png")
+    assert pixels.alpha is not None
+    assert np.array_equal(pixels.alpha, rgba[..., 3])
+    assert np.array_equal(pixels.color, rgba[..., :3])
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png"])
+def test_exif_rotation(tmp_path: Path, suffix: str):
+    path = tmp_path / f"a.{suffix}"
+    stored = np.zeros((16, 32, 3), np.uint8)
+    stored[:, :16] = 255
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(stored).save(path, exif=exif)
+    assert image_size(path) == (16, 32)
+    upright = read_image(path)
+    assert upright.size == (16, 32)
+    assert upright.color[:8].mean() >= 250
+    assert upright.color[-8:].mean() <= 5
+    assert stored_size(path, (32, 16)) == (32, 16)
+    assert read_image(path, (32, 16)).size == (32, 16)
+
+
+def test_truncated_image_names_the_file(tmp_path: Path):
+    for suffix in ("jpg", "png"):
+        path = tmp_path / f"cut.{suffix}"
+        Image.fromarray(noise_image(64, 64)).save(path)
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        with pytest.raises(DataError, match=rf"cut\.{suffix}: damaged"):
+            read_image(path)
+
+
+def test_other_formats_and_text_are_refused(tmp_path: Path):
+    Image.fromarray(noise_image(8, 8)).save(tmp_path / "a.bmp")
+    (tmp_path / "a.bmp").rename(tmp_path / "a.png")
+    (tmp_path / "b.png").write_bytes(b"")
+    for name in ("a.png", "b.png"):
+        with pytest.raises(DataError, match="not a JPEG or PNG"):
+            read_image(tmp_path / name)
+
+
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_bomb_is_refused_from_its_header(tmp_path: Path):
+    def chunk(tag: bytes, data: bytes) -> bytes:
+        body = tag + data
+        return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
+
+    header = struct.pack(">IIBBBBB", 12_000, 12_000, 8, 2, 0, 0, 0)
+    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+    (tmp_path / "bomb.png").write_bytes(b"\x89PNG\r\n\x1a\n" + body)
+    with pytest.raises(DataError, match="megapixels"):
+        image_size(tmp_path / "bomb.png")
+
+
+def test_box_means_of_whole_boxes():
+    color = noise_image(12, 8)
+    small = box_downscale(Pixels(color, None), 4)
+    expected = np.rint(color.reshape(2, 4, 3, 4, 3).mean(axis=(1, 3)))
+    assert np.abs(small.color - expected).max() <= 1
+    assert small.size == (3, 2)
+
+
+@pytest.mark.parametrize("size", [(41, 31), (497, 372), (17, 3), (1, 1)])
+@pytest.mark.parametrize("factor", [2, 3, 8])
+def test_box_keeps_linear_ramps(size: tuple[int, int], factor: int):
+    """The mean of a ramp over a box is the ramp at the box's middle: no shift at odd sizes."""
+    width, height = size
+    ramp = (np.arange(width) + 0.5) / width * 255
+    color = np.broadcast_to(np.rint(ramp)[None, :, None], (height, width, 3)).astype(np.uint8)
+    small = box_downscale(Pixels(color, None), factor)
+    assert small.size == (max(1, round(width / factor)), max(1, round(height / factor)))
+    middle = (np.arange(small.size[0]) + 0.5) / small.size[0] * 255
+    # A pixel is flat where the ramp is not: the part of a cut pixel is off by up to an eighth step.
+    assert np.abs(small.color[0, :, 0] - middle).max() <= 1.01 + 255 / width / 8
+
+
+def test_box_weighs_color_by_alpha():
+    color = np.zeros((2, 2, 3), np.uint8)
+    color[0, 0] = 200
+    alpha = np.array([[100, 0], [0, 0]], np.uint8)
+    small = box_downscale(Pixels(color, alpha), 2)
+    assert small.alpha is not None
+    assert small.color.tolist() == [[[200, 200, 200]]]
+    assert small.alpha.tolist() == [[25]]

@@ -1,0 +1,197 @@
+"""Blender and nerfstudio folders: poses, intrinsics, splits, missing and bad input."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from clgs.data.photo import Photo
+from clgs.data.transforms import read_blender, read_transforms
+from clgs.errors import DataError
+from tests.data.folders import noise_image, opengl, ring, save_json, write_blender, write_transforms
+
+
+def project(photo: Photo, point: np.ndarray) -> np.ndarray:
+    local = photo.rotation @ point + photo.translation
+    lens = photo.lens
+    return np.array([lens.cx, lens.cy]) + local[:2] / local[2] * (lens.fx, lens.fy)
+
+
+def test_known_pose(tmp_path: Path):
+    """A camera on the x axis looking at the origin: z up is image up, y right."""
+    write_transforms(tmp_path, 3)
+    photo = next(p for p in everything(tmp_path) if p.name == "images/000.png")
+    assert photo.centre == pytest.approx([4.0, 0.0, 1.5])
+    assert project(photo, np.zeros(3)) == pytest.approx([20.0, 15.0])
+    assert project(photo, np.array([0.0, 0.0, 0.5]))[1] < 15.0
+    assert project(photo, np.array([0.0, 0.5, 0.0]))[0] > 20.0
+
+
+def everything(root: Path) -> list[Photo]:
+    train, test = splits(root)
+    return train + test
+
+
+def splits(root: Path) -> tuple[list[Photo], list[Photo]]:
+    photos = read_transforms(root)
+    return photos.train, photos.test
+
+
+def test_every_eighth_after_missing_ones_is_held_out(tmp_path: Path):
+    write_transforms(tmp_path, 20)
+    (tmp_path / "images" / "000.png").unlink()
+    (tmp_path / "images" / "005.png").unlink()
+    photos = read_transforms(tmp_path)
+    assert photos.skipped == 2
+    assert [p.name[-7:-4] for p in photos.test] == ["001", "010", "018"]
+    assert len(photos.train) == 15
+
+
+def test_own_split_is_honoured(tmp_path: Path):
+    document = write_transforms(tmp_path, 6)
+    document["train_filenames"] = ["images/000.png", "./images/002.png"]
+    document["test_filenames"] = ["images/001.png"]
+    save_json(tmp_path, document)
+    photos = read_transforms(tmp_path)
+    assert [p.name for p in photos.train] == ["images/000.png", "images/002.png"]
+    assert [p.name for p in photos.test] == ["images/001.png"]
+
+
+def test_intrinsics_of_a_frame_win(tmp_path: Path):
+    document = write_transforms(tmp_path, 2, k1=0.1, camera_model="OPENCV")
+    document["frames"][0] |= {"fl_x": 60.0, "fl_y": 61.0, "cx": 19.0, "k1": 0.2}
+    save_json(tmp_path, document)
+    first, second = sorted(everything(tmp_path), key=lambda p: p.name)
+    assert (first.lens.fx, first.lens.fy, first.lens.cx) == (60.0, 61.0, 19.0)
+    assert first.lens.radial[0] == 0.2
+    assert second.lens.radial[0] == 0.1
+
+
+def test_angle_gives_focal_length_and_extension_is_found(tmp_path: Path):
+    document = write_transforms(tmp_path, 2)
+    for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
+        del document[key]
+    document["camera_angle_x"] = 2 * math.atan(0.5)
+    for frame in document["frames"]:
+        frame["file_path"] = frame["file_path"].removesuffix(".png")
+    save_json(tmp_path, document)
+    lens = splits(tmp_path)[0][0].lens
+    assert (lens.fx, lens.fy) == pytest.approx((40.0, 40.0))
+    assert (lens.cx, lens.cy, lens.width, lens.height) == (20.0, 15.0, 40, 30)
+
+
+def test_smaller_images_scale_the_intrinsics(tmp_path: Path):
+    write_transforms(tmp_path, 2, w=81, h=61, fl_x=100.0, cx=41.0)
+    lens = splits(tmp_path)[0][0].lens
+    assert (lens.width, lens.height) == (40, 30)
+    assert lens.fx == pytest.approx(100.0 * 40 / 81)
+    assert lens.cx == pytest.approx(41.0 * 40 / 81)
+
+
+def test_blender_split_and_pose(tmp_path: Path):
+    write_blender(tmp_path)
+    photos = read_blender(tmp_path)
+    assert (len(photos.train), len(photos.test)) == (8, 3)
+    assert photos.train[3].name == "train/r_3.png"
+    assert photos.train[0].centre == pytest.approx(ring(8)[0][:3, 3])
+    assert photos.train[0].lens.fx == pytest.approx(40.0)
+
+
+def set_pose(value: object) -> Callable[[dict], None]:
+    return lambda document: document["frames"][1].update(transform_matrix=value)
+
+
+def set_path(value: object) -> Callable[[dict], None]:
+    return lambda document: document["frames"][1].update(file_path=value)
+
+
+POSE = opengl(ring(3)[0])
+SCALED = (np.array(POSE) * 2).tolist()
+MIRRORED = (np.array(POSE) * [-1, 1, 1, 1]).tolist()
+WITH_STRING = [["a", 0, 0, 0], *POSE[1:]]
+
+BAD = {
+    "frames missing": (lambda d: d.pop("frames"), "frames"),
+    "frames empty": (lambda d: d.update(frames=[]), "frames"),
+    "frames wrong": (lambda d: d.update(frames={"a": 1}), "frames"),
+    "frame wrong": (lambda d: d["frames"].__setitem__(1, 7), "frame 1"),
+    "model": (lambda d: d.update(camera_model="EQUIRECTANGULAR"), "camera_model.*unknown"),
+    "model type": (lambda d: d.update(camera_model=3), "camera_model"),
+    "focal text": (lambda d: d.update(fl_x="50"), "fl_x"),
+    "focal zero": (lambda d: d.update(fl_x=0), "fl_x"),
+    "no focal": (lambda d: (d.pop("fl_x"), d.pop("fl_y")), "camera_angle_x"),
+    "angle": (lambda d: (d.pop("fl_x"), d.update(camera_angle_x=4)), "camera_angle_x"),
+    "size": (lambda d: d.update(w=-1), "w, h"),
+    "aspect": (lambda d: d.update(w=60), "intrinsics"),
+    "no pose": (lambda d: d["frames"][1].pop("transform_matrix"), "frame 1.*transform_matrix"),
+    "pose shape": (set_pose([[1, 0], [0, 1]]), "transform_matrix"),
+    "pose ragged": (set_pose([[1, 0, 0, 0], [1], 3]), "transform_matrix"),
+    "pose text": (set_pose(WITH_STRING), "transform_matrix"),
+    "pose scaled": (set_pose(SCALED), "not a rotation"),
+    "pose mirrored": (set_pose(MIRRORED), "not a rotation"),
+    "pose overflow": (set_pose([[10**400, 0, 0, 0], *POSE[1:]]), "transform_matrix"),
+    "parent": (set_path("../secret.png"), "inside"),
+    "hidden parent": (set_path("images/../../secret.png"), "inside"),
+    "absolute": (set_path("/etc/passwd"), "inside"),
+    "drive": (set_path("C:\\a.png"), "inside"),
+    "nul": (set_path("images/a\0.png"), "inside"),
+    "path type": (set_path(3), "file_path"),
+    "path empty": (set_path(""), "inside"),
+    "no path": (lambda d: d["frames"][1].pop("file_path"), "file_path"),
+    "twice": (set_path("images/000.png"), "twice"),
+    "split type": (lambda d: d.update(test_filenames=3), "test_filenames"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_fields_are_named_in_one_line(tmp_path: Path, name: str):
+    change, expected = BAD[name]
+    document = copy.deepcopy(write_transforms(tmp_path, 3))
+    change(document)
+    save_json(tmp_path, document)
+    with pytest.raises(DataError, match=expected) as caught:
+        read_transforms(tmp_path)
+    assert "\n" not in str(caught.value)
+    assert "transforms.json" in str(caught.value) or name == "aspect"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[1]", "3", '{"frames": [NaN]}', "[" * 100_000, '{"frames": "é', "\xff"]
+)
+def test_no_json_is_one_line(tmp_path: Path, text: str):
+    (tmp_path / "transforms.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(DataError, match=r"transforms\.json"):
+        read_transforms(tmp_path)
+
+
+def test_nan_in_a_pose(tmp_path: Path):
+    write_transforms(tmp_path, 2)
+    file = tmp_path / "transforms.json"
+    file.write_text(file.read_text().replace("1.5", "1e999", 1))
+    with pytest.raises(DataError, match="transform_matrix"):
+        read_transforms(tmp_path)
+
+
+def test_no_image_at_all(tmp_path: Path):
+    write_transforms(tmp_path, 2)
+    for path in (tmp_path / "images").iterdir():
+        path.unlink()
+    with pytest.raises(DataError, match="none of the 2 images"):
+        read_transforms(tmp_path)
+
+
+def test_link_out_of_the_folder(tmp_path: Path):
+    root = tmp_path / "data"
+    write_transforms(root, 2)
+    outside = tmp_path / "outside.png"
+    Image.fromarray(noise_image(40, 30)).save(outside)
+    (root / "images" / "000.png").unlink()
+    (root / "images" / "000.png").symlink_to(outside)
+    with pytest.raises(DataError, match="link"):
+        read_transforms(root)
