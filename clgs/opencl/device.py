@@ -128,8 +128,6 @@ class Device:
                 built = cl.Program(self.context, read_program(f"{program}.cl"))
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    with warnings.catch_warnings():  # drivers chatter; lint_kernels.sh is strict
-                    warnings.simplefilter("ignore", cl.CompilerWarning)
                     self._programs[key] = built.build(options=[*BUILD_OPTIONS, *options])
             except cl.RuntimeError as error:
                 raise DeviceError(

@@ -1,0 +1,87 @@
+#!/usr/bin/env bash
+# Lint and test: ./scripts/test.sh [--ci] [PYTEST ARGUMENTS]. Sets up first.
+# --ci adds what takes longer: the C tests under sanitizers, a wheel installed in a clean
+# environment and tested from outside the checkout (slow tests included), a race check, and a short
+# training run.
+set -euo pipefail
+
+ci=
+if [ "${1:-}" = --ci ]; then
+    ci=1
+    shift
+fi
+
+# shellcheck source=scripts/setup.sh
+. "$(dirname -- "${BASH_SOURCE[0]}")/setup.sh"
+cd "$root"
+bin=$venv/bin
+
+step() {
+    printf '\n== %s (%d s)\n' "$1" "$SECONDS"
+}
+
+# Runs even where the checkout belongs to another user, as in a container.
+source_files() {
+    find "$@" -type f \( -name '*.cl' -o -name '*.c' -o -name '*.h' \) -print0
+}
+
+lint() {
+    step "lint"
+    "$bin/ruff" format --check .
+    "$bin/ruff" check .
+    "$bin/mypy"
+    source_files kernels_cl codec_c tests/c | xargs -0 "$bin/clang-format" --dry-run --Werror
+    if [ -n "$ci" ] && on_debian_as_root && ! scripts/lint_kernels.sh --find >/dev/null; then
+        apt_install clang || say "clang cannot be installed; the kernels are not linted"
+    fi
+    scripts/lint_kernels.sh
+}
+
+test_c() {
+    step "C tests under sanitizers"
+    command -v "$bin/cmake" >/dev/null || "$python" -m pip install --quiet 'cmake>=3.25' </dev/null
+    "$bin/cmake" -S . -B build/c -DCLGS_SANITIZE=ON -DCLGS_WERROR=ON >/dev/null
+    "$bin/cmake" --build build/c
+    "$bin/ctest" --test-dir build/c --output-on-failure
+}
+
+# The wheel in its own environment: $work/venv, with the tests but not the package in $work/tree.
+build_wheel() {
+    step "wheel"
+    "$python" -m pip wheel --quiet --no-deps --wheel-dir "$work/dist" . </dev/null
+    wheel=$(echo "$work"/dist/clgs-*.whl)
+    "$python" scripts/check_wheel.py "$wheel"
+    "$python" -m venv "$work/venv" </dev/null
+    "$work/venv/bin/python" -m pip install --quiet "$wheel[dev]" </dev/null
+    mkdir "$work/tree"
+    cp -R pyproject.toml codec_c scripts tests "$work/tree"
+    cd "$work/tree"
+    ensure_device "$work/venv/bin/python"
+}
+
+smoke() {
+    step "selftest"
+    "$work/venv/bin/clgs" selftest
+    step "race check"
+    "$root/scripts/race_check.sh" "$work/venv/bin/python"
+    step "a training run of 50 steps, and its file"
+    "$root/scripts/smoke.sh" "$work/venv/bin" "$work/smoke"
+}
+
+lint
+if [ -z "$ci" ]; then
+    step "tests"
+    exec "$python" -m pytest "$@"
+fi
+
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+step "tests of the checkout"
+"$python" -m pytest -q tests/test_architecture.py tests/test_packaging.py tests/test_rules.py
+test_c
+build_wheel
+smoke
+step "tests of the wheel, slow ones included"
+export CLGS_SHARED_DATA=${CLGS_SHARED_DATA:-$root/../shared/data}
+"$work/venv/bin/python" -m pytest -m "slow or not slow" --durations=10 "$@"
+step "done"

@@ -1,0 +1,33 @@
+"""``clgs devices`` against what pyopencl says."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from clgs.cli.main import main
+from clgs.opencl.choose import choose_device, list_devices
+
+
+@pytest.fixture(autouse=True)
+def _no_choice(monkeypatch):
+    monkeypatch.delenv("PYOPENCL_CTX", raising=False)
+
+
+def test_json_describes_every_device(capsys):
+    assert main(["devices", "--json"]) == 0
+    devices = json.loads(capsys.readouterr().out)
+    expected = list_devices()
+    assert [device["name"] for device in devices] == [d.name.strip() for d in expected]
+    assert [device["memory"] for device in devices] == [d.global_mem_size for d in expected]
+    (chosen,) = [device for device in devices if device["chosen"]]
+    assert expected[chosen["index"]] == choose_device()
+
+
+def test_the_table_has_a_row_a_device_and_one_star(capsys):
+    assert main(["devices"]) == 0
+    heading, *rows = capsys.readouterr().out.splitlines()
+    assert heading.split()[:3] == ["index", "type", "name"]
+    assert len(rows) == len(list_devices())
+    assert sum(row.startswith("*") for row in rows) == 1

@@ -1,0 +1,147 @@
+"""The command line: help, version, exit codes, one line an error."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+import types
+
+import pytest
+
+from clgs import __version__
+from clgs.cli import main as cli
+from clgs.errors import ClgsError, CodecError, DataError, DeviceError
+
+
+def clgs(*arguments, **options):
+    command = [sys.executable, "-m", "clgs.cli.main", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
+
+
+@pytest.fixture
+def run_raising(monkeypatch):
+    """Call it with an error: the command ``fail`` then raises it; returns main's exit code."""
+
+    def register(subparsers):
+        subparsers.add_parser("fail")
+
+    def run(error):
+        def fail(args):
+            raise error
+
+        module = types.SimpleNamespace(register=register, run=fail)
+        monkeypatch.setitem(sys.modules, "clgs.cli.fail", module)
+        monkeypatch.setattr(cli, "COMMANDS", ("fail",))
+        return cli.main(["fail"])
+
+    return run
+
+
+def cl_error(name):
+    return type(name, (Exception,), {"__module__": "pyopencl._cl"})
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (ClgsError("loss is not finite at step 7"), 1, "loss is not finite at step 7"),
+        (DataError("x.json: no frames"), 3, "x.json: no frames"),
+        (CodecError("ANCH: bad CRC"), 3, "ANCH: bad CRC"),
+        (DeviceError("no device\n\tfound"), 4, "no device found"),
+        (OSError(28, "No space left on device", "/x"), 1, "/x: No space left on device"),
+        (PermissionError(13, "Permission denied", "/x"), 1, "/x: Permission denied"),
+        (MemoryError(), 1, "out of memory"),
+        (cl_error("MemoryError")("clCreateBuffer failed:\nX"), 4, "out of memory (clCreateBuffer"),
+        (cl_error("LogicError")("clSetKernelArg failed:\nX"), 4, "LogicError: clSetKernelArg"),
+        (ModuleNotFoundError("No module", name="pyopencl"), 4, "pip install pyopencl"),
+        (ImportError("libOpenCL.so.1", name="pyopencl._cl"), 4, "libOpenCL.so.1"),
+        (ModuleNotFoundError("No module", name="rich"), 1, "rich cannot be loaded"),
+        (KeyError("oops"), 1, "KeyError: 'oops' (this is a bug"),
+        (KeyboardInterrupt(), 130, "clgs: interrupted"),
+    ],
+)
+def test_an_error_is_one_line_and_a_code(run_raising, monkeypatch, capsys, error, code, line):
+    monkeypatch.delenv("CLGS_DEBUG", raising=False)
+    assert run_raising(error) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert line in err
+    assert err.startswith("clgs: ")
+    assert "Traceback" not in err
+
+
+def test_debug_shows_the_traceback(run_raising, monkeypatch, capsys):
+    monkeypatch.setenv("CLGS_DEBUG", "1")
+    assert run_raising(DataError("x.json: no frames")) == 3
+    err = capsys.readouterr().err
+    assert "Traceback" in err
+    assert err.endswith("clgs: error: x.json: no frames\n")
+
+
+def test_version():
+    assert clgs("--version").stdout == f"clgs {__version__}\n"
+
+
+def test_help_names_every_command():
+    result = clgs("--help")
+    assert result.returncode == 0
+    for command in cli.COMMANDS:
+        assert f"\n    {command} " in result.stdout
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_command_has_help(command):
+    result = clgs(command, "--help")
+    assert (result.returncode, result.stderr) == (0, "")
+    assert f"usage: clgs {command}" in result.stdout
+
+
+@pytest.mark.parametrize("arguments", [(), ("nonsense",), ("info",), ("info", "x", "--nonsense")])
+def test_wrong_usage_exits_2(arguments):
+    result = clgs(*arguments)
+    assert result.returncode == 2
+    assert result.stderr.startswith("usage: clgs")
+    assert "Traceback" not in result.stderr
+
+
+def test_help_starts_quickly():
+    seconds = []
+    for _ in range(7):
+        start = time.perf_counter()
+        clgs("--help")
+        seconds.append(time.perf_counter() - start)
+    assert min(seconds) <= 0.15
+
+
+def test_help_imports_nothing_heavy():
+    heavy = ["numpy", "pyopencl", "skimage", "pycolmap", "rich", "trimesh", "PIL", "asyncio"]
+    code = f"""
+import sys
+from clgs.cli.main import build_parser
+build_parser().format_help()
+print([name for name in {heavy} if name in sys.modules])
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_no_device_is_one_line_and_exit_code_4(tmp_path):
+    result = clgs("devices", env={**os.environ, "PYOPENCL_CTX": "no-such-platform"})
+    assert result.returncode == 4
+    assert result.stderr.count("\n") == 1
+    assert "PYOPENCL_CTX=no-such-platform" in result.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such pipes")
+def test_a_reader_that_leaves_is_no_error():
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "clgs.cli.main", "devices"]
+    result = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, check=False)
+    os.close(writing)
+    assert (result.returncode, result.stderr) == (0, b"")

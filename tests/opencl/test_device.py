@@ -1,0 +1,157 @@
+"""The device layer: arrays, kernels, errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.errors import DeviceError
+from clgs.opencl import device as device_module
+from clgs.opencl.device import Device, round_up
+
+SCALE = """#include "include/real.h"
+#ifndef FACTOR
+#define FACTOR 2.0f
+#endif
+__kernel void scale_forward(__global float *x, int count)
+{
+    int i = get_global_id(0);
+    if (i < count)
+        x[i] *= FACTOR;
+}
+"""
+
+
+@pytest.fixture
+def program(monkeypatch):
+    """Call it with a name and a text: the only program that the device layer then finds."""
+
+    def install(name: str, text: str) -> None:
+        def read(wanted: str) -> str:
+            assert wanted == f"{name}.cl"
+            return f'#line 1 "{wanted}"\n{text}'
+
+        monkeypatch.setattr(device_module, "read_program", read)
+
+    return install
+
+
+@pytest.fixture
+def fresh_device():
+    """A device whose kernel cache holds nothing yet."""
+    return Device(specialisation="cpu")
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int32, np.uint8, np.uint32])
+@pytest.mark.parametrize("shape", [(), (1,), (7,), (5, 3), (2, 3, 4), (0,), (0, 3), (4, 0)])
+def test_arrays_come_back_as_they_went(device, rng, dtype, shape):
+    host = rng.integers(0, 200, shape).astype(dtype)
+    array = device.upload(host)
+    assert (array.shape, array.dtype, array.nbytes) == (host.shape, host.dtype, host.nbytes)
+    back = device.download(array)
+    assert back.dtype == host.dtype
+    np.testing.assert_array_equal(back, host)
+
+
+def test_every_bit_pattern_survives(device):
+    host = np.array([0x7FC00001, 0x00000001, 0x80000000, 0xFF800000], np.uint32).view(np.float32)
+    back = device.download(device.upload(host))
+    np.testing.assert_array_equal(back.view(np.uint32), host.view(np.uint32))
+
+
+def test_views_are_uploaded_in_their_own_order(device):
+    host = np.arange(12, dtype=np.float32).reshape(3, 4)
+    np.testing.assert_array_equal(device.download(device.upload(host.T[::2])), host.T[::2])
+
+
+@pytest.mark.parametrize("shape", [(1000, 3), (3,), (0, 3)])
+def test_zeros_clears_memory_that_was_used_before(device, shape):
+    used = device.upload(np.full(shape, 7.0, np.float32))
+    del used
+    np.testing.assert_array_equal(device.download(device.zeros(shape)), np.zeros(shape))
+
+
+def test_writing_another_size_or_type_is_refused(device):
+    array = device.zeros((4,))
+    for wrong in (np.zeros(5, np.float32), np.zeros(4, np.float64)):
+        with pytest.raises(ValueError, match="cannot write"):
+            device.write(array, wrong)
+
+
+def test_memory_returns_with_the_array_and_stays_intact_while_it_lives(device):
+    kept = device.upload(np.ones(1000, np.float32))
+    for _ in range(100):
+        device.upload(np.full(1000, 2.0, np.float32))
+    np.testing.assert_array_equal(device.download(kept), np.ones(1000))
+
+
+def test_the_same_kernel_is_the_same_object(fresh_device, program):
+    program("scale", SCALE.replace('#include "include/real.h"\n', "\n"))
+    kernel = fresh_device.kernel("scale", "scale_forward")
+    assert fresh_device.kernel("scale", "scale_forward") is kernel
+    assert fresh_device.kernel("scale", "scale_forward", FACTOR=3.0) is not kernel
+
+
+def test_a_kernel_runs_with_its_macros(fresh_device, program):
+    program("scale", SCALE.replace('#include "include/real.h"\n', "\n"))
+    x = fresh_device.upload(np.arange(100, dtype=np.float32))
+    size = round_up(100, 64)
+    for factor in ({}, {"FACTOR": 0.1}):
+        kernel = fresh_device.kernel("scale", "scale_forward", **factor)
+        fresh_device.run(kernel, (size,), (64,), x, np.int32(100))
+    expected = np.arange(100, dtype=np.float32) * np.float32(2.0) * np.float32(0.1)
+    np.testing.assert_array_equal(fresh_device.download(x), expected)
+
+
+def test_an_empty_launch_does_nothing(fresh_device, program):
+    program("scale", SCALE.replace('#include "include/real.h"\n', "\n"))
+    x = fresh_device.zeros((0,))
+    fresh_device.run(fresh_device.kernel("scale", "scale_forward"), (0,), None, x, np.int32(0))
+    fresh_device.finish()
+
+
+def test_a_build_error_names_file_and_line(fresh_device, program):
+    program("scale", SCALE.replace('#include "include/real.h"\n', "\n").replace("FACTOR;", "NONE;"))
+    with pytest.raises(DeviceError) as caught:
+        fresh_device.kernel("scale", "scale_forward")
+    assert "kernels_cl/scale.cl" in str(caught.value)
+    assert "scale.cl:9" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_specialisation_follows_argument_environment_and_type(monkeypatch):
+    monkeypatch.setenv("CLGS_SPECIALISATION", "gpu")
+    assert (Device().specialisation, Device().vec) == ("gpu", 1)
+    assert (Device(specialisation="cpu").specialisation, Device(specialisation="cpu").vec) == (
+        "cpu",
+        16,
+    )
+    monkeypatch.setenv("CLGS_SPECIALISATION", "tpu")
+    with pytest.raises(DeviceError, match="CLGS_SPECIALISATION=tpu"):
+        Device()
+
+
+def test_floats_become_exact_float32_literals():
+    for value in (0.1, 1e-30, 2.0, 1.0 / 255.0, 1e20):
+        text = device_module._literal(value)
+        assert text.endswith("f")
+        assert np.float32(text[:-1]) == np.float32(value)
+    assert device_module._literal(3) == "3"
+
+
+def test_round_up():
+    assert [round_up(n, 16) for n in (0, 1, 16, 17)] == [0, 16, 16, 32]
+
+
+def test_profile_attributes_time_only_while_it_is_on(fresh_device):
+    with fresh_device.stage("off"):
+        pass
+    fresh_device.profile.enabled = True
+    for _ in range(2):
+        with fresh_device.stage("on"):
+            fresh_device.zeros((10,))
+    ((name, calls, milliseconds, seconds),) = fresh_device.profile.rows()
+    assert (name, calls) == ("on", 2)
+    assert 0.0 < milliseconds <= 1e3 * seconds
+    fresh_device.profile.clear()
+    assert fresh_device.profile.rows() == []

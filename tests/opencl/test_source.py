@@ -1,0 +1,54 @@
+"""Kernel sources: found as package data, includes expanded once, lines marked."""
+
+from __future__ import annotations
+
+import pytest
+
+from clgs.opencl import source
+
+
+@pytest.fixture
+def kernels(monkeypatch, tmp_path):
+    """A folder that stands for kernels_cl."""
+    (tmp_path / "include").mkdir()
+    monkeypatch.setattr(source, "kernel_root", lambda: tmp_path)
+    return tmp_path
+
+
+def test_the_kernels_are_shipped():
+    names = {entry.name for entry in source.kernel_root().iterdir()}
+    assert {"include", "project.cl"} <= names
+
+
+def test_includes_are_expanded_with_line_marks(kernels):
+    (kernels / "include" / "a.h").write_text("int a;\n")
+    (kernels / "x.cl").write_text('int before;\n#include "include/a.h"\nint after;\n')
+    assert source.read_program("x.cl").splitlines() == [
+        '#line 1 "x.cl"',
+        "int before;",
+        '#line 1 "include/a.h"',
+        "int a;",
+        '#line 3 "x.cl"',
+        "int after;",
+    ]
+
+
+def test_a_header_is_expanded_once(kernels):
+    (kernels / "include" / "a.h").write_text("int a;\n")
+    (kernels / "include" / "b.h").write_text('#include "include/a.h"\nint b;\n')
+    (kernels / "x.cl").write_text('#include "include/a.h"\n#include "include/b.h"\n')
+    text = source.read_program("x.cl")
+    assert text.count("int a;") == 1
+    assert text.index("int a;") < text.index("int b;")
+
+
+def test_headers_that_include_each_other_end(kernels):
+    (kernels / "include" / "a.h").write_text('#include "include/b.h"\nint a;\n')
+    (kernels / "include" / "b.h").write_text('#include "include/a.h"\nint b;\n')
+    (kernels / "x.cl").write_text('#include "include/a.h"\n')
+    assert source.read_program("x.cl").count("int ") == 2
+
+
+def test_a_missing_program_is_an_error(kernels):
+    with pytest.raises(FileNotFoundError):
+        source.read_program("missing.cl")
