@@ -16,7 +16,8 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "train",
         help="train a scene from photos with poses",
         description="Train a scene. RUN receives config.toml, progress.csv, scene.clgs, "
-        "results.json, per_view.json, hashes.json, test/ and preview.png.",
+        "results.json, per_view.json, hashes.json, test/ and preview.png. Adam is dense: every "
+        "anchor moves at every step.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     add = parser.add_argument

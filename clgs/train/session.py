@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -147,6 +148,7 @@ class Session:
             "steps": self.config.steps,
             "train_seconds": self.seconds,
             "seconds_per_step": self.seconds / max(1, self.config.steps),
+            "peak_memory_bytes": peak_memory(),
             "device": self.device.name,
             "skipped_images": self.dataset.skipped,
             "merged_anchors": self.trainer.merged,
@@ -161,6 +163,16 @@ class Session:
         write_pictures(self.folder / "test" / f"ours_{self.config.steps}", scores)
         if scores:
             save_png(self.folder / "preview.png", comparison(scores[0].photo, scores[0].render))
+
+
+def peak_memory() -> int | None:
+    """Largest resident size of this process so far, bytes; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def write_json(path: Path, value: Any) -> None:
