@@ -30,6 +30,9 @@ SCALED_WITH_STEPS = (
 )
 """Moments of a run that move with its length; intervals and counts stay."""
 
+SHORT_RUN_POWERS = {"feature": 0.5, "offset": 0.25}
+"""A run of 1/n of 30,000 steps multiplies these learning rates by n, at most 30, to this power."""
+
 CHOICES = {
     "preset": ("default", "quick", "paper"),
     "background": ("black", "white", "random"),
@@ -182,6 +185,10 @@ class TrainConfig:
 
         Start of statistics, growth window, switch step and learning-rate horizon move in
         proportion; the growth interval, the counts 40 and 80 and the proxy's interval stay.
+
+        Learning rates of features and offsets grow as SHORT_RUN_POWERS says: they start at zero,
+        and in a short run would still be small beside the rounding to integers when it sets in.
+        Without this, short runs end 0.7 to 1.6 dB below what they reached before the switch.
         """
         if steps < 1:
             raise UsageError(f"steps: {steps} is not at least 1")
@@ -190,7 +197,13 @@ class TrainConfig:
             for name in SCALED_WITH_STEPS
         }
         moved["learning_rate_steps"] = max(1, moved["learning_rate_steps"])
-        return replace(self, steps=steps, **moved)
+        shorter = _shortness(steps) / _shortness(self.steps)
+        rates = {
+            name: tuple(rate * shorter**power for rate in getattr(self.learning_rates, name))
+            for name, power in SHORT_RUN_POWERS.items()
+        }
+        learning_rates = replace(self.learning_rates, **rates)
+        return replace(self, steps=steps, learning_rates=learning_rates, **moved)
 
     def to_toml(self) -> str:
         """The text of config.toml: every setting; an open volume weight is left out."""
@@ -239,6 +252,10 @@ def preset(name: str) -> TrainConfig:
     if name == "paper":
         return replace(config, normalize=False, proxy="pooled")
     return config
+
+
+def _shortness(steps: int) -> float:
+    return min(max(TrainConfig.steps / steps, 1.0), 30.0)
 
 
 def _paper_position_q(preset_name: str, synthetic: bool) -> float:

@@ -54,7 +54,8 @@ inline int unit_y(int unit)
 inline uint units_of(int4 box)
 {
     const bool some = (box.x <= box.z) & (box.y <= box.w);
-    const int4 inside = clamp(box, 0, TILE_SIZE - 1);
+    /* vector bounds: Oclgrind 21.10 reads the scalar ones of an integer clamp past their end */
+    const int4 inside = clamp(box, (int4)(0), (int4)(TILE_SIZE - 1));
     const uint columns = (2u << (inside.z / UNIT_WIDTH)) - (1u << (inside.x / UNIT_WIDTH));
     const uint below = UNIT_COLUMNS * (uint)(inside.y / UNIT_HEIGHT);
     const uint above = UNIT_COLUMNS * (uint)(UNIT_ROWS - 1 - inside.w / UNIT_HEIGHT);

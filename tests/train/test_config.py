@@ -59,9 +59,22 @@ def test_scaled_moves_moments_and_keeps_intervals() -> None:
         "switch_step": 1500,
         "learning_rate_steps": 3000,
     }
-    assert short == dataclasses.replace(full, **moved)
+    rates = short.learning_rates
+    assert dataclasses.replace(short, learning_rates=full.learning_rates) == dataclasses.replace(
+        full, **moved
+    )
+    assert rates.feature == pytest.approx((0.0075 * 10**0.5,) * 2)
+    assert rates.offset == pytest.approx((0.01 * 10**0.25, 0.0001 * 10**0.25))
+    untouched = ("scaling", "mlp_opacity", "mlp_covariance", "mlp_color")
+    assert all(getattr(rates, name) == getattr(full.learning_rates, name) for name in untouched)
     assert (short.growth_interval, short.rate_interval) == (100, 10)
     assert (short.slot_seen, short.anchor_visits) == (40, 80)
+
+
+def test_scaling_twice_is_scaling_once() -> None:
+    once, twice = TrainConfig().scaled(900), TrainConfig().scaled(3000).scaled(900)
+    assert twice.learning_rates.feature == pytest.approx(once.learning_rates.feature)
+    assert TrainConfig().scaled(60_000).learning_rates == TrainConfig().learning_rates
 
 
 def test_scaled_rounds_to_the_nearest_step() -> None:
