@@ -77,7 +77,7 @@ def render_reference(
     lists = tiles.TileLists(
         **{
             name: device.download(getattr(frame.tiles, name))
-            for name in ("gaussian", "row", "tile_range", "order", "row_range")
+            for name in ("gaussian", "row", "tile_range", "row_range")
         }
     )
     decisions = matched_decisions(device, frame, d_image)
