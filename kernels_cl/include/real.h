@@ -38,7 +38,8 @@ typedef CLGS_CAT(int, VEC) iv;
 #define LN2 0.693147182f
 
 /* 2^x, relative error 8e-8 (degree 6) or 2e-7 (degree 5); x is clamped to [-126, 127], so the
- * result is never subnormal. A NaN stays one. */
+ * result is never subnormal. A NaN stays one: the select is needed where its low bits are set, as
+ * in the NaN that NVIDIA GPUs make. */
 #ifndef EXP2_DEGREE
 #define EXP2_DEGREE 6
 #endif
@@ -65,11 +66,10 @@ typedef CLGS_CAT(int, VEC) iv;
         const F shifted = bounded + (F)(ROUND_MAGIC);                                              \
         const F f = bounded - (shifted - (F)(ROUND_MAGIC));                                        \
         const F p = EXP2_POLYNOMIAL(f);                                                            \
-        return AS_F(AS_I(p) + (AS_I(shifted) << 23));                                              \
+        return x == x ? AS_F(AS_I(p) + (AS_I(shifted) << 23)) : x;                                 \
     }
 
-/* e^x, relative error 1e-7; x is clamped to [-87, 88]. A NaN stays one: the select is needed where
- * its low bits are set, as in the NaN that NVIDIA GPUs make. */
+/* e^x, relative error 1e-7; x is clamped to [-87, 88]. A NaN stays one, as above. */
 #define DEFINE_EXP(name, F, I, AS_F, AS_I)                                                         \
     inline F name(F x)                                                                             \
     {                                                                                              \
@@ -86,7 +86,8 @@ typedef CLGS_CAT(int, VEC) iv;
         return x == x ? AS_F(AS_I(p) + (AS_I(shifted) << 23)) : x;                                 \
     }
 
-/* Natural logarithm of a positive normal number, absolute error 1e-7 * max(1, |log x|). */
+/* Natural logarithm of a positive normal number, absolute error 1e-7 * max(1, |log x|). A NaN stays
+ * one; for other x, infinity included, callers guard. */
 #define DEFINE_LOG(name, F, I, AS_F, AS_I, TO_F)                                                   \
     inline F name(F x)                                                                             \
     {                                                                                              \
@@ -100,7 +101,7 @@ typedef CLGS_CAT(int, VEC) iv;
         p = fma(p, z, (F)(0.200001702f));                                                          \
         p = fma(p, z, (F)(0.333333313f));                                                          \
         const F tail = fma(exponent, (F)(LN2_LOW), 2.0f * s * z * p);                              \
-        return fma(exponent, (F)(LN2_HIGH), 2.0f * s + tail);                                      \
+        return x == x ? fma(exponent, (F)(LN2_HIGH), 2.0f * s + tail) : x;                         \
     }
 
 #define DEFINE_TANH(name, exp_name, F, I)                                                          \

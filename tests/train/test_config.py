@@ -63,8 +63,8 @@ def test_scaled_moves_moments_and_keeps_intervals() -> None:
     assert dataclasses.replace(short, learning_rates=full.learning_rates) == dataclasses.replace(
         full, **moved
     )
-    assert rates.feature == pytest.approx((0.0075 * 10**0.5,) * 2)
-    assert rates.offset == pytest.approx((0.01 * 10**0.25, 0.0001 * 10**0.25))
+    assert rates.feature == pytest.approx((0.0075 * 10**0.75, 0.0075 * 10**-0.25))
+    assert rates.offset == pytest.approx((0.01 * 10**0.5, 0.0001 * 10**0.25))
     untouched = ("scaling", "mlp_opacity", "mlp_covariance", "mlp_color")
     assert all(getattr(rates, name) == getattr(full.learning_rates, name) for name in untouched)
     assert (short.growth_interval, short.rate_interval) == (100, 10)
