@@ -1,7 +1,7 @@
-"""Train a tiny scene for one step in both specialisations: race_scene.py DEVICE.
+"""Train a tiny scene for one step: race_scene.py DEVICE SPECIALISATION.
 
 Every kernel that training and rendering launch runs, those of rounding and rate proxy after the
-step: no step has both them and the statistics for growing, and a step takes half a minute.
+step: no step has both them and the statistics for growing, and a step takes up to a minute.
 """
 
 from __future__ import annotations
@@ -40,21 +40,18 @@ class ExactDevice(Device):
         return DeviceArray(buffer, tuple(shape), dtype)
 
 
-def main(arguments: list[str]) -> int:
+def main(name: str, specialisation: str) -> int:
     """Exit code 1 where the loss or the rate is not a number."""
     scene, camera = anchor_scene(GAUSSIANS, SIZE, seed=1)
     config = replace(TrainConfig(), statistics_start=0).for_dataset("photos")
-    for specialisation in ("cpu", "gpu"):
-        device = ExactDevice(*arguments[:1], specialisation=specialisation)
-        trainer = Trainer(device, photo_dataset(camera, scene.anchors.position), config)
-        trainer.parameters = new_parameters(device, scene.anchors, scene.mlps)
-        trainer.densifier = Densifier(device, config, trainer.parameters.count)
-        result = trainer.step()
-        bits = rate_of_rounded(trainer)
-        print(f"race_scene: {specialisation}: {result}, {bits} bits an anchor")
-        if not np.isfinite(result.loss + bits):
-            return 1
-    return 0
+    device = ExactDevice(name, specialisation)
+    trainer = Trainer(device, photo_dataset(camera, scene.anchors.position), config)
+    trainer.parameters = new_parameters(device, scene.anchors, scene.mlps)
+    trainer.densifier = Densifier(device, config, trainer.parameters.count)
+    result = trainer.step()
+    bits = rate_of_rounded(trainer)
+    print(f"race_scene: {specialisation}: {result}, {bits} bits an anchor")
+    return 0 if np.isfinite(result.loss + bits) else 1
 
 
 def rate_of_rounded(trainer: Trainer) -> float:
@@ -70,4 +67,4 @@ def rate_of_rounded(trainer: Trainer) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(*sys.argv[1:]))

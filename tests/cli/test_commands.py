@@ -13,6 +13,10 @@ import pytest
 from tests.small_scene import write_scene
 
 
+STEPS = 220
+"""Just enough for one change of the anchors, at step 100, and for quantisation."""
+
+
 def clgs(*arguments, **environment):
     command = [sys.executable, "-m", "clgs.cli.main", *map(str, arguments)]
     return subprocess.run(
@@ -34,7 +38,7 @@ def data(tmp_path_factory):
 @pytest.fixture(scope="module")
 def run(data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
-    succeed("train", data, "-o", folder, "--steps", 200)
+    succeed("train", data, "-o", folder, "--steps", STEPS)
     return folder
 
 
@@ -42,8 +46,8 @@ def test_run_folder_is_complete(run):
     files = ["config.toml", "progress.csv", "scene.clgs", "results.json", "per_view.json"]
     for name in [*files, "hashes.json", "preview.png"]:
         assert (run / name).stat().st_size > 0, name
-    pictures = sorted(path.name for path in (run / "test" / "ours_200" / "renders").iterdir())
-    assert pictures == sorted(path.name for path in (run / "test" / "ours_200" / "gt").iterdir())
+    pictures = sorted(path.name for path in (run / "test" / "ours_220" / "renders").iterdir())
+    assert pictures == sorted(path.name for path in (run / "test" / "ours_220" / "gt").iterdir())
     assert len(pictures) == 3
     results = json.loads((run / "results.json").read_text())
     assert results["psnr"] > 15
@@ -67,7 +71,7 @@ def test_encode_decode_eval_from_the_file_alone(run, data, tmp_path):
     assert scores["bytes"] == results["bytes"]
     assert "clgs" in scores["protocol"]
     succeed("render", file, "--data", data, "--split", "test", "-o", tmp_path / "pictures")
-    for path in (run / "test" / "ours_200" / "renders").iterdir():
+    for path in (run / "test" / "ours_220" / "renders").iterdir():
         assert (tmp_path / "pictures" / path.name).read_bytes() == path.read_bytes()
     assert "ANCH" in succeed("info", file)
 
@@ -84,7 +88,7 @@ def test_hashes_tell_a_difference(run, tmp_path):
 def test_same_command_same_file_for_any_number_of_threads(data, run, tmp_path):
     for threads in ("1", "2"):
         folder = tmp_path / threads
-        succeed("train", data, "-o", folder, "--steps", 200, POCL_MAX_PTHREAD_COUNT=threads)
+        succeed("train", data, "-o", folder, "--steps", STEPS, POCL_MAX_PTHREAD_COUNT=threads)
         assert (folder / "scene.clgs").read_bytes() == (run / "scene.clgs").read_bytes()
 
 
