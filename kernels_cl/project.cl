@@ -7,6 +7,7 @@
  */
 #include "include/real.h"
 #include "include/camera.h"
+#include "include/vector3.h"
 
 #ifndef BLUR
 #define BLUR 0.3f
@@ -37,27 +38,10 @@ typedef struct {
     float blur; /* BLUR / unit^2 */
 } Splat;
 
-inline float dot3(float3 p, float3 q)
-{
-    return fma(p.z, q.z, fma(p.y, q.y, p.x * q.x));
-}
-
 inline float3 row3(__global const float *camera, int row)
 {
     return (float3)(camera[CAMERA_ROTATION + 3 * row], camera[CAMERA_ROTATION + 3 * row + 1],
                     camera[CAMERA_ROTATION + 3 * row + 2]);
-}
-
-inline float3 load3(__global const float *values, size_t i)
-{
-    return (float3)(values[3 * i], values[3 * i + 1], values[3 * i + 2]);
-}
-
-inline void store3(float3 value, __global float *values, size_t i)
-{
-    values[3 * i] = value.x;
-    values[3 * i + 1] = value.y;
-    values[3 * i + 2] = value.z;
 }
 
 /* Rows of the rotation matrix of a unit quaternion q = (w, x, y, z) stored as (x, y, z, w). */

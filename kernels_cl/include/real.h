@@ -35,39 +35,14 @@ typedef CLGS_CAT(int, VEC) iv;
 #define LOG2_E 1.44269504f
 #define LN2_HIGH 0.693145752f
 #define LN2_LOW 1.42860677e-06f
-#define LN2 0.693147182f
 
-/* 2^x, relative error 8e-8 (degree 6) or 2e-7 (degree 5); x is clamped to [-126, 127], so the
- * result is never subnormal. A NaN stays one: the select is needed where its low bits are set, as
- * in the NaN that NVIDIA GPUs make. */
-#ifndef EXP2_DEGREE
-#define EXP2_DEGREE 6
-#endif
-#if EXP2_DEGREE == 6
+/* 2^f for |f| <= 1/2, relative error 8e-8. */
 #define EXP2_POLYNOMIAL(f)                                                                         \
     fma(fma(fma(fma(fma(fma(1.53458118e-04f, f, 1.33999309e-03f), f, 9.61848907e-03f), f,          \
                     5.55032864e-02f),                                                              \
                 f, 2.40226462e-01f),                                                               \
             f, 6.93147182e-01f),                                                                   \
         f, 1.0f)
-#else
-#define EXP2_POLYNOMIAL(f)                                                                         \
-    fma(fma(fma(fma(fma(1.32764713e-03f, f, 9.67554096e-03f), f, 5.55071309e-02f), f,              \
-                2.40221202e-01f),                                                                  \
-            f, 6.93146944e-01f),                                                                   \
-        f, 1.00000012f)
-#endif
-
-#define DEFINE_EXP2(name, F, I, AS_F, AS_I)                                                        \
-    inline F name(F x)                                                                             \
-    {                                                                                              \
-        F bounded = x < (F)(-126.0f) ? (F)(-126.0f) : x;                                           \
-        bounded = bounded > (F)(127.0f) ? (F)(127.0f) : bounded;                                   \
-        const F shifted = bounded + (F)(ROUND_MAGIC);                                              \
-        const F f = bounded - (shifted - (F)(ROUND_MAGIC));                                        \
-        const F p = EXP2_POLYNOMIAL(f);                                                            \
-        return x == x ? AS_F(AS_I(p) + (AS_I(shifted) << 23)) : x;                                 \
-    }
 
 /* e^x, relative error 1e-7; x is clamped to [-87, 88]. A NaN stays one, as above. */
 #define DEFINE_EXP(name, F, I, AS_F, AS_I)                                                         \
@@ -123,11 +98,9 @@ typedef CLGS_CAT(int, VEC) iv;
         return 1.0f / (1.0f + exp_name(-x));                                                       \
     }
 
-DEFINE_EXP2(exp2_v, fv, iv, AS_FV, AS_IV)
 DEFINE_EXP(exp_v, fv, iv, AS_FV, AS_IV)
 DEFINE_TANH(tanh_v, exp_v, fv, iv)
 DEFINE_SIGMOID(sigmoid_v, exp_v, fv, iv)
-DEFINE_EXP2(exp2_s, float, int, as_float, as_int)
 DEFINE_EXP(exp_s, float, int, as_float, as_int)
 DEFINE_LOG(log_s, float, int, as_float, as_int, convert_float)
 DEFINE_TANH(tanh_s, exp_s, float, int)

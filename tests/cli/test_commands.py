@@ -12,7 +12,6 @@ import pytest
 
 from tests.small_scene import write_scene
 
-
 STEPS = 220
 """Just enough for one change of the anchors, at step 100, and for quantisation."""
 
