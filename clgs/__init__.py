@@ -5,10 +5,10 @@ The names of this module do the whole job; nothing heavy is imported before one 
 - ``prepare(photos, output)``: poses and points from a folder of photos (structure from motion)
 - ``load_dataset(folder)``: Blender, transforms.json or COLMAP data with its views
 - ``preset(name)``: a training configuration; ``.scaled(steps)`` sets the length
-- ``train(dataset, folder, config)``: a trained, quantised, encoded scene
+- ``train_scene(dataset, folder, config)``: a trained, quantised, encoded scene
 - ``encode(scene)`` / ``decode(data)``: a scene to bytes and back, bit for bit
 - ``save_scene(path, scene)`` / ``load_scene(path)``: a scene as a NumPy archive
-- ``Renderer(device, scene)`` and ``render(scene, camera)``: pictures from any camera
+- ``Renderer(device, scene)`` and ``render_view(scene, camera)``: pictures from any camera
 - ``evaluate_views(device, scene, views)``: PSNR and SSIM against photos
 - ``Camera``, ``Device``, ``TrainConfig``: what the functions above take
 """
@@ -32,9 +32,9 @@ _HOMES = {
     "load_scene": "clgs.scene.storage",
     "prepare": "clgs.data.photos",
     "preset": "clgs.train.config",
-    "render": "clgs.render.renderer",
+    "render_view": "clgs.render.renderer",
     "save_scene": "clgs.scene.storage",
-    "train": "clgs.train.session",
+    "train_scene": "clgs.train.session",
 }
 
 __all__ = sorted(_HOMES)  # the list is made from the table above

@@ -5,38 +5,92 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from errno import EACCES, EEXIST, EINVAL, EISDIR, ENOENT, ENOTDIR
 from pathlib import Path
+
+STEM_KEPT = 48
+"""Characters of a name that its temporary name keeps: it must not grow too long for a folder."""
 
 
 def atomic_write(path: Path, data: bytes) -> None:
     """Write ``data`` to ``path``: readers see the old file or the whole new one.
 
     Raises:
-        OSError: the folder is missing or not writable, or the disk is full; nothing is left.
+        OSError: ``path`` cannot be written (see :func:`check_target`), or the disk is full;
+            nothing is left.
     """
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+
+
+def check_target(path: Path) -> Path:
+    """The file that writing to ``path`` makes or replaces: links are followed.
+
+    Call it before long work whose result goes to ``path``.
+
+    Raises:
+        OSError: the folder is missing or not writable, or ``path`` is a folder, a device or
+            another thing that is no regular file; names ``path`` and the remedy.
+    """
+    with suppress(FileNotFoundError):
+        mode = os.stat(path).st_mode
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(EISDIR, "is a folder; name a file", str(path))
+        if not stat.S_ISREG(mode):
+            raise OSError(EINVAL, "is not a regular file; name another", str(path))
+    target = Path(os.path.realpath(path))
+    _check_parent(path, target.parent)
+    return target
+
+
+def check_folder(path: Path) -> None:
+    """Raise OSError, naming the remedy, where ``path`` is or lies in something that is no folder.
+
+    Folders that are missing can be made, and are no error.
+    """
+    for folder in (path, *path.parents):
+        if folder.exists():
+            if not folder.is_dir():
+                raise NotADirectoryError(ENOTDIR, "is no folder; choose another name", str(folder))
+            return
+
+
+def _check_parent(path: Path, parent: Path) -> None:
+    if not parent.is_dir():
+        problem = f"cannot be written: there is no folder {parent}; make it first"
+        raise FileNotFoundError(ENOENT, problem, str(path))
+    if not os.access(parent, os.W_OK | os.X_OK):
+        problem = f"cannot be written: no permission in {parent}; choose another folder"
+        raise PermissionError(EACCES, problem, str(path))
 
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
     """A path beside ``path`` to write one file to; it takes the name ``path`` on success.
 
-    The temporary name keeps the suffix, because many writers choose the format by it. On any
-    failure it is removed and ``path`` stays as it was.
+    The temporary name keeps the suffix, because many writers choose the format by it. Where
+    ``path`` is a link, the file that it names is written. On any failure the temporary file is
+    removed and ``path`` stays as it was.
+
+    Raises:
+        OSError: as :func:`check_target`; errors of the temporary file name ``path`` instead.
     """
     path = Path(path)
-    temporary = _temporary(path)
+    target = check_target(path)
+    temporary = _temporary(path, target.parent)
     try:
-        yield temporary
-        _sync(temporary)
-        os.replace(temporary, path)
+        with _blamed_on(path, temporary):
+            yield temporary
+            _sync(temporary)
+            os.replace(temporary, target)
     except BaseException:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
         raise
-    _sync_folder(path.parent)
+    _sync_folder(target.parent)
 
 
 @contextmanager
@@ -47,28 +101,46 @@ def atomic_folder(path: Path) -> Iterator[Path]:
 
     Raises:
         FileExistsError: ``path`` is a file, or a folder that is not empty; nothing is overwritten.
+        OSError: its parent is missing or not writable; names ``path`` and the remedy.
     """
     path = Path(path)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise FileExistsError(17, "exists and is not an empty folder; choose another", str(path))
-    temporary = _temporary(path)
-    temporary.mkdir()
+        raise FileExistsError(
+            EEXIST, "exists and is not an empty folder; choose another", str(path)
+        )
+    target = Path(os.path.realpath(path))
+    _check_parent(path, target.parent)
+    temporary = _temporary(path, target.parent)
     try:
-        yield temporary
-        for entry in temporary.rglob("*"):
-            _sync_folder(entry) if entry.is_dir() else _sync(entry)
-        _sync_folder(temporary)
-        if path.exists():
-            path.rmdir()
-        temporary.rename(path)
+        with _blamed_on(path, temporary):
+            temporary.mkdir()
+            yield temporary
+            for entry in temporary.rglob("*"):
+                _sync_folder(entry) if entry.is_dir() else _sync(entry)
+            _sync_folder(temporary)
+            if target.exists():
+                target.rmdir()
+            temporary.rename(target)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
-    _sync_folder(path.parent)
+    _sync_folder(target.parent)
 
 
-def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
+def _temporary(path: Path, folder: Path) -> Path:
+    return folder / f".{path.stem[:STEM_KEPT]}.{secrets.token_hex(4)}{path.suffix}"
+
+
+@contextmanager
+def _blamed_on(path: Path, temporary: Path) -> Iterator[None]:
+    """Let an OSError name ``path``, which the user knows, where it names ``temporary`` or none."""
+    try:
+        yield
+    except OSError as error:
+        name = "" if error.filename is None else str(error.filename)
+        if error.errno is not None and (not name or name.startswith(str(temporary))):
+            error.filename = f"{path}{name.removeprefix(str(temporary))}"
+        raise
 
 
 def _sync(path: Path) -> None:

@@ -9,6 +9,7 @@ ci=
 if [ "${1:-}" = --ci ]; then
     ci=1
     shift
+    export CI=true # a check whose tool is missing fails where the tool can be installed
 fi
 
 # shellcheck source=scripts/setup.sh
@@ -32,7 +33,7 @@ lint() {
     "$bin/mypy"
     source_files kernels_cl codec_c tests/c | xargs -0 "$bin/clang-format" --dry-run --Werror
     if [ -n "$ci" ] && on_debian_as_root && ! scripts/lint_kernels.sh --find >/dev/null; then
-        apt_install clang || say "clang cannot be installed; the kernels are not linted"
+        apt_install clang || true # lint_kernels.sh says what is missing
     fi
     scripts/lint_kernels.sh
 }

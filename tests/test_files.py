@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import stat
+from pathlib import Path
 
 import pytest
 
-from clgs.files import atomic_folder, atomic_path, atomic_write
+from clgs.files import atomic_folder, atomic_path, atomic_write, check_folder
 
 
 def names(folder):
@@ -98,3 +99,61 @@ def test_a_full_folder_and_a_file_are_not_overwritten(tmp_path):
         with pytest.raises(FileExistsError, match="not an empty folder"):
             atomic_folder(tmp_path / name).__enter__()
     assert names(tmp_path) == ["file", "run"]
+
+
+def test_a_link_is_written_through(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "real.bin").write_bytes(b"old")
+    for name in ("real.bin", "new.bin"):
+        link = tmp_path / f"to_{name}"
+        link.symlink_to(tmp_path / "elsewhere" / name)
+        atomic_write(link, b"new")
+        assert link.is_symlink()
+        assert (tmp_path / "elsewhere" / name).read_bytes() == b"new"
+    assert names(tmp_path / "elsewhere") == ["new.bin", "real.bin"]
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_device_is_not_replaced(tmp_path, linked):
+    path = tmp_path / "null" if linked else Path(os.devnull)
+    if linked:
+        path.symlink_to(os.devnull)
+    with pytest.raises(OSError, match="not a regular file"):
+        atomic_write(path, b"data")
+    assert not Path(os.devnull).is_file()
+
+
+def test_errors_name_the_path_and_the_remedy(tmp_path):
+    (tmp_path / "file").touch()
+    cases = [("missing/x", "make it first"), (".", "is a folder"), ("file/x", "Not a dir")]
+    for name, remedy in cases:
+        with pytest.raises(OSError, match=remedy) as caught:
+            atomic_write(tmp_path / name, b"data")
+        assert caught.value.filename == str(tmp_path / name)
+    with pytest.raises(OSError, match="make it first") as caught:
+        atomic_folder(tmp_path / "missing" / "run").__enter__()
+    assert caught.value.filename == str(tmp_path / "missing" / "run")
+    assert names(tmp_path) == ["file"]
+
+
+def test_errors_of_the_temporary_file_name_the_path(tmp_path):
+    with pytest.raises(FileNotFoundError) as caught, atomic_path(tmp_path / "x.png"):
+        pass
+    assert caught.value.filename == str(tmp_path / "x.png")
+    with pytest.raises(FileNotFoundError) as caught, atomic_folder(tmp_path / "run") as folder:
+        (folder / "inner" / "x").touch()
+    assert caught.value.filename == str(tmp_path / "run" / "inner" / "x")
+
+
+def test_names_may_be_as_long_as_the_folder_allows(tmp_path):
+    name = "x" * 251 + ".bin"
+    atomic_write(tmp_path / name, b"data")
+    assert names(tmp_path) == [name]
+
+
+def test_folders_are_checked_before_they_are_made(tmp_path):
+    check_folder(tmp_path / "new" / "deeper")
+    (tmp_path / "file").touch()
+    for name in ("file", "file/deeper"):
+        with pytest.raises(NotADirectoryError, match="is no folder"):
+            check_folder(tmp_path / name)

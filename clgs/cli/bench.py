@@ -32,12 +32,15 @@ def run(args: argparse.Namespace) -> int:
     from rich.table import Table
 
     from clgs.errors import UsageError
+    from clgs.files import check_target
     from clgs.opencl.device import Device
     from clgs.testing.bench_step import bench_step
     from clgs.train.session import write_json
 
     if min(args.gaussians, args.size, args.repeats) < 1:
         raise UsageError("--gaussians, --size and --repeats must be at least 1")
+    if args.json:
+        check_target(args.json)
     device = Device(args.device)
     times = bench_step(device, args.gaussians, args.size, args.repeats, args.seed)
     title = (

@@ -16,13 +16,13 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
     from clgs.cli.scene_argument import read_bitstream
-    from clgs.errors import DataError
+    from clgs.errors import UsageError
+    from clgs.files import check_target
     from clgs.scene.storage import save_scene
 
     if args.output.suffix != ".npz":
-        raise DataError(f"{args.output}: the output must end in .npz")
-    if not args.scene.is_file():
-        raise DataError(f"{args.scene}: no such file; name a .clgs file")
+        raise UsageError(f"{args.output}: the output must end in .npz; name it so")
+    check_target(args.output)
     scene, _ = read_bitstream(args.scene)
     save_scene(args.output, scene)
     print(f"{args.output}: {len(scene.anchors):,} anchors")

@@ -17,8 +17,9 @@ def run(args: argparse.Namespace) -> int:
     """Encode; exit code 0."""
     from clgs.cli.scene_argument import read_scene
     from clgs.codec.encode import encode
-    from clgs.files import atomic_write
+    from clgs.files import atomic_write, check_target
 
+    check_target(args.output)
     scene, _ = read_scene(args.scene)
     data = encode(scene)
     atomic_write(args.output, data)

@@ -31,11 +31,14 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Evaluate; exit code 0, or 1 where the hashes differ."""
     from clgs.cli.scene_argument import read_scene
-    from clgs.errors import DataError
+    from clgs.errors import UsageError
+    from clgs.files import check_target
     from clgs.opencl.device import Device
 
     if args.data is None and args.hashes is None:
-        raise DataError("nothing to do: name the photos with --data, or hashes with --hashes")
+        raise UsageError("nothing to do: name the photos with --data, or hashes with --hashes")
+    if args.json:
+        check_target(args.json)
     scene, size = read_scene(args.scene)
     device = Device(args.device)
     code = _compare_hashes(device, scene, args.hashes) if args.hashes else 0
@@ -62,15 +65,8 @@ def _score(
 
 
 def _compare_hashes(device: Device, scene: QuantizedScene, path: Path) -> int:
-    from clgs.errors import DataError
-    from clgs.train.hashes import differences
+    from clgs.train.hashes import differences, read_fingerprint
 
-    try:
-        expected = json.loads(path.read_text(encoding="utf-8"))
-        found = differences(device, scene, expected)
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file; `clgs train` writes hashes.json") from None
-    except (KeyError, TypeError, ValueError) as error:
-        raise DataError(f"{path}: not a hashes.json ({error})") from None
+    found = differences(device, scene, read_fingerprint(path))
     print(f"hashes: {'all equal' if not found else 'DIFFERENT: ' + ', '.join(found)}")
     return 1 if found else 0

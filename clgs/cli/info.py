@@ -23,18 +23,18 @@ def run(args: argparse.Namespace) -> int:
     """Print the description of a file; exit code 0.
 
     Raises:
-        DataError: the file is missing.
+        DataError: the file is missing, or a folder.
         CodecError: it is no .clgs file, or is damaged.
     """
     import json
 
+    from clgs.cli.scene_argument import read_bytes
     from clgs.codec.decode import describe
-    from clgs.errors import CodecError, DataError
+    from clgs.errors import CodecError
 
-    if not args.scene.is_file():
-        raise DataError(f"{args.scene}: no such file; make one with clgs encode")
+    data = read_bytes(args.scene)
     try:
-        description = describe(args.scene.read_bytes())
+        description = describe(data)
     except CodecError as error:
         raise CodecError(f"{args.scene}: {error}") from error
     if args.json:

@@ -5,14 +5,18 @@ Exit codes: 0 success, 1 failure, 2 usage, 3 data, 4 device, 130 interrupted.
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from clgs import __version__
 from clgs.errors import ClgsError, DeviceError
+
+if TYPE_CHECKING:
+    import argparse
 
 COMMANDS = (
     "devices",
@@ -35,6 +39,8 @@ environment: PYOPENCL_CTX chooses a device as --device does; CLGS_DEBUG=1 shows 
 
 def build_parser() -> argparse.ArgumentParser:
     """The parser of all commands; the commands' heavy imports wait until they run."""
+    import argparse
+
     parser = argparse.ArgumentParser(
         prog="clgs",
         description="Gaussian splatting on OpenCL: from photos to one compressed file and back.",
@@ -50,9 +56,10 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command that ``argv`` names (default: the process's arguments); its exit code."""
-    args = build_parser().parse_args(argv)
     try:
-        code: int = importlib.import_module(f"clgs.cli.{args.command}").run(args)
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            code = _run(argv)
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader went away, as in `clgs devices | head -1`; keep Python from complaining later.
@@ -64,6 +71,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         return _complain(error)
     return code
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    args = build_parser().parse_args(argv)
+    import logging
+
+    logging.basicConfig(format="clgs: warning: %(message)s", level=logging.WARNING)
+    code: int = importlib.import_module(f"clgs.cli.{args.command}").run(args)
+    return code
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"clgs: warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def _complain(error: Exception) -> int:

@@ -37,7 +37,9 @@ def run(args: argparse.Namespace) -> int:
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    quiet = not console.is_terminal  # a bar that is not redrawn leaves empty lines
+    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
         task = progress.add_task(STAGES[0], total=len(STAGES))
 
         def on_stage(stage: str) -> None:

@@ -33,7 +33,9 @@ PLAIN_SECONDS = 15.0
 def bar(total: int, label: str) -> Iterator[Callable[[], None]]:
     """A bar of ``total`` units; the block receives a function that advances it by one."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as progress:
+    console = Console(stderr=True)
+    quiet = not console.is_terminal
+    with Progress(*columns, TimeRemainingColumn(), console=console, disable=quiet) as progress:
         task = progress.add_task(label, total=total)
         yield lambda: progress.advance(task)
 

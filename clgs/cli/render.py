@@ -21,17 +21,19 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.progress import track
     from clgs.cli.scene_argument import read_scene
     from clgs.cli.view_options import selected_views
-    from clgs.export.image import save_png
+    from clgs.export.image import picture_names, save_png
+    from clgs.files import check_folder
     from clgs.opencl.device import Device
     from clgs.render.renderer import Renderer
     from clgs.train.evaluate import to_8bit
 
+    check_folder(args.output)
     scene, _ = read_scene(args.scene)
     views = selected_views(args, scene)
     renderer = Renderer(Device(args.device), scene.dequantize())
     args.output.mkdir(parents=True, exist_ok=True)
-    for view in track(views, "rendering"):
-        name = f"{Path(view.name).stem}.png"
+    names = picture_names([view.name for view in views])
+    for name, view in track(list(zip(names, views, strict=True)), "rendering"):
         save_png(args.output / name, to_8bit(renderer.render(view.camera)))
     print(f"{args.output}: {len(views)} pictures")
     return 0

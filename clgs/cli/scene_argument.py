@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 
 from clgs.codec.decode import decode
@@ -38,10 +39,28 @@ def read_bitstream(path: Path) -> tuple[QuantizedScene, int]:
     """The scene in a .clgs file, and the file's size.
 
     Raises:
+        DataError: there is no file, or a folder.
         CodecError: it is no .clgs file, or is damaged.
     """
-    data = path.read_bytes()
+    data = read_bytes(path)
     try:
         return decode(data), len(data)
     except CodecError as error:
         raise CodecError(f"{path}: {error}") from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a .clgs file; it may come through a pipe.
+
+    Raises:
+        DataError: there is no file, or something else than a file or pipe.
+    """
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file; `clgs encode` makes one from a run") from None
+    if stat.S_ISDIR(mode):
+        raise DataError(f"{path}: is a folder; name a .clgs file, such as {path / 'scene.clgs'}")
+    if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
+        raise DataError(f"{path}: is neither a file nor a pipe; name a .clgs file")
+    return path.read_bytes()

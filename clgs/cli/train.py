@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clgs.cli.view_options import positive_int
+
 if TYPE_CHECKING:
     from clgs.train.config import TrainConfig
 
@@ -18,8 +20,12 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description="Train a scene. RUN receives config.toml, progress.csv, scene.clgs, "
         "results.json, per_view.json, hashes.json, test/ and preview.png. Adam is dense: every "
         "anchor moves at every step.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
+    _add_run_options(parser)
+    _add_method_options(parser)
+
+
+def _add_run_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("data", type=Path, help="Blender, transforms.json or COLMAP folder")
     add("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder")
@@ -30,18 +36,36 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add(
         "--steps",
-        type=int,
-        help="training steps; scales the start of statistics, the growth "
-        "window, the quantisation switch and the learning-rate horizons (default: 30000)",
+        type=positive_int,
+        help="training steps; scales the start of statistics, the growth window, the quantisation "
+        "switch and the learning-rate horizons, and in short runs the learning rates of features "
+        "and offsets (default: 30000)",
     )
-    add("--seed", type=int, default=0, help="of all random choices")
+    add("--seed", type=int, default=0, help="of all random choices (default: 0)")
     add("--device", help="number or part of the name, see `clgs devices`")
-    add("--downscale", type=int, default=1, metavar="N", help="reduce the photos N times")
+    add(
+        "--downscale",
+        type=positive_int,
+        default=1,
+        metavar="N",
+        help="reduce the photos N times (default: 1)",
+    )
+    add(
+        "--resume",
+        action="store_true",
+        help="continue an interrupted run from its checkpoint, with the same options; start it "
+        "where there is none yet",
+    )
+    add("--profile", action="store_true", help="show the time of every stage (slower)")
+
+
+def _add_method_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
     add(
         "--background",
         choices=("black", "white", "random"),
         default="black",
-        help="behind transparent photos and unfinished pixels",
+        help="behind transparent photos and unfinished pixels (default: black)",
     )
     add(
         "--proxy",
@@ -55,7 +79,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         nargs=2,
         metavar=("L1", "SSIM"),
         default=(0.8, 0.2),
-        help="weights of L1 and of 1 - SSIM",
+        help="weights of L1 and of 1 - SSIM (default: 0.8 0.2)",
     )
     add(
         "--volume-weight",
@@ -63,21 +87,21 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="W",
         help="weight of the volume term (default: 0.01 on photos, 0 on Blender scenes)",
     )
-    add("--resume", action="store_true", help="continue an interrupted run from its checkpoint")
-    add("--profile", action="store_true", help="show the time of every stage (slower)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Train; exit code 0."""
     from clgs.cli.progress import TrainingDisplay, print_profile, print_summary
     from clgs.data.dataset import load_dataset
-    from clgs.errors import DataError
+    from clgs.errors import DataError, UsageError
     from clgs.opencl.device import Device
     from clgs.train.session import Session
 
+    config = make_config(args)
+    if args.output.exists() and not args.output.is_dir():
+        raise UsageError(f"{args.output}: is not a folder; name another with -o")
     if not args.resume and (args.output / "config.toml").exists():
         raise DataError(f"{args.output}: holds a run already; add --resume or name another folder")
-    config = make_config(args)
     device = Device(args.device)
     device.profile.enabled = args.profile
     dataset = load_dataset(
@@ -111,7 +135,6 @@ def make_config(args: argparse.Namespace) -> TrainConfig:
         "background": args.background,
         "l1_weight": args.loss_weights[0],
         "ssim_weight": args.loss_weights[1],
-        "downscale": args.downscale,
     }
     optional = {"volume_weight": args.volume_weight, "proxy": args.proxy}
     given |= {name: value for name, value in optional.items() if value is not None}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,12 @@ def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> No
     add = parser.add_argument
     add("--data", type=Path, required=data_required, help="the dataset that the scene was made of")
     add("--split", choices=("train", "test"), default="test", help="which views (default: test)")
-    add("--downscale", type=int, help="reduce the photos N times (default: as in training)")
+    add(
+        "--downscale",
+        type=positive_int,
+        metavar="N",
+        help="reduce the photos N times (default: as the config.toml beside SCENE says, else 1)",
+    )
     add("--device", help="number or part of the name, see `clgs devices`")
 
 
@@ -44,11 +50,19 @@ def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
 
 
 def trained_downscale(scene: Path) -> int:
-    """The --downscale of the run folder that ``scene`` is or lies in; 1 where there is none."""
-    import tomllib
+    """The --downscale of the run folder that ``scene`` is or lies in; 1, said aloud, elsewhere."""
+    from clgs.train.config import from_toml
 
-    folder = scene if scene.is_dir() else scene.parent
-    try:
-        return int(tomllib.loads((folder / "config.toml").read_text())["downscale"])
-    except (OSError, KeyError, ValueError):
-        return 1
+    path = (scene if scene.is_dir() else scene.parent) / "config.toml"
+    if path.is_file():
+        return from_toml(path.read_text(encoding="utf-8"), str(path)).downscale
+    print("clgs: no config.toml beside the scene; --downscale 1 is assumed", file=sys.stderr)
+    return 1
+
+
+def positive_int(text: str) -> int:
+    """An argument that must be a whole number of at least 1."""
+    value = int(text) if text.isdecimal() else 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least 1")
+    return value

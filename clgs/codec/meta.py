@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.scene.anchors import QuantizationScales
 from clgs.scene.mlps import MLP_SIZE
+from clgs.scene.ranges import check_ranges
 from clgs.scene.scene import RenderSettings, SceneTransform
 
 SCALING_DIM = 6
@@ -45,26 +44,7 @@ class Meta:
 
     def check(self) -> None:
         """Raise ValueError, naming the field, where a number makes no sense."""
-        for name, value, valid in self._rules():
-            if not (math.isfinite(value) and valid):
-                raise ValueError(f"{name} is {value!r}")
-
-    def _rules(self) -> Iterator[tuple[str, float, bool]]:
-        """(field, value, whether it is in range) of every number."""
-        for name, value in vars(self.scales).items():
-            yield f"Q of {name}", value, _is_scale(value)
-        yield "transform scale", self.transform.scale, _is_scale(self.transform.scale)
-        for value in self.transform.centre:
-            yield "transform centre", value, True
-        settings = self.settings
-        for value in settings.background:
-            yield "background", value, 0 <= value <= 1
-        yield "near", settings.near, _is_scale(settings.near)
-        yield "alpha_cut", settings.alpha_cut, 0 < settings.alpha_cut < 1
-        yield "alpha_max", settings.alpha_max, settings.alpha_cut < settings.alpha_max <= 1
-        stop = settings.transmittance_stop
-        yield "transmittance_stop", stop, 0 <= stop < 1
-        yield "blur", settings.blur, 0 <= settings.blur <= 2.0**64
+        check_ranges(self.scales, self.transform, self.settings)
 
 
 def unpack_meta(data: bytes | memoryview) -> Meta:
@@ -89,8 +69,3 @@ def unpack_meta(data: bytes | memoryview) -> Meta:
     )
     meta.check()
     return meta
-
-
-def _is_scale(value: float) -> bool:
-    """Whether products and quotients with any int32 stay finite and normal in float32."""
-    return 2.0**-64 <= value <= 2.0**64

@@ -51,7 +51,8 @@ class Dataset:
 
     points (P, 3) float32, may be empty; point_colors (P, 3) uint8 or None; radius: 1.1 times the
     largest distance of a training camera from their mean; transform: world to scene; kind:
-    "blender", "transforms" or "colmap"; skipped: photos named by the data set but missing.
+    "blender", "transforms" or "colmap"; skipped: photos named by the data set but missing;
+    downscale: how many times the views were reduced.
     """
 
     train: list[View]
@@ -62,6 +63,7 @@ class Dataset:
     radius: float
     kind: str
     skipped: int
+    downscale: int = 1
 
 
 def load_dataset(
@@ -105,7 +107,8 @@ def load_dataset(
     if make_points and not len(points):
         viewpoints = [viewpoint(view.camera, view.alpha) for view in train]
         points, colors = random_points(viewpoints, radius, photos.kind == "blender", seed), None
-    return Dataset(train, test, points, colors, transform, radius, photos.kind, photos.skipped)
+    scene = transform, radius, photos.kind, photos.skipped
+    return Dataset(train, test, points, colors, *scene, downscale)
 
 
 def composite(view: View, background: npt.ArrayLike) -> npt.NDArray[np.uint8]:

@@ -6,8 +6,9 @@ Pictures are (H, W, 3) uint8 sRGB throughout.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import numpy.typing as npt
@@ -98,3 +99,23 @@ def sheet(pictures: Sequence[Picture], columns: int) -> Picture:
         top, left = row * height, column * width
         page[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
     return page
+
+
+def picture_names(names: Sequence[str]) -> list[str]:
+    """File names (.png), all different, for photos called ``names``.
+
+    The stem of a photo's name where all stems differ, else its path with "_" for separators.
+    Characters outside of letters, digits, ".", "-" and "_" become "_".
+    """
+    stems = [PurePosixPath(name.replace("\\", "/")).with_suffix("") for name in names]
+    for form in ("name", "path", "numbered"):
+        plain = [_plain(stem.name if form == "name" else str(stem)) for stem in stems]
+        if form == "numbered":
+            plain = [f"{name}_{number}" for number, name in enumerate(plain)]
+        if len({name.casefold() for name in plain}) == len(plain):
+            break
+    return [f"{name}.png" for name in plain]
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^\w.-]", "_", text.strip("./"))

@@ -131,8 +131,8 @@ def backward(device: Device, image: DeviceArray, target: DeviceArray, loss: Loss
         np.int32(height),
         loss.shift,
         *loss.maps,
-        np.float32(loss.weights.l1 / count),
-        np.float32(-loss.weights.ssim / count),
+        _factor(loss.weights.l1, count),
+        _factor(-loss.weights.ssim, count),
         d_image,
     )
     return d_image
@@ -166,11 +166,17 @@ def volume(device: Device, scale: DeviceArray, weight: float, d_scale: DeviceArr
         (group,),
         scale,
         np.int32(count),
-        np.float32(weight / max(count, 1)),
+        _factor(weight, max(count, 1)),
         d_scale,
         sums,
     )
     return BlockSums(sums, count)
+
+
+def _factor(weight: float, count: int) -> np.float32:
+    """weight / count; infinite where it exceeds float32, and the gradient then says so."""
+    with np.errstate(over="ignore"):
+        return np.float32(weight / count)
 
 
 def _check(image: DeviceArray, target: DeviceArray) -> tuple[int, int]:

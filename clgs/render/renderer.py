@@ -26,6 +26,8 @@ class Renderer:
         return np.asarray(self._device.download(frame.image), np.float32)
 
 
-def render(scene: Scene, camera: Camera, device: Device | None = None) -> npt.NDArray[np.float32]:
+def render_view(
+    scene: Scene, camera: Camera, device: Device | None = None
+) -> npt.NDArray[np.float32]:
     """One picture (3, H, W) float32 of a scene; see :class:`Renderer` for many."""
     return Renderer(device or Device(), scene).render(camera)

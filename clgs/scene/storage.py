@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import io
+import lzma
+import struct
+import tokenize
 import zipfile
+import zlib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,9 +18,29 @@ from clgs.errors import DataError
 from clgs.files import atomic_write
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps
+from clgs.scene.ranges import check_ranges
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
+from clgs.shapes import Shapes
 
 ANCHOR_NAMES = ("position", "offset", "feature", "scaling")
+GROUPS: dict[str, Any] = {
+    "scales": QuantizationScales(),
+    "settings": RenderSettings(),
+    "transform": SceneTransform(),
+}
+ARRAY_NAMES = (
+    *ANCHOR_NAMES,
+    "mlps",
+    *(f"{group}.{field}" for group, default in GROUPS.items() for field in asdict(default)),
+)
+"""What a reader needs; ``world_position`` is for others."""
+
+DAMAGE = (
+    *(ValueError, TypeError, KeyError, AttributeError, OSError, EOFError, MemoryError),
+    *(RuntimeError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error),
+    *(SyntaxError, tokenize.TokenError),
+)
+"""What NumPy and zipfile raise on damaged archives; NotImplementedError is a RuntimeError."""
 
 
 def save_scene(path: Path, scene: QuantizedScene) -> None:
@@ -27,7 +51,7 @@ def save_scene(path: Path, scene: QuantizedScene) -> None:
     """
     arrays: dict[str, Any] = {name: getattr(scene.anchors, name) for name in ANCHOR_NAMES}
     arrays["mlps"] = scene.mlps.flat
-    for group in ("scales", "settings", "transform"):
+    for group in GROUPS:
         for name, value in asdict(getattr(scene, group)).items():
             arrays[f"{group}.{name}"] = np.array(value, np.float64)
     position = scene.anchors.position / np.float64(scene.scales.position)
@@ -41,34 +65,46 @@ def load_scene(path: Path) -> QuantizedScene:
     """Read what :func:`save_scene` wrote.
 
     Raises:
-        DataError: the file is missing, damaged or lacks an array.
+        DataError: the file is missing or damaged, lacks an array, or holds a number that makes no
+            sense.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+            arrays = {name: archive[name] for name in ARRAY_NAMES if name in archive.files}
         return _scene(arrays)
     except FileNotFoundError:
         raise DataError(f"{path}: no such file; train first or name a .clgs file") from None
-    except KeyError as error:
-        raise DataError(f"{path}: array {error} is missing; write the file again") from None
-    except (ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise DataError(f"{path}: not a scene archive ({error}); write the file again") from None
+    except DAMAGE as error:
+        problem = " ".join(str(error).split()) or type(error).__name__
+        raise DataError(f"{path}: not a scene archive ({problem}); write the file again") from None
 
 
 def _scene(arrays: dict[str, Any]) -> QuantizedScene:
-    if arrays["mlps"].shape != (MLP_SIZE,) or arrays["mlps"].dtype != np.float32:
-        raise ValueError(f"mlps: expected ({MLP_SIZE},) float32")
-
-    def group(name: str) -> dict[str, Any]:
-        chosen = {k.partition(".")[2]: v for k, v in arrays.items() if k.startswith(f"{name}.")}
-        return {
-            k: float(v) if v.ndim == 0 else tuple(float(x) for x in v) for k, v in chosen.items()
-        }
-
-    return QuantizedScene(
+    """The scene in ``arrays``; raises ValueError or TypeError, naming the array."""
+    for name in ARRAY_NAMES:
+        if not isinstance(arrays.get(name), np.ndarray):
+            raise ValueError(f"array {name} is missing")
+    Shapes().check("mlps", arrays["mlps"], str(MLP_SIZE), np.float32)
+    if not np.isfinite(arrays["mlps"]).all():
+        raise ValueError("mlps: a weight is not finite")
+    scales, settings, transform = (_group(arrays, group) for group in GROUPS)
+    scene = QuantizedScene(
         QuantizedAnchors(*(arrays[name] for name in ANCHOR_NAMES)),
         Mlps(arrays["mlps"]),
-        QuantizationScales(**group("scales")),
-        RenderSettings(**group("settings")),
-        SceneTransform(**group("transform")),
+        QuantizationScales(**scales),
+        RenderSettings(**settings),
+        SceneTransform(**transform),
     )
+    check_ranges(scene.scales, scene.transform, scene.settings)
+    return scene
+
+
+def _group(arrays: dict[str, Any], group: str) -> dict[str, Any]:
+    """The fields of one of GROUPS: numbers and tuples of numbers, as its defaults are."""
+    values = {}
+    for field, default in asdict(GROUPS[group]).items():
+        array = arrays[f"{group}.{field}"]
+        spec = " ".join(map(str, np.shape(default)))
+        Shapes().check(f"{group}.{field}", array, spec, np.float64)
+        values[field] = tuple(array.tolist()) if array.ndim else float(array)
+    return values

@@ -83,8 +83,8 @@ def load(folder: Path, digest: str) -> tuple[Arrays, Scalars]:
             continue
         if written_for != digest:
             raise DataError(
-                f"{path}: was made with another configuration; "
-                "resume with the run's own config.toml or choose another run folder"
+                f"{path}: was made with other settings or photos; "
+                "give the same options (config.toml lists them) or choose another run folder"
             )
         return arrays, scalars
     found = f"all {len(paths)} checkpoints are damaged" if paths else "no checkpoint"

@@ -132,10 +132,6 @@ class TrainConfig:
     """Q_S, integers per unit of log scale (paper)."""
     switch_step: int = 15_000
     """Last step without quantisation and rate proxy (paper)."""
-    initial_points: int = 100_000
-    """Random points where a data set has none (code)."""
-    initial_extent: float = 1.3
-    """Half edge of the cube of random points of Blender scenes, scene units (code)."""
 
     statistics_start: int = 500
     """Last step without statistics for growing and pruning (code)."""
@@ -243,7 +239,7 @@ def from_toml(text: str, name: str = "config.toml") -> TrainConfig:
 def preset(name: str) -> TrainConfig:
     """A named configuration.
 
-    "default": 30,000 steps. "quick": the same squeezed to 3,000 steps, nothing else changes.
+    "default": 30,000 steps. "quick": the same at 3,000 steps, see :meth:`TrainConfig.scaled`.
     "paper": the data's own units, Q_P as published and the pooled rate proxy, so that published
     numbers can be compared; its loss weights are the code's 0.8 / 0.2, which made those numbers
     (the paper's text says 0.2 / 0.8).

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from clgs.data.images import MAX_PIXELS
+from clgs.errors import DataError
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import ANCHOR_NAMES
+
+MAX_NUMBER = 1e12
+MIN_FOCAL = 1e-6
+"""A camera's numbers keep to these, so that float32 holds all that follows from them."""
 
 
 def scene_hash(scene: QuantizedScene) -> str:
@@ -42,15 +52,54 @@ def fingerprint(device: Device, scene: QuantizedScene, cameras: list[Camera]) ->
     }
 
 
+def read_fingerprint(path: Path) -> dict[str, Any]:
+    """What :func:`fingerprint` made, from a JSON file.
+
+    Raises:
+        DataError: the file is missing or is no such file.
+    """
+    try:
+        expected = json.loads(path.read_text(encoding="utf-8"))
+        _read_cameras(expected)
+        return dict(expected)
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file; `clgs train` writes hashes.json") from None
+    except IsADirectoryError:
+        raise DataError(f"{path}: is a folder; name the hashes.json in it") from None
+    except RecursionError:
+        raise DataError(f"{path}: not a hashes.json (nested too deep)") from None
+    except ValueError as error:
+        raise DataError(f"{path}: not a hashes.json ({error})") from None
+
+
 def differences(device: Device, scene: QuantizedScene, expected: dict[str, Any]) -> list[str]:
-    """What of a fingerprint ``scene`` does not reproduce on ``device``; empty when all agrees."""
+    """What of a fingerprint ``scene`` does not reproduce on ``device``; empty when all agrees.
+
+    Raises:
+        ValueError: ``expected`` is no fingerprint.
+    """
+    cameras = _read_cameras(expected)
     found = [] if scene_hash(scene) == expected["scene"] else ["quantised integers"]
-    cameras = [_camera(record) for record in expected["cameras"]]
     actual = render_hashes(device, scene, cameras)
     for index, (mine, theirs) in enumerate(zip(actual, expected["renders"], strict=True)):
         if mine != theirs:
             found.append(f"render {index}")
     return found
+
+
+def _read_cameras(expected: Any) -> list[Camera]:
+    """The cameras of a fingerprint; raises ValueError where anything in it makes no sense."""
+    if not isinstance(expected, dict):
+        raise ValueError("no JSON object")
+    renders, cameras = expected.get("renders"), expected.get("cameras")
+    if not (isinstance(renders, list) and isinstance(cameras, list) and cameras):
+        raise ValueError("renders and cameras must be lists that are not empty")
+    if len(renders) != len(cameras):
+        raise ValueError(f"{len(renders)} renders of {len(cameras)} cameras")
+    for digest in (expected.get("scene"), *renders):
+        if not (isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest)):
+            raise ValueError("scene and renders must be SHA-256 in hexadecimal")
+    return [_camera(record, f"camera {index}") for index, record in enumerate(cameras)]
 
 
 def _camera_record(camera: Camera) -> dict[str, Any]:
@@ -62,6 +111,37 @@ def _camera_record(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _camera(record: dict[str, Any]) -> Camera:
-    pose = {name: np.array(record[name], np.float64) for name in ("rotation", "translation")}
-    return Camera(**{**record, **pose})
+def _camera(record: Any, source: str) -> Camera:
+    if not isinstance(record, dict):
+        raise ValueError(f"{source}: no JSON object")
+    lens = {name: _number(record, name, source) for name in ("fx", "fy", "cx", "cy")}
+    if not min(lens["fx"], lens["fy"]) >= MIN_FOCAL:
+        raise ValueError(f"{source}: fx and fy must be positive")
+    width, height = record.get("width"), record.get("height")
+    if type(width) is not int or type(height) is not int:
+        raise ValueError(f"{source}: width and height must be whole numbers")
+    if min(width, height) < 1 or width * height > MAX_PIXELS:
+        raise ValueError(f"{source}: {width} x {height} pixels")
+    rotation = _array(record, "rotation", (3, 3), source)
+    translation = _array(record, "translation", (3,), source)
+    return Camera(rotation, translation, **lens, width=width, height=height)
+
+
+def _number(record: dict[str, Any], name: str, source: str) -> float:
+    return float(_array(record, name, (), source))
+
+
+def _array(
+    record: dict[str, Any], name: str, shape: tuple[int, ...], source: str
+) -> npt.NDArray[np.float64]:
+    """Field ``name`` as float64; float32 must be able to hold it."""
+    try:
+        array = np.array(record.get(name))
+    except ValueError:
+        array = np.array(None)
+    if array.shape != shape or array.dtype.kind not in "iuf":
+        wanted = f"{' x '.join(map(str, shape))} numbers" if shape else "a number"
+        raise ValueError(f"{source}: {name} must be {wanted}")
+    if not (np.abs(array) <= MAX_NUMBER).all():
+        raise ValueError(f"{source}: {name} is not finite, or too large")
+    return array.astype(np.float64)

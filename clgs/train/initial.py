@@ -64,16 +64,6 @@ def voxel_integers(points: npt.NDArray[np.floating], voxel: float) -> npt.NDArra
     return integers
 
 
-def random_points(
-    rng: np.random.Generator,
-    count: int,
-    low: float | npt.NDArray[np.floating],
-    high: float | npt.NDArray[np.floating],
-) -> npt.NDArray[np.float32]:
-    """(count, 3) float32 points uniform in the box from ``low`` to ``high`` (scalars or (3,))."""
-    return rng.uniform(low, high, (count, 3)).astype(np.float32)
-
-
 def _check_extent(scaled: npt.NDArray[np.float64], voxel: float) -> None:
     """Refuse what 21 bits an axis, or float32 around the origin, cannot hold exactly."""
     limit = 2.0**GRID_BITS

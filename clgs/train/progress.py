@@ -29,6 +29,7 @@ class ProgressLog:
         }
         spent = float(rows[-1]["seconds"]) if rows else 0.0
         self._start = time.perf_counter() - spent
+        self.seconds = spent
 
     def write(self, result: StepResult, psnr: float, estimated_bytes: int) -> None:
         """One row of the regular log."""
@@ -48,8 +49,9 @@ class ProgressLog:
         self._row(step=step, psnr=f"{psnr:.3f}", event=name)
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file; ``seconds`` then holds the time of all legs of the run."""
         self._file.close()
+        self.seconds = time.perf_counter() - self._start
 
     def _row(self, **values: Any) -> None:
         seconds = f"{time.perf_counter() - self._start:.1f}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -34,19 +36,20 @@ def save_checkpoint(folder: Path, trainer: Trainer) -> None:
     arrays["second.weights"] = device.download(parameters.moments["weights"].second)
     scalars = {
         "step": trainer.steps_done,
+        "merged": trainer.merged,
         "rng": trainer.rng.bit_generator.state,
         "sampler": trainer.sampler.state(),
     }
-    checkpoint.save(folder, arrays, scalars, trainer.config.digest())
+    checkpoint.save(folder, arrays, scalars, run_digest(trainer))
 
 
 def load_checkpoint(folder: Path, trainer: Trainer) -> None:
     """Continue from the newest usable checkpoint.
 
     Raises:
-        DataError: there is none, or it belongs to a run with another configuration.
+        DataError: all are damaged, or belong to a run with other settings or photos.
     """
-    arrays, scalars = checkpoint.load(folder, trainer.config.digest())
+    arrays, scalars = checkpoint.load(folder, run_digest(trainer))
     device = trainer.device
     weights = device.upload(arrays["weights"])
     weight_moments = Moments(
@@ -58,4 +61,16 @@ def load_checkpoint(folder: Path, trainer: Trainer) -> None:
     trainer.densifier.restore(Statistics(*(arrays[f"statistics.{name}"] for name in STATISTICS)))
     trainer.rng.bit_generator.state = scalars["rng"]
     trainer.sampler = ViewSampler.restore(scalars["sampler"])
+    trainer.merged = int(scalars["merged"])
     trainer.steps_done = int(scalars["step"])
+
+
+def run_digest(trainer: Trainer) -> str:
+    """SHA-256 of the settings, the training photos, their cameras and the initial points."""
+    digest = hashlib.sha256(trainer.config.digest().encode())
+    for view in trainer.dataset.train:
+        digest.update(f"{view.name} {view.image.shape}".encode())
+        digest.update(zlib.crc32(view.image.tobytes()).to_bytes(4, "little"))
+        digest.update(view.camera.pack(trainer.config.near).tobytes())
+    digest.update(trainer.dataset.points.tobytes())
+    return digest.hexdigest()

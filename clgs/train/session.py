@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,16 @@ import numpy as np
 from clgs.codec.encode import encode
 from clgs.data.dataset import Dataset, View
 from clgs.errors import DataError
-from clgs.export.image import comparison, save_png
+from clgs.export.image import comparison, picture_names, save_png
 from clgs.files import atomic_write
 from clgs.opencl.device import Device
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
+from clgs.train.checkpoint import checkpoints
 from clgs.train.config import TrainConfig
 from clgs.train.evaluation import ViewScore, evaluate_views, summarize
 from clgs.train.hashes import fingerprint
+from clgs.train.interrupt import interruptions
 from clgs.train.loop import StepResult, Trainer
 from clgs.train.progress import ProgressLog
 from clgs.train.resume import load_checkpoint, save_checkpoint
@@ -61,37 +62,37 @@ class Session:
         """Prepare a new run or the continuation of an interrupted one.
 
         Raises:
-            DataError: there is nothing to train on, or the folder holds another run.
+            DataError: there is nothing to train on, or the checkpoints are of another run.
         """
         if not dataset.train:
             raise DataError("the dataset has no training views; check the folder of images")
+        config = replace(config, downscale=dataset.downscale)
         self.folder, self.config, self.device = folder, config, device
         self.dataset = dataset
-        folder.mkdir(parents=True, exist_ok=True)
         self.trainer = Trainer(device, dataset, config)
-        if resume:
+        if resume and checkpoints(folder / "checkpoint"):
             load_checkpoint(folder / "checkpoint", self.trainer)
+        folder.mkdir(parents=True, exist_ok=True)
         atomic_write(folder / "config.toml", config.to_toml().encode())
         self.log = ProgressLog(folder / "progress.csv", self.trainer.steps_done)
-        self.seconds = 0.0
 
     def run(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
         """Train to the end, then quantise, encode, render and score the held-out views.
 
-        An interruption (KeyboardInterrupt) leaves a checkpoint behind.
+        Ctrl-C and SIGTERM let the step finish, leave a checkpoint behind and raise
+        KeyboardInterrupt; a second Ctrl-C does not wait.
         """
-        start = time.perf_counter()
         try:
-            while self.trainer.steps_done < self.config.steps:
-                progress = self._advance()
-                if on_progress is not None:
-                    on_progress(progress)
-        except KeyboardInterrupt:
-            self._checkpoint()
-            raise
+            with interruptions() as interrupted:
+                while self.trainer.steps_done < self.config.steps:
+                    progress = self._advance()
+                    if on_progress is not None:
+                        on_progress(progress)
+                    if interrupted():
+                        self._checkpoint()
+                        raise KeyboardInterrupt
         finally:
             self.log.close()
-            self.seconds = time.perf_counter() - start
         return self._finish()
 
     def _advance(self) -> Progress:
@@ -146,8 +147,8 @@ class Session:
         summary |= {
             "split": "test" if self.dataset.test else "train",
             "steps": self.config.steps,
-            "train_seconds": self.seconds,
-            "seconds_per_step": self.seconds / max(1, self.config.steps),
+            "train_seconds": self.log.seconds,
+            "seconds_per_step": self.log.seconds / max(1, self.config.steps),
             "peak_memory_bytes": peak_memory(),
             "device": self.device.name,
             "skipped_images": self.dataset.skipped,
@@ -182,14 +183,14 @@ def write_json(path: Path, value: Any) -> None:
 
 def write_pictures(folder: Path, scores: list[ViewScore]) -> None:
     """Renders and photos as PNG in the layout that the 3DGS family's tools read."""
+    names = picture_names([score.name for score in scores])
     for kind, attribute in (("renders", "render"), ("gt", "photo")):
         (folder / kind).mkdir(parents=True, exist_ok=True)
-        for score in scores:
-            name = f"{Path(score.name).stem}.png"
+        for name, score in zip(names, scores, strict=True):
             save_png(folder / kind / name, getattr(score, attribute))
 
 
-def train(
+def train_scene(
     dataset: Dataset,
     folder: str | Path,
     config: TrainConfig | None = None,
@@ -205,11 +206,11 @@ def train(
         folder: run folder, made where it is missing.
         config: default ``TrainConfig()`` resolved for the dataset.
         device: default: chosen as ``clgs devices`` shows.
-        resume: continue from the folder's checkpoint.
+        resume: continue from the folder's checkpoint where it has one.
         on_progress: called after every step.
 
     Raises:
-        DataError: nothing to train on, or no checkpoint to resume from.
+        DataError: nothing to train on, or the checkpoints are of another run.
         NonFiniteLossError: the loss is not finite; names step and view.
     """
     resolved = (config or TrainConfig()).for_dataset(dataset.kind)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.errors import DataError
-from clgs.export.image import comparison, save_png
+from clgs.export.image import comparison, picture_names, save_png
 from clgs.export.report import Report, ReportView, write_report
 
 PAGE, PICTURE = "report.html", "comparison.png"
@@ -102,13 +102,13 @@ def read_curve(path: Path) -> list[tuple[int, float]]:
 
 def held_out_views(out: Path, outcome: Outcome) -> list[ReportView]:
     """Every held-out view with its strip, from the PNG files of folder ``out``."""
-    photos = {path.stem: path for path in (out / "run" / "test").glob("*/gt/*.png")}
+    photos = {path.name: path for path in (out / "run" / "test").glob("*/gt/*.png")}
+    scores = outcome.scores["per_view"]
     views = []
-    for score in outcome.scores["per_view"]:
-        stem = Path(score["name"]).stem
-        if stem not in photos:
-            raise DataError(f"{out / 'run' / 'test'}: no photo {stem}.png; run the demo again")
-        strip = comparison(_read(photos[stem]), _read(out / "renders" / f"{stem}.png"))
+    for score, name in zip(scores, picture_names([s["name"] for s in scores]), strict=True):
+        if name not in photos:
+            raise DataError(f"{out / 'run' / 'test'}: no photo {name}; run the demo again")
+        strip = comparison(_read(photos[name]), _read(out / "renders" / name))
         views.append(ReportView(score["name"], score["psnr"], score["ssim"], strip))
     return views
 

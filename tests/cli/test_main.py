@@ -73,6 +73,37 @@ def test_an_error_is_one_line_and_a_code(run_raising, monkeypatch, capsys, error
     assert "Traceback" not in err
 
 
+@pytest.mark.parametrize("place", ["build_parser", "_run"])
+def test_an_early_interruption_is_one_line(monkeypatch, capsys, place):
+    def interrupt(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, place, interrupt)
+    assert cli.main(["devices"]) == 130
+    assert capsys.readouterr().err == "clgs: interrupted\n"
+
+
+def test_warnings_are_one_line_each():
+    code = """
+import logging, sys, types, warnings
+from clgs.cli import main as cli
+def run(args):
+    warnings.warn("x.npz: damaged,\\n skipped")
+    logging.getLogger("clgs.data").warning("3 photos are missing")
+    return 0
+module = types.SimpleNamespace(run=run, register=lambda subparsers: subparsers.add_parser("warn"))
+sys.modules["clgs.cli.warn"], cli.COMMANDS = module, ("warn",)
+sys.exit(cli.main(["warn"]))
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert (result.returncode, result.stderr.splitlines()) == (
+        0,
+        ["clgs: warning: x.npz: damaged, skipped", "clgs: warning: 3 photos are missing"],
+    )
+
+
 def test_debug_shows_the_traceback(run_raising, monkeypatch, capsys):
     monkeypatch.setenv("CLGS_DEBUG", "1")
     assert run_raising(DataError("x.json: no frames")) == 3

@@ -11,6 +11,7 @@ from clgs.export.image import (
     error_map,
     heat,
     jpeg_bytes,
+    picture_names,
     save_png,
     sheet,
 )
@@ -94,3 +95,17 @@ def test_sheet_lays_out_rows():
 def test_sheet_of_nothing_is_refused():
     with pytest.raises(ValueError, match="no pictures"):
         sheet([], columns=2)
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["train/r_0.png", "b/r 1?.JPG"], ["r_0.png", "r_1_.png"]),
+        (["a/1.jpg", "b/1.jpg"], ["a_1.png", "b_1.png"]),
+        (["a\\1.jpg", "b\\1.jpg"], ["a_1.png", "b_1.png"]),
+        (["1.jpg", "1.png"], ["1_0.png", "1_1.png"]),
+        (["a.jpg", "x/A.jpg"], ["a.png", "x_A.png"]),
+    ],
+)
+def test_every_photo_gets_its_own_file(names, expected):
+    assert picture_names(names) == expected

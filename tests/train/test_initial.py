@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as hnp
 
 from clgs.errors import DataError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors, dequantize
-from clgs.train.initial import initial_anchors, random_points, voxel_integers
+from clgs.train.initial import initial_anchors, voxel_integers
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], np.float32)
 
@@ -48,7 +48,7 @@ def test_against_brute_force(points: npt.NDArray[np.float32], voxel: float) -> N
 
 
 def test_positions_are_the_dequantised_integers() -> None:
-    points = random_points(np.random.default_rng(1), 500, -2.0, 2.0)
+    points = np.random.default_rng(1).uniform(-2.0, 2.0, (500, 3)).astype(np.float32)
     for voxel in (0.001, 0.005, 0.003):
         anchors = initial_anchors(points, voxel)
         integers = voxel_integers(points, voxel).astype(np.int32)
@@ -65,7 +65,7 @@ def test_positions_are_the_dequantised_integers() -> None:
 
 def test_duplicates_and_order_do_not_matter() -> None:
     rng = np.random.default_rng(2)
-    points = random_points(rng, 200, -1.0, 1.0)
+    points = rng.uniform(-1.0, 1.0, (200, 3)).astype(np.float32)
     twice = rng.permutation(np.concatenate([points, points + np.float32(1e-5)]))
     first, second = initial_anchors(points, 0.05), initial_anchors(twice.astype(np.float64), 0.05)
     np.testing.assert_array_equal(first.position, second.position)
@@ -104,15 +104,3 @@ def test_the_largest_extent_is_exact() -> None:
     points[1, 0] += 1
     with pytest.raises(DataError, match="extent"):
         initial_anchors(points * np.float32(0.25), 0.25)
-
-
-def test_random_points() -> None:
-    points = random_points(np.random.default_rng(4), 4000, -1.3, 1.3)
-    assert points.shape == (4000, 3)
-    assert points.dtype == np.float32
-    assert np.abs(points).max() <= np.float32(1.3)
-    np.testing.assert_allclose(points.mean(axis=0), 0, atol=0.06)
-    low, high = np.array([0.0, 5.0, -3.0]), np.array([1.0, 6.0, -1.0])
-    boxed = random_points(np.random.default_rng(4), 100, low, high)
-    assert ((boxed >= low) & (boxed <= high)).all()
-    np.testing.assert_array_equal(boxed, random_points(np.random.default_rng(4), 100, low, high))

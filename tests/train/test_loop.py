@@ -18,7 +18,8 @@ STEPS = 240
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    return load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
+    whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
+    return replace(whole, points=whole.points[::25])
 
 
 @pytest.fixture
@@ -84,7 +85,7 @@ def test_non_finite_loss_leaves_parameters_alone(dataset, cpu):
     weights[4000] = np.nan  # a weight of the colour MLP
     cpu.write(trainer.parameters.scene.weights, weights)
     before = parameters(trainer)
-    with pytest.raises(NonFiniteLossError, match=r"step 2, view r_\d+"):
+    with pytest.raises(NonFiniteLossError, match=r"step 2, view \S*r_\d+"):
         trainer.step()
     after = parameters(trainer)
     assert all(np.array_equal(before[name], after[name], equal_nan=True) for name in before)

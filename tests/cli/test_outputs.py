@@ -1,0 +1,129 @@
+"""What the commands refuse before they begin, and what they say then."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+
+import numpy as np
+import pytest
+
+from clgs.cli import main as cli
+from clgs.cli.scene_argument import read_bytes
+from clgs.codec.encode import encode
+from clgs.errors import DataError
+from clgs.scene.storage import save_scene
+from clgs.train.hashes import read_fingerprint
+from tests.codec.scenes import random_scene
+
+CAMERA = {
+    "rotation": np.eye(3).tolist(), "translation": [0, 0, 4],
+    "fx": 50.0, "fy": 50.0, "cx": 25.0, "cy": 25.0, "width": 50, "height": 50,
+}  # fmt: skip
+HASHES = {"scene": "0" * 64, "renders": ["1" * 64], "cameras": [CAMERA]}
+
+
+@pytest.fixture
+def work(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scene = random_scene(np.random.default_rng(3), 5)
+    (tmp_path / "s.clgs").write_bytes(encode(scene))
+    save_scene(tmp_path / "s.npz", scene)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "said"),
+    [
+        ("encode s.npz -o nodir/x.clgs", 1, "nodir/x.clgs: cannot be written: there is no folder"),
+        ("encode s.npz -o folder", 1, "folder: is a folder; name a file"),
+        (f"encode s.npz -o {os.devnull}", 1, f"{os.devnull}: is not a regular file"),
+        ("decode s.clgs -o x", 2, "x: the output must end in .npz"),
+        ("decode s.clgs -o nodir/x.npz", 1, "nodir/x.npz: cannot be written"),
+        ("decode folder -o x.npz", 3, "folder: is a folder; name a .clgs file"),
+        ("info folder", 3, "folder: is a folder; name a .clgs file"),
+        (f"info {os.devnull}", 3, f"{os.devnull}: is neither a file nor a pipe"),
+        ("eval s.clgs", 2, "nothing to do"),
+        ("eval none.clgs --data none --json nodir/x.json", 1, "nodir/x.json: cannot be written"),
+        ("bench step --json nodir/x.json", 1, "nodir/x.json: cannot be written"),
+        ("render s.clgs --data none -o file", 1, "file: is no folder"),
+        ("prepare folder -o new", 3, "folder: 0 JPEG or PNG photos"),
+    ],
+)
+def test_refusals_are_one_line(work, capsys, command, code, said):
+    before = sorted(work.iterdir())
+    assert cli.main(command.split()) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"clgs: error: {said}")
+    assert err.count("\n") == 1
+    assert sorted(work.iterdir()) == before
+
+
+def test_encode_writes_through_a_link(work, capsys):
+    (work / "link.clgs").symlink_to(work / "folder" / "real.clgs")
+    assert cli.main(["encode", "s.npz", "-o", "link.clgs"]) == 0
+    assert (work / "link.clgs").is_symlink()
+    assert (work / "folder" / "real.clgs").read_bytes() == (work / "s.clgs").read_bytes()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+def test_a_scene_may_come_through_a_pipe(work):
+    os.mkfifo(work / "pipe")
+    whole = (work / "s.clgs").read_bytes()
+    writer = threading.Thread(target=(work / "pipe").write_bytes, args=(whole,))
+    writer.start()
+    assert read_bytes(work / "pipe") == whole
+    writer.join()
+
+
+def test_hashes_that_are_in_order_are_read(work):
+    (work / "h.json").write_text(json.dumps(HASHES))
+    assert read_fingerprint(work / "h.json") == HASHES
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        [],
+        {},
+        HASHES | {"renders": [], "cameras": []},
+        HASHES | {"renders": ["1" * 64] * 2},
+        HASHES | {"scene": 7},
+        HASHES | {"renders": ["1"]},
+        HASHES | {"cameras": [7]},
+        *(
+            HASHES | {"cameras": [CAMERA | change]}
+            for change in (
+                {"width": 50.5},
+                {"width": True},
+                {"height": 10**9},
+                {"height": 0},
+                {"fx": 0},
+                {"fx": -1.0},
+                {"fy": float("nan")},
+                {"cx": 1e300},
+                {"cy": None},
+                {"cy": "1"},
+                {"rotation": [[1, 2], [3]]},
+                {"translation": [0, float("inf"), 0]},
+                {"translation": [0, 10**400, 0]},
+            )
+        ),
+    ],
+)
+def test_hashes_that_make_no_sense_are_refused(work, wrong):
+    (work / "h.json").write_text(json.dumps(wrong))
+    with pytest.raises(DataError, match=r"^\S+h\.json: not a hashes\.json \(.+\)$"):
+        read_fingerprint(work / "h.json")
+
+
+def test_files_that_are_no_hashes_are_refused(work):
+    (work / "deep.json").write_text("[" * 100_000)
+    (work / "binary.json").write_bytes(b"\xff\xfe\x00")
+    for name in ("deep.json", "binary.json", "folder", "none.json"):
+        with pytest.raises(DataError, match=name):
+            read_fingerprint(work / name)

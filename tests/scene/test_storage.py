@@ -1,0 +1,87 @@
+"""A stored scene comes back exactly; whatever is wrong with the file is one clear error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.errors import DataError
+from clgs.scene.storage import ARRAY_NAMES, load_scene, save_scene
+from tests.codec.scenes import assert_same, random_scene
+
+
+@pytest.fixture
+def scene():
+    return random_scene(np.random.default_rng(1), 5)
+
+
+@pytest.fixture
+def arrays(scene, tmp_path):
+    save_scene(tmp_path / "scene.npz", scene)
+    with np.load(tmp_path / "scene.npz") as archive:
+        return dict(archive)
+
+
+def refusal(path):
+    with pytest.raises(DataError) as caught:
+        load_scene(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ")
+    assert "\n" not in text
+    return text
+
+
+def test_a_scene_comes_back_exactly(scene, tmp_path):
+    save_scene(tmp_path / "scene.npz", scene)
+    assert_same(load_scene(tmp_path / "scene.npz"), scene)
+
+
+@pytest.mark.parametrize("name", ARRAY_NAMES)
+def test_no_array_may_be_missing(arrays, tmp_path, name):
+    del arrays[name]
+    np.savez(tmp_path / "x.npz", **arrays)
+    assert f"array {name} is missing" in refusal(tmp_path / "x.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("scales.position", np.float64(-1), "Q of position is -1.0"),
+        ("scales.feature", np.float64(0), "Q of feature is 0.0"),
+        ("scales.offset", np.float64(np.nan), "Q of offset is nan"),
+        ("transform.centre", np.array([0, np.inf, 0]), "transform centre is inf"),
+        ("transform.centre", np.zeros(2), "transform.centre: shape"),
+        ("transform.scale", np.float64(1e300), "transform scale is 1e+300"),
+        ("settings.background", np.float64(0), "settings.background: shape"),
+        ("settings.near", np.zeros((2, 2)), "settings.near: shape"),
+        ("settings.near", np.array("near"), "settings.near: dtype"),
+        ("settings.blur", np.float64(-1), "blur is -1.0"),
+        ("mlps", np.full(13710, np.nan, np.float32), "mlps: a weight is not finite"),
+        ("mlps", np.zeros(13710), "mlps: dtype"),
+        ("position", np.zeros((5, 3)), "position: dtype"),
+        ("offset", np.zeros((1, 10, 3), np.int32), "offset: shape"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_refused(arrays, tmp_path, name, value, said):
+    np.savez(tmp_path / "x.npz", **arrays | {name: value})
+    text = refusal(tmp_path / "x.npz")
+    assert said in text
+    assert text.endswith("; write the file again")
+
+
+def test_no_damage_escapes(arrays, tmp_path):
+    rng = np.random.default_rng(2)
+    small = {name: array for name, array in arrays.items() if name != "mlps"}
+    np.savez(tmp_path / "x.npz", **small)
+    whole = (tmp_path / "x.npz").read_bytes()
+    for _ in range(120):
+        data = bytearray(whole)
+        data[rng.integers(len(data))] ^= 1 << rng.integers(8)
+        (tmp_path / "x.npz").write_bytes(data)
+        refusal(tmp_path / "x.npz")
+    for size in (0, 3, len(whole) // 2, len(whole) - 1):
+        (tmp_path / "x.npz").write_bytes(whole[:size])
+        refusal(tmp_path / "x.npz")
+    np.save(tmp_path / "y.npy", np.zeros(3))
+    refusal(tmp_path / "y.npy")
+    refusal(tmp_path)
