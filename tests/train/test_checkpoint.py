@@ -169,7 +169,7 @@ def test_none_usable_is_one_clear_line(tmp_path: Path) -> None:
 def test_another_configuration_is_refused(tmp_path: Path) -> None:
     save(tmp_path, 1)
     save(tmp_path, 2, "b" * 64)
-    with pytest.raises(DataError, match="was made with another configuration"):
+    with pytest.raises(DataError, match="was made with other settings or photos"):
         checkpoint.load(tmp_path, DIGEST)
 
 
