@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 
 LAYERS = [  # a package may import from its own row and the rows above it
-    {"constants", "errors", "shapes", "files", "reference"},
+    {"constants", "errors", "shapes", "files", "options", "reference"},
     {"opencl", "scene"},
     {"ops", "codec", "data"},
     {"render", "export"},

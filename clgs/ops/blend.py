@@ -24,6 +24,7 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
 from clgs.ops.project import Projected
 from clgs.ops.tiles import TileLists, tile_count
+from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
 
 GROUP_SIZE = 64
@@ -37,13 +38,14 @@ class Blended:
 
     image (3, H, W) and transmittance (H, W), float32; last_contributor (H, W) int32: number of
     entries of the pixel's list up to and including the last one blended; records: the Gaussian of
-    every entry, ready to blend.
+    every entry, ready to blend; options: how it was made.
     """
 
     image: DeviceArray
     transmittance: DeviceArray
     last_contributor: DeviceArray
     records: DeviceArray
+    options: RenderOptions
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,7 @@ def forward(
     tiles: TileLists,
     background: DeviceArray,
     size: tuple[int, int],
+    options: RenderOptions = DEFAULT,
 ) -> Blended:
     """Render an image.
 
@@ -89,6 +92,7 @@ def forward(
         tiles: lists made for the same image size.
         background: (3,) float32.
         size: width and height of the image, pixels.
+        options: accuracy and skips.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -98,9 +102,10 @@ def forward(
         image=device.empty((3, height, width)),
         transmittance=device.empty((height, width)),
         last_contributor=device.empty((height, width), np.int32),
-        records=_gather(device, projected, color, opacity, tiles, width),
+        records=_gather(device, projected, color, opacity, tiles, width, options),
+        options=options,
     )
-    kernel = device.kernel("blend", "blend_forward", VEC=_lanes(device))
+    kernel = device.kernel("blend", "blend_forward", **_defines(device, options))
     device.run(kernel, *_grid(device, tiles), *_forward_arguments(result, tiles, background))
     return result
 
@@ -124,10 +129,10 @@ def backward(
     _check(projected, color, opacity, tiles, background, (width, height))
     Shapes(H=height, W=width).check("d_image", d_image, "3 H W", np.float32)
     rows = device.empty((len(tiles.gaussian), ROW_SIZE))
-    kernel = device.kernel("blend", "blend_backward", VEC=_lanes(device))
+    kernel = device.kernel("blend", "blend_backward", **_defines(device, blended.options))
     arguments = _backward_arguments(blended, tiles, background, d_image)
     device.run(kernel, *_grid(device, tiles), *arguments, rows)
-    return _sum_rows(device, rows, projected, color, opacity, tiles)
+    return _sum_rows(device, rows, projected, color, opacity, tiles, blended.options)
 
 
 def decisions(
@@ -145,13 +150,14 @@ def decisions(
     rows = device.empty((entries, ROW_SIZE))
     forward_arguments = _forward_arguments(blended, tiles, background)
     backward_arguments = (*_backward_arguments(blended, tiles, background, d_image), rows)
+    defines = {"EXPORT_DECISIONS": 1, **_defines(device, blended.options)}
     found = []
     for name, arguments in (
         ("blend_forward", forward_arguments),
         ("blend_backward", backward_arguments),
     ):
         bits = [device.zeros((entries, TILE_SIZE**2 // 32), np.uint32) for _ in range(2)]
-        kernel = device.kernel("blend", name, VEC=_lanes(device), EXPORT_DECISIONS=1)
+        kernel = device.kernel("blend", name, **defines)
         device.run(kernel, *_grid(device, tiles), *arguments, *bits)
         found.append(Decisions(*(_unpack(device.download(words)) for words in bits)))
     return found[0], found[1]
@@ -160,6 +166,10 @@ def decisions(
 def _unpack(words: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
     bits = words[:, :, None] >> np.arange(32, dtype=np.uint32) & np.uint32(1)
     return bits.reshape(len(words), -1).astype(bool)
+
+
+def _defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
+    return {"VEC": _lanes(device), **options.accuracy.defines()}
 
 
 def _lanes(device: Device) -> int:
@@ -182,12 +192,13 @@ def _gather(
     opacity: DeviceArray,
     tiles: TileLists,
     width: int,
+    options: RenderOptions,
 ) -> DeviceArray:
-    count, lanes = len(opacity), _lanes(device)
+    count, defines = len(opacity), _defines(device, options)
     splats = device.empty((count, RECORD_SIZE))
     records = device.empty((len(tiles.gaussian), RECORD_SIZE))
     device.run(
-        device.kernel("blend", "blend_prepare", VEC=lanes),
+        device.kernel("blend", "blend_prepare", **defines),
         (round_up(count, GROUP_SIZE),),
         (GROUP_SIZE,),
         projected.mean2d,
@@ -198,7 +209,7 @@ def _gather(
         splats,
     )
     lists = tiles.gaussian, tiles.row, tiles.tile_range
-    gather = device.kernel("blend", "blend_gather", VEC=lanes)
+    gather = device.kernel("blend", "blend_gather", **defines)
     device.run(gather, *_grid(device, tiles), splats, *lists, np.int32(width), records)
     return records
 
@@ -226,6 +237,7 @@ def _sum_rows(
     color: DeviceArray,
     opacity: DeviceArray,
     tiles: TileLists,
+    options: RenderOptions,
 ) -> BlendGradients:
     count = len(opacity)
     result = BlendGradients(
@@ -235,7 +247,7 @@ def _sum_rows(
         d_opacity=device.empty((count,)),
     )
     device.run(
-        device.kernel("blend", "blend_sum", VEC=_lanes(device)),
+        device.kernel("blend", "blend_sum", **_defines(device, options)),
         (round_up(count, GROUP_SIZE),),
         (GROUP_SIZE,),
         rows,

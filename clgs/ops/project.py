@@ -17,6 +17,7 @@ import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
 
 GROUP_SIZE = 64
@@ -53,6 +54,7 @@ def forward(
     rotation: DeviceArray,
     opacity: DeviceArray,
     camera: DeviceArray,
+    options: RenderOptions = DEFAULT,
 ) -> Projected:
     """Project N Gaussians.
 
@@ -61,8 +63,9 @@ def forward(
         mean: (N, 3) float32, scene units.
         scale: (N, 3) float32, scene units, positive.
         rotation: (N, 4) float32, unit quaternion w x y z; any other is culled.
-        opacity: (N,) float32; below ALPHA_CUT is culled.
+        opacity: (N,) float32; below the alpha cut is culled.
         camera: (26,) float32 from ``Camera.pack``.
+        options: accuracy, for the alpha cut.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -76,7 +79,7 @@ def forward(
         extent=device.empty((count, 2)),
     )
     device.run(
-        device.kernel("project", "project_forward"),
+        device.kernel("project", "project_forward", **options.accuracy.defines()),
         (round_up(count, GROUP_SIZE),),
         (GROUP_SIZE,),
         mean,

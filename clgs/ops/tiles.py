@@ -20,6 +20,7 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
 from clgs.ops import scan, sort
 from clgs.ops.project import Projected
+from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
 
 GROUP_SIZE = 64
@@ -48,7 +49,12 @@ def tile_count(width: int, height: int) -> int:
 
 
 def forward(
-    device: Device, projected: Projected, opacity: DeviceArray, width: int, height: int
+    device: Device,
+    projected: Projected,
+    opacity: DeviceArray,
+    width: int,
+    height: int,
+    options: RenderOptions = DEFAULT,
 ) -> TileLists:
     """Build the lists; waits once for the device, to learn the number of entries.
 
@@ -58,6 +64,7 @@ def forward(
         opacity: (N,) float32.
         width: of the image, pixels.
         height: of the image, pixels.
+        options: accuracy, for the alpha cut.
 
     Raises:
         ClgsError: there would be more than 2^31 - 1 entries.
@@ -69,7 +76,8 @@ def forward(
     footprints, ranked_footprints = (device.empty((count, FOOTPRINT_SIZE)) for _ in range(2))
     counts, ranked_counts = (device.empty((count,), np.int32) for _ in range(2))
     geometry = projected.mean2d, projected.whitening, opacity, projected.extent
-    device.run(device.kernel("tiles", "tiles_footprint"), *grid, *geometry, *size, footprints)
+    footprint = device.kernel("tiles", "tiles_footprint", **options.accuracy.defines())
+    device.run(footprint, *grid, *geometry, *size, footprints)
     device.run(device.kernel("tiles", "tiles_count"), *grid, footprints, *size, counts)
     order = _by_depth(device, projected)
     by_gaussian, by_rank = (counts, footprints), (ranked_counts, ranked_footprints)
@@ -85,11 +93,24 @@ def forward(
     device.run(emit, *grid, order, ranked_footprints, *size, *emitted)
     tiles = tile_count(width, height)
     tile, row = sort.by_key(device, tile, row, max(tiles - 1, 0).bit_length())
+    return _ranges(device, tile, row, gaussian_of_row, tiles, rows.offset)
+
+
+def _ranges(
+    device: Device,
+    tile: DeviceArray,
+    row: DeviceArray,
+    gaussian_of_row: DeviceArray,
+    tiles: int,
+    row_range: DeviceArray,
+) -> TileLists:
+    """The lists from entries that are sorted by tile."""
+    entries = len(row)
     lists = TileLists(
         gaussian=device.empty((entries,), np.int32),
         row=row,
         tile_range=device.empty((tiles + 1,), np.int32),
-        row_range=rows.offset,
+        row_range=row_range,
     )
     device.run(
         device.kernel("tiles", "tiles_ranges"),

@@ -10,13 +10,18 @@ import numpy as np
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, cull, loss, mlp, neural, project, tiles
+from clgs.options import DEFAULT, RenderOptions
 from clgs.render.frame import DeviceScene, Frame, SceneGradients
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings
 
 
 def render_forward(
-    device: Device, scene: DeviceScene, camera: Camera, settings: RenderSettings
+    device: Device,
+    scene: DeviceScene,
+    camera: Camera,
+    settings: RenderSettings,
+    options: RenderOptions = DEFAULT,
 ) -> Frame:
     """Render one view.
 
@@ -36,6 +41,19 @@ def render_forward(
         gaussians = neural.forward(
             device, activations.output, visible, scene.position, scene.offset, scene.scaling
         )
+    projected, lists, blended = _rasterise(device, gaussians, packed, background, size, options)
+    return Frame(packed, size, activations, gaussians, projected, lists, background, blended)
+
+
+def _rasterise(
+    device: Device,
+    gaussians: neural.NeuralGaussians,
+    packed: DeviceArray,
+    background: DeviceArray,
+    size: tuple[int, int],
+    options: RenderOptions,
+) -> tuple[project.Projected, tiles.TileLists, blend.Blended]:
+    """Draw neural Gaussians."""
     with device.stage("project forward"):
         projected = project.forward(
             device,
@@ -44,9 +62,10 @@ def render_forward(
             gaussians.rotation,
             gaussians.opacity,
             packed,
+            options,
         )
     with device.stage("tiles"):
-        lists = tiles.forward(device, projected, gaussians.opacity, camera.width, camera.height)
+        lists = tiles.forward(device, projected, gaussians.opacity, *size, options)
     with device.stage("blend forward"):
         blended = blend.forward(
             device,
@@ -56,8 +75,9 @@ def render_forward(
             lists,
             background,
             size,
+            options,
         )
-    return Frame(packed, size, activations, gaussians, projected, lists, background, blended)
+    return projected, lists, blended
 
 
 def render_backward(

@@ -1,0 +1,100 @@
+"""How accurately a view is rendered, and which work is skipped.
+
+Accuracy changes the picture within stated limits; a skip leaves out only work that cannot change
+a bit of it, so that each can be switched off to measure what it saves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+
+from clgs.constants import ALPHA_CUT, TRANSMITTANCE_STOP
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What a render truncates.
+
+    alpha_cut: pixel-splat pairs with a smaller alpha contribute nothing; transmittance_stop: a
+    pixel is finished at this transmittance; inclusive_stop: the splat that crosses it is still
+    blended, else left out; exp2_degree: of the polynomial of 2^x, 3 to 6; downscale: pictures are
+    rendered at 1/downscale of their size and enlarged.
+    """
+
+    name: str = "parity"
+    alpha_cut: float = ALPHA_CUT
+    transmittance_stop: float = TRANSMITTANCE_STOP
+    inclusive_stop: bool = False
+    exp2_degree: int = 6
+    downscale: int = 1
+
+    def defines(self) -> dict[str, int | float]:
+        """Build options of the kernels that decide about alpha, by macro name."""
+        return {
+            "ALPHA_CUT": self.alpha_cut,
+            "LOG2_ALPHA_CUT": math.log2(self.alpha_cut),
+            "TRANSMITTANCE_STOP": self.transmittance_stop,
+            "STOP_INCLUSIVE": int(self.inclusive_stop),
+            "EXP2_DEGREE": self.exp2_degree,
+        }
+
+
+PARITY = Accuracy()
+"""The truncation of 3DGS and of the paper."""
+
+PRESETS = {
+    preset.name: preset
+    for preset in (
+        Accuracy("exact", alpha_cut=1 / 4096, transmittance_stop=1e-6, inclusive_stop=True),
+        PARITY,
+        Accuracy("fast", transmittance_stop=1e-3, inclusive_stop=True, exp2_degree=4),
+        Accuracy(
+            "preview",
+            transmittance_stop=1 / 255,
+            inclusive_stop=True,
+            exp2_degree=3,
+            downscale=2,
+        ),
+    )
+}
+"""What ``--accuracy`` takes."""
+
+
+@dataclass(frozen=True)
+class Skips:
+    """Work that cannot change the picture or its gradients and is therefore left out.
+
+    anchors: those outside of the frustum; opacity_first: color and covariance of anchors without a
+    positive opacity; slots: outputs of slots without; exact_tiles: tiles that a Gaussian's box
+    touches but its ellipse does not; units: pixels outside of its extent; finished: pixels and
+    tiles that no further splat can change; contributors: entries behind the last contributor in the
+    backward pass; empty_tiles: tiles that show only the background.
+    """
+
+    anchors: bool = True
+    opacity_first: bool = True
+    slots: bool = True
+    exact_tiles: bool = True
+    units: bool = True
+    finished: bool = True
+    contributors: bool = True
+    empty_tiles: bool = True
+
+    def defines(self, *names: str) -> dict[str, int | float]:
+        """Build options SKIP_<NAME> (0 or 1) of the skips that a program knows."""
+        known = {one.name for one in fields(self)}
+        if unknown := set(names) - known:
+            raise ValueError(f"no skips of the name {sorted(unknown)}")
+        return {f"SKIP_{name.upper()}": int(getattr(self, name)) for name in names}
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """How to render: truncation and skips."""
+
+    accuracy: Accuracy = PARITY
+    skips: Skips = field(default_factory=Skips)
+
+
+DEFAULT = RenderOptions()
