@@ -30,6 +30,7 @@ from clgs.shapes import Shapes
 GROUP_SIZE = 64
 RECORD_SIZE = 16
 ROW_SIZE = 16
+SUM_SIZE = 9
 
 
 @dataclass(frozen=True)
@@ -127,12 +128,71 @@ def backward(
     """
     height, width = blended.transmittance.shape
     _check(projected, color, opacity, tiles, background, (width, height))
+    rows = _rows(device, tiles, background, blended, d_image)
+    summed = rows, tiles.row_range
+    return _gradients(device, "blend_sum", blended.options, summed, projected, color, opacity)
+
+
+def accumulate(
+    device: Device,
+    tiles: TileLists,
+    background: DeviceArray,
+    blended: Blended,
+    d_image: DeviceArray,
+    sums: DeviceArray,
+) -> None:
+    """Add what the entries of ``tiles`` contribute to the gradients to ``sums``, (N, 9) float32.
+
+    For pictures whose lists are made in parts: the sums start as zeros, lists of later tiles follow
+    those of earlier ones, then :func:`finish` makes the gradients, the bits of :func:`backward`.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    count = len(tiles.row_range) - 1
+    Shapes(N=count).check("sums", sums, f"N {SUM_SIZE}", np.float32)
+    rows = _rows(device, tiles, background, blended, d_image)
+    kernel = device.kernel("blend", "blend_accumulate", **_defines(device, blended.options))
+    grid = (round_up(count, GROUP_SIZE),), (GROUP_SIZE,)
+    device.run(kernel, *grid, rows, tiles.row_range, np.int32(count), sums)
+
+
+def finish(
+    device: Device,
+    projected: Projected,
+    color: DeviceArray,
+    opacity: DeviceArray,
+    sums: DeviceArray,
+    options: RenderOptions = DEFAULT,
+) -> BlendGradients:
+    """Gradients from the sums that :func:`accumulate` made; other arguments as in :func:`forward`.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    shapes = Shapes()
+    shapes.check("opacity", opacity, "N", np.float32)
+    shapes.check("color", color, "N 3", np.float32)
+    shapes.check("whitening", projected.whitening, "N 3", np.float32)
+    shapes.check("sums", sums, f"N {SUM_SIZE}", np.float32)
+    return _gradients(device, "blend_finish", options, (sums,), projected, color, opacity)
+
+
+def _rows(
+    device: Device,
+    tiles: TileLists,
+    background: DeviceArray,
+    blended: Blended,
+    d_image: DeviceArray,
+) -> DeviceArray:
+    """One row of moments an entry."""
+    height, width = blended.transmittance.shape
     Shapes(H=height, W=width).check("d_image", d_image, "3 H W", np.float32)
     rows = device.empty((len(tiles.gaussian), ROW_SIZE))
     kernel = device.kernel("blend", "blend_backward", **_defines(device, blended.options))
     arguments = _backward_arguments(blended, tiles, background, d_image)
     device.run(kernel, *_grid(device, tiles), *arguments, rows)
-    return _sum_rows(device, rows, projected, color, opacity, tiles, blended.options)
+    return rows
 
 
 def decisions(
@@ -230,15 +290,16 @@ def _backward_arguments(
     return *read, blended.transmittance, blended.last_contributor, d_image
 
 
-def _sum_rows(
+def _gradients(
     device: Device,
-    rows: DeviceArray,
+    kernel: str,
+    options: RenderOptions,
+    summed: tuple[DeviceArray, ...],
     projected: Projected,
     color: DeviceArray,
     opacity: DeviceArray,
-    tiles: TileLists,
-    options: RenderOptions,
 ) -> BlendGradients:
+    """Run blend_sum or blend_finish."""
     count = len(opacity)
     result = BlendGradients(
         d_mean2d=device.empty((count, 2)),
@@ -247,11 +308,10 @@ def _sum_rows(
         d_opacity=device.empty((count,)),
     )
     device.run(
-        device.kernel("blend", "blend_sum", **_defines(device, options)),
+        device.kernel("blend", kernel, **_defines(device, options)),
         (round_up(count, GROUP_SIZE),),
         (GROUP_SIZE,),
-        rows,
-        tiles.row_range,
+        *summed,
         np.int32(count),
         projected.whitening,
         color,

@@ -107,3 +107,20 @@ def every_tile_lists(device: Any, scene: ProjectedScene, size: tuple[int, int]) 
         "row_range": row_range,
     }
     return tiles.TileLists(**{k: device.upload(v.astype(np.int32)) for k, v in arrays.items()})
+
+
+def part_of_lists(
+    device: Any, lists: dict[str, np.ndarray], first: int, last: int
+) -> tiles.TileLists:
+    """The lists of tiles [first, last), all others empty; rows are numbered anew."""
+    count = len(lists["row_range"]) - 1
+    starts = np.clip(lists["tile_range"], *lists["tile_range"][[first, last]])
+    own = slice(starts[0], starts[-1])
+    gaussian, row = lists["gaussian"][own], lists["row"][own]
+    arrays = {
+        "gaussian": gaussian,
+        "row": np.argsort(np.argsort(row)),
+        "tile_range": starts - starts[0],
+        "row_range": np.concatenate([[0], np.cumsum(np.bincount(gaussian, minlength=count))]),
+    }
+    return tiles.TileLists(**{k: device.upload(v.astype(np.int32)) for k, v in arrays.items()})

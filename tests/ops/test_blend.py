@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clgs.ops import blend
 from clgs.reference import blend as reference
 from clgs.testing.scenes import ProjectedScene, projected_scene
 from tests.compare import assert_close, relative_l2
@@ -16,6 +17,7 @@ from tests.ops.blend_cases import (
     decisions,
     every_tile_lists,
     in_float64,
+    part_of_lists,
     render,
 )
 
@@ -100,6 +102,33 @@ def test_tile_culling_changes_no_bit(device, rng, sigma, ratio):
     one, other = culled.backward(d_image), full.backward(d_image)
     for name in GRADIENTS:
         assert np.array_equal(one[name], other[name]), name
+
+
+def test_sums_over_lists_in_parts(device, rng):
+    """Rows of a part of the tiles, then of the rest: the gradients of one list, bit for bit."""
+    scene = projected_scene(rng, 900, 70, 50, 4.0)
+    rendered = render(device, scene, (70, 50))
+    d_image = rng.normal(size=(3, 50, 70)).astype(np.float32)
+    lists = {name: device.download(array) for name, array in vars(rendered.inputs["tiles"]).items()}
+    cut = len(lists["tile_range"]) // 2
+    sums = device.zeros((900, blend.SUM_SIZE))
+    for first, last in ((0, cut), (cut, len(lists["tile_range"]) - 1)):
+        part = part_of_lists(device, lists, first, last)
+        rendered_part = render(device, scene, (70, 50), part)
+        blend.accumulate(
+            device,
+            part,
+            rendered.inputs["background"],
+            rendered_part.blended,
+            device.upload(d_image),
+            sums,
+        )
+    inputs = {name: rendered.inputs[name] for name in ("projected", "color", "opacity")}
+    parts = blend.finish(device, **inputs, sums=sums)
+    whole = rendered.backward(d_image)
+    assert np.abs(whole["d_color"]).max() > 0
+    for name in GRADIENTS:
+        assert np.array_equal(device.download(getattr(parts, name)), whole[name]), name
 
 
 def test_repeats_bit_for_bit(device, rng):
