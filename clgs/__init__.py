@@ -10,6 +10,7 @@ The names of this module do the whole job; nothing heavy is imported before one 
 - ``save_scene(path, scene)`` / ``load_scene(path)``: a scene as a NumPy archive
 - ``Renderer(device, scene)`` and ``render_view(scene, camera)``: pictures from any camera
 - ``evaluate_views(device, scene, views)``: PSNR and SSIM against photos
+- ``render_options(accuracy)``: how exactly a ``Renderer`` renders, and how fast
 - ``Camera``, ``Device``, ``TrainConfig``: what the functions above take
 """
 
@@ -32,6 +33,7 @@ _HOMES = {
     "load_scene": "clgs.scene.storage",
     "prepare": "clgs.data.photos",
     "preset": "clgs.train.config",
+    "render_options": "clgs.options",
     "render_view": "clgs.render.renderer",
     "save_scene": "clgs.scene.storage",
     "train_scene": "clgs.train.session",

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, field, fields
 
 from clgs.constants import ALPHA_CUT, TRANSMITTANCE_STOP
+from clgs.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -98,3 +99,14 @@ class RenderOptions:
 
 
 DEFAULT = RenderOptions()
+
+
+def render_options(accuracy: str) -> RenderOptions:
+    """Options of one of PRESETS: "exact", "parity", "fast" or "preview".
+
+    Raises:
+        UsageError: there is no such preset.
+    """
+    if accuracy not in PRESETS:
+        raise UsageError(f"accuracy: {accuracy!r} is not one of {', '.join(PRESETS)}")
+    return RenderOptions(PRESETS[accuracy])

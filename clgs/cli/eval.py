@@ -51,14 +51,19 @@ def _score(
     args: argparse.Namespace, device: Device, scene: QuantizedScene, size: int | None
 ) -> None:
     from clgs.cli.progress import bar
-    from clgs.cli.view_options import selected_views
+    from clgs.cli.view_options import selected_options, selected_views
     from clgs.train.evaluation import evaluate_views, summarize
     from clgs.train.session import write_json
 
-    views = selected_views(args, scene)
+    views, options = selected_views(args, scene), selected_options(args)
     with bar(len(views), "evaluating") as advance:
-        scores = evaluate_views(device, scene, views, lambda _: advance())
-    summary = summarize(scene, scores, size) | {"split": args.split, "device": device.name}
+        scores = evaluate_views(device, scene, views, lambda _: advance(), options)
+    summary = summarize(scene, scores, size)
+    summary |= {
+        "accuracy": options.accuracy.name,
+        "split": args.split,
+        "device": device.name,
+    }
     print(json.dumps(summary, indent=1))
     if args.json:
         write_json(args.json, summary | {"per_view": [score.record() for score in scores]})

@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
     """Render; exit code 0."""
     from clgs.cli.progress import track
     from clgs.cli.scene_argument import read_scene
-    from clgs.cli.view_options import selected_views
+    from clgs.cli.view_options import selected_options, selected_views
     from clgs.export.image import picture_names, save_png
     from clgs.files import check_folder
     from clgs.opencl.device import Device
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     check_folder(args.output)
     scene, _ = read_scene(args.scene)
     views = selected_views(args, scene)
-    renderer = Renderer(Device(args.device), scene.dequantize())
+    renderer = Renderer(Device(args.device), scene.dequantize(), selected_options(args))
     args.output.mkdir(parents=True, exist_ok=True)
     names = picture_names([view.name for view in views])
     for name, view in track(list(zip(names, views, strict=True)), "rendering"):

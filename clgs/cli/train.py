@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.view_options import positive_int
+from clgs.cli.view_options import add_accuracy_option, positive_int
 
 if TYPE_CHECKING:
     from clgs.train.config import TrainConfig
@@ -56,6 +56,7 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
         help="continue an interrupted run from its checkpoint, with the same options; start it "
         "where there is none yet",
     )
+    add_accuracy_option(parser, "parity")
     add("--profile", action="store_true", help="show the time of every stage (slower)")
 
 
@@ -72,6 +73,11 @@ def _add_method_options(parser: argparse.ArgumentParser) -> None:
         choices=("channel", "pooled"),
         help="rate proxy: one Laplace model a channel (default), or the paper's pooled form "
         "(default of --preset paper)",
+    )
+    add(
+        "--coarse-to-fine",
+        action=argparse.BooleanOptionalAction,
+        help="train on reduced photos first: a quarter of the size, then half",
     )
     add(
         "--loss-weights",
@@ -136,6 +142,7 @@ def make_config(args: argparse.Namespace) -> TrainConfig:
         "l1_weight": args.loss_weights[0],
         "ssim_weight": args.loss_weights[1],
     }
-    optional = {"volume_weight": args.volume_weight, "proxy": args.proxy}
+    names = ("volume_weight", "proxy", "accuracy", "coarse_to_fine")
+    optional = {name: getattr(args, name) for name in names}
     given |= {name: value for name, value in optional.items() if value is not None}
     return replace(config, **given)

@@ -7,13 +7,17 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clgs.options import PRESETS
+
 if TYPE_CHECKING:
     from clgs.data.dataset import Dataset, View
+    from clgs.options import RenderOptions
     from clgs.scene.scene import QuantizedScene
+    from clgs.train.config import TrainConfig
 
 
 def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> None:
-    """Add --data, --split, --downscale and --device."""
+    """Add --data, --split, --downscale, --accuracy and --device."""
     add = parser.add_argument
     add("--data", type=Path, required=data_required, help="the dataset that the scene was made of")
     add("--split", choices=("train", "test"), default="test", help="which views (default: test)")
@@ -23,7 +27,18 @@ def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> No
         metavar="N",
         help="reduce the photos N times (default: as the config.toml beside SCENE says, else 1)",
     )
+    add_accuracy_option(parser, "as the config.toml beside SCENE says, else parity")
     add("--device", help="number or part of the name, see `clgs devices`")
+
+
+def add_accuracy_option(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add --accuracy; ``default`` says in words what None stands for."""
+    parser.add_argument(
+        "--accuracy",
+        choices=tuple(PRESETS),
+        help="exact: nearly nothing is truncated; parity: as in 3DGS; fast: below a third of a "
+        f"level from it; preview: half the resolution, enlarged (default: {default})",
+    )
 
 
 def selected_views(args: argparse.Namespace, scene: QuantizedScene) -> list[View]:
@@ -45,17 +60,31 @@ def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
     from clgs.data.dataset import load_dataset
     from clgs.data.repose import repose
 
-    downscale = args.downscale or trained_downscale(args.scene)
+    downscale = args.downscale or _trained_downscale(args.scene)
     return repose(load_dataset(args.data, downscale=downscale, load_points=False), scene.transform)
 
 
-def trained_downscale(scene: Path) -> int:
-    """The --downscale of the run folder that ``scene`` is or lies in; 1, said aloud, elsewhere."""
+def selected_options(args: argparse.Namespace) -> RenderOptions:
+    """The accuracy that the options name, else that of the run folder, else "parity"."""
+    from clgs.options import render_options
+
+    config = _trained_config(args.scene)
+    return render_options(args.accuracy or (config.accuracy if config else "parity"))
+
+
+def _trained_config(scene: Path) -> TrainConfig | None:
+    """The settings in the run folder that ``scene`` is or lies in."""
     from clgs.train.config import from_toml
 
     path = (scene if scene.is_dir() else scene.parent) / "config.toml"
-    if path.is_file():
-        return from_toml(path.read_text(encoding="utf-8"), str(path)).downscale
+    return from_toml(path.read_text(encoding="utf-8"), str(path)) if path.is_file() else None
+
+
+def _trained_downscale(scene: Path) -> int:
+    """The --downscale of the run folder that ``scene`` is or lies in; 1, said aloud, elsewhere."""
+    config = _trained_config(scene)
+    if config is not None:
+        return config.downscale
     print("clgs: no config.toml beside the scene; --downscale 1 is assumed", file=sys.stderr)
     return 1
 

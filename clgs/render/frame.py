@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, mlp, neural, project, tiles
-from clgs.scene.scene import Scene
+from clgs.scene.camera import Camera
+from clgs.scene.scene import RenderSettings, Scene
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,18 @@ class DeviceScene:
     feature: DeviceArray
     scaling: DeviceArray
     weights: DeviceArray
+
+
+@dataclass(frozen=True)
+class DeviceView:
+    """A camera of ``size`` (width, height) pixels and what lies behind the scene.
+
+    camera (26,) float32 from ``Camera.pack``; background (3,) float32.
+    """
+
+    camera: DeviceArray
+    size: tuple[int, int]
+    background: DeviceArray
 
 
 @dataclass(frozen=True)
@@ -64,3 +79,12 @@ def upload_scene(device: Device, scene: Scene) -> DeviceScene:
     parameters = (anchors.position, anchors.offset, anchors.feature, anchors.scaling)
     arrays = [device.upload(array) for array in (*parameters, scene.mlps.flat)]
     return DeviceScene(*arrays)
+
+
+def upload_view(device: Device, camera: Camera, settings: RenderSettings) -> DeviceView:
+    """Copy a camera and the settings of a render to the device."""
+    return DeviceView(
+        device.upload(camera.pack(settings.near)),
+        (camera.width, camera.height),
+        device.upload(np.array(settings.background, np.float32)),
+    )

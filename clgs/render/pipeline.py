@@ -5,13 +5,11 @@ This is the figure of the paper, top to bottom; the backward pass is the same li
 
 from __future__ import annotations
 
-import numpy as np
-
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, cull, loss, mlp, neural, project, tiles
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import DeviceScene, Frame, SceneGradients
+from clgs.render.frame import DeviceScene, DeviceView, Frame, SceneGradients, upload_view
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings
 
@@ -28,9 +26,14 @@ def render_forward(
     ``settings.background`` is drawn where the transmittance is left. The frame holds the picture
     (3, H, W) float32, not clamped, and what :func:`render_backward` needs.
     """
-    packed = device.upload(camera.pack(settings.near))
-    background = device.upload(np.array(settings.background, np.float32))
-    size = (camera.width, camera.height)
+    return view_forward(device, scene, upload_view(device, camera, settings), options)
+
+
+def view_forward(
+    device: Device, scene: DeviceScene, view: DeviceView, options: RenderOptions = DEFAULT
+) -> Frame:
+    """As :func:`render_forward`, of a view that lies on the device."""
+    packed, size, background = view.camera, view.size, view.background
     with device.stage("cull"):
         visible = cull.forward(device, scene.position, scene.scaling, packed)
     with device.stage("mlp forward"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -50,6 +50,26 @@ class Camera:
                 (self.height + margin_y - self.cy) / self.fy,
             ]
         )
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera on a raster of another size; each axis by its own ratio."""
+        x, y = width / self.width, height / self.height
+        return replace(
+            self,
+            fx=self.fx * x,
+            cx=self.cx * x,
+            fy=self.fy * y,
+            cy=self.cy * y,
+            width=width,
+            height=height,
+        )
+
+    def reduced(self, factor: int) -> Camera:
+        """The camera of a picture reduced ``factor`` times; sizes are rounded, at least 1."""
+        if factor == 1:
+            return self
+        width, height = (max(1, round(size / factor)) for size in (self.width, self.height))
+        return self.resized(width, height)
 
     def pack(self, near: float) -> npt.NDArray[np.float32]:
         """The camera as the kernels read it, (26,) float32; layout in include/camera.h."""

@@ -17,6 +17,7 @@ import tomli_w
 
 from clgs.constants import NEAR_PLANE
 from clgs.errors import DataError, UsageError
+from clgs.options import PRESETS
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
@@ -39,6 +40,7 @@ CHOICES = {
     "preset": ("default", "quick", "paper"),
     "background": ("black", "white", "random"),
     "proxy": ("channel", "pooled"),
+    "accuracy": tuple(PRESETS),
 }
 MAY_BE_ZERO = {
     *("seed", "l1_weight", "ssim_weight", "volume_weight", "rate_weight", "voxel", "position_q"),
@@ -95,6 +97,10 @@ class TrainConfig:
     """Photos are reduced this many times before training."""
     background: str = "black"
     """Behind transparent photos and renders; "random" is a new colour every step (code: black)."""
+    accuracy: str = "parity"
+    """Of all renders of the run, a name of ``clgs.options.PRESETS``."""
+    coarse_to_fine: bool = False
+    """Whether training begins on reduced photos, see ``schedule.reduction``."""
     near: float = NEAR_PLANE
     """Near plane, scene units (code)."""
     fixed_views: int = 4

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from clgs.data.dataset import View
 from clgs.opencl.device import Device
+from clgs.options import DEFAULT, RenderOptions
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.train.evaluate import psnr_8bit, psnr_channel_mean, ssim, to_8bit
@@ -43,9 +44,10 @@ def evaluate_views(
     scene: QuantizedScene,
     views: list[View],
     on_view: Callable[[ViewScore], None] | None = None,
+    options: RenderOptions = DEFAULT,
 ) -> list[ViewScore]:
     """Score ``scene`` on ``views`` over the scene's own background."""
-    renderer = Renderer(device, scene.dequantize())
+    renderer = Renderer(device, scene.dequantize(), options)
     scores = []
     for view in views:
         scores.append(_score(renderer, view, scene.settings.background))

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from clgs.data.images import MAX_PIXELS
 from clgs.errors import DataError
 from clgs.opencl.device import Device
+from clgs.options import PRESETS, render_options
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
@@ -33,21 +34,26 @@ def scene_hash(scene: QuantizedScene) -> str:
     return digest.hexdigest()
 
 
-def render_hashes(device: Device, scene: QuantizedScene, cameras: list[Camera]) -> list[str]:
+def render_hashes(
+    device: Device, scene: QuantizedScene, cameras: list[Camera], accuracy: str
+) -> list[str]:
     """SHA-256 of every render's float32 values (little-endian, (3, H, W))."""
-    renderer = Renderer(device, scene.dequantize())
+    renderer = Renderer(device, scene.dequantize(), render_options(accuracy))
     return [
         hashlib.sha256(renderer.render(camera).astype("<f4").tobytes()).hexdigest()
         for camera in cameras
     ]
 
 
-def fingerprint(device: Device, scene: QuantizedScene, cameras: list[Camera]) -> dict[str, Any]:
+def fingerprint(
+    device: Device, scene: QuantizedScene, cameras: list[Camera], accuracy: str = "parity"
+) -> dict[str, Any]:
     """Hashes of the scene and of ``cameras``' renders, with the cameras, ready for JSON."""
     return {
         "device": device.name,
         "scene": scene_hash(scene),
-        "renders": render_hashes(device, scene, cameras),
+        "accuracy": accuracy,
+        "renders": render_hashes(device, scene, cameras, accuracy),
         "cameras": [_camera_record(camera) for camera in cameras],
     }
 
@@ -80,7 +86,7 @@ def differences(device: Device, scene: QuantizedScene, expected: dict[str, Any])
     """
     cameras = _read_cameras(expected)
     found = [] if scene_hash(scene) == expected["scene"] else ["quantised integers"]
-    actual = render_hashes(device, scene, cameras)
+    actual = render_hashes(device, scene, cameras, expected.get("accuracy", "parity"))
     for index, (mine, theirs) in enumerate(zip(actual, expected["renders"], strict=True)):
         if mine != theirs:
             found.append(f"render {index}")
@@ -96,6 +102,8 @@ def _read_cameras(expected: Any) -> list[Camera]:
         raise ValueError("renders and cameras must be lists that are not empty")
     if len(renders) != len(cameras):
         raise ValueError(f"{len(renders)} renders of {len(cameras)} cameras")
+    if expected.get("accuracy", "parity") not in list(PRESETS):
+        raise ValueError(f"accuracy must be one of {', '.join(PRESETS)}")
     for digest in (expected.get("scene"), *renders):
         if not (isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest)):
             raise ValueError("scene and renders must be SHA-256 in hexadecimal")

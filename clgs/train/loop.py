@@ -12,8 +12,10 @@ from clgs.errors import ClgsError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import loss, rate
+from clgs.options import render_options
 from clgs.render.frame import DeviceScene, Frame, SceneGradients
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.pipeline import render_backward, view_forward
+from clgs.render.renderer import render_picture
 from clgs.scene.anchors import QuantizationScales
 from clgs.scene.mlps import Mlps, init_mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
@@ -30,7 +32,7 @@ from clgs.train.parameters import (
     quantized_anchors,
     quantized_view,
 )
-from clgs.train.schedule import ViewSampler
+from clgs.train.schedule import ViewSampler, reduction
 from clgs.train.targets import BACKGROUNDS, Targets, planar
 
 
@@ -75,7 +77,8 @@ class Trainer:
         self.optimizer = Optimizer(device, config, dataset.radius)
         self.densifier = Densifier(device, config, self.parameters.count)
         self.sampler = ViewSampler(len(dataset.train), config.seed)
-        self.targets = Targets(device, dataset.train, config.background)
+        self.targets = Targets(device, dataset.train, config.background, config.near)
+        self.options = render_options(config.accuracy)
         self.steps_done = 0
         self.last_frame: Frame | None = None
         self.merged = 0
@@ -103,14 +106,14 @@ class Trainer:
         step = self.steps_done + 1
         index = self.sampler.next()
         view = self.dataset.train[index]
-        target, background = self.targets.get(index, self.rng)
-        settings = RenderSettings(background=background, near=self.config.near)
+        background = self.targets.color(self.rng)
+        target = self.targets.get(index, background, reduction(self.config, step))
         scene = self.parameters.scene
         if self.quantizing:
             with self.device.stage("quantize"):
                 scene = quantized_view(self.device, scene, self.scales)
-        frame = render_forward(self.device, scene, view.camera, settings)
-        value, d_image = self._loss(frame, target, step, view.name)
+        frame = view_forward(self.device, scene, target.view, self.options)
+        value, d_image = self._loss(frame, target.photo, step, view.name)
         gradients = render_backward(
             self.device, scene, frame, d_image, self.config.volume_weight or 0.0
         )
@@ -191,10 +194,9 @@ class Trainer:
         scene, settings = self.rounded(), self.settings
         values = []
         for view in views:
-            frame = render_forward(self.device, scene, view.camera, settings)
-            picture = to_8bit(self.device.download(frame.image))
+            image = render_picture(self.device, scene, view.camera, settings, self.options)
             photo = planar(view, settings.background).transpose(1, 2, 0)
-            values.append(psnr_8bit(picture, photo))
+            values.append(psnr_8bit(to_8bit(image), photo))
         return float(np.mean(values))
 
     def quantized_scene(self) -> QuantizedScene:

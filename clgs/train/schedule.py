@@ -8,7 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from clgs.options import PRESETS
 from clgs.train.config import TrainConfig
+
+COARSE_STAGES = ((0.1, 4), (0.3, 2))
+"""Coarse to fine: up to this share of the steps, photos are reduced this many times."""
 
 TIMES_RADIUS = {"offset"}
 """Groups whose learning rate is multiplied by the scene radius."""
@@ -33,6 +37,15 @@ def learning_rates(config: TrainConfig, step: int, scene_radius: float) -> dict[
         rate = log_linear(first, last, progress)
         rates[group.name] = rate * scene_radius if group.name in TIMES_RADIUS else rate
     return rates
+
+
+def reduction(config: TrainConfig, step: int) -> int:
+    """How many times smaller than the photos the render of step number ``step`` (from 1) is."""
+    smallest = PRESETS[config.accuracy].downscale
+    if not config.coarse_to_fine:
+        return smallest
+    stages = (factor for share, factor in COARSE_STAGES if step <= share * config.steps)
+    return max(next(stages, 1), smallest)
 
 
 def log_linear(first: float, last: float, progress: float) -> float:

@@ -138,13 +138,16 @@ class Session:
         scene = self.trainer.quantized_scene()
         save_scene(self.folder / "scene.npz", scene)
         views = (self.dataset.test or self.dataset.train)[:HASHED_VIEWS]
-        hashes = fingerprint(self.device, scene, [view.camera for view in views])
+        cameras = [view.camera for view in views]
+        hashes = fingerprint(self.device, scene, cameras, self.config.accuracy)
         write_json(self.folder / "hashes.json", hashes)
         bitstream = encode(scene)
         atomic_write(self.folder / "scene.clgs", bitstream)
-        scores = evaluate_views(self.device, scene, self.dataset.test or self.dataset.train)
+        views = self.dataset.test or self.dataset.train
+        scores = evaluate_views(self.device, scene, views, options=self.trainer.options)
         summary = summarize(scene, scores, len(bitstream))
         summary |= {
+            "accuracy": self.config.accuracy,
             "split": "test" if self.dataset.test else "train",
             "steps": self.config.steps,
             "train_seconds": self.log.seconds,

@@ -84,6 +84,20 @@ def test_hashes_tell_a_difference(run, tmp_path):
     assert "render 1" in done.stdout
 
 
+def test_accuracy_is_that_of_the_run_unless_another_is_named(data, tmp_path):
+    run = tmp_path / "run"
+    succeed("train", data, "-o", run, "--steps", 20, "--accuracy", "preview")
+    assert 'accuracy = "preview"' in (run / "config.toml").read_text()
+    assert json.loads((run / "hashes.json").read_text())["accuracy"] == "preview"
+    assert "all equal" in succeed("eval", run, "--hashes", run / "hashes.json")
+    results = json.loads((run / "results.json").read_text())
+    scores = json.loads(succeed("eval", run, "--data", data))
+    assert (scores["accuracy"], scores["psnr"]) == ("preview", results["psnr"])
+    other = json.loads(succeed("eval", run, "--data", data, "--accuracy", "exact"))
+    assert other["accuracy"] == "exact"
+    assert other["psnr"] != scores["psnr"]
+
+
 def test_same_command_same_file_for_any_number_of_threads(data, run, tmp_path):
     for threads in ("1", "2"):
         folder = tmp_path / threads

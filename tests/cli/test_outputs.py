@@ -94,6 +94,8 @@ def test_hashes_that_are_in_order_are_read(work):
         HASHES | {"renders": ["1" * 64] * 2},
         HASHES | {"scene": 7},
         HASHES | {"renders": ["1"]},
+        HASHES | {"accuracy": "best"},
+        HASHES | {"accuracy": []},
         HASHES | {"cameras": [7]},
         *(
             HASHES | {"cameras": [CAMERA | change]}
