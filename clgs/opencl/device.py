@@ -67,6 +67,13 @@ class Device:
         """Device name, without surrounding blanks."""
         return str(self.cl_device.name).strip()
 
+    @property
+    def lanes(self) -> int:
+        """Numbers of a register, for kernels that hold many values: 8 or 16 on a CPU, else 1."""
+        if self.specialisation == "gpu":
+            return 1
+        return 16 if self.cl_device.native_vector_width_float >= 16 else 8
+
     def empty(self, shape: Sequence[int], dtype: npt.DTypeLike = np.float32) -> DeviceArray:
         """Uninitialised array."""
         dtype = np.dtype(dtype)

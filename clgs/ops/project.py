@@ -79,8 +79,8 @@ def forward(
         extent=device.empty((count, 2)),
     )
     device.run(
-        device.kernel("project", "project_forward", **options.accuracy.defines()),
-        (round_up(count, GROUP_SIZE),),
+        device.kernel("project", "project_forward", VEC=device.lanes, **options.accuracy.defines()),
+        (_items(device, count),),
         (GROUP_SIZE,),
         mean,
         scale,
@@ -128,8 +128,8 @@ def backward(
         d_rotation=device.empty((count, 4)),
     )
     device.run(
-        device.kernel("project", "project_backward"),
-        (round_up(count, GROUP_SIZE),),
+        device.kernel("project", "project_backward", VEC=device.lanes),
+        (_items(device, count),),
         (GROUP_SIZE,),
         mean,
         scale,
@@ -145,6 +145,11 @@ def backward(
         result.d_rotation,
     )
     return result
+
+
+def _items(device: Device, count: int) -> int:
+    """Work-items for ``count`` Gaussians, as many an item as a register has lanes."""
+    return round_up(-(-count // device.lanes), GROUP_SIZE)
 
 
 def _check(

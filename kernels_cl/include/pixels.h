@@ -10,12 +10,6 @@
 #define TILE_ROWS 16
 #endif
 
-#if VEC == 1
-#define TO_FV convert_float
-#else
-#define TO_FV CLGS_CAT(convert_float, VEC)
-#endif
-
 typedef struct {
     int x; /* first pixel of the tile */
     int y;

@@ -18,6 +18,7 @@ typedef float fv;
 typedef int iv;
 #define AS_FV as_float
 #define AS_IV as_int
+#define TO_FV convert_float
 #define LOAD_V(offset, pointer) ((pointer)[offset])
 #define STORE_V(value, offset, pointer) ((pointer)[offset] = (value))
 #else
@@ -25,6 +26,7 @@ typedef CLGS_CAT(float, VEC) fv;
 typedef CLGS_CAT(int, VEC) iv;
 #define AS_FV CLGS_CAT(as_float, VEC)
 #define AS_IV CLGS_CAT(as_int, VEC)
+#define TO_FV CLGS_CAT(convert_float, VEC)
 /* offset counts vectors, not floats */
 #define LOAD_V(offset, pointer) CLGS_CAT(vload, VEC)((offset), (pointer))
 #define STORE_V(value, offset, pointer) CLGS_CAT(vstore, VEC)((value), (offset), (pointer))
@@ -101,6 +103,7 @@ typedef CLGS_CAT(int, VEC) iv;
 DEFINE_EXP(exp_v, fv, iv, AS_FV, AS_IV)
 DEFINE_TANH(tanh_v, exp_v, fv, iv)
 DEFINE_SIGMOID(sigmoid_v, exp_v, fv, iv)
+DEFINE_LOG(log_v, fv, iv, AS_FV, AS_IV, TO_FV)
 DEFINE_EXP(exp_s, float, int, as_float, as_int)
 DEFINE_LOG(log_s, float, int, as_float, as_int, convert_float)
 DEFINE_TANH(tanh_s, exp_s, float, int)
