@@ -1,59 +1,23 @@
-"""`clgs bench step`: how long a training step takes on this device, stage by stage."""
+"""`clgs bench`: speed, accuracy and growth of time and memory; one module a kind."""
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+import importlib
+
+KINDS = ("step", "ops")
+"""Each is a module ``clgs.cli.bench_<kind>`` with ``register(kinds)`` and ``run(args)``."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command and its options."""
-    parser = subparsers.add_parser("bench", help="measure speed on this device")
+    """Add the command, its kinds and their options."""
+    parser = subparsers.add_parser("bench", help="measure speed and accuracy on this device")
     kinds = parser.add_subparsers(dest="kind", metavar="WHAT", required=True)
-    step = kinds.add_parser(
-        "step",
-        help="one training step on a seeded synthetic scene",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    add = step.add_argument
-    add("--gaussians", type=int, default=200_000, help="neural Gaussians with positive opacity")
-    add("--size", type=int, default=400, help="width and height of the image, pixels")
-    add("--repeats", type=int, default=15, help="steps to take the median of")
-    add("--seed", type=int, default=0, help="of the scene")
-    add("--device", help="number or part of the name, see `clgs devices`")
-    add("--json", type=Path, metavar="F", help="write the times to F")
+    for kind in KINDS:
+        importlib.import_module(f"clgs.cli.bench_{kind}").register(kinds)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; exit code 0."""
-    from dataclasses import asdict
-
-    from rich.console import Console
-    from rich.table import Table
-
-    from clgs.errors import UsageError
-    from clgs.files import check_target
-    from clgs.opencl.device import Device
-    from clgs.testing.bench_step import bench_step
-    from clgs.train.session import write_json
-
-    if min(args.gaussians, args.size, args.repeats) < 1:
-        raise UsageError("--gaussians, --size and --repeats must be at least 1")
-    if args.json:
-        check_target(args.json)
-    device = Device(args.device)
-    times = bench_step(device, args.gaussians, args.size, args.repeats, args.seed)
-    title = (
-        f"{device.name} ({device.specialisation}): {times.anchors:,} anchors, "
-        f"{times.gaussians:,} Gaussians, {times.intersections:,} intersections, {args.size} px"
-    )
-    table = Table("stage", title=title)
-    table.add_column("median ms", justify="right")
-    for name, milliseconds in times.stages.items():
-        table.add_row(name, f"{milliseconds:.2f}")
-    table.add_section()
-    table.add_row("whole step", f"{times.step:.2f}")
-    Console().print(table)
-    if args.json:
-        write_json(args.json, {"device": device.name, **asdict(times)})
-    return 0
+    """Run the kind that was asked for; its exit code."""
+    code: int = importlib.import_module(f"clgs.cli.bench_{args.kind}").run(args)
+    return code

@@ -17,13 +17,30 @@ REMEDY = (
 
 def list_devices() -> list[Any]:
     """Every usable device of every platform; a platform without devices counts as none."""
-    devices = []
+    return survey()[0]
+
+
+def survey() -> tuple[list[Any], list[str]]:
+    """Every usable device, and a line for each platform or device that is none, with the reason."""
+    devices, skipped = [], []
     for platform in _platforms():
+        name = platform.name.strip()
         try:
-            devices.extend(platform.get_devices())
-        except cl.Error:
+            found = platform.get_devices()
+        except cl.Error as error:
+            skipped.append(f"platform {name}: {str(error).splitlines()[0]}")
             continue
-    return [device for device in devices if device.available and device.compiler_available]
+        usable = [device for device in found if device.available and device.compiler_available]
+        devices.extend(usable)
+        skipped += [f"{d.name.strip()} ({name}): not usable" for d in found if d not in usable]
+        if not found:
+            skipped.append(f"platform {name}: no devices")
+    return devices, skipped
+
+
+def is_emulator(device: Any) -> bool:
+    """Whether ``device`` is Oclgrind, which checks every access and is slow."""
+    return "oclgrind" in device.platform.name.lower()
 
 
 def _platforms() -> list[Any]:
@@ -80,6 +97,6 @@ def _full_name(choice: Any) -> str:
 
 
 def _preference(device: Any) -> int:
-    if "oclgrind" in device.platform.name.lower():
+    if is_emulator(device):
         return 3
     return 0 if device.type & cl.device_type.GPU else 1

@@ -17,7 +17,7 @@ import pyopencl.tools
 from clgs import constants
 from clgs.errors import DeviceError
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.choose import choose_device
+from clgs.opencl.choose import choose_device, is_emulator
 from clgs.opencl.profile import Profile
 from clgs.opencl.source import read_program
 
@@ -61,6 +61,11 @@ class Device:
                 raise DeviceError(f"CLGS_SPECIALISATION={chosen}: use cpu or gpu")
             return chosen
         return "cpu" if self.cl_device.type & cl.device_type.CPU else "gpu"
+
+    @property
+    def is_emulator(self) -> bool:
+        """Whether this is an emulator that is too slow for anything but tiny scenes."""
+        return is_emulator(self.cl_device)
 
     @property
     def name(self) -> str:

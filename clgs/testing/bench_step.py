@@ -32,8 +32,13 @@ class StepTimes:
 
 
 def bench_step(device: Device, gaussians: int, size: int, repeats: int, seed: int) -> StepTimes:
+    """Time steps on a new synthetic scene, as :func:`time_steps` does."""
+    return time_steps(synthetic_trainer(device, gaussians, size, seed), repeats)
+
+
+def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
     """Time ``repeats`` steps as a whole, then as many stage by stage (with waits in between)."""
-    trainer = synthetic_trainer(device, gaussians, size, seed)
+    device = trainer.device
     for _ in range(WARM_UP):
         trainer.step()
     device.finish()

@@ -21,10 +21,27 @@ from clgs.testing.errors import largest, relative_l2
 from clgs.testing.reference_render import ReferenceFrame, backward_reference, render_reference
 from clgs.testing.selftest_training import training_checks
 
-GAUSSIANS, SIZE, SEED = 3000, 80, 11
+SEED = 11
 VOLUME_WEIGHT = 0.01
 LEVEL = 1 / 255
-REPEATS = 5
+
+
+@dataclass(frozen=True)
+class Case:
+    """How large the self-test is.
+
+    gaussians: neural Gaussians drawn; size: pixels of the image's edge; count: numbers given to
+    the stages outside of a render; repeats: runs to time.
+    """
+
+    gaussians: int = 3000
+    size: int = 80
+    count: int = 20_000
+    repeats: int = 5
+
+
+TINY = Case(gaussians=70, size=24, count=600, repeats=1)
+"""For emulators."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +62,11 @@ class Check:
         """Whether the error is a number within the limit."""
         return self.error <= self.limit
 
+    @property
+    def share(self) -> float:
+        """The error in units of its limit; not a number where the error is not."""
+        return self.error / self.limit if self.limit else self.error * np.inf if self.error else 0.0
+
 
 @dataclass(frozen=True)
 class _Run:
@@ -60,27 +82,29 @@ class _Run:
     reference: ReferenceFrame
 
 
-def selftest(device: Device) -> Iterator[Check]:
-    """Checks of all stages, in the order of the pipeline."""
-    run = _run(device)
+def selftest(device: Device, case: Case | None = None) -> Iterator[Check]:
+    """Checks of all stages, in the order of the pipeline; by default, tiny ones on an emulator."""
+    case = case or (TINY if device.is_emulator else Case())
+    run = _run(device, case)
     times = {name: milliseconds for name, _, milliseconds, _ in device.profile.rows()}
     for stages, check in FORWARD_CHECKS:
         milliseconds = sum(times.get(name, 0.0) for name in stages.split("+"))
         for quantity, error, limit in check(run):
             yield Check(stages.split("+")[0].split(" ")[0], quantity, error, limit, milliseconds)
     yield from _gradient_checks(run, times)
-    for stage, quantity, error, limit, milliseconds in training_checks(device):
+    for stage, quantity, error, limit, milliseconds in training_checks(device, case.count):
         yield Check(stage, quantity, error, limit, milliseconds)
 
 
-def _run(device: Device) -> _Run:
-    scene, camera = anchor_scene(GAUSSIANS, SIZE, SEED)
+def _run(device: Device, case: Case) -> _Run:
+    scene, camera = anchor_scene(case.gaussians, case.size, SEED)
     uploaded = upload_scene(device, scene)
-    photo = np.random.default_rng(SEED).integers(0, 256, (3, SIZE, SIZE)).astype(np.uint8)
+    shape = (3, case.size, case.size)
+    photo = np.random.default_rng(SEED).integers(0, 256, shape).astype(np.uint8)
     target = device.upload(photo)
     device.profile.clear()
     device.profile.enabled = True
-    for _ in range(REPEATS):
+    for _ in range(case.repeats):
         frame, d_image, gradients = _step(device, uploaded, camera, target)
     device.profile.enabled = False
     reference = render_reference(device, scene, frame, d_image)

@@ -24,11 +24,11 @@ COUNT, SEED, REPEATS = 20_000, 5, 3
 Found = tuple[str, str, float, float, float]
 
 
-def training_checks(device: Device) -> Iterator[Found]:
-    """(stage, quantity, error, limit, milliseconds) of every check."""
+def training_checks(device: Device, count: int = COUNT) -> Iterator[Found]:
+    """(stage, quantity, error, limit, milliseconds) of every check, on ``count`` numbers."""
     rng = np.random.default_rng(SEED)
     for check in (_scan, _sort, _quantize, _rate, _adam, _density):
-        yield from check(device, rng)
+        yield from check(device, rng, count)
 
 
 def _milliseconds(device: Device, work: Callable[[], object]) -> float:
@@ -41,8 +41,8 @@ def _milliseconds(device: Device, work: Callable[[], object]) -> float:
     return median(times[1:])
 
 
-def _scan(device: Device, rng: np.random.Generator) -> Iterator[Found]:
-    counts = rng.integers(0, 50, COUNT).astype(np.int32)
+def _scan(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    counts = rng.integers(0, 50, count).astype(np.int32)
     uploaded = device.upload(counts)
     offsets, total = scan.exclusive(device, uploaded)
     wanted, wanted_total = scan_reference.exclusive(counts)
@@ -51,10 +51,10 @@ def _scan(device: Device, rng: np.random.Generator) -> Iterator[Found]:
     yield "scan", "offsets and total", error, 0.0, milliseconds
 
 
-def _sort(device: Device, rng: np.random.Generator) -> Iterator[Found]:
-    keys = rng.integers(0, 2**32, COUNT).astype(np.uint32)
+def _sort(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    keys = rng.integers(0, 2**32, count).astype(np.uint32)
     keys[::3] = keys[0]
-    values = np.arange(COUNT, dtype=np.int32)
+    values = np.arange(count, dtype=np.int32)
     uploaded = device.upload(keys), device.upload(values)
     _, sorted_values = sort.by_key(device, *uploaded, 32)
     milliseconds = _milliseconds(device, lambda: sort.by_key(device, *uploaded, 32))
@@ -62,8 +62,8 @@ def _sort(device: Device, rng: np.random.Generator) -> Iterator[Found]:
     yield "sort", "order", largest(device.download(sorted_values), wanted), 0.0, milliseconds
 
 
-def _quantize(device: Device, rng: np.random.Generator) -> Iterator[Found]:
-    x = (rng.normal(0, 4, COUNT)).astype(np.float32)
+def _quantize(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    x = (rng.normal(0, 4, count)).astype(np.float32)
     uploaded = device.upload(x)
     rounded = device.download(quantize.forward(device, uploaded, 8.0))
     integers = device.download(quantize.integers(device, uploaded, 8.0))
@@ -73,8 +73,8 @@ def _quantize(device: Device, rng: np.random.Generator) -> Iterator[Found]:
     yield "quantize", "values and integers", error, 0.0, milliseconds
 
 
-def _rate(device: Device, rng: np.random.Generator) -> Iterator[Found]:
-    x = rng.laplace(0.3, np.arange(1, 7), (COUNT // 6, 6)).astype(np.float32)
+def _rate(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    x = rng.laplace(0.3, np.arange(1, 7), (count // 6, 6)).astype(np.float32)
     uploaded = device.upload(x)
     forms: tuple[rate.Form, ...] = ("channel", "pooled")
     for form in forms:
@@ -90,28 +90,29 @@ def _rate(device: Device, rng: np.random.Generator) -> Iterator[Found]:
         yield "rate", f"d_x ({form})", error, 1e-5, milliseconds
 
 
-def _adam(device: Device, rng: np.random.Generator) -> Iterator[Found]:
-    parameter, gradient = rng.normal(size=(2, COUNT)).astype(np.float32)
+def _adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    parameter, gradient = rng.normal(size=(2, count)).astype(np.float32)
     uploaded = device.upload(parameter)
     d_parameter = device.upload(gradient)
     moments, flag = adam.zero_moments(device, uploaded), adam.finite_flag(device)
     wanted = parameter.astype(np.float64)
-    state = np.zeros(COUNT), np.zeros(COUNT)
+    state = np.zeros(count), np.zeros(count)
 
-    def step(count: int) -> None:
-        adam.step(device, uploaded, d_parameter, moments, adam.factors(0.01, count), flag)
+    def step(number: int) -> None:
+        adam.step(device, uploaded, d_parameter, moments, adam.factors(0.01, number), flag)
 
-    for count in range(1, 11):
-        step(count)
-        wanted, state = adam_reference.step(wanted, gradient.astype(np.float64), state, 0.01, count)
+    for number in range(1, 11):
+        step(number)
+        d_wanted = gradient.astype(np.float64)
+        wanted, state = adam_reference.step(wanted, d_wanted, state, 0.01, number)
     error = largest(device.download(uploaded), wanted)
     # ten roundings of values up to 8
     limit = 10 * 8 * 2.0**-24
     yield "adam", "parameter after 10 steps", error, limit, _milliseconds(device, lambda: step(11))
 
 
-def _density(device: Device, rng: np.random.Generator) -> Iterator[Found]:
-    anchors = COUNT // K_OFFSETS
+def _density(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    anchors = count // K_OFFSETS
     output = rng.uniform(-1, 1, (OUTPUT_DIM, anchors)).astype(np.float32)
     visible = np.sort(rng.permutation(2 * anchors)[:anchors]).astype(np.int32)
     slot = np.flatnonzero(output[:K_OFFSETS].T.ravel() > 0).astype(np.int32)

@@ -153,3 +153,5 @@ def test_usage_is_exit_code_2(data, tmp_path):
 def test_selftest_and_bench():
     assert "all checks passed" in succeed("selftest")
     assert "blend backward" in succeed("bench", "step", "--gaussians", 2000, "--size", 64)
+    small = ("--gaussians", 2000, "--size", 64, "--elements", 5000, "--repeats", 2)
+    assert "of limit" in succeed("bench", "ops", *small)

@@ -72,6 +72,14 @@ class TestBusyMachine:
         names = [device.name.strip() for device in choose.list_devices()]
         assert names == ["Oclgrind Simulator", "cpu-haswell i7", "Big Card", "Small Card"]
 
+    def test_what_is_left_out_has_a_line(self):
+        assert choose.survey()[1] == [
+            "platform Clover: no devices",
+            "platform Broken: clGetDeviceIDs failed: DEVICE_NOT_FOUND",
+            "Old Card (Vendor CL): not usable",
+            "No Compiler (Vendor CL): not usable",
+        ]
+
     def test_the_first_gpu_that_is_no_emulator_is_the_default(self):
         assert choose.choose_device().name == " Big Card "
 

@@ -1,0 +1,50 @@
+"""Two kernels that do nothing but use the device: what the other stages are measured against.
+
+copy: target = source. fma: CHAINS independent chains x <- x factor + term a lane, from
+(1 .. CHAINS) / 8 on, and their sum.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device, round_up
+from clgs.shapes import Shapes
+
+GROUP_SIZE = 64
+CHAINS = 6
+FACTOR, TERM = 0.75, 0.375
+
+
+def copy(device: Device, source: DeviceArray, target: DeviceArray) -> None:
+    """Copy ``source`` (n,) float32 to ``target`` of the same shape, by a kernel.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    shapes = Shapes()
+    shapes.check("source", source, "n", np.float32)
+    shapes.check("target", target, "n", np.float32)
+    device.run(
+        device.kernel("limits", "limits_copy"),
+        (round_up(-(-len(source) // device.vec), GROUP_SIZE),),
+        (GROUP_SIZE,),
+        source,
+        np.uint32(len(source)),
+        target,
+    )
+
+
+def fma(device: Device, groups: int, steps: int) -> DeviceArray:
+    """The sums (lanes,) float32 of chains of ``steps`` fused multiply-adds, all lanes equal.
+
+    ``groups`` work-groups run; lanes = groups * (1 or GROUP_SIZE work-items) * vector lanes, and
+    2 CHAINS steps lanes operations are made.
+    """
+    group = GROUP_SIZE if device.specialisation == "gpu" else 1
+    result = device.empty((groups * group * device.vec,))
+    kernel = device.kernel("limits", "limits_fma")
+    arguments = np.float32(FACTOR), np.float32(TERM), np.int32(steps)
+    device.run(kernel, (groups * group,), (group,), *arguments, result)
+    return result

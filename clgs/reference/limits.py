@@ -1,0 +1,23 @@
+"""What the kernels that only use the device compute, in float64."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+def copy(source: Array) -> Array:
+    """The same values."""
+    return source.copy()
+
+
+def fma(factor: float, term: float, steps: int, chains: int = 6) -> float:
+    """Sum over the chains of x <- x factor + term, ``steps`` times, from (1 .. chains) / 8 on.
+
+    By the closed form: x approaches term / (1 - factor) geometrically.
+    """
+    limit = term / (1 - factor)
+    start = np.arange(1, chains + 1) / 8
+    return float(np.sum(limit + (start - limit) * factor**steps))

@@ -1,0 +1,31 @@
+"""The kernels that only use the device do the work that they are timed for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.ops import limits
+from clgs.reference import limits as reference
+
+
+@pytest.mark.parametrize("count", [0, 1, 16, 4097])
+def test_copy(device, rng, count):
+    x = rng.normal(size=count).astype(np.float32)
+    target = device.zeros((count,))
+    limits.copy(device, device.upload(x), target)
+    assert np.array_equal(device.download(target), reference.copy(x))
+
+
+@pytest.mark.parametrize("steps", [0, 1, 2, 7, 1000])
+def test_fma(device, steps):
+    sums = device.download(limits.fma(device, 3, steps))
+    wanted = reference.fma(limits.FACTOR, limits.TERM, steps, limits.CHAINS)
+    # a step keeps 3/4 of the error before it and adds a rounding of values below 2
+    assert np.all(np.abs(sums - wanted) <= limits.CHAINS * 8 * 2.0**-24)
+    assert len(sums) == 3 * device.vec * (limits.GROUP_SIZE if device.vec == 1 else 1)
+
+
+def test_copy_refuses_other_sizes(device):
+    with pytest.raises(ValueError, match="target"):
+        limits.copy(device, device.zeros((3,)), device.zeros((4,)))
