@@ -8,6 +8,7 @@
  * CPU form: one work-item a tile, pixels in units of VEC. GPU form: one work-item a pixel, records
  * staged in local memory.
  */
+#include "include/blend_observe.h"
 #include "include/blend_step.h"
 #include "include/tile.h"
 
@@ -17,38 +18,6 @@
 #define UNIT_INVERSE (1.0f / WHITENING_UNIT)
 #define BATCH 256     /* records staged at a time (GPU form) */
 #define OPEN_CHECK 32 /* splats between two looks for finished units (CPU form) */
-
-#ifdef EXPORT_DECISIONS
-/* For tests: 256 bits an entry, bit x + 16 y of the tile: took part; was clamped to ALPHA_MAX. */
-#define DECISIONS , __global uint *blended, __global uint *clamped
-#define DECISION_ARGUMENTS , blended, clamped
-#define EXPORT(entry, x, y, taken, saturated)                                                      \
-    export_decisions(blended, clamped, entry, x, y, taken, saturated)
-
-inline void export_bit(__global uint *words, int entry, int pixel)
-{
-    atomic_or(&words[8 * (size_t)entry + (size_t)(pixel / 32)], 1u << (pixel % 32));
-}
-
-inline void export_decisions(__global uint *blended, __global uint *clamped, int entry, int x,
-                             int y, iv taken, iv saturated)
-{
-    int is_taken[VEC], is_saturated[VEC];
-    STORE_V(taken, 0, is_taken);
-    STORE_V(saturated, 0, is_saturated);
-    for (int i = 0; i < VEC; ++i) {
-        const int pixel = x + i % 4 + TILE_SIZE * (y + i / 4);
-        if (is_taken[i])
-            export_bit(blended, entry, pixel);
-        if (is_taken[i] && is_saturated[i])
-            export_bit(clamped, entry, pixel);
-    }
-}
-#else
-#define DECISIONS
-#define DECISION_ARGUMENTS
-#define EXPORT(entry, x, y, taken, saturated) (void)(entry), (void)(taken)
-#endif
 
 inline float clamp_color(float value)
 {

@@ -14,7 +14,9 @@ Sources: 3DGS (Kerbl et al. 2023); the whitened moments are our own.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -71,6 +73,17 @@ class Decisions:
 
     contributed: npt.NDArray[np.bool_]
     saturated: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class PairCounts:
+    """Pairs of a pixel and a splat, in one pass over a picture.
+
+    visited: computed, whether they touch or not; blended: those that changed a pixel.
+    """
+
+    visited: int
+    blended: int
 
 
 def forward(
@@ -206,21 +219,53 @@ def decisions(
 
     Both are compiled from the same source as ever, with EXPORT_DECISIONS.
     """
-    entries = len(tiles.gaussian)
-    rows = device.empty((entries, ROW_SIZE))
+    words = (len(tiles.gaussian), TILE_SIZE**2 // 32)
+    found = []
+    for kernel, arguments in _passes(
+        device, tiles, background, blended, d_image, EXPORT_DECISIONS=1
+    ):
+        bits = [device.zeros(words, np.uint32) for _ in range(2)]
+        device.run(kernel, *_grid(device, tiles), *arguments, *bits)
+        found.append(Decisions(*(_unpack(device.download(one)) for one in bits)))
+    return found[0], found[1]
+
+
+def count_pairs(
+    device: Device,
+    tiles: TileLists,
+    background: DeviceArray,
+    blended: Blended,
+    d_image: DeviceArray,
+) -> tuple[PairCounts, PairCounts]:
+    """The work of the forward and of the backward kernel; renders once more.
+
+    Both are compiled from the same source as ever, with COUNT_PAIRS.
+    """
+    grid = _grid(device, tiles)
+    found = []
+    for kernel, arguments in _passes(device, tiles, background, blended, d_image, COUNT_PAIRS=1):
+        pairs = device.zeros((grid[0][0], 2), np.uint64)
+        device.run(kernel, *grid, *arguments, pairs)
+        visited, taken = device.download(pairs).sum(axis=0, dtype=np.uint64)
+        found.append(PairCounts(int(visited), int(taken)))
+    return found[0], found[1]
+
+
+def _passes(
+    device: Device,
+    tiles: TileLists,
+    background: DeviceArray,
+    blended: Blended,
+    d_image: DeviceArray,
+    **observe: int,
+) -> Iterator[tuple[Any, tuple[DeviceArray | np.int32, ...]]]:
+    """The forward and the backward kernel, built to be observed, with their usual arguments."""
+    defines = {**observe, **_defines(device, blended.options)}
+    rows = device.empty((len(tiles.gaussian), ROW_SIZE))
     forward_arguments = _forward_arguments(blended, tiles, background)
     backward_arguments = (*_backward_arguments(blended, tiles, background, d_image), rows)
-    defines = {"EXPORT_DECISIONS": 1, **_defines(device, blended.options)}
-    found = []
-    for name, arguments in (
-        ("blend_forward", forward_arguments),
-        ("blend_backward", backward_arguments),
-    ):
-        bits = [device.zeros((entries, TILE_SIZE**2 // 32), np.uint32) for _ in range(2)]
-        kernel = device.kernel("blend", name, **defines)
-        device.run(kernel, *_grid(device, tiles), *arguments, *bits)
-        found.append(Decisions(*(_unpack(device.download(words)) for words in bits)))
-    return found[0], found[1]
+    yield device.kernel("blend", "blend_forward", **defines), forward_arguments
+    yield device.kernel("blend", "blend_backward", **defines), backward_arguments
 
 
 def _unpack(words: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:

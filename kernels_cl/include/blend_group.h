@@ -14,7 +14,7 @@ inline void stage_record(__local float *staged, __global const float *records, i
 __kernel void blend_forward(__global const float *records, __global const int *tile_range,
                             __global const float *background, const int width, const int height,
                             __global float *image, __global float *transmittance,
-                            __global int *last_contributor DECISIONS)
+                            __global int *last_contributor OBSERVE_PARAMETERS)
 {
     __local float staged[RECORD_USED * BATCH];
     __local int open;
@@ -41,7 +41,7 @@ __kernel void blend_forward(__global const float *records, __global const int *t
             READ_PAINT(paint, staged + RECORD_USED * (k - begin));
             const Touch t = touch(&paint.splat, (float)x + 0.5f, (float)y + 0.5f);
             const iv taken = blend_over(&p, &paint, &t, k - first + 1);
-            EXPORT(k, item % TILE_SIZE, item / TILE_SIZE, taken, t.saturated);
+            OBSERVE(k, item % TILE_SIZE, item / TILE_SIZE, taken, t.saturated);
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
@@ -103,7 +103,7 @@ __kernel void blend_backward(__global const float *records, __global const int *
                              __global const float *background, const int width, const int height,
                              __global const float *transmittance,
                              __global const int *last_contributor, __global const float *d_image,
-                             __global float *rows DECISIONS)
+                             __global float *rows OBSERVE_PARAMETERS)
 {
     __local float staged[RECORD_USED];
     __local float values[ROW_USED * TILE_PIXELS];
@@ -137,7 +137,7 @@ __kernel void blend_backward(__global const float *records, __global const int *
         Moments m = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
         const Touch t = touch(&paint.splat, (float)x + 0.5f, (float)y + 0.5f);
         const iv taken = blend_back(&p, &paint, &t, k - first + 1, &m);
-        EXPORT(k, item % TILE_SIZE, item / TILE_SIZE, taken, t.saturated);
+        OBSERVE(k, item % TILE_SIZE, item / TILE_SIZE, taken, t.saturated);
         reduce_moments(&m, values, parts, rows + ROW_SIZE * (size_t)row);
     }
 }

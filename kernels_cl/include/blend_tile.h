@@ -17,7 +17,7 @@ inline iv inside_image(int x, int y, int width, int height)
 }
 
 inline void blend_forward_entry(Pixels *pixels, uint open, __global const float *record, int x,
-                                int y, int entry, int number DECISIONS)
+                                int y, int entry, int number OBSERVE_PARAMETERS)
 {
     Paint paint;
     READ_PAINT(paint, record);
@@ -27,14 +27,14 @@ inline void blend_forward_entry(Pixels *pixels, uint open, __global const float 
         const Touch t =
             touch(&paint.splat, LANE_X + (float)(x + unit_x(u)), LANE_Y + (float)(y + unit_y(u)));
         const iv taken = blend_over(&pixels[u], &paint, &t, number);
-        EXPORT(entry, unit_x(u), unit_y(u), taken, t.saturated);
+        OBSERVE(entry, unit_x(u), unit_y(u), taken, t.saturated);
     }
 }
 
 __kernel void blend_forward(__global const float *records, __global const int *tile_range,
                             __global const float *background, const int width, const int height,
                             __global float *image, __global float *transmittance,
-                            __global int *last_contributor DECISIONS)
+                            __global int *last_contributor OBSERVE_PARAMETERS)
 {
     const int tile = (int)get_global_id(0);
     const int columns = (width + TILE_SIZE - 1) / TILE_SIZE;
@@ -52,7 +52,7 @@ __kernel void blend_forward(__global const float *records, __global const int *t
         const int stop = end - begin < OPEN_CHECK ? end : begin + OPEN_CHECK;
         for (int k = begin; k < stop; ++k)
             blend_forward_entry(pixels, open, records + RECORD_SIZE * (size_t)k, x, y, k,
-                                k - first + 1 DECISION_ARGUMENTS);
+                                k - first + 1 OBSERVE_ARGUMENTS);
         open = open_units(pixels);
     }
     const size_t plane = (size_t)width * (size_t)height;
@@ -91,7 +91,7 @@ __kernel void blend_backward(__global const float *records, __global const int *
                              __global const float *background, const int width, const int height,
                              __global const float *transmittance,
                              __global const int *last_contributor, __global const float *d_image,
-                             __global float *rows DECISIONS)
+                             __global float *rows OBSERVE_PARAMETERS)
 {
     const int tile = (int)get_global_id(0);
     const int columns = (width + TILE_SIZE - 1) / TILE_SIZE;
@@ -131,7 +131,7 @@ __kernel void blend_backward(__global const float *records, __global const int *
             const Touch t = touch(&paint.splat, LANE_X + (float)(x + unit_x(u)),
                                   LANE_Y + (float)(y + unit_y(u)));
             const iv taken = blend_back(&rays[u], &paint, &t, number, &m);
-            EXPORT(k, unit_x(u), unit_y(u), taken, t.saturated);
+            OBSERVE(k, unit_x(u), unit_y(u), taken, t.saturated);
         }
         store_moments(&m, rows + ROW_SIZE * (size_t)as_int(record[RECORD_ROW]));
     }

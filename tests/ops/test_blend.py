@@ -264,6 +264,25 @@ def test_clamped_color_has_no_gradient(device, rng):
     assert actual["d_color"][3, 1] != 0.0
 
 
+def test_counted_pairs_are_those_decided(device, rng):
+    scene = projected_scene(rng, 900, 70, 50, 2.0)
+    rendered = render(device, scene, (70, 50))
+    d_image = rng.normal(size=(3, 50, 70)).astype(np.float32)
+    lists, background = rendered.inputs["tiles"], rendered.inputs["background"]
+    before = rendered.host("image")
+    forward, backward = blend.count_pairs(
+        device, lists, background, rendered.blended, device.upload(d_image)
+    )
+    taken = int(decisions(rendered, d_image)[0].contributed.sum())
+    assert forward.blended == backward.blended == taken > 0
+    every = len(lists.gaussian) * 256
+    assert taken < backward.visited <= every
+    assert taken < forward.visited <= every
+    if device.specialisation == "cpu":
+        assert forward.visited < every  # units outside of a splat are left out
+    assert np.array_equal(rendered.host("image"), before)
+
+
 def test_wrong_shapes_are_refused(device, rng):
     scene = projected_scene(rng, 10, 32, 32)
     rendered = render(device, scene, (32, 32))
