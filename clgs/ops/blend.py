@@ -270,7 +270,7 @@ def _passes(
 
 def _unpack(words: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
     bits = words[:, :, None] >> np.arange(32, dtype=np.uint32) & np.uint32(1)
-    return bits.reshape(len(words), -1).astype(bool)
+    return bits.reshape(len(words), TILE_SIZE**2).astype(bool)
 
 
 def _defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
