@@ -1,0 +1,85 @@
+"""The same bits from any number of threads and any work-group shape: family N29."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.small_scene import write_scene
+from tests.stress.hash_worker import set_group_size
+
+ROOT = Path(__file__).resolve().parents[2]
+THREADS = (1, 2, 4)
+GROUPS = (64, 32)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_scene(tmp_path_factory.mktemp("balls"))
+
+
+def hash_of(folder, what, specialisation, threads, group, steps):
+    """What ``hash_worker`` prints in a process of its own."""
+    arguments = [str(folder), what, specialisation, str(group), str(steps)]
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.stress.hash_worker", *arguments],
+        cwd=ROOT,
+        env={**os.environ, "POCL_MAX_PTHREAD_COUNT": str(threads)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-500:]
+    digest = done.stdout.strip()
+    assert len(digest) == 64
+    return digest
+
+
+def hashes(folder, what, specialisation, steps, pairs):
+    return {hash_of(folder, what, specialisation, *pair, steps) for pair in pairs}
+
+
+ALL = [(threads, group) for threads in THREADS for group in GROUPS]
+FEW = [(1, 64), (2, 32), (4, 64)]
+
+
+@pytest.mark.family("N29")
+@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+def test_gradients_have_one_hash(folder, specialisation):
+    """Ten repeats in each process."""
+    assert len(hashes(folder, "gradients", specialisation, 10, FEW)) == 1
+
+
+@pytest.mark.family("N29")
+def test_training_has_one_hash(folder):
+    assert len(hashes(folder, "training", "cpu", 60, FEW)) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.family("N29")
+@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+def test_gradients_have_one_hash_on_all(folder, specialisation):
+    assert len(hashes(folder, "gradients", specialisation, 10, ALL)) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.family("N29")
+@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+def test_500_steps_have_one_hash(folder, specialisation):
+    assert len(hashes(folder, "training", specialisation, 500, ALL)) == 1
+
+
+@pytest.mark.family("N29")
+def test_another_number_of_steps_has_another_hash(folder):
+    one, other = (hash_of(folder, "training", "cpu", 2, 64, steps) for steps in (2, 3))
+    assert one != other
+
+
+@pytest.mark.family("N29")
+def test_group_sizes_change():
+    changed = set_group_size(64)
+    assert {"adam", "blend", "neural", "project", "tiles"} <= set(changed)

@@ -1,0 +1,76 @@
+"""Many steps of training stay finite: families N17 and N28."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.data.dataset import load_dataset
+from clgs.train.config import preset
+from clgs.train.loop import Trainer
+from tests.small_scene import write_scene
+from tests.stress.hash_worker import PARAMETERS
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
+    return replace(whole, points=whole.points[::25])
+
+
+def train(device, dataset, steps, **changes):
+    """Steps of a whole run; a loss or gradient that is not finite raises."""
+    config = replace(preset("default").scaled(steps), voxel=0.02, **changes)
+    trainer = Trainer(device, dataset, config.for_dataset(dataset.kind))
+    results = [trainer.step() for _ in range(steps)]
+    scene = trainer.parameters.scene
+    for name in PARAMETERS:
+        assert np.isfinite(device.download(getattr(scene, name))).all(), name
+    return trainer, results
+
+
+@pytest.mark.family("N28")
+@pytest.mark.parametrize(("specialisation", "seed"), [("cpu", 0), ("cpu", 1), ("gpu", 0)])
+def test_every_gradient_is_finite(open_device, dataset, specialisation, seed):
+    steps = 200 if specialisation == "cpu" else 40
+    _, results = train(open_device(specialisation), dataset, steps, seed=seed)
+    assert results[-1].loss < results[0].loss
+
+
+@pytest.mark.slow
+@pytest.mark.family("N28")
+def test_every_gradient_of_30000_steps_is_finite(open_device, dataset):
+    _, results = train(open_device("cpu"), dataset, 30_000)
+    losses = [result.loss for result in results]
+    assert np.isfinite(losses).all()
+    assert np.mean(losses[-100:]) < 0.5 * losses[0]
+
+
+@pytest.mark.family("N28")
+def test_shapes_without_thickness(open_device, dataset):
+    """Training that starts from needles and dots as thin as log scales may become."""
+    device = open_device("cpu")
+    config = replace(preset("default").scaled(60), voxel=0.02).for_dataset(dataset.kind)
+    trainer = Trainer(device, dataset, config)
+    scaling = device.download(trainer.parameters.scene.scaling)
+    scaling[::2, 3:5], scaling[1::2, 4:] = -20, -30
+    device.write(trainer.parameters.scene.scaling, scaling)
+    for _ in range(40):
+        assert np.isfinite(trainer.step().loss)
+
+
+@pytest.mark.family("N17")
+@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+def test_training_goes_on_with_nothing_visible(open_device, dataset, specialisation):
+    device = open_device(specialisation)
+    away = [
+        replace(view, camera=replace(view.camera, translation=np.array([0, 0, -50.0])))
+        for view in dataset.train
+    ]
+    trainer, results = train(device, replace(dataset, train=away), 100, prune_opacity=0.0)
+    assert len({result.loss for result in results}) <= len(away)
+    fresh = Trainer(device, dataset, trainer.config)
+    start = device.download(fresh.parameters.scene.weights)
+    assert np.array_equal(device.download(trainer.parameters.scene.weights), start)
