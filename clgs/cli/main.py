@@ -29,6 +29,7 @@ COMMANDS = (
     "info",
     "selftest",
     "bench",
+    "conformance",
 )
 """Each is a module of ``clgs.cli`` with ``register(subparsers)`` and ``run(args)``."""
 

@@ -120,7 +120,7 @@ def test_help_names_every_command():
     result = clgs("--help")
     assert result.returncode == 0
     for command in cli.COMMANDS:
-        assert f"\n    {command} " in result.stdout
+        assert command in result.stdout.split()
 
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
