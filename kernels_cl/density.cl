@@ -6,13 +6,14 @@
 #define K_OFFSETS 10
 #endif
 
-/* One work-item a visible anchor: the sum of its positive opacities, and one visit. */
+/* One work-item a visible anchor: the sum of its positive opacities, and one visit. An entry -1 of
+ * visible is no anchor. */
 __kernel void density_visit(__global const float *output, __global const int *visible,
                             const int count, const int padded, __global float *opacity_sum,
                             __global int *visits)
 {
     const size_t v = get_global_id(0);
-    if (v >= (size_t)count)
+    if (v >= (size_t)count || visible[v] < 0)
         return;
     float sum = 0.0f;
     for (size_t j = 0; j < K_OFFSETS; ++j) {
@@ -23,7 +24,8 @@ __kernel void density_visit(__global const float *output, __global const int *vi
     visits[visible[v]] += 1;
 }
 
-/* One work-item a Gaussian: the norm of its screen gradient in NDC units, where it is drawn. */
+/* One work-item a Gaussian: the norm of its screen gradient in NDC units, where it is drawn.
+ * Padding, of slot -1, never is. */
 __kernel void density_gradient(__global const int *visible, __global const int *slot,
                                __global const float *extent, __global const float *d_mean2d,
                                const int count, const float2 half_size,

@@ -14,6 +14,7 @@
 #include "include/lanes.h"
 #include "include/pixels.h"
 #include "include/real.h"
+#include "include/rows.h"
 
 /* Window weights from the centre outwards. */
 #ifndef SSIM_WEIGHT_0
@@ -293,22 +294,29 @@ GROUP_SIZED __kernel void loss_backward(__global const float *image, __global co
 
 #define VOLUME_BLOCK 256
 
-/* Block sums of the product of the three scales; d_scale += weight * d(product). */
+/* Block sums of the product of the three scales; d_scale += weight * d(product) / *total. What
+ * follows Gaussian number *total has scales of zero and adds nothing. */
 GROUP_SIZED __kernel void loss_volume(__global const float *scale, const int count,
-                                      const float weight, __global float *d_scale,
-                                      __global float *sums)
+                                      const float weight, __global const long *total,
+                                      __global float *d_scale, __global float *sums)
 {
     SPACE float4 scratch[ITEMS];
-    float sum = 0.0f;
-    for (int unit = ITEM; unit < VOLUME_BLOCK; unit += ITEMS) {
-        const size_t i = get_group_id(0) * VOLUME_BLOCK + (size_t)unit;
-        if (i >= (size_t)count)
+    const float share = weight / (float)max(*total, 1L);
+    fv sum = (fv)(0.0f);
+    for (int unit = ITEM * VEC; unit < VOLUME_BLOCK; unit += ITEMS * VEC) {
+        const size_t first = get_group_id(0) * VOLUME_BLOCK + (size_t)unit;
+        if (first >= (size_t)count)
             continue;
-        const float3 s = vload3(i, scale);
-        sum += s.x * s.y * s.z;
-        vstore3(fma((float3)(weight), s.yzx * s.zxy, vload3(i, d_scale)), i, d_scale);
+        const size_t used = min((size_t)VEC, (size_t)count - first);
+        fv s[3], d[3];
+        load_rows3(scale, first, used, s);
+        load_rows3(d_scale, first, used, d);
+        sum += s[0] * s[1] * s[2];
+        for (int i = 0; i < 3; ++i)
+            d[i] = fma((fv)(share), s[(i + 1) % 3] * s[(i + 2) % 3], d[i]);
+        store_rows3(d, d_scale, first, used);
     }
-    const float4 total = group_sum((float4)(sum, 0.0f, 0.0f, 0.0f), scratch);
+    const float4 block = group_sum((float4)(lane_sum(sum), 0.0f, 0.0f, 0.0f), scratch);
     if (ITEM == 0)
-        sums[get_group_id(0)] = total.x;
+        sums[get_group_id(0)] = block.x;
 }

@@ -15,14 +15,17 @@ from clgs.opencl.device import Device
 class BlockSums:
     """Float32 sums (blocks, columns), one row a block, and the ``count`` of values behind a column.
 
+    The count may be on the device, (1,) of an integer type.
+
     Nothing waits for the device until :meth:`mean` is called, so that a step can enqueue all its
     work first. The blocks are added in float64 and in order: same bits in every run.
     """
 
     partials: DeviceArray
-    count: int
+    count: int | DeviceArray
 
     def mean(self, device: Device) -> npt.NDArray[np.float64]:
         """(columns,) float64: the sum of every column divided by ``count``; 0 of nothing."""
         total = device.download(self.partials).sum(axis=0, dtype=np.float64)
-        return np.asarray(total / max(self.count, 1), np.float64)
+        count = self.count if isinstance(self.count, int) else int(device.download(self.count)[0])
+        return np.asarray(total / max(count, 1), np.float64)

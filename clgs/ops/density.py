@@ -37,7 +37,8 @@ class Statistics:
 class ScreenGradients:
     """The N Gaussians of one view.
 
-    slot (N,) int32 = index in visible * K + offset; extent (N, 2) float32, drawn where positive;
+    slot (N,) int32 = index in visible * K + offset, or -1 where the extent is 0; extent (N, 2)
+    float32, drawn where positive;
     d_mean2d (N, 2) float32 per pixel; width and height of the image in pixels.
     """
 
@@ -71,7 +72,7 @@ def accumulate(
         device: where the arrays live.
         statistics: of all anchors.
         output: (110, Vp) float32, Vp >= V, feature-major MLP outputs; rows [0, 10) are opacities.
-        visible: (V,) int32, anchor of every column, each at most once.
+        visible: (V,) int32, anchor of every column, each at most once; -1 is none.
         gradients: of the view's Gaussians, each slot at most once.
 
     Raises:

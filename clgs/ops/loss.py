@@ -138,7 +138,13 @@ def backward(device: Device, image: DeviceArray, target: DeviceArray, loss: Loss
     return d_image
 
 
-def volume(device: Device, scale: DeviceArray, weight: float, d_scale: DeviceArray) -> BlockSums:
+def volume(
+    device: Device,
+    scale: DeviceArray,
+    weight: float,
+    d_scale: DeviceArray,
+    total: DeviceArray | None = None,
+) -> BlockSums:
     """Mean product of the scales; ``weight`` times its gradient is added to ``d_scale``.
 
     Args:
@@ -146,9 +152,10 @@ def volume(device: Device, scale: DeviceArray, weight: float, d_scale: DeviceArr
         scale: (N, 3) float32, scene units.
         weight: factor of the term in the loss; the returned mean is without it.
         d_scale: (N, 3) float32, changed in place.
+        total: (1,) int64, how many of the N there are; the others have scale 0. Default: all.
 
     Returns:
-        Sums whose ``mean(device)`` is (1,): the mean over N, 0 where N is 0.
+        Sums whose ``mean(device)`` is (1,): the mean over all, 0 where there are none.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -157,6 +164,8 @@ def volume(device: Device, scale: DeviceArray, weight: float, d_scale: DeviceArr
     shapes.check("scale", scale, "N 3", np.float32)
     shapes.check("d_scale", d_scale, "N 3", np.float32)
     count = shapes.axes["N"]
+    if total is None:
+        total = device.upload(np.array([count], np.int64))
     blocks = -(-count // VOLUME_BLOCK)
     sums = device.empty((blocks, 1))
     group = GROUP_SIZE[device.specialisation]
@@ -166,11 +175,12 @@ def volume(device: Device, scale: DeviceArray, weight: float, d_scale: DeviceArr
         (group,),
         scale,
         np.int32(count),
-        _factor(weight, max(count, 1)),
+        _factor(weight, 1),
+        total,
         d_scale,
         sums,
     )
-    return BlockSums(sums, count)
+    return BlockSums(sums, total)
 
 
 def _factor(weight: float, count: int) -> np.float32:

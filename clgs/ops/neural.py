@@ -30,8 +30,11 @@ class NeuralGaussians:
 
     mean (N, 3) scene units; scale (N, 3) scene units; rotation (N, 4) unit quaternion w x y z;
     color (N, 3) RGB in [0, 1]; opacity (N,) in (0, 1]; slot (N,) int32 = v * K + j for slot j of
-    the v-th visible anchor; first (V,) int32, number of the first Gaussian of each, with N after
-    the last in its buffer.
+    the v-th visible anchor; first (V + 1,) int32, number of the first Gaussian of each visible
+    anchor; drawn (V,) int32, bit j for its slot j; total (1,) int64, how many Gaussians there are.
+
+    With a capacity N is that, and what lies behind ``total`` is padding: zeros, slot -1. Where
+    ``total`` is larger than N, the Gaussians behind are left out.
     """
 
     mean: DeviceArray
@@ -41,6 +44,8 @@ class NeuralGaussians:
     opacity: DeviceArray
     slot: DeviceArray
     first: DeviceArray
+    drawn: DeviceArray
+    total: DeviceArray
 
     def __len__(self) -> int:
         return len(self.slot)
@@ -78,67 +83,105 @@ def forward(
     position: DeviceArray,
     offset: DeviceArray,
     scaling: DeviceArray,
+    capacity: int | None = None,
 ) -> NeuralGaussians:
     """Gather the Gaussians of the visible anchors.
 
     Args:
         device: where the arrays live.
         output: (110, Vp) float32, feature-major outputs of ``mlp.forward``.
-        visible: (V,) int32, V <= Vp.
+        visible: (V,) int32, V <= Vp; -1 is no anchor.
         position: (A, 3) float32, scene units.
         offset: (A, K, 3) float32, in units of exp(scaling[:, :3]).
         scaling: (A, 6) float32, log of scene units.
+        capacity: how many Gaussians to make room for; default: wait for the device to count them.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     Shapes(A=_check(output, visible, offset, scaling)).check("position", position, "A 3", "f4")
     sizes = np.int32(len(visible)), np.int32(output.shape[1])
-    first, total = _number(device, output, sizes)
-    result = NeuralGaussians(
-        mean=device.empty((total, 3)),
-        scale=device.empty((total, 3)),
-        rotation=device.empty((total, 4)),
-        color=device.empty((total, 3)),
-        opacity=device.empty((total,)),
-        slot=device.empty((total,), np.int32),
-        first=first,
-    )
+    drawn, offsets = _number(device, output, visible, sizes)
+    count = scan.checked_total(device, offsets) if capacity is None else capacity
+    result = _allocate(device, count, drawn, offsets)
+    fields = _fields(result)
     device.run(
         device.kernel("neural", "neural_forward"),
         (round_up(-(-len(visible) // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
         output,
         visible,
-        first,
+        offsets.offset,
+        drawn,
         *sizes,
+        np.int32(count),
         position,
         offset,
         scaling,
-        result.mean,
-        result.scale,
-        result.rotation,
-        result.color,
-        result.opacity,
-        result.slot,
+        *fields,
     )
+    if capacity is not None:
+        _pad(device, result)
     return result
 
 
+def _allocate(
+    device: Device, count: int, drawn: DeviceArray, offsets: scan.Offsets
+) -> NeuralGaussians:
+    return NeuralGaussians(
+        mean=device.empty((count, 3)),
+        scale=device.empty((count, 3)),
+        rotation=device.empty((count, 4)),
+        color=device.empty((count, 3)),
+        opacity=device.empty((count,)),
+        slot=device.empty((count,), np.int32),
+        first=offsets.offset,
+        drawn=drawn,
+        total=offsets.total,
+    )
+
+
+def _fields(gaussians: NeuralGaussians) -> tuple[DeviceArray, ...]:
+    """What there is of every Gaussian, in the order of the kernels' arguments."""
+    return (
+        gaussians.mean,
+        gaussians.scale,
+        gaussians.rotation,
+        gaussians.color,
+        gaussians.opacity,
+        gaussians.slot,
+    )
+
+
 def _number(
-    device: Device, output: DeviceArray, sizes: tuple[np.int32, np.int32]
-) -> tuple[DeviceArray, int]:
-    """Number (V,) int32 of each visible anchor's first Gaussian, and how many there are."""
+    device: Device, output: DeviceArray, visible: DeviceArray, sizes: tuple[np.int32, np.int32]
+) -> tuple[DeviceArray, scan.Offsets]:
+    """Which slots of each visible anchor are drawn, and the number of its first Gaussian."""
+    drawn = device.empty((int(sizes[0]),), np.int32)
     counts = device.empty((int(sizes[0]),), np.int32)
     device.run(
         device.kernel("neural", "neural_count"),
-        (round_up(len(counts), GROUP_SIZE),),
+        (round_up(-(-len(counts) // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
         output,
+        visible,
         *sizes,
+        drawn,
         counts,
     )
-    return scan.exclusive(device, counts)
+    return drawn, scan.on_device(device, counts)
+
+
+def _pad(device: Device, gaussians: NeuralGaussians) -> None:
+    """Zeros behind the last Gaussian."""
+    device.run(
+        device.kernel("neural", "neural_pad"),
+        (round_up(len(gaussians), GROUP_SIZE),),
+        (GROUP_SIZE,),
+        gaussians.total,
+        np.int32(len(gaussians)),
+        *_fields(gaussians),
+    )
 
 
 def backward(
@@ -157,7 +200,7 @@ def backward(
         device: where the arrays live.
         gaussians: what :func:`forward` returned for output, visible, offset and scaling.
         output: (110, Vp) float32.
-        visible: (V,) int32, each anchor at most once.
+        visible: (V,) int32, each anchor at most once; -1 is no anchor.
         offset: (A, K, 3) float32.
         scaling: (A, 6) float32.
         d_gaussians: gradients by the fields of ``gaussians``.
@@ -181,8 +224,10 @@ def backward(
         output,
         visible,
         gaussians.first,
+        gaussians.drawn,
         np.int32(len(visible)),
         np.int32(output.shape[1]),
+        np.int32(len(gaussians)),
         offset,
         scaling,
         d_gaussians.d_mean,
@@ -214,6 +259,7 @@ def _position_backward(
         visible,
         gaussians.first,
         np.int32(len(visible)),
+        np.int32(len(gaussians)),
         d_mean,
         d_position,
     )

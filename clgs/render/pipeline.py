@@ -150,7 +150,7 @@ def _rasterise_backward(
             device, shape, frame.camera, frame.projected, splats.d_mean2d, splats.d_whitening
         )
         if volume_weight:
-            loss.volume(device, gaussians.scale, volume_weight, solids.d_scale)
+            loss.volume(device, gaussians.scale, volume_weight, solids.d_scale, gaussians.total)
     d_gaussians = neural.GaussianGradients(
         d_mean=solids.d_mean,
         d_scale=solids.d_scale,

@@ -64,6 +64,24 @@ def test_nothing_drawn_leaves_gradients(device, rng):
     assert device.download(statistics.visits).all()
 
 
+def test_padding_changes_no_bit(device, rng):
+    statistics, padded = density.zeros(device, 60), density.zeros(device, 60)
+    output, visible, slot, extent, d_mean2d = view(rng, 60, 40)
+    add(device, statistics, output, visible, slot, extent, d_mean2d)
+    add(
+        device,
+        padded,
+        output,
+        np.append(visible, np.full(9, -1, np.int32)),
+        np.append(slot, np.full(70, -1, np.int32)),
+        np.append(extent, np.zeros((70, 2), np.float32), axis=0),
+        np.append(d_mean2d, np.ones((70, 2), np.float32), axis=0),
+    )
+    for name in ("opacity_sum", "visits", "gradient_sum", "gradient_count"):
+        found, plain = (device.download(getattr(one, name)) for one in (padded, statistics))
+        assert np.array_equal(found, plain), name
+
+
 def test_wrong_shapes_are_refused(device, rng):
     statistics = density.zeros(device, 50)
     output, visible, slot, extent, d_mean2d = view(rng, 50, 40)

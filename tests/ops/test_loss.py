@@ -154,6 +154,20 @@ def test_volume_agrees_and_adds(device, rng):
         assert_close(device.download(d_scale), start + gradient, limit, "d_scale")
 
 
+def test_volume_takes_the_number_from_the_device(device, rng):
+    scale = np.exp(rng.normal(-2, 1, (700, 3))).astype(np.float32)
+    start = rng.normal(size=(700, 3)).astype(np.float32) * 1e-4
+    plain = device.upload(start)
+    expected = loss.volume(device, device.upload(scale), 0.01, plain).mean(device)
+    for spare in (0, 1, 500):
+        wide = [np.append(one, np.zeros((spare, 3), np.float32), axis=0) for one in (scale, start)]
+        d_scale, total = device.upload(wide[1]), device.upload(np.array([700], np.int64))
+        sums = loss.volume(device, device.upload(wide[0]), 0.01, d_scale, total)
+        assert np.array_equal(sums.mean(device), expected)
+        assert np.array_equal(device.download(d_scale)[:700], device.download(plain))
+        assert not device.download(d_scale)[700:].any()
+
+
 def test_wrong_arrays_are_refused(device):
     image = device.zeros((3, 4, 5))
     with pytest.raises(TypeError, match="target"):

@@ -213,6 +213,87 @@ def test_any_nan_in_a_log_scale_stays_one(device, rng):
     assert np.isfinite(scale[:, [0, 2]]).all()
 
 
+def test_outputs_of_slots_that_are_not_drawn_are_never_read(device, rng):
+    values = case(rng, 65, 80)
+    dirty = {name: value.copy() for name, value in values.items()}
+    dead = ~(values["output"][:10] > 0)
+    for rows in (range(10, 40), range(40, 110)):
+        each = len(rows) // 10
+        dirty["output"][rows] = np.where(dead.repeat(each, 0), np.nan, dirty["output"][rows])
+    assert np.isnan(dirty["output"]).sum() == 10 * dead.sum() > 1000
+    d_gaussians = gradients(rng, int((~dead).sum()))
+    for run in (
+        lambda given: run_forward(device, given)[1],
+        lambda given: run_backward(device, given, d_gaussians),
+    ):
+        clean, found = run(values), run(dirty)
+        for name, array in clean.items():
+            assert np.array_equal(found[name], array), name
+
+
+def with_holes(values, rng):
+    """The same anchors with entries -1 between them and behind; their outputs are garbage."""
+    count = len(values["visible"])
+    places = np.sort(rng.choice(count + 21, count, replace=False))
+    output = rng.uniform(0.1, 1, (110, count + 21)).astype(np.float32)
+    visible = np.full(count + 21, -1, np.int32)
+    output[:, places], visible[places] = values["output"], values["visible"]
+    return {**values, "output": output, "visible": visible}, places
+
+
+def test_missing_anchors_draw_nothing(device, rng):
+    values = case(rng, 150, 200)
+    holes, places = with_holes(values, rng)
+    plain, found = run_forward(device, values)[1], run_forward(device, holes)[1]
+    plain["slot"] = (places[plain["slot"] // 10] * 10 + plain["slot"] % 10).astype(np.int32)
+    for name, array in plain.items():
+        assert np.array_equal(found[name], array), name
+    d_gaussians = gradients(rng, len(plain["slot"]))
+    wanted = run_backward(device, values, d_gaussians)
+    d_found = run_backward(device, holes, d_gaussians)
+    d_output = d_found.pop("d_output")
+    assert np.array_equal(d_output[:, places], wanted.pop("d_output")[:, :150])
+    assert not np.delete(d_output, places, axis=1).any()
+    for name, array in wanted.items():
+        assert np.array_equal(d_found[name], array), name
+
+
+@pytest.mark.parametrize("spare", [0, 1, 63, 1000])
+def test_padding_changes_no_bit(device, rng, spare):
+    values = case(rng, 150, 200)
+    result, plain = run_forward(device, values)
+    count = len(result)
+    arrays = upload(device, values)
+    padded = neural.forward(device, **arrays, capacity=count + spare)
+    assert device.download(padded.total).tolist() == [count]
+    for name, array in plain.items():
+        found = device.download(getattr(padded, name))
+        assert np.array_equal(found[:count], array), name
+        assert np.all(found[count:] == (-1 if name == "slot" else 0)), name
+    d_gaussians = gradients(rng, count)
+    wanted = run_backward(device, values, d_gaussians)
+    wide = {n: np.full((count + spare, *v.shape[1:]), 7, v.dtype) for n, v in d_gaussians.items()}
+    for name, array in d_gaussians.items():
+        wide[name][:count] = array
+    given = neural.GaussianGradients(**{n: device.upload(v) for n, v in wide.items()})
+    del arrays["position"]
+    found = neural.backward(device, padded, **arrays, d_gaussians=given, want_position=True)
+    for name, array in wanted.items():
+        assert np.array_equal(device.download(getattr(found, name)), array), name
+
+
+def test_too_small_a_capacity_leaves_out_the_last(device, rng):
+    values = case(rng, 150, 200)
+    plain = run_forward(device, values)[1]
+    count = len(plain["slot"])
+    for capacity in (0, 1, count - 37):
+        found = neural.forward(device, **upload(device, values), capacity=capacity)
+        assert len(found) == capacity
+        assert device.download(found.total).tolist() == [count]
+        for name, array in plain.items():
+            assert np.array_equal(device.download(getattr(found, name)), array[:capacity]), name
+
+
 def test_wrong_shapes_are_refused(device, rng):
     values = case(rng, 33, 40)
     arrays = upload(device, values)
