@@ -35,6 +35,7 @@ def test_equals_numpy_to_the_bit(device, rng):
     assert np.isfinite(parameter).all()
 
 
+@pytest.mark.family("N34")
 def test_follows_float64(device, rng):
     start = rng.normal(size=500)
     wide, moments64 = start.copy(), (np.zeros(500), np.zeros(500))

@@ -68,6 +68,7 @@ def hard_pairs(rng):
     yield "ramp", ramp / 255, ramp.astype(np.uint8)
 
 
+@pytest.mark.family("N30")
 def test_variances_do_not_cancel(device, rng):
     for name, image, target in hard_pairs(rng):
         image = image.astype(np.float32)

@@ -19,6 +19,7 @@ def rounded(device, x, q):
     )
 
 
+@pytest.mark.family("N32")
 @pytest.mark.parametrize("first", [-(2**22), -(2**20), -70000, 0, 2**21, 2**22 - 100_000])
 def test_halves_and_their_neighbours(device, first):
     halves = np.arange(first, first + 100_001, dtype=np.float64).astype(np.float32) + np.float32(
@@ -32,6 +33,7 @@ def test_halves_and_their_neighbours(device, first):
 
 
 @pytest.mark.slow
+@pytest.mark.family("N32")
 def test_all_halves(device):
     for first in range(-(2**22), 2**22, 2**20):
         halves = np.arange(first, first + 2**20, dtype=np.int64) + np.float64(0.5)
@@ -51,6 +53,7 @@ def test_agrees_with_reference(device, rng, q):
     assert np.array_equal(integers, reference.integers(x, q))
 
 
+@pytest.mark.family("N33")
 @pytest.mark.parametrize("q", SCALES)
 def test_integers_survive_the_round_trip(device, q):
     n = np.arange(-(2**20), 2**20 + 1, dtype=np.int32)

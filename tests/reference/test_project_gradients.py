@@ -11,6 +11,7 @@ from tests.compare import assert_close, central_difference
 from tests.ops.project_cases import camera_at, gaussians, widen
 
 
+@pytest.mark.family("N09")
 @pytest.mark.parametrize("spread", [1.0, 2.5], ids=["inside", "a third at the clamp"])
 @pytest.mark.parametrize("which", ["mean", "scale", "rotation"])
 def test_gradient(rng, which, spread):

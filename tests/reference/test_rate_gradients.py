@@ -55,6 +55,7 @@ def exact_slope(distance: float, b: float) -> float:
         return float((lower - upper) / (2 * scale * (1 - (lower + upper) / 2)))
 
 
+@pytest.mark.family("N31")
 @pytest.mark.parametrize("b", SCALES)
 def test_cost_over_the_whole_range(b):
     ratios = [0.0, 1e-3, 0.1, 0.5, 1.0, 3.0, 10.0, 30.0, 100.0]
