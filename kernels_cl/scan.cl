@@ -110,3 +110,10 @@ __kernel void scan_apply(__global const int *counts, const int count, const int 
 }
 
 #endif
+
+/* Clears *flag where more are needed than there is room for. */
+__kernel void scan_fits(__global const long *total, const long capacity, __global int *flag)
+{
+    if (*total > capacity)
+        *flag = 0;
+}

@@ -20,6 +20,7 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import choose_device, is_emulator
 from clgs.opencl.profile import Profile
 from clgs.opencl.source import read_program
+from clgs.opencl.transfer import Download, Transfers
 
 SPECIALISATIONS = ("cpu", "gpu")
 BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
@@ -49,6 +50,7 @@ class Device:
         self.specialisation = specialisation or self._default_specialisation()
         self.vec = 16 if self.specialisation == "cpu" else 1
         self.profile = Profile()
+        self._transfers = Transfers(self.queue)
         allocator = cl.tools.ImmediateAllocator(self.queue)
         self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=2)
         self._kernels: dict[tuple[Any, ...], cl.Kernel] = {}
@@ -103,11 +105,15 @@ class Device:
         return array
 
     def write(self, array: DeviceArray, host: npt.NDArray[Any]) -> None:
-        """Overwrite ``array`` with ``host`` (same size and dtype)."""
+        """Overwrite ``array`` with ``host`` (same size and dtype).
+
+        Waits for the work before it only where ``host`` is large (transfer.WAITING_SIZE); it may
+        change afterwards in any case.
+        """
         if array.size != host.size or array.dtype != host.dtype:
             raise ValueError(f"cannot write {host.dtype}{host.shape} to {array.dtype}{array.shape}")
         if array.nbytes:
-            cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(host))
+            self._transfers.write(array.buffer, host)
 
     def download(self, array: DeviceArray) -> npt.NDArray[Any]:
         """Copy of a device array on the host; waits for all work before it."""
@@ -115,6 +121,10 @@ class Device:
         if array.nbytes:
             cl.enqueue_copy(self.queue, host, array.buffer)
         return host
+
+    def download_later(self, array: DeviceArray) -> Download:
+        """As :meth:`download`, but only ``Download.get`` waits, and not for later work."""
+        return self._transfers.read(array)
 
     def kernel(self, program: str, name: str, **defines: int | float) -> cl.Kernel:
         """Kernel ``name`` of ``kernels_cl/<program>.cl``; same arguments, same object.

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
+from clgs.opencl.transfer import Download
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,24 @@ class BlockSums:
 
     def mean(self, device: Device) -> npt.NDArray[np.float64]:
         """(columns,) float64: the sum of every column divided by ``count``; 0 of nothing."""
-        total = device.download(self.partials).sum(axis=0, dtype=np.float64)
-        count = self.count if isinstance(self.count, int) else int(device.download(self.count)[0])
+        return self.mean_later(device).get()
+
+    def mean_later(self, device: Device) -> LaterMean:
+        """As :meth:`mean`, but only ``LaterMean.get`` waits."""
+        count = self.count
+        later = count if isinstance(count, int) else device.download_later(count)
+        return LaterMean(device.download_later(self.partials), later)
+
+
+@dataclass(frozen=True)
+class LaterMean:
+    """The means of :class:`BlockSums`, on their way to the host."""
+
+    partials: Download
+    count: int | Download
+
+    def get(self) -> npt.NDArray[np.float64]:
+        """(columns,) float64; waits until they are there."""
+        count = self.count if isinstance(self.count, int) else int(self.count.get()[0])
+        total = self.partials.get().sum(axis=0, dtype=np.float64)
         return np.asarray(total / max(count, 1), np.float64)

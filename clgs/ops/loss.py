@@ -22,7 +22,7 @@ import numpy as np
 from clgs import constants
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.opencl.sums import BlockSums
+from clgs.opencl.sums import BlockSums, LaterMean
 from clgs.shapes import Shapes
 
 TILE_COLUMNS = 16
@@ -65,7 +65,23 @@ class Loss:
 
     def value(self, device: Device) -> LossValue:
         """Download the block sums and add them up; waits for the device."""
-        l1, lost = (float(mean) for mean in self.sums.mean(device))
+        return self.value_later(device).get()
+
+    def value_later(self, device: Device) -> LaterValue:
+        """As :meth:`value`, but only ``LaterValue.get`` waits."""
+        return LaterValue(self.sums.mean_later(device), self.weights)
+
+
+@dataclass(frozen=True)
+class LaterValue:
+    """The value of a loss, on its way to the host."""
+
+    mean: LaterMean
+    weights: Weights
+
+    def get(self) -> LossValue:
+        """The value; waits until it is there."""
+        l1, lost = (float(mean) for mean in self.mean.get())
         return LossValue(l1, 1.0 - lost, self.weights.l1 * l1 + self.weights.ssim * lost)
 
 

@@ -78,6 +78,18 @@ def on_device(device: Device, counts: DeviceArray) -> Offsets:
     return Offsets(offset, total)
 
 
+def check_fits(device: Device, total: DeviceArray, capacity: int, flag: DeviceArray) -> None:
+    """Clear ``flag`` (1,) int32 where ``total`` (1,) int64 is above ``capacity``; does not wait.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    shapes = Shapes()
+    shapes.check("total", total, "1", np.int64)
+    shapes.check("flag", flag, "1", np.int32)
+    device.run(device.kernel("scan", "scan_fits"), (1,), (1,), total, np.int64(capacity), flag)
+
+
 def chunk_plan(device: Device, count: int) -> tuple[int, int]:
     """(items a chunk, chunks): few long chunks on a CPU, many on a GPU; at least one chunk."""
     shortest, most = (table[device.specialisation] for table in (SHORTEST_CHUNK, MOST_CHUNKS))

@@ -45,3 +45,12 @@ def test_larger_total_is_named(device, total, count):
 def test_other_dtype_is_refused(device):
     with pytest.raises(TypeError, match="counts"):
         scan.exclusive(device, device.upload(np.zeros(3, np.uint32)))
+
+
+@pytest.mark.parametrize(("total", "room"), [(7, 8), (8, 8), (9, 8), (2**31 + 8, 8)])
+def test_flag_falls_where_room_is_short(device, total, room):
+    flag = device.upload(np.ones(1, np.int32))
+    scan.check_fits(device, device.upload(np.array([total])), room, flag)
+    assert device.download(flag)[0] == int(total <= room)
+    scan.check_fits(device, device.upload(np.array([0])), room, flag)
+    assert device.download(flag)[0] == int(total <= room)  # and stays down

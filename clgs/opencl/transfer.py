@@ -1,0 +1,83 @@
+"""Copies between host and device that do not wait for the kernels before them."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyopencl as cl
+
+from clgs.opencl.array import DeviceArray
+
+LARGEST_PATTERN = 128
+"""Bytes that a fill command takes along, so that nothing on the host must be kept for it."""
+
+FILLED_SIZE = 2 * LARGEST_PATTERN
+"""Arrays up to this many bytes are written by fills."""
+
+WAITING_SIZE = 1 << 22
+"""Larger arrays are written at once: a private copy of them would cost more than the wait."""
+
+
+class Download:
+    """A copy on its way to the host."""
+
+    def __init__(self, host: npt.NDArray[Any], event: Any) -> None:
+        """``event`` is None where there is nothing to copy."""
+        self._host, self._event = host, event
+
+    def get(self) -> npt.NDArray[Any]:
+        """The array; waits until it is there."""
+        if self._event is not None:
+            self._event.wait()
+        return self._host
+
+
+class Transfers:
+    """Writes and reads of one queue; keeps the host side alive until a command is through."""
+
+    def __init__(self, queue: Any) -> None:
+        """``queue`` executes in order."""
+        self._queue = queue
+        self._under_way: deque[Any] = deque()
+
+    def write(self, buffer: Any, host: npt.NDArray[Any]) -> None:
+        """Overwrite the first ``host.nbytes`` bytes of ``buffer``."""
+        if host.nbytes <= FILLED_SIZE:
+            self._fill(buffer, np.ascontiguousarray(host).reshape(-1).view(np.uint8))
+        elif host.nbytes > WAITING_SIZE:
+            cl.enqueue_copy(self._queue, buffer, np.ascontiguousarray(host))
+        else:
+            private = np.array(host, order="C")
+            self._keep(cl.enqueue_copy(self._queue, buffer, private, is_blocking=False))
+
+    def read(self, array: DeviceArray) -> Download:
+        """Copy ``array`` to the host when the commands before are through."""
+        host = np.empty(array.shape, array.dtype)
+        if not array.nbytes:
+            return Download(host, None)
+        event = cl.enqueue_copy(self._queue, host, array.buffer, is_blocking=False)
+        return Download(host, event)
+
+    def _fill(self, buffer: Any, content: npt.NDArray[np.uint8]) -> None:
+        """Patterns of falling powers of two, so that each starts at a multiple of its size."""
+        start, size = 0, LARGEST_PATTERN
+        while start < len(content):
+            while size > len(content) - start:
+                size //= 2
+            pattern = content[start : start + size]
+            cl.enqueue_fill_buffer(self._queue, buffer, pattern, start, size)
+            start += size
+
+    def _keep(self, event: Any) -> None:
+        """Hold ``event``, which holds its host array; let those go that are through."""
+        while self._under_way and _done(self._under_way[0]):
+            self._under_way.popleft()
+        self._under_way.append(event)
+
+
+def _done(event: Any) -> bool:
+    status: int = event.command_execution_status
+    return status <= cl.command_execution_status.COMPLETE

@@ -1,0 +1,39 @@
+"""Copies that do not wait."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.opencl.transfer import FILLED_SIZE, WAITING_SIZE
+
+
+@pytest.mark.parametrize("count", [1, 3, 104, 128, 255, FILLED_SIZE, FILLED_SIZE + 1, 5000])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_any_size_arrives(device, rng, count, dtype):
+    host = rng.integers(0, 256, count).astype(dtype)
+    assert np.array_equal(device.download(device.upload(host)), host)
+
+
+@pytest.mark.parametrize("nbytes", [64, 5000, WAITING_SIZE + 1])
+def test_host_array_may_change_after_a_write(device, nbytes):
+    host = np.full(nbytes, 7, np.uint8)
+    array = device.upload(host)
+    host[:] = 9
+    assert (device.download(array) == 7).all()
+
+
+def test_parts_of_arrays_and_other_orders_arrive(device, rng):
+    host = rng.normal(size=(40, 30)).astype(np.float32)
+    for part in (host.T, host[::2, 3:5], host[:3, :5].T):
+        assert np.array_equal(device.download(device.upload(part)), part)
+
+
+def test_later_downloads_hold_the_state_at_their_call(device):
+    array = device.upload(np.arange(1000, dtype=np.int32))
+    first = device.download_later(array)
+    device.fill_zero(array)
+    second = device.download_later(array)
+    assert np.array_equal(first.get(), np.arange(1000))
+    assert not second.get().any()
+    assert device.download_later(device.empty((0, 3))).get().shape == (0, 3)
