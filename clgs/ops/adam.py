@@ -3,20 +3,25 @@
     m = beta1 m + (1 - beta1) g,   v = beta2 v + (1 - beta2) g^2,
     p = p - m / (sqrt(v) / sqrt(1 - beta2^t) + epsilon) * learning_rate / (1 - beta1^t)
 
-The factors that depend on t are computed in double on the host. Moments too small to matter become
-zero, so that those of rows that get no gradient do not decay into subnormals. ``clgs.train.adam``
-is the same update in NumPy, equal to the bit where division and roots are correctly rounded.
+Dense: every element of a tensor is updated in every step. By rows: only rows that received a
+gradient are, and the others keep parameter and moments (gsplat calls that selective; t still counts
+all steps). The factors that depend on t are computed in double on the host. Moments too small to
+matter become zero, so that those of rows that get no gradient do not decay into subnormals.
+``clgs.train.adam`` is the same update in NumPy, equal to the bit where division and roots are
+correctly rounded.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.shapes import Shapes
 
 BETA1 = 0.9
 BETA2 = 0.999
@@ -24,6 +29,9 @@ EPSILON = 1e-15
 MIN_FIRST_MOMENT = 1e-30
 MIN_SECOND_MOMENT = 1e-36
 """Moments below these are set to zero; see kernels_cl/adam.cl for the reason of the two sizes."""
+
+NOT_FINITE = 1
+"""Bit of the stop flag: a gradient was infinite or NaN."""
 
 GROUP_SIZE = 64
 CHECKED_PER_ITEM = 256
@@ -58,17 +66,38 @@ def zero_moments(device: Device, parameter: DeviceArray) -> Moments:
     return Moments(device.zeros(parameter.shape), device.zeros(parameter.shape))
 
 
-def finite_flag(device: Device) -> DeviceArray:
-    """(1,) int32 holding 1: no gradient seen yet that is not finite."""
-    return device.upload(np.ones(1, np.int32))
+def stop_flag(device: Device) -> DeviceArray:
+    """(1,) int32 holding 0: steps may be made. Other values stop them until someone clears it."""
+    return device.zeros((1,), np.int32)
 
 
-def check_finite(device: Device, arrays: Iterable[DeviceArray], flag: DeviceArray) -> None:
-    """Clear ``flag`` (1,) int32 where an element of a float32 array is infinite or NaN."""
-    kernel = device.kernel("adam", "adam_check")
+def check_finite(device: Device, arrays: Iterable[DeviceArray], stop: DeviceArray) -> None:
+    """Set NOT_FINITE in ``stop`` where an element of a float32 array is infinite or NaN."""
+    kernel = device.kernel("adam", "adam_check", NOT_FINITE=NOT_FINITE)
     for array in arrays:
         items = round_up(-(-array.size // CHECKED_PER_ITEM), GROUP_SIZE)
-        device.run(kernel, (items,), (GROUP_SIZE,), array, np.uint32(array.size), flag)
+        device.run(kernel, (items,), (GROUP_SIZE,), array, np.uint32(array.size), stop)
+
+
+def mark_rows(device: Device, gradient: DeviceArray, stop: DeviceArray) -> DeviceArray:
+    """(rows,) int32: 1 where a row of ``gradient`` (rows, ...) float32 is not all zero, else 0.
+
+    Checks the gradient on the way, as :func:`check_finite`.
+    """
+    rows = len(gradient)
+    marks = device.empty((rows,), np.int32)
+    if gradient.size:
+        width = gradient.size // rows
+        device.run(
+            device.kernel("adam", "adam_mark", NOT_FINITE=NOT_FINITE, WIDTH=width),
+            (round_up(rows, GROUP_SIZE),),
+            (GROUP_SIZE,),
+            gradient,
+            np.uint32(rows),
+            stop,
+            marks,
+        )
+    return marks
 
 
 def step(
@@ -77,7 +106,7 @@ def step(
     gradient: DeviceArray,
     moments: Moments,
     factors_now: StepFactors,
-    flag: DeviceArray,
+    stop: DeviceArray,
     part: slice | None = None,
 ) -> None:
     """Update ``parameter`` and ``moments`` in place.
@@ -88,12 +117,81 @@ def step(
         gradient: float32, as many elements.
         moments: float32, as many elements each.
         factors_now: from :func:`factors`.
-        flag: (1,) int32; where it holds 0 nothing changes.
+        stop: (1,) int32; unless it holds 0 nothing changes.
         part: elements to update, counted through; default: all.
 
     Raises:
         ValueError: sizes or dtypes differ.
     """
+    _check(parameter, gradient, moments)
+    start, end, _ = (part or slice(None)).indices(parameter.size)
+    device.run(
+        device.kernel("adam", "adam_step", **_LIMITS),
+        (round_up(-(-(end - start) // device.vec), GROUP_SIZE),),
+        (GROUP_SIZE,),
+        parameter,
+        gradient,
+        moments.first,
+        moments.second,
+        np.uint32(start),
+        np.uint32(end - start),
+        *_arguments(factors_now),
+        stop,
+    )
+
+
+def step_rows(
+    device: Device,
+    parameter: DeviceArray,
+    gradient: DeviceArray,
+    moments: Moments,
+    factors_now: StepFactors,
+    stop: DeviceArray,
+    marks: DeviceArray,
+) -> None:
+    """As :func:`step`, but only of the rows that are marked.
+
+    Args:
+        device: where the arrays live.
+        parameter: (rows, ...) float32.
+        gradient: float32, as many elements.
+        moments: float32, as many elements each.
+        factors_now: from :func:`factors`.
+        stop: (1,) int32; unless it holds 0 nothing changes.
+        marks: (rows,) int32, from :func:`mark_rows`; rows with 0 keep parameter and moments.
+
+    Raises:
+        ValueError, TypeError: sizes or dtypes differ.
+    """
+    _check(parameter, gradient, moments)
+    Shapes(rows=len(parameter)).check("marks", marks, "rows", np.int32)
+    if not parameter.size:
+        return
+    width = parameter.size // len(parameter)
+    device.run(
+        device.kernel("adam", "adam_step_rows", WIDTH=width, **_LIMITS),
+        (round_up(-(-parameter.size // device.vec), GROUP_SIZE),),
+        (GROUP_SIZE,),
+        parameter,
+        gradient,
+        moments.first,
+        moments.second,
+        np.uint32(parameter.size),
+        *_arguments(factors_now),
+        stop,
+        marks,
+    )
+
+
+_LIMITS = {"MIN_FIRST_MOMENT": MIN_FIRST_MOMENT, "MIN_SECOND_MOMENT": MIN_SECOND_MOMENT}
+
+
+def _arguments(now: StepFactors) -> tuple[Any, ...]:
+    betas = np.array([BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2], np.float32)
+    return betas, np.float32(now.correction), np.float32(EPSILON), np.float32(now.step)
+
+
+def _check(parameter: DeviceArray, gradient: DeviceArray, moments: Moments) -> None:
     for name, array in (
         ("gradient", gradient),
         ("first moment", moments.first),
@@ -101,26 +199,3 @@ def step(
     ):
         if array.size != parameter.size or array.dtype != np.float32:
             raise ValueError(f"{name}: {array.dtype}{array.shape} does not fit {parameter.shape}")
-    start, stop, _ = (part or slice(None)).indices(parameter.size)
-    betas = np.array([BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2], np.float32)
-    device.run(
-        device.kernel(
-            "adam",
-            "adam_step",
-            MIN_FIRST_MOMENT=MIN_FIRST_MOMENT,
-            MIN_SECOND_MOMENT=MIN_SECOND_MOMENT,
-        ),
-        (round_up(-(-(stop - start) // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        parameter,
-        gradient,
-        moments.first,
-        moments.second,
-        np.uint32(start),
-        np.uint32(stop - start),
-        betas,
-        np.float32(factors_now.correction),
-        np.float32(EPSILON),
-        np.float32(factors_now.step),
-        flag,
-    )

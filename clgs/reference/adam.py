@@ -14,10 +14,16 @@ def step(
     moments: tuple[Array, Array],
     learning_rate: float,
     count: int,
+    moved: npt.NDArray[np.bool_] | bool = True,
 ) -> tuple[Array, tuple[Array, Array]]:
-    """The parameter and its moments after update number ``count`` (from 1)."""
+    """The parameter and its moments after update number ``count`` (from 1).
+
+    Elements that are not ``moved`` keep all three.
+    """
     first = 0.9 * moments[0] + 0.1 * gradient
     second = 0.999 * moments[1] + 0.001 * gradient**2
     mean = first / (1 - 0.9**count)
     deviation = np.sqrt(second / (1 - 0.999**count))
-    return parameter - learning_rate * mean / (deviation + 1e-15), (first, second)
+    stepped = parameter - learning_rate * mean / (deviation + 1e-15)
+    kept = np.where(moved, first, moments[0]), np.where(moved, second, moments[1])
+    return np.where(moved, stepped, parameter), kept

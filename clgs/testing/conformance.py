@@ -143,10 +143,10 @@ def _number_tensors(device: Device) -> Iterator[Tensor]:
 
 def _adam(device: Device, random: ExactRandom) -> npt.NDArray[Any]:
     parameter = device.upload(random.floats((COUNT,), -1.0, 1.0))
-    moments, flag = adam.zero_moments(device, parameter), adam.finite_flag(device)
+    moments, stop = adam.zero_moments(device, parameter), adam.stop_flag(device)
     for step in range(1, 4):
         gradient = device.upload(random.floats((COUNT,), -1.0, 1.0))
-        adam.step(device, parameter, gradient, moments, adam.factors(0.01, step), flag)
+        adam.step(device, parameter, gradient, moments, adam.factors(0.01, step), stop)
     return device.download(parameter)
 
 

@@ -94,12 +94,12 @@ def _adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Foun
     parameter, gradient = rng.normal(size=(2, count)).astype(np.float32)
     uploaded = device.upload(parameter)
     d_parameter = device.upload(gradient)
-    moments, flag = adam.zero_moments(device, uploaded), adam.finite_flag(device)
+    moments, stop = adam.zero_moments(device, uploaded), adam.stop_flag(device)
     wanted = parameter.astype(np.float64)
     state = np.zeros(count), np.zeros(count)
 
     def step(number: int) -> None:
-        adam.step(device, uploaded, d_parameter, moments, adam.factors(0.01, number), flag)
+        adam.step(device, uploaded, d_parameter, moments, adam.factors(0.01, number), stop)
 
     for number in range(1, 11):
         step(number)

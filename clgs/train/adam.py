@@ -29,8 +29,16 @@ class Adam:
         self.count = 0
         self._scratch: Array = np.empty(shape, np.float32)
 
-    def step(self, parameter: Array, gradient: Array, learning_rate: float) -> None:
+    def step(
+        self,
+        parameter: Array,
+        gradient: Array,
+        learning_rate: float,
+        moved: npt.NDArray[np.bool_] | None = None,
+    ) -> None:
         """Update ``parameter`` in place from ``gradient``, both float32 of the group's shape.
+
+        With ``moved`` (rows,) only those rows change, and only their moments.
 
         Raises:
             ValueError: a shape or dtype differs.
@@ -40,6 +48,9 @@ class Adam:
                 raise ValueError(
                     f"{name}: {array.dtype}{array.shape}, expected float32{self.first.shape}"
                 )
+        if moved is not None:
+            self._step_rows(parameter, gradient, learning_rate, moved)
+            return
         self.count += 1
         now = factors(learning_rate, self.count)
         self._update_moments(gradient)
@@ -50,6 +61,21 @@ class Adam:
         np.divide(self.first, scratch, out=scratch)
         scratch *= np.float32(now.step)
         parameter -= scratch
+
+    def _step_rows(
+        self,
+        parameter: Array,
+        gradient: Array,
+        learning_rate: float,
+        moved: npt.NDArray[np.bool_],
+    ) -> None:
+        part = Adam(gradient[moved].shape)
+        part.first, part.second, part.count = self.first[moved], self.second[moved], self.count
+        rows = parameter[moved]
+        part.step(rows, gradient[moved], learning_rate)
+        parameter[moved] = rows
+        self.first[moved], self.second[moved] = part.first, part.second
+        self.count = part.count
 
     def _update_moments(self, gradient: Array) -> None:
         scratch = self._scratch

@@ -29,8 +29,8 @@ class Optimizer:
         rates = learning_rates(self._config, step, self._radius)
         names = (*ANCHOR_GROUPS, "weights") if anchors else ("weights",)
         by_name = {name: getattr(gradients, f"d_{name}") for name in names}
-        flag = adam.finite_flag(self._device)
-        adam.check_finite(self._device, by_name.values(), flag)
+        stop = adam.stop_flag(self._device)
+        adam.check_finite(self._device, by_name.values(), stop)
         for name in names:
             for part, rate in _parts(name, by_name[name].size, rates):
                 adam.step(
@@ -39,10 +39,10 @@ class Optimizer:
                     by_name[name],
                     parameters.moments[name],
                     adam.factors(rate, step),
-                    flag,
+                    stop,
                     part,
                 )
-        return bool(self._device.download(flag)[0])
+        return int(self._device.download(stop)[0]) == 0
 
 
 def _parts(name: str, size: int, rates: dict[str, float]) -> list[tuple[slice, float]]:

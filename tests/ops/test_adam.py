@@ -22,13 +22,13 @@ def gradients(rng, steps, size):
 
 def test_equals_numpy_to_the_bit(device, rng):
     parameter = rng.normal(size=1003).astype(np.float32)
-    on_device, flag = device.upload(parameter), adam.finite_flag(device)
+    on_device, stop = device.upload(parameter), adam.stop_flag(device)
     moments, numpy_adam = adam.zero_moments(device, on_device), Adam((1003,))
     for count, g in enumerate(gradients(rng, 60, 1003), start=1):
         rate = 0.01 * 0.99**count
         numpy_adam.step(parameter, g, rate)
         now = adam.factors(rate, count)
-        adam.step(device, on_device, device.upload(g), moments, now, flag)
+        adam.step(device, on_device, device.upload(g), moments, now, stop)
     assert np.array_equal(device.download(on_device), parameter)
     assert np.array_equal(device.download(moments.first), numpy_adam.first)
     assert np.array_equal(device.download(moments.second), numpy_adam.second)
@@ -39,14 +39,14 @@ def test_equals_numpy_to_the_bit(device, rng):
 def test_follows_float64(device, rng):
     start = rng.normal(size=500)
     wide, moments64 = start.copy(), (np.zeros(500), np.zeros(500))
-    on_device, flag = device.upload(start.astype(np.float32)), adam.finite_flag(device)
+    on_device, stop = device.upload(start.astype(np.float32)), adam.stop_flag(device)
     moments = adam.zero_moments(device, on_device)
     size = 10.0 ** rng.uniform(-12, 5, 500)
     for count in range(1, 1001):
         g = (rng.normal(size=500) * size).astype(np.float32)
         wide, moments64 = reference.step(wide, g.astype(np.float64), moments64, 1e-3, count)
         now = adam.factors(1e-3, count)
-        adam.step(device, on_device, device.upload(g), moments, now, flag)
+        adam.step(device, on_device, device.upload(g), moments, now, stop)
     # 1,000 roundings of the parameter itself, random in sign, and of steps of 1e-3
     assert_close(device.download(on_device), wide, 1e-5 * np.maximum(np.abs(wide), 1), "parameter")
     second = device.download(moments.second)
@@ -55,20 +55,20 @@ def test_follows_float64(device, rng):
 
 def test_tiny_gradients_still_move(device):
     # a second moment flushed at 1e-30 would make this step ten times too long
-    on_device, flag = device.zeros((1,)), adam.finite_flag(device)
+    on_device, stop = device.zeros((1,)), adam.stop_flag(device)
     moments = adam.zero_moments(device, on_device)
     gradient = device.upload(np.float32([1e-14]))
-    adam.step(device, on_device, gradient, moments, adam.factors(0.1, 1), flag)
+    adam.step(device, on_device, gradient, moments, adam.factors(0.1, 1), stop)
     expected = reference.step(np.zeros(1), np.array([1e-14]), (np.zeros(1), np.zeros(1)), 0.1, 1)[0]
     assert_close(device.download(on_device), expected, 1e-6, "parameter")
 
 
 def test_moments_decay_to_zero_not_to_subnormals(device):
-    on_device, flag = device.zeros((40,)), adam.finite_flag(device)
+    on_device, stop = device.zeros((40,)), adam.stop_flag(device)
     moments = adam.Moments(*(device.upload(np.full(40, x, np.float32)) for x in (1e-29, 1e-35)))
     zero = device.zeros((40,))
     for count in range(1, 40):
-        adam.step(device, on_device, zero, moments, adam.factors(0.1, count), flag)
+        adam.step(device, on_device, zero, moments, adam.factors(0.1, count), stop)
     assert not device.download(moments.first).any()
     second = device.download(moments.second)
     assert ((second == 0) | (second >= adam.MIN_SECOND_MOMENT)).all()
@@ -79,18 +79,83 @@ def test_moments_decay_to_zero_not_to_subnormals(device):
 def test_bad_gradients_change_nothing(device, rng, poison, place):
     parameter = rng.normal(size=1002).astype(np.float32)
     g = rng.normal(size=1002).astype(np.float32)
-    on_device, flag = device.upload(parameter), adam.finite_flag(device)
+    on_device, stop = device.upload(parameter), adam.stop_flag(device)
     moments = adam.zero_moments(device, on_device)
     fine = device.upload(g)
-    adam.check_finite(device, [fine, device.zeros((0, 3))], flag)
-    assert device.download(flag)[0] == 1
+    adam.check_finite(device, [fine, device.zeros((0, 3))], stop)
+    assert device.download(stop)[0] == 0
     g[place] = poison
     bad = device.upload(g)
-    adam.check_finite(device, [bad, fine], flag)
-    assert device.download(flag)[0] == 0
-    adam.step(device, on_device, bad, moments, adam.factors(0.1, 1), flag)
+    adam.check_finite(device, [bad, fine], stop)
+    assert device.download(stop)[0] == adam.NOT_FINITE
+    adam.check_finite(device, [fine], stop)
+    assert device.download(stop)[0] == adam.NOT_FINITE, "it stays set"
+    adam.step(device, on_device, bad, moments, adam.factors(0.1, 1), stop)
+    marks = adam.mark_rows(device, fine, device.zeros((1,), np.int32))
+    adam.step_rows(device, on_device, fine, moments, adam.factors(0.1, 1), stop, marks)
     assert np.array_equal(device.download(on_device), parameter)
     assert not device.download(moments.first).any()
+
+
+@pytest.mark.parametrize("value", [1, 2, -5])
+def test_any_value_of_the_flag_stops(device, value):
+    on_device, stop = device.zeros((40, 3)), device.upload(np.array([value], np.int32))
+    moments, ones = (
+        adam.zero_moments(device, on_device),
+        device.upload(np.ones((40, 3), np.float32)),
+    )
+    adam.check_finite(device, [ones], stop)
+    marks = adam.mark_rows(device, ones, stop)
+    adam.step(device, on_device, ones, moments, adam.factors(0.1, 1), stop)
+    adam.step_rows(device, on_device, ones, moments, adam.factors(0.1, 1), stop, marks)
+    assert device.download(stop).tolist() == [value]
+    assert not device.download(on_device).any()
+
+
+def sparse_gradients(rng, rows, width):
+    """Gradients (rows, width) of which some rows are zero, and one that is not all but nearly."""
+    g = rng.normal(size=(rows, width)).astype(np.float32)
+    g[rng.random(rows) < 0.5] = 0
+    g[rows // 2] = 0
+    g[rows // 2, -1] = -1e-42  # a subnormal, not zero
+    return g
+
+
+@pytest.mark.parametrize("width", [1, 6, 30, 50, 64])
+@pytest.mark.parametrize("rows", [0, 1, 7, 333])
+def test_by_rows_only_those_with_a_gradient_move(device, rng, rows, width):
+    parameter = rng.normal(size=(rows, width)).astype(np.float32)
+    on_device, stop = device.upload(parameter), adam.stop_flag(device)
+    moments, numpy_adam = adam.zero_moments(device, on_device), Adam((rows, width))
+    wide, moments64 = parameter.astype(np.float64), (np.zeros((rows, width)),) * 2
+    for count in range(1, 9):
+        g = sparse_gradients(rng, rows, width) if rows else parameter
+        gradient = device.upload(g)
+        marks = adam.mark_rows(device, gradient, stop)
+        moved = (g != 0).any(axis=1)
+        assert np.array_equal(device.download(marks), moved)
+        now = adam.factors(0.01, count)
+        adam.step_rows(device, on_device, gradient, moments, now, stop, marks)
+        numpy_adam.step(parameter, g, 0.01, moved)
+        wide, moments64 = reference.step(
+            wide, g.astype(np.float64), moments64, 0.01, count, moved[:, None]
+        )
+    assert np.array_equal(device.download(on_device), parameter)
+    assert np.array_equal(device.download(moments.first), numpy_adam.first)
+    assert np.array_equal(device.download(moments.second), numpy_adam.second)
+    normal = np.abs(moments64[0]) > 1e-30  # steps by subnormals depend on how they are flushed
+    assert_close(parameter[normal], wide[normal], 1e-6, "parameter")
+
+
+@pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])
+def test_marking_finds_bad_gradients(device, rng, poison):
+    stop, g = adam.stop_flag(device), np.zeros((100, 30), np.float32)
+    adam.mark_rows(device, device.upload(g), stop)
+    assert device.download(stop)[0] == 0
+    g[99, 29] = poison
+    marks = adam.mark_rows(device, device.upload(g), stop)
+    assert device.download(stop)[0] == adam.NOT_FINITE
+    assert np.flatnonzero(device.download(marks)).tolist() == [99]
 
 
 def test_bias_correction_is_exact():
@@ -100,7 +165,10 @@ def test_bias_correction_is_exact():
 
 
 def test_wrong_sizes_are_refused(device):
-    parameter, flag = device.zeros((3, 4)), adam.finite_flag(device)
+    parameter, stop = device.zeros((3, 4)), adam.stop_flag(device)
     moments = adam.zero_moments(device, parameter)
     with pytest.raises(ValueError, match="gradient"):
-        adam.step(device, parameter, device.zeros((3, 5)), moments, adam.factors(1.0, 1), flag)
+        adam.step(device, parameter, device.zeros((3, 5)), moments, adam.factors(1.0, 1), stop)
+    marks = device.zeros((4,), np.int32)
+    with pytest.raises(ValueError, match="marks"):
+        adam.step_rows(device, parameter, parameter, moments, adam.factors(1.0, 1), stop, marks)

@@ -88,13 +88,13 @@ def test_gradients_of_any_size(device, exponent):
     """Twenty steps against Adam in float64."""
     rng = np.random.default_rng(exponent + 30)
     start = rng.normal(size=33).astype(np.float32)
-    parameter, flag = device.upload(start), adam.finite_flag(device)
+    parameter, stop = device.upload(start), adam.stop_flag(device)
     moments = adam.zero_moments(device, parameter)
     wide, moments64 = start.astype(np.float64), (np.zeros(33), np.zeros(33))
     for count in range(1, 21):
         g = (rng.normal(size=33) * 10.0**exponent).astype(np.float32)
         gradient = device.upload(g)
-        adam.step(device, parameter, gradient, moments, adam.factors(1e-3, count), flag)
+        adam.step(device, parameter, gradient, moments, adam.factors(1e-3, count), stop)
         wide, moments64 = adam_reference.step(wide, g.astype(np.float64), moments64, 1e-3, count)
     found = device.download(parameter)
     assert np.isfinite(found).all()
