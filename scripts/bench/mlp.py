@@ -1,0 +1,258 @@
+"""Time of the decoding MLPs against NumPy: ``python scripts/bench/mlp.py [--anchors N]``.
+
+NumPy computes the same numbers in float32 in its best form: inputs gathered into one matrix, one
+product for the three hidden layers, one an output layer, in blocks that stay in the cache, into
+arrays made before, biases in the products. Everything is timed in turn, each right after an
+untimed call of itself, so that no other's caches and spinning threads are in the way; medians are
+printed. GFLOP counts the products that the method needs: two a weight and sample forward, four
+backward (what a pass computes again is not counted).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+import numpy.typing as npt
+import pyopencl as cl
+
+from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, OUTPUT_DIM
+from clgs.opencl.device import Device
+from clgs.ops import mlp
+from clgs.scene.camera import Camera
+from clgs.scene.mlps import init_mlps, unpack_head
+from clgs.testing.anchor_scene import square_camera
+
+Array = npt.NDArray[np.float32]
+FORWARD_FLOP = 2 * (len(HEAD_DIMS) * INPUT_DIM * HIDDEN_DIM + OUTPUT_DIM * HIDDEN_DIM)
+BACKWARD_FLOP = 2 * FORWARD_FLOP
+
+UNITS = [slice(i * (HIDDEN_DIM + 1), (i + 1) * (HIDDEN_DIM + 1)) for i in range(len(HEAD_DIMS))]
+"""Columns of the hidden layer that belong to a head; the last of them is always 1."""
+
+PEAK_SOURCE = """
+__kernel void peak(const int rounds, const float a, const float b, __global float *result)
+{
+    float8 x[12];
+#pragma unroll
+    for (int i = 0; i < 12; ++i)
+        x[i] = (float8)((float)i);
+    for (int round = 0; round < rounds; ++round)
+#pragma unroll
+        for (int i = 0; i < 12; ++i)
+            x[i] = fma(x[i], (float8)(a), (float8)(b));
+    float8 sum = x[0];
+#pragma unroll
+    for (int i = 1; i < 12; ++i)
+        sum += x[i];
+    result[get_global_id(0)] = sum.s0 + sum.s1 + sum.s2 + sum.s3;
+}
+"""
+PEAK_ITEMS, PEAK_ROUNDS = 64, 20000
+
+
+@dataclass(frozen=True)
+class Case:
+    """Anchors, of which all are visible, and the weights."""
+
+    feature: Array
+    position: Array
+    visible: npt.NDArray[np.int32]
+    weights: Array
+    camera: Camera
+
+
+def make_case(count: int, seed: int) -> Case:
+    """``count`` seeded anchors before a camera."""
+    rng = np.random.default_rng(seed)
+    return Case(
+        rng.normal(size=(count, FEATURE_DIM)).astype(np.float32),
+        rng.uniform(-1, 1, (count, 3)).astype(np.float32),
+        np.arange(count, dtype=np.int32),
+        init_mlps(rng).flat,
+        square_camera(400),
+    )
+
+
+class NumpyHeads:
+    """The three heads in float32 NumPy, sample-major, block by block."""
+
+    def __init__(self, case: Case, block: int, activated: bool) -> None:
+        """Gather the weights and make the arrays that every call fills."""
+        self.case, self.block, self.activated = case, min(block, len(case.visible)), activated
+        layers = {name: unpack_head(case.weights, name) for name in HEAD_DIMS}
+        one = np.eye(1, INPUT_DIM + 1, INPUT_DIM, dtype=np.float32)
+        hidden = [
+            part
+            for w in layers.values()
+            for part in (np.c_[w["hidden_weight"], w["hidden_bias"]], one)
+        ]
+        outer = [np.c_[w["output_weight"], w["output_bias"]] for w in layers.values()]
+        self.inner = np.ascontiguousarray(np.concatenate(hidden).T)  # (54, 3 x 51)
+        self.outer = [np.ascontiguousarray(w.T) for w in outer]  # (51, outputs), bias last
+        self.x = np.ones((len(case.visible), INPUT_DIM + 1), np.float32)
+        self.hidden = np.empty((len(case.visible), self.inner.shape[1]), np.float32)
+        self.output = [np.empty((len(case.visible), n), np.float32) for n in HEAD_DIMS.values()]
+        self.d_feature = np.zeros_like(case.feature)
+
+    def forward(self) -> list[Array]:
+        """Outputs (V, 10), (V, 30), (V, 70)."""
+        centre = self.case.camera.centre.astype(np.float32)
+        for start in range(0, len(self.case.visible), self.block):
+            part = slice(start, start + self.block)
+            rows, x, hidden = self.case.visible[part], self.x[part], self.hidden[part]
+            np.take(self.case.feature, rows, axis=0, out=x[:, :FEATURE_DIM])
+            step = self.case.position[rows] - centre
+            step /= np.sqrt(np.einsum("ij,ij->i", step, step))[:, None]
+            x[:, FEATURE_DIM:INPUT_DIM] = step
+            np.matmul(x, self.inner, out=hidden)
+            np.maximum(hidden, 0, out=hidden)
+            for head in range(len(self.outer)):
+                self._head(head, hidden, self.output[head][part])
+        return self.output
+
+    def _head(self, head: int, hidden: Array, output: Array) -> None:
+        np.matmul(hidden[:, UNITS[head]], self.outer[head], out=output)
+        if self.activated and head == 0:
+            np.tanh(output, out=output)
+        elif self.activated and head == 1:
+            np.negative(output, out=output)
+            np.exp(output, out=output)
+            output += 1
+            np.reciprocal(output, out=output)
+
+    def backward(self, d_output: list[Array]) -> tuple[Array, list[Array], Array]:
+        """Gradients by hidden weights (54, 153), output weights and features, after forward."""
+        d_inner = np.zeros_like(self.inner)
+        d_outer = [np.zeros_like(w) for w in self.outer]
+        for start in range(0, len(self.case.visible), self.block):
+            part = slice(start, start + self.block)
+            hidden = self.hidden[part]
+            d_hidden = np.empty_like(hidden)
+            for head, weight in enumerate(self.outer):
+                d_sum = self._through_activation(head, d_output[head][part], part)
+                d_outer[head] += hidden[:, UNITS[head]].T @ d_sum
+                np.matmul(d_sum, weight.T, out=d_hidden[:, UNITS[head]])
+            d_hidden *= hidden > 0
+            d_inner += self.x[part].T @ d_hidden
+            rows = self.case.visible[part]
+            self.d_feature[rows] = d_hidden @ self.inner[:FEATURE_DIM].T
+        return d_inner, d_outer, self.d_feature
+
+    def _through_activation(self, head: int, d_output: Array, part: slice) -> Array:
+        y = self.output[head][part]
+        if not self.activated or head == 2:
+            return d_output
+        return d_output * (1 - y * y) if head == 0 else d_output * (y - y * y)
+
+
+class DeviceHeads:
+    """The kernels on one device."""
+
+    def __init__(self, device: Device, case: Case) -> None:
+        """Upload the case."""
+        self.device = device
+        names = ("feature", "position", "visible", "weights")
+        self.arrays = {name: device.upload(getattr(case, name)) for name in names}
+        self.camera = device.upload(case.camera.pack(0.2))
+
+    def forward(self) -> mlp.Activations:
+        """Run and wait."""
+        result = mlp.forward(self.device, **self.arrays, camera=self.camera)
+        self.device.finish()
+        return result
+
+    def backward(self, activations: mlp.Activations, d_output: object) -> mlp.MlpGradients:
+        """Run and wait."""
+        weights = self.arrays["weights"]
+        arguments = (self.arrays["position"], weights, self.camera, d_output)
+        result = mlp.backward(self.device, activations, *arguments)
+        self.device.finish()
+        return result
+
+
+def interleaved(tasks: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Median milliseconds of each task, called in turn."""
+    seconds: dict[str, list[float]] = {name: [] for name in tasks}
+    for _ in range(repeats):
+        for name, task in tasks.items():
+            task()
+            start = time.perf_counter()
+            task()
+            seconds[name].append(time.perf_counter() - start)
+    return {name: 1e3 * median(values) for name, values in seconds.items()}
+
+
+def fma_peak(device: Device) -> float:
+    """GFLOP/s of multiply-adds that touch registers only; the best of five."""
+    kernel = cl.Kernel(cl.Program(device.context, PEAK_SOURCE).build(), "peak")
+    result, best = device.empty((PEAK_ITEMS,)), np.inf
+    for _ in range(5):
+        start = time.perf_counter()
+        arguments = (np.int32(PEAK_ROUNDS), np.float32(0.5), np.float32(1), result)
+        device.run(kernel, (PEAK_ITEMS,), (1,), *arguments)
+        device.finish()
+        best = min(best, time.perf_counter() - start)
+    return 2 * 8 * 12 * PEAK_ITEMS * PEAK_ROUNDS / best / 1e9
+
+
+def main() -> int:
+    """Print a table: what, milliseconds, GFLOP/s, time of NumPy's best over it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--anchors", type=int, default=50000, help="all of them visible")
+    parser.add_argument("--repeats", type=int, default=21)
+    parser.add_argument("--device")
+    args = parser.parse_args()
+    device, case = Device(args.device), make_case(args.anchors, 0)
+    heads = DeviceHeads(device, case)
+    blocks = {"whole": args.anchors, "blocks of 4096": 4096, "blocks of 1024": 1024}
+    numpy_heads = {
+        f"NumPy {name}, {'with' if activated else 'no'} activations": NumpyHeads(case, n, activated)
+        for name, n in blocks.items()
+        for activated in (True, False)
+    }
+    activations = heads.forward()
+    check(device.download(activations.output), numpy_heads["NumPy whole, with activations"])
+    d_host = np.random.default_rng(1).normal(size=activations.output.shape).astype(np.float32)
+    d_host[:, args.anchors :] = 0
+    d_output = device.upload(d_host)
+    splits = np.cumsum(list(HEAD_DIMS.values()))[:-1]
+    d_heads = [np.ascontiguousarray(d.T) for d in np.split(d_host[:, : args.anchors], splits)]
+    forward = {name: heads.forward for name, heads in numpy_heads.items()}
+    backward = {name: (lambda one=one: one.backward(d_heads)) for name, one in numpy_heads.items()}
+    print(f"{device.name}, {args.anchors} visible anchors; peak {fma_peak(device):.0f} GFLOP/s")
+    report("forward", {"kernels": heads.forward, **forward}, args, FORWARD_FLOP)
+    mine = {"kernels": lambda: heads.backward(activations, d_output)}
+    report("backward", {**mine, **backward}, args, BACKWARD_FLOP)
+    return 0
+
+
+def check(output: Array, other: NumpyHeads) -> None:
+    """Refuse to compare the times of different results."""
+    expected = np.concatenate(other.forward(), axis=1).T
+    error = np.abs(output[:, : expected.shape[1]] - expected).max()
+    assert error <= 1e-5, f"the outputs differ by {error}"
+
+
+def report(
+    title: str, tasks: dict[str, Callable[[], object]], args: argparse.Namespace, flop: int
+) -> None:
+    """Measure and print one table."""
+    times = interleaved(tasks, args.repeats)
+    best = {
+        kind: min(ms for name, ms in times.items() if name.endswith(f"{kind} activations"))
+        for kind in ("with", "no")
+    }
+    print(f"{title:36}{'ms':>8}{'GFLOP/s':>9}")
+    for name, milliseconds in times.items():
+        print(f"  {name:34}{milliseconds:8.2f}{flop * args.anchors / milliseconds / 1e6:9.0f}")
+    ratios = ", ".join(f"{best[kind] / times['kernels']:.2f} {kind}" for kind in best)
+    print(f"  NumPy's best / kernels: {ratios} activations\n")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
