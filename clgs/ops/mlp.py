@@ -4,10 +4,16 @@ For a visible anchor with feature f at position P, seen from the camera centre c
     x = [f, d / |d|],  d = P - c;   h = relu(W1 x + b1);   y = act(W2 h + b2)
 for each head, where act is tanh for opacity, sigmoid for color and nothing for covariance.
 Backward: dL/dz2 = dL/dy act'(y), dL/dz1 = (W2^T dL/dz2) [h > 0], dL/dx = W1^T dL/dz1, and
-dL/dW = dL/dz x^T summed over the samples chunk by chunk in a fixed order, without atomics.
+dL/dW = dL/dz x^T summed over the samples chunk by chunk in a fixed order, without atomics. Hidden
+values are computed again in the backward pass instead of being kept.
 
-An anchor with an input that is not finite (or beyond 1e15) has the output NaN, so that none of
-its Gaussians is drawn, and contributes nothing to any gradient.
+A slot whose opacity is not positive is not drawn: its color and covariance are never read, and
+count as computed or not as ``options.skips`` says. Opacities come first; then the samples of each
+chunk are sorted by the slots that they draw, so that few slots are drawn in each block of samples.
+
+An anchor with an input that is not finite (or beyond 1e15) has the opacities NaN, so that none of
+its Gaussians is drawn, and contributes nothing to any gradient. A sample without anchor (-1 in
+``visible``) has the opacities 0.
 
 Source: Scaffold-GS (Lu et al. 2024), without its optional inputs.
 """
@@ -15,21 +21,29 @@ Source: Scaffold-GS (Lu et al. 2024), without its optional inputs.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, OUTPUT_DIM
+from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, K_OFFSETS, OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.options import DEFAULT, RenderOptions
 from clgs.scene.mlps import MLP_SIZE
 from clgs.shapes import Shapes
 
-HIDDEN_ROWS = len(HEAD_DIMS) * HIDDEN_DIM
-CHUNK = 1024
-"""Samples of which the weight gradient is summed by one work-item or group; fixes the order."""
+CHUNK = 512
+"""Samples that are sorted, and of which the weight gradient is summed, together."""
 
-SLAB = {"cpu": 8 * CHUNK, "gpu": 64 * CHUNK}
-"""Samples whose layer gradients are held at once: in cache on a CPU, enough to fill a GPU."""
+CHUNK_SIZE = (INPUT_DIM + 1 + 2 * len(HEAD_DIMS) * HIDDEN_DIM + OUTPUT_DIM) * (CHUNK + 16)
+"""Floats of the values and gradients of one chunk, of which its weight gradient is made."""
+
+SLAB = 64
+"""Chunks that a GPU works on at once."""
+
+SHARES = 8
+"""Parts, a compute unit of a CPU, that the chunks are dealt out to."""
 
 GROUP_SIZE = 64
 """Work-items of a group on a GPU."""
@@ -41,19 +55,20 @@ VECTORS = {"cpu": 2, "gpu": 1}
 
 @dataclass(frozen=True)
 class Activations:
-    """What the MLPs computed for V visible anchors, feature-major float32.
+    """What the MLPs computed for V visible anchors.
 
-    Vp is V padded by :func:`padded_size`; padding is finite. input (F+4, Vp): feature, unit
-    viewing direction, and a row of ones, which is 0 where a sample does not count (padding, inputs
-    that are not finite). hidden (150, Vp) after the ReLU. output (110, Vp): rows [0, 10) opacity
-    in (-1, 1); [10, 40) color in (0, 1), row 10 + 3 j + c; [40, 110) covariance, row 40 + 7 j + i,
-    three scale logits, then a quaternion w x y z. visible (V,) int32.
+    output (110, Vp) float32, feature-major, Vp is V padded by :func:`padded_size`: rows [0, 10)
+    opacity in (-1, 1); [10, 40) color in (0, 1), row 10 + 3 j + c; [40, 110) covariance, row
+    40 + 7 j + i, three scale logits, then a quaternion w x y z. Color and covariance of a slot that
+    is not drawn may be anything. visible (V,) int32: the anchor of each column, those given to
+    ``forward`` in another order within each chunk; -1, where there is none, stays at the end.
+    active (chunks,) int32: how many samples draw something; they are the first of their chunk.
     """
 
-    input: DeviceArray
-    hidden: DeviceArray
     output: DeviceArray
     visible: DeviceArray
+    active: DeviceArray
+    options: RenderOptions
 
 
 @dataclass(frozen=True)
@@ -80,6 +95,7 @@ def forward(
     visible: DeviceArray,
     weights: DeviceArray,
     camera: DeviceArray,
+    options: RenderOptions = DEFAULT,
 ) -> Activations:
     """Run the MLPs on the visible anchors.
 
@@ -87,41 +103,45 @@ def forward(
         device: where the arrays live.
         feature: (A, F) float32.
         position: (A, 3) float32, scene units.
-        visible: (V,) int32, anchor of each sample, each at most once.
+        visible: (V,) int32, anchor of each sample, each at most once; -1 at the end: no anchor.
         weights: (13710,) float32, packed as in ``clgs.scene.mlps``.
         camera: (26,) float32 from ``Camera.pack``.
+        options: the skips ``opacity_first`` and ``slots``.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    shapes = Shapes(F=FEATURE_DIM)
-    shapes.check("feature", feature, "A F", np.float32)
-    shapes.check("position", position, "A 3", np.float32)
+    shapes = _check_anchors(feature, position, weights, camera)
     shapes.check("visible", visible, "V", np.int32)
-    _check_weights(weights, camera)
     count = len(visible)
     padded = padded_size(count)
     result = Activations(
-        input=device.empty((INPUT_DIM + 1, padded)),
-        hidden=device.empty((HIDDEN_ROWS, padded)),
         output=device.empty((OUTPUT_DIM, padded)),
-        visible=visible,
+        visible=device.empty((count,), np.int32),
+        active=device.empty((-(-padded // CHUNK),), np.int32),
+        options=options,
     )
-    defines, grid, group = _blocks(device, padded)
+    defines = _defines(device, options)
+    sizes = np.int32(count), np.int32(padded)
+    model = (weights, camera, sizes[1])
+    opacity = device.empty((K_OFFSETS, padded))
+    blocks = _blocks(device, padded)
     device.run(
-        device.kernel("mlp", "mlp_forward", **defines),
-        grid,
-        group,
-        feature,
-        position,
-        visible,
-        np.int32(count),
-        np.int32(padded),
-        weights,
-        camera,
-        result.input,
-        result.hidden,
-        result.output,
+        device.kernel("mlp", "mlp_opacity", **defines),
+        *blocks,
+        *(feature, position, visible, sizes[0], *model, opacity),
+    )
+    width = GROUP_SIZE if device.specialisation == "gpu" else 1
+    device.run(
+        device.kernel("mlp", "mlp_order", **defines),
+        (len(result.active) * width,),
+        (width,),
+        *(opacity, visible, *sizes, result.output, result.visible, result.active),
+    )
+    device.run(
+        device.kernel("mlp", "mlp_heads", **defines),
+        *blocks,
+        *(feature, position, result.visible, sizes[0], *model, result.output),
     )
     return result
 
@@ -129,6 +149,7 @@ def forward(
 def backward(
     device: Device,
     activations: Activations,
+    feature: DeviceArray,
     position: DeviceArray,
     weights: DeviceArray,
     camera: DeviceArray,
@@ -140,119 +161,146 @@ def backward(
     Args:
         device: where the arrays live.
         activations: what :func:`forward` returned.
-        position: (A, 3) float32, as given to :func:`forward`; likewise weights and camera.
+        feature: (A, F) float32, as given to :func:`forward`; likewise position, weights, camera.
+        position: (A, 3) float32.
         weights: (13710,) float32.
         camera: (26,) float32.
-        d_output: (110, Vp) float32, gradient by the activated outputs; zero in the padding.
+        d_output: (110, Vp) float32, gradient by the activated outputs; where a slot is not drawn,
+            it counts as zero.
         want_position: whether to compute ``d_position`` (anchors do not move while training).
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    shapes = Shapes(V=len(activations.visible))
-    shapes.check("position", position, "A 3", np.float32)
+    shapes = _check_anchors(feature, position, weights, camera)
     shapes.check("output", activations.output, f"{OUTPUT_DIM} P", np.float32)
     shapes.check("d_output", d_output, f"{OUTPUT_DIM} P", np.float32)
-    _check_weights(weights, camera)
     result = MlpGradients(
         d_weights=device.empty((MLP_SIZE,)),
-        d_feature=device.zeros((len(position), FEATURE_DIM)),
-        d_position=device.zeros((len(position), 3)) if want_position else None,
+        d_feature=device.zeros(feature.shape),
+        d_position=device.zeros(position.shape) if want_position else None,
     )
-    padded = shapes.axes["P"]
-    chunks = -(-padded // CHUNK)
+    padded = np.int32(activations.output.shape[1])
+    chunks = len(activations.active)
     partial = device.empty((chunks, MLP_SIZE))
-    slab = min(SLAB[device.specialisation], padded)
-    delta = device.empty((HIDDEN_ROWS + OUTPUT_DIM, padded_size(slab)))
-    for first in range(0, padded, max(slab, 1)):
-        size = min(slab, padded - first)
-        anchors = (position, activations.visible, weights, camera)
-        _layers_backward(device, activations, d_output, anchors, (first, size), delta, result)
-        _weights_backward(device, activations, (first, size), delta, partial)
+    model = (feature, position, activations.visible, np.int32(len(activations.visible)))
+    inputs = (*model, weights, camera, padded, activations.output, d_output, activations.active)
+    unused = result.d_feature
+    outputs = (result.d_feature, unused if result.d_position is None else result.d_position)
+    defines = {**_defines(device, activations.options), "WANT_POSITION": int(want_position)}
+    if device.specialisation == "cpu":
+        shares = min(SHARES * int(device.cl_device.max_compute_units), chunks)
+        values = device.empty((shares, CHUNK_SIZE))
+        kernel = device.kernel("mlp", "mlp_backward", **defines)
+        device.run(kernel, (shares,), (1,), *inputs, values, partial, *outputs)
+    else:
+        _backward_in_groups(device, inputs, outputs, partial, defines)
     device.run(
-        device.kernel("mlp", "mlp_backward_sum", **_defines(device)),
+        device.kernel("mlp", "mlp_backward_sum", **defines),
         (round_up(MLP_SIZE, GROUP_SIZE),),
         (GROUP_SIZE,),
-        partial,
-        np.int32(chunks),
-        result.d_weights,
+        *(partial, np.int32(chunks), result.d_weights),
     )
     return result
 
 
-def _layers_backward(
+def _backward_in_groups(
     device: Device,
-    activations: Activations,
-    d_output: DeviceArray,
-    anchors: tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray],
-    slab: tuple[int, int],
-    delta: DeviceArray,
-    result: MlpGradients,
-) -> None:
-    """Fill ``delta`` for the samples of ``slab`` (first, size) and scatter the input gradients."""
-    first, size = slab
-    defines, grid, group = _blocks(device, size)
-    wanted = result.d_position is not None
-    device.run(
-        device.kernel("mlp", "mlp_backward", WANT_POSITION=int(wanted), **defines),
-        grid,
-        group,
-        activations.input,
-        activations.hidden,
-        activations.output,
-        d_output,
-        np.int32(len(activations.visible)),
-        np.int32(activations.output.shape[1]),
-        np.int32(first),
-        np.int32(delta.shape[1]),
-        *anchors,
-        delta,
-        result.d_feature,
-        result.d_position if wanted else result.d_feature,
-    )
-
-
-def _weights_backward(
-    device: Device,
-    activations: Activations,
-    slab: tuple[int, int],
-    delta: DeviceArray,
+    inputs: tuple[Any, ...],
+    outputs: tuple[DeviceArray, DeviceArray],
     partial: DeviceArray,
+    defines: dict[str, int | float],
 ) -> None:
-    """Weight gradients of the chunks of ``slab`` (first, size), a row of ``partial`` each."""
-    first, size = slab
-    width = 1 if device.specialisation == "cpu" else GROUP_SIZE
-    tile = TILE[device.specialisation]
-    device.run(
-        device.kernel("mlp", "mlp_backward_weights", **_defines(device)),
-        (delta.shape[0] // tile * width, -(-size // CHUNK)),
-        (width, 1),
-        activations.input,
-        activations.hidden,
-        np.int32(activations.output.shape[1]),
-        np.int32(first),
-        np.int32(delta.shape[1]),
-        delta,
-        partial,
+    """Fill ``partial`` and ``outputs``, SLAB chunks at a time."""
+    padded, active = inputs[6], inputs[-1]
+    values = device.empty((min(SLAB, len(active)), CHUNK_SIZE))
+    tiles = (len(HEAD_DIMS) * HIDDEN_DIM + OUTPUT_DIM) // TILE["gpu"]
+    for first in range(0, len(active), SLAB):
+        size = min(SLAB, len(active) - first)
+        device.run(
+            device.kernel("mlp", "mlp_backward_layers", **defines),
+            (size * CHUNK,),
+            (GROUP_SIZE,),
+            *(*inputs, np.int32(first), values, *outputs),
+        )
+        device.run(
+            device.kernel("mlp", "mlp_backward_weights", **defines),
+            (tiles * GROUP_SIZE, size),
+            (GROUP_SIZE, 1),
+            *(padded, active, np.int32(first), values, partial),
+        )
+
+
+def drawn_rows(output: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    """Which outputs (110, V) are ever read: all opacities, and the rows of drawn slots."""
+    drawn = output[:K_OFFSETS] > 0
+    color, covariance = (HEAD_DIMS[name] // K_OFFSETS for name in ("color", "covariance"))
+    rows = [np.ones_like(drawn), np.repeat(drawn, color, 0), np.repeat(drawn, covariance, 0)]
+    return np.concatenate(rows)
+
+
+def drawn_output(device: Device, activations: Activations) -> npt.NDArray[np.float32]:
+    """Host copy (110, V) of the outputs, zero where they are never read."""
+    output = device.download(activations.output)[:, : len(activations.visible)]
+    return np.where(drawn_rows(output), output, np.float32(0))
+
+
+@dataclass(frozen=True)
+class Work:
+    """What was computed, in samples and in rows of outputs times samples, of how many."""
+
+    samples: int
+    all_samples: int
+    rows: int
+    all_rows: int
+
+
+def work(device: Device, activations: Activations) -> Work:
+    """Count the samples whose colors and covariances were computed, and the rows of these heads.
+
+    Waits for the device. What no anchor has is not counted.
+    """
+    count = int(np.count_nonzero(device.download(activations.visible) >= 0))
+    drawn = device.download(activations.output)[:K_OFFSETS] > 0
+    size = VECTORS[device.specialisation] * int(_defines(device, activations.options)["VEC"])
+    slots = np.any(drawn.reshape(K_OFFSETS, -1, size), axis=2)
+    used = np.any(slots, axis=0)
+    skips = activations.options.skips
+    if not skips.slots:
+        slots[:] = used | (not skips.opacity_first)
+    if not skips.opacity_first:
+        used[:] = True
+    lanes = np.clip(count - size * np.arange(len(used)), 0, size)
+    each = (OUTPUT_DIM - K_OFFSETS) // K_OFFSETS
+    return Work(
+        samples=int(used @ lanes),
+        all_samples=count,
+        rows=each * int((slots @ lanes).sum()),
+        all_rows=each * K_OFFSETS * count,
     )
 
 
-def _defines(device: Device) -> dict[str, int | float]:
+def _defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
     """Lanes that fill one register of a CPU: ten accumulators of wider vectors would spill."""
     native = int(device.cl_device.native_vector_width_float)
-    return {"CHUNK": CHUNK, "VEC": min(device.vec, max(native, 4))}
+    lanes = min(device.vec, max(native, 4))
+    return {"CHUNK": CHUNK, "VEC": lanes, **options.skips.defines("opacity_first", "slots")}
 
 
-def _blocks(device: Device, samples: int) -> tuple[dict[str, int | float], tuple[int], tuple[int]]:
-    """Build options and launch sizes of a kernel with one work-item a block of samples."""
-    defines = _defines(device)
-    items = -(-samples // (VECTORS[device.specialisation] * int(defines["VEC"])))
-    if device.specialisation == "cpu":
-        return defines, (items,), (1,)
-    return defines, (round_up(items, GROUP_SIZE),), (GROUP_SIZE,)
+def _blocks(device: Device, samples: int) -> tuple[tuple[int], tuple[int]]:
+    """Launch sizes of a kernel with one work-item a block of samples."""
+    if device.specialisation == "gpu":
+        return (round_up(samples, GROUP_SIZE),), (GROUP_SIZE,)
+    lanes = int(_defines(device, DEFAULT)["VEC"])
+    return (-(-samples // (VECTORS["cpu"] * lanes)),), (1,)
 
 
-def _check_weights(weights: DeviceArray, camera: DeviceArray) -> None:
-    shapes = Shapes()
+def _check_anchors(
+    feature: DeviceArray, position: DeviceArray, weights: DeviceArray, camera: DeviceArray
+) -> Shapes:
+    shapes = Shapes(F=FEATURE_DIM)
+    shapes.check("feature", feature, "A F", np.float32)
+    shapes.check("position", position, "A 3", np.float32)
     shapes.check("weights", weights, str(MLP_SIZE), np.float32)
     shapes.check("camera", camera, "26", np.float32)
+    return shapes

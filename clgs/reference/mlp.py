@@ -93,18 +93,19 @@ def forward(
     weights: Array,
     camera: npt.NDArray[np.floating],
 ) -> Activations:
-    """Run the MLPs; shapes as in ``clgs.ops.mlp.forward``."""
+    """Run the MLPs; shapes as in ``clgs.ops.mlp.forward``, samples in the order of visible."""
     direction, _ = view_direction(position[visible], np.asarray(camera[CENTRE], np.float64))
     x = np.concatenate([feature[visible], direction, np.ones((len(visible), 1))], axis=1).T
     with np.errstate(invalid="ignore"):
-        good = np.all(np.abs(x) <= INPUT_LIMIT, axis=0)
+        good = np.all(np.abs(x) <= INPUT_LIMIT, axis=0) & (visible >= 0)
     x = np.where(good, x, 0)
+    bad = np.where(visible < 0, 0, np.nan)
     hidden, output = [], []
     for head in heads(weights):
         z = head.hidden_weight @ x[:INPUT_DIM] + head.hidden_bias[:, None]
         hidden.append(np.maximum(z, 0))
         z = head.output_weight @ hidden[-1] + head.output_bias[:, None]
-        output.append(np.where(good, activate(head.name, z), np.nan))
+        output.append(np.where(good, activate(head.name, z), bad))
     return Activations(x, np.concatenate(hidden), np.concatenate(output), visible)
 
 
@@ -115,7 +116,10 @@ def backward(
     camera: npt.NDArray[np.floating],
     d_output: Array,
 ) -> tuple[Array, Array, Array]:
-    """d_weights (13710,), d_feature (A, F), d_position (A, 3); as ``clgs.ops.mlp.backward``."""
+    """d_weights (13710,), d_feature (A, F), d_position (A, 3); as ``clgs.ops.mlp.backward``.
+
+    But for samples that do not count, every ``d_output`` counts, whether its slot is drawn or not.
+    """
     x, visible = activations.input, activations.visible
     good = x[INPUT_DIM] == 1
     d_weights, d_x = np.zeros_like(weights), np.zeros((INPUT_DIM, len(visible)))
@@ -129,6 +133,8 @@ def backward(
         slot.hidden_bias[...] = d_z1.sum(axis=1)
         d_x += head.hidden_weight.T @ d_z1
     d_feature, d_position = np.zeros((len(position), INPUT_DIM - 3)), np.zeros_like(position)
+    seen = visible >= 0
+    visible, d_x = visible[seen], d_x[:, seen]
     d_feature[visible] = d_x[:-3].T
     centre = np.asarray(camera[CENTRE], np.float64)
     direction, distance = view_direction(position[visible], centre)

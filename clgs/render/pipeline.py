@@ -38,11 +38,16 @@ def view_forward(
         visible = cull.forward(device, scene.position, scene.scaling, packed)
     with device.stage("mlp forward"):
         activations = mlp.forward(
-            device, scene.feature, scene.position, visible, scene.weights, packed
+            device, scene.feature, scene.position, visible, scene.weights, packed, options
         )
     with device.stage("neural forward"):
         gaussians = neural.forward(
-            device, activations.output, visible, scene.position, scene.offset, scene.scaling
+            device,
+            activations.output,
+            activations.visible,
+            scene.position,
+            scene.offset,
+            scene.scaling,
         )
     projected, lists, blended = _rasterise(device, gaussians, packed, background, size, options)
     return Frame(packed, size, activations, gaussians, projected, lists, background, blended)
@@ -114,6 +119,7 @@ def render_backward(
         learned = mlp.backward(
             device,
             frame.activations,
+            scene.feature,
             scene.position,
             scene.weights,
             frame.camera,

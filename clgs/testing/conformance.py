@@ -14,7 +14,7 @@ from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.errors import DataError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, blend, density, loss, project, quantize, rate, scan, sort
+from clgs.ops import adam, blend, density, loss, mlp, project, quantize, rate, scan, sort
 from clgs.options import PRESETS, RenderOptions
 from clgs.render.frame import DeviceScene, Frame, upload_scene
 from clgs.render.pipeline import render_backward, render_forward
@@ -79,9 +79,7 @@ def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
 def _forward_tensors(device: Device, frame: Frame) -> Iterator[Tensor]:
     visible = device.download(frame.activations.visible)
     yield "cull", "visible", visible
-    # what lies beyond the visible anchors is padding
-    output = device.download(frame.activations.output)[:, : len(visible)]
-    yield "mlp forward", "output", output
+    yield "mlp forward", "output", mlp.drawn_output(device, frame.activations)
     for stage, result, names in (
         ("neural forward", frame.gaussians, "slot opacity mean scale rotation color"),
         ("project forward", frame.projected, "mean2d depth whitening extent"),

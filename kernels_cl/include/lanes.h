@@ -4,6 +4,11 @@
 
 #include "include/real.h"
 
+/* Vector number `vector` from an address that is a multiple of a vector's size: without knowing
+ * this, compilers for CPUs take two halves. */
+#define LOAD_ALIGNED(vector, pointer) (((__global const fv *)(pointer))[vector])
+#define STORE_ALIGNED(value, vector, pointer) (((__global fv *)(pointer))[vector] = (value))
+
 /* Vectors that hold an array of `total` floats. */
 inline size_t vectors_in(size_t total)
 {
@@ -37,12 +42,20 @@ inline void store_lanes(fv value, size_t vector, __global float *values, size_t 
 /* Sum of the lanes, by halves. */
 inline float lane_sum(fv value)
 {
-    float lanes[VEC];
-    STORE_V(value, 0, lanes);
-    for (int reach = VEC / 2; reach > 0; reach /= 2)
-        for (int lane = 0; lane < reach; ++lane)
-            lanes[lane] += lanes[lane + reach];
-    return lanes[0];
+#if VEC == 1
+    return value;
+#else
+#if VEC == 16
+    const float8 eight = value.lo + value.hi;
+    const float4 four = eight.lo + eight.hi;
+#elif VEC == 8
+    const float4 four = value.lo + value.hi;
+#else
+    const float4 four = value;
+#endif
+    const float2 two = four.lo + four.hi;
+    return two.x + two.y;
+#endif
 }
 
 /* Smallest lane that is not NaN, by halves. */

@@ -21,13 +21,19 @@
 #ifndef WANT_POSITION
 #define WANT_POSITION 1
 #endif
-/* Samples of a chunk: the unit of the sum over samples, whatever the device. */
+#ifndef SKIP_OPACITY_FIRST
+#define SKIP_OPACITY_FIRST 1
+#endif
+#ifndef SKIP_SLOTS
+#define SKIP_SLOTS 1
+#endif
+/* Samples of a chunk: the unit of their order and of the sum over them, whatever the device. */
 #ifndef CHUNK
-#define CHUNK 1024
+#define CHUNK 512
 #endif
 
 /* Register tile: TILE rows, which divides every layer's, by VECTORS vectors: 10 accumulators.
- * GROUP_SIZE work-items share a chunk of the weight gradient. */
+ * GROUP_SIZE work-items share a chunk where they share local memory. */
 #if USE_LOCAL
 #define TILE 10
 #define VECTORS 1
@@ -54,50 +60,37 @@
 
 #define OPACITY 0
 #define COLOR 1
+#define COVARIANCE 2
+
+/* The numbers of one chunk that its weight gradient needs, as rows of samples: inputs and a row
+ * of ones (zero where a sample does not count), hidden values, gradients by the sums of the hidden
+ * and of the output layers. The stride spreads the rows over the sets of a cache. */
+#define ONES_ROW INPUT_DIM
+#define VALUE_ROW (INPUT_DIM + 1)
+#define D_HIDDEN_ROW (VALUE_ROW + HIDDEN_ROWS)
+#define D_OUTPUT_ROW (D_HIDDEN_ROW + HIDDEN_ROWS)
+#define CHUNK_ROWS (D_OUTPUT_ROW + OUTPUT_ROWS)
+#define CHUNK_STRIDE (CHUNK + 16)
+#define CHUNK_SIZE ((size_t)CHUNK_ROWS * CHUNK_STRIDE)
 
 /* First output row of a head, in units of K_OFFSETS; the last entry is the end. */
 __constant int head_rows[HEADS + 1] = {0, 1, 4, 11};
 
-inline int first_output(int head)
+/* Output rows of one slot. */
+inline int slot_rows(const int head)
+{
+    return head_rows[head + 1] - head_rows[head];
+}
+
+inline int first_output(const int head)
 {
     return K_OFFSETS * head_rows[head];
 }
 
 /* Where the weights of a head start. */
-inline int head_start(int head)
+inline int head_start(const int head)
 {
     return head * HIDDEN_SIZE + first_output(head) * (HIDDEN_DIM + 1);
-}
-
-/* Where TILE neighbouring rows of the weight gradient take their columns from and go to. */
-typedef struct {
-    __global const float *columns;
-    int inputs;
-    int weight; /* position of the first row's weights and bias in the packed vector */
-    int bias;
-} Layer;
-
-inline Layer layer_of(const int delta_row, __global const float *input,
-                      __global const float *hidden, const size_t stride)
-{
-    Layer layer;
-    if (delta_row < HIDDEN_ROWS) {
-        const int start = head_start(delta_row / HIDDEN_DIM), row = delta_row % HIDDEN_DIM;
-        layer.columns = input;
-        layer.inputs = INPUT_DIM;
-        layer.weight = start + row * INPUT_DIM;
-        layer.bias = start + HIDDEN_DIM * INPUT_DIM + row;
-    } else {
-        const int row = delta_row - HIDDEN_ROWS;
-        const int head = row < first_output(1) ? 0 : row < first_output(2) ? 1 : 2;
-        const int start = head_start(head) + HIDDEN_SIZE, inner = row - first_output(head);
-        const int rows = first_output(head + 1) - first_output(head);
-        layer.columns = hidden + head * HIDDEN_DIM * stride;
-        layer.inputs = HIDDEN_DIM;
-        layer.weight = start + inner * HIDDEN_DIM;
-        layer.bias = start + rows * HIDDEN_DIM + inner;
-    }
-    return layer;
 }
 
 #endif

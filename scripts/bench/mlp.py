@@ -168,9 +168,8 @@ class DeviceHeads:
 
     def backward(self, activations: mlp.Activations, d_output: object) -> mlp.MlpGradients:
         """Run and wait."""
-        weights = self.arrays["weights"]
-        arguments = (self.arrays["position"], weights, self.camera, d_output)
-        result = mlp.backward(self.device, activations, *arguments)
+        arrays = [self.arrays[name] for name in ("feature", "position", "weights")]
+        result = mlp.backward(self.device, activations, *arrays, self.camera, d_output)
         self.device.finish()
         return result
 

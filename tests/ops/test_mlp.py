@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from clgs.ops import mlp
+from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import mlp as reference
 from tests.compare import assert_close, relative_l2
-from tests.ops.mlp_cases import anchors, packed_camera, some
+from tests.ops.mlp_cases import anchors, decided, packed_camera, some, with_opacity_bias
 
 EPSILON = 2.0**-24
 COUNTS = [0, 1, 31, 33, 1025, 2500]
@@ -22,30 +23,30 @@ def upload(device, values):
     return {name: device.upload(value) for name, value in values.items()}
 
 
-def run_forward(device, values, visible):
+def run_forward(device, values, visible, options=DEFAULT):
     camera = device.upload(packed_camera())
+    arrays = upload(device, values)
     return mlp.forward(
-        device, **upload(device, values), visible=device.upload(visible), camera=camera
+        device, **arrays, visible=device.upload(visible), camera=camera, options=options
     )
 
 
-def run_backward(device, values, visible, d_output, want_position=True):
-    """Downloads of the gradients; d_output (110, V) is padded with zeros."""
-    activations = run_forward(device, values, visible)
-    padded = np.zeros(activations.output.shape, np.float32)
-    padded[:, : len(visible)] = d_output
-    result = mlp.backward(
-        device,
-        activations,
-        device.upload(values["position"]),
-        device.upload(values["weights"]),
-        device.upload(packed_camera()),
-        device.upload(padded),
-        want_position,
-    )
+def run_backward(device, values, visible, d_of_anchor, want_position=True, options=DEFAULT):
+    """Downloads of the gradients; d_of_anchor (A, 110) by the anchors' outputs."""
+    activations = run_forward(device, values, visible, options)
+    columns = device.download(activations.visible)
+    d_output = np.full(activations.output.shape, 7, np.float32)
+    d_output[:, : len(columns)] = np.where(columns >= 0, d_of_anchor[columns].T, 7)
+    arrays = [device.upload(values[name]) for name in ("feature", "position", "weights")]
+    camera, d_output = device.upload(packed_camera()), device.upload(d_output)
+    result = mlp.backward(device, activations, *arrays, camera, d_output, want_position)
     names = ("d_weights", "d_feature", "d_position")
-    arrays = {name: getattr(result, name) for name in names}
-    return {name: device.download(array) for name, array in arrays.items() if array is not None}
+    found = {name: getattr(result, name) for name in names}
+    return {name: device.download(array) for name, array in found.items() if array is not None}
+
+
+def random_gradients(rng, anchors):
+    return rng.normal(size=(anchors, 110)).astype(np.float32)
 
 
 def expected_activations(values, visible):
@@ -53,20 +54,17 @@ def expected_activations(values, visible):
     return reference.forward(**wide, visible=visible, camera=packed_camera())
 
 
-def expected_gradients(values, visible, d_output, hidden):
-    """Float64 gradients with the kernel's decisions at the kinks of the ReLU."""
+def expected_gradients(values, visible, d_of_anchor):
     wide = {name: value.astype(np.float64) for name, value in values.items()}
     activations = expected_activations(values, visible)
-    # a unit within rounding of its kink may decide otherwise: take over sign, keep value
-    activations.hidden[(hidden > 0) != (activations.hidden > 0)] *= 0
-    near = (hidden > 0) & (activations.hidden == 0)
-    activations.hidden[near] = hidden[near]
+    d_output = np.where(mlp.drawn_rows(activations.output), d_of_anchor[visible].T, 0)
+    d_output[:10] *= activations.output[:10] > 0
     arguments = (wide["position"], wide["weights"], packed_camera(), d_output.astype(np.float64))
     gradients = reference.backward(activations, *arguments)
     return dict(zip(("d_weights", "d_feature", "d_position"), gradients, strict=True))
 
 
-def gradient_terms(values, visible, d_output):
+def gradient_terms(values, visible, d_of_anchor):
     """Sums of absolute terms of every gradient: the backward pass of absolute values."""
     wide = {name: value.astype(np.float64) for name, value in values.items()}
     forward = expected_activations(values, visible)
@@ -74,7 +72,12 @@ def gradient_terms(values, visible, d_output):
     hidden = np.where(forward.hidden > 0, term_sums(values, forward)[0], 0)
     steepest = np.where(np.arange(110)[:, None] < 10, 0, 0.5) + 0 * forward.output
     absolute = reference.Activations(np.abs(forward.input), hidden, steepest, visible)
-    arguments = (wide["position"], np.abs(wide["weights"]), packed_camera(), np.abs(d_output))
+    arguments = (
+        wide["position"],
+        np.abs(wide["weights"]),
+        packed_camera(),
+        np.abs(d_of_anchor[visible].T),
+    )
     d_weights, d_feature, _ = reference.backward(absolute, *arguments)
     # a feature's gradient stands for those of the direction, which has the same fan-out
     step, distance = reference.view_direction(wide["position"], packed_camera()[reference.CENTRE])
@@ -96,111 +99,191 @@ def term_sums(values, activations):
 @pytest.mark.parametrize("count", COUNTS)
 def test_forward_agrees_with_reference(device, rng, count):
     values = anchors(rng, 3000)
-    visible = some(rng, count, 3000)
+    visible = rng.choice(decided(values), count, replace=False)
     activations = run_forward(device, values, visible)
-    expected = expected_activations(values, visible)
-    actual = {n: device.download(getattr(activations, n)) for n in ("input", "hidden", "output")}
-    for name, array in actual.items():
-        assert array.shape[1] == mlp.padded_size(count)
-        assert np.isfinite(array).all(), f"{name}: padding too"
-    # the direction: a subtraction, three divisions and a root, all of values up to 1
-    assert_close(actual["input"][:, :count], expected.input, 8 * EPSILON, "input")
-    # 53 products added in order: the error of each partial sum is at most half an ulp of it, and
-    # such errors average out; 8 bounds direction and sum together
-    hidden_terms, output_terms = term_sums(values, expected)
-    assert_close(actual["hidden"][:, :count], expected.hidden, 8 * EPSILON * hidden_terms, "hidden")
-    # activations have slopes up to 1 and add two roundings of a value up to 1
-    limit = 2 * EPSILON * output_terms + 4 * EPSILON
-    assert_close(actual["output"][:, :count], expected.output, limit, "output")
+    columns = device.download(activations.visible)
+    for first in range(0, count, mlp.CHUNK):
+        chunk = slice(first, first + mlp.CHUNK)
+        assert np.array_equal(np.sort(columns[chunk]), np.sort(visible[chunk]))
+    output = device.download(activations.output)
+    assert output.shape == (110, mlp.padded_size(count))
+    assert not output[:10, count:].any(), "nothing is drawn in the padding"
+    expected = expected_activations(values, columns)
+    rows = mlp.drawn_rows(expected.output)
+    # 53 and 50 products added in order, see term_sums: the error of each partial sum is at most
+    # half an ulp of it, and such errors average out; activations have slopes up to 1 and add two
+    # roundings of a value up to 1
+    _, terms = term_sums(values, expected)
+    limit = 2 * EPSILON * terms + 4 * EPSILON
+    assert_close(output[:, :count][rows], expected.output[rows], limit[rows], "output")
+
+
+def test_samples_are_sorted_by_drawn_slots(device, rng):
+    values, visible = anchors(rng, 1500), some(rng, 1300, 1500)
+    activations = run_forward(device, values, visible)
+    drawn = device.download(activations.output)[:10, :1300] > 0
+    sequence = np.array([i ^ (i >> 1) for i in range(1024)])
+    place = np.argsort(sequence)[(1 << np.arange(10)) @ drawn]
+    columns, active = device.download(activations.visible), device.download(activations.active)
+    assert len(np.unique(place)) > 100
+    for chunk, first in enumerate(range(0, 1300, mlp.CHUNK)):
+        part = slice(first, first + mlp.CHUNK)
+        order = np.lexsort((columns[part], -place[part]))
+        assert np.array_equal(order, np.arange(len(order))), "equal ones stay as they were"
+        assert active[chunk] == drawn[:, part].any(axis=0).sum()
 
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_backward_agrees_with_reference(device, rng, count):
     values = anchors(rng, 3000)
-    visible = some(rng, count, 3000)
-    d_output = rng.normal(size=(110, count)).astype(np.float32)
-    hidden = device.download(run_forward(device, values, visible).hidden)[:, :count]
-    expected = expected_gradients(values, visible, d_output, hidden)
-    terms = gradient_terms(values, visible, d_output)
-    for name, array in run_backward(device, values, visible, d_output).items():
+    visible = rng.choice(decided(values), count, replace=False)
+    d_of_anchor = random_gradients(rng, 3000)
+    expected = expected_gradients(values, visible, d_of_anchor)
+    terms = gradient_terms(values, visible, d_of_anchor)
+    for name, array in run_backward(device, values, visible, d_of_anchor).items():
         assert relative_l2(array, expected[name]) <= 1e-6, name
         # sums of up to 110 x 50 products whose errors average out, and the rounding of activations
         assert_close(array, expected[name], 4 * EPSILON * terms[name] + 1e-30, name)
 
 
-def test_slabs_do_not_change_a_bit(device, rng, monkeypatch):
+def test_dealing_out_does_not_change_a_bit(device, rng, monkeypatch):
     values, visible = anchors(rng, 6000), some(rng, 5000, 6000)
-    d_output = rng.normal(size=(110, 5000)).astype(np.float32)
-    whole = run_backward(device, values, visible, d_output)
-    monkeypatch.setattr(mlp, "SLAB", dict.fromkeys(mlp.SLAB, 2 * mlp.CHUNK))
-    parts = run_backward(device, values, visible, d_output)
+    d_of_anchor = random_gradients(rng, 6000)
+    whole = run_backward(device, values, visible, d_of_anchor)
+    monkeypatch.setattr(mlp, "SLAB", 3)
+    monkeypatch.setattr(mlp, "SHARES", 1)
+    parts = run_backward(device, values, visible, d_of_anchor)
     for name, array in whole.items():
         assert np.array_equal(array, parts[name]), name
 
 
 def test_position_gradient_only_where_wanted(device, rng):
     values, visible = anchors(rng, 200), some(rng, 100, 200)
-    d_output = rng.normal(size=(110, 100)).astype(np.float32)
-    with_position = run_backward(device, values, visible, d_output)
-    without = run_backward(device, values, visible, d_output, want_position=False)
+    d_of_anchor = random_gradients(rng, 200)
+    with_position = run_backward(device, values, visible, d_of_anchor)
+    without = run_backward(device, values, visible, d_of_anchor, want_position=False)
     assert set(with_position) - set(without) == {"d_position"}
     assert np.array_equal(with_position["d_weights"], without["d_weights"])
     assert np.array_equal(with_position["d_feature"], without["d_feature"])
 
 
-def test_padding_contributes_nothing(device, rng):
-    values, visible = anchors(rng, 40), some(rng, 33, 40)
+SKIPS = [
+    Skips(opacity_first=first, slots=slots) for first in (False, True) for slots in (False, True)
+]
+
+
+@pytest.mark.parametrize("bias", [-9, -1.2, -0.4, 0, 9])
+def test_skips_do_not_change_a_bit(device, rng, bias):
+    values, visible = with_opacity_bias(anchors(rng, 1500), bias), some(rng, 1300, 1500)
+    d_of_anchor = random_gradients(rng, 1500)
+    outputs, gradients, works = [], [], []
+    for skips in SKIPS:
+        options = RenderOptions(skips=skips)
+        activations = run_forward(device, values, visible, options)
+        outputs.append(mlp.drawn_output(device, activations))
+        gradients.append(run_backward(device, values, visible, d_of_anchor, options=options))
+        works.append(mlp.work(device, activations))
+    assert all(np.array_equal(outputs[0], other) for other in outputs)
+    for name, array in gradients[0].items():
+        assert all(np.array_equal(array, other[name]) for other in gradients), name
+    none, slots, first, both = works
+    assert none == mlp.Work(1300, 1300, 100 * 1300, 100 * 1300)
+    assert (slots.samples, first.samples, first.rows) == (1300, both.samples, 100 * both.samples)
+    assert slots.rows == both.rows
+    drawn = (outputs[0][:10] > 0).sum()
+    assert 10 * drawn <= both.rows <= first.rows <= none.rows
+    assert (drawn == 0) == (both.rows == 0), "nothing at all where nothing is drawn"
+    assert bias > -1 or both.rows < 0.8 * none.rows
+
+
+def test_undrawn_slots_have_no_gradient(device, rng):
+    values, visible = anchors(rng, 700), some(rng, 600, 700)
+    d_of_anchor = random_gradients(rng, 700)
     activations = run_forward(device, values, visible)
-    arguments = [values["position"], values["weights"], packed_camera()]
-    arguments = [device.upload(value) for value in arguments]
-    d_output = np.zeros(activations.output.shape, np.float32)
-    d_output[:, 33:] = 1e6
-    result = mlp.backward(device, activations, *arguments, device.upload(d_output), True)
-    assert not device.download(result.d_weights).any()
-    assert not device.download(result.d_feature).any()
-    assert not device.download(result.d_position).any()
+    columns = device.download(activations.visible)
+    drawn = mlp.drawn_output(device, activations)
+    rows = mlp.drawn_rows(drawn)
+    rows[:10] &= drawn[:10] > 0
+    other = d_of_anchor.copy()
+    other[columns] = np.where(rows.T, d_of_anchor[columns], np.nan)
+    expected = run_backward(device, values, visible, d_of_anchor)
+    for name, array in run_backward(device, values, visible, other).items():
+        assert np.array_equal(array, expected[name]), name
+
+
+@pytest.mark.parametrize("padding", [1, 40, 1000])
+def test_padding_does_not_change_a_bit(device, rng, padding):
+    values, visible = anchors(rng, 700), some(rng, 600, 700)
+    d_of_anchor = random_gradients(rng, 700)
+    padded = np.concatenate([visible, np.full(padding, -1, np.int32)])
+    without, activations = (run_forward(device, values, each) for each in (visible, padded))
+    columns = device.download(activations.visible)
+    assert np.array_equal(columns[:600], device.download(without.visible))
+    assert (columns[600:] == -1).all()
+    assert not device.download(activations.output)[:10, 600:].any()
+    outputs = mlp.drawn_output(device, activations)[:, :600]
+    assert np.array_equal(outputs, mlp.drawn_output(device, without))
+    assert mlp.work(device, activations) == mlp.work(device, without)
+    expected = run_backward(device, values, visible, d_of_anchor)
+    for name, array in run_backward(device, values, padded, d_of_anchor).items():
+        assert np.array_equal(array, expected[name]), name
 
 
 @pytest.mark.parametrize("slot", ["feature", "position"])
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf, 1e38, 2e15])
 def test_poison_stays_in_its_anchor(device, rng, slot, poison):
     values, visible = anchors(rng, 70), some(rng, 65, 70)
-    d_output = rng.normal(size=(110, 65)).astype(np.float32)
-    d_output[:, 30] = 0
-    clean = device.download(run_forward(device, values, visible).output)
-    clean_gradients = run_backward(device, values, visible, d_output)
-    values[slot][visible[30]] = poison
-    dirty = device.download(run_forward(device, values, visible).output)
-    others = np.arange(65) != 30
-    assert np.array_equal(clean[:, :65][:, others], dirty[:, :65][:, others])
+    d_of_anchor = random_gradients(rng, 70)
+    bad = int(visible[30])
+    d_of_anchor[bad] = 0
+    clean = outputs_by_anchor(device, values, visible)
+    clean_gradients = run_backward(device, values, visible, d_of_anchor)
+    values[slot][bad] = poison
+    dirty = outputs_by_anchor(device, values, visible)
+    assert all(np.array_equal(clean[one], dirty[one]) for one in visible if one != bad)
     if slot == "feature" or not np.isfinite(poison):
-        assert np.isnan(dirty[:, 30]).all(), "not drawn: no comparison with NaN holds"
-    # whatever gradient arrives, the weights see the other anchors only
-    d_output[:, 30] = 5 if np.isnan(dirty[:, 30]).all() else 0
-    for name, array in run_backward(device, values, visible, d_output).items():
-        assert np.array_equal(array, clean_gradients[name]), name
+        assert np.isnan(dirty[bad][:10]).all(), "not drawn: no comparison with NaN holds"
+    # whatever gradient arrives, the weights see the other anchors only; they may lie elsewhere
+    d_of_anchor[bad] = 5 if np.isnan(dirty[bad][0]) else 0
+    terms = gradient_terms(values, visible[visible != bad], d_of_anchor)
+    for name, array in run_backward(device, values, visible, d_of_anchor).items():
+        limit = 4 * EPSILON * np.nan_to_num(terms[name])
+        assert_close(array, clean_gradients[name], limit, name)
+        assert not array[bad].any() or name == "d_weights"
+
+
+def outputs_by_anchor(device, values, visible):
+    activations = run_forward(device, values, visible)
+    output = mlp.drawn_output(device, activations)
+    return dict(zip(device.download(activations.visible).tolist(), output.T, strict=True))
 
 
 def test_camera_centre_has_no_direction(device, rng):
     values, visible = anchors(rng, 8), np.arange(8, dtype=np.int32)
     values["position"][3] = packed_camera()[23:26]
     values["position"][4] = packed_camera()[23:26] * np.float32(1 + 2e-7)
-    d_output = rng.normal(size=(110, 8)).astype(np.float32)
-    directions = device.download(run_forward(device, values, visible).input)[50:53, :8]
-    assert not directions[:, 3].any()
-    assert abs(np.linalg.norm(directions[:, 4]) - 1) <= 1e-6
-    gradients = run_backward(device, values, visible, d_output)
+    activations = run_forward(device, values, visible)
+    expected = expected_activations(values, device.download(activations.visible))
+    assert np.linalg.norm(expected.input[50:53], axis=0).round(6).tolist().count(0) == 1
+    limit = 2 * EPSILON * term_sums(values, expected)[1] + 4 * EPSILON
+    output = mlp.drawn_output(device, activations)
+    rows = mlp.drawn_rows(expected.output)
+    assert_close(output[rows], expected.output[rows], limit[rows], "output")
+    gradients = run_backward(device, values, visible, random_gradients(rng, 8))
     assert not gradients["d_position"][3].any()
     assert all(np.isfinite(array).all() for array in gradients.values())
 
 
 def test_both_specialisations_decode_the_same(open_device, rng):
-    """Rows are summed in one order everywhere; only the activations may round differently."""
-    values, visible = anchors(rng, 500), some(rng, 300, 500)
-    outputs = []
+    """Rows are summed in one order everywhere; samples are sorted alike."""
+    values, visible = anchors(rng, 800), some(rng, 700, 800)
+    outputs, columns = [], []
     for specialisation in ("cpu", "gpu"):
         device = open_device(specialisation)
-        outputs.append(device.download(run_forward(device, values, visible).output)[:, :300])
+        activations = run_forward(device, values, visible)
+        outputs.append(mlp.drawn_output(device, activations))
+        columns.append(device.download(activations.visible))
+    assert np.array_equal(*columns)
     assert np.array_equal(*outputs)
 
 
@@ -212,9 +295,9 @@ from tests.ops.mlp_cases import anchors, some
 from tests.ops.test_mlp import run_backward
 rng = np.random.default_rng(5)
 values, visible = anchors(rng, 4000), some(rng, 3333, 4000)
-d_output = rng.normal(size=(110, 3333)).astype(np.float32)
+d_of_anchor = rng.normal(size=(4000, 110)).astype(np.float32)
 for _ in range(2):
-    result = run_backward(Device(specialisation="cpu"), values, visible, d_output)
+    result = run_backward(Device(specialisation="cpu"), values, visible, d_of_anchor)
     joined = b"".join(result[name].tobytes() for name in sorted(result))
     print(hashlib.sha256(joined).hexdigest())
 """

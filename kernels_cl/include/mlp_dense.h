@@ -1,0 +1,176 @@
+/* Layers of the MLPs for one block of samples. A block's arrays are private, rows of BLOCK
+ * numbers, so that lanes are samples and weights are broadcast; TILE rows are computed at a time,
+ * in registers. */
+#ifndef CLGS_MLP_DENSE_H
+#define CLGS_MLP_DENSE_H
+
+#include "include/camera.h"
+#include "include/lanes.h"
+#include "include/mlp_layout.h"
+#include "include/vector3.h"
+
+/* What all blocks read. */
+typedef struct {
+    __global const float *feature;
+    __global const float *position;
+    __global const int *visible;
+    size_t count;
+    __global const float *weights;
+    __global const float *camera;
+} Model;
+
+inline float3 camera_centre(__global const float *camera)
+{
+    return load3(camera + CAMERA_CENTRE, 0);
+}
+
+/* Unit vector along v and its length, without overflow; zero for zero. */
+inline float3 direction(float3 v, float *length)
+{
+    const float largest = fmax(fabs(v.x), fmax(fabs(v.y), fabs(v.z)));
+    const float3 scaled = v / largest;
+    const float root = sqrt(dot3(scaled, scaled));
+    *length = largest * root;
+    return largest == 0.0f ? (float3)(0.0f) : scaled / root;
+}
+
+/* Anchor of a sample; -1 for one that does not count. */
+inline int anchor_of(const Model *model, const size_t sample)
+{
+    return sample < model->count ? model->visible[sample] : -1;
+}
+
+/* Inputs of a block: feature, direction, and a row of ones that is zero where a sample does not
+ * count, as are its inputs: where there is no anchor, or an input is not finite. */
+inline void gather(const Model *model, const size_t first, float x[(INPUT_DIM + 1) * BLOCK])
+{
+    for (size_t lane = 0; lane < BLOCK; ++lane) {
+        const int anchor = anchor_of(model, first + lane);
+        const size_t row = (size_t)(anchor < 0 ? 0 : anchor);
+        for (int k = 0; k < FEATURE_DIM; ++k)
+            x[k * BLOCK + lane] = model->feature[row * FEATURE_DIM + k];
+        float distance;
+        const float3 step = load3(model->position, row) - camera_centre(model->camera);
+        const float3 view = direction(step, &distance);
+        x[FEATURE_DIM * BLOCK + lane] = view.x;
+        x[(FEATURE_DIM + 1) * BLOCK + lane] = view.y;
+        x[(FEATURE_DIM + 2) * BLOCK + lane] = view.z;
+        x[INPUT_DIM * BLOCK + lane] = anchor < 0 ? 0.0f : 1.0f;
+    }
+    for (int s = 0; s < VECTORS; ++s) {
+        fv ones = LOAD_V(s, x + INPUT_DIM * BLOCK);
+        for (int k = 0; k < INPUT_DIM; ++k)
+            ones = fabs(LOAD_V(s, x + k * BLOCK)) <= (fv)(INPUT_LIMIT) ? ones : (fv)(0.0f);
+        for (int k = 0; k < INPUT_DIM; ++k) {
+            const fv value = LOAD_V(s, x + k * BLOCK);
+            STORE_V(ones == (fv)(1.0f) ? value : (fv)(0.0f), s, x + k * BLOCK);
+        }
+        STORE_V(ones, s, x + INPUT_DIM * BLOCK);
+    }
+}
+
+/* sum[o][s] += weight[o][k] * row k of x, over count rows. */
+inline void add_rows(fv sum[TILE][VECTORS], __global const float *weight[TILE], const size_t count,
+                     const float *x)
+{
+#pragma unroll 2
+    for (size_t k = 0; k < count; ++k) {
+        fv lanes[VECTORS];
+#pragma unroll
+        for (int s = 0; s < VECTORS; ++s)
+            lanes[s] = LOAD_V(s, x + k * BLOCK);
+#pragma unroll
+        for (int o = 0; o < TILE; ++o) {
+            const fv broadcast = (fv)(weight[o][k]);
+#pragma unroll
+            for (int s = 0; s < VECTORS; ++s)
+                sum[o][s] = fma(broadcast, lanes[s], sum[o][s]);
+        }
+    }
+}
+
+/* The transpose: sum[o][s] += weight[row * inputs + o] * row of d, over the listed rows. */
+inline void add_columns(fv sum[TILE][VECTORS], __global const float *weight, const size_t inputs,
+                        const size_t *rows, const size_t count, const float *d)
+{
+#pragma unroll 2
+    for (size_t i = 0; i < count; ++i) {
+        const size_t row = rows[i];
+        fv lanes[VECTORS];
+#pragma unroll
+        for (int s = 0; s < VECTORS; ++s)
+            lanes[s] = LOAD_V(s, d + row * BLOCK);
+#pragma unroll
+        for (int o = 0; o < TILE; ++o) {
+            const fv broadcast = (fv)(weight[row * inputs + (size_t)o]);
+#pragma unroll
+            for (int s = 0; s < VECTORS; ++s)
+                sum[o][s] = fma(broadcast, lanes[s], sum[o][s]);
+        }
+    }
+}
+
+/* Hidden layer of one head; a NaN stays one. */
+inline void hidden_layer(__global const float *weight, const float *x, float *hidden)
+{
+    __global const float *bias = weight + HIDDEN_DIM * INPUT_DIM;
+    for (int row = 0; row < HIDDEN_DIM; row += TILE) {
+        __global const float *weights[TILE];
+        fv sum[TILE][VECTORS];
+#pragma unroll
+        for (int o = 0; o < TILE; ++o) {
+            weights[o] = weight + (row + o) * INPUT_DIM;
+#pragma unroll
+            for (int s = 0; s < VECTORS; ++s)
+                sum[o][s] = (fv)(bias[row + o]);
+        }
+        add_rows(sum, weights, INPUT_DIM, x);
+#pragma unroll
+        for (int o = 0; o < TILE; ++o)
+#pragma unroll
+            for (int s = 0; s < VECTORS; ++s)
+                STORE_V(sum[o][s] < (fv)(0.0f) ? (fv)(0.0f) : sum[o][s], s,
+                        hidden + (row + o) * BLOCK);
+    }
+}
+
+inline bool any_positive(const fv x)
+{
+#if VEC == 1
+    return x > 0.0f;
+#else
+    return any(x > (fv)(0.0f));
+#endif
+}
+
+/* The slots, one a bit, with a positive opacity in some sample of a block; NaN is not positive. */
+inline int drawn_slots(__global const float *opacity, const size_t stride)
+{
+    int slots = 0;
+    for (int j = 0; j < K_OFFSETS; ++j)
+        for (int s = 0; s < VECTORS; ++s)
+            slots |= any_positive(LOAD_ALIGNED(s, opacity + j * stride)) ? 1 << j : 0;
+    return slots;
+}
+
+/* Those that are computed. */
+inline int computed_slots(__global const float *opacity, const size_t stride)
+{
+    const int drawn = drawn_slots(opacity, stride), all = (1 << K_OFFSETS) - 1;
+    if (SKIP_SLOTS)
+        return drawn;
+    return SKIP_OPACITY_FIRST && drawn == 0 ? 0 : all;
+}
+
+/* Rows of one head that belong to the given slots, ascending; returns how many. */
+inline size_t rows_of(const int slots, const int head, size_t rows[OUTPUT_ROWS])
+{
+    const size_t each = (size_t)slot_rows(head);
+    size_t count = 0;
+    for (size_t j = 0; j < K_OFFSETS; ++j)
+        for (size_t i = 0; (slots >> j & 1) && i < each; ++i)
+            rows[count++] = j * each + i;
+    return count;
+}
+
+#endif
