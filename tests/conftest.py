@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests import mutant
+
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 if "POCL_CACHE_DIR" not in os.environ:
@@ -20,6 +22,10 @@ if "POCL_CACHE_DIR" not in os.environ:
     _cache = tempfile.mkdtemp(prefix="clgs-pocl-")
     os.environ["POCL_CACHE_DIR"] = _cache
     atexit.register(shutil.rmtree, _cache, ignore_errors=True)
+
+
+if mutant.VARIABLE in os.environ:
+    mutant.apply(Path(os.environ[mutant.VARIABLE]))
 
 
 @pytest.fixture(scope="session")

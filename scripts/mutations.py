@@ -1,0 +1,199 @@
+"""The seeded bugs of ``mutation_check.py``: one textual change each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """``old`` becomes ``new`` wherever it is in ``file``, which must be ``times`` times.
+
+    stage: whose tests have to notice; what: the bug.
+    """
+
+    stage: str
+    what: str
+    file: str
+    old: str
+    new: str
+    times: int = 1
+
+
+PROJECT = "kernels_cl/project.cl"
+SPLAT = "kernels_cl/include/splat.h"
+STEP = "kernels_cl/include/blend_step.h"
+LOSS = "kernels_cl/loss.cl"
+
+MUTATIONS = (
+    Mutation(
+        "project",
+        "gradient through the clamped slope of the Jacobian",
+        PROJECT,
+        "s->clamped[axis] == s->slope[axis] ? d_clamped[axis] : (fv)(0.0f)",
+        "d_clamped[axis]",
+    ),
+    Mutation(
+        "project",
+        "factor 2 of the off-diagonal moment",
+        PROJECT,
+        "m12 = d_factor[1] * factor[0] / factor[2]",
+        "m12 = 2.0f * d_factor[1] * factor[0] / factor[2]",
+    ),
+    Mutation(
+        "project",
+        "no blur in the determinant",
+        PROJECT,
+        "fma(s->blur, xx + yy + s->blur, dot3(s->minor, s->minor))",
+        "dot3(s->minor, s->minor)",
+    ),
+    Mutation(
+        "project",
+        "determinant by subtraction",
+        PROJECT,
+        "fma(s->blur, xx + yy + s->blur, dot3(s->minor, s->minor))",
+        "s->cov_xx * s->cov_yy - s->cov_xy * s->cov_xy",
+    ),
+    Mutation(
+        "project",
+        "box of three sigma",
+        PROJECT,
+        "sqrt(2.0f * log_v(opacity / ALPHA_CUT))",
+        "3.0f",
+    ),
+    Mutation(
+        "project",
+        "the near plane itself is drawn",
+        PROJECT,
+        "(s.z > (fv)(camera[CAMERA_NEAR]))",
+        "(s.z >= (fv)(camera[CAMERA_NEAR]))",
+    ),
+    Mutation(
+        "blend",
+        "a cut that NaN passes",
+        SPLAT,
+        "t.touched = exponent >= (fv)(LOG2_ALPHA_CUT);",
+        "t.touched = !(exponent < (fv)(LOG2_ALPHA_CUT));",
+    ),
+    Mutation(
+        "blend",
+        "transmittance not divided on the way back",
+        STEP,
+        "p->transmittance = p->transmittance / (1.0f - alpha)",
+        "p->transmittance = p->transmittance * (1.0f - alpha)",
+    ),
+    Mutation(
+        "blend",
+        "suffix with the rounding of a difference of whole sums",
+        STEP,
+        "const fv change = color - p->behind",
+        "const fv change = color - ((p->behind * p->transmittance + 4.0f) - 4.0f) / "
+        "p->transmittance",
+    ),
+    Mutation(
+        "blend",
+        "no gradient by way of the background",
+        "kernels_cl/include/blend_tile.h",
+        "fma(rays[u].d_red, (fv)(background[0]),",
+        "0.0f * fma(rays[u].d_red, (fv)(background[0]),",
+    ),
+    Mutation(
+        "blend",
+        "splat that crosses the transmittance stop is blended",
+        STEP,
+        "candidate & ~stops",
+        "candidate",
+    ),
+    Mutation(
+        "blend",
+        "backward pass beyond the last contributor",
+        STEP,
+        "t->touched & ((iv)(number) <= p->last)",
+        "t->touched",
+    ),
+    Mutation(
+        "blend",
+        "gradient of a saturated alpha",
+        STEP,
+        "t->saturated ? (fv)(0.0f) : weight * change",
+        "weight * change",
+    ),
+    Mutation(
+        "tiles",
+        "depth keys of 16 bits",
+        "kernels_cl/tiles.cl",
+        "as_uint(depth[i])",
+        "as_uint(depth[i]) & 0xffff0000u",
+    ),
+    Mutation(
+        "tiles",
+        "three sigma in the test of tiles",
+        SPLAT,
+        "const float reach = sqrt(fma(limit, 1.00001f, 1e-5f)) + error;",
+        "const float reach = 3.0f * WHITENING_UNIT;",
+    ),
+    Mutation(
+        "scan",
+        "total of 32 bits",
+        "kernels_cl/scan.cl",
+        "total[0] = carry",
+        "total[0] = (int)carry",
+        2,
+    ),
+    Mutation(
+        "scan",
+        "offsets one item late",
+        "kernels_cl/scan.cl",
+        "offsets[i] = (int)carry;",
+        "offsets[i] = (int)(carry + counts[i]);",
+    ),
+    Mutation(
+        "adam",
+        "no bias correction",
+        "clgs/ops/adam.py",
+        "step=learning_rate / (1.0 - BETA1**count)",
+        "step=learning_rate",
+    ),
+    Mutation(
+        "loss",
+        "variances about zero",
+        LOSS,
+        "return rint(128.0f * (range.xz - range.yw)) / 256.0f;",
+        "return (float2)(0.0f);",
+    ),
+    Mutation(
+        "loss",
+        "window not restored at the rim",
+        LOSS,
+        "const fv missing = 1.0f - covered;",
+        "const fv missing = 0.0f * covered;",
+    ),
+    Mutation(
+        "rate",
+        "standard deviation taken as the scale of the Laplace law",
+        "clgs/ops/rate.py",
+        "b = np.sqrt(0.5 * (sums.square",
+        "b = np.sqrt(1.0 * (sums.square",
+    ),
+    Mutation(
+        "quantize",
+        "halves away from zero",
+        "kernels_cl/quantize.cl",
+        "const fv n = rint(",
+        "const fv n = round(",
+    ),
+    Mutation(
+        "neural",
+        "gradient of a clamped log scale",
+        "kernels_cl/neural.cl",
+        "return fabs(log_scale) <= LOG_SCALE_LIMIT ? d : 0.0f;",
+        "return d;",
+    ),
+    Mutation(
+        "mlp",
+        "gradient through an inactive unit",
+        "kernels_cl/mlp.cl",
+        "STORE_V(active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f), s,",
+        "STORE_V(active >= (fv)(0.0f) ? sum[o][s] : (fv)(0.0f), s,",
+    ),
+)
