@@ -20,7 +20,8 @@ class Accuracy:
     alpha_cut: pixel-splat pairs with a smaller alpha contribute nothing; transmittance_stop: a
     pixel is finished at this transmittance; inclusive_stop: the splat that crosses it is still
     blended, else left out; exp2_degree: of the polynomial of 2^x, 3 to 6; downscale: pictures are
-    rendered at 1/downscale of their size and enlarged.
+    rendered at 1/downscale of their size and enlarged; min_extent: Gaussians whose box of visible
+    alpha reaches less far from its centre, pixels, along both axes are left out, 0 for none.
     """
 
     name: str = "parity"
@@ -29,6 +30,7 @@ class Accuracy:
     inclusive_stop: bool = False
     exp2_degree: int = 6
     downscale: int = 1
+    min_extent: float = 0.0
 
     def defines(self) -> dict[str, int | float]:
         """Build options of the kernels that decide about alpha, by macro name."""

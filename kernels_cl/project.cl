@@ -17,6 +17,11 @@
 #define ALPHA_CUT 0.00392156886f
 #endif
 
+/* Gaussians with smaller boxes are left out, pixels. */
+#ifndef MIN_EXTENT
+#define MIN_EXTENT 0.0f
+#endif
+
 #define FINITE_LIMIT 1e30f
 
 /* VEC Gaussians, one a lane. The factor and what follows from it are divided by powers of `unit`,
@@ -222,6 +227,7 @@ __kernel void project_forward(__global const float *mean, __global const float *
     const iv drawn = (s.z > (fv)(camera[CAMERA_NEAR])) & (s.z < (fv)(FINITE_LIMIT)) &
                      (opaque >= (fv)(ALPHA_CUT)) & (opaque < (fv)(FINITE_LIMIT)) &
                      is_rotation(quaternion) & is_whitening(factor) &
+                     ((box[0] >= (fv)(MIN_EXTENT)) | (box[1] >= (fv)(MIN_EXTENT))) &
                      overlaps_image(centre, box, camera);
     blank(drawn, 2, centre);
     blank(drawn, 3, factor);

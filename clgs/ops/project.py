@@ -65,7 +65,7 @@ def forward(
         rotation: (N, 4) float32, unit quaternion w x y z; any other is culled.
         opacity: (N,) float32; below the alpha cut is culled.
         camera: (26,) float32 from ``Camera.pack``.
-        options: accuracy, for the alpha cut.
+        options: accuracy, for the alpha cut and the smallest extent.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -79,7 +79,7 @@ def forward(
         extent=device.empty((count, 2)),
     )
     device.run(
-        device.kernel("project", "project_forward", VEC=device.lanes, **options.accuracy.defines()),
+        device.kernel("project", "project_forward", **_defines(device, options)),
         (_items(device, count),),
         (GROUP_SIZE,),
         mean,
@@ -145,6 +145,11 @@ def backward(
         result.d_rotation,
     )
     return result
+
+
+def _defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
+    smallest = {"MIN_EXTENT": float(options.accuracy.min_extent)}
+    return {"VEC": device.lanes, **smallest, **options.accuracy.defines()}
 
 
 def _items(device: Device, count: int) -> int:

@@ -85,9 +85,14 @@ def covariance2d(view: View, mean: Array, scale: Array, rotation: Array) -> Arra
 
 
 def forward(
-    mean: Array, scale: Array, rotation: Array, opacity: Array, camera: npt.NDArray[np.floating]
+    mean: Array,
+    scale: Array,
+    rotation: Array,
+    opacity: Array,
+    camera: npt.NDArray[np.floating],
+    min_extent: float = 0.0,
 ) -> Projected:
-    """Project N Gaussians; shapes as in ``clgs.ops.project.forward``."""
+    """Project N Gaussians; shapes as in ``clgs.ops.project.forward``, ``min_extent`` in pixels."""
     view = unpack(camera)
     point = mean @ view.rotation.T + view.translation
     with np.errstate(all="ignore"):
@@ -98,6 +103,7 @@ def forward(
         reach = np.sqrt(2 * np.log(opacity / ALPHA_CUT))
         extent = reach[:, None] * np.sqrt(np.stack([xx, yy], 1))
         inside = np.all((mean2d + extent > 0) & (mean2d - extent < view.size), axis=1)
+        inside &= np.max(extent, axis=1) >= min_extent
     norm = np.sum(rotation**2, axis=1)
     drawn = inside & (point[:, 2] > view.near) & (opacity >= ALPHA_CUT)
     drawn &= (norm > 0.99) & (norm < 1.01) & np.all(np.isfinite(whitening), axis=1)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clgs.constants import NEAR_PLANE
 from clgs.ops import project
+from clgs.options import PARITY, RenderOptions
 from clgs.reference import project as reference
 from tests.compare import assert_close, relative_l2
 from tests.ops.project_cases import camera_at, gaussians, widen
@@ -42,6 +45,45 @@ def test_forward_agrees_with_reference(device, rng):
     # near opacity = cut the logarithm vanishes: 1 ulp of opacity/cut moves its root
     limit = 60 * EPSILON * expected.extent + 2e-4 * EPSILON**0.5 * expected.extent.max()
     assert_close(actual["extent"], expected.extent, limit + 1e-6, "extent")
+
+
+@pytest.mark.parametrize("min_extent", [0.0, 2.5, 7.0, 1e6])
+def test_small_gaussians_are_left_out_where_asked(device, rng, min_extent):
+    values = gaussians(rng, 5000)
+    packed = camera_at().pack(NEAR_PLANE)
+    options = RenderOptions(replace(PARITY, min_extent=min_extent))
+    arrays = {name: device.upload(value) for name, value in values.items()}
+    found = project.forward(device, **arrays, camera=device.upload(packed), options=options)
+    every = downloads(device, run_forward(device, values, packed)[2])
+    expected = reference.forward(**widen(values), camera=packed, min_extent=min_extent)
+    kept = expected.extent[:, 0] > 0
+    # the share that is left: all, some, some, none of those in sight
+    drawn = every["extent"][:, 0] > 0
+    assert [min_extent < 1e6, min_extent == 0] == [kept.any(), kept.sum() == drawn.sum()]
+    for name, array in downloads(device, found).items():
+        wanted = np.where(kept if array.ndim == 1 else kept[:, None], every[name], 0)
+        assert np.array_equal(array, wanted), name
+
+
+def test_padding_is_culled(device, rng):
+    """Gaussians of zeros behind the others: no extent, no gradient; no other bit changes."""
+    values = gaussians(rng, 100)
+    packed = camera_at().pack(NEAR_PLANE)
+    plain = downloads(device, run_forward(device, values, packed)[2])
+    padded = {n: np.append(v, np.zeros((37, *v.shape[1:]), v.dtype), 0) for n, v in values.items()}
+    arrays, camera, projected = run_forward(device, padded, packed)
+    for name, array in downloads(device, projected).items():
+        assert np.array_equal(array[:100], plain[name]), name
+        assert not array[100:].any(), name
+    three = (arrays["mean"], arrays["scale"], arrays["rotation"])
+    ones = (
+        device.upload(np.ones((137, 2), np.float32)),
+        device.upload(np.ones((137, 3), np.float32)),
+    )
+    result = project.backward(device, three, camera, projected, *ones)
+    for array in (result.d_mean, result.d_scale, result.d_rotation):
+        assert device.download(array)[:100].any()
+        assert not device.download(array)[100:].any()
 
 
 @pytest.mark.parametrize(("ratio", "limit"), [(10.0, 1e-5), (1e3, 1e-4), (1e5, 1e-3)])
