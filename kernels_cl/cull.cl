@@ -1,6 +1,6 @@
 /* Which anchors a view may see: each is projected as a Gaussian with the scale of its offsets and
  * no rotation, and kept where its 3-sigma square touches the image's tiles. */
-#include "include/real.h"
+#include "include/rows.h"
 #include "include/camera.h"
 
 #ifndef BLUR
@@ -15,16 +15,7 @@
 
 /* Numbers of a row of scaling: three for the offsets, which count here, three for the shape. */
 #define SCALING_DIM 6
-
-/* Entry `column` of rows first to first + VEC - 1; past the end the last row's. */
-inline fv gather_column(__global const float *rows, const size_t width, const size_t column,
-                        const size_t first, const size_t count)
-{
-    float lanes[VEC];
-    for (size_t lane = 0; lane < VEC; ++lane)
-        lanes[lane] = rows[min(first + lane, count - 1) * width + column];
-    return LOAD_V(0, lanes);
-}
+DEFINE_ROWS(6)
 
 /* Row `row` of the world-to-camera rotation times (x, y, z). */
 inline fv rotate(__global const float *camera, const int row, const fv x, const fv y, const fv z)
@@ -77,12 +68,12 @@ __kernel void cull_test(__global const float *position, __global const float *sc
     const size_t first = get_global_id(0) * VEC, size = (size_t)count;
     if (first >= size)
         return;
-    fv p[3], scale[3];
-    for (size_t i = 0; i < 3; ++i) {
-        p[i] = gather_column(position, 3, i, first, size);
-        scale[i] = exp_v(bound(gather_column(scaling, SCALING_DIM, i, first, size),
-                               -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT));
-    }
+    const size_t used = min((size_t)VEC, size - first);
+    fv p[3], scale[SCALING_DIM];
+    load_rows3(position, first, used, p);
+    load_rows6(scaling, first, used, scale);
+    for (int i = 0; i < 3; ++i)
+        scale[i] = exp_v(bound(scale[i], -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT));
     const fv z = rotate(camera, 2, p[0], p[1], p[2]) + (fv)(camera[CAMERA_TRANSLATION + 2]);
     fv factor[2][3], centre[2];
     for (int axis = 0; axis < 2; ++axis) {

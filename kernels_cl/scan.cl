@@ -1,6 +1,7 @@
 /* Exclusive prefix sum with a 64-bit total, in three passes over chunks: sum every chunk, scan the
  * sums, scan every chunk from its start. A chunk belongs to one work-item on a CPU and to one
- * work-group on a GPU. Integer sums: the result does not depend on the chunks. */
+ * work-group on a GPU. Integer sums: the result does not depend on the chunks. Sums above a limit
+ * are of no use: all offsets are 0 then. */
 #include "include/group_scan.h"
 
 #ifndef USE_LOCAL
@@ -48,13 +49,14 @@ __kernel void scan_spine(__global long *sums, const int chunks, __global long *t
 }
 
 __kernel void scan_apply(__global const int *counts, const int count, const int chunk,
-                         __global const long *starts, __global const long *total,
+                         __global const long *starts, __global const long *total, const long limit,
                          __global int *offsets)
 {
     __local long scratch[GROUP_SIZE];
     const int group = (int)get_group_id(0);
     const int begin = group * chunk;
     const int end = chunk_end(begin, chunk, count);
+    const bool fits = total[0] <= limit;
     long carry = starts[group];
     for (int first = begin; first < end; first += GROUP_SIZE) {
         const int i = first + (int)get_local_id(0);
@@ -62,11 +64,11 @@ __kernel void scan_apply(__global const int *counts, const int count, const int 
         const long own = i < end ? (long)counts[i] : 0L;
         const long before = group_exclusive_scan(own, scratch, &sum);
         if (i < end)
-            offsets[i] = (int)(carry + before);
+            offsets[i] = fits ? (int)(carry + before) : 0;
         carry += sum;
     }
     if (group == 0 && get_local_id(0) == 0)
-        offsets[count] = (int)total[0];
+        offsets[count] = fits ? (int)total[0] : 0;
 }
 
 #else
@@ -95,18 +97,19 @@ __kernel void scan_spine(__global long *sums, const int chunks, __global long *t
 }
 
 __kernel void scan_apply(__global const int *counts, const int count, const int chunk,
-                         __global const long *starts, __global const long *total,
+                         __global const long *starts, __global const long *total, const long limit,
                          __global int *offsets)
 {
     const int first = (int)get_global_id(0) * chunk;
     const int end = chunk_end(first, chunk, count);
+    const bool fits = total[0] <= limit;
     long carry = starts[get_global_id(0)];
     for (int i = first; i < end; ++i) {
-        offsets[i] = (int)carry;
+        offsets[i] = fits ? (int)carry : 0;
         carry += counts[i];
     }
     if (first == 0)
-        offsets[count] = (int)total[0];
+        offsets[count] = fits ? (int)total[0] : 0;
 }
 
 #endif

@@ -1,162 +1,97 @@
 /* Lists of the Gaussians that may touch each tile, in ascending depth.
  *
- * A drawn Gaussian has extent > 0. Gaussians are sorted by depth, then emit their tiles in that
- * order, so that one stable sort by tile finishes the lists. Every entry also has a row of its own,
- * contiguous for every Gaussian and in the order of the Gaussians: there the backward pass of blend
- * leaves its gradients.
+ * The footprint of a Gaussian is the set of tiles it reaches. Gaussians are sorted by depth, and
+ * one stable pass by tile over their tiles in that order finishes the lists. Every entry also has a
+ * row of its own, contiguous for every Gaussian and in the order of the Gaussians: there the
+ * backward pass of blend leaves its gradients.
  */
-#include "include/splat.h"
+#include "include/footprint.h"
 
-#define KEY_LAST 0xffffffffu
-
-/* Sort keys by depth: the bits of a positive float keep its order; Gaussians not drawn go last. */
-__kernel void tiles_keys(__global const float *depth, __global const float *extent, const int count,
-                         __global uint *keys, __global int *index)
+/* A box is 4 words: its first tile, low and high word of the set of tiles that are reached, 0. A
+ * box larger than a set has the empty one, and its tiles are found again where they are needed. */
+inline ulong set_of(const int4 box)
 {
-    const int i = (int)get_global_id(0);
-    if (i >= count)
-        return;
-    keys[i] = extent[2 * i] > 0.0f ? as_uint(depth[i]) : KEY_LAST;
-    index[i] = i;
+    return (ulong)(uint)box.y | (ulong)(uint)box.z << 32;
 }
 
-/* What a Gaussian needs to emit its tiles, 8 floats: x, y, r1, l, r2, the largest y1^2 + y2^2, and
- * the tiles that its box overlaps as two words (first + 65536 * last) of columns and of rows. */
-#define FOOTPRINT_SIZE 8
+/* Number of tiles that Gaussian i, whose box is too large for a set, reaches. */
+inline int count_strips(const Geometry *g, const int i, const Window w)
+{
+    const Large f = load_large(g, i, w);
+    int reached = 0;
+    for (int row = f.top; row <= f.bottom; ++row)
+        for (int column = f.left; column <= f.right; column += STRIP)
+            reached += (int)popcount(strip_of(&f, column, row, w));
+    return reached;
+}
 
+/* Sets of VEC boxes, and how many tiles they hold; empty for boxes that are larger than a set. */
 typedef struct {
-    Splat splat; /* without bias */
-    float squared;
-    int2 columns, rows; /* first, last; none where first > last */
-} Footprint;
+    iv low, high, tiles;
+} Sets;
 
-inline float pack_range(int2 range)
+inline int largest_lane(const iv value)
 {
-    return as_float(range.x | (range.y << 16));
+    int lanes[VEC], largest = 0;
+    STORE_V(value, 0, lanes);
+    for (int lane = 0; lane < VEC; ++lane)
+        largest = max(largest, lanes[lane]);
+    return largest;
 }
 
-inline int2 unpack_range(float word)
+inline Sets sets_of(const Footprints *f, const Window w)
 {
-    return (int2)(as_int(word) & 0xffff, as_int(word) >> 16);
+    const iv across = f->right - f->left + 1, down = f->bottom - f->top + 1;
+    const iv one_set = (across <= (iv)(BOX_EDGE)) & (down <= (iv)(BOX_EDGE)) & (down > (iv)(0));
+    const iv tiles = one_set ? across * down : (iv)(0);
+    const int most = largest_lane(tiles);
+    Sets s = {(iv)(0), (iv)(0), (iv)(0)};
+    iv x = (iv)(0), y = (iv)(0);
+    for (int k = 0; k < most; ++k) {
+        const iv hit = reach_tiles(f, f->left + x, f->top + y, w) & (tiles > (iv)(k));
+        const iv bit = (iv)(1) << (x + (y & (iv)(3)) * BOX_EDGE);
+        s.low |= (hit & (y < (iv)(4))) ? bit : (iv)(0);
+        s.high |= (hit & (y >= (iv)(4))) ? bit : (iv)(0);
+        s.tiles += hit ? (iv)(1) : (iv)(0);
+        const iv wrap = x + 1 == across;
+        x = wrap ? (iv)(0) : x + 1;
+        y = wrap ? y + 1 : y;
+    }
+    return s;
 }
 
-/* Footprint of every Gaussian; of one that is not drawn, without tiles. */
+/* Footprint and number of tiles of every Gaussian; one work-item VEC of them. */
 __kernel void tiles_footprint(__global const float *mean2d, __global const float *whitening,
                               __global const float *opacity, __global const float *extent,
-                              const int count, const int width, const int height,
-                              __global float *footprints)
+                              const int width, const int height, const int first_row,
+                              const int end_row, const int count, __global float *boxes,
+                              __global int *counts)
 {
-    const int i = (int)get_global_id(0);
-    if (i >= count)
+    const int first = (int)get_global_id(0) * VEC;
+    if (first >= count)
         return;
-    const Splat s = make_splat2d(mean2d, whitening, opacity, i);
-    const Reach r = reach_of(&s);
-    const int4 box = pixel_box((float2)(s.x, s.y), (float2)(r.half_x, r.half_y),
-                               (float2)((float)width, (float)height));
-    /* phrased so that NaN has no tiles */
-    const bool drawn = (extent[2 * i] > 0.0f) & (r.squared >= 0.0f);
-    const bool some = drawn & (box.x <= box.z) & (box.y <= box.w);
-    const int4 tiles = some ? box / TILE_SIZE : (int4)(1, 1, 0, 0);
-    vstore8(
-        (float8)(s.x, s.y, s.r1, s.l, s.r2, r.squared, pack_range(tiles.xz), pack_range(tiles.yw)),
-        (size_t)i, footprints);
-}
-
-inline Footprint load_footprint(__global const float *footprints, int i)
-{
-    const float8 v = vload8((size_t)i, footprints);
-    const Footprint f = {
-        {v.s0, v.s1, v.s2, v.s3, v.s4, 0.0f}, v.s5, unpack_range(v.s6), unpack_range(v.s7)};
-    return f;
-}
-
-inline int tiles_of_box(const Footprint *f)
-{
-    return (f->columns.y - f->columns.x + 1) * (f->rows.y - f->rows.x + 1);
-}
-
-/* The tile after this one in the box, row by row. */
-inline int2 next_tile(const Footprint *f, int2 tile)
-{
-    const bool wrap = tile.x == f->columns.y;
-    return (int2)(wrap ? f->columns.x : tile.x + 1, tile.y + (wrap ? 1 : 0));
-}
-
-inline bool reaches_tile(const Footprint *f, int2 tile, int width, int height)
-{
-    const int2 first = tile * TILE_SIZE;
-    const int2 last = min(first + TILE_SIZE, (int2)(width, height)) - 1;
-    return reaches_pixels(&f->splat, f->squared, first, last);
-}
-
-/* Number of tiles of every Gaussian. */
-__kernel void tiles_count(__global const float *footprints, const int count, const int width,
-                          const int height, __global int *counts)
-{
-    const int i = (int)get_global_id(0);
-    if (i >= count)
-        return;
-    const Footprint f = load_footprint(footprints, i);
-    int2 tile = (int2)(f.columns.x, f.rows.x);
-    int reached = 0;
-    for (int left = tiles_of_box(&f); left > 0; --left) {
-        reached += reaches_tile(&f, tile, width, height) ? 1 : 0;
-        tile = next_tile(&f, tile);
+    const int used = min(VEC, count - first);
+    const Geometry g = {mean2d, whitening, opacity, extent};
+    const Window w = {width, height, first_row, end_row};
+    const Footprints f = load_footprints(&g, first, used, w);
+    const Sets s = sets_of(&f, w);
+    const fv box[4] = {AS_FV(f.top * columns_of(w) + f.left), AS_FV(s.low), AS_FV(s.high),
+                       (fv)(0.0f)};
+    store_rows4(box, boxes, (size_t)first, (size_t)used);
+    const iv some = (f.left <= f.right) & (f.top <= f.bottom);
+    const iv wide = (f.right - f.left >= (iv)(BOX_EDGE)) | (f.bottom - f.top >= (iv)(BOX_EDGE));
+    const iv large = (some & wide) ? (iv)(1) : (iv)(0);
+    int tiles[VEC], is_large[VEC];
+    STORE_V(s.tiles, 0, tiles);
+    if (largest_lane(large)) {
+        STORE_V(large, 0, is_large);
+        for (int lane = 0; lane < VEC; ++lane)
+            if (is_large[lane])
+                tiles[lane] = count_strips(&g, first + lane, w);
     }
-    counts[i] = reached;
+    for (int lane = 0; lane < used; ++lane)
+        counts[first + lane] = tiles[lane];
 }
 
-/* Counts and footprints in depth order, for tiles_emit to read them as a stream. */
-__kernel void tiles_rank(__global const int *order, __global const int *counts,
-                         __global const float *footprints, const int count,
-                         __global int *ranked_counts, __global float *ranked_footprints)
-{
-    const int rank = (int)get_global_id(0);
-    if (rank >= count)
-        return;
-    const int i = order[rank];
-    ranked_counts[rank] = counts[i];
-    vstore8(vload8((size_t)i, footprints), (size_t)rank, ranked_footprints);
-}
-
-/* Entries of the Gaussian of every depth rank, from place[rank] on. */
-__kernel void tiles_emit(__global const int *order, __global const float *ranked_footprints,
-                         const int count, const int width, const int height,
-                         __global const int *place, __global const int *row_range,
-                         __global uint *tile_number, __global int *rows,
-                         __global int *gaussian_of_row)
-{
-    const int rank = (int)get_global_id(0);
-    if (rank >= count)
-        return;
-    const int i = order[rank];
-    const Footprint f = load_footprint(ranked_footprints, rank);
-    const int columns = (width + TILE_SIZE - 1) / TILE_SIZE;
-    int2 tile = (int2)(f.columns.x, f.rows.x);
-    int to = place[rank], row = row_range[i];
-    for (int left = tiles_of_box(&f); left > 0; --left) {
-        if (reaches_tile(&f, tile, width, height)) {
-            tile_number[to] = (uint)(tile.y * columns + tile.x);
-            gaussian_of_row[row] = i;
-            rows[to++] = row++;
-        }
-        tile = next_tile(&f, tile);
-    }
-}
-
-/* From entries sorted by tile: where the list of every tile starts, and the Gaussian of every
- * entry. Work-item i handles the boundary before entry i; the one after the last entry exists. */
-__kernel void tiles_ranges(__global const uint *tile, __global const int *row, const int entries,
-                           const int tiles, __global const int *gaussian_of_row,
-                           __global int *tile_range, __global int *gaussian)
-{
-    const int i = (int)get_global_id(0);
-    if (i > entries)
-        return;
-    const int before = i > 0 ? (int)tile[i - 1] : -1;
-    const int here = i < entries ? (int)tile[i] : tiles;
-    for (int t = before + 1; t <= here; ++t)
-        tile_range[t] = i;
-    if (i < entries)
-        gaussian[i] = gaussian_of_row[row[i]];
-}
+#include "include/tiles_chunk.h"
+#include "include/tiles_sorted.h"

@@ -17,6 +17,7 @@ from clgs.shapes import Shapes
 
 GROUP_SIZE = 256
 MAX_TOTAL = 2**31 - 1
+NO_LIMIT = 2**63 - 1
 SHORTEST_CHUNK = {"cpu": 4096, "gpu": 1024}
 MOST_CHUNKS = {"cpu": 16, "gpu": 2048}
 
@@ -58,8 +59,8 @@ def checked_total(device: Device, offsets: Offsets) -> int:
     return total
 
 
-def on_device(device: Device, counts: DeviceArray) -> Offsets:
-    """As :func:`exclusive`, but nothing is downloaded and the total is not checked."""
+def on_device(device: Device, counts: DeviceArray, limit: int = NO_LIMIT) -> Offsets:
+    """As :func:`exclusive`, but nothing is downloaded; offsets are all 0 where total > limit."""
     shapes = Shapes()
     shapes.check("counts", counts, "n", np.int32)
     count = shapes.axes["n"]
@@ -74,7 +75,7 @@ def on_device(device: Device, counts: DeviceArray) -> Offsets:
     )
     device.run(reduce, all_chunks, group, counts, size, length, sums)
     device.run(spine, group, group, sums, np.int32(chunks), total)
-    device.run(apply, all_chunks, group, counts, size, length, sums, total, offset)
+    device.run(apply, all_chunks, group, counts, size, length, sums, total, np.int64(limit), offset)
     return Offsets(offset, total)
 
 

@@ -6,15 +6,20 @@ not depend on how the keys are split into chunks.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device
+from clgs.opencl.device import Device, round_up
 from clgs.ops import scan
 from clgs.shapes import Shapes
 
 KEY_BITS = 32
 DIGIT_BITS = {"cpu": 11, "gpu": 8}
+CHUNKS = 4
+MAX_WIDTH, MOST_PASSES = 13, 3
+"""Bits of a digit and passes of :func:`chosen` on a CPU, at most."""
 
 
 def by_key(
@@ -35,6 +40,72 @@ def by_key(
     for shift, width in digits(bits, DIGIT_BITS[device.specialisation]):
         keys, values = _pass(device, keys, values, shift, width)
     return keys, values
+
+
+@dataclass(frozen=True)
+class Order:
+    """``index`` (n,) int32: the ``count`` (1,) int32 chosen items in ascending order come first.
+
+    What follows them means nothing.
+    """
+
+    index: DeviceArray
+    count: DeviceArray
+
+
+def chosen(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
+    """Order of the items with ``choice`` (n,) int32 > 0 by their keys (n,) uint32 < 2^32 - 1.
+
+    Ties by index. Nothing waits for the device: on a CPU the passes are planned there, from the
+    range of the chosen keys.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    shapes = Shapes()
+    shapes.check("keys", keys, "n", np.uint32)
+    shapes.check("choice", choice, "n", np.int32)
+    if device.specialisation == "gpu":
+        return _chosen_by_key(device, keys, choice)
+    return _chosen_by_plan(device, keys, choice)
+
+
+def _chosen_by_key(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
+    count = len(keys)
+    chosen_keys, index = device.empty((count,), np.uint32), device.empty((count,), np.int32)
+    grid = (round_up(count, scan.GROUP_SIZE),), (scan.GROUP_SIZE,)
+    choose = device.kernel("sort", "sort_choose")
+    device.run(choose, *grid, keys, choice, np.int32(count), chosen_keys, index)
+    sorted_keys, index = by_key(device, chosen_keys, index)
+    end = device.empty((1,), np.int32)
+    device.run(device.kernel("sort", "sort_end"), (1,), (1,), sorted_keys, np.int32(count), end)
+    return Order(index, end)
+
+
+def _chosen_by_plan(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
+    count, chunks = np.int32(len(keys)), np.int32(CHUNKS)
+    plan = device.empty((4,), np.int32)
+    ranges = device.empty((CHUNKS, 2), np.uint32)
+    counters = device.empty((CHUNKS, 2**MAX_WIDTH), np.int32)
+    pairs, placed = (device.empty((len(keys), 2), np.uint32) for _ in range(2))
+    index = device.empty(keys.shape, np.int32)
+    all_chunks, one = ((CHUNKS,), (1,)), ((1,), (1,))
+    items = keys, choice, count
+    device.run(device.kernel("sort", "sort_range"), *all_chunks, *items, ranges)
+    device.run(device.kernel("sort", "sort_plan"), *one, ranges, chunks, plan)
+    starts = device.kernel("sort", "sort_starts")
+    device.run(device.kernel("sort", "sort_count_chosen"), *all_chunks, *items, plan, counters)
+    device.run(starts, *one, counters, chunks, np.int32(0), plan)
+    place = device.kernel("sort", "sort_place_chosen")
+    device.run(place, *all_chunks, *items, plan, counters, pairs)
+    for number in range(1, MOST_PASSES):
+        step = plan, np.int32(number)
+        device.run(device.kernel("sort", "sort_count_pairs"), *all_chunks, pairs, *step, counters)
+        device.run(starts, *one, counters, chunks, np.int32(number), plan)
+        place = device.kernel("sort", "sort_place_pairs")
+        device.run(place, *all_chunks, pairs, *step, counters, placed, index)
+        pairs, placed = placed, pairs
+    return Order(index, DeviceArray(plan.buffer, (1,), plan.dtype))
 
 
 def digits(bits: int, widest: int) -> list[tuple[int, int]]:

@@ -3,8 +3,8 @@
 A Gaussian is listed where the smallest y1^2 + y2^2 over the pixel centres of the tile allows
 alpha >= ALPHA_CUT: an exact ellipse-rectangle test with a slack for rounding, so that the rendered
 image is bit-identical to one made from lists that hold every Gaussian in every tile. Gaussians are
-sorted by depth once (ties by index), emit their tiles in that order, and one stable sort by tile
-number finishes the lists.
+sorted by depth once (ties by index), and one stable pass by tile number over their tiles in that
+order finishes the lists.
 
 Sources: 3DGS (tiles of 16x16, ascending depth); the exact test as in Speedy-Splat and StopThePop.
 """
@@ -24,7 +24,10 @@ from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
 
 GROUP_SIZE = 64
-FOOTPRINT_SIZE = 8
+CHUNKS = 4
+"""Counters of all tiles on a CPU: work-items that the depth order is shared among."""
+UNUSED = 16 * CHUNKS
+"""Places behind the lists on a CPU, where entries go that are none."""
 
 
 @dataclass(frozen=True)
@@ -34,18 +37,36 @@ class TileLists:
     gaussian (I,): index of the Gaussian of each entry, in (tile, depth) order; row (I,): a number
     of its own for each entry, by Gaussian, then tile; tile_range (T + 1,): the entries of tile t
     are [tile_range[t], tile_range[t + 1]); row_range (N + 1,): the rows of Gaussian n are
-    [row_range[n], row_range[n + 1]).
+    [row_range[n], row_range[n + 1]); total (1,) int64: number of entries that were found. Lists
+    made with a capacity below it are empty; above it, the entries after the last tile's are
+    padding.
     """
 
     gaussian: DeviceArray
     row: DeviceArray
     tile_range: DeviceArray
     row_range: DeviceArray
+    total: DeviceArray
 
 
 def tile_count(width: int, height: int) -> int:
     """T: number of tiles that cover an image."""
     return -(-width // TILE_SIZE) * -(-height // TILE_SIZE)
+
+
+@dataclass(frozen=True)
+class _Footprints:
+    """The tiles of N Gaussians, and all that finds them again.
+
+    geometry: arguments that kernels start with; columns: tiles in a row; boxes (N, 4) int32;
+    counts (N,) int32.
+    """
+
+    geometry: tuple[DeviceArray | np.int32, ...]
+    columns: int
+    defines: dict[str, int | float]
+    boxes: DeviceArray
+    counts: DeviceArray
 
 
 def forward(
@@ -55,8 +76,10 @@ def forward(
     width: int,
     height: int,
     options: RenderOptions = DEFAULT,
+    capacity: int | None = None,
+    tile_rows: tuple[int, int] | None = None,
 ) -> TileLists:
-    """Build the lists; waits once for the device, to learn the number of entries.
+    """Build the lists.
 
     Args:
         device: where the arrays live.
@@ -64,90 +87,133 @@ def forward(
         opacity: (N,) float32.
         width: of the image, pixels.
         height: of the image, pixels.
-        options: accuracy, for the alpha cut.
+        options: accuracy, for the alpha cut; skips, for the exact test.
+        capacity: I; None waits once for the device to learn the number of entries.
+        tile_rows: first and end of the rows of tiles that are filled; default all.
 
     Raises:
-        ClgsError: there would be more than 2^31 - 1 entries.
+        ClgsError: without a capacity, there would be more than 2^31 - 1 entries.
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    count = _check(projected, opacity)
-    size = np.int32(count), np.int32(width), np.int32(height)
-    grid = (round_up(count, GROUP_SIZE),), (GROUP_SIZE,)
-    footprints, ranked_footprints = (device.empty((count, FOOTPRINT_SIZE)) for _ in range(2))
-    counts, ranked_counts = (device.empty((count,), np.int32) for _ in range(2))
-    geometry = projected.mean2d, projected.whitening, opacity, projected.extent
-    footprint = device.kernel("tiles", "tiles_footprint", **options.accuracy.defines())
-    device.run(footprint, *grid, *geometry, *size, footprints)
-    device.run(device.kernel("tiles", "tiles_count"), *grid, footprints, *size, counts)
-    order = _by_depth(device, projected)
-    by_gaussian, by_rank = (counts, footprints), (ranked_counts, ranked_footprints)
-    tiles_rank = device.kernel("tiles", "tiles_rank")
-    device.run(tiles_rank, *grid, order, *by_gaussian, size[0], *by_rank)
-    rows, places = scan.on_device(device, counts), scan.on_device(device, ranked_counts)
-    entries = scan.checked_total(device, rows)
-    tile, row, gaussian_of_row = (
-        device.empty((entries,), dtype) for dtype in (np.uint32, np.int32, np.int32)
-    )
-    emit = device.kernel("tiles", "tiles_emit")
-    emitted = places.offset, rows.offset, tile, row, gaussian_of_row
-    device.run(emit, *grid, order, ranked_footprints, *size, *emitted)
+    _check(projected, opacity)
+    rows_of_tiles = tile_rows or (0, -(-height // TILE_SIZE))
+    found = _footprints(device, projected, opacity, (width, height), rows_of_tiles, options)
+    keys = DeviceArray(projected.depth.buffer, projected.depth.shape, np.dtype(np.uint32))
+    order = sort.chosen(device, keys, found.counts)  # the bits of positive floats keep their order
+    limit = scan.MAX_TOTAL if capacity is None else capacity
+    rows = scan.on_device(device, found.counts, limit)
     tiles = tile_count(width, height)
-    tile, row = sort.by_key(device, tile, row, max(tiles - 1, 0).bit_length())
-    return _ranges(device, tile, row, gaussian_of_row, tiles, rows.offset)
+    finish = _sort_entries if device.specialisation == "gpu" else _count_entries
+    return finish(device, found, order, rows, tiles, capacity)
 
 
-def _ranges(
+def _footprints(
     device: Device,
-    tile: DeviceArray,
-    row: DeviceArray,
-    gaussian_of_row: DeviceArray,
+    projected: Projected,
+    opacity: DeviceArray,
+    size: tuple[int, int],
+    tile_rows: tuple[int, int],
+    options: RenderOptions,
+) -> _Footprints:
+    count = len(opacity)
+    found = _Footprints(
+        geometry=(
+            *(projected.mean2d, projected.whitening, opacity, projected.extent),
+            *(np.int32(one) for one in (*size, *tile_rows)),
+        ),
+        columns=tile_count(size[0], 1),
+        defines={
+            "VEC": device.lanes,
+            **options.accuracy.defines(),
+            **options.skips.defines("exact_tiles"),
+        },
+        boxes=device.empty((count, 4), np.int32),
+        counts=device.empty((count,), np.int32),
+    )
+    kernel = device.kernel("tiles", "tiles_footprint", **found.defines)
+    grid = (round_up(-(-count // device.lanes), GROUP_SIZE),), (GROUP_SIZE,)
+    device.run(kernel, *grid, *found.geometry, np.int32(count), found.boxes, found.counts)
+    return found
+
+
+def _count_entries(
+    device: Device,
+    found: _Footprints,
+    order: sort.Order,
+    rows: scan.Offsets,
     tiles: int,
-    row_range: DeviceArray,
+    capacity: int | None,
 ) -> TileLists:
-    """The lists from entries that are sorted by tile."""
-    entries = len(row)
-    lists = TileLists(
-        gaussian=device.empty((entries,), np.int32),
-        row=row,
-        tile_range=device.empty((tiles + 1,), np.int32),
-        row_range=row_range,
-    )
-    device.run(
-        device.kernel("tiles", "tiles_ranges"),
-        (round_up(entries + 1, GROUP_SIZE),),
-        (GROUP_SIZE,),
-        tile,
-        row,
-        np.int32(entries),
-        np.int32(tiles),
-        gaussian_of_row,
-        lists.tile_range,
-        lists.gaussian,
-    )
-    return lists
+    """One stable pass by tile: count the tiles of every chunk of the order, then enter them."""
+    chunks = ((CHUNKS,), (1,))
+    pitch = round_up(tiles + found.columns + 1, 16)
+    counters = device.empty((CHUNKS, pitch), np.int32)
+    ranked = device.empty(found.boxes.shape, np.int32)
+    tile_range = device.empty((tiles + 1,), np.int32)
+    ordered = *found.geometry, order.index, order.count
+    count = device.kernel("tiles", "tiles_count", **found.defines)
+    counted = found.boxes, rows.offset, np.int32(pitch), ranked, counters
+    device.run(count, *chunks, *ordered, *counted)
+    entries = scan.checked_total(device, rows) if capacity is None else capacity
+    limit = rows.total, np.int32(entries)
+    starts = device.kernel("tiles", "tiles_starts", **found.defines)
+    sizes = np.int32(CHUNKS), np.int32(pitch), np.int32(tiles)
+    device.run(starts, (1,), (1,), counters, *sizes, *limit, tile_range)
+    gaussian, row = _first_entries(device, entries), _first_entries(device, entries)
+    enter = device.kernel("tiles", "tiles_enter", **found.defines)
+    device.run(enter, *chunks, *ordered, ranked, np.int32(pitch), *limit, counters, gaussian, row)
+    if capacity is not None:
+        grid = (round_up(entries, GROUP_SIZE),), (GROUP_SIZE,)
+        device.run(
+            device.kernel("tiles", "tiles_pad_lists", **found.defines), *grid, *limit, gaussian, row
+        )
+    return TileLists(gaussian, row, tile_range, rows.offset, rows.total)
 
 
-def _by_depth(device: Device, projected: Projected) -> DeviceArray:
-    count = len(projected.depth)
-    keys, index = device.empty((count,), np.uint32), device.empty((count,), np.int32)
-    device.run(
-        device.kernel("tiles", "tiles_keys"),
-        (round_up(count, GROUP_SIZE),),
-        (GROUP_SIZE,),
-        projected.depth,
-        projected.extent,
-        np.int32(count),
-        keys,
-        index,
-    )
-    return sort.by_key(device, keys, index)[1]
+def _first_entries(device: Device, entries: int) -> DeviceArray:
+    """(entries,) int32 with UNUSED more places behind."""
+    longer = device.empty((entries + UNUSED,), np.int32)
+    return DeviceArray(longer.buffer, (entries,), longer.dtype)
 
 
-def _check(projected: Projected, opacity: DeviceArray) -> int:
+def _sort_entries(
+    device: Device,
+    found: _Footprints,
+    order: sort.Order,
+    rows: scan.Offsets,
+    tiles: int,
+    capacity: int | None,
+) -> TileLists:
+    """Write the entries in depth order, then sort them by tile."""
+    count = len(found.counts)
+    grid = (round_up(count, GROUP_SIZE),), (GROUP_SIZE,)
+    ordered = order.index, order.count
+    ranked_counts = device.empty((count,), np.int32)
+    rank = device.kernel("tiles", "tiles_rank", **found.defines)
+    device.run(rank, *grid, *ordered, found.counts, np.int32(count), ranked_counts)
+    places = scan.on_device(device, ranked_counts)
+    entries = scan.checked_total(device, rows) if capacity is None else capacity
+    limit = rows.total, np.int32(entries)
+    tile, row, owner = (device.empty((entries,), t) for t in (np.uint32, np.int32, np.int32))
+    emit = device.kernel("tiles", "tiles_emit", **found.defines)
+    at = found.boxes, places.offset, rows.offset
+    device.run(emit, *grid, *found.geometry, *ordered, *at, *limit, tile, row, owner)
+    per_entry = (round_up(entries + 1, GROUP_SIZE),), (GROUP_SIZE,)
+    pad = device.kernel("tiles", "tiles_pad_entries", **found.defines)
+    device.run(pad, *per_entry, *limit, np.int32(tiles), tile, row, owner)
+    tile, row = sort.by_key(device, tile, row, tiles.bit_length())
+    gaussian = device.empty((entries,), np.int32)
+    tile_range = device.empty((tiles + 1,), np.int32)
+    ranges = device.kernel("tiles", "tiles_ranges", **found.defines)
+    sizes = np.int32(entries), np.int32(tiles)
+    device.run(ranges, *per_entry, tile, row, *sizes, owner, tile_range, gaussian)
+    return TileLists(gaussian, row, tile_range, rows.offset, rows.total)
+
+
+def _check(projected: Projected, opacity: DeviceArray) -> None:
     shapes = Shapes()
     shapes.check("opacity", opacity, "N", np.float32)
     shapes.check("mean2d", projected.mean2d, "N 2", np.float32)
     shapes.check("whitening", projected.whitening, "N 3", np.float32)
     shapes.check("depth", projected.depth, "N", np.float32)
     shapes.check("extent", projected.extent, "N 2", np.float32)
-    return shapes.axes["N"]

@@ -19,6 +19,7 @@ typedef int iv;
 #define AS_FV as_float
 #define AS_IV as_int
 #define TO_FV convert_float
+#define TO_IV convert_int
 #define LOAD_V(offset, pointer) ((pointer)[offset])
 #define STORE_V(value, offset, pointer) ((pointer)[offset] = (value))
 #else
@@ -27,6 +28,7 @@ typedef CLGS_CAT(int, VEC) iv;
 #define AS_FV CLGS_CAT(as_float, VEC)
 #define AS_IV CLGS_CAT(as_int, VEC)
 #define TO_FV CLGS_CAT(convert_float, VEC)
+#define TO_IV CLGS_CAT(convert_int, VEC)
 /* offset counts vectors, not floats */
 #define LOAD_V(offset, pointer) CLGS_CAT(vload, VEC)((offset), (pointer))
 #define STORE_V(value, offset, pointer) CLGS_CAT(vstore, VEC)((value), (offset), (pointer))

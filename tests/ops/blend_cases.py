@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -68,7 +68,8 @@ def render(
 def in_float64(rendered: Rendered, scene: ProjectedScene) -> dict[str, Any]:
     """The reference's arguments: the same float32 inputs and the kernels' own lists."""
     lists = rendered.inputs["tiles"]
-    host = {name: rendered.device.download(getattr(lists, name)) for name in vars(lists)}
+    names = (field.name for field in fields(TileLists))
+    host = {name: rendered.device.download(getattr(lists, name)) for name in names}
     return {
         "projected": reference_project.Projected(
             **{name: getattr(scene, name).astype(np.float64) for name in GEOMETRY}
@@ -106,7 +107,7 @@ def every_tile_lists(device: Any, scene: ProjectedScene, size: tuple[int, int]) 
         "tile_range": np.arange(number + 1) * len(order),
         "row_range": row_range,
     }
-    return tiles.TileLists(**{k: device.upload(v.astype(np.int32)) for k, v in arrays.items()})
+    return lists_on_device(device, arrays)
 
 
 def part_of_lists(
@@ -123,4 +124,10 @@ def part_of_lists(
         "tile_range": starts - starts[0],
         "row_range": np.concatenate([[0], np.cumsum(np.bincount(gaussian, minlength=count))]),
     }
-    return tiles.TileLists(**{k: device.upload(v.astype(np.int32)) for k, v in arrays.items()})
+    return lists_on_device(device, arrays)
+
+
+def lists_on_device(device: Any, arrays: dict[str, np.ndarray]) -> tiles.TileLists:
+    total = device.upload(np.array([len(arrays["row"])], np.int64))
+    uploaded = {name: device.upload(array.astype(np.int32)) for name, array in arrays.items()}
+    return tiles.TileLists(**uploaded, total=total)

@@ -45,6 +45,35 @@ def test_float_bits_order_positive_depths(device, rng):
     assert np.array_equal(device.download(keys).view(np.float32), np.sort(depth))
 
 
+def check_chosen(device, keys, choice):
+    order = sort.chosen(device, device.upload(keys), device.upload(choice))
+    found = device.download(order.index)[: device.download(order.count)[0]]
+    assert np.array_equal(found, reference.chosen(keys, choice))
+
+
+@pytest.mark.parametrize("bits", [0, 1, 2, 12, 13, 14, 25, 26, 27, 31, 32])
+@pytest.mark.parametrize("count", [0, 1, 3, 40_001])
+def test_chosen_items_in_order(device, rng, count, bits):
+    """Ranges of keys that need two passes, three passes and none at all."""
+    low = int(rng.integers(0, 2**32 - 2**bits + 1))
+    keys = low + rng.integers(0, 2**bits, count, dtype=np.uint64)
+    keys[:1], keys[1:2] = low, low + 2**bits - 1
+    keys = np.minimum(keys, 2**32 - 2).astype(np.uint32)
+    check_chosen(device, keys, rng.integers(0, 4, count, dtype=np.int32))
+
+
+def test_none_and_all_chosen(device, rng):
+    keys = rng.integers(0, 2**20, 5000, dtype=np.uint32)
+    for choice in (0, 1):
+        check_chosen(device, keys, np.full(5000, choice, np.int32))
+
+
+def test_keys_that_are_not_chosen_do_not_count(device):
+    """Neither in the range of the keys nor in the order."""
+    keys = np.array([2**32 - 1, 7, 0, 5, 7, 2**31], np.uint32)
+    check_chosen(device, keys, np.array([0, 1, 0, 9, 1, 0], np.int32))
+
+
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

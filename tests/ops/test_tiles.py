@@ -10,6 +10,7 @@ import pytest
 from clgs.constants import ALPHA_CUT, TILE_SIZE
 from clgs.errors import ClgsError
 from clgs.ops import scan, tiles
+from clgs.options import RenderOptions, Skips
 from clgs.reference import project as reference_project
 from clgs.reference import tiles as reference
 from clgs.testing.scenes import ProjectedScene, projected_scene
@@ -108,6 +109,107 @@ def test_small_images_and_scenes(device, rng, size, count):
     found = entries(on_host(device, lists_of(device, scene, size)))
     assert touched(scene, size) <= found
     assert len(found - entries(vars(expected_lists(scene, size)))) <= 1
+
+
+def test_large_gaussians_keep_their_order(device, rng):
+    """Boxes of more tiles than fit a set of them, beside small ones."""
+    scene = projected_scene(rng, 400, 1300, 200, 3.0)
+    wide = projected_scene(rng, 400, 1300, 200, 250.0, 40.0)
+    mixed = ProjectedScene(
+        **{
+            name: np.where(np.arange(400).reshape(-1, *[1] * (one.ndim - 1)) % 3, one, other)
+            for (name, one), other in zip(vars(scene).items(), vars(wide).values(), strict=True)
+        }
+    )
+    lists = on_host(device, lists_of(device, mixed, (1300, 200)))
+    expected = expected_lists(mixed, (1300, 200))
+    found, wanted = entries(lists), entries(vars(expected))
+    assert touched(mixed, (1300, 200)) <= found
+    assert len(found - wanted) <= 1e-3 * len(wanted)
+    sizes = np.diff(lists["row_range"])
+    assert sizes.max() > 200
+    assert np.count_nonzero((sizes > 0) & (sizes <= 4)) > 50
+    tile = np.repeat(np.arange(len(lists["tile_range"]) - 1), np.diff(lists["tile_range"]))
+    by_row = np.empty(len(tile), np.int64)
+    by_row[lists["row"]] = tile
+    for first, end in zip(lists["row_range"], lists["row_range"][1:], strict=False):
+        assert np.all(np.diff(by_row[first:end]) > 0), "rows of a Gaussian go by tile"
+
+
+def with_capacity(device, scene, size, capacity, tile_rows=None):
+    opacity = device.upload(scene.opacity)
+    return tiles.forward(
+        device, upload(device, scene), opacity, *size, capacity=capacity, tile_rows=tile_rows
+    )
+
+
+@pytest.mark.parametrize("sigma", [1.1, 90.0])
+def test_capacity_gives_the_same_lists(device, rng, sigma):
+    """Any sufficient one; padding lies behind the last tile's entries, in rows of its own."""
+    size = (150, 90)
+    scene = projected_scene(rng, 500, *size, sigma)
+    exact = on_host(device, lists_of(device, scene, size))
+    total = len(exact["row"])
+    for spare in (0, 1, 1000):
+        lists = with_capacity(device, scene, size, total + spare)
+        assert device.download(lists.total).tolist() == [total]
+        found = on_host(device, lists)
+        for name in ("tile_range", "row_range"):
+            assert np.array_equal(found[name], exact[name])
+        for name in ("row", "gaussian"):
+            assert len(found[name]) == total + spare
+            assert np.array_equal(found[name][:total], exact[name])
+        assert sorted(found["row"]) == list(range(total + spare))
+        assert np.all(found["gaussian"][total:] == 0)
+
+
+@pytest.mark.parametrize("sigma", [1.1, 90.0])
+def test_too_small_a_capacity_tells_the_total(device, rng, sigma):
+    """The lists are empty then, and nothing is written out of bounds (scripts/race_check.sh)."""
+    size = (150, 90)
+    scene = projected_scene(rng, 500, *size, sigma)
+    total = len(lists_of(device, scene, size).row)
+    for capacity in (0, 1, total - 1):
+        lists = with_capacity(device, scene, size, capacity)
+        assert device.download(lists.total).tolist() == [total]
+        found = on_host(device, lists)
+        assert not found["tile_range"].any()
+        assert not found["row_range"].any()
+        assert sorted(found["row"]) == list(range(capacity))
+
+
+def test_lists_of_some_rows_of_tiles(device, rng):
+    """They are those of the whole picture; the other tiles are empty."""
+    size = (150, 200)
+    scene = projected_scene(rng, 500, *size, 30.0)
+    whole = on_host(device, lists_of(device, scene, size))
+    for first, end in ((0, 3), (3, 4), (4, 13), (13, 13)):
+        band = on_host(device, with_capacity(device, scene, size, None, (first, end)))
+        cuts = whole["tile_range"][[first * 10, end * 10]]
+        assert np.array_equal(band["gaussian"], whole["gaussian"][slice(*cuts)])
+        starts = np.clip(whole["tile_range"], *cuts) - cuts[0]
+        assert np.array_equal(band["tile_range"], starts)
+        owner = np.empty(len(band["row"]), np.int64)
+        owner[band["row"]] = band["gaussian"]
+        assert np.array_equal(owner, np.repeat(np.arange(500), np.diff(band["row_range"])))
+
+
+@pytest.mark.parametrize("sigma", [1.1, 12.0])
+def test_exact_tiles_change_no_bit(device, rng, sigma):
+    """Every tile of the bounding box instead: longer lists, the same image and gradients."""
+    size = (100, 70)
+    scene = projected_scene(rng, 1500, *size, sigma, 30.0)
+    boxes = RenderOptions(skips=Skips(exact_tiles=False))
+    opacity = device.upload(scene.opacity)
+    longer = tiles.forward(device, upload(device, scene), opacity, *size, boxes)
+    one, other = render(device, scene, size), render(device, scene, size, longer)
+    assert len(longer.row) > 1.04 * len(one.inputs["tiles"].row)
+    for name in ("image", "transmittance"):
+        assert np.array_equal(one.host(name), other.host(name))
+    d_image = rng.normal(size=(3, 70, 100)).astype(np.float32)
+    found, wanted = one.backward(d_image), other.backward(d_image)
+    for name, gradient in found.items():
+        assert np.array_equal(gradient, wanted[name]), name
 
 
 def test_too_many_entries_are_refused_before_allocation(device, rng, monkeypatch):

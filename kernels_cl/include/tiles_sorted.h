@@ -1,0 +1,96 @@
+/* Entries in depth order, for a sort by tile: the GPU form, one work-item a Gaussian or an entry.
+ */
+#ifndef CLGS_TILES_SORTED_H
+#define CLGS_TILES_SORTED_H
+
+/* Numbers of tiles in depth order; 0 past the drawn ones. */
+__kernel void tiles_rank(__global const int *order, __global const int *ordered,
+                         __global const int *counts, const int count, __global int *ranked_counts)
+{
+    const int rank = (int)get_global_id(0);
+    if (rank >= count)
+        return;
+    ranked_counts[rank] = rank < ordered[0] ? counts[order[rank]] : 0;
+}
+
+typedef struct {
+    __global uint *tile;
+    __global int *row, *gaussian_of_row;
+} Entries;
+
+/* Writes the entries of a set from place `to` and row `row` on. */
+inline int2 emit_set(ulong set, const int shift, const int first, const int columns, const int i,
+                     int2 to, const Entries entries)
+{
+    while (set) {
+        entries.tile[to.x] = (uint)tile_of_bit(take_bit(&set), shift, first, columns);
+        entries.row[to.x] = to.y;
+        entries.gaussian_of_row[to.y] = i;
+        to += 1;
+    }
+    return to;
+}
+
+/* Entries of the Gaussian of every depth rank, from place[rank] on. */
+__kernel void tiles_emit(__global const float *mean2d, __global const float *whitening,
+                         __global const float *opacity, __global const float *extent,
+                         const int width, const int height, const int first_row, const int end_row,
+                         __global const int *order, __global const int *ordered,
+                         __global const int *boxes, __global const int *place,
+                         __global const int *row_range, __global const long *total,
+                         const int capacity, __global uint *tile, __global int *row,
+                         __global int *gaussian_of_row)
+{
+    const int rank = (int)get_global_id(0);
+    if (rank >= ordered[0] || total[0] > (long)capacity)
+        return;
+    const Geometry g = {mean2d, whitening, opacity, extent};
+    const Window w = {width, height, first_row, end_row};
+    const Entries entries = {tile, row, gaussian_of_row};
+    const int i = order[rank], columns = columns_of(w);
+    const int4 box = vload4((size_t)i, boxes);
+    int2 to = (int2)(place[rank], row_range[i]);
+    const ulong set = set_of(box);
+    if (set) {
+        emit_set(set, BOX_SHIFT, box.x, columns, i, to, entries);
+        return;
+    }
+    const Large f = load_large(&g, i, w);
+    for (int y = f.top; y <= f.bottom; ++y)
+        for (int x = f.left; x <= f.right; x += STRIP)
+            to = emit_set(strip_of(&f, x, y, w), STRIP_SHIFT, y * columns + x, columns, i, to,
+                          entries);
+}
+
+/* Entries from total to capacity, and all where they do not fit: after the last tile, of no
+ * Gaussian, each with a row of its own. */
+__kernel void tiles_pad_entries(__global const long *total, const int capacity, const int tiles,
+                                __global uint *tile, __global int *row,
+                                __global int *gaussian_of_row)
+{
+    const int k = (int)get_global_id(0);
+    if (k >= capacity || (total[0] <= (long)capacity && (long)k < total[0]))
+        return;
+    tile[k] = (uint)tiles;
+    row[k] = k;
+    gaussian_of_row[k] = 0;
+}
+
+/* From entries sorted by tile: where the list of every tile starts, and the Gaussian of every
+ * entry. Work-item i handles the boundary before entry i; the one after the last entry exists. */
+__kernel void tiles_ranges(__global const uint *tile, __global const int *row, const int entries,
+                           const int tiles, __global const int *gaussian_of_row,
+                           __global int *tile_range, __global int *gaussian)
+{
+    const int i = (int)get_global_id(0);
+    if (i > entries)
+        return;
+    const int before = i > 0 ? (int)tile[i - 1] : -1;
+    const int here = i < entries ? (int)tile[i] : tiles;
+    for (int t = before + 1; t <= here; ++t)
+        tile_range[t] = i;
+    if (i < entries)
+        gaussian[i] = gaussian_of_row[row[i]];
+}
+
+#endif
