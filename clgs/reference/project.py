@@ -91,6 +91,7 @@ def forward(
     opacity: Array,
     camera: npt.NDArray[np.floating],
     min_extent: float = 0.0,
+    alpha_cut: float = ALPHA_CUT,
 ) -> Projected:
     """Project N Gaussians; shapes as in ``clgs.ops.project.forward``, ``min_extent`` in pixels."""
     view = unpack(camera)
@@ -100,12 +101,12 @@ def forward(
         cov = covariance2d(view, mean, scale, rotation)
         xx, xy, yy = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
         whitening = np.stack([xx**-0.5, xy / xx, np.sqrt(xx / (xx * yy - xy * xy))], 1)
-        reach = np.sqrt(2 * np.log(opacity / ALPHA_CUT))
+        reach = np.sqrt(2 * np.log(opacity / alpha_cut))
         extent = reach[:, None] * np.sqrt(np.stack([xx, yy], 1))
         inside = np.all((mean2d + extent > 0) & (mean2d - extent < view.size), axis=1)
         inside &= np.max(extent, axis=1) >= min_extent
     norm = np.sum(rotation**2, axis=1)
-    drawn = inside & (point[:, 2] > view.near) & (opacity >= ALPHA_CUT)
+    drawn = inside & (point[:, 2] > view.near) & (opacity >= alpha_cut)
     drawn &= (norm > 0.99) & (norm < 1.01) & np.all(np.isfinite(whitening), axis=1)
     keep = drawn[:, None]
     return Projected(

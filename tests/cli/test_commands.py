@@ -155,3 +155,23 @@ def test_selftest_and_bench():
     assert "blend backward" in succeed("bench", "step", "--gaussians", 2000, "--size", 64)
     small = ("--gaussians", 2000, "--size", 64, "--elements", 5000, "--repeats", 2)
     assert "of limit" in succeed("bench", "ops", *small)
+
+
+@pytest.mark.slow
+def test_bench_accuracy(run, data, tmp_path):
+    figures, plot = tmp_path / "accuracy.json", tmp_path / "accuracy.svg"
+    scenes = ("--scenes", "tiny", "--scene", run, "--data", data)
+    output = ("--sweeps", "alpha cut", "--repeats", 2, "-o", figures, "--plot", plot)
+    printed = succeed("bench", "accuracy", *scenes, *output, CLGS_CACHE=str(tmp_path))
+    assert "fast against parity" in printed
+    scenes = json.loads(figures.read_text())["scenes"]
+    assert len(scenes) == 2
+    for scene in scenes:
+        points = {(one["sweep"], one["label"]): one for one in scene["points"]}
+        cuts = [points["alpha cut", f"1/{part}"] for part in (255, 1024, 16384)]
+        # finer is nearer: 3.5 to 4 times for every quarter of the cut
+        assert cuts[0]["image"]["p999"] > 2 * cuts[1]["image"]["p999"]
+        assert cuts[1]["image"]["p999"] > 8 * cuts[2]["image"]["p999"] > 0
+        worst = [max(one["gradient"]["relative_l2"].values()) for one in cuts]
+        assert worst[0] > worst[1] > worst[2] > 0
+    assert "<svg" in plot.read_text()
