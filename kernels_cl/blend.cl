@@ -1,12 +1,14 @@
-/* Blend the Gaussians of every tile front to back, and take the blend apart again for gradients.
+/* Blend the Gaussians of every tile front to back, and take the blend apart
+ * again for gradients.
  *
- * Forward:  color += alpha T c,  T *= 1 - alpha; a pixel stops before T < TRANSMITTANCE_STOP.
- * Backward: back to front with T / (1 - alpha) and one scalar a pixel, the colour behind the splat
- * dotted with d_image. Every (tile, Gaussian) entry writes one row of moments at a place of its
- * own, and every Gaussian then sums its rows in order: no atomics, the same bits in every run.
+ * Forward:  color += alpha T c,  T *= 1 - alpha; a pixel stops before T <
+ * TRANSMITTANCE_STOP. Backward: back to front with T / (1 - alpha) and one
+ * scalar a pixel, the colour behind the splat dotted with d_image. Every (tile,
+ * Gaussian) entry writes one row of moments at a place of its own, and every
+ * Gaussian then sums its rows in order: no atomics, the same bits in every run.
  *
- * CPU form: one work-item a tile, pixels in units of VEC. GPU form: one work-item a pixel, records
- * staged in local memory.
+ * CPU form: one work-item a tile, pixels in units of VEC. GPU form: one
+ * work-item a pixel, records staged in local memory.
  */
 #include "include/blend_observe.h"
 #include "include/blend_step.h"
@@ -16,8 +18,7 @@
 #define USE_LOCAL 0
 #endif
 #define UNIT_INVERSE (1.0f / WHITENING_UNIT)
-#define BATCH 256     /* records staged at a time (GPU form) */
-#define OPEN_CHECK 32 /* splats between two looks for finished units (CPU form) */
+#define BATCH 256 /* records staged at a time (GPU form) */
 
 inline float clamp_color(float value)
 {
@@ -34,6 +35,7 @@ __kernel void blend_prepare(__global const float *mean2d, __global const float *
         return;
     const Splat s = make_splat2d(mean2d, whitening, opacity, i);
     const Reach r = reach_of(&s);
+    const Span span = span_of(&s, &r);
     const float red = clamp_color(color[3 * i]), green = clamp_color(color[3 * i + 1]),
                 blue = clamp_color(color[3 * i + 2]);
     const bool valid = red + green + blue <= 3.0f * COLOR_LIMIT; /* NaN touches nothing */
@@ -41,19 +43,21 @@ __kernel void blend_prepare(__global const float *mean2d, __global const float *
     vstore4((float4)(s.x, s.y, s.r1, s.l), 0, to);
     vstore4((float4)(s.r2, valid ? s.bias : -INFINITY, valid ? red : 0.0f, valid ? green : 0.0f), 1,
             to);
-    vstore4((float4)(valid ? blue : 0.0f, r.half_x, r.half_y, 0.0f), 2, to);
+    vstore4((float4)(valid ? blue : 0.0f, span.slope, span.squared, span.shrink), 2, to);
 }
 
-/* Units that the box of a Gaussian overlaps in the tile at (x, y). */
+/* Units that a Gaussian may touch in the tile at (x, y). */
 inline uint record_units(__global const float *splat, int x, int y)
 {
 #if VEC == 1
     (void)splat, (void)x, (void)y;
     return 1u;
+#elif !SKIP_UNITS
+    (void)splat, (void)x, (void)y;
+    return ALL_UNITS;
 #else
-    const float2 centre = (float2)(splat[0] - (float)x, splat[1] - (float)y);
-    const float2 half_size = (float2)(splat[RECORD_HALF], splat[RECORD_HALF + 1]);
-    return units_of(pixel_box(centre, half_size, (float2)((float)TILE_SIZE)));
+    __global const float *span = splat + RECORD_SPAN;
+    return units_of((float2)(splat[0] - (float)x, splat[1] - (float)y), span[0], span[1], span[2]);
 #endif
 }
 
@@ -72,12 +76,12 @@ __kernel void blend_gather(__global const float *splats, __global const int *gau
         __global const float *splat = splats + RECORD_SIZE * (size_t)gaussian[k];
         __global float *record = records + RECORD_SIZE * (size_t)k;
         vstore8(vload8(0, splat), 0, record);
-        vstore4((float4)(splat[8], splat[RECORD_HALF], splat[RECORD_HALF + 1], as_float(row[k])), 2,
-                record);
+        vstore4(vload4(2, splat), 2, record);
     }
     for (int k = begin; k < end; k += step) {
         __global float *record = records + RECORD_SIZE * (size_t)k;
         record[RECORD_UNITS] = as_float(record_units(record, x, y));
+        record[RECORD_ROW] = as_float(row[k]);
     }
 }
 
@@ -134,7 +138,7 @@ inline void store_gradients(Sums s, int i, __global const float *whitening,
     const bool drawn =
         touched & (opacity[i] > 0.0f) & (r1 > 0.0f) & (r2 > 0.0f) & (fabs(l) < INFINITY);
     const float sigma = 1.0f / r1;
-    const float m1 = s.first.s0 * UNIT_INVERSE, m2 = s.first.s1 * UNIT_INVERSE;
+    const float m1 = -s.first.s0 * UNIT_INVERSE, m2 = -s.first.s1 * UNIT_INVERSE;
     const float3 square = s.first.s234 * (UNIT_INVERSE * UNIT_INVERSE);
     d_mean2d[2 * i] = drawn ? fma(r1, m1, -l * r2 * m2) : 0.0f;
     d_mean2d[2 * i + 1] = drawn ? r2 * m2 : 0.0f;

@@ -3,7 +3,8 @@
 With the whitened offsets of ``clgs.ops.project`` and the list of the pixel's tile in order i:
     alpha_i = min(ALPHA_MAX, opacity_i exp(-(y1^2 + y2^2) / 2)), skipped where < ALPHA_CUT,
     image = sum_i color_i alpha_i T_i + T background,   T_{i+1} = T_i (1 - alpha_i);
-a pixel stops before the first i that would bring T below TRANSMITTANCE_STOP.
+a pixel is finished at the first i that brings T below TRANSMITTANCE_STOP, which is left out or,
+with the inclusive stop of the accuracy presets, still blended.
 Backward, with B_i the colour behind i relative to T_{i+1}, both dotted with d_image:
     dL/d(alpha_i) = T_i (color_i - B_i),   B_{i-1} = B_i + alpha_i (color_i - B_i).
 The geometric gradients are gathered as moments of v = alpha dL/d(alpha) in whitened coordinates:
@@ -40,8 +41,8 @@ class Blended:
     """The picture, and what the backward pass needs of the forward one.
 
     image (3, H, W) and transmittance (H, W), float32; last_contributor (H, W) int32: number of
-    entries of the pixel's list up to and including the last one blended; records: the Gaussian of
-    every entry, ready to blend; options: how it was made.
+    entries of the pixel's list that it saw before it was finished, all where it never was; records:
+    the Gaussian of every entry, ready to blend; options: how it was made.
     """
 
     image: DeviceArray
@@ -274,7 +275,8 @@ def _unpack(words: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
 
 
 def _defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
-    return {"VEC": _lanes(device), **options.accuracy.defines()}
+    skips = options.skips.defines("units", "finished", "contributors", "empty_tiles")
+    return {"VEC": _lanes(device), **options.accuracy.defines(), **skips}
 
 
 def _lanes(device: Device) -> int:

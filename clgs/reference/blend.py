@@ -32,8 +32,27 @@ class Decisions:
 
 
 @dataclass(frozen=True)
+class Truncation:
+    """What a pixel leaves out.
+
+    alpha_cut: entries with a smaller alpha; stop: the entry that brings the transmittance below it,
+    which is still blended if ``inclusive``, and all behind.
+    """
+
+    alpha_cut: float = ALPHA_CUT
+    stop: float = TRANSMITTANCE_STOP
+    inclusive: bool = False
+
+
+PARITY = Truncation()
+
+
+@dataclass(frozen=True)
 class Blended:
-    """image (3, H, W), transmittance (H, W), last_contributor (H, W) and the decisions made."""
+    """image (3, H, W), transmittance (H, W), and the decisions made.
+
+    last_contributor (H, W): entries of the pixel's list up to the last one blended.
+    """
 
     image: Array
     transmittance: Array
@@ -85,6 +104,7 @@ def forward(
     background: Array,
     size: tuple[int, int],
     decisions: Decisions | None = None,
+    truncation: Truncation = PARITY,
 ) -> Blended:
     """Render; arguments as in ``clgs.ops.blend.forward``; ``decisions`` replaces the own ones."""
     width, height = size
@@ -94,7 +114,7 @@ def forward(
     transmittance = np.zeros((height, width))
     last = np.zeros((height, width), np.int64)
     for tile in _tiles(tiles, width, height):
-        layers = _layers(tile, projected, opacity, decisions)
+        layers = _layers(tile, projected, opacity, decisions, truncation)
         weight = layers.alpha * layers.before
         left = layers.after[-1] if len(weight) else np.ones(len(tile.pixel))
         clamped = np.clip(color[tile.gaussian], -COLOR_LIMIT, COLOR_LIMIT)
@@ -147,7 +167,11 @@ def _tiles(tiles: TileLists, width: int, height: int) -> Iterator[_Tile]:
 
 
 def _layers(
-    tile: _Tile, projected: Projected, opacity: Array, decisions: Decisions | None
+    tile: _Tile,
+    projected: Projected,
+    opacity: Array,
+    decisions: Decisions | None,
+    truncation: Truncation = PARITY,
 ) -> _Layers:
     dx = tile.column + 0.5 - projected.mean2d[tile.gaussian, 0, None]
     dy = tile.row + 0.5 - projected.mean2d[tile.gaussian, 1, None]
@@ -155,10 +179,12 @@ def _layers(
     y1, y2 = dx * r1, (dy - l_factor * dx) * r2
     unclamped = opacity[tile.gaussian, None] * np.exp(-0.5 * (y1**2 + y2**2))
     if decisions is None:
-        contributed, saturated = unclamped >= ALPHA_CUT, unclamped > ALPHA_MAX
+        contributed, saturated = unclamped >= truncation.alpha_cut, unclamped > ALPHA_MAX
         alpha = np.where(contributed, np.minimum(unclamped, ALPHA_MAX), 0)
+        after = np.cumprod(1 - alpha, axis=0)
         # T never grows: once below the stop, it stays there
-        contributed &= np.cumprod(1 - alpha, axis=0) >= TRANSMITTANCE_STOP
+        crossing = np.concatenate([np.ones_like(after[:1]), after])[:-1]
+        contributed &= (crossing if truncation.inclusive else after) >= truncation.stop
     else:
         contributed = decisions.contributed[tile.entries][:, tile.pixel]
         saturated = decisions.saturated[tile.entries][:, tile.pixel]

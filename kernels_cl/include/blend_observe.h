@@ -1,9 +1,10 @@
-/* What tests and counters learn from the kernels of blend: builds of the very same source, in which
- * OBSERVE_PARAMETERS adds arguments to the kernels and OBSERVE looks at one splat over VEC pixels.
+/* What tests and counters learn from the kernels of blend: builds of the very
+ * same source, in which OBSERVE_PARAMETERS adds arguments to the kernels and
+ * OBSERVE looks at one splat over VEC pixels.
  *
- * EXPORT_DECISIONS: 256 bits an entry, bit x + 16 y of the tile: took part; was clamped to
- * ALPHA_MAX. COUNT_PAIRS: visited and blended pairs of a pixel and a splat, one pair of totals a
- * work-item.
+ * EXPORT_DECISIONS: 256 bits an entry, bit x + 16 y of the tile: took part; was
+ * clamped to ALPHA_MAX. COUNT_PAIRS: visited and blended pairs of a pixel and a
+ * splat, one pair of totals a work-item.
  */
 #ifndef CLGS_BLEND_OBSERVE_H
 #define CLGS_BLEND_OBSERVE_H

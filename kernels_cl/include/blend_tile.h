@@ -2,33 +2,67 @@
 #ifndef CLGS_BLEND_TILE_H
 #define CLGS_BLEND_TILE_H
 
-/* Units with a pixel that is not finished. */
-inline uint open_units(const Pixels *pixels)
-{
-    uint open = 0;
-    for (int u = 0; u < UNITS; ++u)
-        open |= sum_v(fmax(pixels[u].transmittance, (fv)(0.0f))) > 0.0f ? 1u << u : 0u;
-    return open;
-}
-
 inline iv inside_image(int x, int y, int width, int height)
 {
     return ((LANE_X + (float)x) < (fv)((float)width)) & ((LANE_Y + (float)y) < (fv)((float)height));
 }
 
-inline void blend_forward_entry(Pixels *pixels, uint open, __global const float *record, int x,
-                                int y, int entry, int number OBSERVE_PARAMETERS)
+/* A unit of pixels and where their centres are. */
+typedef struct {
+    Pixels pixels;
+    fv x, y;
+} Unit;
+
+/* Returns the units that are still open. */
+inline __attribute__((always_inline)) uint blend_forward_entry(Unit *units, Ends *ends, uint open,
+                                                               __global const float *record,
+                                                               int entry,
+                                                               int number OBSERVE_PARAMETERS)
 {
     Paint paint;
     READ_PAINT(paint, record);
-    uint units = as_uint(record[RECORD_UNITS]) & open;
-    while (units) {
-        const int u = take_unit(&units);
-        const Touch t =
-            touch(&paint.splat, LANE_X + (float)(x + unit_x(u)), LANE_Y + (float)(y + unit_y(u)));
-        const iv taken = blend_over(&pixels[u], &paint, &t, number);
-        OBSERVE(entry, unit_x(u), unit_y(u), taken, t.saturated);
+    uint left = as_uint(record[RECORD_UNITS]) & open;
+    while (left) {
+        const int u = take_unit(&left);
+        const Touch t = touch(&paint.splat, units[u].x, units[u].y);
+        OBSERVE(entry, unit_x(u), unit_y(u), blended_over(&units[u].pixels, &t), t.saturated);
+        if (any_lane(blend_over(&units[u].pixels, &ends[u], &paint, &t, number)) && SKIP_FINISHED &&
+            !any_lane(units[u].pixels.stop > (fv)(0.0f)))
+            open &= ~unit_bit(u);
     }
+    return open;
+}
+
+/* A tile in front of which there is nothing. */
+inline void store_background(__global const float *background, int x, int y, int width, int height,
+                             __global float *image, __global float *transmittance,
+                             __global int *last_contributor)
+{
+    const size_t plane = (size_t)width * (size_t)height;
+    for (int row = y; row < min(y + TILE_SIZE, height); ++row)
+        for (int column = x; column < min(x + TILE_SIZE, width); ++column) {
+            const size_t at = (size_t)row * (size_t)width + (size_t)column;
+            for (int channel = 0; channel < 3; ++channel)
+                image[at + (size_t)channel * plane] = background[channel];
+            transmittance[at] = 1.0f;
+            last_contributor[at] = 0;
+        }
+}
+
+inline void store_pixels(const Unit *unit, const Ends *e, __global const float *background,
+                         int entries, int x, int y, int width, int height, __global float *image,
+                         __global float *transmittance, __global int *last_contributor)
+{
+    const size_t plane = (size_t)width * (size_t)height;
+    const Pixels p = unit->pixels;
+    const iv open = e->transmittance < (fv)(0.0f);
+    const fv rest = open ? p.transmittance : e->transmittance;
+    const iv last = open ? (iv)(entries) : e->last;
+    store_unit(fma(rest, (fv)(background[0]), p.red), image, x, y, width, height);
+    store_unit(fma(rest, (fv)(background[1]), p.green), image + plane, x, y, width, height);
+    store_unit(fma(rest, (fv)(background[2]), p.blue), image + 2 * plane, x, y, width, height);
+    store_unit(rest, transmittance, x, y, width, height);
+    store_unit(AS_FV(last), (__global float *)last_contributor, x, y, width, height);
 }
 
 __kernel void blend_forward(__global const float *records, __global const int *tile_range,
@@ -39,34 +73,27 @@ __kernel void blend_forward(__global const float *records, __global const int *t
     const int tile = (int)get_global_id(0);
     const int columns = (width + TILE_SIZE - 1) / TILE_SIZE;
     const int x = tile % columns * TILE_SIZE, y = tile / columns * TILE_SIZE;
-    Pixels pixels[UNITS];
+    const int first = tile_range[tile], end = tile_range[tile + 1];
+    if (SKIP_EMPTY_TILES && first == end) {
+        store_background(background, x, y, width, height, image, transmittance, last_contributor);
+        return;
+    }
+    Unit units[UNITS];
+    Ends ends[UNITS];
+    uint open = 0;
     for (int u = 0; u < UNITS; ++u) {
         const iv inside = inside_image(x + unit_x(u), y + unit_y(u), width, height);
-        pixels[u].transmittance = inside ? (fv)(1.0f) : (fv)(-1.0f);
-        pixels[u].red = pixels[u].green = pixels[u].blue = (fv)(0.0f);
-        pixels[u].last = (iv)(0);
+        units[u].x = LANE_X + (float)(x + unit_x(u));
+        units[u].y = LANE_Y + (float)(y + unit_y(u));
+        start_pixels(&units[u].pixels, &ends[u], inside);
+        open |= any_lane(inside) ? unit_bit(u) : 0u;
     }
-    const int first = tile_range[tile], end = tile_range[tile + 1];
-    uint open = open_units(pixels);
-    for (int begin = first; begin < end && open; begin += OPEN_CHECK) {
-        const int stop = end - begin < OPEN_CHECK ? end : begin + OPEN_CHECK;
-        for (int k = begin; k < stop; ++k)
-            blend_forward_entry(pixels, open, records + RECORD_SIZE * (size_t)k, x, y, k,
-                                k - first + 1 OBSERVE_ARGUMENTS);
-        open = open_units(pixels);
-    }
-    const size_t plane = (size_t)width * (size_t)height;
-    for (int u = 0; u < UNITS; ++u) {
-        const Pixels p = pixels[u];
-        const fv rest = fabs(p.transmittance);
-        const int ux = x + unit_x(u), uy = y + unit_y(u);
-        store_unit(fma(rest, (fv)(background[0]), p.red), image, ux, uy, width, height);
-        store_unit(fma(rest, (fv)(background[1]), p.green), image + plane, ux, uy, width, height);
-        store_unit(fma(rest, (fv)(background[2]), p.blue), image + 2 * plane, ux, uy, width,
-                   height);
-        store_unit(rest, transmittance, ux, uy, width, height);
-        store_unit(AS_FV(p.last), (__global float *)last_contributor, ux, uy, width, height);
-    }
+    for (int k = first; k < end && open; ++k)
+        open = blend_forward_entry(units, ends, open, records + RECORD_SIZE * (size_t)k, k,
+                                   k - first + 1 OBSERVE_ARGUMENTS);
+    for (int u = 0; u < UNITS; ++u)
+        store_pixels(&units[u], &ends[u], background, end - first, x + unit_x(u), y + unit_y(u),
+                     width, height, image, transmittance, last_contributor);
 }
 
 /* Largest lane. */
@@ -79,6 +106,12 @@ inline int max_lane(iv values)
         largest = lane[i] > largest ? lane[i] : largest;
     return largest;
 }
+
+/* A unit of pixels on the way back, and where their centres are. */
+typedef struct {
+    Rays rays;
+    fv x, y;
+} RayUnit;
 
 inline void store_moments(const Moments *m, __global float *row)
 {
@@ -96,41 +129,44 @@ __kernel void blend_backward(__global const float *records, __global const int *
     const int tile = (int)get_global_id(0);
     const int columns = (width + TILE_SIZE - 1) / TILE_SIZE;
     const int x = tile % columns * TILE_SIZE, y = tile / columns * TILE_SIZE;
+    const int first = tile_range[tile], end = tile_range[tile + 1];
+    if (SKIP_EMPTY_TILES && first == end)
+        return;
     const size_t plane = (size_t)width * (size_t)height;
-    Rays rays[UNITS];
+    RayUnit units[UNITS];
     int unit_last[UNITS];
     int tile_last = 0;
     for (int u = 0; u < UNITS; ++u) {
         const int ux = x + unit_x(u), uy = y + unit_y(u);
-        rays[u].transmittance = load_unit(transmittance, ux, uy, width, height);
-        rays[u].d_red = load_unit(d_image, ux, uy, width, height);
-        rays[u].d_green = load_unit(d_image + plane, ux, uy, width, height);
-        rays[u].d_blue = load_unit(d_image + 2 * plane, ux, uy, width, height);
-        rays[u].last =
+        Rays *rays = &units[u].rays;
+        units[u].x = LANE_X + (float)ux;
+        units[u].y = LANE_Y + (float)uy;
+        rays->transmittance = load_unit(transmittance, ux, uy, width, height);
+        rays->d_red = load_unit(d_image, ux, uy, width, height);
+        rays->d_green = load_unit(d_image + plane, ux, uy, width, height);
+        rays->d_blue = load_unit(d_image + 2 * plane, ux, uy, width, height);
+        rays->last =
             AS_IV(load_unit((__global const float *)last_contributor, ux, uy, width, height));
-        rays[u].behind =
-            fma(rays[u].d_red, (fv)(background[0]),
-                fma(rays[u].d_green, (fv)(background[1]), rays[u].d_blue * background[2]));
-        unit_last[u] = max_lane(rays[u].last);
+        rays->behind = fma(rays->d_red, (fv)(background[0]),
+                           fma(rays->d_green, (fv)(background[1]), rays->d_blue * background[2]));
+        unit_last[u] = SKIP_CONTRIBUTORS ? max_lane(rays->last) : end - first;
         tile_last = max(tile_last, unit_last[u]);
     }
-    const int first = tile_range[tile];
     const Moments zero = {(fv)(0.0f), (fv)(0.0f), (fv)(0.0f), (fv)(0.0f), (fv)(0.0f),
                           (fv)(0.0f), (fv)(0.0f), (fv)(0.0f), (fv)(0.0f)};
-    for (int k = tile_range[tile + 1] - 1; k >= first; --k) {
+    for (int k = end - 1; k >= first; --k) {
         __global const float *record = records + RECORD_SIZE * (size_t)k;
         const int number = k - first + 1;
-        uint units = number <= tile_last ? as_uint(record[RECORD_UNITS]) : 0u;
+        uint left = number <= tile_last ? as_uint(record[RECORD_UNITS]) : 0u;
         Paint paint;
         READ_PAINT(paint, record);
         Moments m = zero;
-        while (units) {
-            const int u = take_unit(&units);
+        while (left) {
+            const int u = take_unit(&left);
             if (number > unit_last[u])
                 continue;
-            const Touch t = touch(&paint.splat, LANE_X + (float)(x + unit_x(u)),
-                                  LANE_Y + (float)(y + unit_y(u)));
-            const iv taken = blend_back(&rays[u], &paint, &t, number, &m);
+            const Touch t = touch(&paint.splat, units[u].x, units[u].y);
+            const iv taken = blend_back(&units[u].rays, &paint, &t, number, &m);
             OBSERVE(k, unit_x(u), unit_y(u), taken, t.saturated);
         }
         store_moments(&m, rows + ROW_SIZE * (size_t)as_int(record[RECORD_ROW]));

@@ -40,14 +40,6 @@ typedef CLGS_CAT(int, VEC) iv;
 #define LN2_HIGH 0.693145752f
 #define LN2_LOW 1.42860677e-06f
 
-/* 2^f for |f| <= 1/2, relative error 8e-8. */
-#define EXP2_POLYNOMIAL(f)                                                                         \
-    fma(fma(fma(fma(fma(fma(1.53458118e-04f, f, 1.33999309e-03f), f, 9.61848907e-03f), f,          \
-                    5.55032864e-02f),                                                              \
-                f, 2.40226462e-01f),                                                               \
-            f, 6.93147182e-01f),                                                                   \
-        f, 1.0f)
-
 /* e^x, relative error 1e-7; x is clamped to [-87, 88]. A NaN stays one, as above. */
 #define DEFINE_EXP(name, F, I, AS_F, AS_I)                                                         \
     inline F name(F x)                                                                             \

@@ -1,9 +1,10 @@
-/* A Gaussian on the screen: the decision which pixels it touches, made in one place for forward,
- * backward and tile lists.
+/* A Gaussian on the screen: the decision which pixels it touches, made in one
+ * place for forward, backward and tile lists.
  *
- * Whitened offsets are scaled by sqrt(log2(e) / 2), and the opacity joins the exponent:
- *     y1 = dx * r1,  y2 = (dy - l * dx) * r2,  exponent = log2(opacity) - y1^2 - y2^2,
- *     alpha = min(ALPHA_MAX, 2^exponent);  a pixel is touched where exponent >= LOG2_ALPHA_CUT.
+ * Whitened offsets are scaled by sqrt(log2(e) / 2), and the opacity joins the
+ * exponent: y1 = dx * r1,  y2 = (dy - l * dx) * r2,  exponent = log2(opacity) -
+ * y1^2 - y2^2, alpha = min(ALPHA_MAX, 2^exponent);  a pixel is touched where
+ * exponent >= LOG2_ALPHA_CUT.
  */
 #ifndef CLGS_SPLAT_H
 #define CLGS_SPLAT_H
@@ -19,9 +20,10 @@
 #ifndef LOG2_ALPHA_CUT
 #define LOG2_ALPHA_CUT -7.99435344f
 #endif
-#ifndef LOG2_ALPHA_MAX
-#define LOG2_ALPHA_MAX -0.0144995697f
+#ifndef EXP2_DEGREE
+#define EXP2_DEGREE 6
 #endif
+#define BIAS_MAX 64.0f /* keeps 2^bias finite whatever the opacity */
 
 #define WHITENING_UNIT 0.849321800f /* sqrt(log2(e) / 2) */
 
@@ -31,7 +33,8 @@ typedef struct {
     float bias;      /* log2(opacity) */
 } Splat;
 
-/* What a splat does to VEC pixels; masks are non-zero (all bits set, in vectors) where true. */
+/* What a splat does to VEC pixels; masks are non-zero (all bits set, in
+ * vectors) where true. */
 typedef struct {
     fv y1, y2;
     fv alpha;     /* meaningless where not touched */
@@ -48,8 +51,39 @@ inline Splat make_splat2d(__global const float *mean2d, __global const float *wh
     s.r1 = whitening[3 * i] * WHITENING_UNIT;
     s.l = whitening[3 * i + 1];
     s.r2 = whitening[3 * i + 2] * WHITENING_UNIT;
-    s.bias = opacity[i] > 0.0f ? log_s(opacity[i]) * LOG2_E : -INFINITY; /* so for NaN, too */
+    const float bias = opacity[i] > 0.0f ? log_s(opacity[i]) * LOG2_E : -INFINITY; /* NaN, too */
+    s.bias = bias < BIAS_MAX ? bias : BIAS_MAX;
     return s;
+}
+
+/* 2^f for |f| <= 1/2; relative errors of degree 6 to 3: 8e-8, 2e-7, 3e-6, 8e-5. */
+inline fv exp2_polynomial(fv f)
+{
+#if EXP2_DEGREE == 6
+    fv p = fma((fv)(1.53458118e-04f), f, (fv)(1.33999309e-03f));
+    p = fma(p, f, (fv)(9.61848907e-03f));
+    p = fma(p, f, (fv)(5.55032864e-02f));
+    p = fma(p, f, (fv)(2.40226462e-01f));
+    p = fma(p, f, (fv)(6.93147182e-01f));
+    return fma(p, f, (fv)(1.0f));
+#elif EXP2_DEGREE == 5
+    fv p = fma((fv)(1.32764725e-03f), f, (fv)(9.67554189e-03f));
+    p = fma(p, f, (fv)(5.55071309e-02f));
+    p = fma(p, f, (fv)(2.40221202e-01f));
+    p = fma(p, f, (fv)(6.93146944e-01f));
+    return fma(p, f, (fv)(1.00000012f));
+#elif EXP2_DEGREE == 4
+    fv p = fma((fv)(9.57010221e-03f), f, (fv)(5.59178628e-02f));
+    p = fma(p, f, (fv)(2.40247443e-01f));
+    p = fma(p, f, (fv)(6.93121791e-01f));
+    return fma(p, f, (fv)(9.99999285e-01f));
+#elif EXP2_DEGREE == 3
+    fv p = fma((fv)(5.51716723e-02f), f, (fv)(2.42611125e-01f));
+    p = fma(p, f, (fv)(6.93260968e-01f));
+    return fma(p, f, (fv)(9.99928057e-01f));
+#else
+#error EXP2_DEGREE must be 3 to 6
+#endif
 }
 
 /* 2^x for x in [-100, 100]; garbage elsewhere, which callers mask. */
@@ -57,25 +91,26 @@ inline fv exp2_in_range(fv x)
 {
     const fv shifted = x + (fv)(ROUND_MAGIC);
     const fv f = x - (shifted - (fv)(ROUND_MAGIC));
-    const fv p = EXP2_POLYNOMIAL(f);
-    return AS_FV(AS_IV(p) + (AS_IV(shifted) << 23));
+    return AS_FV(AS_IV(exp2_polynomial(f)) + (AS_IV(shifted) << 23));
 }
 
 inline Touch touch(const Splat *s, fv pixel_x, fv pixel_y)
 {
     Touch t;
-    const fv dx = pixel_x - s->x;
-    const fv dy = pixel_y - s->y;
+    const fv dx = s->x - pixel_x;
+    const fv dy = s->y - pixel_y;
     t.y1 = dx * s->r1;
     t.y2 = fma((fv)(-s->l), dx, dy) * s->r2;
     const fv exponent = fma(-t.y2, t.y2, fma(-t.y1, t.y1, (fv)(s->bias)));
     t.touched = exponent >= (fv)(LOG2_ALPHA_CUT);
-    t.saturated = exponent > (fv)(LOG2_ALPHA_MAX);
-    t.alpha = t.saturated ? (fv)(ALPHA_MAX) : exp2_in_range(exponent);
+    const fv alpha = exp2_in_range(exponent);
+    t.alpha = alpha < (fv)(ALPHA_MAX) ? alpha : (fv)(ALPHA_MAX);
+    t.saturated = t.alpha >= (fv)(ALPHA_MAX);
     return t;
 }
 
-/* Where a splat can touch pixels at all, a little too large so that rounding never loses one. */
+/* Where a splat can touch pixels at all, a little too large so that rounding
+ * never loses one. */
 typedef struct {
     float squared;        /* largest y1^2 + y2^2 */
     float half_x, half_y; /* of the bounding box, pixels */
@@ -84,7 +119,8 @@ typedef struct {
 inline Reach reach_of(const Splat *s)
 {
     Reach r;
-    /* The rounding error of y2 is that of dy - l * dx, a difference of terms as large as the box.
+    /* The rounding error of y2 is that of dy - l * dx, a difference of terms as
+     * large as the box.
      */
     const float limit = s->bias - LOG2_ALPHA_CUT;
     const float sigma_x = 1.0f / s->r1, minor = 1.0f / s->r2;
@@ -98,9 +134,27 @@ inline Reach reach_of(const Splat *s)
     return r;
 }
 
-/* First (.xy) and last (.zw) column and row of the pixels whose centres lie in centre +- half,
- * within an image of the given size; none where first > last, all where half is not finite. All
- * four at once and without branches, which would be hard to predict. */
+/* How wide the touched ellipse is in a row of pixels dy below the centre: it
+ * lies around slope dy, half as wide as sqrt(squared - shrink dy^2). */
+typedef struct {
+    float slope, squared, shrink;
+} Span;
+
+inline Span span_of(const Splat *s, const Reach *r)
+{
+    const float lr2 = s->l * s->r2;
+    const float inverse = 1.0f / fma(s->r1, s->r1, lr2 * lr2);
+    Span span;
+    span.slope = lr2 * s->r2 * inverse;
+    span.squared = r->squared * 1.00001f * inverse;
+    span.shrink = (s->r1 * s->r2 * inverse) * (s->r1 * s->r2 * inverse);
+    return span;
+}
+
+/* First (.xy) and last (.zw) column and row of the pixels whose centres lie in
+ * centre +- half, within an image of the given size; none where first > last,
+ * all where half is not finite. All four at once and without branches, which
+ * would be hard to predict. */
 inline int4 pixel_box(float2 centre, float2 half_size, float2 size)
 {
     const float4 low = (float4)(0.0f, 0.0f, 1.0f - size.x, 1.0f - size.y);
@@ -123,8 +177,9 @@ inline float clamp_between(float x, float low, float high)
     return x < low ? low : (x > high ? high : x);
 }
 
-/* Whether the splat may touch a pixel from first to last (column, row): the smallest y1^2 + y2^2
- * over the rectangle of pixel centres lies at its centre or on an edge facing it. */
+/* Whether the splat may touch a pixel from first to last (column, row): the
+ * smallest y1^2 + y2^2 over the rectangle of pixel centres lies at its centre
+ * or on an edge facing it. */
 inline bool reaches_pixels(const Splat *s, float squared, int2 first, int2 last)
 {
     const float left = (float)first.x + 0.5f - s->x, right = (float)last.x + 0.5f - s->x;

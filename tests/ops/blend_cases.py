@@ -9,6 +9,7 @@ import numpy as np
 
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
+from clgs.options import DEFAULT, RenderOptions
 from clgs.reference import blend as reference
 from clgs.reference import project as reference_project
 from clgs.reference.tiles import TileLists
@@ -44,8 +45,11 @@ def upload(device: Any, scene: ProjectedScene) -> Projected:
     return Projected(**{name: device.upload(getattr(scene, name)) for name in GEOMETRY})
 
 
-def lists_of(device: Any, scene: ProjectedScene, size: tuple[int, int]) -> tiles.TileLists:
-    return tiles.forward(device, upload(device, scene), device.upload(scene.opacity), *size)
+def lists_of(
+    device: Any, scene: ProjectedScene, size: tuple[int, int], options: RenderOptions = DEFAULT
+) -> tiles.TileLists:
+    opacity = device.upload(scene.opacity)
+    return tiles.forward(device, upload(device, scene), opacity, *size, options)
 
 
 def render(
@@ -54,15 +58,16 @@ def render(
     size: tuple[int, int],
     lists: tiles.TileLists | None = None,
     background: np.ndarray = BACKGROUND,
+    options: RenderOptions = DEFAULT,
 ) -> Rendered:
     inputs = {
         "projected": upload(device, scene),
         "color": device.upload(scene.color),
         "opacity": device.upload(scene.opacity),
-        "tiles": lists or lists_of(device, scene, size),
+        "tiles": lists or lists_of(device, scene, size, options),
         "background": device.upload(background),
     }
-    return Rendered(device, inputs, blend.forward(device, **inputs, size=size))
+    return Rendered(device, inputs, blend.forward(device, **inputs, size=size, options=options))
 
 
 def in_float64(rendered: Rendered, scene: ProjectedScene) -> dict[str, Any]:
@@ -131,3 +136,11 @@ def lists_on_device(device: Any, arrays: dict[str, np.ndarray]) -> tiles.TileLis
     total = device.upload(np.array([len(arrays["row"])], np.int64))
     uploaded = {name: device.upload(array.astype(np.int32)) for name, array in arrays.items()}
     return tiles.TileLists(**uploaded, total=total)
+
+
+def truncation(options: RenderOptions) -> reference.Truncation:
+    """The accuracy of ``options``, as the reference takes it."""
+    accuracy = options.accuracy
+    return reference.Truncation(
+        accuracy.alpha_cut, accuracy.transmittance_stop, accuracy.inclusive_stop
+    )
