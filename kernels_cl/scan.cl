@@ -114,9 +114,13 @@ __kernel void scan_apply(__global const int *counts, const int count, const int 
 
 #endif
 
-/* Clears *flag where more are needed than there is room for. */
-__kernel void scan_fits(__global const long *total, const long capacity, __global int *flag)
+#ifndef LACKS_ROOM
+#define LACKS_ROOM 2
+#endif
+
+/* Sets LACKS_ROOM in *stop where more are needed than there is room for. */
+__kernel void scan_fits(__global const long *total, const long capacity, __global int *stop)
 {
     if (*total > capacity)
-        *flag = 0;
+        atomic_or(stop, LACKS_ROOM);
 }

@@ -56,11 +56,11 @@ def main(name: str, specialisation: str) -> int:
 
 def rate_of_rounded(trainer: Trainer) -> float:
     """Round the parameters and run the rate proxy on them, forward and backward; bits an anchor."""
-    rounded = quantized_view(trainer.device, trainer.parameters.scene, trainer.scales)
+    rounded = quantized_view(trainer.device, trainer.parameters.scene, trainer.queue.scales)
     bits = 0.0
     for name in ANCHOR_GROUPS:
         x = getattr(rounded, name)
-        result = rate.forward(trainer.device, x, getattr(trainer.scales, name))
+        result = rate.forward(trainer.device, x, getattr(trainer.queue.scales, name))
         rate.backward(trainer.device, result, x, 1.0, trainer.device.zeros(x.shape))
         bits += result.bits
     return bits

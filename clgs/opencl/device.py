@@ -185,6 +185,10 @@ class Device:
             yield
             self.queue.finish()
 
+    def flush(self) -> None:
+        """Let the device begin with what is enqueued; does not wait."""
+        self.queue.flush()
+
     def finish(self) -> None:
         """Wait for all enqueued work."""
         self.queue.finish()

@@ -65,7 +65,7 @@ def accumulate(
     output: DeviceArray,
     visible: DeviceArray,
     gradients: ScreenGradients,
-    flag: DeviceArray | None = None,
+    stop: DeviceArray | None = None,
 ) -> None:
     """Add one view to ``statistics`` in place.
 
@@ -75,13 +75,13 @@ def accumulate(
         output: (110, Vp) float32, Vp >= V, feature-major MLP outputs; rows [0, 10) are opacities.
         visible: (V,) int32, anchor of every column, each at most once; -1 is none.
         gradients: of the view's Gaussians, each slot at most once.
-        flag: (1,) int32; where it holds 0 nothing changes.
+        stop: (1,) int32; unless it holds 0 nothing changes. Default: 0.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     visible_count, count, padded = _check(statistics, output, visible, gradients)
-    flag = flag or device.upload(np.ones(1, np.int32))
+    stop = stop or device.zeros((1,), np.int32)
     device.run(
         device.kernel("density", "density_visit"),
         (round_up(visible_count, GROUP_SIZE),),
@@ -90,7 +90,7 @@ def accumulate(
         visible,
         np.int32(visible_count),
         np.int32(padded),
-        flag,
+        stop,
         statistics.opacity_sum,
         statistics.visits,
     )
@@ -104,7 +104,7 @@ def accumulate(
         gradients.d_mean2d,
         np.int32(count),
         np.array([0.5 * gradients.width, 0.5 * gradients.height], np.float32),
-        flag,
+        stop,
         statistics.gradient_sum,
         statistics.gradient_count,
     )

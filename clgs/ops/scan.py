@@ -18,6 +18,9 @@ from clgs.shapes import Shapes
 GROUP_SIZE = 256
 MAX_TOTAL = 2**31 - 1
 NO_LIMIT = 2**63 - 1
+LACKS_ROOM = 2
+"""Bit of the stop flag (see ``clgs.ops.adam``): an array was too short for what belongs in it."""
+
 SHORTEST_CHUNK = {"cpu": 4096, "gpu": 1024}
 MOST_CHUNKS = {"cpu": 16, "gpu": 2048}
 
@@ -79,16 +82,19 @@ def on_device(device: Device, counts: DeviceArray, limit: int = NO_LIMIT) -> Off
     return Offsets(offset, total)
 
 
-def check_fits(device: Device, total: DeviceArray, capacity: int, flag: DeviceArray) -> None:
-    """Clear ``flag`` (1,) int32 where ``total`` (1,) int64 is above ``capacity``; does not wait.
+def check_fits(device: Device, total: DeviceArray, capacity: int, stop: DeviceArray) -> None:
+    """Set LACKS_ROOM in ``stop`` (1,) int32 where ``total`` (1,) int64 is above ``capacity``.
+
+    Waits for nothing.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     shapes = Shapes()
     shapes.check("total", total, "1", np.int64)
-    shapes.check("flag", flag, "1", np.int32)
-    device.run(device.kernel("scan", "scan_fits"), (1,), (1,), total, np.int64(capacity), flag)
+    shapes.check("stop", stop, "1", np.int32)
+    kernel = device.kernel("scan", "scan_fits", LACKS_ROOM=LACKS_ROOM)
+    device.run(kernel, (1,), (1,), total, np.int64(capacity), stop)
 
 
 def chunk_plan(device: Device, count: int) -> tuple[int, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -40,6 +40,22 @@ class DeviceView:
 
 
 @dataclass(frozen=True)
+class Capacity:
+    """Room for visible anchors, Gaussians and tile entries; more than that is left out."""
+
+    visible: int
+    gaussians: int
+    entries: int
+
+    def grown(self, needed: Capacity) -> Capacity:
+        """With room for ``needed`` and a quarter more where there is too little."""
+        pairs = zip(astuple(needed), astuple(self), strict=True)
+        return Capacity(
+            *(room if count <= room else count + count // 4 + 1024 for count, room in pairs)
+        )
+
+
+@dataclass(frozen=True)
 class Frame:
     """One rendered view with everything that its backward pass needs."""
 
@@ -56,6 +72,11 @@ class Frame:
     def image(self) -> DeviceArray:
         """The picture (3, H, W) float32."""
         return self.blended.image
+
+    def totals(self, device: Device) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
+        """How many visible anchors, Gaussians and tile entries there are, (1,) int64 each."""
+        visible = device.upload(np.array([len(self.activations.visible)], np.int64))
+        return visible, self.gaussians.total, self.tiles.total
 
 
 @dataclass(frozen=True)

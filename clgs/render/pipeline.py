@@ -5,11 +5,13 @@ This is the figure of the paper, top to bottom; the backward pass is the same li
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import blend, cull, loss, mlp, neural, project, tiles
+from clgs.ops import blend, cull, loss, mlp, neural, project, scan, tiles
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import DeviceScene, DeviceView, Frame, SceneGradients, upload_view
+from clgs.render.frame import Capacity, DeviceScene, DeviceView, Frame, SceneGradients, upload_view
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings
 
@@ -30,10 +32,18 @@ def render_forward(
 
 
 def view_forward(
-    device: Device, scene: DeviceScene, view: DeviceView, options: RenderOptions = DEFAULT
+    device: Device,
+    scene: DeviceScene,
+    view: DeviceView,
+    options: RenderOptions = DEFAULT,
+    capacity: Capacity | None = None,
 ) -> Frame:
-    """As :func:`render_forward`, of a view that lies on the device."""
-    packed, size, background = view.camera, view.size, view.background
+    """As :func:`render_forward`, of a view that lies on the device.
+
+    Nothing is waited for where there is a ``capacity``; :func:`check_capacity` then tells whether
+    it was enough. Without one, all arrays are made to measure.
+    """
+    packed = view.camera
     with device.stage("cull"):
         visible = cull.forward(device, scene.position, scene.scaling, packed)
     with device.stage("mlp forward"):
@@ -48,18 +58,28 @@ def view_forward(
             scene.position,
             scene.offset,
             scene.scaling,
+            capacity.gaussians if capacity else None,
         )
-    projected, lists, blended = _rasterise(device, gaussians, packed, background, size, options)
-    return Frame(packed, size, activations, gaussians, projected, lists, background, blended)
+    projected, lists, blended = _rasterise(
+        device, gaussians, view, options, capacity.entries if capacity else None
+    )
+    return Frame(
+        packed, view.size, activations, gaussians, projected, lists, view.background, blended
+    )
+
+
+def check_capacity(device: Device, frame: Frame, capacity: Capacity, stop: DeviceArray) -> None:
+    """Set ``stop`` (1,) int32 where ``capacity`` was too small for the frame."""
+    for total, room in zip(frame.totals(device), astuple(capacity), strict=True):
+        scan.check_fits(device, total, room, stop)
 
 
 def _rasterise(
     device: Device,
     gaussians: neural.NeuralGaussians,
-    packed: DeviceArray,
-    background: DeviceArray,
-    size: tuple[int, int],
+    view: DeviceView,
     options: RenderOptions,
+    capacity: int | None,
 ) -> tuple[project.Projected, tiles.TileLists, blend.Blended]:
     """Draw neural Gaussians."""
     with device.stage("project forward"):
@@ -69,11 +89,11 @@ def _rasterise(
             gaussians.scale,
             gaussians.rotation,
             gaussians.opacity,
-            packed,
+            view.camera,
             options,
         )
     with device.stage("tiles"):
-        lists = tiles.forward(device, projected, gaussians.opacity, *size, options)
+        lists = tiles.forward(device, projected, gaussians.opacity, *view.size, options, capacity)
     with device.stage("blend forward"):
         blended = blend.forward(
             device,
@@ -81,8 +101,8 @@ def _rasterise(
             gaussians.color,
             gaussians.opacity,
             lists,
-            background,
-            size,
+            view.background,
+            view.size,
             options,
         )
     return projected, lists, blended

@@ -64,8 +64,7 @@ def bench_ops(device: Device, load: Workload) -> OpsFigures:
     limits = measure_limits(device)
     trainer = synthetic_trainer(device, load.gaussians, load.size, load.seed)
     times = dict(time_steps(trainer, load.repeats).stages)
-    assert trainer.last_frame is not None
-    counts = count_work(device, trainer.last_frame, trainer.parameters.scene, load.elements)
+    counts = count_work(device, trainer.render_next(), trainer.parameters.scene, load.elements)
     for stage, _, _, _, milliseconds in training_checks(device, load.elements):
         if stage in ALONE:
             times[stage] = milliseconds

@@ -54,8 +54,7 @@ def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
         trainer.step()
     device.profile.enabled = False
     stages = {name: milliseconds for name, _, milliseconds, _ in device.profile.rows()}
-    frame = trainer.last_frame
-    assert frame is not None
+    frame = trainer.render_next()
     return StepTimes(
         median(whole),
         stages,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clgs.constants import K_OFFSETS
+from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import density as density_op
 from clgs.render.frame import Frame, SceneGradients
@@ -21,27 +22,24 @@ class Densifier:
         self._device, self._config = device, config
         self.statistics = self._upload(zero_statistics(count))
 
-    def after_backward(
-        self,
-        parameters: Parameters,
-        frame: Frame,
-        gradients: SceneGradients,
-        step: int,
-        rng: np.random.Generator,
-    ) -> Parameters | None:
-        """Statistics of this step; the replaced parameters where anchors changed, else None."""
+    def observe(
+        self, frame: Frame, gradients: SceneGradients, step: int, stop: DeviceArray
+    ) -> None:
+        """Add step number ``step`` to the statistics where they are taken and ``stop`` is 0."""
         config = self._config
         if not config.statistics_start < step < config.growth_end:
-            return None
+            return
         seen = density_op.ScreenGradients(
             frame.gaussians.slot, frame.projected.extent, gradients.d_mean2d, *frame.size
         )
-        activations = frame.activations
-        density_op.accumulate(
-            self._device, self.statistics, activations.output, activations.visible, seen
-        )
-        due = step > config.growth_start and step % config.growth_interval == 0
-        return self._change_anchors(parameters, frame, rng) if due else None
+        output, visible = frame.activations.output, frame.activations.visible
+        density_op.accumulate(self._device, self.statistics, output, visible, seen, stop)
+
+    def replaces_anchors(self, step: int) -> bool:
+        """Whether the anchors change at the end of step number ``step``."""
+        config = self._config
+        in_window = max(config.statistics_start, config.growth_start) < step < config.growth_end
+        return in_window and step % config.growth_interval == 0
 
     def align(self, parameters: Parameters, q_position: float) -> tuple[Parameters, int]:
         """Anchors moved to the grid of 1/Q_P, those of one cell merged, and how many merged.
@@ -53,13 +51,15 @@ class Densifier:
         merged = merge_cells(state, q_position)
         return self._replace(parameters, state), merged
 
-    def _change_anchors(
+    def replace_anchors(
         self, parameters: Parameters, frame: Frame, rng: np.random.Generator
     ) -> Parameters:
+        """Prune and grow after a step that rendered ``frame``."""
         device = self._device
         anchors, moments = download_anchors(device, parameters)
         state = TrainState(anchors, self.download(), moments)
         visible = device.download(frame.activations.visible)
+        visible = visible[visible >= 0]
         opacity = device.download(frame.activations.output)[:K_OFFSETS, : len(visible)].T
         mask_prune(state, visible, opacity)
         grow(state, self._config, rng)

@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
 from clgs.codec.encode import sort_anchors
 from clgs.data.dataset import Dataset, View
 from clgs.errors import ClgsError
-from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import loss, rate
-from clgs.options import render_options
-from clgs.render.frame import DeviceScene, Frame, SceneGradients
-from clgs.render.pipeline import render_backward, view_forward
+from clgs.options import RenderOptions
+from clgs.render.frame import Capacity, Frame
 from clgs.render.renderer import render_picture
-from clgs.scene.anchors import QuantizationScales
 from clgs.scene.mlps import Mlps, init_mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
 from clgs.train.densify import Densifier
 from clgs.train.evaluate import psnr_8bit, to_8bit
 from clgs.train.initial import initial_anchors
-from clgs.train.optimizer import Optimizer
-from clgs.train.parameters import (
-    ANCHOR_GROUPS,
-    Parameters,
-    download_anchors,
-    new_parameters,
-    quantized_anchors,
-    quantized_view,
-)
-from clgs.train.schedule import ViewSampler, reduction
-from clgs.train.targets import BACKGROUNDS, Targets, planar
+from clgs.train.parameters import Parameters, download_anchors, new_parameters, quantized_anchors
+from clgs.train.schedule import ViewSampler
+from clgs.train.step import Enqueued, Plan, StepQueue
+from clgs.train.targets import BACKGROUNDS, planar
 
 
 class NonFiniteLossError(ClgsError):
@@ -59,29 +50,29 @@ class StepResult:
 class Trainer:
     """Holds the state of one run; :meth:`step` advances it by one view."""
 
-    def __init__(self, device: Device, dataset: Dataset, config: TrainConfig) -> None:
+    def __init__(
+        self, device: Device, dataset: Dataset, config: TrainConfig, ahead: bool = True
+    ) -> None:
         """Start from the dataset's points.
 
         Args:
             device: where to train.
             dataset: views and points in scene units.
             config: resolved for the dataset and scaled to its number of steps.
+            ahead: whether :meth:`steps` enqueues a step while the one before is under way; the
+                results have the same bits either way.
         """
         self.device, self.dataset, self.config = device, dataset, config
         self.rng = np.random.default_rng(config.seed)
         anchors = initial_anchors(dataset.points, config.voxel)
         self.parameters: Parameters = new_parameters(device, anchors, init_mlps(self.rng))
-        self.scales = QuantizationScales(
-            config.position_q, config.offset_q, config.feature_q, config.scaling_q
-        )
-        self.optimizer = Optimizer(device, config, dataset.radius)
+        self.queue = StepQueue(device, dataset, config)
         self.densifier = Densifier(device, config, self.parameters.count)
         self.sampler = ViewSampler(len(dataset.train), config.seed)
-        self.targets = Targets(device, dataset.train, config.background, config.near)
-        self.options = render_options(config.accuracy)
         self.steps_done = 0
-        self.last_frame: Frame | None = None
         self.merged = 0
+        self._ahead = ahead
+        self._under_way: list[Enqueued] = []
 
     @property
     def settings(self) -> RenderSettings:
@@ -90,45 +81,94 @@ class Trainer:
         return RenderSettings(background=background, near=self.config.near)
 
     @property
-    def quantizing(self) -> bool:
-        """Whether the next step renders rounded parameters."""
-        return self.steps_done + 1 > self.config.switch_step
+    def options(self) -> RenderOptions:
+        """Accuracy and skips of every render."""
+        return self.queue.options
 
     def step(self) -> StepResult:
-        """Train on one view.
+        """Train on one view and wait for it.
 
         Raises:
-            NonFiniteLossError: the loss is not finite; the parameters are untouched.
+            NonFiniteLossError: loss or gradient are not finite; the parameters are untouched.
         """
-        if self.steps_done == self.config.switch_step:
+        return next(self.steps(1))
+
+    def steps(self, count: int, stop: Callable[[], bool] = lambda: False) -> Iterator[StepResult]:
+        """Train on ``count`` views, or fewer: no step is begun once ``stop()`` is true.
+
+        When the iterator ends, all that began is done; in between, the device may be a step ahead
+        of the results.
+
+        Raises:
+            NonFiniteLossError: as for :meth:`step`; later steps left no trace.
+        """
+        last = self.steps_done + count
+        while True:
+            begun = self.steps_done + len(self._under_way)
+            if begun == last or stop():
+                break
+            while self._under_way and self._must_settle(begun + 1):
+                yield self._settle()
+            self._begin(begun + 1)
+            while len(self._under_way) > int(self._ahead):
+                yield self._settle()
+        while self._under_way:
+            yield self._settle()
+
+    def _must_settle(self, step: int) -> bool:
+        """Whether step number ``step`` begins with other anchors than the one before."""
+        return step == self.config.switch_step + 1 or self.densifier.replaces_anchors(step - 1)
+
+    def _begin(self, step: int) -> None:
+        if step == self.config.switch_step + 1:
             self._align_positions()
-        self.last_frame = None  # gives its memory back before the next one is made
-        step = self.steps_done + 1
-        index = self.sampler.next()
-        view = self.dataset.train[index]
-        background = self.targets.color(self.rng)
-        target = self.targets.get(index, background, reduction(self.config, step))
-        scene = self.parameters.scene
-        if self.quantizing:
-            with self.device.stage("quantize"):
-                scene = quantized_view(self.device, scene, self.scales)
-        frame = view_forward(self.device, scene, target.view, self.options)
-        value, d_image = self._loss(frame, target.photo, step, view.name)
-        gradients = render_backward(
-            self.device, scene, frame, d_image, self.config.volume_weight or 0.0
-        )
-        bits = self._add_rate(gradients) if self._rate_is_due(step) else None
-        with self.device.stage("density"):
-            replaced = self.densifier.after_backward(
-                self.parameters, frame, gradients, step, self.rng
+        plan = Plan(step, self.sampler.next(), self.queue.color(self.rng))
+        self._under_way.append(self.queue.enqueue(plan, self.parameters, self.densifier))
+
+    def _settle(self) -> StepResult:
+        """Wait for the oldest step under way; repeat it where it lacked room."""
+        while not self._under_way[0].done:
+            if not self._under_way[0].lacked_room():
+                self._give_up()
+            self._repeat()
+        settled = self._under_way.pop(0)
+        if settled.frame is not None:
+            self.parameters = self.densifier.replace_anchors(
+                self.parameters, settled.frame, self.rng
             )
-        with self.device.stage("adam"):
-            self._update(gradients, step, view.name, replaced is not None)
-        if replaced is not None:
-            self.parameters = replaced
-        self.steps_done, self.last_frame = step, frame
+        if self._ahead and self.queue.capacity is None:
+            self.queue.capacity = Capacity(0, 0, 0).grown(settled.needed())
+        self.steps_done, value = settled.plan.step, settled.loss.get()
         return StepResult(
-            step, view.name, value.value, value.l1, value.ssim, bits, self.parameters.count
+            self.steps_done,
+            self.dataset.train[settled.plan.index].name,
+            value.value,
+            value.l1,
+            value.ssim,
+            settled.rate_bits,
+            self.parameters.count,
+        )
+
+    def _repeat(self) -> None:
+        """Do the steps under way again, in order, with more room for the first of them."""
+        failed = self._under_way
+        assert failed[0].capacity is not None
+        self.queue.capacity = failed[0].capacity.grown(failed[0].needed())
+        self.queue.clear()
+        self._under_way = [
+            self.queue.enqueue(one.plan, self.parameters, self.densifier) for one in failed
+        ]
+
+    def _give_up(self) -> NoReturn:
+        """Drop the steps under way, which changed nothing, and say why."""
+        failed = self._under_way[0]
+        self._under_way = []
+        self.queue.clear()
+        value = failed.loss.get().value
+        what = "a gradient is not finite" if np.isfinite(value) else f"the loss is {value}"
+        name = self.dataset.train[failed.plan.index].name
+        raise NonFiniteLossError(
+            f"{what} at step {failed.plan.step}, view {name}; parameters untouched"
         )
 
     def _align_positions(self) -> None:
@@ -137,61 +177,19 @@ class Trainer:
             q_position = self.config.position_q
             self.parameters, self.merged = self.densifier.align(self.parameters, q_position)
 
-    def _loss(
-        self, frame: Frame, target: DeviceArray, step: int, name: str
-    ) -> tuple[loss.LossValue, DeviceArray]:
-        weights = loss.Weights(self.config.l1_weight, self.config.ssim_weight)
-        with self.device.stage("loss forward"):
-            compared = loss.forward(self.device, frame.image, target, weights)
-            value = compared.value(self.device)
-        if not np.isfinite(value.value):
-            raise NonFiniteLossError(
-                f"the loss is {value.value} at step {step}, view {name}; parameters untouched"
-            )
-        with self.device.stage("loss backward"):
-            return value, loss.backward(self.device, frame.image, target, compared)
-
-    def _rate_is_due(self, step: int) -> bool:
-        return step > self.config.switch_step and step % self.config.rate_interval == 0
-
-    def _add_rate(self, gradients: SceneGradients) -> float:
-        """Add the rate proxy's gradient in place; returns bits per anchor."""
-        total = 0.0
-        with self.device.stage("rate"):
-            for name in ANCHOR_GROUPS:
-                x, d_x = getattr(self.parameters.scene, name), getattr(gradients, f"d_{name}")
-                result = self._rate(name)
-                rate.backward(self.device, result, x, self.config.rate_weight, d_x)
-                total += result.bits
-        return total
-
-    def _rate(self, name: str) -> rate.Rate:
-        x, q = getattr(self.parameters.scene, name), getattr(self.scales, name)
-        return rate.forward(
-            self.device, x, q, "pooled" if self.config.proxy == "pooled" else "channel"
-        )
-
     def estimated_bits(self) -> float:
         """Bits per anchor of the rounded attributes under the proxy's model."""
-        return sum(self._rate(name).bits for name in ANCHOR_GROUPS)
+        return self.queue.estimated_bits(self.parameters)
 
-    def _update(
-        self, gradients: SceneGradients, step: int, view: str, anchors_replaced: bool
-    ) -> None:
-        if not self.optimizer.step(self.parameters, gradients, step, not anchors_replaced):
-            raise NonFiniteLossError(
-                f"a gradient is not finite at step {step}, view {view}; parameters untouched"
-            )
-
-    def rounded(self) -> DeviceScene:
-        """The parameters as the last step rendered them: rounded once quantisation is on."""
-        scene = self.parameters.scene
-        started = self.steps_done > self.config.switch_step
-        return quantized_view(self.device, scene, self.scales) if started else scene
+    def render_next(self) -> Frame:
+        """What the next step would compare if it saw the first view on black."""
+        plan = Plan(self.steps_done + 1, 0, BACKGROUNDS["black"])
+        return self.queue.render(plan, self.parameters)
 
     def psnr(self, views: list[View]) -> float:
         """Mean 8-bit PSNR of the current parameters on ``views``."""
-        scene, settings = self.rounded(), self.settings
+        scene = self.queue.seen(self.parameters, self.steps_done)
+        settings = self.settings
         values = []
         for view in views:
             image = render_picture(self.device, scene, view.camera, settings, self.options)
@@ -203,9 +201,9 @@ class Trainer:
         """The trained scene as integers, in Morton order: what is encoded and rendered."""
         anchors, _ = download_anchors(self.device, self.parameters)
         return QuantizedScene(
-            sort_anchors(quantized_anchors(anchors, self.scales)),
+            sort_anchors(quantized_anchors(anchors, self.queue.scales)),
             Mlps(self.device.download(self.parameters.scene.weights)),
-            self.scales,
+            self.queue.scales,
             self.settings,
             self.dataset.transform,
         )

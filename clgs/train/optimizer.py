@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from clgs.constants import HEAD_DIMS
+from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import adam
 from clgs.render.frame import SceneGradients
@@ -20,16 +21,21 @@ class Optimizer:
         self._device, self._config, self._radius = device, config, radius
 
     def step(
-        self, parameters: Parameters, gradients: SceneGradients, step: int, anchors: bool
-    ) -> bool:
-        """One Adam step number ``step`` (from 1); whether all gradients were finite.
+        self,
+        parameters: Parameters,
+        gradients: SceneGradients,
+        step: int,
+        anchors: bool,
+        stop: DeviceArray,
+    ) -> None:
+        """One Adam step number ``step`` (from 1).
 
-        ``anchors`` is False on steps that replace the anchors: only the MLPs learn then.
+        ``anchors`` is False on steps that replace the anchors: only the MLPs learn then. ``stop``
+        (1,) int32 is set where a gradient is not finite; unless it holds 0 nothing changes.
         """
         rates = learning_rates(self._config, step, self._radius)
         names = (*ANCHOR_GROUPS, "weights") if anchors else ("weights",)
         by_name = {name: getattr(gradients, f"d_{name}") for name in names}
-        stop = adam.stop_flag(self._device)
         adam.check_finite(self._device, by_name.values(), stop)
         for name in names:
             for part, rate in _parts(name, by_name[name].size, rates):
@@ -42,7 +48,6 @@ class Optimizer:
                     stop,
                     part,
                 )
-        return int(self._device.download(stop)[0]) == 0
 
 
 def _parts(name: str, size: int, rates: dict[str, float]) -> list[tuple[slice, float]]:

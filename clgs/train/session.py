@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -85,9 +85,9 @@ class Session:
         try:
             with interruptions() as interrupted:
                 while self.trainer.steps_done < self.config.steps:
-                    progress = self._advance()
-                    if on_progress is not None:
-                        on_progress(progress)
+                    for progress in self._advance(interrupted):
+                        if on_progress is not None:
+                            on_progress(progress)
                     if interrupted():
                         self._checkpoint()
                         raise KeyboardInterrupt
@@ -95,11 +95,27 @@ class Session:
             self.log.close()
         return self._finish()
 
-    def _advance(self) -> Progress:
-        trainer, config = self.trainer, self.config
-        if trainer.steps_done == config.switch_step:
+    def _advance(self, stop: Callable[[], bool]) -> Iterator[Progress]:
+        """Train up to the next step after which the state is looked at; fewer once ``stop()``."""
+        trainer, done = self.trainer, self.trainer.steps_done
+        if done == self.config.switch_step:
             self._log_psnr("before quantisation")
-        result = trainer.step()
+        pause = self._next_pause(done)
+        for result in trainer.steps(pause - done, stop):
+            yield self._look(result) if result.step == pause else Progress(result)
+
+    def _next_pause(self, done: int) -> int:
+        """The first step after ``done`` at which something is logged or saved."""
+        config = self.config
+        switch = config.switch_step
+        intervals = [config.log_interval, config.checkpoint_interval or config.steps]
+        moments = [switch, switch + 1, switch + 500, config.steps]
+        moments += [(done // interval + 1) * interval for interval in intervals]
+        return min(moment for moment in moments if moment > done)
+
+    def _look(self, result: StepResult) -> Progress:
+        """Log and save what is due after a step that nothing is under way behind."""
+        config = self.config
         progress = Progress(result)
         marks = {config.switch_step + 1: "just after", config.switch_step + 500: "500 steps after"}
         if result.step in marks and result.step > config.switch_step:
@@ -210,7 +226,7 @@ def train_scene(
         config: default ``TrainConfig()`` resolved for the dataset.
         device: default: chosen as ``clgs devices`` shows.
         resume: continue from the folder's checkpoint where it has one.
-        on_progress: called after every step.
+        on_progress: called after every step; the device may be a step ahead.
 
     Raises:
         DataError: nothing to train on, or the checkpoints are of another run.

@@ -82,12 +82,12 @@ def test_padding_changes_no_bit(device, rng):
         assert np.array_equal(found, plain), name
 
 
-def test_a_lowered_flag_stops_everything(device, rng):
+def test_a_stop_flag_stops_everything(device, rng):
     statistics = density.zeros(device, 50)
     output, visible, *gaussians = view(rng, 50, 50)
     gradients = density.ScreenGradients(*map(device.upload, gaussians), *SIZE)
     arrays = device.upload(output), device.upload(visible), gradients
-    density.accumulate(device, statistics, *arrays, device.zeros((1,), np.int32))
+    density.accumulate(device, statistics, *arrays, device.upload(np.array([2], np.int32)))
     for name in ("opacity_sum", "visits", "gradient_sum", "gradient_count"):
         assert not device.download(getattr(statistics, name)).any(), name
 

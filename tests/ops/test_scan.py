@@ -48,9 +48,10 @@ def test_other_dtype_is_refused(device):
 
 
 @pytest.mark.parametrize(("total", "room"), [(7, 8), (8, 8), (9, 8), (2**31 + 8, 8)])
-def test_flag_falls_where_room_is_short(device, total, room):
-    flag = device.upload(np.ones(1, np.int32))
-    scan.check_fits(device, device.upload(np.array([total])), room, flag)
-    assert device.download(flag)[0] == int(total <= room)
-    scan.check_fits(device, device.upload(np.array([0])), room, flag)
-    assert device.download(flag)[0] == int(total <= room)  # and stays down
+def test_short_room_sets_the_stop_flag(device, total, room):
+    stop = device.upload(np.array([1], np.int32))
+    wanted = 1 | (scan.LACKS_ROOM if total > room else 0)
+    scan.check_fits(device, device.upload(np.array([total])), room, stop)
+    assert device.download(stop)[0] == wanted
+    scan.check_fits(device, device.upload(np.array([0])), room, stop)
+    assert device.download(stop)[0] == wanted  # and it stays
