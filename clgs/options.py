@@ -94,10 +94,15 @@ class Skips:
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """How to render: truncation and skips."""
+    """How to render: truncation and skips.
+
+    smallest_anchor: anchors that are fewer pixels wide on the screen are left out, which changes
+    the picture.
+    """
 
     accuracy: Accuracy = PARITY
     skips: Skips = field(default_factory=Skips)
+    smallest_anchor: float = 0.0
 
 
 DEFAULT = RenderOptions()

@@ -45,13 +45,12 @@ inline fv dot_lanes(const fv a[3], const fv b[3])
     return fma(a[2], b[2], fma(a[1], b[1], a[0] * b[0]));
 }
 
-/* Half the edge of the 3-sigma square, whole pixels. */
-inline fv square_radius(const fv a[3], const fv b[3])
+/* Largest variance on the screen, blurred, square pixels. */
+inline fv largest_variance(const fv a[3], const fv b[3])
 {
     const fv xx = dot_lanes(a, a) + (fv)(BLUR), yy = dot_lanes(b, b) + (fv)(BLUR);
     const fv xy = dot_lanes(a, b), half_difference = 0.5f * (xx - yy);
-    const fv largest = 0.5f * (xx + yy) + sqrt(fma(half_difference, half_difference, xy * xy));
-    return ceil(3.0f * sqrt(largest));
+    return 0.5f * (xx + yy) + sqrt(fma(half_difference, half_difference, xy * xy));
 }
 
 /* Whether [centre - radius, centre + radius] touches the tiles of `size` pixels. */
@@ -61,9 +60,11 @@ inline iv touches(const fv centre, const fv radius, const float size)
     return (centre + radius > (fv)(0.0f)) & (centre - radius < (fv)(tiled));
 }
 
-/* One work-item VEC anchors: keep[i] = 1 where anchor i may be seen, else 0; NaN is not seen. */
+/* One work-item VEC anchors: keep[i] = 1 where anchor i may be seen, else 0; NaN is not seen. Nor
+ * is an anchor that is less than `smallest` pixels wide (6 sigma, without the blur). */
 __kernel void cull_test(__global const float *position, __global const float *scaling,
-                        __global const float *camera, const int count, __global int *keep)
+                        __global const float *camera, const int count, const float smallest,
+                        __global int *keep)
 {
     const size_t first = get_global_id(0) * VEC, size = (size_t)count;
     if (first >= size)
@@ -85,8 +86,11 @@ __kernel void cull_test(__global const float *position, __global const float *sc
         factor_row(camera, axis, (fv)(focal) / z, bound(slope, limits[0], limits[1]), scale,
                    factor[axis]);
     }
-    const fv radius = square_radius(factor[0], factor[1]);
-    const iv seen = (z > (fv)(camera[CAMERA_NEAR])) & (radius > (fv)(0.0f)) &
+    const fv largest = largest_variance(factor[0], factor[1]);
+    const fv radius = ceil(3.0f * sqrt(largest)); /* half the edge of the 3-sigma square */
+    const iv all_wide = (fv)(smallest) <= (fv)(0.0f);
+    const iv wide = 36.0f * (largest - (fv)(BLUR)) >= (fv)(smallest * smallest);
+    const iv seen = (z > (fv)(camera[CAMERA_NEAR])) & (radius > (fv)(0.0f)) & (wide | all_wide) &
                     touches(centre[0], radius, camera[CAMERA_WIDTH]) &
                     touches(centre[1], radius, camera[CAMERA_HEIGHT]);
     int lanes[VEC];
@@ -95,13 +99,22 @@ __kernel void cull_test(__global const float *position, __global const float *sc
         keep[first + lane] = lanes[lane];
 }
 
-/* One work-item an anchor: list the kept ones; place is the exclusive sum of keep. */
+/* Lists the kept anchors; place is the exclusive sum of keep. What lies beyond the capacity is left
+ * out, and entries after the last one are -1. One work-item an anchor and an entry. */
 __kernel void cull_compact(__global const int *keep, __global const int *place, const int count,
-                           __global int *visible)
+                           __global const long *total, const int capacity, __global int *visible)
 {
     const int i = (int)get_global_id(0);
-    if (i >= count)
-        return;
-    if (keep[i])
+    if (i < count && keep[i] && place[i] < capacity)
         visible[place[i]] = i;
+    if (i < capacity && (long)i >= total[0])
+        visible[i] = -1;
+}
+
+/* Every anchor at its own place, -1 for those that are not kept. */
+__kernel void cull_mark(__global const int *keep, const int count, __global int *visible)
+{
+    const int i = (int)get_global_id(0);
+    if (i < count)
+        visible[i] = keep[i] ? i : -1;
 }

@@ -3,33 +3,59 @@
 Each anchor is projected as a Gaussian with scale exp(S[0:3]), S clamped to +-LOG_SCALE_LIMIT, and
 identity rotation. With the blurred screen covariance C it is kept where
     z > near   and   the square |p - centre| <= r, r = ceil(3 sqrt(lambda_max(C))),
-touches the image's tiles. A NaN in position or scale is culled. A selection: no backward pass.
+touches the image's tiles. A NaN in position or scale is culled, and where it is asked for, so is an
+anchor whose 6 sigma on the screen, without the blur, are below a number of pixels. A selection: no
+backward pass.
 
 Source: the prefilter of Scaffold-GS (Lu et al. 2024).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
 from clgs.ops import scan
+from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
 
 GROUP_SIZE = 64
 
 
+@dataclass(frozen=True)
+class Visible:
+    """``anchor`` (V,) int32, ascending indices of the anchors that the camera may see, then -1.
+
+    total (1,) int64: how many there are; where it is above V, the others are left out.
+    """
+
+    anchor: DeviceArray
+    total: DeviceArray
+
+
 def forward(
-    device: Device, position: DeviceArray, scaling: DeviceArray, camera: DeviceArray
-) -> DeviceArray:
-    """Indices (V,) int32 of the anchors that the camera may see, ascending.
+    device: Device,
+    position: DeviceArray,
+    scaling: DeviceArray,
+    camera: DeviceArray,
+    options: RenderOptions = DEFAULT,
+    capacity: int | None = None,
+) -> Visible:
+    """Select the anchors that the camera may see.
+
+    With ``options.skips.anchors`` off, V is A and every other anchor is an entry -1: the MLPs then
+    have the work of all anchors, and nothing else changes.
 
     Args:
         device: where the arrays live.
         position: (A, 3) float32, scene units.
         scaling: (A, 6) float32, log of scene units.
         camera: (26,) float32 from ``Camera.pack``.
+        options: ``smallest_anchor`` and the skip of anchors.
+        capacity: V; None waits for the device to learn it.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -40,25 +66,23 @@ def forward(
     shapes.check("camera", camera, "26", np.float32)
     count = len(position)
     keep = device.empty((count,), np.int32)
-    device.run(
-        device.kernel("cull", "cull_test"),
-        (round_up(-(-count // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        position,
-        scaling,
-        camera,
-        np.int32(count),
-        keep,
-    )
-    place, total = scan.exclusive(device, keep)
-    visible = device.empty((total,), np.int32)
-    device.run(
-        device.kernel("cull", "cull_compact"),
-        (round_up(count, GROUP_SIZE),),
-        (GROUP_SIZE,),
-        keep,
-        place,
-        np.int32(count),
-        visible,
-    )
+    sizes = np.int32(count), np.float32(options.smallest_anchor)
+    test = device.kernel("cull", "cull_test")
+    device.run(test, *_grid(-(-count // device.vec)), position, scaling, camera, *sizes, keep)
+    offsets = scan.on_device(device, keep)
+    if not options.skips.anchors:
+        every = device.empty((count,), np.int32)
+        mark = device.kernel("cull", "cull_mark")
+        device.run(mark, *_grid(count), keep, np.int32(count), every)
+        return Visible(every, offsets.total)
+    room = scan.checked_total(device, offsets) if capacity is None else capacity
+    visible = Visible(device.empty((room,), np.int32), offsets.total)
+    compact = device.kernel("cull", "cull_compact")
+    limits = np.int32(count), offsets.total, np.int32(room)
+    grid = _grid(max(count, room))
+    device.run(compact, *grid, keep, offsets.offset, *limits, visible.anchor)
     return visible
+
+
+def _grid(items: int) -> tuple[tuple[int], tuple[int]]:
+    return (round_up(items, GROUP_SIZE),), (GROUP_SIZE,)

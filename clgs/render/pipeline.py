@@ -45,10 +45,10 @@ def view_forward(
     """
     packed = view.camera
     with device.stage("cull"):
-        visible = cull.forward(device, scene.position, scene.scaling, packed)
+        visible = cull.forward(device, scene.position, scene.scaling, packed, options)
     with device.stage("mlp forward"):
         activations = mlp.forward(
-            device, scene.feature, scene.position, visible, scene.weights, packed, options
+            device, scene.feature, scene.position, visible.anchor, scene.weights, packed, options
         )
     with device.stage("neural forward"):
         gaussians = neural.forward(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.constants import NEAR_PLANE
+from clgs.constants import BLUR, NEAR_PLANE
 from clgs.ops import cull
+from clgs.options import RenderOptions, Skips
 from clgs.reference import cull as reference
 from clgs.scene.camera import Camera
 from tests.ops.project_cases import camera_at
@@ -20,9 +21,9 @@ def anchors(rng, count, spread=3.0):
     return position, scaling
 
 
-def run(device, position, scaling, packed):
+def run(device, position, scaling, packed, **settings):
     arrays = [device.upload(value) for value in (position, scaling, packed)]
-    return device.download(cull.forward(device, *arrays))
+    return device.download(cull.forward(device, *arrays, **settings).anchor)
 
 
 def expected(position, scaling, packed):
@@ -104,6 +105,50 @@ def test_poison_stays_in_its_row(device, rng, slot, poison):
         assert 30 not in dirty
     else:
         assert 30 in dirty, "a clamped scale is an ordinary one"
+
+
+def test_capacity_gives_the_same_anchors(device, rng):
+    """Any sufficient one; a smaller one leaves the last out, and the total tells so."""
+    position, scaling = anchors(rng, 700)
+    packed = camera_at().pack(NEAR_PLANE)
+    exact = run(device, position, scaling, packed)
+    arrays = [device.upload(value) for value in (position, scaling, packed)]
+    for capacity in (0, 1, len(exact) - 1, len(exact), len(exact) + 5, 2000):
+        visible = cull.forward(device, *arrays, capacity=capacity)
+        assert device.download(visible.total).tolist() == [len(exact)]
+        padded = np.concatenate([exact, np.full(2000, -1)])[:capacity]
+        assert np.array_equal(device.download(visible.anchor), padded)
+
+
+def test_without_the_skip_all_anchors_have_a_place(device, rng):
+    position, scaling = anchors(rng, 300)
+    packed = camera_at().pack(NEAR_PLANE)
+    everything = RenderOptions(skips=Skips(anchors=False))
+    found = run(device, position, scaling, packed, options=everything)
+    wanted = np.full(300, -1)
+    exact = run(device, position, scaling, packed)
+    wanted[exact] = exact
+    assert np.array_equal(found, wanted)
+
+
+def test_small_anchors_are_left_out_on_request(device, rng):
+    position, scaling = anchors(rng, 3000)
+    packed = camera_at().pack(NEAR_PLANE)
+    exact = run(device, position, scaling, packed)
+    for pixels in (3.0, 10.0, 40.0):
+        found = run(
+            device, position, scaling, packed, options=RenderOptions(smallest_anchor=pixels)
+        )
+        reach = reference.screen_square(
+            position.astype(np.float64), scaling.astype(np.float64), packed
+        )[1]
+        # a variance is a difference of terms of up to BLUR more
+        width = 6 * np.sqrt((reach / 3) ** 2 - BLUR)[exact]
+        slack = 40 * EPSILON * (width + 36 * BLUR / width)
+        assert np.setdiff1d(found, exact).size == 0
+        assert np.isin(exact[width >= pixels + slack], found).all()
+        assert not np.isin(exact[width < pixels - slack], found).any()
+        assert 0 < len(found) < len(exact)
 
 
 def test_wrong_shapes_are_refused(device, rng):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clgs.ops import loss
+from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import loss as loss_reference
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
@@ -77,3 +80,19 @@ def test_specialisations_agree(open_device):
     error = np.abs(images[0] - images[1])
     assert np.quantile(error, 0.999) <= 1e-3 * LEVEL
     assert error.max() <= LEVEL
+
+
+def test_decoding_every_anchor_changes_no_bit(device):
+    """Those outside of the frustum draw nothing."""
+    scene, camera = anchor_scene(2000, 64, 5)
+    close = replace(camera, fx=4 * camera.fx, fy=4 * camera.fy)
+    uploaded = upload_scene(device, scene)
+    options = RenderOptions(skips=Skips(anchors=False))
+    one, other = (
+        render_forward(device, uploaded, close, RenderSettings(), chosen)
+        for chosen in (DEFAULT, options)
+    )
+    assert len(one.activations.visible) < 0.9 * len(other.activations.visible)
+    image = device.download(one.image)
+    assert np.abs(image).max() > 0
+    assert np.array_equal(image, device.download(other.image))
