@@ -9,6 +9,19 @@
 #define LOAD_ALIGNED(vector, pointer) (((__global const fv *)(pointer))[vector])
 #define STORE_ALIGNED(value, vector, pointer) (((__global fv *)(pointer))[vector] = (value))
 
+/* Number k of VEC rows, one a lane. */
+#if VEC == 1
+#define GATHER_V(rows, k) ((rows)[0][k])
+#elif VEC == 16
+#define GATHER_V(rows, k) ((fv)(GATHER_8(rows, k), GATHER_8((rows) + 8, k)))
+#elif VEC == 8
+#define GATHER_V(rows, k) GATHER_8(rows, k)
+#else
+#define GATHER_V(rows, k) GATHER_4(rows, k)
+#endif
+#define GATHER_8(rows, k) ((float8)(GATHER_4(rows, k), GATHER_4((rows) + 4, k)))
+#define GATHER_4(rows, k) ((float4)((rows)[0][k], (rows)[1][k], (rows)[2][k], (rows)[3][k]))
+
 /* Vectors that hold an array of `total` floats. */
 inline size_t vectors_in(size_t total)
 {

@@ -34,6 +34,15 @@ inline float3 direction(float3 v, float *length)
     return largest == 0.0f ? (float3)(0.0f) : scaled / root;
 }
 
+inline bool any_positive(const fv x)
+{
+#if VEC == 1
+    return x > 0.0f;
+#else
+    return any(x > (fv)(0.0f));
+#endif
+}
+
 /* Anchor of a sample; -1 for one that does not count. */
 inline int anchor_of(const Model *model, const size_t sample)
 {
@@ -44,11 +53,11 @@ inline int anchor_of(const Model *model, const size_t sample)
  * count, as are its inputs: where there is no anchor, or an input is not finite. */
 inline void gather(const Model *model, const size_t first, float x[(INPUT_DIM + 1) * BLOCK])
 {
+    __global const float *feature[BLOCK];
     for (size_t lane = 0; lane < BLOCK; ++lane) {
         const int anchor = anchor_of(model, first + lane);
         const size_t row = (size_t)(anchor < 0 ? 0 : anchor);
-        for (int k = 0; k < FEATURE_DIM; ++k)
-            x[k * BLOCK + lane] = model->feature[row * FEATURE_DIM + k];
+        feature[lane] = model->feature + row * FEATURE_DIM;
         float distance;
         const float3 step = load3(model->position, row) - camera_centre(model->camera);
         const float3 view = direction(step, &distance);
@@ -57,16 +66,22 @@ inline void gather(const Model *model, const size_t first, float x[(INPUT_DIM + 
         x[(FEATURE_DIM + 2) * BLOCK + lane] = view.z;
         x[INPUT_DIM * BLOCK + lane] = anchor < 0 ? 0.0f : 1.0f;
     }
+    fv ones[VECTORS];
+    bool all = true;
     for (int s = 0; s < VECTORS; ++s) {
-        fv ones = LOAD_V(s, x + INPUT_DIM * BLOCK);
+        ones[s] = LOAD_V(s, x + INPUT_DIM * BLOCK);
+        for (int k = 0; k < FEATURE_DIM; ++k)
+            STORE_V(GATHER_V(feature + s * VEC, k), s, x + k * BLOCK);
         for (int k = 0; k < INPUT_DIM; ++k)
-            ones = fabs(LOAD_V(s, x + k * BLOCK)) <= (fv)(INPUT_LIMIT) ? ones : (fv)(0.0f);
-        for (int k = 0; k < INPUT_DIM; ++k) {
-            const fv value = LOAD_V(s, x + k * BLOCK);
-            STORE_V(ones == (fv)(1.0f) ? value : (fv)(0.0f), s, x + k * BLOCK);
-        }
-        STORE_V(ones, s, x + INPUT_DIM * BLOCK);
+            ones[s] = fabs(LOAD_V(s, x + k * BLOCK)) <= (fv)(INPUT_LIMIT) ? ones[s] : (fv)(0.0f);
+        STORE_V(ones[s], s, x + INPUT_DIM * BLOCK);
+        all = all && !any_positive((fv)(1.0f) - ones[s]);
     }
+    for (int k = 0; k < INPUT_DIM && !all; ++k)
+        for (int s = 0; s < VECTORS; ++s) {
+            const fv value = LOAD_V(s, x + k * BLOCK);
+            STORE_V(ones[s] == (fv)(1.0f) ? value : (fv)(0.0f), s, x + k * BLOCK);
+        }
 }
 
 /* sum[o][s] += weight[o][k] * row k of x, over count rows. */
@@ -132,15 +147,6 @@ inline void hidden_layer(__global const float *weight, const float *x, float *hi
                 STORE_V(sum[o][s] < (fv)(0.0f) ? (fv)(0.0f) : sum[o][s], s,
                         hidden + (row + o) * BLOCK);
     }
-}
-
-inline bool any_positive(const fv x)
-{
-#if VEC == 1
-    return x > 0.0f;
-#else
-    return any(x > (fv)(0.0f));
-#endif
 }
 
 /* The slots, one a bit, with a positive opacity in some sample of a block; NaN is not positive. */
