@@ -72,8 +72,8 @@ MUTATIONS = (
         "blend",
         "a cut that NaN passes",
         SPLAT,
-        "t.touched = exponent >= (fv)(LOG2_ALPHA_CUT);",
-        "t.touched = !(exponent < (fv)(LOG2_ALPHA_CUT));",
+        "t.touched = exponent >= c->cut;",
+        "t.touched = !(exponent < c->cut);",
     ),
     Mutation(
         "blend",

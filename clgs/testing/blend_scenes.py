@@ -49,6 +49,7 @@ BLEND_SCENES: dict[str, tuple[Size, Callable[[np.random.Generator], ProjectedSce
     "lognormal 10k": ((400, 400), lambda rng: lognormal_scene(rng, 10_000, (400, 400), 3.5)),
     "lognormal 50k": ((400, 400), lambda rng: lognormal_scene(rng, 50_000, (400, 400), 1.55)),
     "lognormal 100k": ((400, 400), lambda rng: lognormal_scene(rng, 100_000, (400, 400), 1.1)),
+    "dense 40k": ((400, 400), lambda rng: lognormal_scene(rng, 40_000, (400, 400), 3.5)),
     "needles 20k": ((400, 400), lambda rng: projected_scene(rng, 20_000, 400, 400, 12.0, 400.0)),
 }
 """Size of the image and generator, by name."""

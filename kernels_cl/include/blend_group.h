@@ -25,6 +25,7 @@ __kernel void blend_forward(__global const float *records, __global const int *t
     const int x = tile % columns * TILE_SIZE + item % TILE_SIZE;
     const int y = tile / columns * TILE_SIZE + item / TILE_SIZE;
     const bool inside = x < width && y < height;
+    const TouchConstants constants = touch_constants(0);
     Pixels p;
     Ends e;
     start_pixels(&p, &e, inside);
@@ -43,7 +44,7 @@ __kernel void blend_forward(__global const float *records, __global const int *t
         for (int k = begin; k < stop; ++k) {
             Paint paint;
             READ_PAINT(paint, staged + RECORD_USED * (k - begin));
-            const Touch t = touch(&paint.splat, (float)x + 0.5f, (float)y + 0.5f);
+            const Touch t = touch(&paint.splat, (float)x + 0.5f, (float)y + 0.5f, &constants);
             OBSERVE(k, item % TILE_SIZE, item / TILE_SIZE, blended_over(&p, &t), t.saturated);
             blend_over(&p, &e, &paint, &t, k - first + 1);
         }
@@ -138,6 +139,7 @@ __kernel void blend_backward(__global const float *records, __global const int *
     const int columns = (width + TILE_SIZE - 1) / TILE_SIZE;
     const int x = tile % columns * TILE_SIZE + item % TILE_SIZE;
     const int y = tile / columns * TILE_SIZE + item / TILE_SIZE;
+    const TouchConstants constants = touch_constants(0);
     Rays p = {1.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0};
     if (x < width && y < height)
         p = load_ray(background, transmittance, last_contributor, d_image,
@@ -166,7 +168,7 @@ __kernel void blend_backward(__global const float *records, __global const int *
                 Paint paint;
                 READ_PAINT(paint, staged + RECORD_USED * (i + slot));
                 Moments m = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-                const Touch t = touch(&paint.splat, (float)x + 0.5f, (float)y + 0.5f);
+                const Touch t = touch(&paint.splat, (float)x + 0.5f, (float)y + 0.5f, &constants);
                 const iv taken = blend_back(&p, &paint, &t, k - first + 1, &m);
                 OBSERVE(k, item % TILE_SIZE, item / TILE_SIZE, taken, t.saturated);
                 store_moments(&m, slot, values);

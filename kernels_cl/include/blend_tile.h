@@ -14,17 +14,16 @@ typedef struct {
 } Unit;
 
 /* Returns the units that are still open. */
-inline __attribute__((always_inline)) uint blend_forward_entry(Unit *units, Ends *ends, uint open,
-                                                               __global const float *record,
-                                                               int entry,
-                                                               int number OBSERVE_PARAMETERS)
+inline __attribute__((always_inline)) uint
+blend_forward_entry(Unit *units, Ends *ends, uint open, __global const float *record, int entry,
+                    int number, const TouchConstants *constants OBSERVE_PARAMETERS)
 {
     Paint paint;
     READ_PAINT(paint, record);
     uint left = as_uint(record[RECORD_UNITS]) & open;
     while (left) {
         const int u = take_unit(&left);
-        const Touch t = touch(&paint.splat, units[u].x, units[u].y);
+        const Touch t = touch(&paint.splat, units[u].x, units[u].y, constants);
         OBSERVE(entry, unit_x(u), unit_y(u), blended_over(&units[u].pixels, &t), t.saturated);
         if (any_lane(blend_over(&units[u].pixels, &ends[u], &paint, &t, number)) && SKIP_FINISHED &&
             !any_lane(units[u].pixels.stop > (fv)(0.0f)))
@@ -78,6 +77,7 @@ __kernel void blend_forward(__global const float *records, __global const int *t
         store_background(background, x, y, width, height, image, transmittance, last_contributor);
         return;
     }
+    const TouchConstants constants = touch_constants(width >> 31);
     Unit units[UNITS];
     Ends ends[UNITS];
     uint open = 0;
@@ -90,7 +90,7 @@ __kernel void blend_forward(__global const float *records, __global const int *t
     }
     for (int k = first; k < end && open; ++k)
         open = blend_forward_entry(units, ends, open, records + RECORD_SIZE * (size_t)k, k,
-                                   k - first + 1 OBSERVE_ARGUMENTS);
+                                   k - first + 1, &constants OBSERVE_ARGUMENTS);
     for (int u = 0; u < UNITS; ++u)
         store_pixels(&units[u], &ends[u], background, end - first, x + unit_x(u), y + unit_y(u),
                      width, height, image, transmittance, last_contributor);
@@ -133,6 +133,7 @@ __kernel void blend_backward(__global const float *records, __global const int *
     if (SKIP_EMPTY_TILES && first == end)
         return;
     const size_t plane = (size_t)width * (size_t)height;
+    const TouchConstants constants = touch_constants(width >> 31);
     RayUnit units[UNITS];
     int unit_last[UNITS];
     int tile_last = 0;
@@ -165,7 +166,7 @@ __kernel void blend_backward(__global const float *records, __global const int *
             const int u = take_unit(&left);
             if (number > unit_last[u])
                 continue;
-            const Touch t = touch(&paint.splat, units[u].x, units[u].y);
+            const Touch t = touch(&paint.splat, units[u].x, units[u].y, &constants);
             const iv taken = blend_back(&units[u].rays, &paint, &t, number, &m);
             OBSERVE(k, unit_x(u), unit_y(u), taken, t.saturated);
         }

@@ -56,45 +56,70 @@ inline Splat make_splat2d(__global const float *mean2d, __global const float *wh
     return s;
 }
 
-/* 2^f for |f| <= 1/2; relative errors of degree 6 to 3: 8e-8, 2e-7, 3e-6, 8e-5. */
-inline fv exp2_polynomial(fv f)
-{
+/* 2^f for |f| <= 1/2, highest power first; relative errors of degree 6 to 3: 8e-8, 2e-7, 3e-6,
+ * 8e-5. */
 #if EXP2_DEGREE == 6
-    fv p = fma((fv)(1.53458118e-04f), f, (fv)(1.33999309e-03f));
-    p = fma(p, f, (fv)(9.61848907e-03f));
-    p = fma(p, f, (fv)(5.55032864e-02f));
-    p = fma(p, f, (fv)(2.40226462e-01f));
-    p = fma(p, f, (fv)(6.93147182e-01f));
-    return fma(p, f, (fv)(1.0f));
+#define EXP2_TERMS                                                                                 \
+    1.53458118e-04f, 1.33999309e-03f, 9.61848907e-03f, 5.55032864e-02f, 2.40226462e-01f,           \
+        6.93147182e-01f, 1.0f
 #elif EXP2_DEGREE == 5
-    fv p = fma((fv)(1.32764725e-03f), f, (fv)(9.67554189e-03f));
-    p = fma(p, f, (fv)(5.55071309e-02f));
-    p = fma(p, f, (fv)(2.40221202e-01f));
-    p = fma(p, f, (fv)(6.93146944e-01f));
-    return fma(p, f, (fv)(1.00000012f));
+#define EXP2_TERMS                                                                                 \
+    1.32764725e-03f, 9.67554189e-03f, 5.55071309e-02f, 2.40221202e-01f, 6.93146944e-01f, 1.00000012f
 #elif EXP2_DEGREE == 4
-    fv p = fma((fv)(9.57010221e-03f), f, (fv)(5.59178628e-02f));
-    p = fma(p, f, (fv)(2.40247443e-01f));
-    p = fma(p, f, (fv)(6.93121791e-01f));
-    return fma(p, f, (fv)(9.99999285e-01f));
+#define EXP2_TERMS                                                                                 \
+    9.57010221e-03f, 5.59178628e-02f, 2.40247443e-01f, 6.93121791e-01f, 9.99999285e-01f
 #elif EXP2_DEGREE == 3
-    fv p = fma((fv)(5.51716723e-02f), f, (fv)(2.42611125e-01f));
-    p = fma(p, f, (fv)(6.93260968e-01f));
-    return fma(p, f, (fv)(9.99928057e-01f));
+#define EXP2_TERMS 5.51716723e-02f, 2.42611125e-01f, 6.93260968e-01f, 9.99928057e-01f
 #else
 #error EXP2_DEGREE must be 3 to 6
 #endif
+
+/* The constants of touch as vectors. */
+typedef struct {
+    fv exp2_terms[EXP2_DEGREE + 1];
+    fv round, alpha_max, cut;
+} TouchConstants;
+
+inline fv hidden(float value, int zero)
+{
+    return (fv)(as_float(as_int(value) | zero));
+}
+
+/* zero is 0. Where the compiler cannot know that, it keeps these vectors as operands in memory
+ * instead of building each anew from its scalar for every use, one instruction in ten. */
+inline TouchConstants touch_constants(int zero)
+{
+    const float terms[EXP2_DEGREE + 1] = {EXP2_TERMS};
+    TouchConstants c;
+    for (int i = 0; i <= EXP2_DEGREE; ++i)
+        c.exp2_terms[i] = hidden(terms[i], zero);
+    c.round = hidden(ROUND_MAGIC, zero);
+    c.alpha_max = hidden(ALPHA_MAX, zero);
+    c.cut = hidden(LOG2_ALPHA_CUT, zero);
+    return c;
 }
 
 /* 2^x for x in [-100, 100]; garbage elsewhere, which callers mask. */
-inline fv exp2_in_range(fv x)
+inline fv exp2_in_range(fv x, const TouchConstants *c)
 {
-    const fv shifted = x + (fv)(ROUND_MAGIC);
-    const fv f = x - (shifted - (fv)(ROUND_MAGIC));
-    return AS_FV(AS_IV(exp2_polynomial(f)) + (AS_IV(shifted) << 23));
+    const fv shifted = x + c->round;
+    const fv f = x - (shifted - c->round);
+    /* written out, as not every compiler would */
+    fv p = fma(fma(c->exp2_terms[0], f, c->exp2_terms[1]), f, c->exp2_terms[2]);
+    p = fma(p, f, c->exp2_terms[3]);
+#if EXP2_DEGREE > 3
+    p = fma(p, f, c->exp2_terms[4]);
+#endif
+#if EXP2_DEGREE > 4
+    p = fma(p, f, c->exp2_terms[5]);
+#endif
+#if EXP2_DEGREE > 5
+    p = fma(p, f, c->exp2_terms[6]);
+#endif
+    return AS_FV(AS_IV(p) + (AS_IV(shifted) << 23));
 }
 
-inline Touch touch(const Splat *s, fv pixel_x, fv pixel_y)
+inline Touch touch(const Splat *s, fv pixel_x, fv pixel_y, const TouchConstants *c)
 {
     Touch t;
     const fv dx = s->x - pixel_x;
@@ -102,10 +127,10 @@ inline Touch touch(const Splat *s, fv pixel_x, fv pixel_y)
     t.y1 = dx * s->r1;
     t.y2 = fma((fv)(-s->l), dx, dy) * s->r2;
     const fv exponent = fma(-t.y2, t.y2, fma(-t.y1, t.y1, (fv)(s->bias)));
-    t.touched = exponent >= (fv)(LOG2_ALPHA_CUT);
-    const fv alpha = exp2_in_range(exponent);
-    t.alpha = alpha < (fv)(ALPHA_MAX) ? alpha : (fv)(ALPHA_MAX);
-    t.saturated = t.alpha >= (fv)(ALPHA_MAX);
+    t.touched = exponent >= c->cut;
+    const fv alpha = exp2_in_range(exponent, c);
+    t.alpha = alpha < c->alpha_max ? alpha : c->alpha_max;
+    t.saturated = t.alpha >= c->alpha_max;
     return t;
 }
 
