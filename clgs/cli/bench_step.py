@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
         table.add_row(name, f"{milliseconds:.2f}")
     table.add_section()
     table.add_row("whole step", f"{times.step:.2f}")
+    table.add_row("render only", f"{times.render:.2f}")
     Console().print(table)
     if args.json:
         write_json(args.json, {"device": device.name, **asdict(times)})

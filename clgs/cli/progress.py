@@ -20,7 +20,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from clgs.opencl.profile import Profile
+from clgs.train.savings import Saving
 from clgs.train.session import Progress as TrainingProgress
 from clgs.train.session import RunResult
 
@@ -101,17 +101,24 @@ class TrainingDisplay:
             print(f"step {step}/{self._steps}  {speed}  {note}", file=sys.stderr, flush=True)
 
 
-def print_profile(profile: Profile) -> None:
-    """Table of the stages' times."""
+def print_profile(rows: list[tuple[str, int, float, float]], saved: list[Saving]) -> None:
+    """Table of the stages' times, ``Profile.rows``, and of what each skip saved."""
     table = Table("stage", title="Time by stage")
     for column in ("calls", "median ms", "total s", "share"):
         table.add_column(column, justify="right")
-    rows = profile.rows()
     total = sum(seconds for *_, seconds in rows) or 1.0
     for name, calls, milliseconds, seconds in rows:
         share = f"{100 * seconds / total:.1f} %"
         table.add_row(name, str(calls), f"{milliseconds:.2f}", f"{seconds:.1f}", share)
-    Console().print(table)
+    console = Console()
+    console.print(table)
+    table = Table("skip", "work", title="Work left out, on the first view")
+    for column in ("done", "without", "saved"):
+        table.add_column(column, justify="right")
+    for one in saved:
+        counts = f"{one.done:,}", f"{one.without:,}", f"{100 * one.share:.1f} %"
+        table.add_row(one.skip, one.unit, *counts)
+    console.print(table)
 
 
 def print_summary(result: RunResult) -> None:

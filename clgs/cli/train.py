@@ -10,6 +10,7 @@ from clgs.cli.view_options import add_accuracy_option, positive_int
 
 if TYPE_CHECKING:
     from clgs.train.config import TrainConfig
+    from clgs.train.session import Session
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -18,8 +19,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "train",
         help="train a scene from photos with poses",
         description="Train a scene. RUN receives config.toml, progress.csv, scene.clgs, "
-        "results.json, per_view.json, hashes.json, test/ and preview.png. Adam is dense: every "
-        "anchor moves at every step.",
+        "results.json, per_view.json, hashes.json, test/ and preview.png.",
     )
     _add_run_options(parser)
     _add_method_options(parser)
@@ -57,7 +57,11 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
         "where there is none yet",
     )
     add_accuracy_option(parser, "parity")
-    add("--profile", action="store_true", help="show the time of every stage (slower)")
+    add(
+        "--profile",
+        action="store_true",
+        help="show the time of every stage and what each skip saved; writes profile.json (slower)",
+    )
 
 
 def _add_method_options(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +77,11 @@ def _add_method_options(parser: argparse.ArgumentParser) -> None:
         choices=("channel", "pooled"),
         help="rate proxy: one Laplace model a channel (default), or the paper's pooled form "
         "(default of --preset paper)",
+    )
+    add(
+        "--adam",
+        choices=("dense", "visible"),
+        help="whether every anchor moves at every step (default), or those that got a gradient",
     )
     add(
         "--coarse-to-fine",
@@ -97,7 +106,7 @@ def _add_method_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train; exit code 0."""
-    from clgs.cli.progress import TrainingDisplay, print_profile, print_summary
+    from clgs.cli.progress import TrainingDisplay, print_summary
     from clgs.data.dataset import load_dataset
     from clgs.errors import DataError, UsageError
     from clgs.opencl.device import Device
@@ -122,9 +131,26 @@ def run(args: argparse.Namespace) -> int:
     with TrainingDisplay(config.steps, session.trainer.steps_done) as display:
         result = session.run(display.update)
     if args.profile:
-        print_profile(device.profile)
+        _report_profile(session)
     print_summary(result)
     return 0
+
+
+def _report_profile(session: Session) -> None:
+    """Print the time by stage and what the skips saved; write both to profile.json."""
+    from dataclasses import asdict
+
+    from clgs.cli.progress import print_profile
+    from clgs.train.savings import savings
+    from clgs.train.session import write_json
+
+    rows = session.device.profile.rows()
+    saved = savings(session.trainer)
+    names = ("stage", "calls", "median_ms", "total_s")
+    stages = [dict(zip(names, row, strict=True)) for row in rows]
+    skips = [{**asdict(saving), "share": saving.share} for saving in saved]
+    write_json(session.folder / "profile.json", {"stages": stages, "skips": skips})
+    print_profile(rows, saved)
 
 
 def make_config(args: argparse.Namespace) -> TrainConfig:
@@ -142,7 +168,7 @@ def make_config(args: argparse.Namespace) -> TrainConfig:
         "l1_weight": args.loss_weights[0],
         "ssim_weight": args.loss_weights[1],
     }
-    names = ("volume_weight", "proxy", "accuracy", "coarse_to_fine")
+    names = ("volume_weight", "proxy", "accuracy", "coarse_to_fine", "adam")
     optional = {name: getattr(args, name) for name in names}
     given |= {name: value for name, value in optional.items() if value is not None}
     return replace(config, **given)

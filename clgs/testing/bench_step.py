@@ -9,6 +9,7 @@ from statistics import median
 import numpy as np
 
 from clgs.opencl.device import Device
+from clgs.render.renderer import render_picture
 from clgs.testing.anchor_scene import anchor_scene, photo_dataset
 from clgs.train.config import LearningRates, TrainConfig
 from clgs.train.densify import Densifier
@@ -22,9 +23,13 @@ STILL = LearningRates(*[(1e-12, 1e-12)] * 6)
 
 @dataclass(frozen=True)
 class StepTimes:
-    """Median milliseconds of a whole step, of each stage, and what the step worked on."""
+    """Median milliseconds of a whole step, of each stage, and what the step worked on.
+
+    step: of a stream of steps; render: of a picture alone, from the camera to the host's array.
+    """
 
     step: float
+    render: float
     stages: dict[str, float]
     anchors: int
     gaussians: int
@@ -37,17 +42,9 @@ def bench_step(device: Device, gaussians: int, size: int, repeats: int, seed: in
 
 
 def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
-    """Time ``repeats`` steps as a whole, then as many stage by stage (with waits in between)."""
+    """Time ``repeats`` steps as a stream, then as many stage by stage (with waits in between)."""
     device = trainer.device
-    for _ in range(WARM_UP):
-        trainer.step()
-    device.finish()
-    whole = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        trainer.step()
-        device.finish()
-        whole.append(1e3 * (time.perf_counter() - start))
+    whole = stream_times(trainer, repeats)
     device.profile.clear()
     device.profile.enabled = True
     for _ in range(repeats):
@@ -57,11 +54,34 @@ def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
     frame = trainer.render_next()
     return StepTimes(
         median(whole),
+        median(render_times(trainer, repeats)),
         stages,
         trainer.parameters.count,
         len(frame.gaussians.opacity),
         len(frame.tiles.gaussian),
     )
+
+
+def stream_times(trainer: Trainer, repeats: int) -> list[float]:
+    """Milliseconds between the results of ``repeats`` steps after a few to warm up."""
+    start, times = 0.0, []
+    for _ in trainer.steps(WARM_UP + repeats):
+        now = time.perf_counter()
+        times.append(1e3 * (now - start))
+        start = now
+    return times[WARM_UP:]
+
+
+def render_times(trainer: Trainer, repeats: int) -> list[float]:
+    """Milliseconds of ``repeats`` pictures of the first view, after a few to warm up."""
+    camera, settings = trainer.dataset.train[0].camera, trainer.settings
+    scene = trainer.queue.seen(trainer.parameters, trainer.steps_done)
+    times = []
+    for _ in range(WARM_UP + repeats):
+        start = time.perf_counter()
+        render_picture(trainer.device, scene, camera, settings, trainer.options)
+        times.append(1e3 * (time.perf_counter() - start))
+    return times[WARM_UP:]
 
 
 def synthetic_trainer(device: Device, gaussians: int, size: int, seed: int) -> Trainer:

@@ -41,6 +41,7 @@ CHOICES = {
     "background": ("black", "white", "random"),
     "proxy": ("channel", "pooled"),
     "accuracy": tuple(PRESETS),
+    "adam": ("dense", "visible"),
 }
 MAY_BE_ZERO = {
     *("seed", "l1_weight", "ssim_weight", "volume_weight", "rate_weight", "voxel", "position_q"),
@@ -76,7 +77,7 @@ class LearningRates:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Settings of one training run; Adam is dense: every anchor moves at every step.
+    """Settings of one training run.
 
     Build it by :func:`preset`, then :meth:`for_dataset`, then :meth:`scaled`.
 
@@ -99,6 +100,8 @@ class TrainConfig:
     """Behind transparent photos and renders; "random" is a new colour every step (code: black)."""
     accuracy: str = "parity"
     """Of all renders of the run, a name of ``clgs.options.PRESETS``."""
+    adam: str = "dense"
+    """"dense": every anchor moves at every step; "visible": those that got a gradient."""
     coarse_to_fine: bool = False
     """Whether training begins on reduced photos, see ``schedule.reduction``."""
     near: float = NEAR_PLANE

@@ -36,18 +36,26 @@ class Optimizer:
         rates = learning_rates(self._config, step, self._radius)
         names = (*ANCHOR_GROUPS, "weights") if anchors else ("weights",)
         by_name = {name: getattr(gradients, f"d_{name}") for name in names}
-        adam.check_finite(self._device, by_name.values(), stop)
+        marks = self._check(by_name, stop)
         for name in names:
+            state = getattr(parameters.scene, name), by_name[name], parameters.moments[name]
             for part, rate in _parts(name, by_name[name].size, rates):
-                adam.step(
-                    self._device,
-                    getattr(parameters.scene, name),
-                    by_name[name],
-                    parameters.moments[name],
-                    adam.factors(rate, step),
-                    stop,
-                    part,
-                )
+                now = adam.factors(rate, step)
+                if name in marks:
+                    adam.step_rows(self._device, *state, now, stop, marks[name])
+                else:
+                    adam.step(self._device, *state, now, stop, part)
+
+    def _check(
+        self, gradients: dict[str, DeviceArray], stop: DeviceArray
+    ) -> dict[str, DeviceArray]:
+        """Set ``stop`` where needed; the rows to update of groups of which not all are."""
+        by_rows = [
+            name for name in gradients if self._config.adam == "visible" and name != "weights"
+        ]
+        whole = [array for name, array in gradients.items() if name not in by_rows]
+        adam.check_finite(self._device, whole, stop)
+        return {name: adam.mark_rows(self._device, gradients[name], stop) for name in by_rows}
 
 
 def _parts(name: str, size: int, rates: dict[str, float]) -> list[tuple[slice, float]]:
