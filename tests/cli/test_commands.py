@@ -98,6 +98,15 @@ def test_accuracy_is_that_of_the_run_unless_another_is_named(data, tmp_path):
     assert other["psnr"] != scores["psnr"]
 
 
+def test_profile_tells_times_and_savings(data, tmp_path):
+    said = succeed("train", data, "-o", tmp_path / "run", "--steps", 20, "--profile")
+    assert "blend backward" in said
+    assert "exact_tiles" in said
+    profile = json.loads((tmp_path / "run" / "profile.json").read_text())
+    assert {stage["stage"] for stage in profile["stages"]} >= {"cull", "adam", "loss backward"}
+    assert all(0 <= skip["share"] <= 1 for skip in profile["skips"])
+
+
 def test_same_command_same_file_for_any_number_of_threads(data, run, tmp_path):
     for threads in ("1", "2"):
         folder = tmp_path / threads

@@ -11,6 +11,7 @@ from clgs.data.dataset import load_dataset
 from clgs.train.config import preset
 from clgs.train.loop import NonFiniteLossError, Trainer
 from clgs.train.resume import load_checkpoint, save_checkpoint
+from clgs.train.savings import savings
 from tests.small_scene import write_scene
 
 STEPS = 240
@@ -99,3 +100,41 @@ def test_coarser_position_grid_merges_at_the_switch(dataset, cpu):
     assert trainer.merged == counts[-2] - counts[-1]
     position = cpu.download(trainer.parameters.scene.position)
     assert np.array_equal(position, (np.rint(position * 10) / 10).astype(np.float32))
+
+
+def test_visible_adam_leaves_unseen_rows_alone(dataset, cpu):
+    one, dense = (
+        Trainer(cpu, dataset, config(dataset, adam=kind)) for kind in ("visible", "dense")
+    )
+    for trainer in (one, dense):
+        list(trainer.steps(40))
+    assert one.psnr(dataset.test) > dense.psnr(dataset.test) - 1
+    seen = cpu.download(one.render_next().activations.visible)
+    before, dense_before = (parameters(trainer)["feature"] for trainer in (one, dense))
+    # hide all but some rows by moving the others behind every camera
+    position = cpu.download(one.parameters.scene.position)
+    hidden = np.setdiff1d(np.arange(len(position)), seen[:50])
+    position[hidden] += 1e4
+    for trainer in (one, dense):
+        cpu.write(trainer.parameters.scene.position, position)
+        trainer.step()
+    after, dense_after = (parameters(trainer)["feature"] for trainer in (one, dense))
+    assert np.array_equal(after[hidden], before[hidden])
+    assert not np.array_equal(dense_after[hidden], dense_before[hidden])  # momentum moves them
+    assert not np.array_equal(after[seen[:50]], before[seen[:50]])
+
+
+def test_savings_count_no_more_than_all(dataset, cpu):
+    trainer = Trainer(cpu, dataset, config(dataset))
+    list(trainer.steps(30))
+    found = {(one.skip, one.unit): one for one in savings(trainer)}
+    assert all(0 <= one.done <= one.without for one in found.values())
+    assert found["slots", "rows of color and shape"].share > 0
+    assert found["units", "pairs visited, forward"].share > 0
+    assert found["exact_tiles", "tile entries"].share > 0
+    frame = trainer.render_next()
+    entries = found["exact_tiles", "tile entries"]
+    assert entries.done == len(frame.tiles.gaussian)
+    assert found["(bound)", "pairs blended of visited"].done > 0
+    rate = found["rate interval", "steps with the rate proxy"]
+    assert (rate.done, rate.without) == (STEPS // 20, STEPS // 2)
