@@ -26,6 +26,7 @@ STRESS = "tests/stress/test_"
 SUITES = {
     "project": ["tests/ops/test_project.py", f"{STRESS}geometry.py", f"{STRESS}tiers.py"],
     "tiles": ["tests/ops/test_tiles.py", f"{STRESS}order.py"],
+    "sort": ["tests/ops/test_sort.py", f"{STRESS}order.py"],
     "blend": ["tests/ops/test_blend.py", f"{STRESS}blending.py", f"{STRESS}tiers.py"],
     "scan": ["tests/ops/test_scan.py", f"{STRESS}counts.py"],
     "adam": ["tests/ops/test_adam.py", f"{STRESS}sums.py"],

@@ -1,4 +1,7 @@
-"""Numbers of things beyond 16, 31 and 32 bits: families N18 and N21; N20 is in test_order.py."""
+"""Numbers of things beyond 16, 31 and 32 bits: families N18, N19 and N21.
+
+N20 is in test_order.py.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,9 @@ import pytest
 
 from clgs.constants import NEAR_PLANE
 from clgs.errors import ClgsError
-from clgs.ops import project, scan, tiles
+from clgs.ops import blend, project, scan, tiles
+from clgs.testing.scenes import projected_scene
+from tests.ops.blend_cases import BACKGROUND, GRADIENTS, render, upload
 from tests.stress.cases import SHAPE, space_scene, straight_camera
 
 TOTALS = [2**31 - 2, 2**31 - 1, 2**31, 2**31 + 1, 2**32 - 1, 2**32, 2**32 + 1, 2**40 + 7]
@@ -70,3 +75,53 @@ def test_projection_and_counting_of_many_gaussians(device, count):
     assert rows[0].sum() > 0
     assert np.array_equal(rows, np.broadcast_to(rows[0], rows.shape))
     assert int(device.download(lists.tile_range)[-1]) == copies * int(rows[0].sum())
+
+
+def bands_within(entries_of_row: np.ndarray, budget: int) -> list[tuple[int, int]]:
+    """Rows of tiles in groups of at most ``budget`` entries; a single row may have more."""
+    bands, first = [], 0
+    for end in range(1, len(entries_of_row) + 1):
+        last = end == len(entries_of_row)
+        if last or entries_of_row[first : end + 1].sum() > budget:
+            bands.append((first, end))
+            first = end
+    return bands
+
+
+def render_in_bands(device, scene, size, bands, d_image):
+    """Image and gradients, the lists of one band of tiles at a time."""
+    projected, opacity = upload(device, scene), device.upload(scene.opacity)
+    light = device.upload(scene.color), opacity
+    background = device.upload(BACKGROUND)
+    image = np.empty((3, size[1], size[0]), np.float32)
+    sums = device.zeros((len(scene.depth), blend.SUM_SIZE))
+    for first, end in bands:
+        lists = tiles.forward(device, projected, opacity, *size, tile_rows=(first, end))
+        blended = blend.forward(device, projected, *light, lists, background, size)
+        rows = slice(first * 16, end * 16)
+        image[:, rows] = device.download(blended.image)[:, rows]
+        masked = np.zeros_like(d_image)
+        masked[:, rows] = d_image[:, rows]
+        blend.accumulate(device, lists, background, blended, device.upload(masked), sums)
+    found = blend.finish(device, projected, *light, sums=sums)
+    return image, {name: device.download(getattr(found, name)) for name in GRADIENTS}
+
+
+@pytest.mark.family("N19")
+@pytest.mark.parametrize("sigma", [1.5, 40.0])
+@pytest.mark.parametrize("share", [1.0, 0.4, 0.1, 0.0])
+def test_lists_within_a_budget_change_no_bit(device, share, sigma):
+    """``share``: of the whole frame's entries that fit into memory at a time."""
+    rng, size = np.random.default_rng(5), (90, 200)
+    scene = projected_scene(rng, 600, *size, sigma)
+    d_image = rng.normal(size=(3, size[1], size[0])).astype(np.float32)
+    whole = render(device, scene, size)
+    tile_range = device.download(whole.inputs["tiles"].tile_range)
+    entries_of_row = np.diff(tile_range[:: -(-size[0] // 16)])
+    bands = bands_within(entries_of_row, int(share * tile_range[-1]))
+    assert (len(bands) == 1) == (share == 1.0)
+    image, found = render_in_bands(device, scene, size, bands, d_image)
+    assert np.array_equal(image, whole.host("image"))
+    wanted = whole.backward(d_image)
+    for name in GRADIENTS:
+        assert np.array_equal(found[name], wanted[name]), name

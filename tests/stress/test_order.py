@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 
 from clgs.constants import ALPHA_CUT, TILE_SIZE
 from clgs.ops import tiles
+from clgs.options import RenderOptions, Skips
 from clgs.testing.scenes import ProjectedScene, projected_scene
 from tests.ops.blend_cases import GRADIENTS, every_tile_lists, lists_of, render
 from tests.stress.cases import (
@@ -24,6 +25,7 @@ from tests.stress.cases import (
 )
 
 CUT = np.float32(ALPHA_CUT)
+ALL = RenderOptions(skips=Skips(**{skip.name: False for skip in fields(Skips)}))
 SIDES = [1, 2, 7, 8, 9, 15, 16, 17, 31, 33]
 
 
@@ -41,12 +43,12 @@ def same_bits(first, second, d_image):
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 4.0, 20.0, 500.0])
 @pytest.mark.parametrize("size", [(40, 40), (75, 50)])
 def test_culled_equals_brute_force(device, size, sigma, ratio):
-    """Every Gaussian in every tile gives the same bits."""
+    """Every Gaussian in every tile, and at every pixel, gives the same bits."""
     rng = np.random.default_rng(int(10 * sigma + ratio))
     scene = projected_scene(rng, 200, *size, sigma, ratio)
     d_image = rng.normal(size=(3, size[1], size[0])).astype(np.float32)
     full = every_tile_lists(device, scene, size)
-    same_bits(render(device, scene, size), render(device, scene, size, full), d_image)
+    same_bits(render(device, scene, size), render(device, scene, size, full, options=ALL), d_image)
 
 
 OPACITIES = {
