@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 
-KINDS = ("step", "ops", "accuracy")
+KINDS = ("step", "ops", "accuracy", "scaling")
 """Each is a module ``clgs.cli.bench_<kind>`` with ``register(kinds)`` and ``run(args)``."""
 
 

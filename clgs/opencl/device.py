@@ -81,6 +81,11 @@ class Device:
             return 1
         return 16 if self.cl_device.native_vector_width_float >= 16 else 8
 
+    @property
+    def reserved_bytes(self) -> int:
+        """Device memory that the pool holds, in use or kept for reuse: the most ever needed."""
+        return int(self._pool.managed_bytes)
+
     def empty(self, shape: Sequence[int], dtype: npt.DTypeLike = np.float32) -> DeviceArray:
         """Uninitialised array."""
         dtype = np.dtype(dtype)

@@ -10,7 +10,10 @@ import numpy as np
 
 from clgs.opencl.device import Device
 from clgs.render.renderer import render_picture
+from clgs.scene.camera import Camera
+from clgs.scene.scene import Scene
 from clgs.testing.anchor_scene import anchor_scene, photo_dataset
+from clgs.testing.frame_counts import count_frame
 from clgs.train.config import LearningRates, TrainConfig
 from clgs.train.densify import Densifier
 from clgs.train.loop import Trainer
@@ -51,14 +54,14 @@ def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
         trainer.step()
     device.profile.enabled = False
     stages = {name: milliseconds for name, _, milliseconds, _ in device.profile.rows()}
-    frame = trainer.render_next()
+    counts = count_frame(device, trainer.render_next())
     return StepTimes(
         median(whole),
         median(render_times(trainer, repeats)),
         stages,
         trainer.parameters.count,
-        len(frame.gaussians.opacity),
-        len(frame.tiles.gaussian),
+        counts.gaussians,
+        counts.intersections,
     )
 
 
@@ -86,7 +89,11 @@ def render_times(trainer: Trainer, repeats: int) -> list[float]:
 
 def synthetic_trainer(device: Device, gaussians: int, size: int, seed: int) -> Trainer:
     """A trainer in the middle of its statistics phase, on a synthetic scene and photo."""
-    scene, camera = anchor_scene(gaussians, size, seed)
+    return trainer_of(device, *anchor_scene(gaussians, size, seed), seed)
+
+
+def trainer_of(device: Device, scene: Scene, camera: Camera, seed: int = 0) -> Trainer:
+    """As :func:`synthetic_trainer`, of a scene and a camera of one's own."""
     dataset = photo_dataset(camera, scene.anchors.position, seed)
     config = replace(TrainConfig(), learning_rates=STILL, seed=seed).for_dataset("photos")
     trainer = Trainer(device, dataset, config)

@@ -10,6 +10,7 @@ from clgs.errors import ClgsError
 from clgs.files import atomic_path
 from clgs.testing.accuracy_settings import PRESET_SWEEP
 from clgs.testing.bench_accuracy import Point, SubjectFigures
+from clgs.testing.bench_scaling import Scaling
 
 PANEL = (4.6, 3.4)
 """Inches."""
@@ -132,6 +133,41 @@ def _curves(panel: Any, points: list[Placed]) -> None:
                 fontsize=9 if preset else 6,
                 fontweight="bold" if preset else "normal",
             )
+
+
+def plot_scaling(path: Path, found: Scaling, title: str) -> None:
+    """Time by Gaussians, time by pixels, and memory by Gaussians, log-log."""
+    pyplot = require_pyplot()
+    with pyplot.rc_context(STYLE):
+        figure, panels = pyplot.subplots(1, 3, figsize=(3 * PANEL[0], PANEL[1] + 0.3))
+        gaussians = [run.gaussians for run in found.by_gaussians]
+        pixels = [run.pixels / 1e6 for run in found.by_pixels]
+        for panel, x, runs, exponent, across in (
+            (panels[0], gaussians, found.by_gaussians, found.time_by_gaussians, "Gaussians"),
+            (panels[1], pixels, found.by_pixels, found.time_by_pixels, "megapixels"),
+        ):
+            panel.plot(x, [run.milliseconds for run in runs], "o-", label="measured")
+            half = runs[len(runs) // 2].milliseconds, x[len(x) // 2]
+            linear = [half[0] * value / half[1] for value in x]
+            panel.plot(x, linear, ":", color="grey", label="linear")
+            panel.set(xscale="log", yscale="log", xlabel=across, ylabel="training step, ms")
+            panel.set_title(
+                f"exponent {exponent.exponent:.2f}, "
+                f"{exponent.exponent_of_larger_half:.2f} in the larger half",
+                loc="left",
+            )
+            panel.legend(frameon=False)
+        megabytes = [run.peak_bytes / 2**20 for run in found.by_gaussians]
+        panels[2].plot(gaussians, megabytes, "o-")
+        panels[2].set(xscale="log", yscale="log", xlabel="Gaussians", ylabel="device memory, MiB")
+        panels[2].set_title(
+            f"{found.memory.per_gaussian:.0f} B a Gaussian, "
+            f"{found.memory.per_intersection:.0f} B an intersection",
+            loc="left",
+        )
+        figure.suptitle(title, y=0.005, va="bottom", fontsize=8)
+        figure.tight_layout(rect=(0, 0.04, 1, 1))
+        save(figure, path)
 
 
 def save(figure: Any, path: Path) -> None:

@@ -14,6 +14,7 @@ from clgs.opencl.device import Device
 from clgs.ops import blend
 from clgs.render.frame import DeviceScene, Frame
 from clgs.testing.device_limits import DeviceLimits
+from clgs.testing.frame_counts import count_frame
 
 
 @dataclass(frozen=True)
@@ -107,11 +108,12 @@ def count_work(device: Device, frame: Frame, scene: DeviceScene, elements: int) 
     made = blend.decisions(
         device, frame.tiles, frame.background, frame.blended, device.zeros(shape)
     )[0]
+    counts = count_frame(device, frame)
     return Counts(
         A=len(scene.position),
-        V=len(frame.activations.visible),
-        N=len(frame.gaussians),
-        I=len(frame.tiles.gaussian),
+        V=counts.visible,
+        N=counts.gaussians,
+        I=counts.intersections,
         B=int(made.contributed.sum()),
         P=frame.size[0] * frame.size[1],
         M=sum(x.size for x in (scene.offset, scene.feature, scene.scaling, scene.weights)),

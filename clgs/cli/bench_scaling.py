@@ -1,0 +1,103 @@
+"""`clgs bench scaling`: how time and memory of a training step grow."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clgs.cli.view_options import positive_int
+
+if TYPE_CHECKING:
+    from clgs.testing.bench_scaling import Growth, Run, Scaling
+
+DESCRIPTION = """\
+Time of a training step against the number of Gaussians (at 400 x 400 pixels, 10,000 to 2 million)
+and of pixels (of 100,000 Gaussians, 0.04 to 8 megapixels), with the exponent of growth by least
+squares on logarithms; device memory a Gaussian, an intersection and a pixel."""
+
+
+def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the kind and its options."""
+    parser = kinds.add_parser(
+        "scaling",
+        help="growth of time and memory with Gaussians and pixels",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("--gaussians", type=positive_int, nargs="+", help="other numbers of Gaussians")
+    add("--sizes", type=positive_int, nargs="+", help="other edges of the picture, pixels")
+    add("--repeats", type=positive_int, default=15, help="steps of a size, at most (default: 15)")
+    add("--device", help="number or part of the name, see `clgs devices`")
+    add("-o", "--output", type=Path, metavar="F", help="write all figures to F (JSON)")
+    add("--plot", type=Path, metavar="F", help="draw them to F (SVG; needs matplotlib)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; exit code 0."""
+    from dataclasses import asdict
+
+    from clgs.files import check_target
+    from clgs.opencl.device import Device
+    from clgs.testing.bench_scaling import GAUSSIANS, SIZES, bench_scaling
+    from clgs.testing.facts import command_line, machine_facts
+    from clgs.testing.plots import plot_scaling, require_pyplot
+    from clgs.train.session import write_json
+
+    for path in (args.output, args.plot):
+        if path:
+            check_target(path)
+    if args.plot:
+        require_pyplot()
+    device = Device(args.device)
+    found = bench_scaling(
+        lambda: Device(args.device),
+        args.gaussians or GAUSSIANS,
+        args.sizes or SIZES,
+        args.repeats,
+        lambda line: print(f"clgs: {line}", file=sys.stderr),
+    )
+    _show(found)
+    if args.output:
+        record = {"command": command_line(), **machine_facts(device), **asdict(found)}
+        write_json(args.output, record)
+    if args.plot:
+        plot_scaling(args.plot, found, f"{device.name}, {device.specialisation} form")
+    return 0
+
+
+def _show(found: Scaling) -> None:
+    for name, runs, exponent in (
+        ("by Gaussians", found.by_gaussians, found.time_by_gaussians),
+        ("by pixels", found.by_pixels, found.time_by_pixels),
+    ):
+        _show_sweep(name, runs, exponent)
+    memory = found.memory
+    print(
+        f"device memory: {memory.per_gaussian:.0f} bytes a Gaussian and {memory.per_pixel:.0f} a "
+        f"pixel, each with its intersections; {memory.per_intersection:.0f} an intersection"
+    )
+
+
+def _show_sweep(name: str, runs: list[Run], exponent: Growth) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(
+        title=f"{name}: time ~ count^{exponent.exponent:.2f} "
+        f"(^{exponent.exponent_of_larger_half:.2f} in the larger half)"
+    )
+    for column in ("Gaussians", "intersections", "pixels", "step ms", "ns a Gaussian", "MiB"):
+        table.add_column(column, justify="right")
+    for one in runs:
+        table.add_row(
+            f"{one.gaussians:,}",
+            f"{one.intersections:,}",
+            f"{one.pixels:,}",
+            f"{one.milliseconds:.1f}",
+            f"{1e6 * one.milliseconds / max(one.gaussians, 1):.0f}",
+            f"{one.peak_bytes / 2**20:.0f}",
+        )
+    Console().print(table)
