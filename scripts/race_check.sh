@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Run training steps of a tiny scene under Oclgrind, which finds data races and accesses out of
-# bounds in the kernels: scripts/race_check.sh [PYTHON], a Python that has clgs.
+# Run training steps and the self-test of tiny scenes under Oclgrind, which finds data races and
+# accesses out of bounds in the kernels: scripts/race_check.sh [PYTHON], a Python that has clgs.
 set -euo pipefail
 
 # shellcheck source=scripts/setup.sh
@@ -31,10 +31,17 @@ mkdir "$work/vendors"
 printf '%s\n' "$library" >"$work/vendors/oclgrind.icd"
 # Oclgrind 21.10 does not know some intrinsics that the optimiser makes. Every new context empties
 # its log: hence one process and one log for each form of the kernels.
-for form in cpu gpu; do
+watched() {
     env -u PYOPENCL_CTX OCLGRIND_BUILD_OPTIONS=-cl-opt-disable OCL_ICD_VENDORS="$work/vendors" \
-        OCLGRIND_DATA_RACES=1 OCLGRIND_LOG="$work/log.$form" PYOPENCL_NO_CACHE=1 \
-        "$python" "$root/scripts/race_scene.py" oclgrind "$form"
+        OCLGRIND_DATA_RACES=1 OCLGRIND_LOG="$work/log.$1" PYOPENCL_NO_CACHE=1 "${@:2}"
+}
+for form in cpu gpu; do
+    watched "$form" "$python" "$root/scripts/race_scene.py" oclgrind "$form"
+    # the errors of a third implementation, and the stages that a step has only in part
+    CLGS_SPECIALISATION=$form watched "selftest.$form" \
+        "$python" -m clgs.cli.main selftest --device oclgrind >"$work/selftest.$form" ||
+        { cat "$work/selftest.$form"; exit 1; }
+    head -n 1 "$work/selftest.$form"
 done
 cat "$work"/log.* >"$work/log"
 if [ -s "$work/log" ]; then

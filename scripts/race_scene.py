@@ -1,7 +1,8 @@
 """Train a tiny scene for one step: race_scene.py DEVICE SPECIALISATION.
 
 Every kernel that training and rendering launch runs, those of rounding and rate proxy after the
-step: no step has both them and the statistics for growing, and a step takes up to a minute.
+step: no step has both them and the statistics for growing, and a step takes up to a minute. Then
+the other builds of the rasteriser, which presets of accuracy ask for, forward and backward.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ import pyopencl as cl
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import rate
+from clgs.options import render_options
+from clgs.render.pipeline import render_backward, render_forward
+from clgs.scene.camera import Camera
 from clgs.testing.anchor_scene import anchor_scene, photo_dataset
 from clgs.train.config import TrainConfig
 from clgs.train.densify import Densifier
@@ -51,7 +55,18 @@ def main(name: str, specialisation: str) -> int:
     result = trainer.step()
     bits = rate_of_rounded(trainer)
     print(f"race_scene: {specialisation}: {result}, {bits} bits an anchor")
-    return 0 if np.isfinite(result.loss + bits) else 1
+    largest = max(gradient_by_preset(trainer, camera, name) for name in ("exact", "fast"))
+    return 0 if np.isfinite(result.loss + bits + largest) else 1
+
+
+def gradient_by_preset(trainer: Trainer, camera: Camera, preset: str) -> float:
+    """Render with another truncation, and go back; largest gradient of the features."""
+    device, scene = trainer.device, trainer.parameters.scene
+    options = render_options(preset)
+    frame = render_forward(device, scene, camera, trainer.settings, options)
+    d_image = device.upload(np.ones(frame.image.shape, np.float32))
+    gradients = render_backward(device, scene, frame, d_image)
+    return float(np.abs(device.download(gradients.d_feature)).max())
 
 
 def rate_of_rounded(trainer: Trainer) -> float:

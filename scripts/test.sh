@@ -63,6 +63,13 @@ build_wheel() {
 smoke() {
     step "selftest"
     "$work/venv/bin/clgs" selftest
+    CLGS_SPECIALISATION=gpu "$work/venv/bin/clgs" selftest
+    step "the same bits twice, in each form of the kernels"
+    for form in cpu gpu; do
+        CLGS_SPECIALISATION=$form "$work/venv/bin/clgs" conformance -o "$work/$form.json"
+        POCL_MAX_PTHREAD_COUNT=1 CLGS_SPECIALISATION=$form \
+            "$work/venv/bin/clgs" conformance --check "$work/$form.json"
+    done
     step "race check"
     "$root/scripts/race_check.sh" "$work/venv/bin/python"
     step "a training run of 50 steps, and its file"

@@ -15,6 +15,7 @@ FINE = Accuracy("", alpha_cut=2.0**-16, transmittance_stop=1e-6, inclusive_stop=
 CUTS = (255, 512, 1024, 4096, 16384, 65536)
 STOPS = (("1e-6", 1e-6), ("1e-4", 1e-4), ("1e-3", 1e-3), ("1/512", 1 / 512), ("1/255", 1 / 255))
 DEGREES = (3, 4, 5, 6)
+EXTENTS = (0.0, 1.0, 2.0, 3.0)
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ def accuracy_settings(sweeps: Sequence[str] = ()) -> list[Setting]:
     Raises:
         UsageError: there is no such sweep.
     """
-    settings = [*_presets(), *_cuts(), *_stops(), *_degrees(), *_sizes()]
+    settings = [*_presets(), *_cuts(), *_stops(), *_degrees(), *_extents(), *_sizes()]
     names = list(dict.fromkeys(one.sweep for one in settings))
     for sweep in sweeps:
         if sweep not in names:
@@ -61,6 +62,11 @@ def _stops() -> Iterator[Setting]:
 def _degrees() -> Iterator[Setting]:
     for degree in DEGREES:
         yield Setting("exp2 degree", str(degree), replace(FINE, exp2_degree=degree))
+
+
+def _extents() -> Iterator[Setting]:
+    for extent in EXTENTS:
+        yield Setting("least extent", f"{extent:g} px", replace(FINE, min_extent=extent))
 
 
 def _sizes() -> Iterator[Setting]:
