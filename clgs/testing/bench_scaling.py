@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
@@ -14,7 +13,7 @@ from clgs.opencl.device import Device
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
 from clgs.testing.anchor_scene import anchor_scene, square_camera
-from clgs.testing.bench_step import WARM_UP, trainer_of
+from clgs.testing.bench_step import stream_times, trainer_of
 from clgs.testing.frame_counts import count_frame
 
 GAUSSIANS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000)
@@ -22,7 +21,7 @@ GROWTHS = (1, 2, 4, 8)
 SIZES = (200, 400, 800, 1414, 2000, 2828)
 FIXED_GAUSSIANS, FIXED_SIZE = 100_000, 400
 LEAST_REPEATS, SECONDS = 3, 4.0
-"""A size is run this often at least, and no more once it took this long."""
+"""A size is run this often at least, and about this long at most."""
 
 
 @dataclass(frozen=True)
@@ -115,19 +114,14 @@ def bench_scaling(
 
 def _run(device: Device, scene: Scene, camera: Camera, repeats: int) -> Run:
     trainer = trainer_of(device, scene, camera)
-    for _ in range(WARM_UP):
-        trainer.step()
-    device.finish()
-    times: list[float] = []
-    while len(times) < LEAST_REPEATS or (len(times) < repeats and sum(times) < SECONDS):
-        start = time.perf_counter()
-        trainer.step()
-        device.finish()
-        times.append(time.perf_counter() - start)
+    times = stream_times(trainer, LEAST_REPEATS)
+    more = min(repeats, round(1e3 * SECONDS / median(times))) - LEAST_REPEATS
+    if more > 0:
+        times += stream_times(trainer, more)
     peak = device.reserved_bytes
     counts = count_frame(device, trainer.render_next())
     pixels = camera.width * camera.height
-    return Run(counts.gaussians, counts.intersections, pixels, 1e3 * median(times), peak)
+    return Run(counts.gaussians, counts.intersections, pixels, median(times), peak)
 
 
 def growth(points: Sequence[tuple[float, float]]) -> Growth:
