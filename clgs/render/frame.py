@@ -8,7 +8,7 @@ import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import blend, mlp, neural, project, tiles
+from clgs.ops import blend, cull, mlp, neural, project, tiles
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene
 
@@ -61,6 +61,7 @@ class Frame:
 
     camera: DeviceArray
     size: tuple[int, int]
+    visible: cull.Visible
     activations: mlp.Activations
     gaussians: neural.NeuralGaussians
     projected: project.Projected
@@ -73,10 +74,10 @@ class Frame:
         """The picture (3, H, W) float32."""
         return self.blended.image
 
-    def totals(self, device: Device) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
+    @property
+    def totals(self) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
         """How many visible anchors, Gaussians and tile entries there are, (1,) int64 each."""
-        visible = device.upload(np.array([len(self.activations.visible)], np.int64))
-        return visible, self.gaussians.total, self.tiles.total
+        return self.visible.total, self.gaussians.total, self.tiles.total
 
 
 @dataclass(frozen=True)

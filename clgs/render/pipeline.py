@@ -45,7 +45,14 @@ def view_forward(
     """
     packed = view.camera
     with device.stage("cull"):
-        visible = cull.forward(device, scene.position, scene.scaling, packed, options)
+        visible = cull.forward(
+            device,
+            scene.position,
+            scene.scaling,
+            packed,
+            options,
+            capacity.visible if capacity else None,
+        )
     with device.stage("mlp forward"):
         activations = mlp.forward(
             device, scene.feature, scene.position, visible.anchor, scene.weights, packed, options
@@ -64,13 +71,21 @@ def view_forward(
         device, gaussians, view, options, capacity.entries if capacity else None
     )
     return Frame(
-        packed, view.size, activations, gaussians, projected, lists, view.background, blended
+        packed,
+        view.size,
+        visible,
+        activations,
+        gaussians,
+        projected,
+        lists,
+        view.background,
+        blended,
     )
 
 
 def check_capacity(device: Device, frame: Frame, capacity: Capacity, stop: DeviceArray) -> None:
     """Set ``stop`` (1,) int32 where ``capacity`` was too small for the frame."""
-    for total, room in zip(frame.totals(device), astuple(capacity), strict=True):
+    for total, room in zip(frame.totals, astuple(capacity), strict=True):
         scan.check_fits(device, total, room, stop)
 
 

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions, render_options
 from clgs.render.enlarge import enlarge
-from clgs.render.frame import DeviceScene, upload_scene
-from clgs.render.pipeline import render_forward
+from clgs.render.frame import Capacity, DeviceScene, upload_scene, upload_view
+from clgs.render.pipeline import render_forward, view_forward
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene
 
@@ -21,10 +21,30 @@ class Renderer:
         """Upload ``scene`` once; ``options`` from :func:`clgs.options.render_options`."""
         self._device, self._settings, self._options = device, scene.settings, options
         self._scene = upload_scene(device, scene)
+        self._capacity: Capacity | None = None
 
     def render(self, camera: Camera) -> npt.NDArray[np.float32]:
         """Picture (3, H, W) float32 from a camera in scene units; not clamped to [0, 1]."""
-        return render_picture(self._device, self._scene, camera, self._settings, self._options)
+        device, options = self._device, self._options
+        view = upload_view(device, camera.reduced(options.accuracy.downscale), self._settings)
+        while True:
+            frame = view_forward(device, self._scene, view, options, self._capacity)
+            totals = [device.download_later(total) for total in frame.totals]
+            image = np.asarray(device.download(frame.image), np.float32)
+            needed = Capacity(*(int(total.get()[0]) for total in totals))
+            if self._holds(needed):
+                return enlarge(image, camera.width, camera.height)
+
+    def _holds(self, needed: Capacity) -> bool:
+        """Whether the last picture had room; makes more where not, and after the first one.
+
+        Arrays of the same size every time are the same memory every time, and nothing is waited
+        for between the stages.
+        """
+        made_to_measure = self._capacity is None
+        before = self._capacity or Capacity(0, 0, 0)
+        self._capacity = before.grown(needed)
+        return made_to_measure or self._capacity == before
 
 
 def render_picture(

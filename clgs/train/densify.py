@@ -59,9 +59,9 @@ class Densifier:
         anchors, moments = download_anchors(device, parameters)
         state = TrainState(anchors, self.download(), moments)
         visible = device.download(frame.activations.visible)
-        visible = visible[visible >= 0]
-        opacity = device.download(frame.activations.output)[:K_OFFSETS, : len(visible)].T
-        mask_prune(state, visible, opacity)
+        columns = np.flatnonzero(visible >= 0)
+        opacity = device.download(frame.activations.output)[:K_OFFSETS, columns].T
+        mask_prune(state, visible[columns], opacity)
         grow(state, self._config, rng)
         prune(state, self._config)
         return self._replace(parameters, state)

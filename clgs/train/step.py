@@ -108,7 +108,7 @@ class StepQueue:
             plan=plan,
             loss=value,
             stop=device.download_later(self._stop),
-            totals=tuple(device.download_later(total) for total in frame.totals(device)),
+            totals=tuple(device.download_later(total) for total in frame.totals),
             capacity=capacity,
             rate_bits=bits,
             frame=frame if replaces else None,

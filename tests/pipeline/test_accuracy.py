@@ -65,3 +65,14 @@ def test_preview_is_a_picture_of_half_the_size(device):
 def test_unknown_preset_is_refused():
     with pytest.raises(UsageError, match="accuracy: 'best' is not one of exact, parity, fast"):
         render_options("best")
+
+
+def test_views_that_need_more_room_have_the_same_bits(device):
+    scene, camera = anchor_scene(3000, 75, 4)
+    near = replace(camera, translation=np.array([0.0, 0.0, 1.5]))
+    away = replace(camera, translation=np.array([0.0, 0.0, -9.0]))
+    kept = Renderer(device, scene)
+    for view in (away, near, camera, near.resized(40, 50), camera.resized(160, 150), away):
+        fresh = Renderer(device, scene).render(view)
+        assert np.array_equal(kept.render(view), fresh)
+        assert (fresh.max() > 0) == (view is not away)
