@@ -97,23 +97,27 @@ class RenderOptions:
     """How to render: truncation and skips.
 
     smallest_anchor: anchors that are fewer pixels wide on the screen are left out, which changes
-    the picture.
+    the picture; max_memory: bytes that tile lists, records and rows of gradients may take at a time
+    in groups of tiles, which changes nothing but the time; None for no limit.
     """
 
     accuracy: Accuracy = PARITY
     skips: Skips = field(default_factory=Skips)
     smallest_anchor: float = 0.0
+    max_memory: int | None = None
 
 
 DEFAULT = RenderOptions()
 
 
-def render_options(accuracy: str) -> RenderOptions:
+def render_options(accuracy: str, max_memory: int | None = None) -> RenderOptions:
     """Options of one of PRESETS: "exact", "parity", "fast" or "preview".
+
+    ``max_memory`` is in MiB; None or 0 for no limit.
 
     Raises:
         UsageError: there is no such preset.
     """
     if accuracy not in PRESETS:
         raise UsageError(f"accuracy: {accuracy!r} is not one of {', '.join(PRESETS)}")
-    return RenderOptions(PRESETS[accuracy])
+    return RenderOptions(PRESETS[accuracy], max_memory=max_memory * 2**20 if max_memory else None)

@@ -93,5 +93,32 @@ __kernel void tiles_footprint(__global const float *mean2d, __global const float
         counts[first + lane] = tiles[lane];
 }
 
+/* How many tiles of every row of tiles are reached, (chunks, rows): one work-item a chunk. */
+__kernel void tiles_by_row(__global const float *mean2d, __global const float *whitening,
+                           __global const float *opacity, __global const float *extent,
+                           const int width, const int height, const int first_row,
+                           const int end_row, const int count, __global const int *boxes,
+                           __global const int *counts, const int rows, __global long *reached)
+{
+    const Geometry g = {mean2d, whitening, opacity, extent};
+    const Window w = {width, height, first_row, end_row};
+    const int columns = columns_of(w), chunks = (int)get_global_size(0);
+    __global long *own = reached + get_global_id(0) * (size_t)rows;
+    for (int row = 0; row < rows; ++row)
+        own[row] = 0;
+    for (int i = (int)get_global_id(0); i < count; i += chunks) {
+        const int4 box = vload4((size_t)i, boxes);
+        ulong set = set_of(box);
+        for (int row = box.x / columns; set; ++row, set >>= BOX_EDGE)
+            own[row] += (long)popcount(set & 0xfful);
+        if (counts[i] > 0 && set_of(box) == 0) {
+            const Large f = load_large(&g, i, w);
+            for (int row = f.top; row <= f.bottom; ++row)
+                for (int column = f.left; column <= f.right; column += STRIP)
+                    own[row] += (long)popcount(strip_of(&f, column, row, w));
+        }
+    }
+}
+
 #include "include/tiles_chunk.h"
 #include "include/tiles_sorted.h"

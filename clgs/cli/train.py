@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.view_options import add_accuracy_option, positive_int
+from clgs.cli.view_options import add_accuracy_option, add_memory_option, positive_int
 
 if TYPE_CHECKING:
     from clgs.train.config import TrainConfig
@@ -57,6 +57,7 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
         "where there is none yet",
     )
     add_accuracy_option(parser, "parity")
+    add_memory_option(parser)
     add(
         "--profile",
         action="store_true",
@@ -168,7 +169,7 @@ def make_config(args: argparse.Namespace) -> TrainConfig:
         "l1_weight": args.loss_weights[0],
         "ssim_weight": args.loss_weights[1],
     }
-    names = ("volume_weight", "proxy", "accuracy", "coarse_to_fine", "adam")
+    names = ("volume_weight", "proxy", "accuracy", "coarse_to_fine", "adam", "max_memory")
     optional = {name: getattr(args, name) for name in names}
     given |= {name: value for name, value in optional.items() if value is not None}
     return replace(config, **given)

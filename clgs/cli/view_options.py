@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> None:
-    """Add --data, --split, --downscale, --accuracy and --device."""
+    """Add --data, --split, --downscale, --accuracy, --max-memory and --device."""
     add = parser.add_argument
     add("--data", type=Path, required=data_required, help="the dataset that the scene was made of")
     add("--split", choices=("train", "test"), default="test", help="which views (default: test)")
@@ -28,6 +28,7 @@ def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> No
         help="reduce the photos N times (default: as the config.toml beside SCENE says, else 1)",
     )
     add_accuracy_option(parser, "as the config.toml beside SCENE says, else parity")
+    add_memory_option(parser)
     add("--device", help="number or part of the name, see `clgs devices`")
 
 
@@ -38,6 +39,17 @@ def add_accuracy_option(parser: argparse.ArgumentParser, default: str) -> None:
         choices=tuple(PRESETS),
         help="exact: nearly nothing is truncated; parity: as in 3DGS; fast: below a third of a "
         f"level from it; preview: half the resolution, enlarged (default: {default})",
+    )
+
+
+def add_memory_option(parser: argparse.ArgumentParser) -> None:
+    """Add --max-memory."""
+    parser.add_argument(
+        "--max-memory",
+        type=positive_int,
+        metavar="MIB",
+        help="draw in groups of tiles whose lists and gradients take at most this many MiB; "
+        "slower, the same result (default: no limit)",
     )
 
 
@@ -65,11 +77,12 @@ def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
 
 
 def selected_options(args: argparse.Namespace) -> RenderOptions:
-    """The accuracy that the options name, else that of the run folder, else "parity"."""
+    """The accuracy that the options name, else of the run folder, else "parity"; the budget."""
     from clgs.options import render_options
 
     config = _trained_config(args.scene)
-    return render_options(args.accuracy or (config.accuracy if config else "parity"))
+    accuracy = args.accuracy or (config.accuracy if config else "parity")
+    return render_options(accuracy, args.max_memory)
 
 
 def _trained_config(scene: Path) -> TrainConfig | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import warnings
@@ -87,10 +88,27 @@ class Device:
         return int(self._pool.managed_bytes)
 
     def empty(self, shape: Sequence[int], dtype: npt.DTypeLike = np.float32) -> DeviceArray:
-        """Uninitialised array."""
+        """Uninitialised array.
+
+        Raises:
+            DeviceError: the device has no room for it.
+        """
         dtype = np.dtype(dtype)
-        nbytes = max(int(np.prod(shape)), 1) * dtype.itemsize
-        return DeviceArray(self._pool.allocate(nbytes), tuple(shape), dtype)
+        nbytes = max(math.prod(int(length) for length in shape), 1) * dtype.itemsize
+        if nbytes > self.cl_device.max_mem_alloc_size:
+            raise self._no_room(nbytes)
+        try:
+            return DeviceArray(self._pool.allocate(nbytes), tuple(shape), dtype)
+        except (cl.Error, MemoryError) as error:
+            raise self._no_room(nbytes) from error
+
+    def _no_room(self, nbytes: int) -> DeviceError:
+        largest, whole = self.cl_device.max_mem_alloc_size, self.cl_device.global_mem_size
+        return DeviceError(
+            f"{self.name}: no room for an array of {nbytes / 2**20:.0f} MiB; an array may have "
+            f"{largest / 2**20:.0f} MiB of {whole / 2**20:.0f}; --max-memory, a smaller image or "
+            "fewer anchors need less"
+        )
 
     def zeros(self, shape: Sequence[int], dtype: npt.DTypeLike = np.float32) -> DeviceArray:
         """Array of zeros."""
@@ -102,6 +120,19 @@ class Device:
         """Overwrite an array with zero bytes."""
         if array.nbytes:
             cl.enqueue_fill_buffer(self.queue, array.buffer, np.zeros(1, np.uint8), 0, array.nbytes)
+
+    def copy_part(self, source: DeviceArray, target: DeviceArray, first: int, count: int) -> None:
+        """Copy elements ``first`` to ``first + count - 1``, counted flat; both of one dtype."""
+        if count:
+            size = source.dtype.itemsize
+            cl.enqueue_copy(
+                self.queue,
+                target.buffer,
+                source.buffer,
+                byte_count=count * size,
+                src_offset=first * size,
+                dst_offset=first * size,
+            )
 
     def upload(self, host: npt.NDArray[Any]) -> DeviceArray:
         """Copy of a host array on the device, same shape and dtype."""

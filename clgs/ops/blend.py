@@ -117,7 +117,7 @@ def forward(
         image=device.empty((3, height, width)),
         transmittance=device.empty((height, width)),
         last_contributor=device.empty((height, width), np.int32),
-        records=_gather(device, projected, color, opacity, tiles, width, options),
+        records=gather(device, projected, color, opacity, tiles, width, options),
         options=options,
     )
     kernel = device.kernel("blend", "blend_forward", **_defines(device, options))
@@ -292,15 +292,16 @@ def _grid(device: Device, tiles: TileLists) -> tuple[tuple[int], tuple[int]]:
     return ((len(tiles.tile_range) - 1) * group,), (group,)
 
 
-def _gather(
+def gather(
     device: Device,
     projected: Projected,
     color: DeviceArray,
     opacity: DeviceArray,
     tiles: TileLists,
     width: int,
-    options: RenderOptions,
+    options: RenderOptions = DEFAULT,
 ) -> DeviceArray:
+    """Records of the entries of ``tiles``; ``width`` of the image, others as in :func:`forward`."""
     count, defines = len(opacity), _defines(device, options)
     splats = device.empty((count, RECORD_SIZE))
     records = device.empty((len(tiles.gaussian), RECORD_SIZE))

@@ -57,7 +57,7 @@ def checked_total(device: Device, offsets: Offsets) -> int:
     if total > MAX_TOTAL:
         raise ClgsError(
             f"{total} entries are needed, at most {MAX_TOTAL} fit; "
-            "use a smaller image or fewer Gaussians"
+            "use --max-memory, a smaller image or fewer Gaussians"
         )
     return total
 

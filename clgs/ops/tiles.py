@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.constants import TILE_SIZE
 from clgs.opencl.array import DeviceArray
@@ -26,6 +27,8 @@ from clgs.shapes import Shapes
 GROUP_SIZE = 64
 CHUNKS = 4
 """Counters of all tiles on a CPU: work-items that the depth order is shared among."""
+ROW_CHUNKS = 64
+"""Counters of all rows of tiles."""
 UNUSED = 16 * CHUNKS
 """Places behind the lists on a CPU, where entries go that are none."""
 
@@ -105,6 +108,31 @@ def forward(
     tiles = tile_count(width, height)
     finish = _sort_entries if device.specialisation == "gpu" else _count_entries
     return finish(device, found, order, rows, tiles, capacity)
+
+
+def count_by_row(
+    device: Device,
+    projected: Projected,
+    opacity: DeviceArray,
+    width: int,
+    height: int,
+    options: RenderOptions = DEFAULT,
+) -> npt.NDArray[np.int64]:
+    """Entries that the lists of every row of tiles would have, from the top; waits for the device.
+
+    Arguments as in :func:`forward`. The counts are of 64 bits: no list is made of them.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    _check(projected, opacity)
+    rows = tile_count(1, height)
+    found = _footprints(device, projected, opacity, (width, height), (0, rows), options)
+    reached = device.empty((ROW_CHUNKS, rows), np.int64)
+    kernel = device.kernel("tiles", "tiles_by_row", **found.defines)
+    items = np.int32(len(opacity)), found.boxes, found.counts, np.int32(rows)
+    device.run(kernel, (ROW_CHUNKS,), (1,), *found.geometry, *items, reached)
+    return np.asarray(device.download(reached).sum(axis=0))
 
 
 def _footprints(

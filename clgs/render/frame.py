@@ -56,8 +56,20 @@ class Capacity:
 
 
 @dataclass(frozen=True)
+class Groups:
+    """``rows``: first and end of the rows of tiles of each group; entries of the largest group."""
+
+    rows: tuple[tuple[int, int], ...]
+    entries: int
+
+
+@dataclass(frozen=True)
 class Frame:
-    """One rendered view with everything that its backward pass needs."""
+    """One rendered view with everything that its backward pass needs.
+
+    groups: what was drawn at a time where a memory budget asked for it; tiles and the records of
+    blended then hold no entries, and the backward pass makes them again.
+    """
 
     camera: DeviceArray
     size: tuple[int, int]
@@ -68,6 +80,7 @@ class Frame:
     tiles: tiles.TileLists
     background: DeviceArray
     blended: blend.Blended
+    groups: Groups | None = None
 
     @property
     def image(self) -> DeviceArray:

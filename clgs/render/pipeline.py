@@ -11,7 +11,16 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, cull, loss, mlp, neural, project, scan, tiles
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import Capacity, DeviceScene, DeviceView, Frame, SceneGradients, upload_view
+from clgs.render import tile_groups
+from clgs.render.frame import (
+    Capacity,
+    DeviceScene,
+    DeviceView,
+    Frame,
+    Groups,
+    SceneGradients,
+    upload_view,
+)
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings
 
@@ -67,20 +76,14 @@ def view_forward(
             scene.scaling,
             capacity.gaussians if capacity else None,
         )
-    projected, lists, blended = _rasterise(
-        device, gaussians, view, options, capacity.entries if capacity else None
+    with device.stage("project forward"):
+        shape = (gaussians.mean, gaussians.scale, gaussians.rotation)
+        projected = project.forward(device, *shape, gaussians.opacity, packed, options)
+    lists, blended, groups = _rasterise(
+        device, gaussians, projected, view, options, capacity.entries if capacity else None
     )
-    return Frame(
-        packed,
-        view.size,
-        visible,
-        activations,
-        gaussians,
-        projected,
-        lists,
-        view.background,
-        blended,
-    )
+    drawn = lists, view.background, blended, groups
+    return Frame(packed, view.size, visible, activations, gaussians, projected, *drawn)
 
 
 def check_capacity(device: Device, frame: Frame, capacity: Capacity, stop: DeviceArray) -> None:
@@ -92,35 +95,29 @@ def check_capacity(device: Device, frame: Frame, capacity: Capacity, stop: Devic
 def _rasterise(
     device: Device,
     gaussians: neural.NeuralGaussians,
+    projected: project.Projected,
     view: DeviceView,
     options: RenderOptions,
     capacity: int | None,
-) -> tuple[project.Projected, tiles.TileLists, blend.Blended]:
-    """Draw neural Gaussians."""
-    with device.stage("project forward"):
-        projected = project.forward(
-            device,
-            gaussians.mean,
-            gaussians.scale,
-            gaussians.rotation,
-            gaussians.opacity,
-            view.camera,
-            options,
-        )
+) -> tuple[tiles.TileLists, blend.Blended, Groups | None]:
+    """Draw projected Gaussians; in groups of tiles where the memory budget asks for it."""
+    if options.max_memory is not None:
+        with device.stage("tiles"):
+            groups, total = tile_groups.plan_view(device, projected, gaussians, view.size, options)
+            capacity = None
+        if len(groups.rows) > 1:
+            with device.stage("tiles and blend forward"):
+                blended = tile_groups.forward(device, projected, gaussians, view, options, groups)
+            count = len(gaussians.opacity)
+            return tile_groups.no_lists(device, count, view.size, total), blended, groups
     with device.stage("tiles"):
         lists = tiles.forward(device, projected, gaussians.opacity, *view.size, options, capacity)
     with device.stage("blend forward"):
+        colors = gaussians.color, gaussians.opacity
         blended = blend.forward(
-            device,
-            projected,
-            gaussians.color,
-            gaussians.opacity,
-            lists,
-            view.background,
-            view.size,
-            options,
+            device, projected, *colors, lists, view.background, view.size, options
         )
-    return projected, lists, blended
+    return lists, blended, None
 
 
 def render_backward(
@@ -175,16 +172,7 @@ def _rasterise_backward(
     """Gradients of the neural Gaussians, and those of their centres on the screen."""
     gaussians = frame.gaussians
     with device.stage("blend backward"):
-        splats = blend.backward(
-            device,
-            frame.projected,
-            gaussians.color,
-            gaussians.opacity,
-            frame.tiles,
-            frame.background,
-            frame.blended,
-            d_image,
-        )
+        splats = _blend_backward(device, frame, d_image)
     shape = (gaussians.mean, gaussians.scale, gaussians.rotation)
     with device.stage("project backward"):
         solids = project.backward(
@@ -200,3 +188,15 @@ def _rasterise_backward(
         d_opacity=splats.d_opacity,
     )
     return d_gaussians, splats.d_mean2d
+
+
+def _blend_backward(device: Device, frame: Frame, d_image: DeviceArray) -> blend.BlendGradients:
+    projected, gaussians, background = frame.projected, frame.gaussians, frame.background
+    if frame.groups is not None:
+        return tile_groups.backward(
+            device, projected, gaussians, background, frame.blended, d_image, frame.groups
+        )
+    colors = gaussians.color, gaussians.opacity
+    return blend.backward(
+        device, projected, *colors, frame.tiles, background, frame.blended, d_image
+    )

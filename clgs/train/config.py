@@ -46,7 +46,14 @@ CHOICES = {
 MAY_BE_ZERO = {
     *("seed", "l1_weight", "ssim_weight", "volume_weight", "rate_weight", "voxel", "position_q"),
     *("statistics_start", "growth_start", "growth_end", "switch_step", "growth_threshold"),
-    *("slot_seen", "anchor_visits", "prune_opacity", "fixed_views", "checkpoint_interval"),
+    *(
+        "max_memory",
+        "slot_seen",
+        "anchor_visits",
+        "prune_opacity",
+        "fixed_views",
+        "checkpoint_interval",
+    ),
 }
 MAY_BE_NEGATIVE = {"scaling_cap"}
 
@@ -102,6 +109,8 @@ class TrainConfig:
     """Of all renders of the run, a name of ``clgs.options.PRESETS``."""
     adam: str = "dense"
     """"dense": every anchor moves at every step; "visible": those that got a gradient."""
+    max_memory: int = 0
+    """MiB that tile lists, records and rows of gradients may take at a time; 0 is no limit."""
     coarse_to_fine: bool = False
     """Whether training begins on reduced photos, see ``schedule.reduction``."""
     near: float = NEAR_PLANE

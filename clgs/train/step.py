@@ -77,7 +77,7 @@ class StepQueue:
         self._optimizer = Optimizer(device, config, dataset.radius)
         self._targets = Targets(device, dataset.train, config.background, config.near)
         self._stop = adam.stop_flag(device)
-        self.options = render_options(config.accuracy)
+        self.options = render_options(config.accuracy, config.max_memory)
         self.scales = QuantizationScales(
             config.position_q, config.offset_q, config.feature_q, config.scaling_q
         )

@@ -150,7 +150,8 @@ __kernel void blend_backward(__global const float *records, __global const int *
     atomic_max(&tile_last, p.last);
     barrier(CLK_LOCAL_MEM_FENCE);
     const int first = tile_range[tile], end = tile_range[tile + 1];
-    const int lit = SKIP_CONTRIBUTORS ? first + tile_last : end;
+    /* an empty list may be that of another group of tiles, whose pixels have contributors */
+    const int lit = SKIP_CONTRIBUTORS ? min(first + tile_last, end) : end;
     for (int k = end - 1; k >= lit; --k)
         if (item < ROW_USED)
             rows[ROW_SIZE * (size_t)as_int(records[RECORD_SIZE * (size_t)k + RECORD_ROW]) +

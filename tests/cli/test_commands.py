@@ -107,6 +107,12 @@ def test_profile_tells_times_and_savings(data, tmp_path):
     assert all(0 <= skip["share"] <= 1 for skip in profile["skips"])
 
 
+def test_a_memory_budget_changes_nothing(data, run):
+    """One MiB; the picture of each view, and so the scores."""
+    scores = json.loads(succeed("eval", run, "--data", data))
+    assert json.loads(succeed("eval", run, "--data", data, "--max-memory", 1)) == scores
+
+
 def test_same_command_same_file_for_any_number_of_threads(data, run, tmp_path):
     for threads in ("1", "2"):
         folder = tmp_path / threads
