@@ -2,7 +2,8 @@
 
 Every kernel that training and rendering launch runs, those of rounding and rate proxy after the
 step: no step has both them and the statistics for growing, and a step takes up to a minute. Then
-the other builds of the rasteriser, which presets of accuracy ask for, forward and backward.
+the other builds of the rasteriser, which presets of accuracy ask for, forward and backward; and
+lists that lack room.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ import pyopencl as cl
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import rate
-from clgs.options import render_options
+from clgs.ops import cull, rate, tiles
+from clgs.options import RenderOptions, render_options
+from clgs.render import tile_groups
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.camera import Camera
 from clgs.testing.anchor_scene import anchor_scene, photo_dataset
@@ -56,6 +58,7 @@ def main(name: str, specialisation: str) -> int:
     bits = rate_of_rounded(trainer)
     print(f"race_scene: {specialisation}: {result}, {bits} bits an anchor")
     largest = max(gradient_by_preset(trainer, camera, name) for name in ("exact", "fast"))
+    without_room(trainer, camera)
     return 0 if np.isfinite(result.loss + bits + largest) else 1
 
 
@@ -67,6 +70,23 @@ def gradient_by_preset(trainer: Trainer, camera: Camera, preset: str) -> float:
     d_image = device.upload(np.ones(frame.image.shape, np.float32))
     gradients = render_backward(device, scene, frame, d_image)
     return float(np.abs(device.download(gradients.d_feature)).max())
+
+
+def without_room(trainer: Trainer, camera: Camera) -> None:
+    """Too little room for anchors and for entries; then groups of a row of tiles each."""
+    device, scene = trainer.device, trainer.parameters.scene
+    frame = render_forward(device, scene, camera, trainer.settings)
+    cull.forward(device, scene.position, scene.scaling, frame.camera, capacity=1)
+    drawn = frame.projected, frame.gaussians.opacity
+    entries = len(frame.tiles.gaussian)
+    for capacity in (0, entries - 1, entries + 1):
+        tiles.forward(device, *drawn, SIZE, SIZE, capacity=capacity)
+    by_row = tiles.count_by_row(device, *drawn, SIZE, SIZE)
+    entry = tile_groups.LIST_BYTES[device.specialisation] + tile_groups.BYTES_BY_ENTRY
+    options = RenderOptions(max_memory=int(by_row.max()) * entry)
+    grouped = render_forward(device, scene, camera, trainer.settings, options)
+    render_backward(device, scene, grouped, device.zeros(frame.image.shape))
+    device.finish()
 
 
 def rate_of_rounded(trainer: Trainer) -> float:
