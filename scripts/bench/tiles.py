@@ -2,9 +2,9 @@
 """Milliseconds per million intersections from projected Gaussians to finished tile lists.
 
 The whole stage is all that ``clgs.ops.tiles.forward`` does: footprints with the exact test of every
-tile, the prefix sum, the sort by depth, the pass by tile and the ranges. "Sort passes" are the sort
-by depth and the pass by tile alone. NumPy sorts the same lists from finished keys, tile * 2^32 +
-bits of the depth, which is the stable order that the kernels give. Rounds are interleaved.
+tile, the prefix sum, the sort by depth, the pass by tile and the ranges. NumPy sorts
+the same lists from finished keys, tile * 2^32 + bits of the depth, which is the stable order that
+the kernels give. Rounds are interleaved.
 """
 
 from __future__ import annotations
