@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.view_options import positive_int
+from clgs.cli.view_options import positive_int, seed
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
@@ -49,7 +49,7 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     add("--view", type=int, default=0, help="number of the view in the split (default: 0)")
     add("--downscale", type=positive_int, metavar="N", help="as for `clgs eval`")
     add("--repeats", type=positive_int, default=20, help="rounds of times (default: 20)")
-    add("--seed", type=int, default=0, help="of the synthetic scenes (default: 0)")
+    add("--seed", type=seed, default=0, help="of the synthetic scenes (default: 0)")
     add("--device", help="number or part of the name, see `clgs devices`")
     add("-o", "--output", type=Path, metavar="F", help="write all figures to F (JSON)")
     add("--plot", type=Path, metavar="F", help="draw them to F (SVG; needs matplotlib)")

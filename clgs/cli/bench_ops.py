@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.device_option import add_device_option, open_devices
-from clgs.cli.view_options import positive_int
+from clgs.cli.view_options import positive_int, seed
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
@@ -33,7 +33,7 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     add("--size", type=positive_int, help="width and height of the image, pixels (default: 400)")
     add("--elements", type=positive_int, help="for stages timed alone (default: 1000000)")
     add("--repeats", type=positive_int, help="runs to take the median of (default: 15)")
-    add("--seed", type=int, help="of the scene (default: 0)")
+    add("--seed", type=seed, help="of the scene (default: 0)")
     add_device_option(parser)
     add("--json", type=Path, metavar="F", help="write all figures to F")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from clgs.cli.view_options import positive_int
+from clgs.cli.view_options import positive_int, seed
 
 
 def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -19,7 +19,7 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     add("--gaussians", type=positive_int, default=200_000, help="with positive opacity")
     add("--size", type=positive_int, default=400, help="width and height of the image, pixels")
     add("--repeats", type=positive_int, default=15, help="steps to take the median of")
-    add("--seed", type=int, default=0, help="of the scene")
+    add("--seed", type=seed, default=0, help="of the scene")
     add("--device", help="number or part of the name, see `clgs devices`")
     add("--json", type=Path, metavar="F", help="write the times to F")
 

@@ -130,7 +130,16 @@ def test_every_command_has_help(command):
     assert f"usage: clgs {command}" in result.stdout
 
 
-@pytest.mark.parametrize("arguments", [(), ("nonsense",), ("info",), ("info", "x", "--nonsense")])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (),
+        ("nonsense",),
+        ("info",),
+        ("info", "x", "--nonsense"),
+        ("bench", "step", "--seed", "-1"),
+    ],
+)
 def test_wrong_usage_exits_2(arguments):
     result = clgs(*arguments)
     assert result.returncode == 2
