@@ -68,12 +68,17 @@ def test_interrupted_runs_end_alike(dataset, open_device, tmp_path):
 
 
 def test_signals_wait_for_the_step():
-    with interruptions() as interrupted:
-        assert not interrupted()
-        os.kill(os.getpid(), signal.SIGINT)
-        assert interrupted()
-        with pytest.raises(KeyboardInterrupt):
+    # a shell's background job starts with SIGINT ignored
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with interruptions() as interrupted:
+            assert not interrupted()
             os.kill(os.getpid(), signal.SIGINT)
+            assert interrupted()
+            with pytest.raises(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.skipif(not README.is_file(), reason="README.md is not installed with the package")
