@@ -2,6 +2,7 @@
  * digit-major, histogram[digit * chunks + chunk], so that their exclusive prefix sum is the place
  * of the first key of each (digit, chunk). A chunk belongs to one work-item on a CPU, to one
  * work-group on a GPU. Local atomics only count: their order does not matter. */
+#include "include/chunk.h"
 
 #ifndef USE_LOCAL
 #define USE_LOCAL 0
@@ -144,19 +145,6 @@ __kernel void sort_end(__global const uint *sorted_keys, const int count, __glob
 #define PLAN_WIDTH 3  /* bits of a digit, at most MAX_WIDTH */
 #define MAX_WIDTH 13
 #define COUNTERS (1 << MAX_WIDTH)
-
-typedef struct {
-    int begin, end;
-} Chunk;
-
-/* Share of this work-item. */
-inline Chunk own_chunk(const int count)
-{
-    const int chunks = (int)get_global_size(0), length = (count + chunks - 1) / chunks;
-    const int begin = min((int)get_global_id(0) * length, count);
-    const Chunk c = {begin, min(begin + length, count)};
-    return c;
-}
 
 inline int planned_digit(const uint key, __global const int *plan, const int pass)
 {

@@ -276,14 +276,7 @@ def _unpack(words: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
 
 def _defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
     skips = options.skips.defines("units", "finished", "contributors", "empty_tiles")
-    return {"VEC": _lanes(device), **options.accuracy.defines(), **skips}
-
-
-def _lanes(device: Device) -> int:
-    """Pixels that one vector holds: as many as a register of the device, on a CPU."""
-    if device.specialisation == "gpu":
-        return 1
-    return 16 if device.cl_device.native_vector_width_float >= 16 else 8
+    return {"VEC": device.lanes, **options.accuracy.defines(), **skips}
 
 
 def _grid(device: Device, tiles: TileLists) -> tuple[tuple[int], tuple[int]]:

@@ -3,18 +3,7 @@
 #ifndef CLGS_TILES_CHUNK_H
 #define CLGS_TILES_CHUNK_H
 
-typedef struct {
-    int begin, end;
-} Chunk;
-
-/* The ranks of this work-item. */
-inline Chunk own_chunk(const int count)
-{
-    const int chunks = (int)get_global_size(0), length = (count + chunks - 1) / chunks;
-    const int begin = min((int)get_global_id(0) * length, count);
-    const Chunk c = {begin, min(begin + length, count)};
-    return c;
-}
+#include "include/chunk.h"
 
 #define BATCH 256          /* boxes fetched at a time, so that many reads are under way */
 #define PAIR_OF_ROWS 0x303 /* sets of up to 2 x 2 tiles, most of all, need no loop */
