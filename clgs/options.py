@@ -49,7 +49,7 @@ PARITY = Accuracy()
 PRESETS = {
     preset.name: preset
     for preset in (
-        Accuracy("exact", alpha_cut=1 / 4096, transmittance_stop=1e-6, inclusive_stop=True),
+        Accuracy("exact", alpha_cut=1 / 16384, transmittance_stop=1e-6, inclusive_stop=True),
         PARITY,
         Accuracy("fast", transmittance_stop=1e-3, inclusive_stop=True, exp2_degree=4),
         Accuracy(
