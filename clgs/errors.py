@@ -29,3 +29,19 @@ class DeviceError(ClgsError):
     """No usable OpenCL device, or a kernel does not build. Exit code 4."""
 
     exit_code = 4
+
+
+class NoRoomError(DeviceError):
+    """The device has no room for an array; ``problem`` says so without a remedy. Exit code 4."""
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(f"{problem}; --max-memory, a smaller image or fewer anchors need less")
+        self.problem = problem
+
+
+class BudgetError(ClgsError):
+    """A memory budget is below what a row of tiles needs: ``needed`` bytes. Exit code 1."""
+
+    def __init__(self, problem: str, needed: int) -> None:
+        super().__init__(problem)
+        self.needed = needed

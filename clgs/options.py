@@ -110,14 +110,19 @@ class RenderOptions:
 DEFAULT = RenderOptions()
 
 
-def render_options(accuracy: str, max_memory: int | None = None) -> RenderOptions:
+def render_options(
+    accuracy: str, max_memory: int | None = None, smallest_anchor: float = 0.0
+) -> RenderOptions:
     """Options of one of PRESETS: "exact", "parity", "fast" or "preview".
 
-    ``max_memory`` is in MiB; None or 0 for no limit.
+    ``max_memory`` is in MiB, None or 0 for no limit; ``smallest_anchor`` in pixels, 0 for all.
 
     Raises:
-        UsageError: there is no such preset.
+        UsageError: there is no such preset, or a number is out of range.
     """
     if accuracy not in PRESETS:
         raise UsageError(f"accuracy: {accuracy!r} is not one of {', '.join(PRESETS)}")
-    return RenderOptions(PRESETS[accuracy], max_memory=max_memory * 2**20 if max_memory else None)
+    if not 0 <= smallest_anchor < math.inf:
+        raise UsageError(f"smallest_anchor: {smallest_anchor} is not a finite number of at least 0")
+    budget = max_memory * 2**20 if max_memory else None
+    return RenderOptions(PRESETS[accuracy], smallest_anchor=smallest_anchor, max_memory=budget)

@@ -68,13 +68,18 @@ def test_the_first_difference_is_named(found, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "text", ["no JSON", "[]", "{}", '{"format": "x"}', '{"format": "clgs conformance 1"}']
+    "text",
+    ["no JSON", "[]", "{}", '{"format": "x"}', '{"format": "clgs conformance 1"}', "[" * 100_000],
 )
-def test_a_file_of_another_kind_is_one_line(tmp_path, capsys, text):
+def test_a_file_of_another_kind_is_refused_before_the_work(tmp_path, capsys, monkeypatch, text):
+    monkeypatch.setattr("clgs.testing.conformance.fingerprints", None)
     path = tmp_path / "bad.json"
     path.write_text(text)
-    assert main(["conformance", "--check", str(path)]) == 3
-    assert str(path) in capsys.readouterr().err
+    for wrong in (path, tmp_path):
+        assert main(["conformance", "--check", str(wrong)]) == 3
+        said = capsys.readouterr().err
+        assert str(wrong) in said
+        assert said.count("\n") == 1
 
 
 def test_another_set_of_tensors_is_refused(found):

@@ -8,6 +8,14 @@ import importlib
 KINDS = ("step", "ops", "accuracy", "scaling")
 """Each is a module ``clgs.cli.bench_<kind>`` with ``register(kinds)`` and ``run(args)``."""
 
+SMALLER = {
+    "step": "a smaller --size or fewer --gaussians need",
+    "ops": "a smaller --size, fewer --gaussians or --elements need",
+    "accuracy": "fewer or smaller --scenes, or a larger --downscale of --scene, need",
+    "scaling": "smaller --sizes or fewer --gaussians need",
+}
+"""What to change where memory is short."""
+
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command, its kinds and their options."""
@@ -19,5 +27,13 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(args: argparse.Namespace) -> int:
     """Run the kind that was asked for; its exit code."""
-    code: int = importlib.import_module(f"clgs.cli.bench_{args.kind}").run(args)
+    from clgs.errors import ClgsError, DeviceError, NoRoomError
+
+    remedy = f"{SMALLER[args.kind]} less"
+    try:
+        code: int = importlib.import_module(f"clgs.cli.bench_{args.kind}").run(args)
+    except NoRoomError as error:
+        raise DeviceError(f"{error.problem}; {remedy}") from error
+    except MemoryError as error:
+        raise ClgsError(f"out of memory ({error}); {remedy}") from error
     return code

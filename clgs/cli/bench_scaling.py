@@ -27,8 +27,10 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("--gaussians", type=positive_int, nargs="+", help="other numbers of Gaussians")
-    add("--sizes", type=positive_int, nargs="+", help="other edges of the picture, pixels")
+    add("--gaussians", type=positive_int, nargs="+", help="other numbers; two give an exponent")
+    add(
+        "--sizes", type=positive_int, nargs="+", help="other edges of the picture, pixels; as above"
+    )
     add("--repeats", type=positive_int, default=15, help="steps of a size, at most (default: 15)")
     add("--device", help="number or part of the name, see `clgs devices`")
     add("-o", "--output", type=Path, metavar="F", help="write all figures to F (JSON)")
@@ -74,10 +76,13 @@ def _show(found: Scaling) -> None:
         ("by pixels", found.by_pixels, found.time_by_pixels),
     ):
         _show_sweep(name, runs, exponent)
+    from clgs.testing.bench_scaling import shown
+
     memory = found.memory
     print(
-        f"device memory: {memory.per_gaussian:.0f} bytes a Gaussian and {memory.per_pixel:.0f} a "
-        f"pixel, each with its intersections; {memory.per_intersection:.0f} an intersection"
+        f"device memory: {shown(memory.per_gaussian, 0)} bytes a Gaussian and "
+        f"{shown(memory.per_pixel, 0)} a pixel, each with its intersections; "
+        f"{shown(memory.per_intersection, 0)} an intersection"
     )
 
 
@@ -85,9 +90,11 @@ def _show_sweep(name: str, runs: list[Run], exponent: Growth) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from clgs.testing.bench_scaling import shown
+
     table = Table(
-        title=f"{name}: time ~ count^{exponent.exponent:.2f} "
-        f"(^{exponent.exponent_of_larger_half:.2f} in the larger half)"
+        title=f"{name}: time ~ count^{shown(exponent.exponent, 2)} "
+        f"(^{shown(exponent.exponent_of_larger_half, 2)} in the larger half)"
     )
     for column in ("Gaussians", "intersections", "pixels", "step ms", "ns a Gaussian", "MiB"):
         table.add_column(column, justify="right")

@@ -42,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output:
         check_target(args.output)
     other = _read(args.check) if args.check else {}
+    wanted = _tensors(args.check, other) if args.check else []
     device = Device(args.device)
     found, facts = conformance.fingerprints(device), machine_facts(device)
     print(f"{device.name} ({device.specialisation}): {len(found)} tensors, together {_all(found)}")
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     if args.check is None:
         return 0
     try:
-        different = conformance.differences(found, conformance.from_record(other))
+        different = conformance.differences(found, wanted)
     except DataError as error:
         raise DataError(f"{args.check}: {error}") from error
     _report(different, len(found))
@@ -66,8 +67,20 @@ def _read(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DataError(f"{path}: no such file; `clgs conformance -o` makes one") from None
-    except ValueError as error:
+    except IsADirectoryError:
+        raise DataError(f"{path}: is a folder; name the JSON file in it") from None
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: is no JSON file") from error
+
+
+def _tensors(path: Path, record: object) -> list[Fingerprint]:
+    from clgs.errors import DataError
+    from clgs.testing.conformance import from_record
+
+    try:
+        return from_record(record)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
 
 
 def _all(found: list[Fingerprint]) -> str:

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from clgs import __version__
@@ -42,7 +45,9 @@ def build_parser() -> argparse.ArgumentParser:
     """The parser of all commands; the commands' heavy imports wait until they run."""
     import argparse
 
-    parser = argparse.ArgumentParser(
+    from clgs.cli.parser import Parser
+
+    parser = Parser(
         prog="clgs",
         description="Gaussian splatting on OpenCL: from photos to one compressed file and back.",
         epilog=EPILOG,
@@ -58,7 +63,7 @@ def build_parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command that ``argv`` names (default: the process's arguments); its exit code."""
     try:
-        with warnings.catch_warnings():
+        with _terminations_interrupt(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
             code = _run(argv)
         sys.stdout.flush()
@@ -72,6 +77,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         return _complain(error)
     return code
+
+
+@contextmanager
+def _terminations_interrupt() -> Iterator[None]:
+    """Let SIGTERM raise KeyboardInterrupt as SIGINT does, from the first moment on.
+
+    A process that ends in the middle of native code, which has threads and handlers of its own,
+    may leave with a native stack trace instead of one line.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
 def _run(argv: Sequence[str] | None) -> int:

@@ -20,9 +20,9 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from clgs.train.finished import RunResult
 from clgs.train.savings import Saving
 from clgs.train.session import Progress as TrainingProgress
-from clgs.train.session import RunResult
 
 Item = TypeVar("Item")
 PLAIN_SECONDS = 15.0

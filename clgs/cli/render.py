@@ -31,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
     scene, _ = read_scene(args.scene)
     views = selected_views(args, scene)
     renderer = Renderer(Device(args.device), scene.dequantize(), selected_options(args))
+    renderer.check_budget((view.name, view.camera) for view in views)
     args.output.mkdir(parents=True, exist_ok=True)
     names = picture_names([view.name for view in views])
     for name, view in track(list(zip(names, views, strict=True)), "rendering"):

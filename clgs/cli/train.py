@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.view_options import add_accuracy_option, add_memory_option, positive_int
+from clgs.cli.view_options import add_accuracy_options, add_memory_option, positive_int
 
 if TYPE_CHECKING:
     from clgs.train.config import TrainConfig
@@ -54,9 +54,9 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
         "--resume",
         action="store_true",
         help="continue an interrupted run from its checkpoint, with the same options; start it "
-        "where there is none yet",
+        "where there is none yet; leave a finished one as it is",
     )
-    add_accuracy_option(parser, "parity")
+    add_accuracy_options(parser, "parity")
     add_memory_option(parser)
     add(
         "--profile",
@@ -111,6 +111,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.data.dataset import load_dataset
     from clgs.errors import DataError, UsageError
     from clgs.opencl.device import Device
+    from clgs.train.finished import finished_run
     from clgs.train.session import Session
 
     config = make_config(args)
@@ -128,6 +129,10 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
     )
     config = config.for_dataset(dataset.kind)
+    if args.resume and (finished := finished_run(args.output, dataset, config)):
+        print(f"{args.output}: is finished already, after {config.steps} steps; nothing is changed")
+        print_summary(finished)
+        return 0
     session = Session(dataset, args.output, config, device, resume=args.resume)
     with TrainingDisplay(config.steps, session.trainer.steps_done) as display:
         result = session.run(display.update)
@@ -169,7 +174,7 @@ def make_config(args: argparse.Namespace) -> TrainConfig:
         "l1_weight": args.loss_weights[0],
         "ssim_weight": args.loss_weights[1],
     }
-    names = ("volume_weight", "proxy", "accuracy", "coarse_to_fine", "adam", "max_memory")
-    optional = {name: getattr(args, name) for name in names}
+    names = ("volume_weight", "proxy", "accuracy", "smallest_anchor", "coarse_to_fine", "adam")
+    optional = {name: getattr(args, name) for name in (*names, "max_memory")}
     given |= {name: value for name, value in optional.items() if value is not None}
     return replace(config, **given)

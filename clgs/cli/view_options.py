@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> None:
-    """Add --data, --split, --downscale, --accuracy, --max-memory and --device."""
+    """Add what names the views, how they are rendered, and where."""
     add = parser.add_argument
     add("--data", type=Path, required=data_required, help="the dataset that the scene was made of")
     add("--split", choices=("train", "test"), default="test", help="which views (default: test)")
@@ -27,18 +28,28 @@ def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> No
         metavar="N",
         help="reduce the photos N times (default: as the config.toml beside SCENE says, else 1)",
     )
-    add_accuracy_option(parser, "as the config.toml beside SCENE says, else parity")
+    trained = "as the config.toml beside SCENE says, else"
+    add_accuracy_options(parser, f"{trained} parity", f"{trained} 0")
     add_memory_option(parser)
     add("--device", help="number or part of the name, see `clgs devices`")
 
 
-def add_accuracy_option(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add --accuracy; ``default`` says in words what None stands for."""
+def add_accuracy_options(
+    parser: argparse.ArgumentParser, default: str, smallest_anchor: str = "0"
+) -> None:
+    """Add --accuracy and --smallest-anchor; the words say what None stands for."""
     parser.add_argument(
         "--accuracy",
         choices=tuple(PRESETS),
         help="exact: nearly nothing is truncated; parity: as in 3DGS; fast: below a third of a "
         f"level from it; preview: half the resolution, enlarged (default: {default})",
+    )
+    parser.add_argument(
+        "--smallest-anchor",
+        type=pixels,
+        metavar="PIXELS",
+        help="leave out anchors that are fewer pixels wide on the screen: faster, another picture "
+        f"(default: {smallest_anchor})",
     )
 
 
@@ -77,12 +88,17 @@ def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
 
 
 def selected_options(args: argparse.Namespace) -> RenderOptions:
-    """The accuracy that the options name, else of the run folder, else "parity"; the budget."""
+    """What the options name, else the run folder, else the defaults; and the memory budget."""
     from clgs.options import render_options
+    from clgs.train.config import TrainConfig
 
-    config = _trained_config(args.scene)
-    accuracy = args.accuracy or (config.accuracy if config else "parity")
-    return render_options(accuracy, args.max_memory)
+    trained = _trained_config(args.scene) or TrainConfig()
+    smallest = args.smallest_anchor
+    return render_options(
+        args.accuracy or trained.accuracy,
+        args.max_memory,
+        trained.smallest_anchor if smallest is None else smallest,
+    )
 
 
 def _trained_config(scene: Path) -> TrainConfig | None:
@@ -107,6 +123,17 @@ def positive_int(text: str) -> int:
     value = int(text) if text.isdecimal() else 0
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least 1")
+    return value
+
+
+def pixels(text: str) -> float:
+    """An argument that must be a finite number of at least 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not a finite number of at least 0")
     return value
 
 

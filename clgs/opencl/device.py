@@ -16,7 +16,7 @@ import pyopencl as cl
 import pyopencl.tools
 
 from clgs import constants
-from clgs.errors import DeviceError
+from clgs.errors import DeviceError, NoRoomError, UsageError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import choose_device, is_emulator
 from clgs.opencl.profile import Profile
@@ -44,11 +44,13 @@ class Device:
 
         Raises:
             DeviceError: no such device.
+            UsageError: CLGS_SPECIALISATION is neither "cpu" nor "gpu".
         """
+        chosen = specialisation or _wanted_specialisation()
         self.cl_device = choose_device(name)
         self.context = cl.Context([self.cl_device])
         self.queue = cl.CommandQueue(self.context)
-        self.specialisation = specialisation or self._default_specialisation()
+        self.specialisation = chosen or self._usual_specialisation()
         self.vec = 16 if self.specialisation == "cpu" else 1
         self.profile = Profile()
         self._transfers = Transfers(self.queue)
@@ -57,12 +59,7 @@ class Device:
         self._kernels: dict[tuple[Any, ...], cl.Kernel] = {}
         self._programs: dict[tuple[Any, ...], cl.Program] = {}
 
-    def _default_specialisation(self) -> str:
-        chosen = os.environ.get("CLGS_SPECIALISATION", "")
-        if chosen:
-            if chosen not in SPECIALISATIONS:
-                raise DeviceError(f"CLGS_SPECIALISATION={chosen}: use cpu or gpu")
-            return chosen
+    def _usual_specialisation(self) -> str:
         return "cpu" if self.cl_device.type & cl.device_type.CPU else "gpu"
 
     @property
@@ -102,12 +99,11 @@ class Device:
         except (cl.Error, MemoryError) as error:
             raise self._no_room(nbytes) from error
 
-    def _no_room(self, nbytes: int) -> DeviceError:
+    def _no_room(self, nbytes: int) -> NoRoomError:
         largest, whole = self.cl_device.max_mem_alloc_size, self.cl_device.global_mem_size
-        return DeviceError(
+        return NoRoomError(
             f"{self.name}: no room for an array of {nbytes / 2**20:.0f} MiB; an array may have "
-            f"{largest / 2**20:.0f} MiB of {whole / 2**20:.0f}; --max-memory, a smaller image or "
-            "fewer anchors need less"
+            f"{largest / 2**20:.0f} MiB of {whole / 2**20:.0f}"
         )
 
     def zeros(self, shape: Sequence[int], dtype: npt.DTypeLike = np.float32) -> DeviceArray:
@@ -228,6 +224,15 @@ class Device:
     def finish(self) -> None:
         """Wait for all enqueued work."""
         self.queue.finish()
+
+
+def _wanted_specialisation() -> str:
+    """What CLGS_SPECIALISATION says; empty where it says nothing."""
+    chosen = os.environ.get("CLGS_SPECIALISATION", "")
+    if chosen and chosen not in SPECIALISATIONS:
+        choices = " or ".join(SPECIALISATIONS)
+        raise UsageError(f"CLGS_SPECIALISATION={chosen}: is not {choices}; correct or unset it")
+    return chosen
 
 
 def _first_complaint(log: str) -> str:

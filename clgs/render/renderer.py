@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import numpy.typing as npt
 
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions, render_options
+from clgs.render.budget import check_budget
 from clgs.render.enlarge import enlarge
 from clgs.render.frame import Capacity, DeviceScene, upload_scene, upload_view
 from clgs.render.pipeline import render_forward, view_forward
@@ -22,6 +25,14 @@ class Renderer:
         self._device, self._settings, self._options = device, scene.settings, options
         self._scene = upload_scene(device, scene)
         self._capacity: Capacity | None = None
+
+    def check_budget(self, views: Iterable[tuple[str, Camera]]) -> None:
+        """Refuse a memory budget that is too small for one of ``views``, (name, camera).
+
+        Raises:
+            BudgetError: names the view that needs most, and the least budget for all of them.
+        """
+        check_budget(self._device, self._scene, views, self._settings, self._options)
 
     def render(self, camera: Camera) -> npt.NDArray[np.float32]:
         """Picture (3, H, W) float32 from a camera in scene units; not clamped to [0, 1]."""

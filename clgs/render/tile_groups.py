@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import TILE_SIZE
-from clgs.errors import ClgsError
+from clgs.errors import BudgetError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, scan, tiles
@@ -37,14 +37,15 @@ def plan(by_row: npt.NDArray[np.int64], entry_bytes: int, max_memory: int) -> Gr
         max_memory: bytes; lists are at most 2^31 - 1 entries long in any case.
 
     Raises:
-        ClgsError: a single row of tiles needs more.
+        BudgetError: a single row of tiles needs more.
     """
     room = min(max_memory // entry_bytes, scan.MAX_TOTAL)
     if len(by_row) and int(by_row.max()) > room:
         needed, given = int(by_row.max()) * entry_bytes, room * entry_bytes
-        raise ClgsError(
+        raise BudgetError(
             f"a row of tiles needs {needed / 2**20:.1f} MiB, {given / 2**20:.1f} MiB are allowed; "
-            "raise --max-memory, or use a smaller image or fewer Gaussians"
+            "raise --max-memory, or use a smaller image or fewer Gaussians",
+            needed,
         )
     cuts, held, largest = [0], 0, 0
     for row, count in enumerate(by_row.tolist()):

@@ -67,7 +67,7 @@ def _calibrated_mlps(anchors: AnchorSet, camera: Camera, rng: np.random.Generato
 
 
 def photo_dataset(camera: Camera, points: npt.NDArray[np.float32], seed: int = 0) -> Dataset:
-    """A data set of one smooth random photo seen by ``camera``."""
+    """A data set of one smooth random photo seen by ``camera``; ``points`` (P, 3) to start from."""
     rng = np.random.default_rng(seed)
     coarse = rng.integers(0, 256, (camera.height // 8 + 1, camera.width // 8 + 1, 3))
     image = np.kron(coarse, np.ones((8, 8, 1)))[: camera.height, : camera.width].astype(np.uint8)

@@ -40,22 +40,24 @@ class Growth:
     """Exponent e of time ~ count^e by least squares on logarithms.
 
     Over all sizes; and over the larger half, where what every step costs in any case weighs less.
+    None where there were not two sizes.
     """
 
-    exponent: float
-    exponent_of_larger_half: float
+    exponent: float | None
+    exponent_of_larger_half: float | None
 
 
 @dataclass(frozen=True)
 class Memory:
     """Bytes of device memory that one more costs: each the slope of its own sweep.
 
-    A Gaussian and a pixel bring their intersections with them; those are in their bytes.
+    A Gaussian and a pixel bring their intersections with them; those are in their bytes. None where
+    there were not two sizes.
     """
 
-    per_gaussian: float
-    per_intersection: float
-    per_pixel: float
+    per_gaussian: float | None
+    per_intersection: float | None
+    per_pixel: float | None
 
 
 @dataclass(frozen=True)
@@ -125,18 +127,23 @@ def _run(device: Device, scene: Scene, camera: Camera, repeats: int) -> Run:
 
 
 def growth(points: Sequence[tuple[float, float]]) -> Growth:
-    """Exponents of points (count, time); not a number where there are less than two."""
+    """Exponents of points (count, time)."""
     ordered = np.log(np.array(sorted(points), np.float64).reshape(-1, 2))
     half = ordered[len(ordered) // 2 :] if len(ordered) >= 4 else ordered
     return Growth(_slope(ordered), _slope(half))
 
 
-def _slope(points: npt.NDArray[np.float64]) -> float:
-    if len(points) < 2:
-        return float("nan")
+def shown(value: float | None, digits: int) -> str:
+    """An exponent or bytes for people; a dash where there were not two sizes to take it from."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _slope(points: npt.NDArray[np.float64]) -> float | None:
+    if len(np.unique(points[:, 0])) < 2:
+        return None
     return float(np.polyfit(points[:, 0], points[:, 1], 1)[0])
 
 
-def _bytes_each(points: Sequence[tuple[float, float]]) -> float:
+def _bytes_each(points: Sequence[tuple[float, float]]) -> float | None:
     """Slope of points (count, bytes)."""
     return _slope(np.array(points, np.float64).reshape(-1, 2))

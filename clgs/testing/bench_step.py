@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from itertools import product
 from statistics import median
 
 import numpy as np
@@ -22,6 +23,9 @@ from clgs.train.parameters import new_parameters
 WARM_UP = 3
 STILL = LearningRates(*[(1e-12, 1e-12)] * 6)
 """Learning rates that leave the scene as it is, so that every step does the same work."""
+
+CORNERS = np.array(list(product((-1, 1), repeat=3)), np.float32)
+"""Points that a trainer can start from, whatever scene it is given then."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,7 @@ def synthetic_trainer(device: Device, gaussians: int, size: int, seed: int) -> T
 
 def trainer_of(device: Device, scene: Scene, camera: Camera, seed: int = 0) -> Trainer:
     """As :func:`synthetic_trainer`, of a scene and a camera of one's own."""
-    dataset = photo_dataset(camera, scene.anchors.position, seed)
+    dataset = photo_dataset(camera, CORNERS, seed)
     config = replace(TrainConfig(), learning_rates=STILL, seed=seed).for_dataset("photos")
     trainer = Trainer(device, dataset, config)
     trainer.parameters = new_parameters(device, scene.anchors, scene.mlps)

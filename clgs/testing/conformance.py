@@ -189,7 +189,8 @@ def from_record(record: object) -> list[Fingerprint]:
 def other_order(record: dict[str, Any], facts: dict[str, Any]) -> list[str]:
     """Facts in which two devices sum gradients in another order, so that their bits may differ."""
     names = ("specialisation", "native_vector_width")
-    mine, others = facts["device"], record.get("device", {})
+    mine, others = facts["device"], record.get("device")
+    others = others if isinstance(others, dict) else {}
     return [
         f"{name} {others.get(name)} there, {mine[name]} here"
         for name in names

@@ -10,7 +10,7 @@ from clgs.errors import ClgsError
 from clgs.files import atomic_path
 from clgs.testing.accuracy_settings import PRESET_SWEEP
 from clgs.testing.bench_accuracy import Point, SubjectFigures
-from clgs.testing.bench_scaling import Scaling
+from clgs.testing.bench_scaling import Scaling, shown
 
 PANEL = (4.6, 3.4)
 """Inches."""
@@ -152,8 +152,8 @@ def plot_scaling(path: Path, found: Scaling, title: str) -> None:
             panel.plot(x, linear, ":", color="grey", label="linear")
             panel.set(xscale="log", yscale="log", xlabel=across, ylabel="training step, ms")
             panel.set_title(
-                f"exponent {exponent.exponent:.2f}, "
-                f"{exponent.exponent_of_larger_half:.2f} in the larger half",
+                f"exponent {shown(exponent.exponent, 2)}, "
+                f"{shown(exponent.exponent_of_larger_half, 2)} in the larger half",
                 loc="left",
             )
             panel.legend(frameon=False)
@@ -161,8 +161,8 @@ def plot_scaling(path: Path, found: Scaling, title: str) -> None:
         panels[2].plot(gaussians, megabytes, "o-")
         panels[2].set(xscale="log", yscale="log", xlabel="Gaussians", ylabel="device memory, MiB")
         panels[2].set_title(
-            f"{found.memory.per_gaussian:.0f} B a Gaussian, "
-            f"{found.memory.per_intersection:.0f} B an intersection",
+            f"{shown(found.memory.per_gaussian, 0)} B a Gaussian, "
+            f"{shown(found.memory.per_intersection, 0)} B an intersection",
             loc="left",
         )
         figure.suptitle(title, y=0.005, va="bottom", fontsize=8)

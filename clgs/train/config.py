@@ -17,7 +17,7 @@ import tomli_w
 
 from clgs.constants import NEAR_PLANE
 from clgs.errors import DataError, UsageError
-from clgs.options import PRESETS
+from clgs.options import PRESETS, RenderOptions, render_options
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
@@ -48,6 +48,7 @@ MAY_BE_ZERO = {
     *("statistics_start", "growth_start", "growth_end", "switch_step", "growth_threshold"),
     *(
         "max_memory",
+        "smallest_anchor",
         "slot_seen",
         "anchor_visits",
         "prune_opacity",
@@ -111,6 +112,8 @@ class TrainConfig:
     """"dense": every anchor moves at every step; "visible": those that got a gradient."""
     max_memory: int = 0
     """MiB that tile lists, records and rows of gradients may take at a time; 0 is no limit."""
+    smallest_anchor: float = 0.0
+    """Anchors that are fewer pixels wide on the screen are left out of every render; 0: none."""
     coarse_to_fine: bool = False
     """Whether training begins on reduced photos, see ``schedule.reduction``."""
     near: float = NEAR_PLANE
@@ -224,14 +227,18 @@ class TrainConfig:
         learning_rates = replace(self.learning_rates, **rates)
         return replace(self, steps=steps, learning_rates=learning_rates, **moved)
 
+    def render_options(self) -> RenderOptions:
+        """How the run renders."""
+        return render_options(self.accuracy, self.max_memory, self.smallest_anchor)
+
     def to_toml(self) -> str:
         """The text of config.toml: every setting; an open volume weight is left out."""
         table = {name: value for name, value in asdict(self).items() if value is not None}
         return tomli_w.dumps(table)
 
     def digest(self) -> str:
-        """SHA-256 of the settings, hexadecimal; tells whether two runs are the same."""
-        return hashlib.sha256(self.to_toml().encode()).hexdigest()
+        """SHA-256 of the settings that results depend on, hexadecimal; the same for equal runs."""
+        return hashlib.sha256(replace(self, max_memory=0).to_toml().encode()).hexdigest()
 
 
 def from_toml(text: str, name: str = "config.toml") -> TrainConfig:

@@ -46,8 +46,13 @@ def evaluate_views(
     on_view: Callable[[ViewScore], None] | None = None,
     options: RenderOptions = DEFAULT,
 ) -> list[ViewScore]:
-    """Score ``scene`` on ``views`` over the scene's own background."""
+    """Score ``scene`` on ``views`` over the scene's own background.
+
+    Raises:
+        BudgetError: ``options.max_memory`` is too small for one of ``views``.
+    """
     renderer = Renderer(device, scene.dequantize(), options)
+    renderer.check_budget((view.name, view.camera) for view in views)
     scores = []
     for view in views:
         scores.append(_score(renderer, view, scene.settings.background))

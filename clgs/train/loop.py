@@ -10,9 +10,10 @@ import numpy as np
 
 from clgs.codec.encode import sort_anchors
 from clgs.data.dataset import Dataset, View
-from clgs.errors import ClgsError
+from clgs.errors import BudgetError, ClgsError
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
+from clgs.render.budget import check_budget
 from clgs.render.frame import Capacity, Frame
 from clgs.render.renderer import render_picture
 from clgs.scene.mlps import Mlps, init_mlps
@@ -123,7 +124,11 @@ class Trainer:
         if step == self.config.switch_step + 1:
             self._align_positions()
         plan = Plan(step, self.sampler.next(), self.queue.color(self.rng))
-        self._under_way.append(self.queue.enqueue(plan, self.parameters, self.densifier))
+        try:
+            self._under_way.append(self.queue.enqueue(plan, self.parameters, self.densifier))
+        except BudgetError as error:
+            name = self.dataset.train[plan.index].name
+            raise BudgetError(f"step {step}, view {name}: {error}", error.needed) from error
 
     def _settle(self) -> StepResult:
         """Wait for the oldest step under way; repeat it where it lacked room."""
@@ -185,6 +190,16 @@ class Trainer:
         """What the next step would compare if it saw the first view on black."""
         plan = Plan(self.steps_done + 1, 0, BACKGROUNDS["black"])
         return self.queue.render(plan, self.parameters)
+
+    def check_budget(self) -> None:
+        """Refuse a memory budget that the anchors of now already exceed in some view.
+
+        Raises:
+            BudgetError: names the view that needs most, and the least budget for all of them.
+        """
+        views = [(view.name, view.camera) for view in self.dataset.train]
+        scene = self.queue.seen(self.parameters, self.steps_done)
+        check_budget(self.device, scene, views, self.settings, self.options)
 
     def psnr(self, views: list[View]) -> float:
         """Mean 8-bit PSNR of the current parameters on ``views``."""

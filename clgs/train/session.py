@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,11 @@ from clgs.errors import DataError
 from clgs.export.image import comparison, picture_names, save_png
 from clgs.files import atomic_write
 from clgs.opencl.device import Device
-from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
 from clgs.train.checkpoint import checkpoints
 from clgs.train.config import TrainConfig
 from clgs.train.evaluation import ViewScore, evaluate_views, summarize
+from clgs.train.finished import RESULTS, RunResult, finished_run
 from clgs.train.hashes import fingerprint
 from clgs.train.interrupt import interruptions
 from clgs.train.loop import StepResult, Trainer
@@ -43,16 +43,6 @@ class Progress:
     estimated_bytes: int | None = None
 
 
-@dataclass
-class RunResult:
-    """A finished run: its folder, the quantised scene, the bitstream and the summary."""
-
-    folder: Path
-    scene: QuantizedScene
-    bitstream: bytes
-    summary: dict[str, Any] = field(default_factory=dict)
-
-
 class Session:
     """Trains in ``folder``; call :meth:`run` once."""
 
@@ -63,6 +53,7 @@ class Session:
 
         Raises:
             DataError: there is nothing to train on, or the checkpoints are of another run.
+            BudgetError: the memory budget is too small for some view; nothing is written then.
         """
         if not dataset.train:
             raise DataError("the dataset has no training views; check the folder of images")
@@ -72,7 +63,9 @@ class Session:
         self.trainer = Trainer(device, dataset, config)
         if resume and checkpoints(folder / "checkpoint"):
             load_checkpoint(folder / "checkpoint", self.trainer)
+        self.trainer.check_budget()
         folder.mkdir(parents=True, exist_ok=True)
+        (folder / RESULTS).unlink(missing_ok=True)
         atomic_write(folder / "config.toml", config.to_toml().encode())
         self.log = ProgressLog(folder / "progress.csv", self.trainer.steps_done)
 
@@ -178,11 +171,11 @@ class Session:
         return RunResult(self.folder, scene, bitstream, summary)
 
     def _write_results(self, summary: dict[str, Any], scores: list[ViewScore]) -> None:
-        write_json(self.folder / "results.json", summary)
         write_json(self.folder / "per_view.json", [score.record() for score in scores])
         write_pictures(self.folder / "test" / f"ours_{self.config.steps}", scores)
         if scores:
             save_png(self.folder / "preview.png", comparison(scores[0].photo, scores[0].render))
+        write_json(self.folder / RESULTS, summary)
 
 
 def peak_memory() -> int | None:
@@ -225,13 +218,18 @@ def train_scene(
         folder: run folder, made where it is missing.
         config: default ``TrainConfig()`` resolved for the dataset.
         device: default: chosen as ``clgs devices`` shows.
-        resume: continue from the folder's checkpoint where it has one.
+        resume: continue from the folder's checkpoint where it has one; a run that is finished is
+            read, and nothing is changed.
         on_progress: called after every step; the device may be a step ahead.
 
     Raises:
-        DataError: nothing to train on, or the checkpoints are of another run.
+        DataError: nothing to train on, or the folder holds another run.
+        BudgetError: the memory budget is too small for some view.
         NonFiniteLossError: the loss is not finite; names step and view.
     """
     resolved = (config or TrainConfig()).for_dataset(dataset.kind)
+    finished = finished_run(Path(folder), dataset, resolved) if resume else None
+    if finished is not None:
+        return finished
     session = Session(dataset, Path(folder), resolved, device or Device(), resume)
     return session.run(on_progress)

@@ -11,7 +11,6 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
 from clgs.ops import adam, loss, rate, scan
-from clgs.options import render_options
 from clgs.render.frame import Capacity, DeviceScene, Frame, SceneGradients
 from clgs.render.pipeline import check_capacity, render_backward, view_forward
 from clgs.scene.anchors import QuantizationScales
@@ -77,7 +76,7 @@ class StepQueue:
         self._optimizer = Optimizer(device, config, dataset.radius)
         self._targets = Targets(device, dataset.train, config.background, config.near)
         self._stop = adam.stop_flag(device)
-        self.options = render_options(config.accuracy, config.max_memory)
+        self.options = config.render_options()
         self.scales = QuantizationScales(
             config.position_q, config.offset_q, config.feature_q, config.scaling_q
         )

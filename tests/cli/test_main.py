@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
 import types
+from itertools import takewhile
 
 import pytest
 
@@ -138,13 +140,38 @@ def test_every_command_has_help(command):
         ("info",),
         ("info", "x", "--nonsense"),
         ("bench", "step", "--seed", "-1"),
+        ("bench", "accuracy", "--size", "0"),
+        *(
+            ("train", "x", "-o", "y", "--smallest-anchor", size)
+            for size in ("-1", "nan", "inf", "x")
+        ),
     ],
 )
 def test_wrong_usage_exits_2(arguments):
     result = clgs(*arguments)
     assert result.returncode == 2
-    assert result.stderr.startswith("usage: clgs")
+    command = " ".join(takewhile(cli.COMMANDS.__contains__, arguments))
+    kind = " ".join(arguments[1:2]) if command == "bench" else ""
+    usage = " ".join(word for word in ("usage: clgs", command, kind) if word)
+    assert result.stderr.startswith(f"{usage} [-h]")
     assert "Traceback" not in result.stderr
+
+
+def test_a_termination_is_one_line_from_the_first_moment_on(monkeypatch, capsys):
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(cli, "_run", lambda argv: os.kill(os.getpid(), signal.SIGTERM))
+    assert cli.main(["devices"]) == 130
+    assert capsys.readouterr().err == "clgs: interrupted\n"
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_a_specialisation_that_there_is_not_is_wrong_usage(monkeypatch, capsys):
+    monkeypatch.setenv("CLGS_SPECIALISATION", "bogus")
+    for command in ("selftest", "conformance"):
+        assert cli.main([command]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert "CLGS_SPECIALISATION=bogus: is not cpu or gpu" in said
 
 
 def test_help_starts_quickly():

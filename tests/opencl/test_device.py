@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.errors import DeviceError
+from clgs.errors import DeviceError, UsageError
 from clgs.opencl import device as device_module
 from clgs.opencl.device import Device, round_up
 
@@ -127,7 +127,7 @@ def test_specialisation_follows_argument_environment_and_type(monkeypatch):
         16,
     )
     monkeypatch.setenv("CLGS_SPECIALISATION", "tpu")
-    with pytest.raises(DeviceError, match="CLGS_SPECIALISATION=tpu"):
+    with pytest.raises(UsageError, match="CLGS_SPECIALISATION=tpu"):
         Device()
 
 
