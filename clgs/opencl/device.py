@@ -154,6 +154,15 @@ class Device:
             cl.enqueue_copy(self.queue, host, array.buffer)
         return host
 
+    def hand_over(self, array: DeviceArray) -> npt.NDArray[Any]:
+        """As :meth:`download`, of an array that nothing on the device will write to any more.
+
+        On a CPU it is not copied: the host's array is the device's memory, and keeps it.
+        """
+        if array.nbytes and self.cl_device.type & cl.device_type.CPU:
+            return self._transfers.hand_over(array)
+        return self.download(array)
+
     def download_later(self, array: DeviceArray) -> Download:
         """As :meth:`download`, but only ``Download.get`` waits, and not for later work."""
         return self._transfers.read(array)

@@ -35,6 +35,17 @@ class Download:
         return self._host
 
 
+class _Mapped:
+    """Device memory as NumPy's array interface shows it; keeps it mapped and out of the pool."""
+
+    def __init__(self, queue: Any, array: DeviceArray) -> None:
+        """Waits for the work before it."""
+        flags: Any = cl.map_flags.READ | cl.map_flags.WRITE
+        view, _ = cl.enqueue_map_buffer(queue, array.buffer, flags, 0, array.shape, array.dtype)
+        self.__array_interface__ = view.__array_interface__
+        self._view, self._array = view, array
+
+
 class Transfers:
     """Writes and reads of one queue; keeps the host side alive until a command is through."""
 
@@ -60,6 +71,10 @@ class Transfers:
             return Download(host, None)
         event = cl.enqueue_copy(self._queue, host, array.buffer, is_blocking=False)
         return Download(host, event)
+
+    def hand_over(self, array: DeviceArray) -> npt.NDArray[Any]:
+        """The memory of ``array``, which is not empty, as an array of the host; waits for it."""
+        return np.asarray(_Mapped(self._queue, array))
 
     def _fill(self, buffer: Any, content: npt.NDArray[np.uint8]) -> None:
         """Patterns of falling powers of two, so that each starts at a multiple of its size."""

@@ -41,7 +41,7 @@ class Renderer:
         while True:
             frame = view_forward(device, self._scene, view, options, self._capacity)
             totals = [device.download_later(total) for total in frame.totals]
-            image = np.asarray(device.download(frame.image), np.float32)
+            image = np.asarray(device.hand_over(frame.image), np.float32)
             needed = Capacity(*(int(total.get()[0]) for total in totals))
             if self._holds(needed):
                 return enlarge(image, camera.width, camera.height)
@@ -68,7 +68,7 @@ def render_picture(
     """Picture (3, H, W) float32 of a scene that lies on the device; see :class:`Renderer`."""
     small = camera.reduced(options.accuracy.downscale)
     frame = render_forward(device, scene, small, settings, options)
-    image = np.asarray(device.download(frame.image), np.float32)
+    image = np.asarray(device.hand_over(frame.image), np.float32)
     return enlarge(image, camera.width, camera.height)
 
 

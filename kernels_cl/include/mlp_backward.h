@@ -104,17 +104,26 @@ inline void input_backward(const int first, __global const float *weights, const
 inline void position_backward(const Model *model, const float *d_direction, const size_t first,
                               __global float *d_position)
 {
-    for (size_t lane = 0; lane < BLOCK; ++lane) {
-        const int anchor = anchor_of(model, first + lane);
-        if (anchor < 0)
-            continue;
-        float distance;
-        const float3 step = load3(model->position, (size_t)anchor) - camera_centre(model->camera);
-        const float3 view = direction(step, &distance);
-        const float3 d =
-            (float3)(d_direction[lane], d_direction[BLOCK + lane], d_direction[2 * BLOCK + lane]);
-        const float3 across = (d - dot3(d, view) * view) / distance;
-        store3(distance > 0.0f ? across : (float3)(0.0f), d_position, (size_t)anchor);
+    for (int s = 0; s < VECTORS; ++s) {
+        int anchor[VEC];
+        __global const float *position[VEC];
+        for (size_t lane = 0; lane < VEC; ++lane) {
+            anchor[lane] = anchor_of(model, first + s * VEC + lane);
+            position[lane] = model->position + 3 * (size_t)max(anchor[lane], 0);
+        }
+        fv view[3], d[3];
+        const fv distance = view_directions(model, position, view);
+        for (int i = 0; i < 3; ++i)
+            d[i] = LOAD_V(s, d_direction + i * BLOCK);
+        const fv along = fma(d[2], view[2], fma(d[1], view[1], d[0] * view[0]));
+        for (int i = 0; i < 3; ++i) {
+            float across[VEC];
+            STORE_V(distance > (fv)(0.0f) ? (d[i] - along * view[i]) / distance : (fv)(0.0f), 0,
+                    across);
+            for (size_t lane = 0; lane < VEC; ++lane)
+                if (anchor[lane] >= 0)
+                    d_position[3 * (size_t)anchor[lane] + i] = across[lane];
+        }
     }
 }
 

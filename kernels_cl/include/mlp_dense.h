@@ -7,7 +7,6 @@
 #include "include/camera.h"
 #include "include/lanes.h"
 #include "include/mlp_layout.h"
-#include "include/vector3.h"
 
 /* What all blocks read. */
 typedef struct {
@@ -19,19 +18,18 @@ typedef struct {
     __global const float *camera;
 } Model;
 
-inline float3 camera_centre(__global const float *camera)
+/* Makes unit vectors, without overflow, zero for zero; returns their lengths. */
+inline fv make_directions(fv v[3])
 {
-    return load3(camera + CAMERA_CENTRE, 0);
-}
-
-/* Unit vector along v and its length, without overflow; zero for zero. */
-inline float3 direction(float3 v, float *length)
-{
-    const float largest = fmax(fabs(v.x), fmax(fabs(v.y), fabs(v.z)));
-    const float3 scaled = v / largest;
-    const float root = sqrt(dot3(scaled, scaled));
-    *length = largest * root;
-    return largest == 0.0f ? (float3)(0.0f) : scaled / root;
+    fv largest = fabs(v[0]);
+    for (int i = 1; i < 3; ++i)
+        largest = fabs(v[i]) > largest ? fabs(v[i]) : largest;
+    for (int i = 0; i < 3; ++i)
+        v[i] /= largest;
+    const fv root = sqrt(fma(v[2], v[2], fma(v[1], v[1], v[0] * v[0])));
+    for (int i = 0; i < 3; ++i)
+        v[i] = largest == (fv)(0.0f) ? (fv)(0.0f) : v[i] / root;
+    return largest * root;
 }
 
 inline bool any_positive(const fv x)
@@ -49,21 +47,24 @@ inline int anchor_of(const Model *model, const size_t sample)
     return sample < model->count ? model->visible[sample] : -1;
 }
 
+/* Unit vectors from the camera to the positions of VEC anchors, and their lengths. */
+inline fv view_directions(const Model *model, __global const float *position[VEC], fv view[3])
+{
+    for (int i = 0; i < 3; ++i)
+        view[i] = GATHER_V(position, i) - model->camera[CAMERA_CENTRE + i];
+    return make_directions(view);
+}
+
 /* Inputs of a block: feature, direction, and a row of ones that is zero where a sample does not
  * count, as are its inputs: where there is no anchor, or an input is not finite. */
 inline void gather(const Model *model, const size_t first, float x[(INPUT_DIM + 1) * BLOCK])
 {
-    __global const float *feature[BLOCK];
+    __global const float *feature[BLOCK], *position[BLOCK];
     for (size_t lane = 0; lane < BLOCK; ++lane) {
         const int anchor = anchor_of(model, first + lane);
         const size_t row = (size_t)(anchor < 0 ? 0 : anchor);
         feature[lane] = model->feature + row * FEATURE_DIM;
-        float distance;
-        const float3 step = load3(model->position, row) - camera_centre(model->camera);
-        const float3 view = direction(step, &distance);
-        x[FEATURE_DIM * BLOCK + lane] = view.x;
-        x[(FEATURE_DIM + 1) * BLOCK + lane] = view.y;
-        x[(FEATURE_DIM + 2) * BLOCK + lane] = view.z;
+        position[lane] = model->position + row * 3;
         x[INPUT_DIM * BLOCK + lane] = anchor < 0 ? 0.0f : 1.0f;
     }
     fv ones[VECTORS];
@@ -72,6 +73,10 @@ inline void gather(const Model *model, const size_t first, float x[(INPUT_DIM + 
         ones[s] = LOAD_V(s, x + INPUT_DIM * BLOCK);
         for (int k = 0; k < FEATURE_DIM; ++k)
             STORE_V(GATHER_V(feature + s * VEC, k), s, x + k * BLOCK);
+        fv view[3];
+        view_directions(model, position + s * VEC, view);
+        for (int i = 0; i < 3; ++i)
+            STORE_V(view[i], s, x + (FEATURE_DIM + i) * BLOCK);
         for (int k = 0; k < INPUT_DIM; ++k)
             ones[s] = fabs(LOAD_V(s, x + k * BLOCK)) <= (fv)(INPUT_LIMIT) ? ones[s] : (fv)(0.0f);
         STORE_V(ones[s], s, x + INPUT_DIM * BLOCK);

@@ -37,3 +37,24 @@ def test_later_downloads_hold_the_state_at_their_call(device):
     assert np.array_equal(first.get(), np.arange(1000))
     assert not second.get().any()
     assert device.download_later(device.empty((0, 3))).get().shape == (0, 3)
+
+
+def test_handed_over_memory_is_kept_while_any_view_of_it_lives(device, rng):
+    host = rng.normal(size=(3, 50, 70)).astype(np.float32)
+    for shape in [(3, 50, 70), (0, 3)]:
+        part = host if 0 not in shape else np.empty(shape, np.float32)
+        views = [device.hand_over(device.upload(part))[..., 1:] for _ in range(4)]
+        others = [device.zeros(shape) for _ in range(8)]
+        device.finish()
+        assert all(np.array_equal(view, part[..., 1:]) for view in views)
+        assert all(not device.download(other).any() for other in others)
+
+
+def test_handed_over_memory_goes_back_to_the_pool(device):
+    def pictures() -> int:
+        for _ in range(20):
+            device.hand_over(device.zeros((300, 1000)))[0, 0] = 1
+        return device.reserved_bytes
+
+    before = pictures()
+    assert pictures() == before
