@@ -1,12 +1,14 @@
 """Per-tile lists of the Gaussians that may touch a tile, front to back.
 
-A Gaussian is listed where the smallest y1^2 + y2^2 over the pixel centres of the tile allows
-alpha >= ALPHA_CUT: an exact ellipse-rectangle test with a slack for rounding, so that the rendered
-image is bit-identical to one made from lists that hold every Gaussian in every tile. Gaussians are
-sorted by depth once (ties by index), and one stable pass by tile number over their tiles in that
-order finishes the lists.
+A Gaussian is listed where the smallest y1^2 + y2^2 over the rectangle of a tile's pixel centres
+allows alpha >= ALPHA_CUT, with a slack for rounding, so that the rendered image is bit-identical to
+one made from lists that hold every Gaussian in every tile. The part of an ellipse between the first
+and the last pixel row of a row of tiles is convex, so that it reaches neighbouring tiles: a span,
+found from its first and its last column without a test of each tile. Gaussians are sorted by depth
+once (ties by index), then one stable pass by tile finishes the lists; on a CPU it has two steps, of
+the spans by row of tiles, and of the tiles of each row by column.
 
-Sources: 3DGS (tiles of 16x16, ascending depth); the exact test as in Speedy-Splat and StopThePop.
+Sources: 3DGS (tiles of 16x16, ascending depth); exact lists as in Speedy-Splat and StopThePop.
 """
 
 from __future__ import annotations
@@ -29,8 +31,8 @@ CHUNKS = 4
 """Counters of all tiles on a CPU: work-items that the depth order is shared among."""
 ROW_CHUNKS = 64
 """Counters of all rows of tiles."""
-UNUSED = 16 * CHUNKS
-"""Places behind the lists on a CPU, where entries go that are none."""
+UNUSED = 4 * CHUNKS
+"""Places behind the spans on a CPU, where those go that are none."""
 
 
 @dataclass(frozen=True)
@@ -172,36 +174,36 @@ def _count_entries(
     tiles: int,
     capacity: int | None,
 ) -> TileLists:
-    """One stable pass by tile: count the tiles of every chunk of the order, then enter them."""
-    chunks = ((CHUNKS,), (1,))
-    pitch = round_up(tiles + found.columns + 1, 16)
-    counters = device.empty((CHUNKS, pitch), np.int32)
+    """Two stable passes: by row of tiles, then by column within each."""
+    chunks, count_of_rows = ((CHUNKS,), (1,)), tiles // found.columns
+    pitch = round_up(count_of_rows + 1, 8)
+    counters = device.empty((CHUNKS, pitch, 2), np.int32)
     ranked = device.empty(found.boxes.shape, np.int32)
-    tile_range = device.empty((tiles + 1,), np.int32)
     ordered = *found.geometry, order.index, order.count
     count = device.kernel("tiles", "tiles_count", **found.defines)
     counted = found.boxes, rows.offset, np.int32(pitch), ranked, counters
     device.run(count, *chunks, *ordered, *counted)
     entries = scan.checked_total(device, rows) if capacity is None else capacity
     limit = rows.total, np.int32(entries)
-    starts = device.kernel("tiles", "tiles_starts", **found.defines)
-    sizes = np.int32(CHUNKS), np.int32(pitch), np.int32(tiles)
-    device.run(starts, (1,), (1,), counters, *sizes, *limit, tile_range)
-    gaussian, row = _first_entries(device, entries), _first_entries(device, entries)
+    starts = device.empty((count_of_rows + 1, 2), np.int32)
+    start = device.kernel("tiles", "tiles_starts", **found.defines)
+    sizes = np.int32(CHUNKS), np.int32(pitch), np.int32(count_of_rows)
+    device.run(start, (1,), (1,), counters, *sizes, *limit, starts)
+    spans = device.empty((entries + UNUSED, 4), np.int32)
+    place = device.kernel("tiles", "tiles_place", **found.defines)
+    device.run(place, *chunks, *ordered, ranked, np.int32(pitch), *limit, counters, spans)
+    tile_range = device.empty((tiles + 1,), np.int32)
+    gaussian, row = (device.empty((entries,), np.int32) for _ in range(2))
+    pitch = round_up(found.columns + 1, 16)
+    places = device.empty((count_of_rows, pitch), np.int32)
     enter = device.kernel("tiles", "tiles_enter", **found.defines)
-    device.run(enter, *chunks, *ordered, ranked, np.int32(pitch), *limit, counters, gaussian, row)
+    sizes = np.int32(found.columns), np.int32(count_of_rows), np.int32(pitch)
+    lists = places, tile_range, gaussian, row
+    device.run(enter, (count_of_rows,), (1,), spans, starts, *sizes, *lists)
     if capacity is not None:
-        grid = (round_up(entries, GROUP_SIZE),), (GROUP_SIZE,)
-        device.run(
-            device.kernel("tiles", "tiles_pad_lists", **found.defines), *grid, *limit, gaussian, row
-        )
+        pad = device.kernel("tiles", "tiles_pad_lists", **found.defines)
+        device.run(pad, *chunks, *limit, gaussian, row)
     return TileLists(gaussian, row, tile_range, rows.offset, rows.total)
-
-
-def _first_entries(device: Device, entries: int) -> DeviceArray:
-    """(entries,) int32 with UNUSED more places behind."""
-    longer = device.empty((entries + UNUSED,), np.int32)
-    return DeviceArray(longer.buffer, (entries,), longer.dtype)
 
 
 def _sort_entries(

@@ -22,7 +22,7 @@ from clgs.ops.project import Projected
 from clgs.options import RenderOptions
 from clgs.render.frame import DeviceView, Groups
 
-LIST_BYTES = {"cpu": 8, "gpu": 36}
+LIST_BYTES = {"cpu": 24, "gpu": 36}
 """An entry of the lists, with what sorts it."""
 BYTES_BY_ENTRY = 4 * (blend.RECORD_SIZE + blend.ROW_SIZE)
 """Its record and its row of gradients."""

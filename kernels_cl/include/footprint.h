@@ -19,11 +19,12 @@ typedef struct {
     int width, height, first, end;
 } Window;
 
-/* VEC Gaussians: ellipses, a little too large (see reach_of), and the tiles of their boxes. */
+/* VEC Gaussians: ellipses, a little too large (see reach_of), and the tiles of their boxes. On a
+ * row of pixels dy below the centre an ellipse lies around slope dy, half as wide as sqrt(squared -
+ * shrink dy^2); its last column is on the row `tip`, its first on the row -tip. */
 typedef struct {
-    fv x, y, r1, l, r2;
-    fv squared;                  /* largest y1^2 + y2^2 */
-    fv slope;                    /* dx / dy where y1^2 + y2^2 is smallest on a row of pixels */
+    fv x, y, slope, squared, shrink, tip;
+    fv margin;                   /* pixels, for the rounding of columns */
     iv left, right, top, bottom; /* tiles; none where left > right */
 } Footprints;
 
@@ -81,21 +82,22 @@ inline Footprints load_footprints(const Geometry *g, const int first, const int 
     load_rows2(g->extent, (size_t)first, (size_t)used, extent);
     const fv bias = opacity[0] > (fv)(0.0f) ? log_v(opacity[0]) * LOG2_E : (fv)(-INFINITY);
     const fv limit = bias - LOG2_ALPHA_CUT;
+    const fv r1 = factor[0] * WHITENING_UNIT, r2 = factor[2] * WHITENING_UNIT;
+    const fv sigma_x = 1.0f / r1, minor = 1.0f / r2, lr2 = factor[1] * r2;
+    const fv lean = factor[1] * sigma_x, sigma_y = sqrt(fma(lean, lean, minor * minor));
+    const fv error = 1e-6f * r2 * (fabs(lean) + sigma_y) * sqrt(limit + 1e-4f);
+    const fv reach = sqrt(fma(limit, (fv)(1.00001f), (fv)(1e-5f))) + error;
+    const fv half_x = reach * sigma_x, inverse = 1.0f / fma(r1, r1, lr2 * lr2);
     Footprints f;
     f.x = centre[0];
     f.y = centre[1];
-    f.r1 = factor[0] * WHITENING_UNIT;
-    f.l = factor[1];
-    f.r2 = factor[2] * WHITENING_UNIT;
-    const fv sigma_x = 1.0f / f.r1, minor = 1.0f / f.r2;
-    const fv lean = f.l * sigma_x, sigma_y = sqrt(fma(lean, lean, minor * minor));
-    const fv error = 1e-6f * f.r2 * (fabs(lean) + sigma_y) * sqrt(limit + 1e-4f);
-    const fv reach = sqrt(fma(limit, (fv)(1.00001f), (fv)(1e-5f))) + error;
-    f.squared = reach * reach;
-    f.slope = f.l * f.r2 * f.r2 / fma(f.r1, f.r1, f.l * f.r2 * f.l * f.r2);
-    const iv drawn = (extent[0] > (fv)(0.0f)) & (f.squared >= (fv)(0.0f));
-    return add_boxes(f, fma(reach, sigma_x, (fv)(1e-3f)), fma(reach, sigma_y, (fv)(1e-3f)), drawn,
-                     w);
+    f.slope = lr2 * r2 * inverse;
+    f.squared = reach * reach * 1.00001f * inverse;
+    f.shrink = (r1 * r2 * inverse) * (r1 * r2 * inverse);
+    f.tip = lean * reach;
+    f.margin = fma((fv)(1e-6f), fabs(f.x) + half_x, (fv)(1e-3f));
+    const iv drawn = (extent[0] > (fv)(0.0f)) & (reach >= (fv)(0.0f));
+    return add_boxes(f, half_x + f.margin, fma(reach, sigma_y, (fv)(1e-3f)), drawn, w);
 }
 
 inline fv spread(const fv value)
@@ -123,79 +125,88 @@ inline Large load_large(const Geometry *g, const int i, const Window w)
     Footprints f = load_footprints(g, i, 1, w);
     f.x = spread(f.x);
     f.y = spread(f.y);
-    f.r1 = spread(f.r1);
-    f.l = spread(f.l);
-    f.r2 = spread(f.r2);
-    f.squared = spread(f.squared);
     f.slope = spread(f.slope);
+    f.squared = spread(f.squared);
+    f.shrink = spread(f.shrink);
+    f.tip = spread(f.tip);
+    f.margin = spread(f.margin);
     const Large large = {f, first_lane(f.left), first_lane(f.right), first_lane(f.top),
                          first_lane(f.bottom)};
     return large;
 }
 
-inline fv squared_at(const Footprints *f, const fv dx, const fv dy)
+/* Neighbouring tiles of a row: the first column, and how many. */
+typedef struct {
+    iv first, tiles;
+} Columns;
+
+inline fv half_width(const Footprints *f, const fv dy)
 {
-    const fv y1 = dx * f->r1, y2 = fma(-f->l, dx, dy) * f->r2;
-    return fma(y1, y1, y2 * y2);
+    const fv square = fma(-f->shrink * dy, dy, f->squared);
+    return sqrt(square < (fv)(0.0f) ? (fv)(0.0f) : square);
 }
 
-/* Whether Gaussians may touch a pixel of a tile: the smallest y1^2 + y2^2 over the rectangle of
- * pixel centres lies at its centre or on an edge facing it. */
-inline iv reach_tiles(const Footprints *f, const iv column, const iv row, const Window w)
+/* The tiles of rows that ellipses reach, within [left, right]. A part of an ellipse between two
+ * rows of pixels is convex: what it covers lies between its first and its last column. A NaN
+ * leaves out nothing. */
+inline Columns reached_columns(const Footprints *f, const iv row, const iv left, const iv right,
+                               const Window w)
 {
+    iv first = left, last = right;
 #if SKIP_EXACT_TILES
-    const iv x = column * TILE_SIZE, y = row * TILE_SIZE;
-    const fv left = TO_FV(x) + 0.5f - f->x, top = TO_FV(y) + 0.5f - f->y;
-    const fv right = TO_FV(min(x + TILE_SIZE, (iv)(w.width)) - 1) + 0.5f - f->x;
+    const iv y = row * TILE_SIZE;
+    const fv top = TO_FV(y) + 0.5f - f->y;
     const fv bottom = TO_FV(min(y + TILE_SIZE, (iv)(w.height)) - 1) + 0.5f - f->y;
-    const fv near_x = clamp_lanes((fv)(0.0f), left, right);
-    const fv near_y = clamp_lanes((fv)(0.0f), top, bottom);
-    const fv on_column = squared_at(f, near_x, clamp_lanes(f->l * near_x, top, bottom));
-    const fv on_row = squared_at(f, clamp_lanes(f->slope * near_y, left, right), near_y);
-    return (on_column <= f->squared) | (on_row <= f->squared);
+    const fv low = clamp_lanes(-f->tip, top, bottom), high = clamp_lanes(f->tip, top, bottom);
+    const fv before = fma(-f->slope, low, half_width(f, low)) + f->margin;
+    const fv behind = fma(f->slope, high, half_width(f, high)) + f->margin;
+    const iv first_x = first_pixel(f->x, before, w.width);
+    const iv last_x = last_pixel(f->x, behind, w.width);
+    first = max(first, first_x / TILE_SIZE);
+    last = first_x <= last_x ? min(last, last_x / TILE_SIZE) : (iv)(-1);
 #else
     (void)f, (void)row, (void)w;
-    return column == column;
 #endif
+    const Columns found = {first, max(last - first + 1, (iv)(0))};
+    return found;
 }
 
-/* ---- sets of tiles as bits of a ulong: bit k is the tile (k % 2^shift, k >> shift) from a first
- * one on. A box of up to 8 x 8 tiles is one set (shift BOX_SHIFT), a row of a larger one is cut
- * into sets of up to 64 (shift STRIP_SHIFT); either way ascending bits are ascending tiles. ---- */
-#define BOX_SHIFT 3
-#define BOX_EDGE 8
-#define STRIP_SHIFT 6
-#define STRIP 64
+/* Columns of VEC rows of a large box, from `row` on. */
+typedef struct {
+    int first[VEC], tiles[VEC];
+} Rows;
 
-inline int tile_of_bit(const int bit, const int shift, const int first, const int columns)
+inline Rows rows_of(const Large *g, const int row, const Window w)
 {
-    return first + (bit >> shift) * columns + (bit & ((1 << shift) - 1));
+    Rows r;
+    for (int lane = 0; lane < VEC; ++lane)
+        r.first[lane] = row + lane;
+    const iv rows = LOAD_V(0, r.first);
+    const Columns found = reached_columns(&g->ellipse, rows, (iv)(g->left), (iv)(g->right), w);
+    STORE_V(found.first, 0, r.first);
+    STORE_V(rows <= (iv)(g->bottom) ? found.tiles : (iv)(0), 0, r.tiles);
+    return r;
 }
 
-/* Removes the lowest bit of a set and returns its number. */
-inline int take_bit(ulong *set)
+/* ---- a box is 4 words: its first row and column, 16 bits each; and a byte for each of up to 8
+ * rows in the next two, the columns up to its first tile in the low half, its tiles in the high
+ * half. A larger box has no bytes, and its tiles are found again where they are needed. ---- */
+#define BOX_ROWS 8
+#define BOX_COLUMNS 15
+
+inline ulong bytes_of(const int4 box)
 {
-    const int bit = 63 - (int)clz(*set & (0ul - *set));
-    *set &= *set - 1ul;
-    return bit;
+    return (ulong)(uint)box.y | (ulong)(uint)box.z << 32;
 }
 
-/* The tiles that a Gaussian reaches among [column, column + STRIP) of a row of its box. */
-inline ulong strip_of(const Large *g, const int column, const int row, const Window w)
+inline int top_of(const int4 box)
 {
-    ulong set = 0;
-    for (int first = column; first <= g->right && first < column + STRIP; first += VEC) {
-        int lanes[VEC];
-        for (int lane = 0; lane < VEC; ++lane)
-            lanes[lane] = first + lane;
-        const iv columns = LOAD_V(0, lanes);
-        const iv hit =
-            reach_tiles(&g->ellipse, columns, (iv)(row), w) & (columns <= (iv)(g->right));
-        STORE_V(hit ? (iv)(1) : (iv)(0), 0, lanes);
-        for (int lane = 0; lane < VEC; ++lane)
-            set |= (ulong)lanes[lane] << (first - column + lane);
-    }
-    return set;
+    return box.x >> 16;
+}
+
+inline int left_of(const int4 box)
+{
+    return box.x & 0xffff;
 }
 
 #endif

@@ -1,43 +1,41 @@
-/* One counting pass by tile, CPU form: a work-item owns a chunk of the depth ranks and a counter of
- * every tile. */
+/* Lists without a sort by tile, CPU form. First every row of tiles collects its spans in depth
+ * order: a work-item owns a chunk of the depth ranks and a counter of every row. Then a work-item
+ * owns a row, and a counter of every column: few enough lists to write to that all stay in the
+ * cache. */
 #ifndef CLGS_TILES_CHUNK_H
 #define CLGS_TILES_CHUNK_H
 
 #include "include/chunk.h"
 
-#define BATCH 256          /* boxes fetched at a time, so that many reads are under way */
-#define PAIR_OF_ROWS 0x303 /* sets of up to 2 x 2 tiles, most of all, need no loop */
+#define BATCH 256 /* boxes fetched at a time, so that many reads are under way */
 
-inline void count_set(ulong set, const int shift, const int first, const int columns,
-                      __global int *counter)
+/* Counters of a row of tiles: spans and tiles. */
+inline void count_span(const int tiles, __global int *counter)
 {
-    while (set)
-        ++counter[tile_of_bit(take_bit(&set), shift, first, columns)];
+    counter[0] += tiles > 0;
+    counter[1] += tiles;
 }
 
 inline void count_box(const Geometry *g, const Window w, const int4 box, const int i,
                       __global int *counter)
 {
-    const int columns = columns_of(w);
-    const ulong set = set_of(box);
-    if ((set & ~(ulong)PAIR_OF_ROWS) == 0 && set) {
-        counter[box.x] += box.y & 1;
-        counter[box.x + 1] += (box.y >> 1) & 1;
-        counter[box.x + columns] += (box.y >> 8) & 1;
-        counter[box.x + columns + 1] += (box.y >> 9) & 1;
-    } else if (set) {
-        count_set(set, BOX_SHIFT, box.x, columns, counter);
-    } else {
+    ulong bytes = bytes_of(box);
+    if (bytes == 0) {
         const Large f = load_large(g, i, w);
-        for (int row = f.top; row <= f.bottom; ++row)
-            for (int x = f.left; x <= f.right; x += STRIP)
-                count_set(strip_of(&f, x, row, w), STRIP_SHIFT, row * columns + x, columns,
-                          counter);
+        for (int row = f.top; row <= f.bottom; row += VEC) {
+            const Rows r = rows_of(&f, row, w);
+            for (int lane = 0; lane < VEC && row + lane <= f.bottom; ++lane)
+                count_span(r.tiles[lane], counter + 2 * (row + lane));
+        }
+    }
+    for (int row = top_of(box); bytes; row += 2, bytes >>= 16) {
+        count_span((int)(bytes >> 4 & 15ul), counter + 2 * row);
+        count_span((int)(bytes >> 12 & 15ul), counter + 2 * row + 2);
     }
 }
 
-/* Tiles of every chunk, (chunks, pitch), at least columns + 1 more than there are; and the boxes
- * of every rank with their first row. */
+/* Spans and tiles in every row for every chunk, (chunks, pitch, 2), at least 1 more row than there
+ * is; and the boxes of every rank with their first row of gradients. */
 __kernel void tiles_count(__global const float *mean2d, __global const float *whitening,
                           __global const float *opacity, __global const float *extent,
                           const int width, const int height, const int first_row, const int end_row,
@@ -48,9 +46,9 @@ __kernel void tiles_count(__global const float *mean2d, __global const float *wh
     const Geometry g = {mean2d, whitening, opacity, extent};
     const Window w = {width, height, first_row, end_row};
     const Chunk own = own_chunk(ordered[0]);
-    __global int *counter = counters + get_global_id(0) * (size_t)pitch;
-    for (int tile = 0; tile < pitch; ++tile)
-        counter[tile] = 0;
+    __global int *counter = counters + 2 * get_global_id(0) * (size_t)pitch;
+    for (int k = 0; k < 2 * pitch; ++k)
+        counter[k] = 0;
     for (int begin = own.begin; begin < own.end; begin += BATCH) {
         const int end = min(begin + BATCH, own.end);
         for (int rank = begin; rank < end; ++rank) {
@@ -62,106 +60,136 @@ __kernel void tiles_count(__global const float *mean2d, __global const float *wh
     }
 }
 
-/* Counters become places, tile by tile; one work-item. Lists that do not fit stay empty. */
+/* Counters of spans become places; and where the spans and the entries of every row start, (rows +
+ * 1, 2); one work-item. Lists that do not fit stay empty. */
 __kernel void tiles_starts(__global int *counters, const int chunks, const int pitch,
-                           const int tiles, __global const long *total, const int capacity,
-                           __global int *tile_range)
+                           const int rows, __global const long *total, const int capacity,
+                           __global int *starts)
 {
     const bool fits = total[0] <= (long)capacity;
-    int place = 0;
-    for (int tile = 0; tile < tiles; ++tile) {
-        tile_range[tile] = place;
+    int2 place = (int2)(0);
+    for (int row = 0; row < rows; ++row) {
+        vstore2(place, (size_t)row, starts);
         for (int chunk = 0; chunk < chunks; ++chunk) {
-            const size_t at = (size_t)chunk * (size_t)pitch + (size_t)tile;
-            const int own = fits ? counters[at] : 0;
-            counters[at] = place;
+            const size_t at = (size_t)chunk * (size_t)pitch + (size_t)row;
+            const int2 own = fits ? vload2(at, counters) : (int2)(0);
+            vstore2(place, at, counters);
             place += own;
         }
     }
-    tile_range[tiles] = place;
+    vstore2(place, (size_t)rows, starts);
 }
 
 typedef struct {
-    __global int *next; /* place of the next entry of every tile */
-    __global int *gaussian, *row;
+    __global int *next; /* place of the next span of every row, 2 words each */
+    __global int *spans;
     int unused; /* a place that is none */
-} Lists;
+} Spans;
 
-/* Enters Gaussian i into the lists of a set; returns the row after its last. */
-inline int enter_set(ulong set, const int shift, const int first, const int columns, const int i,
-                     int row, const Lists lists)
+/* Adds a span of Gaussian i to a row, where it has tiles, without a branch; returns the row of
+ * gradients after it. */
+inline int place_span(const int row, const int4 span, const Spans s)
 {
-    while (set) {
-        const int to = lists.next[tile_of_bit(take_bit(&set), shift, first, columns)]++;
-        lists.gaussian[to] = i;
-        lists.row[to] = row++;
-    }
-    return row;
+    const int to = span.w ? s.next[2 * row] : s.unused;
+    vstore4(span, (size_t)to, s.spans);
+    s.next[2 * row] += span.w > 0;
+    return span.y + span.w;
 }
 
-/* The same for a single tile where `taken` is 1, without a branch where it is 0. */
-inline int enter_tile(const int tile, const int taken, const int i, const int row,
-                      const Lists lists)
+inline void place_box(const Geometry *g, const Window w, const int4 box, const int i, const Spans s)
 {
-    const int to = taken ? lists.next[tile] : lists.unused;
-    lists.gaussian[to] = i;
-    lists.row[to] = row;
-    lists.next[tile] += taken;
-    return row + taken;
-}
-
-inline void enter_box(const Geometry *g, const Window w, const int4 box, const int i,
-                      const Lists lists)
-{
-    const int columns = columns_of(w);
-    const ulong set = set_of(box);
-    int row = box.w;
-    if ((set & ~(ulong)PAIR_OF_ROWS) == 0 && set) {
-        row = enter_tile(box.x, box.y & 1, i, row, lists);
-        row = enter_tile(box.x + 1, (box.y >> 1) & 1, i, row, lists);
-        row = enter_tile(box.x + columns, (box.y >> 8) & 1, i, row, lists);
-        enter_tile(box.x + columns + 1, (box.y >> 9) & 1, i, row, lists);
-    } else if (set) {
-        enter_set(set, BOX_SHIFT, box.x, columns, i, row, lists);
-    } else {
+    ulong bytes = bytes_of(box);
+    int at = box.w;
+    if (bytes == 0) {
         const Large f = load_large(g, i, w);
-        for (int y = f.top; y <= f.bottom; ++y)
-            for (int x = f.left; x <= f.right; x += STRIP)
-                row = enter_set(strip_of(&f, x, y, w), STRIP_SHIFT, y * columns + x, columns, i,
-                                row, lists);
+        for (int row = f.top; row <= f.bottom; row += VEC) {
+            const Rows r = rows_of(&f, row, w);
+            for (int lane = 0; lane < VEC && row + lane <= f.bottom; ++lane)
+                at = place_span(row + lane, (int4)(i, at, r.first[lane], r.tiles[lane]), s);
+        }
+    }
+    const int left = left_of(box);
+    for (int row = top_of(box); bytes; row += 2, bytes >>= 16) {
+        const int4 bits = (int4)((int)bytes) >> (int4)(0, 4, 8, 12) & 15;
+        at = place_span(row, (int4)(i, at, left + bits.x, bits.y), s);
+        at = place_span(row + 1, (int4)(i, at, left + bits.z, bits.w), s);
     }
 }
 
-/* The lists, chunk by chunk; their arrays have UNUSED more places a chunk. */
-#define UNUSED 16
-__kernel void tiles_enter(__global const float *mean2d, __global const float *whitening,
+/* The spans of every row: Gaussian, its first row of gradients there, first column, tiles. The
+ * array has UNUSED more places a chunk. */
+#define UNUSED 4
+__kernel void tiles_place(__global const float *mean2d, __global const float *whitening,
                           __global const float *opacity, __global const float *extent,
                           const int width, const int height, const int first_row, const int end_row,
                           __global const int *order, __global const int *ordered,
                           __global const int *ranked, const int pitch, __global const long *total,
-                          const int capacity, __global int *places, __global int *gaussian,
-                          __global int *row)
+                          const int capacity, __global int *places, __global int *spans)
 {
     if (total[0] > (long)capacity)
         return;
     const Geometry g = {mean2d, whitening, opacity, extent};
     const Window w = {width, height, first_row, end_row};
     const Chunk own = own_chunk(ordered[0]);
-    const Lists lists = {places + get_global_id(0) * (size_t)pitch, gaussian, row,
-                         capacity + (int)get_global_id(0) * UNUSED};
+    const Spans s = {places + 2 * get_global_id(0) * (size_t)pitch, spans,
+                     capacity + (int)get_global_id(0) * UNUSED};
     for (int rank = own.begin; rank < own.end; ++rank)
-        enter_box(&g, w, vload4((size_t)rank, ranked), order[rank], lists);
+        place_box(&g, w, vload4((size_t)rank, ranked), order[rank], s);
+}
+
+/* Places of the first entries of the tiles of a row, from how many spans start and end there. */
+inline void start_tiles(__global const int *spans, const int2 range, int place, const int columns,
+                        __global int *next)
+{
+    for (int column = 0; column <= columns; ++column)
+        next[column] = 0;
+    for (int k = range.x; k < range.y; ++k) {
+        const int2 span = vload4((size_t)k, spans).zw;
+        ++next[span.x];
+        --next[span.x + span.y];
+    }
+    int tiles = 0;
+    for (int column = 0; column < columns; ++column) {
+        tiles += next[column];
+        next[column] = place;
+        place += tiles;
+    }
+}
+
+/* The lists of a row of tiles, one work-item each: those of even number first, as halves of a
+ * picture may differ. */
+__kernel void tiles_enter(__global const int *spans, __global const int *starts, const int columns,
+                          const int rows, const int pitch, __global int *places,
+                          __global int *tile_range, __global int *gaussian, __global int *row)
+{
+    const int item = (int)get_global_id(0), even = (rows + 1) / 2;
+    const int own = item < even ? 2 * item : 2 * (item - even) + 1;
+    const int4 range = vload4(0, starts + 2 * own);
+    __global int *next = places + (size_t)own * (size_t)pitch;
+    start_tiles(spans, range.xz, range.y, columns, next);
+    for (int column = 0; column < columns; ++column)
+        tile_range[own * columns + column] = next[column];
+    if (own == rows - 1)
+        tile_range[rows * columns] = range.w;
+    for (int k = range.x; k < range.z; ++k) {
+        const int4 span = vload4((size_t)k, spans);
+        for (int tile = 0; tile < span.w; ++tile) {
+            const int to = next[span.z + tile]++;
+            gaussian[to] = span.x;
+            row[to] = span.y + tile;
+        }
+    }
 }
 
 /* Entries from total to capacity: of no Gaussian, each with a row of its own. */
 __kernel void tiles_pad_lists(__global const long *total, const int capacity,
                               __global int *gaussian, __global int *row)
 {
-    const int k = (int)get_global_id(0);
-    if (k >= capacity || (total[0] <= (long)capacity && (long)k < total[0]))
-        return;
-    gaussian[k] = 0;
-    row[k] = k;
+    const int first = total[0] <= (long)capacity ? (int)total[0] : 0;
+    for (int k = first + (int)get_global_id(0); k < capacity; k += (int)get_global_size(0)) {
+        gaussian[k] = 0;
+        row[k] = k;
+    }
 }
 
 #endif

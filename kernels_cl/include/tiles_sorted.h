@@ -18,15 +18,14 @@ typedef struct {
     __global int *row, *gaussian_of_row;
 } Entries;
 
-/* Writes the entries of a set from place `to` and row `row` on. */
-inline int2 emit_set(ulong set, const int shift, const int first, const int columns, const int i,
-                     int2 to, const Entries entries)
+/* Writes the entries of `tiles` tiles of Gaussian i, from place to.x and row to.y on. */
+inline int2 emit_tiles(const int first, const int tiles, const int i, int2 to,
+                       const Entries entries)
 {
-    while (set) {
-        entries.tile[to.x] = (uint)tile_of_bit(take_bit(&set), shift, first, columns);
+    for (int tile = first; tile < first + tiles; ++tile, to += 1) {
+        entries.tile[to.x] = (uint)tile;
         entries.row[to.x] = to.y;
         entries.gaussian_of_row[to.y] = i;
-        to += 1;
     }
     return to;
 }
@@ -50,16 +49,17 @@ __kernel void tiles_emit(__global const float *mean2d, __global const float *whi
     const int i = order[rank], columns = columns_of(w);
     const int4 box = vload4((size_t)i, boxes);
     int2 to = (int2)(place[rank], row_range[i]);
-    const ulong set = set_of(box);
-    if (set) {
-        emit_set(set, BOX_SHIFT, box.x, columns, i, to, entries);
+    ulong bytes = bytes_of(box);
+    for (int first = top_of(box) * columns + left_of(box); bytes; first += columns, bytes >>= 8)
+        to = emit_tiles(first + (int)(bytes & 15ul), (int)(bytes >> 4 & 15ul), i, to, entries);
+    if (bytes_of(box))
         return;
-    }
     const Large f = load_large(&g, i, w);
-    for (int y = f.top; y <= f.bottom; ++y)
-        for (int x = f.left; x <= f.right; x += STRIP)
-            to = emit_set(strip_of(&f, x, y, w), STRIP_SHIFT, y * columns + x, columns, i, to,
-                          entries);
+    for (int y = f.top; y <= f.bottom; y += VEC) {
+        const Rows r = rows_of(&f, y, w);
+        for (int lane = 0; lane < VEC; ++lane)
+            to = emit_tiles((y + lane) * columns + r.first[lane], r.tiles[lane], i, to, entries);
+    }
 }
 
 /* Entries from total to capacity, and all where they do not fit: after the last tile, of no

@@ -194,11 +194,13 @@ def test_lists_of_some_rows_of_tiles(device, rng):
         assert np.array_equal(owner, np.repeat(np.arange(500), np.diff(band["row_range"])))
 
 
-@pytest.mark.parametrize("sigma", [1.1, 12.0])
-def test_exact_tiles_change_no_bit(device, rng, sigma):
+@pytest.mark.parametrize(
+    ("sigma", "ratio"), [(1.1, 30.0), (12.0, 30.0), (40.0, 4e3), (400.0, 4e5), (4e4, 4e5)]
+)
+def test_exact_tiles_change_no_bit(device, rng, sigma, ratio):
     """Every tile of the bounding box instead: longer lists, the same image and gradients."""
     size = (100, 70)
-    scene = projected_scene(rng, 1500, *size, sigma, 30.0)
+    scene = projected_scene(rng, 1500, *size, sigma, ratio)
     boxes = RenderOptions(skips=Skips(exact_tiles=False))
     opacity = device.upload(scene.opacity)
     longer = tiles.forward(device, upload(device, scene), opacity, *size, boxes)
