@@ -10,39 +10,8 @@
 #include "include/lanes.h"
 #include "include/mlp_dense.h"
 #include "include/mlp_layout.h"
+#include "include/mlp_output.h"
 #include "include/mlp_backward.h"
-
-inline fv activate(const fv z, const int head)
-{
-    return head == OPACITY ? tanh_v(z) : head == COLOR ? sigmoid_v(z) : z;
-}
-
-/* The listed rows of one head's output layer. */
-inline void output_layer(__global const float *weight, const int head, const float *hidden,
-                         const size_t *rows, const size_t count, __global float *output,
-                         const size_t stride)
-{
-    __global const float *bias = weight + K_OFFSETS * slot_rows(head) * HIDDEN_DIM;
-    for (size_t first = 0; first < count; first += TILE) {
-        size_t row[TILE];
-        __global const float *weights[TILE];
-        fv sum[TILE][VECTORS];
-#pragma unroll
-        for (int o = 0; o < TILE; ++o) {
-            row[o] = rows[min(first + (size_t)o, count - 1)]; /* the last tile may repeat a row */
-            weights[o] = weight + row[o] * HIDDEN_DIM;
-#pragma unroll
-            for (int s = 0; s < VECTORS; ++s)
-                sum[o][s] = (fv)(bias[row[o]]);
-        }
-        add_rows(sum, weights, HIDDEN_DIM, hidden);
-#pragma unroll
-        for (int o = 0; o < TILE; ++o)
-#pragma unroll
-            for (int s = 0; s < VECTORS; ++s)
-                STORE_ALIGNED(activate(sum[o][s], head), s, output + row[o] * stride);
-    }
-}
 
 /* One work-item a block of samples: opacity (K, padded), in the order of visible. Zero where there
  * is no anchor, NaN where an input is not finite. */

@@ -8,50 +8,9 @@
  * -1 of visible is no anchor, and Gaussians from number `capacity` on are left out.
  */
 #include "include/anchors.h"
+#include "include/gaussians.h"
 #include "include/real.h"
 #include "include/rows.h"
-
-#ifndef LOG_SCALE_LIMIT
-#define LOG_SCALE_LIMIT 20.0f
-#endif
-
-/* A quaternion whose largest component lies outside of these has no direction. */
-#define QUATERNION_MIN 1e-35f
-#define QUATERNION_MAX 1e37f
-
-/* e^x of VEC log scales, clamped; NaN stays NaN. */
-inline fv bounded_exp(const float *log_scale)
-{
-    const fv x = LOAD_V(0, log_scale);
-    const fv raised = x < (fv)(-LOG_SCALE_LIMIT) ? (fv)(-LOG_SCALE_LIMIT) : x;
-    return exp_v(raised > (fv)(LOG_SCALE_LIMIT) ? (fv)(LOG_SCALE_LIMIT) : raised);
-}
-
-inline fv larger(const fv a, const fv b)
-{
-    return a > b ? a : b;
-}
-
-/* Makes unit quaternions, zero where there is no direction, and returns the reciprocals of their
- * lengths. Scaling by the largest component first keeps squares from overflow and underflow. */
-inline fv make_unit(fv unit[4])
-{
-    const fv largest =
-        larger(larger(fabs(unit[0]), fabs(unit[1])), larger(fabs(unit[2]), fabs(unit[3])));
-    const fv shrink = 1.0f / largest;
-    fv square = (fv)(0.0f);
-    for (int i = 0; i < 4; ++i) {
-        unit[i] *= shrink;
-        square = fma(unit[i], unit[i], square);
-    }
-    /* written so that a NaN in any component fails */
-    const iv valid = (largest > (fv)(QUATERNION_MIN)) & (largest < (fv)(QUATERNION_MAX)) &
-                     (square >= (fv)(0.99f));
-    const fv on_length = 1.0f / sqrt(square);
-    for (int i = 0; i < 4; ++i)
-        unit[i] = valid ? unit[i] * on_length : (fv)(0.0f);
-    return valid ? on_length * shrink : (fv)(0.0f);
-}
 
 /* One work-item VEC visible anchors: which of their opacities are positive, and how many. NaN is
  * not positive. */
@@ -76,66 +35,6 @@ __kernel void neural_count(__global const float *output, __global const int *vis
     }
 }
 
-/* What the arithmetic takes of every drawn slot. */
-typedef struct {
-    float size[3][SLOTS]; /* exp(log scale) */
-    float logit[3][SLOTS];
-    float quaternion[4][SLOTS];
-} Shapes;
-
-inline void gather_shapes(const Anchors *a, const Drawn *drawn, ROWS *covariance,
-                          const size_t stride, Shapes *shapes)
-{
-    float size[3][VEC];
-    for (int i = 0; i < 3; ++i)
-        STORE_V(bounded_exp(a->log_scale[3 + i]), 0, size[i]);
-    for (size_t m = 0; m < drawn->count; ++m) {
-        const size_t lane = drawn->lane[m];
-        ROWS *slot = covariance + 7 * drawn->offset[m] * stride + lane;
-#pragma unroll
-        for (int i = 0; i < 3; ++i) {
-            shapes->size[i][m] = size[i][lane];
-            shapes->logit[i][m] = slot[i * stride];
-        }
-#pragma unroll
-        for (int i = 0; i < 4; ++i)
-            shapes->quaternion[i][m] = slot[(3 + i) * stride];
-    }
-}
-
-/* Scales and rotations of the drawn slots. */
-inline void write_shapes(const Shapes *shapes, const Drawn *drawn, __global float *scale,
-                         __global float *rotation)
-{
-    for (size_t m = 0; m < drawn->count; m += VEC) {
-        fv size[3], unit[4];
-        for (int i = 0; i < 3; ++i)
-            size[i] = LOAD_V(0, shapes->size[i] + m) * sigmoid_v(LOAD_V(0, shapes->logit[i] + m));
-        for (int i = 0; i < 4; ++i)
-            unit[i] = LOAD_V(0, shapes->quaternion[i] + m);
-        make_unit(unit);
-        const size_t used = min((size_t)VEC, drawn->count - m);
-        store_rows3(size, scale, drawn->first + m, used);
-        store_rows4(unit, rotation, drawn->first + m, used);
-    }
-}
-
-/* Means, which are a step away from their anchors. */
-inline void write_means(const Anchors *a, const Drawn *drawn, __global const float *position,
-                        __global const float *offset, __global float *mean)
-{
-    float reach[3][VEC];
-    for (int i = 0; i < 3; ++i)
-        STORE_V(bounded_exp(a->log_scale[i]), 0, reach[i]);
-    for (size_t m = 0; m < drawn->count; ++m) {
-        const size_t lane = drawn->lane[m], n = drawn->first + m, anchor = (size_t)a->anchor[lane];
-        __global const float *step = offset + 3 * (anchor * K_OFFSETS + drawn->offset[m]);
-#pragma unroll
-        for (int i = 0; i < 3; ++i)
-            mean[3 * n + i] = fma(step[i], reach[i][lane], position[3 * anchor + i]);
-    }
-}
-
 /* One work-item VEC visible anchors; the Gaussians of anchor v go to first[v] and on. */
 __kernel void neural_forward(__global const float *output, __global const int *visible,
                              __global const int *first, __global const int *bits, const int count,
@@ -148,21 +47,10 @@ __kernel void neural_forward(__global const float *output, __global const int *v
     const Drawn drawn = list_drawn(bits, first, v, (size_t)count, (size_t)capacity);
     if (drawn.count == 0)
         return;
-    const Anchors a = load_anchors(visible, scaling, v, (size_t)count);
+    const Parameters parameters = {visible, (size_t)count, position, offset, scaling};
+    const Gaussians gaussians = {mean, scale, rotation, color, opacity, slot};
     STAGE(rows, output, stride, v, 0, OUTPUT_ROWS);
-    Shapes shapes;
-    gather_shapes(&a, &drawn, rows + COVARIANCE_ROW * rows_stride, rows_stride, &shapes);
-    write_shapes(&shapes, &drawn, scale, rotation);
-    write_means(&a, &drawn, position, offset, mean);
-    for (size_t m = 0; m < drawn.count; ++m) {
-        const size_t n = drawn.first + m, j = drawn.offset[m];
-        ROWS *sample = rows + drawn.lane[m];
-#pragma unroll
-        for (int i = 0; i < 3; ++i)
-            color[3 * n + i] = sample[(COLOR_ROW + 3 * j + i) * rows_stride];
-        opacity[n] = sample[j * rows_stride];
-        slot[n] = (int)((v + drawn.lane[m]) * K_OFFSETS + j);
-    }
+    write_gaussians(&parameters, &drawn, v, rows, rows_stride, &gaussians);
 }
 
 /* One work-item a place for a Gaussian: those behind the last get zeros, and the slot -1. */

@@ -111,37 +111,51 @@ def forward(
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
+    result = opacities(device, feature, position, visible, weights, camera, options)
+    padded = result.output.shape[1]
+    device.run(
+        device.kernel("mlp", "mlp_heads", **defines(device, options)),
+        *blocks(device, padded),
+        *(feature, position, result.visible, np.int32(len(visible)), weights, camera),
+        *(np.int32(padded), result.output),
+    )
+    return result
+
+
+def opacities(
+    device: Device,
+    feature: DeviceArray,
+    position: DeviceArray,
+    visible: DeviceArray,
+    weights: DeviceArray,
+    camera: DeviceArray,
+    options: RenderOptions,
+    rows: int = OUTPUT_DIM,
+) -> Activations:
+    """As :func:`forward`, but the outputs, ``rows`` of them, hold nothing but the opacities."""
     shapes = _check_anchors(feature, position, weights, camera)
     shapes.check("visible", visible, "V", np.int32)
     count = len(visible)
     padded = padded_size(count)
     result = Activations(
-        output=device.empty((OUTPUT_DIM, padded)),
+        output=device.empty((rows, padded)),
         visible=device.empty((count,), np.int32),
         active=device.empty((-(-padded // CHUNK),), np.int32),
         options=options,
     )
-    defines = _defines(device, options)
-    sizes = np.int32(count), np.int32(padded)
-    model = (weights, camera, sizes[1])
+    macros, sizes = defines(device, options), (np.int32(count), np.int32(padded))
     opacity = device.empty((K_OFFSETS, padded))
-    blocks = _blocks(device, padded)
     device.run(
-        device.kernel("mlp", "mlp_opacity", **defines),
-        *blocks,
-        *(feature, position, visible, sizes[0], *model, opacity),
+        device.kernel("mlp", "mlp_opacity", **macros),
+        *blocks(device, padded),
+        *(feature, position, visible, sizes[0], weights, camera, sizes[1], opacity),
     )
     width = GROUP_SIZE if device.specialisation == "gpu" else 1
     device.run(
-        device.kernel("mlp", "mlp_order", **defines),
+        device.kernel("mlp", "mlp_order", **macros),
         (len(result.active) * width,),
         (width,),
         *(opacity, visible, *sizes, result.output, result.visible, result.active),
-    )
-    device.run(
-        device.kernel("mlp", "mlp_heads", **defines),
-        *blocks,
-        *(feature, position, result.visible, sizes[0], *model, result.output),
     )
     return result
 
@@ -187,16 +201,16 @@ def backward(
     inputs = (*model, weights, camera, padded, activations.output, d_output, activations.active)
     unused = result.d_feature
     outputs = (result.d_feature, unused if result.d_position is None else result.d_position)
-    defines = {**_defines(device, activations.options), "WANT_POSITION": int(want_position)}
+    macros = {**defines(device, activations.options), "WANT_POSITION": int(want_position)}
     if device.specialisation == "cpu":
         shares = min(SHARES * int(device.cl_device.max_compute_units), chunks)
         values = device.empty((shares, CHUNK_SIZE))
-        kernel = device.kernel("mlp", "mlp_backward", **defines)
+        kernel = device.kernel("mlp", "mlp_backward", **macros)
         device.run(kernel, (shares,), (1,), *inputs, values, partial, *outputs)
     else:
-        _backward_in_groups(device, inputs, outputs, partial, defines)
+        _backward_in_groups(device, inputs, outputs, partial, macros)
     device.run(
-        device.kernel("mlp", "mlp_backward_sum", **defines),
+        device.kernel("mlp", "mlp_backward_sum", **macros),
         (round_up(MLP_SIZE, GROUP_SIZE),),
         (GROUP_SIZE,),
         *(partial, np.int32(chunks), result.d_weights),
@@ -209,7 +223,7 @@ def _backward_in_groups(
     inputs: tuple[Any, ...],
     outputs: tuple[DeviceArray, DeviceArray],
     partial: DeviceArray,
-    defines: dict[str, int | float],
+    macros: dict[str, int | float],
 ) -> None:
     """Fill ``partial`` and ``outputs``, SLAB chunks at a time."""
     padded, active = inputs[6], inputs[-1]
@@ -218,13 +232,13 @@ def _backward_in_groups(
     for first in range(0, len(active), SLAB):
         size = min(SLAB, len(active) - first)
         device.run(
-            device.kernel("mlp", "mlp_backward_layers", **defines),
+            device.kernel("mlp", "mlp_backward_layers", **macros),
             (size * CHUNK,),
             (GROUP_SIZE,),
             *(*inputs, np.int32(first), values, *outputs),
         )
         device.run(
-            device.kernel("mlp", "mlp_backward_weights", **defines),
+            device.kernel("mlp", "mlp_backward_weights", **macros),
             (tiles * GROUP_SIZE, size),
             (GROUP_SIZE, 1),
             *(padded, active, np.int32(first), values, partial),
@@ -262,7 +276,7 @@ def work(device: Device, activations: Activations) -> Work:
     """
     count = int(np.count_nonzero(device.download(activations.visible) >= 0))
     drawn = device.download(activations.output)[:K_OFFSETS] > 0
-    size = VECTORS[device.specialisation] * int(_defines(device, activations.options)["VEC"])
+    size = VECTORS[device.specialisation] * int(defines(device, activations.options)["VEC"])
     slots = np.any(drawn.reshape(K_OFFSETS, -1, size), axis=2)
     used = np.any(slots, axis=0)
     skips = activations.options.skips
@@ -280,18 +294,21 @@ def work(device: Device, activations: Activations) -> Work:
     )
 
 
-def _defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
-    """Lanes that fill one register of a CPU: ten accumulators of wider vectors would spill."""
+def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
+    """Build options of the kernels.
+
+    Lanes fill one register of a CPU: ten accumulators of wider vectors would spill.
+    """
     native = int(device.cl_device.native_vector_width_float)
     lanes = min(device.vec, max(native, 4))
     return {"CHUNK": CHUNK, "VEC": lanes, **options.skips.defines("opacity_first", "slots")}
 
 
-def _blocks(device: Device, samples: int) -> tuple[tuple[int], tuple[int]]:
+def blocks(device: Device, samples: int) -> tuple[tuple[int], tuple[int]]:
     """Launch sizes of a kernel with one work-item a block of samples."""
     if device.specialisation == "gpu":
         return (round_up(samples, GROUP_SIZE),), (GROUP_SIZE,)
-    lanes = int(_defines(device, DEFAULT)["VEC"])
+    lanes = int(defines(device, DEFAULT)["VEC"])
     return (-(-samples // (VECTORS["cpu"] * lanes)),), (1,)
 
 

@@ -101,10 +101,9 @@ def forward(
     """
     Shapes(A=_check(output, visible, offset, scaling)).check("position", position, "A 3", "f4")
     sizes = np.int32(len(visible)), np.int32(output.shape[1])
-    drawn, offsets = _number(device, output, visible, sizes)
+    drawn, offsets = number(device, output, visible, sizes)
     count = scan.checked_total(device, offsets) if capacity is None else capacity
-    result = _allocate(device, count, drawn, offsets)
-    fields = _fields(result)
+    result = allocate(device, count, drawn, offsets)
     device.run(
         device.kernel("neural", "neural_forward"),
         (round_up(-(-len(visible) // device.vec), GROUP_SIZE),),
@@ -118,16 +117,17 @@ def forward(
         position,
         offset,
         scaling,
-        *fields,
+        *fields(result),
     )
     if capacity is not None:
-        _pad(device, result)
+        pad(device, result)
     return result
 
 
-def _allocate(
+def allocate(
     device: Device, count: int, drawn: DeviceArray, offsets: scan.Offsets
 ) -> NeuralGaussians:
+    """Room for ``count`` Gaussians, numbered as :func:`number` returned."""
     return NeuralGaussians(
         mean=device.empty((count, 3)),
         scale=device.empty((count, 3)),
@@ -141,7 +141,7 @@ def _allocate(
     )
 
 
-def _fields(gaussians: NeuralGaussians) -> tuple[DeviceArray, ...]:
+def fields(gaussians: NeuralGaussians) -> tuple[DeviceArray, ...]:
     """What there is of every Gaussian, in the order of the kernels' arguments."""
     return (
         gaussians.mean,
@@ -153,10 +153,13 @@ def _fields(gaussians: NeuralGaussians) -> tuple[DeviceArray, ...]:
     )
 
 
-def _number(
+def number(
     device: Device, output: DeviceArray, visible: DeviceArray, sizes: tuple[np.int32, np.int32]
 ) -> tuple[DeviceArray, scan.Offsets]:
-    """Which slots of each visible anchor are drawn, and the number of its first Gaussian."""
+    """Which slots of each visible anchor are drawn, and the number of its first Gaussian.
+
+    output: its first K rows are the opacities; sizes: V and the columns of output.
+    """
     drawn = device.empty((int(sizes[0]),), np.int32)
     counts = device.empty((int(sizes[0]),), np.int32)
     device.run(
@@ -172,7 +175,7 @@ def _number(
     return drawn, scan.on_device(device, counts)
 
 
-def _pad(device: Device, gaussians: NeuralGaussians) -> None:
+def pad(device: Device, gaussians: NeuralGaussians) -> None:
     """Zeros behind the last Gaussian."""
     device.run(
         device.kernel("neural", "neural_pad"),
@@ -180,7 +183,7 @@ def _pad(device: Device, gaussians: NeuralGaussians) -> None:
         (GROUP_SIZE,),
         gaussians.total,
         np.int32(len(gaussians)),
-        *_fields(gaussians),
+        *fields(gaussians),
     )
 
 

@@ -94,6 +94,17 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """A rendered view without what a backward pass needs: image (3, H, W), and totals as a Frame's.
+
+    image: float32, not clamped.
+    """
+
+    image: DeviceArray
+    totals: tuple[DeviceArray, DeviceArray, DeviceArray]
+
+
+@dataclass(frozen=True)
 class SceneGradients:
     """Gradients of the loss by the trained parameters, dense over all anchors, float32.
 

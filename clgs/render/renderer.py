@@ -12,7 +12,7 @@ from clgs.options import DEFAULT, RenderOptions, render_options
 from clgs.render.budget import check_budget
 from clgs.render.enlarge import enlarge
 from clgs.render.frame import Capacity, DeviceScene, upload_scene, upload_view
-from clgs.render.pipeline import render_forward, view_forward
+from clgs.render.pipeline import draw
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene
 
@@ -39,9 +39,9 @@ class Renderer:
         device, options = self._device, self._options
         view = upload_view(device, camera.reduced(options.accuracy.downscale), self._settings)
         while True:
-            frame = view_forward(device, self._scene, view, options, self._capacity)
-            totals = [device.download_later(total) for total in frame.totals]
-            image = np.asarray(device.hand_over(frame.image), np.float32)
+            picture = draw(device, self._scene, view, options, self._capacity)
+            totals = [device.download_later(total) for total in picture.totals]
+            image = np.asarray(device.hand_over(picture.image), np.float32)
             needed = Capacity(*(int(total.get()[0]) for total in totals))
             if self._holds(needed):
                 return enlarge(image, camera.width, camera.height)
@@ -67,8 +67,8 @@ def render_picture(
 ) -> npt.NDArray[np.float32]:
     """Picture (3, H, W) float32 of a scene that lies on the device; see :class:`Renderer`."""
     small = camera.reduced(options.accuracy.downscale)
-    frame = render_forward(device, scene, small, settings, options)
-    image = np.asarray(device.hand_over(frame.image), np.float32)
+    picture = draw(device, scene, upload_view(device, small, settings), options)
+    image = np.asarray(device.hand_over(picture.image), np.float32)
     return enlarge(image, camera.width, camera.height)
 
 

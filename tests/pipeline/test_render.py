@@ -10,8 +10,8 @@ import pytest
 from clgs.ops import loss
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import loss as loss_reference
-from clgs.render.frame import upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import Capacity, upload_scene, upload_view
+from clgs.render.pipeline import draw, render_backward, render_forward, view_forward
 from clgs.scene.scene import RenderSettings
 from clgs.testing.anchor_scene import anchor_scene
 from clgs.testing.reference_render import backward_reference, render_reference
@@ -96,3 +96,17 @@ def test_decoding_every_anchor_changes_no_bit(device):
     image = device.download(one.image)
     assert np.abs(image).max() > 0
     assert np.array_equal(image, device.download(other.image))
+
+
+@pytest.mark.parametrize("max_memory", [None, 1 << 18])
+@pytest.mark.parametrize("capacity", [None, Capacity(1000, 9000, 90_000)])
+def test_pictures_without_gradients_have_the_same_bits(device, max_memory, capacity):
+    scene, camera = anchor_scene(2000, 80, 3)
+    uploaded, options = upload_scene(device, scene), RenderOptions(max_memory=max_memory)
+    view = upload_view(device, camera, RenderSettings(background=(0.1, 0.4, 0.9)))
+    frame = view_forward(device, uploaded, view, options, capacity)
+    picture = draw(device, uploaded, view, options, capacity)
+    totals = [[int(device.download(t)[0]) for t in one.totals] for one in (frame, picture)]
+    assert totals[0] == totals[1]
+    assert min(totals[0]) > 0
+    assert np.array_equal(device.download(frame.image), device.download(picture.image))
