@@ -11,7 +11,8 @@ from clgs.data.dataset import Dataset
 from clgs.errors import DataError
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
-from clgs.train.config import TrainConfig, from_toml
+from clgs.train.config import TrainConfig
+from clgs.train.resume import run_digest
 
 RESULTS = "results.json"
 """The last file of a run: a folder that has it is finished."""
@@ -32,29 +33,24 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
 
     Args:
         folder: run folder, may be missing.
-        dataset: what the run must have been trained on; only its downscale is looked at.
-        config: the settings that the run must have had, resolved for ``dataset``.
+        dataset: what the run must have been trained on.
+        config: the settings that it must have had, resolved for ``dataset``.
 
     Raises:
-        DataError: it is finished and had other settings, or its files are damaged.
+        DataError: it is finished and had other settings or photos, or its files are damaged.
     """
     path = folder / RESULTS
-    try:
-        text = path.read_text(encoding="utf-8")
-        settings = (folder / "config.toml").read_text(encoding="utf-8")
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    wanted = replace(config, downscale=dataset.downscale)
-    if from_toml(settings, str(folder / "config.toml")).digest() != wanted.digest():
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        digest = summary["digest"]
+        bitstream = (folder / "scene.clgs").read_bytes()
+    except (ValueError, TypeError, KeyError, FileNotFoundError) as error:
+        raise DataError(f"{folder}: a finished run, but damaged ({error}); name another") from error
+    if digest != run_digest(dataset, replace(config, downscale=dataset.downscale)):
         raise DataError(
-            f"{folder}: holds a finished run with other settings; give the same options "
+            f"{folder}: holds a finished run with other settings or photos; give the same options "
             "(config.toml lists them) or choose another run folder"
         )
-    try:
-        summary = json.loads(text)
-        bitstream = (folder / "scene.clgs").read_bytes()
-    except (ValueError, FileNotFoundError) as error:
-        raise DataError(
-            f"{folder}: a finished run, but damaged ({error}); choose another"
-        ) from None
     return RunResult(folder, load_scene(folder / "scene.npz"), bitstream, summary)

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy.typing as npt
 
+from clgs.data.dataset import Dataset
 from clgs.ops.adam import Moments
 from clgs.scene.anchors import AnchorSet
 from clgs.train import checkpoint
+from clgs.train.config import TrainConfig
 from clgs.train.density import Statistics
 from clgs.train.loop import Trainer
 from clgs.train.parameters import ANCHOR_GROUPS, download_anchors, upload_anchors
@@ -40,7 +42,7 @@ def save_checkpoint(folder: Path, trainer: Trainer) -> None:
         "rng": trainer.rng.bit_generator.state,
         "sampler": trainer.sampler.state(),
     }
-    checkpoint.save(folder, arrays, scalars, run_digest(trainer))
+    checkpoint.save(folder, arrays, scalars, run_digest(trainer.dataset, trainer.config))
 
 
 def load_checkpoint(folder: Path, trainer: Trainer) -> None:
@@ -49,7 +51,7 @@ def load_checkpoint(folder: Path, trainer: Trainer) -> None:
     Raises:
         DataError: all are damaged, or belong to a run with other settings or photos.
     """
-    arrays, scalars = checkpoint.load(folder, run_digest(trainer))
+    arrays, scalars = checkpoint.load(folder, run_digest(trainer.dataset, trainer.config))
     device = trainer.device
     weights = device.upload(arrays["weights"])
     weight_moments = Moments(
@@ -65,12 +67,12 @@ def load_checkpoint(folder: Path, trainer: Trainer) -> None:
     trainer.steps_done = int(scalars["step"])
 
 
-def run_digest(trainer: Trainer) -> str:
+def run_digest(dataset: Dataset, config: TrainConfig) -> str:
     """SHA-256 of the settings, the training photos, their cameras and the initial points."""
-    digest = hashlib.sha256(trainer.config.digest().encode())
-    for view in trainer.dataset.train:
+    digest = hashlib.sha256(config.digest().encode())
+    for view in dataset.train:
         digest.update(f"{view.name} {view.image.shape}".encode())
         digest.update(zlib.crc32(view.image.tobytes()).to_bytes(4, "little"))
-        digest.update(view.camera.pack(trainer.config.near).tobytes())
-    digest.update(trainer.dataset.points.tobytes())
+        digest.update(view.camera.pack(config.near).tobytes())
+    digest.update(dataset.points.tobytes())
     return digest.hexdigest()

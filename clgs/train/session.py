@@ -26,7 +26,7 @@ from clgs.train.hashes import fingerprint
 from clgs.train.interrupt import interruptions
 from clgs.train.loop import StepResult, Trainer
 from clgs.train.progress import ProgressLog
-from clgs.train.resume import load_checkpoint, save_checkpoint
+from clgs.train.resume import load_checkpoint, run_digest, save_checkpoint
 
 HASHED_VIEWS = 3
 MLP_BYTES = 50_000
@@ -164,6 +164,7 @@ class Session:
             "peak_memory_bytes": peak_memory(),
             "device": self.device.name,
             "skipped_images": self.dataset.skipped,
+            "digest": run_digest(self.dataset, self.config),
             "merged_anchors": self.trainer.merged,
             "switch_psnr": self.log.events,
         }

@@ -69,6 +69,15 @@ def test_the_command_says_that_a_run_is_finished(data, tmp_path, monkeypatch, ca
     assert files(tmp_path / "run") == before
 
 
+def test_other_photos_are_noticed(finished, dataset, open_device):
+    view = dataset.train[0]
+    other = replace(dataset, train=[replace(view, image=255 - view.image), *dataset.train[1:]])
+    before = files(finished.folder)
+    with pytest.raises(DataError, match="other settings or photos"):
+        train_scene(other, finished.folder, CONFIG, device=open_device("cpu"), resume=True)
+    assert files(finished.folder) == before
+
+
 def test_a_finished_run_that_lacks_a_file_is_named(finished, dataset, open_device, tmp_path):
     folder = shutil.copytree(finished.folder, tmp_path / "run")
     (folder / "scene.clgs").unlink()
