@@ -24,7 +24,7 @@ def train(device, dataset, steps, **changes):
     """Steps of a whole run; a loss or gradient that is not finite raises."""
     config = replace(preset("default").scaled(steps), voxel=0.02, **changes)
     trainer = Trainer(device, dataset, config.for_dataset(dataset.kind))
-    results = [trainer.step() for _ in range(steps)]
+    results = list(trainer.steps(steps))
     scene = trainer.parameters.scene
     for name in PARAMETERS:
         assert np.isfinite(device.download(getattr(scene, name))).all(), name

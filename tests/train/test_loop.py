@@ -7,25 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.data.dataset import load_dataset
 from clgs.train.config import preset
 from clgs.train.loop import NonFiniteLossError, Trainer
 from clgs.train.resume import load_checkpoint, save_checkpoint
 from clgs.train.savings import savings
-from tests.small_scene import write_scene
 
 STEPS = 240
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
-    return replace(whole, points=whole.points[::25])
-
-
-@pytest.fixture
-def cpu(open_device):
-    return open_device("cpu")
 
 
 def config(dataset, **changes):

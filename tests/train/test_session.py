@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import clgs
-from clgs.data.dataset import load_dataset
 from clgs.errors import DataError
 from clgs.train.config import preset
 from clgs.train.interrupt import interruptions
@@ -21,12 +20,6 @@ from tests.small_scene import write_scene
 
 STEPS = 220
 README = Path(__file__).parents[2] / "README.md"
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
-    return replace(whole, points=whole.points[::25])
 
 
 def config():
