@@ -54,13 +54,19 @@ def morton_order(position: npt.NDArray[np.int32]) -> npt.NDArray[np.intp]:
     return order
 
 
-def encode(position: npt.NDArray[np.int32]) -> bytes:
+def encode(position: npt.NDArray[np.int32], origin: tuple[int, int, int] | None = None) -> bytes:
     """The octree stream of ``position`` (A, 3) int32, unique and in Morton order.
+
+    Codes are relative to ``origin``, which is at most 2^21 - 1 below any position; by default the
+    per-axis minimum.
 
     Raises:
         ValueError: not unique, not in Morton order, or the extent reaches 2^21.
     """
-    return _codec.octree_encode(np.ascontiguousarray(position, np.int32)) if len(position) else b""
+    if len(position) == 0:
+        return b""
+    x, y, z = map(int, position.min(axis=0)) if origin is None else origin
+    return _codec.octree_encode(np.ascontiguousarray(position, np.int32), x, y, z)
 
 
 def decode(data: bytes | memoryview, count: int) -> npt.NDArray[np.int32]:

@@ -20,12 +20,15 @@ Level = dict[Cell, int]
 """Cells of one level with their occupancy, in Morton order; bit c: child c = 4 x + 2 y + z."""
 
 
-def encode(position: npt.NDArray[np.int32]) -> bytes:
-    """The octree stream of ``position`` (N, 3) int32, unique, in Morton order, N >= 1."""
-    origin = position.min(axis=0).astype(np.int64)
-    cells = [(int(x), int(y), int(z)) for x, y, z in position - origin]
+def encode(position: npt.NDArray[np.int32], origin: tuple[int, int, int] | None = None) -> bytes:
+    """The octree stream of ``position`` (N, 3) int32, unique, in Morton order, N >= 1.
+
+    Morton order is relative to ``origin``, by default the per-axis minimum.
+    """
+    corner = np.array(position.min(axis=0) if origin is None else origin, np.int64)
+    cells = [(int(x), int(y), int(z)) for x, y, z in position - corner]
     depth = max(max(cell) for cell in cells).bit_length()
-    header = bytes([1, depth]) + np.asarray(origin, "<i4").tobytes()
+    header = bytes([1, depth]) + corner.astype("<i4").tobytes()
     coder = RangeEncoder()
     decided = _code_levels(coder, depth, cells)
     if decided != cells:

@@ -36,12 +36,12 @@ uint32_t clgs_crc32c(const uint8_t *data, size_t size);
 clgs_error clgs_morton_encode(const int32_t *position, size_t count, const int32_t origin[3],
                               uint64_t *code);
 
-/* Octree: `count` unique points (x, y, z), int32, in ascending Morton order relative to their
- * per-axis minimum, extent below 2^21 on each axis. */
+/* Octree: `count` unique points (x, y, z), int32, in ascending Morton order relative to `origin`,
+ * in origin + [0, 2^21) on each axis. */
 size_t clgs_octree_bound(size_t count);
 size_t clgs_octree_workspace(size_t count);
-size_t clgs_octree_encode(const int32_t *position, size_t count, uint8_t *out, size_t capacity,
-                          void *workspace);
+size_t clgs_octree_encode(const int32_t *position, size_t count, const int32_t origin[3],
+                          uint8_t *out, size_t capacity, void *workspace);
 clgs_error clgs_octree_decode(const uint8_t *data, size_t size, int32_t *position, size_t count,
                               void *workspace);
 

@@ -14,6 +14,7 @@ typedef enum codec_part { OCTREE, RUNLENGTH, PLANES } codec_part;
 typedef struct codec_job {
     codec_part part;
     size_t rows, channels, words; /* words a row, for the octree 3 */
+    int32_t origin[3];            /* of the octree's encoder */
     Py_buffer data, array;
 } codec_job;
 
@@ -46,7 +47,7 @@ static size_t encode(const codec_job *job, uint8_t *out, size_t capacity, void *
     const void *array = job->array.buf;
     switch (job->part) {
     case OCTREE:
-        return clgs_octree_encode(array, job->rows, out, capacity, workspace);
+        return clgs_octree_encode(array, job->rows, job->origin, out, capacity, workspace);
     case RUNLENGTH:
         return clgs_runlength_encode(array, job->rows, job->channels, out, capacity, workspace);
     default:
@@ -130,7 +131,7 @@ static PyObject *call_encode(codec_part part, PyObject *args)
     if (!PyArg_ParseTuple(args, part == RUNLENGTH ? "y*n" : "y*", &job.array, &channels))
         return NULL;
     job.channels = channels < 0 ? 0 : (size_t)channels;
-    job.words = part == OCTREE ? 3 : job.channels;
+    job.words = job.channels;
     PyObject *result = run_encode(&job);
     PyBuffer_Release(&job.array);
     return result;
@@ -152,10 +153,17 @@ static PyObject *call_decode(codec_part part, PyObject *args)
     return result;
 }
 
+/* (position, x, y, z) -> bytes, codes relative to the origin x, y, z */
 static PyObject *octree_encode(PyObject *module, PyObject *args)
 {
+    codec_job job = {.part = OCTREE, .channels = 1, .words = 3};
+    int *origin = job.origin;
     (void)module;
-    return call_encode(OCTREE, args);
+    if (!PyArg_ParseTuple(args, "y*iii", &job.array, origin, origin + 1, origin + 2))
+        return NULL;
+    PyObject *result = run_encode(&job);
+    PyBuffer_Release(&job.array);
+    return result;
 }
 
 static PyObject *octree_decode(PyObject *module, PyObject *args)
@@ -226,7 +234,7 @@ static PyObject *morton_encode(PyObject *module, PyObject *args)
 static PyMethodDef METHODS[] = {
     {"crc32c", crc32c, METH_VARARGS, "crc32c(data) -> int"},
     {"morton_encode", morton_encode, METH_VARARGS, "morton_encode(position, code, x, y, z)"},
-    {"octree_encode", octree_encode, METH_VARARGS, "octree_encode(position) -> bytes"},
+    {"octree_encode", octree_encode, METH_VARARGS, "octree_encode(position, x, y, z) -> bytes"},
     {"octree_decode", octree_decode, METH_VARARGS, "octree_decode(data, position)"},
     {"runlength_encode", runlength_encode, METH_VARARGS,
      "runlength_encode(value, channels) -> bytes"},

@@ -188,14 +188,6 @@ size_t clgs_octree_bound(size_t count)
     return count > CLGS_MAX_POINTS ? 0 : HEADER + 8 * count;
 }
 
-static void find_origin(const int32_t *position, size_t count, int32_t origin[3])
-{
-    memcpy(origin, position, 3 * sizeof origin[0]);
-    for (size_t i = 0; i < 3 * count; i++)
-        if (position[i] < origin[i % 3])
-            origin[i % 3] = position[i];
-}
-
 /* Levels below the root that hold every code; codes must ascend. Returns 0 where they do not. */
 static int find_depth(const uint64_t *code, size_t count, uint32_t *depth)
 {
@@ -218,16 +210,14 @@ static size_t encode_raw(const octree *tree, size_t count, uint8_t *out)
     return HEADER + 8 * count;
 }
 
-size_t clgs_octree_encode(const int32_t *position, size_t count, uint8_t *out, size_t capacity,
-                          void *workspace)
+size_t clgs_octree_encode(const int32_t *position, size_t count, const int32_t origin[3],
+                          uint8_t *out, size_t capacity, void *workspace)
 {
     octree tree = {0};
-    int32_t origin[3];
     uint32_t depth;
     if (count == 0 || count > CLGS_MAX_POINTS || capacity < clgs_octree_bound(count))
         return 0;
     octree_begin(&tree, count, workspace);
-    find_origin(position, count, origin);
     if (clgs_morton_encode(position, count, origin, tree.target) != CLGS_OK)
         return 0;
     if (!find_depth(tree.target, count, &depth))

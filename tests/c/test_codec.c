@@ -65,12 +65,22 @@ static size_t bound(const stream *s)
                                 : clgs_planes_bound(s->rows);
 }
 
+static void find_least(const stream *s, int32_t least[3])
+{
+    memcpy(least, s->value, 3 * sizeof least[0]);
+    for (size_t i = 0; i < 3 * s->rows; i++)
+        if (s->value[i] < least[i % 3])
+            least[i % 3] = s->value[i];
+}
+
 static size_t encode(const stream *s, uint8_t *out, size_t capacity)
 {
     size_t size;
-    if (s->part == OCTREE)
-        size = clgs_octree_encode(s->value, s->rows, out, capacity, s->workspace);
-    else if (s->part == RUNLENGTH)
+    int32_t origin[3];
+    if (s->part == OCTREE) {
+        find_least(s, origin);
+        size = clgs_octree_encode(s->value, s->rows, origin, out, capacity, s->workspace);
+    } else if (s->part == RUNLENGTH)
         size = clgs_runlength_encode(s->value, s->rows, s->channels, out, capacity, s->workspace);
     else
         size = clgs_planes_encode((uint32_t *)s->value, s->rows, out, capacity, s->workspace);

@@ -114,3 +114,14 @@ def test_positions_past_int32_are_refused(mode):
     data = bytes([mode, 2]) + np.array([2**31 - 1] * 3, "<i4").tobytes() + payload
     with pytest.raises(ValueError, match="stream"):
         octree.decode(data, 1)
+
+
+def test_a_part_of_a_cloud_keeps_the_order_of_the_whole():
+    """Relative to their own minimum, the first two would change places."""
+    position = np.array([[1, 1, 0], [0, 2, 0], [7, 7, 7]], np.int32)
+    with pytest.raises(ValueError, match="cannot be encoded"):
+        octree.encode(position)
+    data = octree.encode(position, (0, 0, 0))
+    assert data == reference.encode(position, (0, 0, 0))
+    for coder in (octree, reference):
+        np.testing.assert_array_equal(coder.decode(data, 3), position)
