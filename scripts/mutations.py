@@ -21,6 +21,7 @@ class Mutation:
 
 
 PROJECT = "kernels_cl/project.cl"
+PROJECTION = "kernels_cl/include/projection.h"
 SPLAT = "kernels_cl/include/splat.h"
 STEP = "kernels_cl/include/blend_step.h"
 LOSS = "kernels_cl/loss.cl"
@@ -43,30 +44,30 @@ MUTATIONS = (
     Mutation(
         "project",
         "no blur in the determinant",
-        PROJECT,
+        PROJECTION,
         "fma(s->blur, xx + yy + s->blur, dot3(s->minor, s->minor))",
         "dot3(s->minor, s->minor)",
     ),
     Mutation(
         "project",
         "determinant by subtraction",
-        PROJECT,
+        PROJECTION,
         "fma(s->blur, xx + yy + s->blur, dot3(s->minor, s->minor))",
         "s->cov_xx * s->cov_yy - s->cov_xy * s->cov_xy",
     ),
     Mutation(
         "project",
         "box of three sigma",
-        PROJECT,
+        PROJECTION,
         "sqrt(2.0f * log_v(opacity / ALPHA_CUT))",
         "3.0f",
     ),
     Mutation(
         "project",
         "the near plane itself is drawn",
-        PROJECT,
-        "(s.z > (fv)(camera[CAMERA_NEAR]))",
-        "(s.z >= (fv)(camera[CAMERA_NEAR]))",
+        PROJECTION,
+        "(s->z > (fv)(camera[CAMERA_NEAR]))",
+        "(s->z >= (fv)(camera[CAMERA_NEAR]))",
     ),
     Mutation(
         "blend",

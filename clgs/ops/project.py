@@ -72,14 +72,9 @@ def forward(
     """
     count = _check(mean, scale, rotation, camera)
     Shapes(N=count).check("opacity", opacity, "N", np.float32)
-    result = Projected(
-        mean2d=device.empty((count, 2)),
-        whitening=device.empty((count, 3)),
-        depth=device.empty((count,)),
-        extent=device.empty((count, 2)),
-    )
+    result = allocate(device, count)
     device.run(
-        device.kernel("project", "project_forward", **_defines(device, options)),
+        device.kernel("project", "project_forward", **defines(device, options)),
         (_items(device, count),),
         (GROUP_SIZE,),
         mean,
@@ -94,6 +89,16 @@ def forward(
         result.extent,
     )
     return result
+
+
+def allocate(device: Device, count: int) -> Projected:
+    """Room for ``count`` projections."""
+    return Projected(
+        mean2d=device.empty((count, 2)),
+        whitening=device.empty((count, 3)),
+        depth=device.empty((count,)),
+        extent=device.empty((count, 2)),
+    )
 
 
 def backward(
@@ -147,7 +152,8 @@ def backward(
     return result
 
 
-def _defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
+def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
+    """Build options of the kernels."""
     smallest = {"MIN_EXTENT": float(options.accuracy.min_extent)}
     return {"VEC": device.lanes, **smallest, **options.accuracy.defines()}
 

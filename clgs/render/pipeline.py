@@ -69,7 +69,9 @@ def view_forward(
             scene.scaling,
             capacity.gaussians if capacity else None,
         )
-    projected = _project(device, gaussians, packed, options)
+    with device.stage("project forward"):
+        shape = (gaussians.mean, gaussians.scale, gaussians.rotation)
+        projected = project.forward(device, *shape, gaussians.opacity, packed, options)
     lists, blended, groups = _rasterise(
         device, gaussians, projected, view, options, capacity.entries if capacity else None
     )
@@ -90,12 +92,10 @@ def draw(
         anchors = decode.Anchors(scene.position, scene.offset, scene.feature, scene.scaling)
         room = capacity.gaussians if capacity else None
         model = scene.weights, view.camera
-        gaussians = decode.forward(device, anchors, visible.anchor, *model, options, room)
-    projected = _project(device, gaussians, view.camera, options)
-    lists, blended, _ = _rasterise(
-        device, gaussians, projected, view, options, capacity.entries if capacity else None
-    )
-    return Picture(blended.image, (visible.total, gaussians.total, lists.total))
+        splats = decode.forward(device, anchors, visible.anchor, *model, options, room)
+    room = capacity.entries if capacity else None
+    lists, blended, _ = _rasterise(device, splats, splats.projected, view, options, room)
+    return Picture(blended.image, (visible.total, splats.total, lists.total))
 
 
 def _cull(
@@ -111,17 +111,6 @@ def _cull(
         return cull.forward(device, *inputs, options, room)
 
 
-def _project(
-    device: Device,
-    gaussians: neural.NeuralGaussians,
-    camera: DeviceArray,
-    options: RenderOptions,
-) -> project.Projected:
-    with device.stage("project forward"):
-        shape = (gaussians.mean, gaussians.scale, gaussians.rotation)
-        return project.forward(device, *shape, gaussians.opacity, camera, options)
-
-
 def check_capacity(device: Device, frame: Frame, capacity: Capacity, stop: DeviceArray) -> None:
     """Set ``stop`` (1,) int32 where ``capacity`` was too small for the frame."""
     for total, room in zip(frame.totals, astuple(capacity), strict=True):
@@ -130,7 +119,7 @@ def check_capacity(device: Device, frame: Frame, capacity: Capacity, stop: Devic
 
 def _rasterise(
     device: Device,
-    gaussians: neural.NeuralGaussians,
+    gaussians: neural.NeuralGaussians | decode.Splats,
     projected: project.Projected,
     view: DeviceView,
     options: RenderOptions,

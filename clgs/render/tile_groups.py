@@ -17,6 +17,7 @@ from clgs.errors import BudgetError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, scan, tiles
+from clgs.ops.decode import Splats
 from clgs.ops.neural import NeuralGaussians
 from clgs.ops.project import Projected
 from clgs.options import RenderOptions
@@ -60,7 +61,7 @@ def plan(by_row: npt.NDArray[np.int64], entry_bytes: int, max_memory: int) -> Gr
 def plan_view(
     device: Device,
     projected: Projected,
-    gaussians: NeuralGaussians,
+    gaussians: NeuralGaussians | Splats,
     size: tuple[int, int],
     options: RenderOptions,
 ) -> tuple[Groups, int]:
@@ -75,7 +76,7 @@ def plan_view(
 def forward(
     device: Device,
     projected: Projected,
-    gaussians: NeuralGaussians,
+    gaussians: NeuralGaussians | Splats,
     view: DeviceView,
     options: RenderOptions,
     groups: Groups,
@@ -105,7 +106,7 @@ def forward(
 def backward(
     device: Device,
     projected: Projected,
-    gaussians: NeuralGaussians,
+    gaussians: NeuralGaussians | Splats,
     background: DeviceArray,
     blended: blend.Blended,
     d_image: DeviceArray,
@@ -137,7 +138,7 @@ def no_lists(device: Device, count: int, size: tuple[int, int], total: int) -> t
 def _lists(
     device: Device,
     projected: Projected,
-    gaussians: NeuralGaussians,
+    gaussians: NeuralGaussians | Splats,
     size: tuple[int, int],
     options: RenderOptions,
     rows: tuple[int, int],

@@ -75,21 +75,14 @@ inline void gather_shapes(const Anchors *a, const Drawn *drawn, ROWS *covariance
     }
 }
 
-/* Scales and rotations of the drawn slots. */
-inline void write_shapes(const Shapes *shapes, const Drawn *drawn, __global float *scale,
-                         __global float *rotation)
+/* Scales and rotations of VEC drawn slots from number m on. */
+inline void shape_lanes(const Shapes *shapes, const size_t m, fv scale[3], fv rotation[4])
 {
-    for (size_t m = 0; m < drawn->count; m += VEC) {
-        fv size[3], unit[4];
-        for (int i = 0; i < 3; ++i)
-            size[i] = LOAD_V(0, shapes->size[i] + m) * sigmoid_v(LOAD_V(0, shapes->logit[i] + m));
-        for (int i = 0; i < 4; ++i)
-            unit[i] = LOAD_V(0, shapes->quaternion[i] + m);
-        make_unit(unit);
-        const size_t used = min((size_t)VEC, drawn->count - m);
-        store_rows3(size, scale, drawn->first + m, used);
-        store_rows4(unit, rotation, drawn->first + m, used);
-    }
+    for (int i = 0; i < 3; ++i)
+        scale[i] = LOAD_V(0, shapes->size[i] + m) * sigmoid_v(LOAD_V(0, shapes->logit[i] + m));
+    for (int i = 0; i < 4; ++i)
+        rotation[i] = LOAD_V(0, shapes->quaternion[i] + m);
+    make_unit(rotation);
 }
 
 /* Offsets of VEC anchors. On a CPU they are copied, all at once, so that the misses overlap. */
@@ -113,9 +106,9 @@ inline void copy_steps(const Anchors *a, __global const float *offset, float *co
     }
 }
 
-/* Means, which are a step away from their anchors. */
-inline void write_means(const Anchors *a, const Drawn *drawn, __global const float *position,
-                        __global const float *offset, __global float *mean)
+/* Means of the drawn slots, which are a step away from their anchors. */
+inline void gather_means(const Anchors *a, const Drawn *drawn, __global const float *position,
+                         __global const float *offset, float mean[3][SLOTS])
 {
     float reach[3][VEC], centre[3][VEC];
     STAGE_STEPS(steps, a, offset);
@@ -125,11 +118,11 @@ inline void write_means(const Anchors *a, const Drawn *drawn, __global const flo
             centre[i][lane] = position[3 * (size_t)max(a->anchor[lane], 0) + i];
     }
     for (size_t m = 0; m < drawn->count; ++m) {
-        const size_t lane = drawn->lane[m], n = drawn->first + m;
+        const size_t lane = drawn->lane[m];
         STEPS *step = steps + 3 * (lane * K_OFFSETS + drawn->offset[m]);
 #pragma unroll
         for (int i = 0; i < 3; ++i)
-            mean[3 * n + i] = fma(step[i], reach[i][lane], centre[i][lane]);
+            mean[i][m] = fma(step[i], reach[i][lane], centre[i][lane]);
     }
 }
 
@@ -158,15 +151,24 @@ inline void write_gaussians(const Parameters *p, const Drawn *drawn, const size_
 {
     const Anchors a = load_anchors(p->visible, p->scaling, v, p->count);
     Shapes shapes;
+    float mean[3][SLOTS];
     gather_shapes(&a, drawn, rows + COVARIANCE_ROW * stride, stride, &shapes);
-    write_shapes(&shapes, drawn, out->scale, out->rotation);
-    write_means(&a, drawn, p->position, p->offset, out->mean);
+    gather_means(&a, drawn, p->position, p->offset, mean);
+    for (size_t m = 0; m < drawn->count; m += VEC) {
+        const size_t n = drawn->first + m, used = min((size_t)VEC, drawn->count - m);
+        fv scale[3], rotation[4];
+        shape_lanes(&shapes, m, scale, rotation);
+        store_rows3(scale, out->scale, n, used);
+        store_rows4(rotation, out->rotation, n, used);
+    }
     for (size_t m = 0; m < drawn->count; ++m) {
         const size_t n = drawn->first + m, j = drawn->offset[m];
         ROWS *sample = rows + drawn->lane[m];
 #pragma unroll
-        for (int i = 0; i < 3; ++i)
+        for (int i = 0; i < 3; ++i) {
+            out->mean[3 * n + i] = mean[i][m];
             out->color[3 * n + i] = sample[(COLOR_ROW + 3 * j + i) * stride];
+        }
         out->opacity[n] = sample[j * stride];
         out->slot[n] = (int)((v + drawn->lane[m]) * K_OFFSETS + j);
     }
