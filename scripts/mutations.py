@@ -134,6 +134,20 @@ MUTATIONS = (
         "const fv reach = (fv)(3.0f * WHITENING_UNIT);",
     ),
     Mutation(
+        "tiles",
+        "first column of a span on the row of the last one",
+        "kernels_cl/include/footprint.h",
+        "clamp_lanes(-f->tip, top, bottom)",
+        "clamp_lanes(f->tip, top, bottom)",
+    ),
+    Mutation(
+        "tiles",
+        "tiles of a row where their first spans end",
+        "kernels_cl/include/tiles_chunk.h",
+        "--next[span.x + span.y];",
+        "--next[span.x + 1];",
+    ),
+    Mutation(
         "blend",
         "three sigma in the test of units",
         SPLAT,
