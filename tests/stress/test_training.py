@@ -34,7 +34,9 @@ def train(device, dataset, steps, **changes):
 @pytest.mark.family("N28")
 @pytest.mark.parametrize(("specialisation", "seed"), [("cpu", 0), ("cpu", 1), ("gpu", 0)])
 def test_every_gradient_is_finite(open_device, dataset, specialisation, seed):
-    steps = 200 if specialisation == "cpu" else 40
+    steps = 200
+    if specialisation == "gpu":  # slow where the device is a CPU
+        steps, dataset = 40, replace(dataset, points=dataset.points[::8])
     _, results = train(open_device(specialisation), dataset, steps, seed=seed)
     assert results[-1].loss < results[0].loss
 
