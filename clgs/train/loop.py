@@ -192,12 +192,12 @@ class Trainer:
         return self.queue.render(plan, self.parameters)
 
     def check_budget(self) -> None:
-        """Refuse a memory budget that the anchors of now already exceed in some view.
+        """Refuse a memory budget that the anchors of now already exceed in some view of the data.
 
         Raises:
             BudgetError: names the view that needs most, and the least budget for all of them.
         """
-        views = [(view.name, view.camera) for view in self.dataset.train]
+        views = [(view.name, view.camera) for view in self.dataset.train + self.dataset.test]
         scene = self.queue.seen(self.parameters, self.steps_done)
         check_budget(self.device, scene, views, self.settings, self.options)
 

@@ -97,6 +97,19 @@ def test_a_budget_that_is_too_small_writes_nothing(dataset, open_device, tmp_pat
     assert files(tmp_path) == before
 
 
+def test_a_budget_that_is_too_small_later_names_the_step(
+    dataset, open_device, tmp_path, monkeypatch
+):
+    config, device = replace(CONFIG, max_memory=64), open_device("cpu")
+
+    def grow(progress):
+        if progress.result.step == 3:
+            monkeypatch.setattr(tile_groups, "BYTES_BY_ENTRY", 2**20)
+
+    with pytest.raises(BudgetError, match=r"step [45], view \S*r_\d\.png: a row of tiles needs"):
+        train_scene(dataset, tmp_path / "run", config, device=device, on_progress=grow)
+
+
 @pytest.mark.usefixtures("huge_entries")
 def test_the_least_budget_of_all_views_is_named(finished, data, tmp_path, capsys):
     pictures = tmp_path / "pictures"
