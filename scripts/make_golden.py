@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,36 +23,73 @@ FOLDER = Path(__file__).resolve().parents[1] / "tests" / "codec" / "golden"
 
 
 def main() -> None:
-    """Write every scene of ``golden_scenes`` and the list of hashes."""
+    """Write every file of ``golden_files`` and the list of hashes."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
     folder.mkdir(parents=True, exist_ok=True)
-    lines = []
-    for name, scene in golden_scenes().items():
-        data = encode(scene)
+    for name, data in golden_files().items():
         (folder / f"{name}.clgs").write_bytes(data)
-        lines.append(f"{hashlib.sha256(data).hexdigest()}  {name}.clgs\n")
         print(f"{name}.clgs: {len(data)} bytes")
+    lines = [
+        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n"
+        for path in sorted(folder.glob("*.clgs"))
+    ]
     (folder / "SHA256SUMS").write_text("".join(lines), encoding="ascii")
 
 
+def golden_files() -> dict[str, bytes]:
+    """The files of the present version by name."""
+    return {name: encode(scene, **OPTIONS.get(name, {})) for name, scene in golden_scenes().items()}
+
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    "chunks": {"chunk": 64},
+    "fast": {"level": "fast"},
+    "max": {"level": "max", "chunk": 64},
+    "paper": {"level": "paper"},
+}
+"""How a file is encoded, where not by default."""
+
+
 def golden_scenes() -> dict[str, QuantizedScene]:
-    """Scenes by file name; together they take every branch of the format."""
+    """Scenes of the present version by file name; together they take every branch of the format."""
+    settings = RenderSettings(background=(0.0, 0.25, 1.0), near=0.5, blur=0.0)
+    transform = SceneTransform((-1e-3, 0.0, 3e5), 2.0)
+    return {
+        "nothing": _scene(np.empty((0, 3), np.int32), 0, 11),
+        "single": _scene(np.array([[-(2**31), 5, 0]], np.int32), 3, 12),
+        "chunks": _scene(_surface(12), 2, 13, settings, transform),
+        "fast": _scene(_surface(8), 3, 14, settings),
+        "default": _scene(_surface(8) * 3 - 11, 3, 15, None, transform),
+        "max": _scene(_surface(9), 2, 16),
+        "paper": _scene(_scattered(), 9, 17),
+        "deep": _scene(_deep(), 2**31 - 1, 18),
+    }
+
+
+def version1_scenes() -> dict[str, QuantizedScene]:
+    """The scenes of version 1 by file name; no program writes these files any more."""
     settings = RenderSettings(background=(1.0, 0.5, 0.0), near=0.125)
     transform = SceneTransform((1.5, -2.25, 1e6), 0.0625)
     return {
         "empty": _scene(np.empty((0, 3), np.int32), 0, 1),
         "one": _scene(np.array([[-5, 7, 2**31 - 1]], np.int32), 3, 2),
-        "surface": _scene(_surface(), 3, 3, settings, transform),
+        "surface": _scene(_surface(6), 3, 3, settings, transform),
         "scattered": _scene(_scattered(), 40, 4, settings),
         "cube": _scene(np.argwhere(np.ones((4, 4, 4), bool)).astype(np.int32), 1, 5),
         "extremes": _scene(_scattered()[:4] - 2**20, 2**31 - 1, 6),
     }
 
 
-def _surface() -> np.ndarray:
-    """A bent sheet: 36 voxels with neighbours."""
-    x, y = np.divmod(np.arange(36), 6)
+def _surface(edge: int) -> np.ndarray:
+    """A bent sheet: edge * edge voxels with neighbours."""
+    x, y = np.divmod(np.arange(edge * edge), edge)
     return np.stack([x, y, (x * x + 3 * y) // 8 - 3], 1).astype(np.int32)
+
+
+def _deep() -> np.ndarray:
+    """Eight voxels at the corners of the largest grid, up to the end of int32."""
+    corners = np.argwhere(np.ones((2, 2, 2), bool)) * (2**21 - 1)
+    return (corners + np.array([2**31 - 2**21, -(2**31), -7])).astype(np.int32)
 
 
 def _scattered() -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The .clgs container: signature, section table, checksums (codec_c/FORMAT.md, part 1)."""
+"""The .clgs container: signature, section table, checksums (codec_c/FORMAT.md, parts 1 and 8)."""
 
 from __future__ import annotations
 
@@ -6,16 +6,22 @@ import struct
 from dataclasses import dataclass
 
 from clgs import _codec
+from clgs.codec.source import BytesSource, Source
 from clgs.errors import CodecError
 
 MAGIC = b"\x8bCLGS\r\n\x1a"
 """Not text (0x8B); the line ends and the DOS end-of-file expose transfers that alter them."""
 
-MAJOR, MINOR = 1, 0
+META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS = "META", "CHNK", "ANCH", "OFFS", "FEAT", "SCAL", "MLPS"
 
-META, ANCH, OFFS, FEAT, SCAL, MLPS = "META", "ANCH", "OFFS", "FEAT", "SCAL", "MLPS"
-SECTIONS = (META, ANCH, OFFS, FEAT, SCAL, MLPS)
-"""The required sections, in file order."""
+VERSIONS = {
+    1: (META, ANCH, OFFS, FEAT, SCAL, MLPS),
+    2: (META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS),
+}
+"""The required sections of every major version, in file order."""
+
+MAJOR, MINOR = 2, 0
+"""The version that is written."""
 
 REQUIRED = 1
 """Flag of a section that a reader must understand."""
@@ -42,15 +48,39 @@ class Section:
         return damage(f"section {self.tag} at byte {self.offset}", what)
 
 
+@dataclass(frozen=True)
+class Entry:
+    """One row of the section table; ``crc`` of the section's bytes."""
+
+    tag: str
+    offset: int
+    length: int
+    crc: int
+
+
+@dataclass(frozen=True)
+class Table:
+    """What a file says of itself: its version, and the sections by tag, unknown ones included."""
+
+    major: int
+    minor: int
+    entries: dict[str, Entry]
+
+    @property
+    def version(self) -> str:
+        """As "2.0"."""
+        return f"{self.major}.{self.minor}"
+
+
 def damage(where: str, what: str) -> CodecError:
     """A CodecError for a damaged file."""
     return CodecError(f"{where}: {what}; {_REMEDY}")
 
 
-def write_container(contents: dict[str, bytes]) -> bytes:
+def write_container(contents: dict[str, bytes], major: int = MAJOR) -> bytes:
     """The file that holds ``contents`` (tag to bytes, all required), in the given order."""
     offset = _HEAD.size + len(contents) * _ENTRY.size + _CRC.size
-    header = _HEAD.pack(MAGIC, MAJOR, MINOR, len(contents))
+    header = _HEAD.pack(MAGIC, major, MINOR, len(contents))
     for tag, data in contents.items():
         crc = _codec.crc32c(data)
         header += _ENTRY.pack(tag.encode("ascii"), REQUIRED, offset, len(data), crc, 0)
@@ -58,75 +88,100 @@ def write_container(contents: dict[str, bytes]) -> bytes:
     return b"".join([header, _CRC.pack(_codec.crc32c(header)), *contents.values()])
 
 
-def read_container(data: bytes) -> dict[str, Section]:
-    """The sections of a file by tag, every checksum verified; unknown optional ones left out.
+def read_container(data: bytes) -> tuple[Table, dict[str, Section]]:
+    """The table of a whole file and its known sections, the checksum of every section verified.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged.
     """
-    sections = {}
-    for tag, flags, section, crc in _read_table(data):
-        if _codec.crc32c(section.data) != crc:
-            raise section.error("checksum differs")
-        if tag in SECTIONS:
-            sections[tag] = section
-        elif flags & REQUIRED:
-            raise CodecError(f"section {tag} at byte {section.offset}: unknown; update clgs")
-    for tag in SECTIONS:
-        if tag not in sections:
-            raise damage(f"section {tag}", "missing")
-    return sections
+    source = BytesSource(data)
+    table = read_table(source)
+    sections = {tag: read_section(source, entry) for tag, entry in table.entries.items()}
+    return table, {tag: sections[tag] for tag in VERSIONS[table.major]}
 
 
-def _read_table(data: bytes) -> list[tuple[str, int, Section, int]]:
-    """(tag, flags, section, crc) of every entry, after all checks but the sections' own CRC."""
-    table_end = _HEAD.size + _count_sections(data) * _ENTRY.size
-    (crc,) = _CRC.unpack_from(data, table_end)
-    if _codec.crc32c(memoryview(data)[:table_end]) != crc:
+def read_section(source: Source, entry: Entry) -> Section:
+    """The content of one section, its checksum verified.
+
+    Raises:
+        CodecError: the section is damaged.
+    """
+    section = Section(entry.tag, entry.offset, source.read(entry.offset, entry.length))
+    if _codec.crc32c(section.data) != entry.crc:
+        raise section.error("checksum differs")
+    return section
+
+
+def read_table(source: Source) -> Table:
+    """The section table, after all checks but the checksums of the sections themselves.
+
+    Raises:
+        CodecError: not a .clgs file, of an unknown version, cut, or damaged.
+    """
+    head = source.read(0, min(_HEAD.size, source.size))
+    major, minor, count = _check_head(bytes(head), source.size)
+    table_end = _HEAD.size + count * _ENTRY.size
+    header = source.read(0, table_end + _CRC.size)
+    if _codec.crc32c(header[:table_end]) != _CRC.unpack_from(header, table_end)[0]:
         raise damage(f"header at byte {table_end}", "checksum differs")
-    entries: list[tuple[str, int, Section, int]] = []
+    entries: dict[str, Entry] = {}
     end = table_end + _CRC.size
     for at in range(_HEAD.size, table_end, _ENTRY.size):
-        raw_tag, flags, offset, length, crc, reserved = _ENTRY.unpack_from(data, at)
-        tag = raw_tag.decode("ascii", "replace")
-        if any(tag == entry[0] for entry in entries) or reserved != 0 or flags > REQUIRED:
-            raise damage(f"section table at byte {at}", f"entry {tag!r} is repeated or malformed")
-        if offset != end or length > len(data) - end:
-            raise damage(f"section {tag} at byte {offset}", f"{length} bytes do not fit the file")
-        end += length
-        entries.append((tag, flags, Section(tag, offset, memoryview(data)[offset:end]), crc))
-    if end != len(data):
-        raise damage(f"file at byte {end}", f"{len(data) - end} bytes follow the last section")
-    _check_order([entry[0] for entry in entries])
-    return entries
+        entry = _check_entry(at, _ENTRY.unpack_from(header, at), VERSIONS[major], entries)
+        if entry.offset != end or entry.length > source.size - end:
+            where = f"section {entry.tag} at byte {entry.offset}"
+            raise damage(where, f"{entry.length} bytes do not fit the file")
+        end += entry.length
+    if end != source.size:
+        raise damage(f"file at byte {end}", f"{source.size - end} bytes follow the last section")
+    _check_order(list(entries), VERSIONS[major])
+    return Table(major, minor, entries)
 
 
-def _check_order(tags: list[str]) -> None:
-    known = [tag for tag in tags if tag in SECTIONS]
-    if known != [tag for tag in SECTIONS if tag in known]:
-        raise damage("section table at byte 16", f"order is {' '.join(known)}")
+def _check_entry(
+    at: int, fields: tuple[bytes, int, int, int, int, int], known: tuple[str, ...],
+    entries: dict[str, Entry],
+) -> Entry:  # fmt: skip
+    """The entry at byte ``at``, added to ``entries``; refused where unknown and required."""
+    raw_tag, flags, offset, length, crc, reserved = fields
+    tag = raw_tag.decode("ascii", "replace")
+    if tag in entries or reserved != 0 or flags > REQUIRED:
+        raise damage(f"section table at byte {at}", f"entry {tag!r} is repeated or malformed")
+    if flags & REQUIRED and tag not in known:
+        raise CodecError(f"section {tag} at byte {offset}: unknown; update clgs")
+    entries[tag] = Entry(tag, offset, length, crc)
+    return entries[tag]
 
 
-def _count_sections(data: bytes) -> int:
-    """The declared number of sections, after the checks of signature, version and size."""
-    if data[: len(MAGIC)] != MAGIC:
-        raise _signature_error(data)
-    if len(data) < _HEAD.size:
-        raise damage("header at byte 0", f"{len(data)} bytes are too few")
-    _, major, _, count = _HEAD.unpack_from(data)
-    if major != MAJOR:
-        raise CodecError(f"header at byte 8: version {major}, known is {MAJOR}; update clgs")
+def _check_order(tags: list[str], known: tuple[str, ...]) -> None:
+    for tag in known:
+        if tag not in tags:
+            raise damage("section table at byte 16", f"section {tag} is missing")
+    if [tag for tag in tags if tag in known] != list(known):
+        raise damage("section table at byte 16", f"order is {' '.join(tags)}")
+
+
+def _check_head(head: bytes, size: int) -> tuple[int, int, int]:
+    """Major, minor version and number of sections, after the checks of signature and size."""
+    if head[: len(MAGIC)] != MAGIC:
+        raise _signature_error(head)
+    if len(head) < _HEAD.size:
+        raise damage("header at byte 0", f"{len(head)} bytes are too few")
+    _, major, minor, count = _HEAD.unpack(head)
+    if major not in VERSIONS:
+        known = " and ".join(map(str, VERSIONS))
+        raise CodecError(f"header at byte 8: version {major}, known are {known}; update clgs")
     if count > MAX_SECTIONS:
         raise damage("header at byte 12", f"{count} sections, at most {MAX_SECTIONS} are allowed")
-    if count * _ENTRY.size + _CRC.size > len(data) - _HEAD.size:
+    if count * _ENTRY.size + _CRC.size > size - _HEAD.size:
         raise damage("section table at byte 16", "the file ends in it")
-    return int(count)
+    return major, minor, count
 
 
-def _signature_error(data: bytes) -> CodecError:
-    if not data:
+def _signature_error(head: bytes) -> CodecError:
+    if not head:
         return CodecError("header at byte 0: the file is empty; encode the scene again")
-    if data[:5] == MAGIC[:5]:
+    if head[:5] == MAGIC[:5]:
         return CodecError(
             "header at byte 5: line ends were changed or the file is cut; transfer it as binary"
         )

@@ -2,74 +2,78 @@
 
 from __future__ import annotations
 
-import hashlib
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec import container, octree, runlength
-from clgs.codec.meta import CONTENT_HASH_SIZE, Meta
-from clgs.errors import CodecError
+from clgs.codec import attributes, container, octree, runlength
+from clgs.codec.chunks import (
+    DEFAULT_CHUNK,
+    MAX_CHUNK,
+    MIN_CHUNK,
+    TAGS,
+    make_grid,
+    pack_directory,
+    spans,
+)
+from clgs.codec.container import ANCH, CHNK, FEAT, MLPS, OFFS, SCAL
+from clgs.codec.content import array_hash, content_arrays, join_hashes
+from clgs.codec.meta import LEVELS, Meta
+from clgs.codec.workers import workers
+from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
 from clgs.scene.scene import QuantizedScene
 from clgs.shapes import Shapes
 
-MAX_ANCHORS = 12_000_000
-"""Anchors of one file: their integers take 4 GiB."""
 
+def encode(
+    scene: QuantizedScene,
+    level: str = "default",
+    chunk: int = DEFAULT_CHUNK,
+    threads: int | None = None,
+) -> bytes:
+    """The .clgs file of ``scene``: a pure function of it, of ``level`` and of ``chunk``.
 
-def encode(scene: QuantizedScene) -> bytes:
-    """The .clgs file of ``scene``: a pure function of it, except that rows may come in any order.
+    Args:
+        scene: rows may come in any order; the file keeps them in Morton order.
+        level: one of LEVELS; slower levels make smaller files.
+        chunk: anchors that are decoded together, 64 to 2^24: small ones let a box of the scene be
+            read without the rest, and cost bytes.
+        threads: at most so many, by default one for each processor; no byte depends on it.
 
     Raises:
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
             number; the message names the field and the remedy.
+        UsageError: no such level, or a chunk or number of threads out of range.
     """
-    anchors = sort_anchors(scene.anchors)
-    _check_weights(scene.mlps.flat)
-    if len(anchors) > MAX_ANCHORS:
-        raise CodecError(f"anchors: {len(anchors)}, at most {MAX_ANCHORS} fit; prune the scene")
-    content = hash_content(anchors, scene.mlps.flat)
-    meta = Meta(len(anchors), scene.scales, scene.transform, scene.settings, content)
-    try:
-        meta.check()
-    except ValueError as error:
-        raise CodecError(f"header: {error}, which no file may hold; correct the scene") from error
-    return container.write_container(
-        {
-            container.META: meta.pack(),
-            container.ANCH: octree.encode(anchors.position),
-            container.OFFS: runlength.encode(flatten(anchors.offset)),
-            container.FEAT: runlength.encode(anchors.feature),
-            container.SCAL: runlength.encode(anchors.scaling),
-            container.MLPS: runlength.encode_weights(scene.mlps.flat),
-        }
-    )
+    _check_options(level, chunk)
+    _check_scene(scene)
+    with workers(threads) as pool:
+        anchors = sort_anchors(scene.anchors, pool.map)
+        hashes = pool.map(array_hash, content_arrays(anchors, scene.mlps.flat))
+        sections = _encode_sections(anchors, scene.mlps.flat, level, chunk, pool)
+        content = join_hashes(list(hashes))
+    grid = make_grid(anchors.position, level)
+    meta = Meta(len(anchors), scene.scales, scene.transform, scene.settings, content, grid)
+    return container.write_container({container.META: meta.pack(), **sections})
 
 
-def sort_anchors(anchors: QuantizedAnchors) -> QuantizedAnchors:
-    """The anchors in Morton order of their positions.
+def sort_anchors(
+    anchors: QuantizedAnchors, run: Callable[..., Iterable[npt.NDArray[np.int32]]] = map
+) -> QuantizedAnchors:
+    """The anchors in Morton order of their positions; ``run`` may be the ``map`` of a pool.
 
     Raises:
         CodecError: positions repeat or span 2^21 cells.
     """
     order = octree.morton_order(anchors.position)
-    return QuantizedAnchors(
-        anchors.position[order],
-        anchors.offset[order],
-        anchors.feature[order],
-        anchors.scaling[order],
-    )
-
-
-def hash_content(anchors: QuantizedAnchors, weights: npt.NDArray[np.float32]) -> bytes:
-    """First 8 bytes of SHA-256 over position, offset, feature, scaling, weights, little-endian."""
-    digest = hashlib.sha256()
-    for array in (anchors.position, anchors.offset, anchors.feature, anchors.scaling):
-        digest.update(np.ascontiguousarray(array, "<i4").data)
-    digest.update(np.ascontiguousarray(weights, "<f4").data)
-    return digest.digest()[:CONTENT_HASH_SIZE]
+    if (order[1:] > order[:-1]).all():
+        return anchors
+    arrays = (anchors.position, anchors.offset, anchors.feature, anchors.scaling)
+    return QuantizedAnchors(*run(lambda array: array[order], arrays))
 
 
 def flatten(offset: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
@@ -77,8 +81,62 @@ def flatten(offset: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     return offset.reshape(len(offset), offset.shape[1] * 3)
 
 
-def _check_weights(weights: npt.NDArray[np.float32]) -> None:
+def _encode_sections(
+    anchors: QuantizedAnchors,
+    weights: npt.NDArray[np.float32],
+    level: str,
+    chunk: int,
+    pool: ThreadPoolExecutor,
+) -> dict[str, bytes]:
+    """The sections but META; what takes longest is begun first."""
+    rows = {FEAT: anchors.feature, OFFS: flatten(anchors.offset), SCAL: anchors.scaling}
+    models = {tag: pool.submit(attributes.fit, rows[tag], level, chunk) for tag in rows}
+    parts = spans(len(anchors), chunk)
+    tasks = {ANCH: _encode_positions(anchors.position, parts, pool)}
+    packed = pool.submit(runlength.encode_weights, weights)
+    for tag, model in models.items():
+        encode_chunk = model.result().encode
+        tasks[tag] = [pool.submit(encode_chunk, rows[tag][part]) for part in parts]
+    streams = {tag: [task.result() for task in tasks[tag]] for tag in TAGS}
+    headers = {ANCH: b"", **{tag: model.result().header for tag, model in models.items()}}
+    return {
+        CHNK: pack_directory(chunk, anchors.position, headers, streams),
+        **{tag: b"".join([headers[tag], *streams[tag]]) for tag in TAGS},
+        MLPS: packed.result(),
+    }
+
+
+def _encode_positions(
+    position: npt.NDArray[np.int32], parts: list[slice], pool: ThreadPoolExecutor
+) -> list[Future[bytes]]:
+    """One octree a chunk, each the subtree of the whole that holds the chunk."""
+    if len(position) == 0:
+        return []
+    x, y, z = map(int, position.min(axis=0))
+    code = octree.morton_codes(position)
+    tasks = []
+    for part in parts:
+        first, last = int(code[part][0]), int(code[part][-1])
+        corner = octree.subtree_origin(first, last, (x, y, z))
+        tasks.append(pool.submit(octree.encode, position[part], corner))
+    return tasks
+
+
+def _check_options(level: str, chunk: int) -> None:
+    if level not in LEVELS:
+        raise UsageError(f"level: {level!r}; known are {', '.join(LEVELS)}")
+    if not MIN_CHUNK <= chunk <= MAX_CHUNK:
+        raise UsageError(f"chunk: {chunk}; {MIN_CHUNK} to {MAX_CHUNK} anchors are possible")
+
+
+def _check_scene(scene: QuantizedScene) -> None:
+    """Raise CodecError where a number is none that a file may hold."""
+    weights = scene.mlps.flat
     Shapes(M=MLP_SIZE).check("mlps", weights, "M", np.float32)
     bad = np.flatnonzero(~np.isfinite(weights))
     if len(bad):
         raise CodecError(f"mlps: weight {bad[0]} is {weights[bad[0]]}; train the scene again")
+    try:
+        Meta(len(scene.anchors), scene.scales, scene.transform, scene.settings, b"").check()
+    except ValueError as error:
+        raise CodecError(f"header: {error}, which no file may hold; correct the scene") from error

@@ -40,18 +40,40 @@ def morton_order(position: npt.NDArray[np.int32]) -> npt.NDArray[np.intp]:
     """The permutation (A,) that sorts ``position`` (A, 3) int32 into Morton order.
 
     Raises:
-        CodecError: the extent reaches 2^21 on an axis, or two rows are alike.
+        CodecError: the extent reaches 2^21 on an axis, or rows are alike.
     """
     code = morton_codes(position)
+    if ascends(code):
+        return np.arange(len(code))
     order = np.argsort(code, kind="stable")
-    twins = np.flatnonzero(code[order][1:] == code[order][:-1])
-    if len(twins):
-        first, second = sorted(map(int, order[twins[0] : twins[0] + 2]))
+    repeats = np.flatnonzero(code[order][1:] == code[order][:-1])
+    if len(repeats):
+        first, second = map(int, order[repeats[0] : repeats[0] + 2])
         raise CodecError(
-            f"position: anchors {first} and {second} share cell {position[first].tolist()}; "
-            "merge anchors of the same cell"
+            f"position: rows {first} and {second} share cell {position[first].tolist()}, "
+            f"{len(repeats)} rows repeat others; merge rows of the same cell"
         )
     return order
+
+
+def ascends(code: npt.NDArray[np.uint64]) -> bool:
+    """Whether every code is above the one before."""
+    return bool((code[1:] > code[:-1]).all())
+
+
+def subtree_origin(first: int, last: int, origin: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Corner of the least octree cell that holds the Morton codes ``first`` and ``last``.
+
+    Codes are relative to ``origin``; relative to the corner, all codes between them keep their
+    order.
+    """
+    levels = -(-(first ^ last).bit_length() // 3)
+    corner = first >> 3 * levels << 3 * levels
+    x, y, z = (
+        origin[axis] + sum((corner >> 3 * bit + 2 - axis & 1) << bit for bit in range(21))
+        for axis in range(3)
+    )
+    return x, y, z
 
 
 def encode(position: npt.NDArray[np.int32], origin: tuple[int, int, int] | None = None) -> bytes:

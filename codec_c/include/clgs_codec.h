@@ -31,6 +31,12 @@ const char *clgs_error_text(clgs_error error);
 /* CRC-32C (Castagnoli, reflected, as in iSCSI) of `size` bytes; "123456789" gives 0xE3069283. */
 uint32_t clgs_crc32c(const uint8_t *data, size_t size);
 
+/* The same without the processor's instruction for it. */
+uint32_t clgs_crc32c_portable(const uint8_t *data, size_t size);
+
+/* XXH64 of `size` bytes with seed 0; "abc" gives 0x44BC2CF5AD770999. */
+uint64_t clgs_xxh64(const uint8_t *data, size_t size);
+
 /* Morton codes of `count` points (x, y, z) relative to `origin`: bit 3b+2 is bit b of x, 3b+1 of
  * y, 3b of z. Returns CLGS_ERROR_ARGUMENT where a coordinate is outside origin + [0, 2^21). */
 clgs_error clgs_morton_encode(const int32_t *position, size_t count, const int32_t origin[3],

@@ -208,6 +208,18 @@ static PyObject *crc32c(PyObject *module, PyObject *args)
     return PyLong_FromUnsignedLong(crc);
 }
 
+static PyObject *xxh64(PyObject *module, PyObject *args)
+{
+    Py_buffer data;
+    uint64_t hash;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*", &data))
+        return NULL;
+    Py_BEGIN_ALLOW_THREADS hash = clgs_xxh64(data.buf, (size_t)data.len);
+    Py_END_ALLOW_THREADS PyBuffer_Release(&data);
+    return PyLong_FromUnsignedLongLong(hash);
+}
+
 /* (position, code, x, y, z) -> None, the codes filled */
 static PyObject *morton_encode(PyObject *module, PyObject *args)
 {
@@ -233,6 +245,7 @@ static PyObject *morton_encode(PyObject *module, PyObject *args)
 
 static PyMethodDef METHODS[] = {
     {"crc32c", crc32c, METH_VARARGS, "crc32c(data) -> int"},
+    {"xxh64", xxh64, METH_VARARGS, "xxh64(data) -> int"},
     {"morton_encode", morton_encode, METH_VARARGS, "morton_encode(position, code, x, y, z)"},
     {"octree_encode", octree_encode, METH_VARARGS, "octree_encode(position, x, y, z) -> bytes"},
     {"octree_decode", octree_decode, METH_VARARGS, "octree_decode(data, position)"},

@@ -18,6 +18,11 @@ static inline uint32_t clgs_load32(const uint8_t *data)
            (uint32_t)data[3] << 24;
 }
 
+static inline uint64_t clgs_load64(const uint8_t *data)
+{
+    return clgs_load32(data) | (uint64_t)clgs_load32(data + 4) << 32;
+}
+
 /* The bits of `value` as a two's complement number, without an implementation-defined cast. */
 static inline int32_t clgs_signed(uint32_t value)
 {

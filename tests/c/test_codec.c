@@ -248,9 +248,26 @@ static void test_planes(void)
     test_stream(PLANES, 0, 1, word);
 }
 
+static void test_checksums(void)
+{
+    uint8_t noise[1100];
+    CHECK(clgs_crc32c((const uint8_t *)"123456789", 9) == 0xE3069283u);
+    CHECK(clgs_crc32c_portable((const uint8_t *)"123456789", 9) == 0xE3069283u);
+    CHECK(clgs_xxh64(noise, 0) == 0xEF46DB3751D8E999u);
+    CHECK(clgs_xxh64((const uint8_t *)"abc", 3) == 0x44BC2CF5AD770999u);
+    for (size_t i = 0; i < sizeof noise; i++)
+        noise[i] = (uint8_t)((uint32_t)i * 2654435761u >> 24);
+    for (size_t size = 0; size <= sizeof noise; size++) {
+        uint8_t *exact = allocate(size);
+        memcpy(exact, noise, size);
+        CHECK(clgs_crc32c(exact, size) == clgs_crc32c_portable(exact, size));
+        free(exact);
+    }
+}
+
 int main(void)
 {
-    CHECK(clgs_crc32c((const uint8_t *)"123456789", 9) == 0xE3069283u);
+    test_checksums();
     test_octrees();
     test_runlengths();
     test_planes();

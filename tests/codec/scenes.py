@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -15,14 +16,14 @@ ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = Path(__file__).resolve().parent / "golden"
 
 
-def golden_scenes() -> dict[str, QuantizedScene]:
-    """The scenes of ``scripts/make_golden.py``."""
+def make_golden() -> ModuleType:
+    """The module ``scripts/make_golden.py``."""
     spec = importlib.util.spec_from_file_location("make_golden", ROOT / "scripts/make_golden.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return module.golden_scenes()
+    return module
 
 
 def random_scene(rng: np.random.Generator, count: int = 50) -> QuantizedScene:
