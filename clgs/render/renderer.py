@@ -22,8 +22,26 @@ class Renderer:
 
     def __init__(self, device: Device, scene: Scene, options: RenderOptions = DEFAULT) -> None:
         """Upload ``scene`` once; ``options`` from :func:`clgs.options.render_options`."""
-        self._device, self._settings, self._options = device, scene.settings, options
-        self._scene = upload_scene(device, scene)
+        self._keep(device, upload_scene(device, scene), scene.settings, options)
+
+    @classmethod
+    def of_device_scene(
+        cls,
+        device: Device,
+        scene: DeviceScene,
+        settings: RenderSettings,
+        options: RenderOptions = DEFAULT,
+    ) -> Renderer:
+        """A renderer of a scene that lies on the device already."""
+        renderer = cls.__new__(cls)
+        renderer._keep(device, scene, settings, options)
+        return renderer
+
+    def _keep(
+        self, device: Device, scene: DeviceScene, settings: RenderSettings, options: RenderOptions
+    ) -> None:
+        self._device, self._scene, self._settings = device, scene, settings
+        self._options = options
         self._capacity: Capacity | None = None
 
     def check_budget(self, views: Iterable[tuple[str, Camera]]) -> None:
@@ -56,20 +74,6 @@ class Renderer:
         before = self._capacity or Capacity(0, 0, 0)
         self._capacity = before.grown(needed)
         return made_to_measure or self._capacity == before
-
-
-def render_picture(
-    device: Device,
-    scene: DeviceScene,
-    camera: Camera,
-    settings: RenderSettings,
-    options: RenderOptions = DEFAULT,
-) -> npt.NDArray[np.float32]:
-    """Picture (3, H, W) float32 of a scene that lies on the device; see :class:`Renderer`."""
-    small = camera.reduced(options.accuracy.downscale)
-    picture = draw(device, scene, upload_view(device, small, settings), options)
-    image = np.asarray(device.hand_over(picture.image), np.float32)
-    return enlarge(image, camera.width, camera.height)
 
 
 def render_view(

@@ -15,7 +15,7 @@ from clgs.opencl.device import Device
 from clgs.options import Accuracy, RenderOptions
 from clgs.render.frame import DeviceScene, DeviceView, SceneGradients, upload_scene, upload_view
 from clgs.render.pipeline import render_backward, view_forward
-from clgs.render.renderer import render_picture
+from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
 from clgs.testing.accuracy_settings import PRESET_SWEEP, Setting, without_stop
@@ -151,6 +151,7 @@ class _Bench:
         shape = (3, subject.camera.height, subject.camera.width)
         self.d_host = np.random.default_rng(1).normal(size=shape).astype(np.float32)
         self.d_image: DeviceArray = device.upload(self.d_host)
+        self.renderers: dict[Accuracy, Renderer] = {}
 
     def reference(self, report: Callable[[str], None]) -> dict[str, Array]:
         """Image and gradients without truncation."""
@@ -165,8 +166,11 @@ class _Bench:
 
     def picture(self, accuracy: Accuracy) -> npt.NDArray[np.float32]:
         """As `clgs render` makes it, on the host."""
-        options = RenderOptions(accuracy)
-        return render_picture(self.device, self.scene, self.subject.camera, self.settings, options)
+        if accuracy not in self.renderers:
+            self.renderers[accuracy] = Renderer.of_device_scene(
+                self.device, self.scene, self.settings, RenderOptions(accuracy)
+            )
+        return self.renderers[accuracy].render(self.subject.camera)
 
     def gradients(self, accuracy: Accuracy) -> SceneGradients:
         """As a training step makes them, on the device."""

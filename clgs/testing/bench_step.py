@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 
 from clgs.opencl.device import Device
-from clgs.render.renderer import render_picture
+from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
 from clgs.testing.anchor_scene import anchor_scene, photo_dataset
@@ -83,10 +83,11 @@ def render_times(trainer: Trainer, repeats: int) -> list[float]:
     """Milliseconds of ``repeats`` pictures of the first view, after a few to warm up."""
     camera, settings = trainer.dataset.train[0].camera, trainer.settings
     scene = trainer.queue.seen(trainer.parameters, trainer.steps_done)
+    renderer = Renderer.of_device_scene(trainer.device, scene, settings, trainer.options)
     times = []
     for _ in range(WARM_UP + repeats):
         start = time.perf_counter()
-        render_picture(trainer.device, scene, camera, settings, trainer.options)
+        renderer.render(camera)
         times.append(1e3 * (time.perf_counter() - start))
     return times[WARM_UP:]
 

@@ -15,7 +15,7 @@ from clgs.opencl.device import Device
 from clgs.options import RenderOptions
 from clgs.render.budget import check_budget
 from clgs.render.frame import Capacity, Frame
-from clgs.render.renderer import render_picture
+from clgs.render.renderer import Renderer
 from clgs.scene.mlps import Mlps, init_mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
@@ -205,9 +205,10 @@ class Trainer:
         """Mean 8-bit PSNR of the current parameters on ``views``."""
         scene = self.queue.seen(self.parameters, self.steps_done)
         settings = self.settings
+        renderer = Renderer.of_device_scene(self.device, scene, settings, self.options)
         values = []
         for view in views:
-            image = render_picture(self.device, scene, view.camera, settings, self.options)
+            image = renderer.render(view.camera)
             photo = planar(view, settings.background).transpose(1, 2, 0)
             values.append(psnr_8bit(to_8bit(image), photo))
         return float(np.mean(values))
