@@ -1,46 +1,127 @@
-"""Attribute rows in chunks: what all chunks share, and each chunk to bytes and back."""
+"""Attribute rows to chunks of bytes and back, under a model that all chunks share.
+
+A model is fitted to all rows once; its header and any one chunk suffice to decode that chunk.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec import runlength
+from clgs import _codec
+from clgs.codec import attributes_fit
+from clgs.codec.attributes_model import CHANNEL, Ints, Models
+
+LEVELS = ("fast", "default", "max")
+"""Levels of effort: tables alone; predictions and classes too; mixing as well."""
+
+CHUNK = 65536
+"""Rows of a chunk, where nobody asks for another number."""
+
+MAX_CHANNELS = 256
 
 
-@dataclass(frozen=True)
-class Model:
-    """How chunks of ``channels`` channels are coded; ``header`` is what all of them share."""
+class Model(Protocol):
+    """What the chunks of one attribute share. Safe to use from several threads."""
 
+    header: bytes
     channels: int
-    header: bytes = b""
 
-    def encode(self, rows: npt.NDArray[np.int32]) -> bytes:
-        """The bytes of one chunk (n, channels) int32; they depend on its rows and on the header."""
-        return runlength.encode(rows)
+    def encode(self, rows: Ints) -> bytes:
+        """The chunk of ``rows`` (n, channels) int32, a chunk of those that were fitted."""
 
-    def decode(self, data: bytes | memoryview, rows: int) -> npt.NDArray[np.int32]:
-        """One chunk (rows, channels) int32; the caller has bounded ``rows``.
+    def decode(self, data: bytes | memoryview, count: int) -> Ints:
+        """The ``count`` rows (count, channels) int32 of a chunk.
 
         Raises:
             ValueError: the chunk is damaged, or holds another number of rows.
         """
-        return runlength.decode(data, rows, self.channels)
 
 
-def fit(values: npt.NDArray[np.int32], level: str, chunk: int) -> Model:
-    """The model of ``values`` (rows, channels) int32, cut into chunks of ``chunk`` rows."""
-    return Model(values.shape[1])
+@dataclass(frozen=True)
+class RawModel:
+    """Chunks are int32 as they are: no header is shorter, and noise gains nothing."""
+
+    channels: int
+    MODE: ClassVar[int] = 0
+
+    @property
+    def header(self) -> bytes:
+        """The mode alone."""
+        return bytes([self.MODE])
+
+    def encode(self, rows: Ints) -> bytes:
+        """Rows as little-endian words."""
+        return np.asarray(rows, "<i4").tobytes()
+
+    def decode(self, data: bytes | memoryview, count: int) -> Ints:
+        """Little-endian words as rows."""
+        if len(data) != 4 * count * self.channels:
+            raise ValueError(f"the stream has {len(data)} bytes for {count} rows")
+        rows = np.frombuffer(data, "<i4").astype(np.int32)
+        return rows.reshape(count, self.channels)
+
+
+@dataclass(frozen=True)
+class TableModel:
+    """Predictions, classes and tables of every channel."""
+
+    header: bytes
+    model: Models
+    MODE: ClassVar[int] = 1
+
+    @property
+    def channels(self) -> int:
+        """Columns of the rows."""
+        return len(self.model)
+
+    def encode(self, rows: Ints) -> bytes:
+        """One chunk; no bytes for no rows."""
+        rows = np.ascontiguousarray(rows, np.int32)
+        return _codec.attributes_encode(self.model, rows) if len(rows) else b""
+
+    def decode(self, data: bytes | memoryview, count: int) -> Ints:
+        """The rows of one chunk."""
+        rows = np.empty((count, self.channels), np.int32)
+        if count > 0:
+            _codec.attributes_decode(self.model, data, rows)
+        elif len(data) > 0:
+            raise ValueError("bytes follow the last symbol of the stream")
+        return rows
+
+
+def fit(values: npt.NDArray[np.int32], level: str = "default", chunk: int = CHUNK) -> Model:
+    """The model of ``values`` (n, channels) int32, whose rows will be coded ``chunk`` at a time.
+
+    Raises:
+        ValueError: an unknown level, or a number of channels outside [1, 256].
+    """
+    if level not in LEVELS:
+        raise ValueError(f"level {level!r}: use one of {', '.join(LEVELS)}")
+    rows, channels = values.shape
+    if not 1 <= channels <= MAX_CHANNELS:
+        raise ValueError(f"{channels} channels: 1 to {MAX_CHANNELS} fit")
+    if rows == 0:
+        return RawModel(channels)
+    values = np.ascontiguousarray(values, np.int32)
+    model, size = attributes_fit.fit(values, chunk, search=level != "fast")
+    header = _codec.attributes_header(model)
+    if len(header) + size >= 4 * values.size:
+        return RawModel(channels)
+    return TableModel(header, model)
 
 
 def read(header: bytes | memoryview, channels: int) -> Model:
-    """The model that a shared header describes.
+    """The model of a header.
 
     Raises:
         ValueError: the header is damaged.
     """
-    if len(header) > 0:
-        raise ValueError(f"{len(header)} bytes of a header that must be empty")
-    return Model(channels)
+    if len(header) == 1 and header[0] == RawModel.MODE:
+        return RawModel(channels)
+    model = np.zeros(channels, CHANNEL)
+    _codec.attributes_read(header, model)
+    return TableModel(bytes(header), model)

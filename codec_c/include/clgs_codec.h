@@ -67,4 +67,30 @@ size_t clgs_planes_encode(const uint32_t *word, size_t count, uint8_t *out, size
 clgs_error clgs_planes_decode(const uint8_t *data, size_t size, uint32_t *word, size_t count,
                               void *workspace);
 
+/* Attributes: (rows, channels) matrices of int32, any values, row-major, cut into chunks of rows
+ * that share a model. A model is `_model_size` bytes of the caller, zero at first; every function
+ * checks it. `_header_write` puts it into bytes, `_header_read` gets it back. `_encode` and
+ * `_decode` are for one chunk of at least one row. */
+size_t clgs_attributes_model_size(size_t channels);
+size_t clgs_attributes_header_workspace(void);
+size_t clgs_attributes_header_write(void *model, size_t channels, uint8_t *out, size_t capacity,
+                                    void *workspace);
+clgs_error clgs_attributes_header_read(const uint8_t *data, size_t size, void *model,
+                                       size_t channels, void *workspace);
+size_t clgs_attributes_bound(size_t rows, size_t channels);
+size_t clgs_attributes_workspace(size_t rows, size_t channels);
+size_t clgs_attributes_encode(const void *model, const int32_t *value, size_t rows, size_t channels,
+                              uint8_t *out, size_t capacity, void *workspace);
+clgs_error clgs_attributes_decode(const void *model, const uint8_t *data, size_t size,
+                                  int32_t *value, size_t rows, size_t channels, void *workspace);
+
+/* The encoder's choice of tables: add a chunk's symbols to `count`, (channels, 64 cells, 256
+ * symbols); then turn counts into classes and tables of the model, and `cost`, (channels), in
+ * 2^-16 bits. `scale` is 256 times what the counted rows stand for. */
+clgs_error clgs_attributes_count(const void *model, const int32_t *value, size_t rows,
+                                 size_t channels, uint32_t *count, void *workspace);
+size_t clgs_attributes_choose_workspace(void);
+clgs_error clgs_attributes_choose(void *model, size_t channels, const uint32_t *count,
+                                  uint32_t scale, uint64_t *cost, void *workspace);
+
 #endif

@@ -3,11 +3,7 @@
  * Arrays are plain contiguous buffers of 4- or 8-byte words in native byte order; the modules
  * clgs.codec.octree and clgs.codec.runlength check shapes and dtypes. Only the limited API.
  */
-#define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030B0000
-#include <Python.h>
-
-#include "clgs_codec.h"
+#include "bindings.h"
 
 typedef enum codec_part { OCTREE, RUNLENGTH, PLANES } codec_part;
 
@@ -254,6 +250,14 @@ static PyMethodDef METHODS[] = {
     {"runlength_decode", runlength_decode, METH_VARARGS, "runlength_decode(data, value, channels)"},
     {"planes_encode", planes_encode, METH_VARARGS, "planes_encode(word) -> bytes"},
     {"planes_decode", planes_decode, METH_VARARGS, "planes_decode(data, word)"},
+    {"attributes_header", attributes_header, METH_VARARGS, "attributes_header(model) -> bytes"},
+    {"attributes_read", attributes_read, METH_VARARGS, "attributes_read(data, model)"},
+    {"attributes_encode", attributes_encode, METH_VARARGS,
+     "attributes_encode(model, value) -> bytes"},
+    {"attributes_decode", attributes_decode, METH_VARARGS, "attributes_decode(model, data, value)"},
+    {"attributes_count", attributes_count, METH_VARARGS, "attributes_count(model, value, count)"},
+    {"attributes_choose", attributes_choose, METH_VARARGS,
+     "attributes_choose(model, count, scale, cost)"},
     {NULL, NULL, 0, NULL},
 };
 

@@ -1,0 +1,320 @@
+"""Chunks of attribute rows and the header they share, for reading (FORMAT.md, part 8).
+
+Plain integers, one symbol at a time; the same bytes as C.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.reference.coding import Coder, RangeDecoder, RangeEncoder
+from clgs.reference.runlength import CORRUPT, Symbol
+
+LANES, SCALE_BITS, LOW = 8, 12, 1 << 16
+ALPHABET, DIRECT, CELLS, CLASSES, TAPS, REACH = 228, 128, 64, 16, 8, 3
+MAX_FACTOR, CLAMP, MAX_GAIN, MAX_WEIGHT = 2047, 32767, 65535, 8191
+THRESHOLDS = [4, 5, 6, 7, 8, 10, 11, 13, 16, 19, 23, 27, 32, 38, 45, 54, 64, 76, 91, 108, 128]
+THRESHOLDS += [152, 181, 215, 256, 304, 362, 431, 512, 609, 724]
+
+
+@dataclass
+class Channel:
+    """What the header says of a channel. A tap is (channel, row, factor)."""
+
+    centre: int = 0
+    taps: list[tuple[int, int, int]] = field(default_factory=list)
+    gain: int = 0
+    weight: list[int] = field(default_factory=lambda: [0, 0, 0])
+    span: int = 0
+    class_of: list[int] = field(default_factory=lambda: [0] * CELLS)
+    frequency: list[list[int]] = field(default_factory=list)
+
+    def plain(self) -> bool:
+        """Whether the centre and one table are all."""
+        return not (self.taps or self.gain or any(self.weight) or self.span)
+
+
+def write_header(channels: list[Channel]) -> bytes:
+    """The header of the models of all channels."""
+    coder = RangeEncoder()
+    _code_header(coder, channels)
+    return b"\1" + coder.finish()
+
+
+def read_header(data: bytes, channels: int) -> list[Channel]:
+    """The models of ``channels`` channels.
+
+    Raises:
+        ValueError: the header is damaged.
+    """
+    if data[0] != 1:
+        raise ValueError(CORRUPT)
+    coder = RangeDecoder(data[1:])
+    models = [Channel() for _ in range(channels)]
+    _code_header(coder, models)
+    coder.finish()
+    return models
+
+
+class _Fields:
+    """The numbers of the header; each kind has states of its own."""
+
+    def __init__(self, coder: Coder) -> None:
+        self.coder = coder
+        self.symbols: dict[str, Symbol] = {}
+
+    def number(self, kind: str, value: int, low: int, high: int) -> int:
+        value = self.symbols.setdefault(kind, Symbol((250,))).value(self.coder, value)
+        if not low <= value <= high:
+            raise ValueError(CORRUPT)
+        return value
+
+    def decision(self, kind: str, bit: int) -> int:
+        return self.symbols.setdefault(kind, Symbol((250,))).bit(self.coder, 0, bit)
+
+
+def _code_header(coder: Coder, channels: list[Channel]) -> None:
+    fields = _Fields(coder)
+    for j, channel in enumerate(channels):
+        channel.centre = fields.number("centre", channel.centre, -(2**31), 2**31 - 1)
+        if fields.number("rich", int(not channel.plain()), 0, 1):
+            _code_taps(fields, channel, j)
+            channel.gain = fields.number("gain", channel.gain, 0, MAX_GAIN)
+            for i in range(3):
+                channel.weight[i] = fields.number(f"weight {i}", channel.weight[i], 0, MAX_WEIGHT)
+            channel.span = fields.number("span", channel.span, 0, min(j, 2))
+            fields.number("coder", 0, 0, 0)
+            _code_classes(fields, channel)
+        classes = max(channel.class_of) + 1
+        tables = channel.frequency or [[0] * ALPHABET for _ in range(classes)]
+        channel.frequency = [_code_table(fields, table) for table in tables]
+
+
+def _code_taps(fields: _Fields, channel: Channel, j: int) -> None:
+    count = fields.number("taps", len(channel.taps), 0, TAPS)
+    taps = channel.taps or [(0, 0, 0)] * count
+    channel.taps = []
+    for source, row, factor in taps:
+        source = j - fields.number("tap channel", j - source, 0, j)
+        row = fields.number("tap row", row, -REACH, -1 if source == j else REACH)
+        factor = fields.number("tap factor", factor, -MAX_FACTOR, MAX_FACTOR)
+        channel.taps.append((source, row, factor))
+
+
+def _code_classes(fields: _Fields, channel: Channel) -> None:
+    """Does a new class start at this cell? Asked of the cells that can occur."""
+    last, coded = 0, [0] * CELLS
+    for cell in range(1, CELLS):
+        if (any(channel.weight) or cell % 32 == 0) and (channel.span or cell < 32):
+            last += fields.decision("class", int(channel.class_of[cell] != last))
+            coded[cell] = last
+    if last >= CLASSES:
+        raise ValueError(CORRUPT)
+    channel.class_of = coded
+
+
+def _code_table(fields: _Fields, table: list[int]) -> list[int]:
+    left, coded = 1 << SCALE_BITS, [0] * ALPHABET
+    for s in range(ALPHABET):
+        if left == 0:
+            break
+        guess = min(_expected(coded, s), left)
+        kind = f"frequency {guess.bit_length()}"
+        coded[s] = guess + fields.number(kind, table[s] - guess, -guess, left - guess)
+        left -= coded[s]
+    if left:
+        raise ValueError(CORRUPT)
+    return coded
+
+
+def _expected(frequency: list[int], s: int) -> int:
+    """The frequency of the same size with the other sign, or one of a geometric decay."""
+    if s == 0:
+        return 0
+    if s % 2 == 0 or s == 1:
+        return frequency[s - 1]
+    last = frequency[s - 1] + frequency[s - 2]
+    before = frequency[s - 3] + frequency[max(s - 4, 0)]
+    return (last * last // before if before > last else last) // 2
+
+
+def encode(channels: list[Channel], rows: npt.NDArray[np.int32]) -> bytes:
+    """The chunk of ``rows`` (n, channels) int32, n > 0."""
+    columns = [[int(x) for x in column] for column in rows.T]
+    values = [
+        [_wrap(x - c.centre) for x in column] for c, column in zip(channels, columns, strict=True)
+    ]
+    symbols: list[list[int]] = []
+    literals, bits = 0, 0
+    order: list[tuple[list[int], int]] = []
+    for j, channel in enumerate(channels):
+        zigzags = []
+        for i in range(len(rows)):
+            residual = _wrap(values[j][i] - _predict(channel, values, i))
+            zigzags.append(2 * residual if residual >= 0 else -2 * residual - 1)
+        symbols.append([_symbol(zigzag) for zigzag in zigzags])
+        for zigzag, symbol in zip(zigzags, symbols[j], strict=True):
+            if symbol >= DIRECT:
+                literals |= (zigzag & (1 << _literal_bits(symbol)) - 1) << bits
+                bits += _literal_bits(symbol)
+        for i in _coding_order(len(rows)):
+            table = channel.frequency[channel.class_of[_cell(channels, symbols, j, i)]]
+            order.append((table, symbols[j][i]))
+    states, words = _encode_symbols(order, len(channels), len(rows))
+    literal_bytes = literals.to_bytes((bits + 7) // 8, "little")
+    lengths = np.array([len(literal_bytes), len(words)], "<u4").tobytes()
+    tail = np.array(states, "<u4").tobytes() + np.array(words, "<u2").tobytes()
+    return lengths + literal_bytes + tail
+
+
+def decode(channels: list[Channel], data: bytes, count: int) -> npt.NDArray[np.int32]:
+    """The rows (count, channels) int32 of a chunk, count > 0.
+
+    Raises:
+        ValueError: the chunk is damaged.
+    """
+    literal_bytes, words = (int(x) for x in np.frombuffer(data, "<u4", 2))
+    if len(data) != 8 + literal_bytes + 32 + 2 * words:
+        raise ValueError(CORRUPT)
+    literals = _Bits(data[8 : 8 + literal_bytes])
+    states = [int(x) for x in np.frombuffer(data, "<u4", LANES, offset=8 + literal_bytes)]
+    source = [int(x) for x in np.frombuffer(data, "<u2", words, offset=40 + literal_bytes)]
+    values: list[list[int]] = []
+    symbols: list[list[int]] = []
+    for j, channel in enumerate(channels):
+        symbols.append([0] * count)
+        for i in _coding_order(count):
+            table = channel.frequency[channel.class_of[_cell(channels, symbols, j, i)]]
+            lane = _lane(count, i)
+            symbols[j][i], states[lane] = _decode_symbol(states[lane], table, source)
+        values.append([])
+        for i in range(count):
+            symbol = symbols[j][i]
+            zigzag = symbol if symbol < DIRECT else _large(symbol, literals)
+            residual = zigzag >> 1 if zigzag % 2 == 0 else ~(zigzag >> 1)
+            values[j].append(_wrap(residual + _predict(channel, values, i)))
+    if source or states != [LOW] * LANES or literals.rest():
+        raise ValueError(CORRUPT)
+    columns = [
+        [_wrap(x + c.centre) for x in column] for c, column in zip(channels, values, strict=True)
+    ]
+    return np.array(columns, np.int32).T.copy()
+
+
+def _wrap(value: int) -> int:
+    """Modulo 2^32, as a signed number."""
+    return (value + 2**31) % 2**32 - 2**31
+
+
+def _predict(channel: Channel, values: list[list[int]], i: int) -> int:
+    rows, total = len(values[0]), 0
+    for source, row, factor in channel.taps:
+        if 0 <= i + row < rows:
+            total += factor * min(max(values[source][i + row], -CLAMP), CLAMP)
+    return (total + 128) >> 8
+
+
+def _symbol(zigzag: int) -> int:
+    if zigzag < DIRECT:
+        return zigzag
+    top = zigzag.bit_length() - 1
+    return DIRECT + 4 * (top - 7) + (zigzag >> (top - 2) & 3)
+
+
+def _literal_bits(symbol: int) -> int:
+    return 5 + (symbol - DIRECT) // 4
+
+
+class _Bits:
+    """Literal bits, lowest first."""
+
+    def __init__(self, data: bytes) -> None:
+        self.held, self.left = int.from_bytes(data, "little"), 8 * len(data)
+
+    def take(self, count: int) -> int:
+        if count > self.left:
+            raise ValueError(CORRUPT)
+        value = self.held & (1 << count) - 1
+        self.held, self.left = self.held >> count, self.left - count
+        return value
+
+    def rest(self) -> bool:
+        """Whether more than zeros up to the end of a byte remain."""
+        return self.held != 0 or self.left >= 8
+
+
+def _large(symbol: int, literals: _Bits) -> int:
+    bits = _literal_bits(symbol)
+    return (4 + (symbol - DIRECT) % 4) << bits | literals.take(bits)
+
+
+def _starts(rows: int) -> list[int]:
+    """First rows of the lanes, and the number of rows."""
+    return [rows // LANES * lane + min(lane, rows % LANES) for lane in range(LANES + 1)]
+
+
+def _lane(rows: int, i: int) -> int:
+    return max(lane for lane in range(LANES) if _starts(rows)[lane] <= i)
+
+
+def _coding_order(rows: int) -> list[int]:
+    """The first row of every lane, then the second of every lane, and so on."""
+    starts = _starts(rows)
+    return [
+        starts[lane] + step
+        for step in range(-(-rows // LANES))
+        for lane in range(LANES)
+        if starts[lane] + step < starts[lane + 1]
+    ]
+
+
+def _cell(channels: list[Channel], symbols: list[list[int]], j: int, i: int) -> int:
+    """What the class of symbol i of channel j depends on."""
+    channel, rows = channels[j], len(symbols[0])
+
+    def magnitude(k: int, row: int) -> int:
+        return min((symbols[k][row] + 1) // 2 * channels[k].gain >> 4, 255)
+
+    def activity(row: int) -> int:
+        return sum(magnitude(k, row) for k in range(j)) if 0 <= row < rows else 0
+
+    first = _starts(rows)[_lane(rows, i)]
+    own = sum((3 - back) * magnitude(j, i - back) for back in (1, 2) if i - back >= first)
+    sources = own, activity(i), activity(i - 1) + activity(i + 1)
+    total = sum(w * a for w, a in zip(channel.weight, sources, strict=True)) >> 10
+    level = sum(total >= threshold for threshold in THRESHOLDS)
+    nonzero = any(symbols[j - back][i] for back in range(1, channel.span + 1))
+    return level + 32 * nonzero
+
+
+def _encode_symbols(
+    order: list[tuple[list[int], int]], channels: int, rows: int
+) -> tuple[list[int], list[int]]:
+    """Final states and words, for tables and symbols in the order of decoding."""
+    lanes = [_lane(rows, i) for i in _coding_order(rows)] * channels
+    states, words = [LOW] * LANES, []
+    for lane, (table, symbol) in zip(reversed(lanes), reversed(order), strict=True):
+        state, frequency = states[lane], table[symbol]
+        if state >= frequency << 20:
+            words.append(state & 0xFFFF)
+            state >>= 16
+        start = sum(table[:symbol])
+        states[lane] = (state // frequency << SCALE_BITS) + start + state % frequency
+    return states, words[::-1]
+
+
+def _decode_symbol(state: int, table: list[int], words: list[int]) -> tuple[int, int]:
+    place = state % (1 << SCALE_BITS)
+    symbol, start = 0, 0
+    while start + table[symbol] <= place:
+        start += table[symbol]
+        symbol += 1
+    state = table[symbol] * (state >> SCALE_BITS) + place - start
+    if state < LOW:
+        if not words:
+            raise ValueError(CORRUPT)
+        state = state << 16 | words.pop(0)
+    return symbol, state

@@ -1,0 +1,207 @@
+/* Binding of the attribute coder. A model is a writable buffer of whole channels. */
+#include "bindings.h"
+
+#define COUNTS (64 * 256) /* counts of one channel */
+
+static size_t channels_of(const Py_buffer *model)
+{
+    size_t size = (size_t)model->len, one = clgs_attributes_model_size(1);
+    return size % one == 0 && size / one <= CLGS_MAX_CHANNELS ? size / one : 0;
+}
+
+/* Channels of the model and rows of the values; 0 and an exception where they do not fit. */
+static int measure(const Py_buffer *model, const Py_buffer *value, size_t *channels, size_t *rows)
+{
+    size_t size = (size_t)value->len;
+    *channels = channels_of(model);
+    *rows = *channels > 0 ? size / (4 * *channels) : 0;
+    if (*rows > 0 && size % (4 * *channels) == 0 && *rows <= CLGS_MAX_POINTS)
+        return 1;
+    PyErr_SetString(PyExc_ValueError, "the array does not hold whole rows of the model");
+    return 0;
+}
+
+static PyObject *result_of(clgs_error error)
+{
+    if (error == CLGS_OK)
+        return Py_NewRef(Py_None);
+    PyErr_SetString(PyExc_ValueError, clgs_error_text(error));
+    return NULL;
+}
+
+static PyObject *bytes_of(const uint8_t *out, size_t size)
+{
+    if (size > 0)
+        return PyBytes_FromStringAndSize((const char *)out, (Py_ssize_t)size);
+    PyErr_SetString(PyExc_ValueError, "the array cannot be encoded");
+    return NULL;
+}
+
+/* (model) -> bytes */
+PyObject *attributes_header(PyObject *module, PyObject *args)
+{
+    Py_buffer model;
+    PyObject *result = NULL;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "w*", &model))
+        return NULL;
+    size_t capacity = (size_t)model.len + 64, size = 0;
+    uint8_t *out = PyMem_Malloc(capacity);
+    void *workspace = PyMem_Malloc(clgs_attributes_header_workspace());
+    if (!out || !workspace) {
+        PyErr_NoMemory();
+    } else {
+        Py_BEGIN_ALLOW_THREADS size =
+            clgs_attributes_header_write(model.buf, channels_of(&model), out, capacity, workspace);
+        Py_END_ALLOW_THREADS result = bytes_of(out, size);
+    }
+    PyMem_Free(workspace);
+    PyMem_Free(out);
+    PyBuffer_Release(&model);
+    return result;
+}
+
+/* (data, model) -> None, the model filled */
+PyObject *attributes_read(PyObject *module, PyObject *args)
+{
+    Py_buffer data, model;
+    PyObject *result = NULL;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*w*", &data, &model))
+        return NULL;
+    void *workspace = PyMem_Malloc(clgs_attributes_header_workspace());
+    if (!workspace) {
+        PyErr_NoMemory();
+    } else {
+        clgs_error error;
+        Py_BEGIN_ALLOW_THREADS error = clgs_attributes_header_read(
+            data.buf, (size_t)data.len, model.buf, channels_of(&model), workspace);
+        Py_END_ALLOW_THREADS result = result_of(error);
+    }
+    PyMem_Free(workspace);
+    PyBuffer_Release(&model);
+    PyBuffer_Release(&data);
+    return result;
+}
+
+static PyObject *run_encode(const Py_buffer *model, const Py_buffer *value)
+{
+    size_t channels, rows, size = 0;
+    PyObject *result = NULL;
+    if (!measure(model, value, &channels, &rows))
+        return NULL;
+    size_t bound = clgs_attributes_bound(rows, channels);
+    uint8_t *out = PyMem_Malloc(bound);
+    void *workspace = PyMem_Malloc(clgs_attributes_workspace(rows, channels));
+    if (!out || !workspace) {
+        PyErr_NoMemory();
+    } else {
+        Py_BEGIN_ALLOW_THREADS size =
+            clgs_attributes_encode(model->buf, value->buf, rows, channels, out, bound, workspace);
+        Py_END_ALLOW_THREADS result = bytes_of(out, size);
+    }
+    PyMem_Free(workspace);
+    PyMem_Free(out);
+    return result;
+}
+
+/* (model, value) -> bytes */
+PyObject *attributes_encode(PyObject *module, PyObject *args)
+{
+    Py_buffer model, value;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*", &model, &value))
+        return NULL;
+    PyObject *result = run_encode(&model, &value);
+    PyBuffer_Release(&value);
+    PyBuffer_Release(&model);
+    return result;
+}
+
+static PyObject *run_decode(const Py_buffer *model, const Py_buffer *data, const Py_buffer *value)
+{
+    size_t channels, rows;
+    clgs_error error;
+    if (!measure(model, value, &channels, &rows))
+        return NULL;
+    void *workspace = PyMem_Malloc(clgs_attributes_workspace(rows, channels));
+    if (!workspace)
+        return PyErr_NoMemory();
+    Py_BEGIN_ALLOW_THREADS error = clgs_attributes_decode(model->buf, data->buf, (size_t)data->len,
+                                                          value->buf, rows, channels, workspace);
+    Py_END_ALLOW_THREADS PyMem_Free(workspace);
+    return result_of(error);
+}
+
+/* (model, data, value) -> None, the values filled */
+PyObject *attributes_decode(PyObject *module, PyObject *args)
+{
+    Py_buffer model, data, value;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*w*", &model, &data, &value))
+        return NULL;
+    PyObject *result = run_decode(&model, &data, &value);
+    PyBuffer_Release(&value);
+    PyBuffer_Release(&data);
+    PyBuffer_Release(&model);
+    return result;
+}
+
+static PyObject *run_count(const Py_buffer *model, const Py_buffer *value, const Py_buffer *count)
+{
+    size_t channels, rows;
+    clgs_error error = CLGS_ERROR_ARGUMENT;
+    if (!measure(model, value, &channels, &rows))
+        return NULL;
+    if ((size_t)count->len != 4 * COUNTS * channels)
+        return result_of(error);
+    void *workspace = PyMem_Malloc(clgs_attributes_workspace(rows, channels));
+    if (!workspace)
+        return PyErr_NoMemory();
+    Py_BEGIN_ALLOW_THREADS error =
+        clgs_attributes_count(model->buf, value->buf, rows, channels, count->buf, workspace);
+    Py_END_ALLOW_THREADS PyMem_Free(workspace);
+    return result_of(error);
+}
+
+/* (model, value, count) -> None, the counts increased */
+PyObject *attributes_count(PyObject *module, PyObject *args)
+{
+    Py_buffer model, value, count;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*w*", &model, &value, &count))
+        return NULL;
+    PyObject *result = run_count(&model, &value, &count);
+    PyBuffer_Release(&count);
+    PyBuffer_Release(&value);
+    PyBuffer_Release(&model);
+    return result;
+}
+
+/* (model, count, scale, cost) -> None, classes and tables of the model and the costs filled */
+PyObject *attributes_choose(PyObject *module, PyObject *args)
+{
+    Py_buffer model, count, cost;
+    unsigned int scale;
+    PyObject *result = NULL;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "w*y*Iw*", &model, &count, &scale, &cost))
+        return NULL;
+    size_t channels = channels_of(&model);
+    void *workspace = PyMem_Malloc(clgs_attributes_choose_workspace());
+    if (!workspace) {
+        PyErr_NoMemory();
+    } else if ((size_t)count.len != 4 * COUNTS * channels || (size_t)cost.len != 8 * channels) {
+        result = result_of(CLGS_ERROR_ARGUMENT);
+    } else {
+        clgs_error error;
+        Py_BEGIN_ALLOW_THREADS error =
+            clgs_attributes_choose(model.buf, channels, count.buf, scale, cost.buf, workspace);
+        Py_END_ALLOW_THREADS result = result_of(error);
+    }
+    PyMem_Free(workspace);
+    PyBuffer_Release(&cost);
+    PyBuffer_Release(&count);
+    PyBuffer_Release(&model);
+    return result;
+}

@@ -1,0 +1,72 @@
+/* Columns of a chunk: values, symbols, activity, and the cells that choose tables. */
+#ifndef CLGS_COLUMNS_H
+#define CLGS_COLUMNS_H
+
+#include "attributes.h"
+
+#define CLGS_LANES 8 /* a column is cut into so many runs of rows, coded in turn */
+
+/* One chunk in the caller's workspace. Columns follow each other, `rows` entries each. */
+typedef struct clgs_columns {
+    const clgs_channel *channel;
+    size_t rows, channels;
+    int32_t *value;     /* (channels, rows), minus centre, modulo 2^32 */
+    uint8_t *symbol;    /* (channels, rows) */
+    uint8_t *cell;      /* (rows): cells of the column at hand */
+    int32_t *residual;  /* (rows): of the column at hand */
+    uint16_t *activity; /* (rows + 2): magnitudes of the earlier channels, summed; zero borders */
+    uint32_t *partial;  /* (rows): weighted activity without the own column's part */
+    uint8_t *level;     /* of each activity, CLGS_MAX_ACTIVITY + 1 of them */
+} clgs_columns;
+
+/* Bytes that `clgs_columns_place` hands out. */
+size_t clgs_columns_size(size_t rows, size_t channels);
+
+/* Lay the arrays out in `memory`, aligned as malloc does; activity becomes zero. The end. */
+uint8_t *clgs_columns_place(clgs_columns *columns, void *memory);
+
+/* Row-major values to columns minus centre, and back. */
+void clgs_columns_load(clgs_columns *columns, const int32_t *value);
+void clgs_columns_store(const clgs_columns *columns, int32_t *value);
+
+/* Residuals of column j from its values, and the reverse. */
+void clgs_columns_predict(clgs_columns *columns, size_t j);
+void clgs_columns_restore(clgs_columns *columns, size_t j);
+
+/* Cells of column j but for the own column's part in its activity, which goes to `partial`. */
+void clgs_columns_partial(clgs_columns *columns, size_t j);
+
+/* Cells of column j, whose symbols are known where its own weight is not 0. */
+void clgs_columns_cells(clgs_columns *columns, size_t j);
+
+/* Add the magnitudes of column j to the activity; call when its symbols are known. */
+void clgs_columns_activate(clgs_columns *columns, size_t j);
+
+/* First row of a lane; lane CLGS_LANES starts behind the last row. */
+static inline size_t clgs_lane_start(size_t rows, size_t lane)
+{
+    size_t more = rows % CLGS_LANES;
+    return rows / CLGS_LANES * lane + (lane < more ? lane : more);
+}
+
+/* Level of a weighted activity. */
+static inline uint8_t clgs_level_of(const clgs_columns *columns, uint32_t weighted)
+{
+    uint32_t activity = weighted >> CLGS_WEIGHT_BITS;
+    return columns->level[activity < CLGS_MAX_ACTIVITY ? activity : CLGS_MAX_ACTIVITY];
+}
+
+/* Magnitude of a symbol under a gain, at most CLGS_MAX_MAGNITUDE. */
+static inline uint32_t clgs_magnitude(uint32_t symbol, uint32_t gain)
+{
+    uint32_t magnitude = ((symbol + 1) >> 1) * gain >> CLGS_GAIN_BITS;
+    return magnitude < CLGS_MAX_MAGNITUDE ? magnitude : CLGS_MAX_MAGNITUDE;
+}
+
+/* Zigzag of a residual: 0, -1, 1, -2 ... to 0, 1, 2, 3 ... */
+static inline uint32_t clgs_zigzag(int32_t residual)
+{
+    return (uint32_t)residual << 1 ^ (residual < 0 ? 0xFFFFFFFFu : 0);
+}
+
+#endif

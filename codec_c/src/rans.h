@@ -1,0 +1,43 @@
+/* Static rANS: eight 32-bit states, 12-bit frequencies, 16-bit words. */
+#ifndef CLGS_RANS_H
+#define CLGS_RANS_H
+
+#include "columns.h"
+
+#define CLGS_RANS_LOW ((uint32_t)1 << 16) /* states are at least this between symbols */
+
+/* How to code one symbol: x -> x + start + (x / frequency) * complement. */
+typedef struct clgs_rans_symbol {
+    uint64_t reciprocal; /* x / frequency = x * reciprocal >> CLGS_RANS_SHIFT; 0: no such symbol */
+    uint32_t most;       /* larger states give up a word first */
+    uint16_t complement; /* SCALE - frequency */
+    uint16_t start;
+} clgs_rans_symbol;
+
+/* Bytes for the tables of one channel. */
+#define CLGS_RANS_ENCODER_SIZE (CLGS_CLASSES * CLGS_TABLE * sizeof(clgs_rans_symbol))
+#define CLGS_RANS_DECODER_SIZE (CLGS_CLASSES * CLGS_SCALE * sizeof(uint32_t))
+
+typedef struct clgs_rans_encoder {
+    uint32_t state[CLGS_LANES];
+    uint16_t *word; /* the last one written; they are written from the end */
+    clgs_rans_symbol *table;
+} clgs_rans_encoder;
+
+typedef struct clgs_rans_decoder {
+    uint32_t state[CLGS_LANES];
+    const uint8_t *word, *end; /* two bytes each, little-endian */
+    uint32_t *table;
+    int failed;
+} clgs_rans_decoder;
+
+/* Code the symbols of column j in reverse order. `cell` is NULL where one class is all.
+ * Returns 0 where a symbol has no frequency. */
+int clgs_rans_encode(clgs_rans_encoder *coder, const clgs_columns *columns, size_t j,
+                     const uint8_t *cell);
+
+/* Decode the symbols of column j; classes from `columns->cell` and, where the channel weighs its
+ * own column, from the symbols before. Sets `failed` where words are lacking. */
+void clgs_rans_decode(clgs_rans_decoder *coder, clgs_columns *columns, size_t j);
+
+#endif
