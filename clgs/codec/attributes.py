@@ -15,8 +15,8 @@ from clgs import _codec
 from clgs.codec import attributes_fit
 from clgs.codec.attributes_model import CHANNEL, Ints, Models
 
-LEVELS = ("fast", "default", "max")
-"""Levels of effort: tables alone; predictions and classes too; mixing as well."""
+LEVELS = ("fast", "default", "max", "paper")
+"""Tables alone; predictions and classes too; mixing as well; and, as ``fast``, for comparison."""
 
 CHUNK = 65536
 """Rows of a chunk, where nobody asks for another number."""
@@ -27,8 +27,13 @@ MAX_CHANNELS = 256
 class Model(Protocol):
     """What the chunks of one attribute share. Safe to use from several threads."""
 
-    header: bytes
-    channels: int
+    @property
+    def header(self) -> bytes:
+        """The bytes that ``read`` makes the model of."""
+
+    @property
+    def channels(self) -> int:
+        """Columns of the rows."""
 
     def encode(self, rows: Ints) -> bytes:
         """The chunk of ``rows`` (n, channels) int32, a chunk of those that were fitted."""
@@ -107,7 +112,7 @@ def fit(values: npt.NDArray[np.int32], level: str = "default", chunk: int = CHUN
     if rows == 0:
         return RawModel(channels)
     values = np.ascontiguousarray(values, np.int32)
-    model, size = attributes_fit.fit(values, chunk, search=level != "fast")
+    model, size = attributes_fit.fit(values, chunk, search=level in ("default", "max"))
     header = _codec.attributes_header(model)
     if len(header) + size >= 4 * values.size:
         return RawModel(channels)

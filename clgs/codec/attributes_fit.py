@@ -138,7 +138,8 @@ def find_gains(count: npt.NDArray[np.uint32]) -> Ints:
     sizes = (np.arange(TABLE, dtype=np.int64) + 1) // 2
     symbols = count.sum(axis=1, dtype=np.int64)
     total = np.maximum((symbols * sizes).sum(axis=1), 1)
-    return np.clip(MAGNITUDE * symbols.sum(axis=1) // total, 1, MAX_GAIN).astype(np.int32)
+    gains = np.clip(MAGNITUDE * symbols.sum(axis=1) // total, 1, MAX_GAIN)
+    return np.asarray(gains, np.int32)
 
 
 def weights_of(share: tuple[float, float, float], channels: int) -> Ints:
@@ -147,7 +148,8 @@ def weights_of(share: tuple[float, float, float], channels: int) -> Ints:
     full = np.stack(
         [np.full(channels, WEIGHT_OF_OWN), WEIGHT_OF_ROW // before, WEIGHT_BESIDE // before], 1
     )
-    return np.minimum(np.rint(full * np.array(share)), MAX_WEIGHT).astype(np.int32)
+    weights = np.minimum(np.rint(full * np.array(share)), MAX_WEIGHT)
+    return np.asarray(weights, np.int32)
 
 
 def keep_better(

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from clgs import _codec
-from clgs.codec import octree, runlength
+from clgs.codec import attributes, octree, runlength
+from clgs.reference import attributes as attributes_reference
 from clgs.reference import octree as octree_reference
 from clgs.reference import runlength as runlength_reference
 from tests.codec.scenes import ROOT
@@ -37,6 +38,22 @@ def test_example(number):
     modules = (octree, octree_reference) if number < 3 else (runlength, runlength_reference)
     for module in modules:
         assert getattr(module, function)(array) == documented(number)
+
+
+def test_example_of_attributes_in_chunks():
+    header, chunk = map(
+        bytes.fromhex,
+        re.findall(r"`([0-9A-F][0-9A-F ]+)`", TEXT.split("**Example A.**")[1].replace("| ", ""))[
+            :2
+        ],
+    )
+    rows = np.array([[0, 0, 1, 0, -1, 0, 0, 200, 0, 0]], np.int32).T
+    model = attributes.read(header, 1)
+    assert model.encode(rows) == chunk
+    np.testing.assert_array_equal(model.decode(chunk, 10), rows)
+    channels = attributes_reference.read_header(header, 1)
+    assert attributes_reference.write_header(channels) == header
+    assert attributes_reference.encode(channels, rows) == chunk
 
 
 def test_checksum_of_the_document():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.codec import octree, runlength
+from clgs.codec import octree
 
 POSITIONS = {  # bytes of tmc13 v23, lossless octree geometry
     "scene_q200": 484946,
@@ -16,19 +16,8 @@ POSITIONS = {  # bytes of tmc13 v23, lossless octree geometry
     "biker_1628": 160897,
     "biker_407": 49801,
 }
-ATTRIBUTES = {  # bytes of G-PCC's attribute residual coder
-    "iid_offset": 252375,
-    "iid_feat": 588078,
-    "iid_scale": 151649,
-    "chan_feat": 530467,
-    "zi_offset": 239515,
-    "corr_weak": 556432,
-    "corr_scale": 144476,
-    "biker_scale_q8": 324445,
-    "biker_color": 469109,
-}
-QUICK = {"armadillo_sparse_1024", "biker_407", "zi_offset", "corr_scale"}
-LIMIT = {"bunny_4096": 1.01, "zi_offset": 0.99, "biker_scale_q8": 0.90, "biker_color": 0.65}
+QUICK = {"armadillo_sparse_1024", "biker_407"}
+LIMIT = {"bunny_4096": 1.01}
 """Ratios to the baseline that are kept, where they are not 1; 1.10 is asked of all."""
 
 
@@ -43,22 +32,6 @@ def test_positions(name, shared_data):
     data = octree.encode(position)
     np.testing.assert_array_equal(octree.decode(data, len(position)), position)
     assert len(data) <= LIMIT.get(name, 1.0) * POSITIONS[name]
-
-
-@pytest.mark.parametrize("name", marked(ATTRIBUTES))
-def test_attributes(name, shared_data):
-    value = np.load(shared_data / "codec" / f"{name}.npz")["values"].astype(np.int32)
-    data = runlength.encode(value)
-    np.testing.assert_array_equal(runlength.decode(data, *value.shape), value)
-    assert len(data) <= LIMIT.get(name, 1.0) * ATTRIBUTES[name]
-
-
-def test_laplace_integers_cost_their_entropy():
-    """Within 1.5 % of the entropy of what is drawn (20,000 rows of 20 channels)."""
-    value = np.rint(np.random.default_rng(5).laplace(0, 2, (20_000, 20))).astype(np.int32)
-    counts = np.unique(value, return_counts=True)[1] / value.size
-    entropy = -(counts * np.log2(counts)).sum() * value.size / 8
-    assert len(runlength.encode(value)) <= 1.015 * entropy
 
 
 def test_scattered_points_cost_their_entropy():
