@@ -14,9 +14,10 @@ import numpy.typing as npt
 from clgs import _codec
 from clgs.codec import attributes_fit
 from clgs.codec.attributes_model import CHANNEL, Ints, Models
+from clgs.codec.paper import PaperModel
 
 LEVELS = ("fast", "default", "max", "paper")
-"""Tables alone; predictions and classes too; mixing as well; and, as ``fast``, for comparison."""
+"""Tables alone; predictions and classes too; mixing as well; the paper's coder, to compare with."""
 
 CHUNK = 65536
 """Rows of a chunk, where nobody asks for another number."""
@@ -111,6 +112,8 @@ def fit(values: npt.NDArray[np.int32], level: str = "default", chunk: int = CHUN
         raise ValueError(f"{channels} channels: 1 to {MAX_CHANNELS} fit")
     if rows == 0:
         return RawModel(channels)
+    if level == "paper":
+        return PaperModel(channels)
     values = np.ascontiguousarray(values, np.int32)
     model, size = attributes_fit.fit(values, chunk, search=level in ("default", "max"))
     header = _codec.attributes_header(model)
@@ -127,6 +130,8 @@ def read(header: bytes | memoryview, channels: int) -> Model:
     """
     if len(header) == 1 and header[0] == RawModel.MODE:
         return RawModel(channels)
+    if len(header) == 1 and header[0] == PaperModel.MODE:
+        return PaperModel(channels)
     model = np.zeros(channels, CHANNEL)
     _codec.attributes_read(header, model)
     return TableModel(bytes(header), model)

@@ -78,7 +78,7 @@ def encode(value: npt.NDArray[np.int32]) -> bytes:
     centres = [_find_centre(column) for column in zip(*rows, strict=True)]
     coder = RangeEncoder()
     _code_rows(coder, centres, len(rows), rows)
-    coded = b"\1" + b"".join(map(_varint, centres)) + coder.finish()
+    coded = b"\1" + b"".join(map(varint, centres)) + coder.finish()
     return coded if len(coded) <= len(raw) else raw
 
 
@@ -92,7 +92,7 @@ def decode(data: bytes, rows: int, channels: int) -> npt.NDArray[np.int32]:
         return np.frombuffer(data, "<i4", rows * channels, offset=1).reshape(rows, channels)
     centres, at = [], 1
     for _ in range(channels):
-        centre, at = _read_varint(data, at)
+        centre, at = read_varint(data, at)
         centres.append(centre)
     coder = RangeDecoder(data[at:])
     decoded = _code_rows(coder, centres, rows, None)
@@ -207,7 +207,7 @@ def _clamp(value: int) -> int:
     return min(max(value, -CLAMP), CLAMP)
 
 
-def _varint(value: int) -> bytes:
+def varint(value: int) -> bytes:
     """Zigzag in groups of 7 bits, lowest first; the top bit says that more follow."""
     zigzag = 2 * value if value >= 0 else -2 * value - 1
     out = bytearray()
@@ -217,7 +217,8 @@ def _varint(value: int) -> bytes:
     return bytes([*out, zigzag])
 
 
-def _read_varint(data: bytes, at: int) -> tuple[int, int]:
+def read_varint(data: bytes, at: int) -> tuple[int, int]:
+    """The integer at ``at``, and where the next one starts."""
     zigzag, shift = 0, 0
     while True:
         byte = data[at]

@@ -59,6 +59,13 @@ size_t clgs_runlength_encode(const int32_t *value, size_t rows, size_t channels,
 clgs_error clgs_runlength_decode(const uint8_t *data, size_t size, int32_t *value, size_t rows,
                                  size_t channels, void *workspace);
 
+/* Paper: such a matrix by the plain run-length coder, for comparison; it needs no workspace. */
+size_t clgs_paper_bound(size_t rows, size_t channels);
+size_t clgs_paper_encode(const int32_t *value, size_t rows, size_t channels, uint8_t *out,
+                         size_t capacity);
+clgs_error clgs_paper_decode(const uint8_t *data, size_t size, int32_t *value, size_t rows,
+                             size_t channels);
+
 /* Planes: `count` 32-bit words (IEEE floats as bits), coded byte by byte from the top. */
 size_t clgs_planes_bound(size_t count);
 size_t clgs_planes_workspace(void);

@@ -1,11 +1,12 @@
 /* Binding of clgs_codec.h: buffers in, bytes or a filled caller's buffer out, GIL released.
  *
  * Arrays are plain contiguous buffers of 4- or 8-byte words in native byte order; the modules
- * clgs.codec.octree and clgs.codec.runlength check shapes and dtypes. Only the limited API.
+ * clgs.codec.octree, clgs.codec.runlength and clgs.codec.paper check shapes and dtypes. Only the
+ * limited API.
  */
 #include "bindings.h"
 
-typedef enum codec_part { OCTREE, RUNLENGTH, PLANES } codec_part;
+typedef enum codec_part { OCTREE, RUNLENGTH, PAPER, PLANES } codec_part;
 
 typedef struct codec_job {
     codec_part part;
@@ -21,6 +22,8 @@ static size_t workspace_size(const codec_job *job)
         return clgs_octree_workspace(job->rows);
     case RUNLENGTH:
         return clgs_runlength_workspace(job->channels);
+    case PAPER:
+        return 0;
     default:
         return clgs_planes_workspace();
     }
@@ -33,6 +36,8 @@ static size_t output_bound(const codec_job *job)
         return clgs_octree_bound(job->rows);
     case RUNLENGTH:
         return clgs_runlength_bound(job->rows, job->channels);
+    case PAPER:
+        return clgs_paper_bound(job->rows, job->channels);
     default:
         return clgs_planes_bound(job->rows);
     }
@@ -46,6 +51,8 @@ static size_t encode(const codec_job *job, uint8_t *out, size_t capacity, void *
         return clgs_octree_encode(array, job->rows, job->origin, out, capacity, workspace);
     case RUNLENGTH:
         return clgs_runlength_encode(array, job->rows, job->channels, out, capacity, workspace);
+    case PAPER:
+        return clgs_paper_encode(array, job->rows, job->channels, out, capacity);
     default:
         return clgs_planes_encode(array, job->rows, out, capacity, workspace);
     }
@@ -61,6 +68,8 @@ static clgs_error decode(const codec_job *job, void *workspace)
         return clgs_octree_decode(data, size, array, job->rows, workspace);
     case RUNLENGTH:
         return clgs_runlength_decode(data, size, array, job->rows, job->channels, workspace);
+    case PAPER:
+        return clgs_paper_decode(data, size, array, job->rows, job->channels);
     default:
         return clgs_planes_decode(data, size, array, job->rows, workspace);
     }
@@ -124,7 +133,7 @@ static PyObject *call_encode(codec_part part, PyObject *args)
 {
     codec_job job = {.part = part, .channels = 1};
     Py_ssize_t channels = 1;
-    if (!PyArg_ParseTuple(args, part == RUNLENGTH ? "y*n" : "y*", &job.array, &channels))
+    if (!PyArg_ParseTuple(args, part == PLANES ? "y*" : "y*n", &job.array, &channels))
         return NULL;
     job.channels = channels < 0 ? 0 : (size_t)channels;
     job.words = job.channels;
@@ -138,7 +147,7 @@ static PyObject *call_decode(codec_part part, PyObject *args)
 {
     codec_job job = {.part = part, .channels = 1};
     Py_ssize_t channels = 1;
-    const char *format = part == RUNLENGTH ? "y*w*n" : "y*w*";
+    const char *format = part == RUNLENGTH || part == PAPER ? "y*w*n" : "y*w*";
     if (!PyArg_ParseTuple(args, format, &job.data, &job.array, &channels))
         return NULL;
     job.channels = channels < 0 ? 0 : (size_t)channels;
@@ -178,6 +187,18 @@ static PyObject *runlength_decode(PyObject *module, PyObject *args)
 {
     (void)module;
     return call_decode(RUNLENGTH, args);
+}
+
+static PyObject *paper_encode(PyObject *module, PyObject *args)
+{
+    (void)module;
+    return call_encode(PAPER, args);
+}
+
+static PyObject *paper_decode(PyObject *module, PyObject *args)
+{
+    (void)module;
+    return call_decode(PAPER, args);
 }
 
 static PyObject *planes_encode(PyObject *module, PyObject *args)
@@ -248,6 +269,8 @@ static PyMethodDef METHODS[] = {
     {"runlength_encode", runlength_encode, METH_VARARGS,
      "runlength_encode(value, channels) -> bytes"},
     {"runlength_decode", runlength_decode, METH_VARARGS, "runlength_decode(data, value, channels)"},
+    {"paper_encode", paper_encode, METH_VARARGS, "paper_encode(value, channels) -> bytes"},
+    {"paper_decode", paper_decode, METH_VARARGS, "paper_decode(data, value, channels)"},
     {"planes_encode", planes_encode, METH_VARARGS, "planes_encode(word) -> bytes"},
     {"planes_decode", planes_decode, METH_VARARGS, "planes_decode(data, word)"},
     {"attributes_header", attributes_header, METH_VARARGS, "attributes_header(model) -> bytes"},

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from clgs import _codec
-from clgs.codec import attributes, octree, runlength
+from clgs.codec import attributes, octree, paper, runlength
 from clgs.reference import attributes as attributes_reference
 from clgs.reference import octree as octree_reference
+from clgs.reference import paper as paper_reference
 from clgs.reference import runlength as runlength_reference
 from tests.codec.scenes import ROOT
 
@@ -22,21 +24,29 @@ EXAMPLES = {
     4: ("encode", np.array([[10], [11], [9], [10]], np.int32)),
     5: ("encode", np.zeros((1000, 3), np.int32)),
     6: ("encode_weights", np.array([1.0, -1.0], np.float32)),
+    12: ("encode", np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32)),
+    13: ("encode", np.array([[10], [11], [9], [10]], np.int32)),
 }
 
 
 def documented(number: int) -> bytes:
     """The bytes that the document gives for an example: its last run of hexadecimal pairs."""
-    body = re.split(r"\*\*Example \d\.\*\*|\n## ", TEXT.split(f"**Example {number}.**")[1])[0]
+    body = re.split(r"\*\*Example \d+\.\*\*|\n## ", TEXT.split(f"**Example {number}.**")[1])[0]
     runs = re.findall(r"`((?:[0-9A-F]{2}[ |]*)+)`", body)
     return bytes.fromhex(runs[-1].replace("|", ""))
+
+
+def modules_of(number: int) -> tuple[ModuleType, ModuleType]:
+    """The codec's module and the reference that an example is about."""
+    if number >= 12:
+        return paper, paper_reference
+    return (octree, octree_reference) if number < 3 else (runlength, runlength_reference)
 
 
 @pytest.mark.parametrize("number", EXAMPLES)
 def test_example(number):
     function, array = EXAMPLES[number]
-    modules = (octree, octree_reference) if number < 3 else (runlength, runlength_reference)
-    for module in modules:
+    for module in modules_of(number):
         assert getattr(module, function)(array) == documented(number)
 
 
