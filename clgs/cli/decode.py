@@ -4,26 +4,68 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clgs.cli.encode import add_threads
+
+if TYPE_CHECKING:
+    from clgs.codec.box import Box
+
+DESCRIPTION = """\
+Decompress a .clgs file into a NumPy archive.
+
+--box: only the anchors with x0 <= x < x1, y0 <= y < y1 and z0 <= z < z1, in the units of the input
+data. Of the file, only the header, the MLPs and the chunks that the box meets are read: see
+`clgs encode --chunk`."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser("decode", help="decompress a .clgs file into a NumPy archive")
+    parser = subparsers.add_parser(
+        "decode",
+        help="decompress a .clgs file into a NumPy archive",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("scene", type=Path, metavar="FILE.clgs")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.npz")
+    parser.add_argument("--box", metavar="x0,y0,z0,x1,y1,z1", help="the part in this box alone")
+    add_threads(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
-    from clgs.cli.scene_argument import read_bitstream
+    from clgs.cli.scene_argument import read_bitstream, read_box
     from clgs.errors import UsageError
     from clgs.files import check_target
     from clgs.scene.storage import save_scene
 
     if args.output.suffix != ".npz":
         raise UsageError(f"{args.output}: the output must end in .npz; name it so")
+    box = None if args.box is None else parse_box(args.box)
     check_target(args.output)
-    scene, _ = read_bitstream(args.scene)
+    if box is None:
+        scene, _ = read_bitstream(args.scene, args.threads)
+        read = ""
+    else:
+        scene, count, size = read_box(args.scene, box, args.threads)
+        read = f" in the box, {count:,} of {size:,} bytes read"
     save_scene(args.output, scene)
-    print(f"{args.output}: {len(scene.anchors):,} anchors")
+    print(f"{args.output}: {len(scene.anchors):,} anchors{read}")
     return 0
+
+
+def parse_box(text: str) -> Box:
+    """Six numbers with commas between.
+
+    Raises:
+        UsageError: the text is something else, or the box is empty.
+    """
+    from clgs.codec.box import Box
+    from clgs.errors import UsageError
+
+    try:
+        x0, y0, z0, x1, y1, z1 = map(float, text.split(","))
+    except ValueError:
+        raise UsageError(f"--box {text}: six numbers are needed, x0,y0,z0,x1,y1,z1") from None
+    return Box((x0, y0, z0), (x1, y1, z1))

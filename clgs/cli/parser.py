@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import re
+import sys
 from collections.abc import Sequence
 from typing import Any
+
+_NUMBERS = re.compile(r"-(\d|\.\d|inf)")
+"""The start of a word that is a negative number, or a list that begins with one."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -16,8 +21,20 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]  # one form of its four
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> tuple[Any, list[str]]:
-        """As of the base class; nothing is ever left over."""
-        found, unknown = super().parse_known_args(args, namespace)
+        """As of the base class; nothing is left over, and lists may begin with a minus sign."""
+        words = list(sys.argv[1:] if args is None else args)
+        found, unknown = super().parse_known_args(_join_numbers(words), namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return found, unknown
+
+
+def _join_numbers(words: list[str]) -> list[str]:
+    """``--option -1,2`` as ``--option=-1,2``: the base class takes lists for unknown options."""
+    joined: list[str] = []
+    for word in words:
+        if joined and re.fullmatch(r"--[\w-]+", joined[-1]) and _NUMBERS.match(word):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined

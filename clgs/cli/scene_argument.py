@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from clgs.codec.box import Box, decode_box
 from clgs.codec.decode import decode
+from clgs.codec.source import BytesSource, FileSource
 from clgs.errors import CodecError, DataError
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
@@ -35,7 +39,7 @@ def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:
     return load_scene(folder / "scene.npz"), size
 
 
-def read_bitstream(path: Path) -> tuple[QuantizedScene, int]:
+def read_bitstream(path: Path, threads: int | None = None) -> tuple[QuantizedScene, int]:
     """The scene in a .clgs file, and the file's size.
 
     Raises:
@@ -43,8 +47,32 @@ def read_bitstream(path: Path) -> tuple[QuantizedScene, int]:
         CodecError: it is no .clgs file, or is damaged.
     """
     data = read_bytes(path)
+    with _naming(path):
+        return decode(data, threads), len(data)
+
+
+def read_box(path: Path, box: Box, threads: int | None) -> tuple[QuantizedScene, int, int]:
+    """The scene in a box of a .clgs file, the bytes that were read, and the file's size.
+
+    Raises:
+        DataError: there is no file, or a folder.
+        CodecError: it is no .clgs file, or what was read is damaged.
+    """
+    if stat.S_ISFIFO(_mode(path)):
+        data = path.read_bytes()
+        with _naming(path):
+            return decode_box(BytesSource(data), box, threads), len(data), len(data)
+    with path.open("rb", buffering=0) as file, _naming(path):
+        source = FileSource(file)
+        scene = decode_box(source, box, threads)
+        return scene, source.bytes_read, source.size
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let a CodecError name the file."""
     try:
-        return decode(data), len(data)
+        yield
     except CodecError as error:
         raise CodecError(f"{path}: {error}") from error
 
@@ -55,6 +83,12 @@ def read_bytes(path: Path) -> bytes:
     Raises:
         DataError: there is no file, or something else than a file or pipe.
     """
+    _mode(path)
+    return path.read_bytes()
+
+
+def _mode(path: Path) -> int:
+    """The mode of a file or pipe."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
@@ -63,4 +97,4 @@ def read_bytes(path: Path) -> bytes:
         raise DataError(f"{path}: is a folder; name a .clgs file, such as {path / 'scene.clgs'}")
     if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
         raise DataError(f"{path}: is neither a file nor a pipe; name a .clgs file")
-    return path.read_bytes()
+    return mode

@@ -1,4 +1,4 @@
-"""Section CHNK: which bytes of the other sections belong to which anchors (FORMAT.md, part 10)."""
+"""Section CHNK: which bytes of the other sections belong to which anchors (FORMAT.md, part 11)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The .clgs container: signature, section table, checksums (codec_c/FORMAT.md, parts 1 and 8)."""
+"""The .clgs container: signature, section table, checksums (codec_c/FORMAT.md, parts 1 and 9)."""
 
 from __future__ import annotations
 

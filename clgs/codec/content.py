@@ -1,4 +1,4 @@
-"""The hash over what a file decodes to, which no coder has touched (FORMAT.md, part 9)."""
+"""The hash over what a file decodes to, which no coder has touched (FORMAT.md, part 10)."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec import container, octree, version1
+from clgs.codec.attributes import Model
 from clgs.codec.container import CHNK, FEAT, META, OFFS, SCAL
 from clgs.codec.content import array_hash, content_arrays, join_hashes
 from clgs.codec.reader import CHANNELS, Reader
@@ -35,46 +36,42 @@ def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
     reader = Reader(BytesSource(data), table)
     with workers(threads) as pool:
         weights = pool.submit(reader.weights)
-        anchors = decode_anchors(reader, range(len(reader.spans)), pool)
+        positions = pool.map(reader.positions, range(len(reader.spans)))
+        anchors = decode_chunks(reader, dict(enumerate(positions)), pool)
         hashes = pool.map(array_hash, content_arrays(anchors, weights.result()))
         if join_hashes(list(hashes)) != reader.meta.content_hash:
             raise reader.error(META, "the decoded integers do not match their hash")
     return reader.scene(anchors, weights.result())
 
 
-def decode_anchors(reader: Reader, chunks: range, pool: ThreadPoolExecutor) -> QuantizedAnchors:
-    """The anchors of all ``chunks``.
+def decode_chunks(
+    reader: Reader, positions: dict[int, npt.NDArray[np.int32]], pool: ThreadPoolExecutor
+) -> QuantizedAnchors:
+    """The anchors of some chunks, in the order of ``positions``, which holds theirs by number.
 
     Raises:
         CodecError: a chunk is damaged, or does not follow the one before in Morton order.
     """
-    positions = list(pool.map(reader.positions, chunks))
-    position = np.concatenate([np.empty((0, 3), np.int32), *positions])
+    position = np.concatenate([np.empty((0, 3), np.int32), *positions.values()])
     if not octree.ascends(reader.codes(position)):
         raise reader.error(CHNK, "the chunks are not in Morton order")
-    return decode_attributes(reader, position, chunks, pool)
-
-
-def decode_attributes(
-    reader: Reader, position: npt.NDArray[np.int32], chunks: range, pool: ThreadPoolExecutor
-) -> QuantizedAnchors:
-    """The anchors at ``position``, which is that of ``chunks``."""
     rows = {tag: np.empty((len(position), CHANNELS[tag]), np.int32) for tag in CHANNELS}
     tasks: list[Future[None]] = []
     for tag in (FEAT, OFFS, SCAL):
         model, start = reader.model(tag), 0
-        for index in chunks:
-            span = reader.spans[index]
-            end = start + span.stop - span.start
-            tasks.append(pool.submit(_fill, reader, model, tag, index, rows[tag][start:end]))
-            start = end
+        for index, own in positions.items():
+            target = rows[tag][start : start + len(own)]
+            tasks.append(pool.submit(_fill, reader, model, tag, index, target))
+            start += len(own)
     for task in tasks:
         task.result()
     offset = rows[OFFS].reshape(-1, K_OFFSETS, 3)
     return QuantizedAnchors(position, offset, rows[FEAT], rows[SCAL])
 
 
-def _fill(reader: Reader, model: Any, tag: str, index: int, target: npt.NDArray[np.int32]) -> None:
+def _fill(
+    reader: Reader, model: Model, tag: str, index: int, target: npt.NDArray[np.int32]
+) -> None:
     target[...] = reader.rows(model, tag, index)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
@@ -49,7 +49,7 @@ def encode(
             number; the message names the field and the remedy.
         UsageError: no such level, or a chunk or number of threads out of range.
     """
-    _check_options(level, chunk)
+    check_options(level, chunk)
     _check_scene(scene)
     with workers(threads) as pool:
         anchors = sort_anchors(scene.anchors, pool.map)
@@ -92,7 +92,8 @@ def _encode_sections(
     rows = {FEAT: anchors.feature, OFFS: flatten(anchors.offset), SCAL: anchors.scaling}
     models = {tag: pool.submit(attributes.fit, rows[tag], level, chunk) for tag in rows}
     parts = spans(len(anchors), chunk)
-    tasks = {ANCH: _encode_positions(anchors.position, parts, pool)}
+    cut = zip(*octree.cut(anchors.position, parts), strict=True)
+    tasks = {ANCH: [pool.submit(octree.encode, *part) for part in cut]}
     packed = pool.submit(runlength.encode_weights, weights)
     for tag, model in models.items():
         encode_chunk = model.result().encode
@@ -106,23 +107,8 @@ def _encode_sections(
     }
 
 
-def _encode_positions(
-    position: npt.NDArray[np.int32], parts: list[slice], pool: ThreadPoolExecutor
-) -> list[Future[bytes]]:
-    """One octree a chunk, each the subtree of the whole that holds the chunk."""
-    if len(position) == 0:
-        return []
-    x, y, z = map(int, position.min(axis=0))
-    code = octree.morton_codes(position)
-    tasks = []
-    for part in parts:
-        first, last = int(code[part][0]), int(code[part][-1])
-        corner = octree.subtree_origin(first, last, (x, y, z))
-        tasks.append(pool.submit(octree.encode, position[part], corner))
-    return tasks
-
-
-def _check_options(level: str, chunk: int) -> None:
+def check_options(level: str, chunk: int) -> None:
+    """Raise UsageError where ``encode`` does not take them."""
     if level not in LEVELS:
         raise UsageError(f"level: {level!r}; known are {', '.join(LEVELS)}")
     if not MIN_CHUNK <= chunk <= MAX_CHUNK:

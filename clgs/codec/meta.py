@@ -1,10 +1,11 @@
-"""Section META: counts, scales, transform and render settings (codec_c/FORMAT.md, 2 and 9)."""
+"""Section META: counts, scales, transform and render settings (codec_c/FORMAT.md, 2 and 10)."""
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
 
+from clgs.codec.octree import MAX_DEPTH
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.scene.anchors import QuantizationScales
 from clgs.scene.mlps import MLP_SIZE
@@ -16,7 +17,6 @@ CONTENT_HASH_SIZE = 8
 MAX_ANCHORS = 12_000_000
 """Anchors of one file: their integers take 4 GiB."""
 
-MAX_DEPTH = 21
 LEVELS = ("fast", "default", "max", "paper")
 """How much time the encoder spent, by number."""
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from typing import BinaryIO, Protocol
+from io import RawIOBase
+from typing import Protocol
 
 from clgs.errors import CodecError
 
@@ -31,9 +32,12 @@ class BytesSource:
 
 
 class FileSource:
-    """An open file that can seek; ``bytes_read`` counts what was read. Threads may share it."""
+    """An open file that can seek, without a buffer; threads may share it.
 
-    def __init__(self, file: BinaryIO) -> None:
+    ``bytes_read`` counts what was read.
+    """
+
+    def __init__(self, file: RawIOBase) -> None:
         self._file = file
         self._turn = threading.Lock()
         self.size = file.seek(0, 2)
@@ -45,10 +49,13 @@ class FileSource:
         Raises:
             CodecError: the file has become shorter since it was opened.
         """
+        data = memoryview(bytearray(length))
         with self._turn:
             self._file.seek(offset)
-            data = self._file.read(length)
-            self.bytes_read += len(data)
-        if len(data) < length:
-            raise CodecError(f"file at byte {offset + len(data)}: it was cut while it was read")
-        return memoryview(data)
+            done = 0
+            while done < length and (count := self._file.readinto(data[done:])):
+                done += count
+            self.bytes_read += done
+        if done < length:
+            raise CodecError(f"file at byte {offset + done}: it was cut while it was read")
+        return data

@@ -68,11 +68,8 @@ class Renderer:
         """Whether the last picture had room; makes more where not, and after the first one.
 
         Arrays of the same size every time are the same memory every time, and nothing is waited
-        for between the stages. A CPU has nothing to wait for that far away: there the spare room
-        costs more than it saves, and every array is made to measure.
+        for between the stages.
         """
-        if self._device.specialisation == "cpu":
-            return True
         made_to_measure = self._capacity is None
         before = self._capacity or Capacity(0, 0, 0)
         self._capacity = before.grown(needed)

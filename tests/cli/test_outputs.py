@@ -13,7 +13,7 @@ from clgs.cli import main as cli
 from clgs.cli.scene_argument import read_bytes
 from clgs.codec.encode import encode
 from clgs.errors import DataError
-from clgs.scene.storage import save_scene
+from clgs.scene.storage import load_scene, save_scene
 from clgs.train.hashes import read_fingerprint
 from tests.codec.scenes import random_scene
 
@@ -44,6 +44,17 @@ def work(tmp_path, monkeypatch):
         ("decode s.clgs -o x", 2, "x: the output must end in .npz"),
         ("decode s.clgs -o nodir/x.npz", 1, "nodir/x.npz: cannot be written"),
         ("decode folder -o x.npz", 3, "folder: is a folder; name a .clgs file"),
+        ("decode folder -o x.npz --box 0,0,0,1,1,1", 3, "folder: is a folder; name a .clgs file"),
+        ("decode s.clgs -o x.npz --box 0,0,0,1,1", 2, "--box 0,0,0,1,1: six numbers are needed"),
+        ("decode s.clgs -o x.npz --box 0,0,a,1,1,1", 2, "--box 0,0,a,1,1,1: six numbers"),
+        ("decode s.clgs -o x.npz --box 0,0,0,1,-1,1", 2, "box: y from 0 to -1 is empty"),
+        ("decode s.clgs -o x.npz --box nan,0,0,1,1,1", 2, "box: x from nan to 1 is empty"),
+        ("decode s.clgs -o x.npz --threads 0", 2, "threads: 0; at least 1 is needed"),
+        ("decode file -o x.npz --box 0,0,0,1,1,1", 3, "file: header at byte 0: the file is empty"),
+        ("encode s.npz -o x.clgs --level best", 2, "level: 'best'; known are fast, default, max"),
+        ("encode s.npz -o x.clgs --chunk 63", 2, "chunk: 63; 64 to 16777216 anchors are possible"),
+        ("encode s.npz -o x.clgs --chunk -1", 2, "chunk: -1; 64 to 16777216 anchors are possible"),
+        ("encode s.npz -o x.clgs --threads 0", 2, "threads: 0; at least 1 is needed"),
         ("info folder", 3, "folder: is a folder; name a .clgs file"),
         (f"info {os.devnull}", 3, f"{os.devnull}: is neither a file nor a pipe"),
         ("eval s.clgs", 2, "nothing to do"),
@@ -68,6 +79,38 @@ def test_encode_writes_through_a_link(work, capsys):
     assert cli.main(["encode", "s.npz", "-o", "link.clgs"]) == 0
     assert (work / "link.clgs").is_symlink()
     assert (work / "folder" / "real.clgs").read_bytes() == (work / "s.clgs").read_bytes()
+
+
+def test_levels_and_chunks_reach_the_file(work, capsys):
+    """--threads changes no byte; what the options were is shown by info."""
+    for options in ("--level fast --threads 1", "--level fast --threads 3"):
+        assert cli.main(f"encode s.npz -o {options[-1]}.clgs --chunk 64 {options}".split()) == 0
+    assert (work / "1.clgs").read_bytes() == (work / "3.clgs").read_bytes()
+    capsys.readouterr()
+    assert cli.main(["info", "1.clgs"]) == 0
+    rows = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert (rows["version"], rows["level"], rows["chunks.anchors"]) == ("2.0", "fast", "64")
+
+
+def test_a_box_of_a_file_and_of_a_pipe(work, capsys):
+    """Negative numbers need no equals sign; a pipe cannot seek, and gives the same."""
+    scene = random_scene(np.random.default_rng(3), 2000)
+    (work / "s.clgs").write_bytes(whole := encode(scene, chunk=64))
+    box = "-0.03,-inf,-1,0.01,1,1"  # Q of positions is 200: cells from -6 to 1
+    assert cli.main(["decode", "s.clgs", "-o", "part.npz", "--box", box]) == 0
+    said = capsys.readouterr().out
+    part = load_scene(work / "part.npz")
+    x = scene.anchors.position[:, 0]
+    assert len(part.anchors) == ((x >= -6) & (x < 2)).sum()
+    read = int(said.split(" bytes read")[0].split()[-3].replace(",", ""))
+    assert said.strip().endswith(f"anchors in the box, {read:,} of {len(whole):,} bytes read")
+    assert read < len(whole)
+    os.mkfifo(work / "pipe")
+    writer = threading.Thread(target=(work / "pipe").write_bytes, args=(whole,))
+    writer.start()
+    assert cli.main(["decode", "pipe", "-o", "same.npz", "--box", box]) == 0
+    writer.join()
+    assert (work / "same.npz").read_bytes() == (work / "part.npz").read_bytes()
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")

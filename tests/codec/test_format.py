@@ -8,8 +8,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from clgs import _codec
-from clgs.codec import attributes, octree, paper, runlength
+from clgs import _codec, codec
+from clgs.codec import attributes, chunks, container, octree, paper, runlength, streams
 from clgs.reference import attributes as attributes_reference
 from clgs.reference import octree as octree_reference
 from clgs.reference import paper as paper_reference
@@ -71,3 +71,29 @@ def test_checksum_of_the_document():
     assert _codec.crc32c(b"123456789") == 0xE3069283
     assert _codec.crc32c(b"") == 0
     assert _codec.crc32c(bytes(32)) == 0x8A9136AA  # RFC 3720, B.4
+
+
+def example_directory() -> bytes:
+    """What example 7 describes."""
+    position = np.array([[x, 0, 0] for x in range(66)], np.int32)
+    headers = {"ANCH": b"", "OFFS": b"", "FEAT": b"\1", "SCAL": b""}
+    columns = {tag: [bytes([0x11 + i]), bytes([0x21 + i])] for i, tag in enumerate(chunks.TAGS)}
+    return chunks.pack_directory(64, position, headers, columns)
+
+
+def test_example_of_the_directory():
+    text = TEXT.split("**Example 7.**")[1].split("```")[1]
+    assert bytes.fromhex(text.replace("|", "")) == example_directory()
+
+
+def test_example_of_no_positions():
+    text = TEXT.split("**Example 8.**")[1]
+    data = bytes.fromhex(re.findall(r"`([0-9A-F ]+)`", text)[0])
+    assert codec.encode_positions(np.empty((0, 3), int)) == data
+
+
+def test_signatures_and_hashes_of_the_document():
+    for signature in (container.MAGIC, streams.POSITIONS, streams.ATTRIBUTES):
+        assert signature.hex(" ").upper() in TEXT
+    for data in (b"", b"abc"):
+        assert f"{_codec.xxh64(data):016X}" in TEXT

@@ -1,0 +1,96 @@
+"""The anchors in a box of the dataset, read from a file without the rest of it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.codec import container
+from clgs.codec.decode import decode, decode_chunks
+from clgs.codec.meta import Meta
+from clgs.codec.reader import Reader
+from clgs.codec.source import Source
+from clgs.codec.workers import workers
+from clgs.errors import UsageError
+from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.scene import QuantizedScene, SceneTransform
+
+
+@dataclass(frozen=True)
+class Box:
+    """lower <= x < upper on every axis, in the units of the input data; infinite ends may stand.
+
+    Raises:
+        UsageError: an end is not a number, or a lower end is not below the upper one.
+    """
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
+            if not low < high:
+                raise UsageError(f"box: {axis} from {low:g} to {high:g} is empty; lower end first")
+
+    def holds(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """Whether each of ``points`` (N, 3) lies in the box."""
+        return np.asarray(((points >= self.lower) & (points < self.upper)).all(axis=1))
+
+    def meets(
+        self, least: npt.NDArray[np.float64], greatest: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.bool_]:
+        """Whether each of the closed boxes with these corners (N, 3) has a point in this one."""
+        return np.asarray(((greatest >= self.lower) & (least < self.upper)).all(axis=1))
+
+
+def decode_box(source: Source, box: Box, threads: int | None = None) -> QuantizedScene:
+    """The scene with those of its anchors alone whose position lies in ``box``.
+
+    Of a file of version 2, only the section table, META, CHNK, MLPS, the positions of the chunks
+    that meet the box and the attributes of those that have an anchor in it are read. World
+    positions are computed as for ``world_position`` of a scene archive.
+
+    Raises:
+        CodecError: not a .clgs file, of an unknown version, cut, or damaged in what is read.
+    """
+    table = container.read_table(source)
+    if table.major == 1:
+        scene = decode(bytes(source.read(0, source.size)))
+        world = _to_world(scene.anchors.position, scene.scales, scene.transform)
+        scene.anchors = _select(scene.anchors, box.holds(world))
+        return scene
+    reader = Reader(source, table)
+    with workers(threads) as pool:
+        weights = pool.submit(reader.weights)
+        anchors = _decode_chunks(reader, box, pool)
+    return reader.scene(anchors, weights.result())
+
+
+def _decode_chunks(reader: Reader, box: Box, pool: ThreadPoolExecutor) -> QuantizedAnchors:
+    meta, directory = reader.meta, reader.directory
+    least, greatest = (_world(corners, meta) for corners in (directory.least, directory.greatest))
+    met = np.flatnonzero(box.meets(least, greatest)).tolist()
+    positions = dict(zip(met, pool.map(reader.positions, met), strict=True))
+    inside = {index: box.holds(_world(position, meta)) for index, position in positions.items()}
+    used = [index for index in met if inside[index].any()]
+    anchors = decode_chunks(reader, {index: positions[index] for index in used}, pool)
+    return _select(anchors, np.concatenate([np.empty(0, bool), *(inside[i] for i in used)]))
+
+
+def _select(anchors: QuantizedAnchors, kept: npt.NDArray[np.bool_]) -> QuantizedAnchors:
+    arrays = (anchors.position, anchors.offset, anchors.feature, anchors.scaling)
+    return QuantizedAnchors(*(array[kept] for array in arrays))
+
+
+def _world(position: npt.NDArray[np.int32], meta: Meta) -> npt.NDArray[np.float64]:
+    return _to_world(position, meta.scales, meta.transform)
+
+
+def _to_world(
+    position: npt.NDArray[np.int32], scales: QuantizationScales, transform: SceneTransform
+) -> npt.NDArray[np.float64]:
+    """Positions (A, 3) in the units of the input data; on each axis it never decreases."""
+    return transform.to_world(position / np.float64(scales.position))

@@ -1,0 +1,215 @@
+"""Positions and attributes as bytes of their own, without a scene (codec_c/FORMAT.md, part 12)."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs import _codec
+from clgs.codec import attributes, octree
+from clgs.codec.chunks import spans
+from clgs.codec.meta import LEVELS
+from clgs.codec.workers import workers
+from clgs.errors import CodecError, UsageError
+
+POSITIONS, ATTRIBUTES = b"\x8bCP\x02", b"\x8bCA\x02"
+"""Signatures; the last byte is the version."""
+
+POINTS, ROWS = 131_072, 65_536
+"""Of a chunk of positions, of attributes."""
+
+MAX_CHANNELS = 256
+MAX_OUTPUT = 1 << 32
+"""Bytes that one stream may decode to."""
+
+_POSITIONS_HEAD = struct.Struct("<4sI")
+_ATTRIBUTES_HEAD = struct.Struct("<4sIHI")
+_CRC = struct.Struct("<I")
+
+
+def encode_positions(positions: npt.ArrayLike, threads: int | None = None) -> bytes:
+    """Unique integer positions as bytes, lossless but for the order of the rows.
+
+    Args:
+        positions: (N, 3) of any integer dtype and memory layout, in any order; every number in the
+            range of int32, on each axis less than 2^21 from the least to the greatest. N = 0 is
+            allowed.
+        threads: at most so many, by default one for each processor; no byte depends on it.
+
+    Raises:
+        TypeError: not an array of integers.
+        CodecError: wrong shape, out of range, too far apart, or rows repeat (says how many).
+    """
+    position = _integers("positions", positions)
+    if position.shape[1] != 3:
+        raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
+    position = octree.in_order(position)
+    with workers(threads) as pool:
+        parts = spans(len(position), POINTS)
+        streams = list(pool.map(octree.encode, *octree.cut(position, parts)))
+    return _seal(_POSITIONS_HEAD.pack(POSITIONS, len(position)), b"", streams)
+
+
+def decode_positions(
+    data: bytes | bytearray | memoryview, threads: int | None = None
+) -> npt.NDArray[np.int32]:
+    """The positions (N, 3) int32 that ``encode_positions`` was given, in Morton order.
+
+    Raises:
+        CodecError: the bytes are damaged, or of another kind.
+    """
+    body = _unseal(data, POSITIONS, _POSITIONS_HEAD.size)
+    _, count = _POSITIONS_HEAD.unpack_from(body)
+    parts = spans(count, POINTS)
+    _, streams = _split(body, _POSITIONS_HEAD.size, 0, len(parts))
+    for part, (at, stream) in zip(parts, streams, strict=True):
+        if part.stop - part.start > len(stream) * octree.MAX_POINTS_A_BYTE:
+            raise _damage(at, f"{len(stream)} bytes cannot hold {part.stop - part.start} points")
+
+    def decode_chunk(part: slice, stream: tuple[int, memoryview]) -> npt.NDArray[np.int32]:
+        try:
+            return octree.decode(stream[1], part.stop - part.start)
+        except ValueError as error:
+            raise _damage(stream[0], str(error)) from error
+
+    with workers(threads) as pool:
+        chunks = list(pool.map(decode_chunk, parts, streams))
+    position = np.concatenate([np.empty((0, 3), np.int32), *chunks])
+    if not octree.ascends(octree.morton_codes(position)):
+        raise _damage(_POSITIONS_HEAD.size, "the chunks are not in Morton order")
+    return position
+
+
+def encode_attributes(
+    values: npt.ArrayLike, level: str = "default", threads: int | None = None
+) -> bytes:
+    """Rows of integers as bytes, lossless; rows in Morton order of their positions cost least.
+
+    Args:
+        values: (N, channels) of any integer dtype and memory layout, 1 to 256 channels, every
+            number in the range of int32. N = 0 is allowed.
+        level: "fast", "default", "max" or "paper": time against bytes, as `clgs encode --level`.
+        threads: at most so many, by default one for each processor; no byte depends on it.
+
+    Raises:
+        TypeError: not an array of integers.
+        CodecError: wrong shape, or out of range.
+        UsageError: no such level.
+    """
+    if level not in LEVELS:
+        raise UsageError(f"level: {level!r}; known are {', '.join(LEVELS)}")
+    rows = _integers("values", values)
+    if not 1 <= rows.shape[1] <= MAX_CHANNELS:
+        raise CodecError(f"values: {rows.shape[1]} channels, 1 to {MAX_CHANNELS} are possible")
+    if rows.nbytes > MAX_OUTPUT:
+        raise CodecError(f"values: {rows.nbytes} bytes as int32, at most {MAX_OUTPUT} fit")
+    model = attributes.fit(rows, level, ROWS)
+    with workers(threads) as pool:
+        streams = list(pool.map(model.encode, (rows[part] for part in spans(len(rows), ROWS))))
+    head = _ATTRIBUTES_HEAD.pack(ATTRIBUTES, *rows.shape, len(model.header))
+    return _seal(head, model.header, streams)
+
+
+def decode_attributes(
+    data: bytes | bytearray | memoryview, threads: int | None = None
+) -> npt.NDArray[np.int32]:
+    """The rows (N, channels) int32 that ``encode_attributes`` was given.
+
+    Raises:
+        CodecError: the bytes are damaged, or of another kind.
+    """
+    body = _unseal(data, ATTRIBUTES, _ATTRIBUTES_HEAD.size)
+    _, count, channels, shared = _ATTRIBUTES_HEAD.unpack_from(body)
+    if not 1 <= channels <= MAX_CHANNELS or 4 * count * channels > MAX_OUTPUT:
+        raise _damage(4, f"{count} rows of {channels} channels are out of range")
+    parts = spans(count, ROWS)
+    header, streams = _split(body, _ATTRIBUTES_HEAD.size, shared, len(parts))
+    try:
+        model = attributes.read(header, channels)
+    except ValueError as error:
+        raise _damage(_ATTRIBUTES_HEAD.size + 4 * len(parts), str(error)) from error
+    rows = np.empty((count, channels), np.int32)
+
+    def decode_chunk(part: slice, stream: tuple[int, memoryview]) -> None:
+        try:
+            rows[part] = model.decode(stream[1], part.stop - part.start)
+        except ValueError as error:
+            raise _damage(stream[0], str(error)) from error
+
+    with workers(threads) as pool:
+        list(pool.map(decode_chunk, parts, streams))
+    return rows
+
+
+def morton_order(positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
+    """The permutation (N,) that sorts ``positions`` into Morton order.
+
+    ``positions[morton_order(positions)]`` is what ``decode_positions`` returns; attributes sorted
+    alike belong to it row by row. Morton order is that of the interleaved bits of the distances
+    from the per-axis minimum, x highest.
+
+    Raises:
+        TypeError, CodecError: as of ``encode_positions``.
+    """
+    position = _integers("positions", positions)
+    if position.shape[1] != 3:
+        raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
+    return octree.morton_order(position)
+
+
+def _integers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.int32]:
+    """``values`` (N, columns) as contiguous int32."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"{name}: dtype is {array.dtype}, integers are needed; round floats first")
+    if array.ndim != 2:
+        raise CodecError(f"{name}: shape is {array.shape}, two axes are needed")
+    if array.size and not np.can_cast(array.dtype, np.int32):
+        low, high = int(array.min()), int(array.max())
+        if low < -(2**31) or high >= 2**31:
+            raise CodecError(f"{name}: {low} to {high} is outside of int32; use smaller steps")
+    return np.ascontiguousarray(array, np.int32)
+
+
+def _seal(head: bytes, header: bytes, streams: list[bytes]) -> bytes:
+    """Head, lengths of the streams (u32 each), header, streams, checksum."""
+    lengths = struct.pack(f"<{len(streams)}I", *map(len, streams))
+    body = b"".join([head, lengths, header, *streams])
+    return body + _CRC.pack(_codec.crc32c(body))
+
+
+def _unseal(data: bytes | bytearray | memoryview, signature: bytes, least: int) -> memoryview:
+    """All but the checksum, which is verified."""
+    view = memoryview(data).cast("B")
+    kind = "positions" if signature == POSITIONS else "attributes"
+    if view[:4] != signature:
+        raise CodecError(f"stream at byte 0: no {kind} of a known version; encode them again")
+    if len(view) < least + _CRC.size:
+        raise _damage(0, f"{len(view)} bytes are too few")
+    body = view[: -_CRC.size]
+    if _codec.crc32c(body) != _CRC.unpack(view[-_CRC.size :])[0]:
+        raise _damage(len(body), "checksum differs")
+    return body
+
+
+def _split(
+    body: memoryview, at: int, shared: int, count: int
+) -> tuple[memoryview, list[tuple[int, memoryview]]]:
+    """Header of ``shared`` bytes and the (offset, bytes) of ``count`` streams."""
+    start = at + 4 * count
+    if start + shared > len(body):
+        raise _damage(at, f"{len(body)} bytes cannot hold {count} chunks")
+    lengths = struct.unpack_from(f"<{count}I", body, at)
+    if start + shared + sum(lengths) != len(body):
+        raise _damage(at, "lengths of the chunks do not add up")
+    streams, end = [], start + shared
+    for length in lengths:
+        streams.append((end, body[end : end + length]))
+        end += length
+    return body[start : start + shared], streams
+
+
+def _damage(at: int, what: str) -> CodecError:
+    return CodecError(f"stream at byte {at}: {what}; it is damaged; copy or encode it again")
