@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec import attributes, container, octree, runlength
+from clgs.codec import attributes, container, octree
 from clgs.codec.chunks import (
     DEFAULT_CHUNK,
     MAX_CHUNK,
@@ -21,6 +21,7 @@ from clgs.codec.chunks import (
 from clgs.codec.container import ANCH, CHNK, FEAT, MLPS, OFFS, SCAL
 from clgs.codec.content import array_hash, content_arrays, join_hashes
 from clgs.codec.meta import LEVELS, Meta
+from clgs.codec.weights import encode as encode_weights
 from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
@@ -94,7 +95,7 @@ def _encode_sections(
     parts = spans(len(anchors), chunk)
     cut = zip(*octree.cut(anchors.position, parts), strict=True)
     tasks = {ANCH: [pool.submit(octree.encode, *part) for part in cut]}
-    packed = pool.submit(runlength.encode_weights, weights)
+    packed = pool.submit(encode_weights, weights)
     for tag, model in models.items():
         encode_chunk = model.result().encode
         tasks[tag] = [pool.submit(encode_chunk, rows[tag][part]) for part in parts]

@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec import attributes, container, octree, runlength
+from clgs.codec import attributes, container, octree, weights
 from clgs.codec.chunks import TAGS, Directory, Part, spans, unpack_directory
 from clgs.codec.container import ANCH, CHNK, FEAT, META, MLPS, OFFS, SCAL, Section, Table
 from clgs.codec.meta import SCALING_DIM, Grid, Meta, unpack_meta
 from clgs.codec.source import Source
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.scene.anchors import QuantizedAnchors
-from clgs.scene.mlps import MLP_SIZE, Mlps
+from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene
 
 CHANNELS = {OFFS: 3 * K_OFFSETS, FEAT: FEATURE_DIM, SCAL: SCALING_DIM}
@@ -132,10 +132,10 @@ def decode_weights(section: Section) -> npt.NDArray[np.float32]:
     Raises:
         CodecError: the section is damaged.
     """
-    weights = guarded(section, runlength.decode_weights, MLP_SIZE)
-    if not np.isfinite(weights).all():
+    decoded = guarded(section, weights.decode)
+    if not np.isfinite(decoded).all():
         raise section.error("a weight is not finite")
-    return weights
+    return decoded
 
 
 def make_scene(

@@ -1,4 +1,4 @@
-"""Attribute rows and MLP weights to bytes and back."""
+"""Attribute rows to bytes and back."""
 
 from __future__ import annotations
 
@@ -22,19 +22,3 @@ def decode(data: bytes | memoryview, rows: int, channels: int) -> npt.NDArray[np
     value = np.empty((rows, channels), np.int32)
     _codec.runlength_decode(data, value, channels)
     return value
-
-
-def encode_weights(weights: npt.NDArray[np.float32]) -> bytes:
-    """The plane stream of ``weights`` (n,) float32, bit for bit."""
-    return _codec.planes_encode(np.ascontiguousarray(weights, np.float32).view(np.uint32))
-
-
-def decode_weights(data: bytes | memoryview, count: int) -> npt.NDArray[np.float32]:
-    """``count`` weights float32.
-
-    Raises:
-        ValueError: the stream is damaged, or holds another number of words.
-    """
-    word = np.empty(count, np.uint32)
-    _codec.planes_decode(data, word)
-    return word.view(np.float32)

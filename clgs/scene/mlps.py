@@ -31,6 +31,13 @@ def head_size(head: str) -> int:
 MLP_SIZE = sum(head_size(head) for head in HEAD_DIMS)
 """Weights of all three heads: 13,710."""
 
+MATRICES = tuple(
+    (shape[0], shape[1] if len(shape) > 1 else 1)
+    for head in HEAD_DIMS
+    for shape in head_shapes(head).values()
+)
+"""(rows, columns) of the twelve arrays in packing order; biases are columns."""
+
 
 def head_slice(head: str) -> slice:
     """Where one head lies in the flat vector."""

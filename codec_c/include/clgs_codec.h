@@ -23,6 +23,9 @@ typedef enum clgs_error {
 
 #define CLGS_MAX_POINTS ((size_t)1 << 28) /* points of an octree, rows of attributes */
 #define CLGS_MAX_CHANNELS ((size_t)256)   /* attribute channels of one stream */
+#define CLGS_MAX_LAYERS ((size_t)64)      /* layers of weights */
+#define CLGS_MAX_ROWS ((uint32_t)1 << 20) /* of a layer */
+#define CLGS_MAX_COLUMNS 1024             /* of a layer */
 #define CLGS_MAX_DEPTH 21                 /* octree levels: 3 * 21 bits fit a Morton code */
 
 /* One English phrase for an error code; never NULL. */
@@ -99,5 +102,19 @@ clgs_error clgs_attributes_count(const void *model, const int32_t *value, size_t
 size_t clgs_attributes_choose_workspace(void);
 clgs_error clgs_attributes_choose(void *model, size_t channels, const uint32_t *count,
                                   uint32_t scale, uint64_t *cost, void *workspace);
+
+/* Weights: layers of 32-bit words (IEEE floats as bits), each a (rows, columns) matrix, row-major,
+ * one after another. Multiples of a power of two, one for each layer, are coded as integers where
+ * that is shorter, all others as planes are. */
+typedef struct clgs_layer {
+    uint32_t rows, columns;
+} clgs_layer;
+
+size_t clgs_weights_bound(const clgs_layer *layer, size_t layers);
+size_t clgs_weights_workspace(const clgs_layer *layer, size_t layers);
+size_t clgs_weights_encode(const uint32_t *word, const clgs_layer *layer, size_t layers,
+                           uint8_t *out, size_t capacity, void *workspace);
+clgs_error clgs_weights_decode(const uint8_t *data, size_t size, uint32_t *word,
+                               const clgs_layer *layer, size_t layers, void *workspace);
 
 #endif

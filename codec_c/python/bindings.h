@@ -15,4 +15,7 @@ PyObject *attributes_decode(PyObject *module, PyObject *args);
 PyObject *attributes_count(PyObject *module, PyObject *args);
 PyObject *attributes_choose(PyObject *module, PyObject *args);
 
+PyObject *weights_encode(PyObject *module, PyObject *args);
+PyObject *weights_decode(PyObject *module, PyObject *args);
+
 #endif

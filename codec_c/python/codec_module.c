@@ -281,6 +281,8 @@ static PyMethodDef METHODS[] = {
     {"attributes_count", attributes_count, METH_VARARGS, "attributes_count(model, value, count)"},
     {"attributes_choose", attributes_choose, METH_VARARGS,
      "attributes_choose(model, count, scale, cost)"},
+    {"weights_encode", weights_encode, METH_VARARGS, "weights_encode(word, layers) -> bytes"},
+    {"weights_decode", weights_decode, METH_VARARGS, "weights_decode(data, word, layers)"},
     {NULL, NULL, 0, NULL},
 };
 

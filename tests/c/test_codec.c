@@ -11,7 +11,7 @@
 
 #define CHECK(condition) check((condition) != 0, #condition, __LINE__)
 
-typedef enum stream_part { OCTREE, RUNLENGTH, PAPER, PLANES } stream_part;
+typedef enum stream_part { OCTREE, RUNLENGTH, PAPER, PLANES, WEIGHTS } stream_part;
 
 typedef struct stream {
     stream_part part;
@@ -50,8 +50,17 @@ static size_t words(const stream *s)
     return s->rows * s->channels;
 }
 
+/* The rows of a stream of weights, as one matrix. */
+static clgs_layer layer_of(const stream *s)
+{
+    return (clgs_layer){(uint32_t)s->rows, (uint32_t)s->channels};
+}
+
 static size_t workspace_size(const stream *s)
 {
+    clgs_layer layer = layer_of(s);
+    if (s->part == WEIGHTS)
+        return clgs_weights_workspace(&layer, 1);
     if (s->part == OCTREE)
         return clgs_octree_workspace(s->rows);
     if (s->part == PAPER)
@@ -61,6 +70,9 @@ static size_t workspace_size(const stream *s)
 
 static size_t bound(const stream *s)
 {
+    clgs_layer layer = layer_of(s);
+    if (s->part == WEIGHTS)
+        return clgs_weights_bound(&layer, 1);
     if (s->part == OCTREE)
         return clgs_octree_bound(s->rows);
     if (s->part == PAPER)
@@ -81,6 +93,7 @@ static size_t encode(const stream *s, uint8_t *out, size_t capacity)
 {
     size_t size;
     int32_t origin[3];
+    clgs_layer layer = layer_of(s);
     if (s->part == OCTREE) {
         find_least(s, origin);
         size = clgs_octree_encode(s->value, s->rows, origin, out, capacity, s->workspace);
@@ -88,6 +101,8 @@ static size_t encode(const stream *s, uint8_t *out, size_t capacity)
         size = clgs_runlength_encode(s->value, s->rows, s->channels, out, capacity, s->workspace);
     else if (s->part == PAPER)
         size = clgs_paper_encode(s->value, s->rows, s->channels, out, capacity);
+    else if (s->part == WEIGHTS)
+        size = clgs_weights_encode((uint32_t *)s->value, &layer, 1, out, capacity, s->workspace);
     else
         size = clgs_planes_encode((uint32_t *)s->value, s->rows, out, capacity, s->workspace);
     return size;
@@ -96,6 +111,7 @@ static size_t encode(const stream *s, uint8_t *out, size_t capacity)
 static clgs_error decode(const stream *s, const uint8_t *data, size_t size, int32_t *value)
 {
     uint8_t *exact = allocate(size);
+    clgs_layer layer = layer_of(s);
     clgs_error error;
     if (size > 0)
         memcpy(exact, data, size);
@@ -105,6 +121,8 @@ static clgs_error decode(const stream *s, const uint8_t *data, size_t size, int3
         error = clgs_runlength_decode(exact, size, value, s->rows, s->channels, s->workspace);
     else if (s->part == PAPER)
         error = clgs_paper_decode(exact, size, value, s->rows, s->channels);
+    else if (s->part == WEIGHTS)
+        error = clgs_weights_decode(exact, size, (uint32_t *)value, &layer, 1, s->workspace);
     else
         error = clgs_planes_decode(exact, size, (uint32_t *)value, s->rows, s->workspace);
     free(exact);
@@ -157,7 +175,7 @@ static void test_damage(const stream *s, int32_t *value)
     for (int round = 0; round < 200; round++) {
         for (size_t i = 2; i < s->size; i++)
             damaged[i] = (uint8_t)random_u32();
-        damaged[0] = 1;
+        damaged[0] = s->part == WEIGHTS ? 2 : 1;
         if (s->size > 1)
             damaged[1] = (uint8_t)(random_u32() % 22);
         CHECK(clgs_error_text(decode(s, damaged, s->size, value)) != NULL);
@@ -260,6 +278,31 @@ static void test_planes(void)
     test_stream(PLANES, 0, 1, word);
 }
 
+static uint32_t word_of(float value)
+{
+    uint32_t word;
+    memcpy(&word, &value, sizeof word);
+    return word;
+}
+
+static void test_weights(void)
+{
+    const clgs_layer wide = {1, CLGS_MAX_COLUMNS + 1}, long_one = {CLGS_MAX_ROWS + 1, 1};
+    int32_t word[200];
+    for (size_t i = 0; i < 200; i++)
+        word[i] = (int32_t)word_of((float)(random_u32() % 2048) / 1024.0f - 0.5f);
+    test_stream(WEIGHTS, 20, 10, word);
+    for (size_t i = 0; i < 200; i++)
+        word[i] = (int32_t)(random_u32() >> 8 & ~(uint32_t)0 << random_u32() % 24);
+    test_stream(WEIGHTS, 50, 4, word);
+    fill_values(word, 200, 0);
+    test_stream(WEIGHTS, 10, 5, word);
+    memset(word, 0, sizeof word);
+    test_stream(WEIGHTS, 10, 20, word);
+    CHECK(clgs_weights_bound(&wide, 1) == 0 && clgs_weights_bound(&long_one, 1) == 0);
+    CHECK(clgs_weights_bound(&wide, CLGS_MAX_LAYERS + 1) == 0);
+}
+
 static void test_checksums(void)
 {
     uint8_t noise[1100];
@@ -284,6 +327,7 @@ int main(void)
     test_rows(RUNLENGTH);
     test_rows(PAPER);
     test_planes();
+    test_weights();
     puts("codec: all tests passed");
     return 0;
 }

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from clgs import _codec, codec
-from clgs.codec import attributes, chunks, container, octree, paper, runlength, streams
+from clgs.codec import attributes, chunks, container, octree, paper, runlength, streams, weights
 from clgs.reference import attributes as attributes_reference
 from clgs.reference import octree as octree_reference
 from clgs.reference import paper as paper_reference
+from clgs.reference import planes as planes_reference
 from clgs.reference import runlength as runlength_reference
+from clgs.reference import weights as weights_reference
 from tests.codec.scenes import ROOT
 
 TEXT = (ROOT / "codec_c" / "FORMAT.md").read_text(encoding="utf-8")
@@ -23,15 +25,14 @@ EXAMPLES = {
     3: ("encode", np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32)),
     4: ("encode", np.array([[10], [11], [9], [10]], np.int32)),
     5: ("encode", np.zeros((1000, 3), np.int32)),
-    6: ("encode_weights", np.array([1.0, -1.0], np.float32)),
     12: ("encode", np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32)),
     13: ("encode", np.array([[10], [11], [9], [10]], np.int32)),
 }
 
 
-def documented(number: int) -> bytes:
+def documented(number: int | str) -> bytes:
     """The bytes that the document gives for an example: its last run of hexadecimal pairs."""
-    body = re.split(r"\*\*Example \d+\.\*\*|\n## ", TEXT.split(f"**Example {number}.**")[1])[0]
+    body = re.split(r"\*\*Example \w+\.\*\*|\n## ", TEXT.split(f"**Example {number}.**")[1])[0]
     runs = re.findall(r"`((?:[0-9A-F]{2}[ |]*)+)`", body)
     return bytes.fromhex(runs[-1].replace("|", ""))
 
@@ -48,6 +49,15 @@ def test_example(number):
     function, array = EXAMPLES[number]
     for module in modules_of(number):
         assert getattr(module, function)(array) == documented(number)
+
+
+def test_examples_of_weights():
+    pair = np.array([1.0, -1.0], np.float32)
+    assert weights.encode(pair, "float32") == planes_reference.encode(pair) == documented(6)
+    multiples = np.array([0.5, -0.25, 0.0, 0.75, 0.0], np.float32)
+    matrices = ((2, 2), (1, 1))
+    assert weights.encode(multiples, matrices=matrices) == documented("W")
+    assert weights_reference.encode(multiples, matrices) == documented("W")
 
 
 def test_example_of_attributes_in_chunks():

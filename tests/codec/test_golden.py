@@ -10,7 +10,7 @@ import pytest
 from clgs.codec.container import read_container
 from clgs.codec.decode import decode
 from clgs.codec.encode import flatten, sort_anchors
-from clgs.reference import octree, runlength
+from clgs.reference import octree, planes, runlength
 from tests.codec.scenes import GOLDEN, assert_same, make_golden
 
 HASHES = dict(line.split()[::-1] for line in (GOLDEN / "SHA256SUMS").read_text().splitlines())
@@ -50,4 +50,4 @@ def test_the_reference_reads_the_weights():
     data = (GOLDEN / "one.clgs").read_bytes()
     weights = decode(data).mlps.flat
     stream = bytes(read_container(data)[1]["MLPS"].data)
-    np.testing.assert_array_equal(runlength.decode_weights(stream, len(weights)), weights)
+    np.testing.assert_array_equal(planes.decode(stream, len(weights)), weights)
