@@ -13,7 +13,7 @@ MAX_EXTENT = 1 << MAX_DEPTH
 """Positions span fewer cells than this on each axis: 3 x 21 bits fit a Morton code."""
 
 MAX_POINTS_A_BYTE = 1 << 15
-"""No octree stream holds more: a leaf costs a decision, a decision at least 1/22,711 byte."""
+"""No octree stream holds more: a point costs a decision, a decision at least 1/22,711 byte."""
 
 
 def morton_codes(position: npt.NDArray[np.int32]) -> npt.NDArray[np.uint64]:

@@ -115,11 +115,105 @@ class RangeDecoder:
             raise ValueError("bytes follow the last symbol of the stream")
 
 
+class WideCoder(Coder, Protocol):
+    """Both directions of the range coder of 64 bits."""
+
+    def plain(self, value: int, bits: int) -> int:
+        """Code ``value`` below 2^bits, all alike likely; a decoder ignores it. The value."""
+
+
+class WideEncoder:
+    """As RangeEncoder, but 64 bits wide and moving by 32."""
+
+    def __init__(self) -> None:
+        self.low, self.range, self.shifts = 0, (1 << 64) - 1, 0
+
+    def code(self, bit: int, p: int) -> int:
+        """Code one bit."""
+        bound = (self.range >> 16) * p
+        if bit:
+            self.range = bound
+        else:
+            self.low += bound
+            self.range -= bound
+        self._shift()
+        return bit
+
+    def plain(self, value: int, bits: int) -> int:
+        """Code at most 16 bits."""
+        self.range >>= bits
+        self.low += self.range * value
+        self._shift()
+        return value
+
+    def _shift(self) -> None:
+        if self.range < 1 << 32:
+            self.range <<= 32
+            self.low <<= 32
+            self.shifts += 4
+
+    def finish(self) -> bytes:
+        """The shortest bytes that, followed by zeros, name a number in the interval."""
+        while self.range < 1 << 56:
+            self.range <<= 8
+            self.low <<= 8
+            self.shifts += 1
+        return (-(-self.low >> 56)).to_bytes(self.shifts + 1, "big")
+
+
+class WideDecoder:
+    """Follows a number into the intervals of the encoder."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at, self.range = data, 8, (1 << 64) - 1
+        self.offset = int.from_bytes(data[:8].ljust(8, b"\0"), "big")
+
+    def code(self, bit: int, p: int) -> int:
+        """Decode one bit."""
+        bound = (self.range >> 16) * p
+        bit = int(self.offset < bound)
+        if bit:
+            self.range = bound
+        else:
+            self.offset -= bound
+            self.range -= bound
+        self._shift()
+        return bit
+
+    def plain(self, value: int, bits: int) -> int:
+        """Decode at most 16 bits."""
+        self.range >>= bits
+        value = self.offset // self.range
+        if value >> bits:
+            raise ValueError("the stream holds what no encoder writes")
+        self.offset -= self.range * value
+        self._shift()
+        return value
+
+    def _shift(self) -> None:
+        if self.range < 1 << 32:
+            word = self.data[self.at : self.at + 4].ljust(4, b"\0")
+            self.offset = self.offset << 32 | int.from_bytes(word, "big")
+            self.range <<= 32
+            self.at += 4
+        if self.at > len(self.data) + 7:
+            raise ValueError("the stream ends before its last symbol")
+
+    def finish(self) -> None:
+        """Raise ValueError unless the stream ends where an encoder would have ended it."""
+        written = self.at - 7
+        while self.range < 1 << 56:
+            self.range <<= 8
+            written += 1
+        if written != len(self.data):
+            raise ValueError("the stream does not end behind its last symbol")
+
+
 class State:
     """An adaptive probability of a 1, in 1/2^22, and the number of bits seen up to ``limit``."""
 
-    def __init__(self, limit: int) -> None:
-        self.p, self.count, self.limit = 1 << 21, 0, limit
+    def __init__(self, limit: int, p: int = 1 << 21, count: int = 0) -> None:
+        self.p, self.count, self.limit = p, count, limit
 
     def update(self, bit: int) -> None:
         """Move towards ``bit``."""
@@ -155,6 +249,7 @@ def code_mixed(
     weights: list[int],
     shift: int,
     curve: Curve | None = None,
+    weight_limit: int = WEIGHT_LIMIT,
 ) -> int:
     """Code ``bit`` with the weighted log odds of ``states``, and let all of them learn."""
     odds = [STRETCH[state.p >> 10] for state in states]
@@ -167,7 +262,7 @@ def code_mixed(
     error = (bit << 16) - mixed
     for i, state in enumerate(states):
         moved = weights[i] + (odds[i] * error >> shift)
-        weights[i] = min(max(moved, -WEIGHT_LIMIT), WEIGHT_LIMIT)
+        weights[i] = min(max(moved, -weight_limit), weight_limit)
         state.update(bit)
     if curve is not None:
         curve.update(place, bit)

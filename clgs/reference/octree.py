@@ -1,14 +1,27 @@
-"""Positions as octree occupancy, for reading (FORMAT.md, part 4); same bytes as the C coder."""
+"""Positions as an octree, for reading (FORMAT.md, parts 4 and 13); same bytes as the C coder.
+
+Mode 1 is here, mode 2 in ``octree_sparse``.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.reference.coding import Coder, Curve, RangeDecoder, RangeEncoder, State, code_mixed
+from clgs.reference import octree_sparse
+from clgs.reference.coding import (
+    Coder,
+    Curve,
+    RangeDecoder,
+    RangeEncoder,
+    State,
+    WideDecoder,
+    WideEncoder,
+    code_mixed,
+)
 
 LIMIT, SHIFT = 250, 15
 HEADER = 14
@@ -20,24 +33,31 @@ Level = dict[Cell, int]
 """Cells of one level with their occupancy, in Morton order; bit c: child c = 4 x + 2 y + z."""
 
 
-def encode(position: npt.NDArray[np.int32], origin: tuple[int, int, int] | None = None) -> bytes:
+def encode(
+    position: npt.NDArray[np.int32], origin: tuple[int, int, int] | None = None, mode: int = 2
+) -> bytes:
     """The octree stream of ``position`` (N, 3) int32, unique, in Morton order, N >= 1.
 
-    Morton order is relative to ``origin``, by default the per-axis minimum.
+    Morton order is relative to ``origin``, by default the per-axis minimum. ``mode`` is 2, or 1 as
+    files of version 1 have it.
     """
     corner = np.array(position.min(axis=0) if origin is None else origin, np.int64)
     cells = [(int(x), int(y), int(z)) for x, y, z in position - corner]
     depth = max(max(cell) for cell in cells).bit_length()
-    header = bytes([1, depth]) + corner.astype("<i4").tobytes()
-    coder = RangeEncoder()
-    decided = _code_levels(coder, depth, cells)
-    if decided != cells:
+    codes = [_morton(cell) for cell in cells]
+    if any(first >= second for first, second in pairwise(codes)):
         raise ValueError("positions must be unique and in Morton order")
-    payload = coder.finish()
-    if len(payload) > 8 * len(cells):
-        codes = [_morton(cell) for cell in cells]
-        return b"\0" + header[1:] + b"".join(code.to_bytes(8, "little") for code in codes)
-    return header + payload
+    raw = bytes([0, depth]) + corner.astype("<i4").tobytes()
+    raw += b"".join(code.to_bytes(8, "little") for code in codes)
+    if mode == 1:
+        coder = RangeEncoder()
+        _code_levels(coder, depth, cells)
+        data = b"\1" + raw[1:HEADER] + coder.finish()
+    else:
+        wide = WideEncoder()
+        octree_sparse.code_levels(wide, depth, cells)
+        data = bytes([2, depth]) + b"".join(_varint(int(c)) for c in corner) + wide.finish()
+    return min(data, raw, key=len)
 
 
 def decode(data: bytes, count: int) -> npt.NDArray[np.int32]:
@@ -47,17 +67,49 @@ def decode(data: bytes, count: int) -> npt.NDArray[np.int32]:
         ValueError: the stream is damaged.
     """
     mode, depth = data[0], data[1]
-    origin = np.frombuffer(data, "<i4", 3, offset=2).astype(np.int64)
-    if mode == 0:
-        codes = np.frombuffer(data, "<u8", count, offset=HEADER)
-        cells = [_cell(int(code)) for code in codes]
+    if mode == 2:
+        axes, at = [], 2
+        for _ in range(3):
+            axis, at = _read_varint(data, at)
+            axes.append(axis)
+        wide = WideDecoder(data[at:])
+        cells = sorted(octree_sparse.code_levels(wide, depth, None, count), key=_morton)
+        wide.finish()
     else:
-        coder = RangeDecoder(data[HEADER:])
-        cells = _code_levels(coder, depth, None, count)
-        coder.finish()
+        axes = np.frombuffer(data, "<i4", 3, offset=2).tolist()
+        cells = _decode_older(data, count)
     if len(cells) != count:
         raise ValueError(f"{len(cells)} points instead of {count}")
-    return (np.array(cells, np.int64) + origin).astype(np.int32)
+    return (np.array(cells, np.int64) + np.array(axes, np.int64)).astype(np.int32)
+
+
+def _decode_older(data: bytes, count: int) -> list[Cell]:
+    """Cells of modes 0 and 1."""
+    if data[0] == 0:
+        codes = np.frombuffer(data, "<u8", count, offset=HEADER)
+        return [_cell(int(code)) for code in codes]
+    coder = RangeDecoder(data[HEADER:])
+    cells = _code_levels(coder, data[1], None, count)
+    coder.finish()
+    return cells
+
+
+def _varint(value: int) -> bytes:
+    zigzag, data = 2 * value if value >= 0 else -2 * value - 1, bytearray()
+    while zigzag >= 128:
+        data.append(zigzag & 127 | 128)
+        zigzag >>= 7
+    return bytes([*data, zigzag])
+
+
+def _read_varint(data: bytes, at: int) -> tuple[int, int]:
+    zigzag, shift = 0, 0
+    while True:
+        zigzag |= (data[at] & 127) << shift
+        shift += 7
+        at += 1
+        if data[at - 1] < 128:
+            return (zigzag >> 1 if zigzag % 2 == 0 else -(zigzag + 1 >> 1)), at
 
 
 def _code_levels(

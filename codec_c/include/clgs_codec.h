@@ -21,7 +21,7 @@ typedef enum clgs_error {
     CLGS_ERROR_CORRUPT = -4    /* the stream holds what no encoder writes */
 } clgs_error;
 
-#define CLGS_MAX_POINTS ((size_t)1 << 28) /* points of an octree, rows of attributes */
+#define CLGS_MAX_POINTS ((size_t)1 << 27) /* points of an octree, rows of attributes */
 #define CLGS_MAX_CHANNELS ((size_t)256)   /* attribute channels of one stream */
 #define CLGS_MAX_LAYERS ((size_t)64)      /* layers of weights */
 #define CLGS_MAX_ROWS ((uint32_t)1 << 20) /* of a layer */

@@ -85,7 +85,7 @@ static int measure(codec_job *job)
     }
     job->rows = size / row;
     if (job->rows > CLGS_MAX_POINTS) {
-        PyErr_SetString(PyExc_ValueError, "the array has more than 2^28 rows");
+        PyErr_SetString(PyExc_ValueError, "the array has more than 2^27 rows");
         return 0;
     }
     return 1;

@@ -73,10 +73,10 @@ int clgs_nodes_descend(clgs_nodes *nodes, int last)
         return 0;
     /* From the back, in place: the children of node i start at or behind i. */
     for (size_t i = nodes->count, next = total; i-- > 0;) {
-        uint32_t row[CLGS_DIRECTIONS];
+        uint32_t row[CLGS_NEIGHBOURS];
         uint64_t code = nodes->code[i];
         uint32_t present = nodes->present[i];
-        memcpy(row, nodes->neighbour + i * CLGS_DIRECTIONS, sizeof row);
+        memcpy(row, nodes->neighbour + i * CLGS_NEIGHBOURS, sizeof row);
         for (uint32_t octant = 8; octant-- > 0;) {
             if (!(nodes->occupancy[i] >> octant & 1))
                 continue;
@@ -84,7 +84,7 @@ int clgs_nodes_descend(clgs_nodes *nodes, int last)
             nodes->code[next] = code << 3 | octant;
             if (!last)
                 nodes->present[next] = child_neighbours(nodes, row, present, octant,
-                                                        nodes->neighbour + next * CLGS_DIRECTIONS);
+                                                        nodes->neighbour + next * CLGS_NEIGHBOURS);
         }
     }
     nodes->count = total;

@@ -4,7 +4,7 @@
 
 #include "clgs_codec.h"
 
-#define CLGS_DIRECTIONS 27 /* 9 (dx + 1) + 3 (dy + 1) + (dz + 1); 13 is the node itself */
+#define CLGS_NEIGHBOURS 27 /* 9 (dx + 1) + 3 (dy + 1) + (dz + 1); 13 is the node itself */
 #define CLGS_SELF 13
 
 typedef struct clgs_nodes {

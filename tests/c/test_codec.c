@@ -217,6 +217,14 @@ static size_t fill_box(int32_t *position, uint32_t edge, uint32_t keep, int32_t 
     return count;
 }
 
+/* Points with no others near: they are coded whole. */
+static size_t fill_line(int32_t *position, size_t count)
+{
+    for (size_t i = 0; i < 3 * count; i++)
+        position[i] = (int32_t)(i / 3 * 5003);
+    return count;
+}
+
 static void test_octrees(void)
 {
     int32_t position[3 * 512];
@@ -231,6 +239,7 @@ static void test_octrees(void)
     test_stream(OCTREE, fill_box(position, 8, 30, 262144), 3, position);
     test_stream(OCTREE, 2, 3, far_apart);
     test_stream(OCTREE, 1, 3, far_apart);
+    test_stream(OCTREE, fill_line(position, 200), 3, position);
     bad.workspace = allocate(workspace_size(&bad));
     bad.value = (int32_t *)too_wide;
     CHECK(encode(&bad, out, sizeof out) == 0);

@@ -19,9 +19,13 @@ from clgs.reference import weights as weights_reference
 from tests.codec.scenes import ROOT
 
 TEXT = (ROOT / "codec_c" / "FORMAT.md").read_text(encoding="utf-8")
+OCTREES = {
+    "1": np.array([[5, -2, 7]], np.int32),
+    "2": np.array([[5, -2, 7], [5, -2, 8], [6, -1, 8]], np.int32),
+    "B": np.array([[5, -2, 7], [5, -2, 8], [6, -1, 8]], np.int32),
+    "C": np.array([[0, 0, 0], [0, 0, 1], [9, 9, 9]], np.int32),
+}
 EXAMPLES = {
-    1: ("encode", np.array([[5, -2, 7]], np.int32)),
-    2: ("encode", np.array([[5, -2, 7], [5, -2, 8], [6, -1, 8]], np.int32)),
     3: ("encode", np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32)),
     4: ("encode", np.array([[10], [11], [9], [10]], np.int32)),
     5: ("encode", np.zeros((1000, 3), np.int32)),
@@ -39,9 +43,17 @@ def documented(number: int | str) -> bytes:
 
 def modules_of(number: int) -> tuple[ModuleType, ModuleType]:
     """The codec's module and the reference that an example is about."""
-    if number >= 12:
-        return paper, paper_reference
-    return (octree, octree_reference) if number < 3 else (runlength, runlength_reference)
+    return (paper, paper_reference) if number >= 12 else (runlength, runlength_reference)
+
+
+@pytest.mark.parametrize("number", OCTREES)
+def test_example_of_octrees(number):
+    position, data = OCTREES[number], documented(number)
+    assert octree_reference.encode(position, mode=data[0]) == data
+    for module in (octree, octree_reference):
+        np.testing.assert_array_equal(module.decode(data, len(position)), position)
+    if data[0] == 2:
+        assert octree.encode(position) == data
 
 
 @pytest.mark.parametrize("number", EXAMPLES)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -31,6 +33,9 @@ def clouds() -> dict[str, np.ndarray]:
             -1, 3
         ),
         "sparse": rng.integers(-(2**20), 2**20, (60, 3)),
+        "diagonal": np.arange(0, 2**21, 2**21 // 60)[:, None] * [1, 1, 1],
+        "chain": np.array([[0, 0, 0], [0, 0, 1], [2**20, 5, 9], [2**20 + 1, 5, 9]]),
+        "thinned": 3 * np.argwhere(rng.random((6, 6, 6)) < 0.8),
         "clusters": rng.integers(0, 4, (200, 3)) + 5000 * rng.integers(0, 3, (200, 1)),
     }
 
@@ -42,6 +47,25 @@ def test_same_bytes_as_the_reference_in_both_directions(name):
     assert data == reference.encode(position)
     np.testing.assert_array_equal(octree.decode(data, len(position)), position)
     np.testing.assert_array_equal(reference.decode(data, len(position)), position)
+
+
+@pytest.mark.parametrize("name", clouds())
+def test_mode_1_of_older_files_decodes(name):
+    position = sorted_unique(clouds()[name])
+    data = reference.encode(position, mode=1)
+    np.testing.assert_array_equal(octree.decode(data, len(position)), position)
+    np.testing.assert_array_equal(reference.decode(data, len(position)), position)
+
+
+@pytest.mark.parametrize("depth", range(22))
+def test_every_depth(depth):
+    rng = np.random.default_rng(depth)
+    corners = [[0, 0, 0], [2**depth - 1] * 3]
+    position = sorted_unique(np.concatenate([corners, rng.integers(0, 2**depth, (40, 3))]))
+    data = octree.encode(position)
+    assert data[:2] == bytes([2, depth])
+    assert data == reference.encode(position)
+    np.testing.assert_array_equal(octree.decode(data, len(position)), position)
 
 
 @settings(max_examples=150, deadline=None)
@@ -116,12 +140,53 @@ def test_positions_past_int32_are_refused(mode):
         octree.decode(data, 1)
 
 
-def test_a_part_of_a_cloud_keeps_the_order_of_the_whole():
-    """Relative to their own minimum, the first two would change places."""
-    position = np.array([[1, 1, 0], [0, 2, 0], [7, 7, 7]], np.int32)
-    with pytest.raises(ValueError, match="cannot be encoded"):
-        octree.encode(position)
-    data = octree.encode(position, (0, 0, 0))
-    assert data == reference.encode(position, (0, 0, 0))
-    for coder in (octree, reference):
-        np.testing.assert_array_equal(coder.decode(data, 3), position)
+def test_positions_past_int32_are_refused_in_mode_2():
+    data = octree.encode(np.array([[0, 0, 0], [0, 0, 1]], np.int32))
+    assert data[2:5] == bytes(3)
+    far = data[:4] + bytes([0xFE, 0xFF, 0xFF, 0xFF, 0x0F]) + data[5:]
+    with pytest.raises(ValueError, match="no encoder"):
+        octree.decode(far, 2)
+
+
+@pytest.mark.parametrize(
+    "head", ["02", "0200", "0216000000", "0201800000", "020180000000", "0201808080808000", "03"]
+)
+def test_headers_that_no_encoder_writes(head):
+    data = bytes.fromhex(head)
+    for more in (b"", bytes(20), b"\xff" * 20):
+        with pytest.raises(ValueError, match="stream"):
+            octree.decode(data + more, 2)
+
+
+@pytest.mark.parametrize("name", ["surface", "thinned", "sparse", "chain", "clusters"])
+@pytest.mark.parametrize("mode", [1, 2])
+def test_every_cut_and_every_longer_stream_is_refused(name, mode):
+    position = sorted_unique(clouds()[name])
+    data = reference.encode(position, mode=mode)
+    for size in range(len(data)):
+        with pytest.raises(ValueError, match=r"stream|cannot hold"):
+            octree.decode(data[:size], len(position))
+    for more in (1, 2, 9):
+        with pytest.raises(ValueError, match="stream"):
+            octree.decode(data + bytes(more), len(position))
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(min_size=1, max_size=200), st.integers(0, 21), st.integers(1, 300))
+def test_noise_ends_with_an_error_or_with_points_in_order(payload, depth, count):
+    data = bytes([2, depth, 0, 0, 0]) + payload
+    try:
+        position = octree.decode(data, count)
+    except ValueError:
+        return
+    assert (np.diff(octree.morton_codes(position).astype(np.int64)) > 0).all()
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 7))
+def test_flipped_bits_do_no_harm(place, bit):
+    position = sorted_unique(clouds()["surface"])
+    data = bytearray(octree.encode(position))
+    data[place % len(data)] ^= 1 << bit
+    with contextlib.suppress(ValueError):
+        assert octree.decode(bytes(data), len(position)).shape == position.shape

@@ -1,0 +1,246 @@
+#include "octree_model.h"
+
+#define LIMIT 250
+#define WEIGHT_SHIFT 13
+#define WEIGHT_MOST (4 * CLGS_WEIGHT_ONE)
+
+/* The states of a child lie far apart: fetch them while others are coded. */
+#if defined(__GNUC__)
+#define PREFETCH(x) __builtin_prefetch(x)
+#else
+#define PREFETCH(x) ((void)0)
+#endif
+
+/* Where the outer cells of a child lie in its word, by the axes (x 4, y 2, z 1) they lie beyond. */
+static const uint8_t PLACE[8] = {0, 8, 10, 2, 12, 4, 6, 0};
+
+typedef struct surroundings {
+    uint64_t density;  /* a byte a child: points near to it */
+    uint64_t cells[2]; /* 16 bits a child: states of its seven outer cells, two bits each */
+    uint32_t count;    /* nodes around */
+    uint32_t total;    /* sum of the densities */
+} surroundings;
+
+typedef struct site {
+    clgs_octree_model *model;
+    clgs_wide *coder;
+    uint32_t height; /* levels to the leaves */
+    uint32_t class;  /* ... in classes */
+    uint32_t parent; /* class of nodes around the parent */
+    uint32_t family; /* mirrored occupancy of the parent */
+    surroundings around;
+} site;
+
+/* Code one bit with `inputs` states; they, their weights and the curve learn from it. */
+CLGS_INLINE uint32_t mix(const site *at, uint32_t *const *state, uint32_t inputs, int32_t *weights,
+                         uint16_t *curve, uint32_t bit, int decoding)
+{
+    clgs_octree_model *model = at->model;
+    const clgs_tables *tables = &model->tables;
+    uint32_t trust = model->trust[*state[0] & 255] * (uint32_t)CLGS_TRUST;
+    trust += model->trust[*state[1] & 255];
+    int32_t odds[3], *weight = weights + inputs * trust, sum = 0;
+    for (uint32_t i = 0; i < inputs; i++) {
+        odds[i] = tables->stretch[*state[i] >> 20];
+        sum += weight[i] * odds[i];
+    }
+    sum = clgs_clamp(sum >> 16, -CLGS_ODDS_LIMIT, CLGS_ODDS_LIMIT - 1) + CLGS_ODDS_LIMIT;
+    uint32_t place = (uint32_t)sum, part = place % CLGS_CURVE_STEP;
+    int32_t mixed = tables->squash[place];
+    uint16_t *knot = curve + place / CLGS_CURVE_STEP;
+    uint32_t learned = (knot[0] * (CLGS_CURVE_STEP - part) + knot[1] * part) / CLGS_CURVE_STEP;
+    int32_t p = (mixed + 3 * (int32_t)learned) >> 2;
+    p = clgs_clamp(p, CLGS_MIN_PROBABILITY, 65536 - CLGS_MIN_PROBABILITY);
+    bit = clgs_wide_code(at->coder, bit, (uint32_t)p, decoding);
+    int32_t error = (int32_t)(bit << 16) - mixed;
+    for (uint32_t i = 0; i < inputs; i++) {
+        int32_t moved = weight[i] + ((odds[i] * error) >> WEIGHT_SHIFT);
+        weight[i] = clgs_clamp(moved, -WEIGHT_MOST, WEIGHT_MOST);
+        clgs_state_update(state[i], bit, LIMIT, tables->rate);
+    }
+    knot += part >= CLGS_CURVE_STEP / 2;
+    *knot = (uint16_t)(bit ? *knot + ((65535 - *knot) >> 6) : *knot - (*knot >> 6));
+    return bit;
+}
+
+static uint32_t density_of(const surroundings *around, uint32_t first, uint32_t count)
+{
+    uint32_t sum = 0;
+    for (uint32_t child = first; child < first + count; child++)
+        sum += (uint32_t)(around->density >> 8 * child & 255);
+    return sum;
+}
+
+static uint32_t cells_of(const surroundings *around, uint32_t child)
+{
+    return (uint32_t)(around->cells[child >> 2] >> 16 * (child & 3) & 0x3FFF);
+}
+
+/* Gather what is known of the nodes around node i: those before it are coded. */
+static void look_around(const clgs_octree_model *model, const clgs_levels *levels, size_t i,
+                        surroundings *around)
+{
+    const clgs_level *now = &levels->now;
+    *around = (surroundings){.count = now->first[i + 1] - now->first[i]};
+    for (uint32_t k = now->first[i]; k < now->first[i + 1]; k++) {
+        uint32_t d = now->list[k] & 31, node = now->list[k] >> 5, coded = node < i;
+        uint32_t occupancy = coded ? levels->occupancy[node] : 0;
+        uint32_t there = model->facing[d][255], full = model->facing[d][occupancy];
+        uint32_t x = d / 9 != 1, y = d / 3 % 3 != 1, z = d % 3 != 1;
+        uint32_t place = PLACE[x << 2 | y << 1 | z];
+        around->density += model->density[d][coded ? occupancy : 256];
+        around->cells[0] |= ((model->spread[there & 15] << coded) | model->spread[full & 15])
+                            << place;
+        around->cells[1] |= ((model->spread[there >> 4] << coded) | model->spread[full >> 4])
+                            << place;
+    }
+    around->total = density_of(around, 0, 8);
+}
+
+/* Children of the parent besides this node, in classes: 0, 1, 2-3, more. */
+static uint32_t siblings(const site *at)
+{
+    uint32_t children = clgs_count8(at->family);
+    return children < 3 ? children - (children > 0) : children < 5 ? 2 : 3;
+}
+
+/* Code whether a node without others around holds one point only, and where it is. */
+CLGS_INLINE int code_alone(const site *at, uint32_t alone, uint64_t *path, int decoding)
+{
+    uint32_t *state = &at->model->alone[at->class][at->parent], bits = 3 * at->height;
+    int32_t p =
+        clgs_clamp((int32_t)(*state >> 16), CLGS_MIN_PROBABILITY, 65536 - CLGS_MIN_PROBABILITY);
+    alone = clgs_wide_code(at->coder, alone, (uint32_t)p, decoding);
+    clgs_state_update(state, alone, LIMIT, at->model->tables.rate);
+    if (!alone)
+        return 0;
+    uint64_t value = decoding ? 0 : *path;
+    *path = 0;
+    while (bits > 0) {
+        uint32_t step = bits < CLGS_WIDE_PLAIN ? bits : CLGS_WIDE_PLAIN;
+        bits -= step;
+        uint32_t part = (uint32_t)(value >> bits) & ((1u << step) - 1);
+        *path = *path << step | clgs_wide_plain(at->coder, part, step, decoding);
+    }
+    return 1;
+}
+
+CLGS_INLINE uint32_t code_only(const site *at, uint32_t only, int decoding)
+{
+    clgs_octree_model *model = at->model;
+    uint32_t total = model->logarithm[1 + at->around.total];
+    uint32_t crowd = clgs_crowd(at->around.count);
+    uint32_t *state[2] = {&model->only_density[at->class][at->parent][siblings(at)][total],
+                          &model->only_family[at->class][crowd][at->family]};
+    return mix(at, state, 2, model->only_weight[0], model->only_curve[at->class], only, decoding);
+}
+
+/* Code the place of an only child, a bit an axis: which half of what is left holds it? */
+CLGS_INLINE uint32_t code_place(const site *at, uint32_t child, int decoding)
+{
+    clgs_octree_model *model = at->model;
+    uint32_t first = 0, prefix = 1;
+    for (uint32_t axis = 0, half = 4; axis < 3; axis++, half /= 2) {
+        uint32_t lower = density_of(&at->around, first, half);
+        uint32_t upper = density_of(&at->around, first + half, half);
+        int32_t balance = model->logarithm[1 + upper] - model->logarithm[1 + lower];
+        balance = clgs_clamp(balance, -CLGS_BALANCE, CLGS_BALANCE) + CLGS_BALANCE;
+        uint32_t octaves = model->logarithm[1 + lower + upper] / 4;
+        uint32_t near = cells_of(&at->around, first) >> 8;
+        uint32_t far = cells_of(&at->around, first + 2 * half - 1) >> 8;
+        uint32_t *state[2] = {&model->half_density[at->class][axis][balance][octaves],
+                              &model->half_faces[prefix][near][far]};
+        uint32_t bit = mix(at, state, 2, model->half_weight[0], model->half_curve[at->class][axis],
+                           child >> (2 - axis) & 1, decoding);
+        first += bit ? half : 0;
+        prefix = prefix << 1 | bit;
+    }
+    return first;
+}
+
+/* Code which of eight children exist, two at least. */
+CLGS_INLINE uint32_t code_children(const site *at, uint32_t occupancy, int decoding)
+{
+    clgs_octree_model *model = at->model;
+    uint32_t prefix = 1, full = 0, coded = 0;
+    for (uint32_t child = 0; child < 8; child++) {
+        uint32_t bit = 1, cells = cells_of(&at->around, child);
+        if (full + 8 - child > 2) {
+            uint32_t density = (uint32_t)(at->around.density >> 8 * child & 255);
+            uint32_t near = model->logarithm[1 + density];
+            uint32_t *state[3] = {&model->child_faces[cells >> 8][prefix],
+                                  &model->child_outer[cells][full],
+                                  &model->child_density[at->class][near][child][full]};
+            bit = mix(at, state, 3, model->child_weight[0],
+                      model->child_curve[at->class][child][full], occupancy >> child & 1, decoding);
+        }
+        full += bit;
+        coded |= bit << child;
+        prefix = prefix << 1 | bit;
+    }
+    return coded;
+}
+
+CLGS_INLINE uint32_t code_node(const site *at, uint32_t occupancy, int decoding)
+{
+    uint32_t only = 0;
+    if (at->around.count > 0 || at->height > 1)
+        only = code_only(at, (occupancy & (occupancy - 1)) == 0, decoding);
+    if (!only)
+        return code_children(at, occupancy, decoding);
+    if (at->height == 1 && at->around.count <= 3)
+        return 1u << clgs_wide_plain(at->coder, decoding ? 0 : clgs_lowest(occupancy), 3, decoding);
+    return 1u << code_place(at, decoding ? 0 : clgs_lowest(occupancy), decoding);
+}
+
+/* Encoder: the occupancy of node i, and the points of its children from `child` on. */
+static uint32_t find_occupancy(clgs_levels *levels, size_t i, uint32_t shift, size_t child,
+                               const uint64_t *target)
+{
+    uint32_t occupancy = 0, end = levels->now.end[i];
+    for (uint32_t k = levels->now.begin[i]; k < end; k++) {
+        uint32_t bit = 1u << (target[k] >> shift & 7);
+        if (!(occupancy & bit))
+            levels->next.begin[child++] = k;
+        occupancy |= bit;
+        levels->next.end[child - 1] = k + 1;
+    }
+    return occupancy;
+}
+
+CLGS_INLINE uint64_t *code_level(site *at, clgs_levels *levels, const uint64_t *target,
+                                 uint64_t *points, int decoding)
+{
+    clgs_level *now = &levels->now;
+    size_t child = 0;
+    for (size_t i = 0; i < now->count && !at->coder->failed; i++) {
+        uint32_t occupancy = 0;
+        at->parent = now->parent[i];
+        at->family = now->family[i];
+        if (now->first[i] == now->first[i + 1] && at->parent > 0) {
+            uint64_t path = decoding ? 0 : target[now->begin[i]];
+            if (code_alone(at, !decoding && now->end[i] - now->begin[i] == 1, &path, decoding)) {
+                *points++ = now->code[i] << 3 * at->height | path;
+                levels->occupancy[i] = 0;
+                continue;
+            }
+        }
+        if (!decoding) {
+            occupancy = find_occupancy(levels, i, 3 * (at->height - 1), child, target);
+            child += clgs_count8(occupancy);
+        }
+        look_around(at->model, levels, i, &at->around);
+        levels->occupancy[i] = (uint8_t)code_node(at, occupancy, decoding);
+    }
+    return points;
+}
+
+uint64_t *clgs_octree_code_level(clgs_octree_model *model, clgs_levels *levels, clgs_wide *coder,
+                                 uint32_t height, const uint64_t *target, uint64_t *points)
+{
+    uint32_t class = height <= 4 ? height - 1 : height <= 7 ? 4 : 5;
+    site at = {.model = model, .coder = coder, .height = height, .class = class};
+    if (target)
+        return code_level(&at, levels, target, points, 0);
+    return code_level(&at, levels, NULL, points, 1);
+}

@@ -1,0 +1,85 @@
+/* The nodes of two octree levels, in Morton order: the one that is coded and the one it grows.
+ *
+ * A node knows the nodes among the 26 cells around its own: a list as long as needed, which
+ * children inherit from their parent. Nodes that were coded whole have no children.
+ */
+#ifndef CLGS_OCTREE_LEVELS_H
+#define CLGS_OCTREE_LEVELS_H
+
+#include "clgs_codec.h"
+
+#define CLGS_AROUND 26     /* cells around a node */
+#define CLGS_DIRECTIONS 27 /* 9 (dx + 1) + 3 (dy + 1) + (dz + 1); 13 is the node itself */
+#define CLGS_SELF 13
+
+typedef struct clgs_level {
+    size_t count;
+    uint64_t *code;  /* Morton code of the node's cell at its level */
+    uint32_t *begin; /* encoder: index of the node's first point; one more entry at the end */
+    uint32_t *end;   /* encoder: behind its last point */
+    uint32_t *first; /* where its list starts in `list`; one more entry at the end */
+    uint32_t *list;  /* 32 * index of a node + its direction */
+    uint8_t *parent; /* its parent's number of nodes around, in classes */
+    uint8_t *family; /* its parent's occupancy, mirrored so that the node itself is child 0 */
+} clgs_level;
+
+/* How cells of a level touch each other; bits c of a mask are children. */
+typedef struct clgs_touch {
+    uint8_t inner[8][8];                  /* direction from child to child of one node */
+    uint8_t outer[CLGS_DIRECTIONS][8][8]; /* ... to child [2] of the node in direction [0] */
+    uint8_t reach[CLGS_DIRECTIONS][8];    /* mask of such children that touch child [1] */
+    uint8_t mirror[8][256];               /* occupancy [1] with child c at place c xor [0] */
+} clgs_touch;
+
+typedef struct clgs_levels {
+    clgs_level now, next;
+    size_t capacity;    /* nodes that a level can hold */
+    uint8_t *occupancy; /* of `now`; bit c: child c exists; child c = 4 x + 2 y + z */
+    uint32_t *child;    /* of `now`: index in `next` of a node's first child */
+    clgs_touch touch;
+} clgs_levels;
+
+/* Bytes of both levels with room for `count` nodes. */
+size_t clgs_levels_size(size_t count);
+
+/* Lay the arrays out at `memory`; one node, the root, which holds points 0 to count - 1. */
+void clgs_levels_begin(clgs_levels *levels, size_t count, uint8_t *memory);
+
+/* Let the occupied children of `now` take its place. Returns 0 where they exceed the capacity.
+ * `last`: they are leaves, of which only the codes are needed. */
+int clgs_levels_descend(clgs_levels *levels, int last);
+
+/* Nodes around in eight classes: 0, 1, 2, 3, 4-5, 6-8, 9-13, more. */
+static inline uint32_t clgs_crowd(uint32_t around)
+{
+    if (around < 4)
+        return around;
+    return around < 6 ? 4 : around < 9 ? 5 : around < 14 ? 6 : 7;
+}
+
+/* Number of bits set. */
+static inline uint32_t clgs_count8(uint32_t bits)
+{
+#if defined(__GNUC__)
+    return (uint32_t)__builtin_popcount(bits);
+#else
+    bits = bits - (bits >> 1 & 0x55);
+    bits = (bits & 0x33) + (bits >> 2 & 0x33);
+    return (bits + (bits >> 4)) & 0x0F;
+#endif
+}
+
+/* Index of the lowest bit set, of at least one. */
+static inline uint32_t clgs_lowest(uint32_t bits)
+{
+#if defined(__GNUC__)
+    return (uint32_t)__builtin_ctz(bits);
+#else
+    uint32_t index = 0;
+    while (!(bits >> index & 1))
+        index++;
+    return index;
+#endif
+}
+
+#endif
