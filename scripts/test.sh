@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Lint and test: ./scripts/test.sh [--ci] [PYTEST ARGUMENTS]. Sets up first.
-# --ci adds what takes longer: the C tests under sanitizers, a wheel installed in a clean
-# environment and tested from outside the checkout (slow tests included), a race check, and a short
-# training run.
+# --ci adds what takes longer: the C tests under sanitizers, half a minute a fuzz target, a wheel
+# installed in a clean environment and tested from outside the checkout (slow tests included), a
+# race check, and a short training run.
 set -euo pipefail
 
 ci=
@@ -46,6 +46,14 @@ test_c() {
     "$bin/ctest" --test-dir build/c --output-on-failure
 }
 
+fuzz() {
+    step "fuzz targets of the codec"
+    if on_debian_as_root && ! scripts/fuzz.sh --find >/dev/null; then
+        apt_install clang libclang-rt-dev || true # fuzz.sh says what is missing
+    fi
+    PYTHON=$python scripts/fuzz.sh 30
+}
+
 # The wheel in its own environment: $work/venv, with the tests but not the package in $work/tree.
 build_wheel() {
     step "wheel"
@@ -87,6 +95,7 @@ trap 'rm -rf "$work"' EXIT
 step "tests of the checkout"
 "$python" -m pytest -q tests/test_architecture.py tests/test_packaging.py tests/test_rules.py
 test_c
+fuzz
 build_wheel
 smoke
 step "tests of the wheel, slow ones included"

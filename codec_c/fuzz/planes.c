@@ -1,0 +1,13 @@
+/* Streams of byte planes, the MLP section: two bytes of count, then the stream. */
+#include "fuzz.h"
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    fuzz_input input = {data, size};
+    size_t count = fuzz_take(&input, 2) % 1024;
+    uint32_t *word = fuzz_allocate(4 * count);
+    void *workspace = fuzz_workspace(clgs_planes_workspace());
+    clgs_planes_decode(input.at, input.size, word, count, workspace);
+    free(word);
+    return 0;
+}

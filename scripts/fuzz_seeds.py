@@ -1,0 +1,112 @@
+"""First inputs for the fuzz targets: ``python scripts/fuzz_seeds.py FOLDER``.
+
+Writes FOLDER/<target>/<name>, from the golden files and from small seeded arrays: what a target
+reads before the stream (codec_c/fuzz/<target>.c), and a valid stream.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from clgs.codec import attributes, octree, paper, runlength
+from clgs.codec.container import read_container
+
+GOLDEN = Path(__file__).resolve().parents[1] / "tests" / "codec" / "golden"
+Seed = tuple[str, str, bytes]
+"""Target, name, input."""
+
+
+def main() -> None:
+    """Write all seeds."""
+    folder = Path(sys.argv[1])
+    count = 0
+    for target, name, data in [*golden_seeds(), *matrix_seeds(), *point_seeds()]:
+        (folder / target).mkdir(parents=True, exist_ok=True)
+        (folder / target / name).write_bytes(data)
+        count += 1
+    print(f"fuzz_seeds: {count} inputs")
+
+
+def golden_seeds() -> Iterator[Seed]:
+    """Sections of the golden files of version 1, whose streams are whole sections."""
+    for path in sorted(GOLDEN.glob("*.clgs")):
+        table, sections = read_container(path.read_bytes())
+        if table.major != 1:
+            continue
+        (anchors,) = struct.unpack_from("<I", sections["META"].data)
+        if anchors:
+            yield "octree", path.stem, struct.pack("<H", anchors - 1) + sections["ANCH"].data
+        yield "runlength", path.stem, struct.pack("<HB", anchors, 5) + sections["SCAL"].data
+
+
+def matrices() -> dict[str, np.ndarray]:
+    """Small matrices of int32: peaked, wide, constant, smooth, with runs of zero rows."""
+    rng = np.random.default_rng(1)
+    peaked = np.rint(rng.laplace(0, 2, (60, 4))).astype(np.int32)
+    runs = peaked.copy()
+    runs[5:40] = 0
+    return {
+        "peaked": peaked,
+        "runs": runs,
+        "wide": (rng.integers(-(2**31), 2**31, (20, 3)) >> rng.integers(0, 31, (20, 3))).astype(
+            np.int32
+        ),
+        "constant": np.full((300, 2), -77, np.int32),
+        "smooth": np.cumsum(np.rint(rng.laplace(0, 1, (80, 3))), 0).astype(np.int32),
+        "one": np.array([[2**31 - 1]], np.int32),
+    }
+
+
+def matrix_seeds() -> Iterator[Seed]:
+    """Every matrix by every coder of rows."""
+    for name, value in matrices().items():
+        rows, channels = value.shape
+        shape = struct.pack("<HB", rows, channels - 1)
+        yield "runlength", name, shape + runlength.encode(value)
+        yield "paper", name, shape + paper.encode(value)
+        words = runlength.encode_weights(value.ravel().view(np.float32))
+        yield "planes", name, struct.pack("<H", value.size) + words
+        for coder in range(3):
+            form = bytes([3 + 4 * (channels - 1) + 28 * coder])
+            yield "round_trip", f"{name}_{coder}", form + value.astype("<i4").tobytes()
+        for level in ("fast", "default", "max"):
+            model = attributes.fit(value, level, rows)
+            head = struct.pack("<HBH", rows - 1, channels - 1, len(model.header))
+            yield "attributes", f"{name}_{level}", head + model.header + model.encode(value)
+            head = struct.pack("<BH", channels - 1 | 128, len(model.header))
+            data = head + model.header + value.astype("<i4").tobytes()
+            yield "round_trip_attributes", f"{name}_{level}", data
+
+
+def point_seeds() -> Iterator[Seed]:
+    """Points of several kinds as streams, and as what ``round_trip_octree`` reads."""
+    rng = np.random.default_rng(2)
+    x, y = np.divmod(np.arange(64), 8)
+    clouds = {
+        "one": np.array([[5, -2, 7]]),
+        "two": np.array([[0, 0, 0], [2**21 - 1, 2**21 - 1, 0]]),
+        "cube": np.argwhere(np.ones((4, 4, 4), bool)),
+        "sheet": np.stack([x, y, (x * x + 3 * y) // 8], 1),
+        "scattered": rng.integers(0, 2**21, (30, 3)),
+        "dense": np.unique(rng.integers(0, 16, (500, 3)), axis=0),
+    }
+    for name, cloud in clouds.items():
+        position = cloud.astype(np.int32)
+        position = position[octree.morton_order(position)]
+        yield (
+            "octree",
+            f"points_{name}",
+            struct.pack("<H", len(position) - 1) + octree.encode(position),
+        )
+        code = octree.morton_codes(position)
+        yield "round_trip_octree", name, bytes([7, 0, 0, 0, 0]) + code.astype("<u8").tobytes()
+        yield "models", name, position.astype("<i2").tobytes()
+
+
+if __name__ == "__main__":
+    main()
