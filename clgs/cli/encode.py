@@ -25,7 +25,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("scene", type=Path, metavar="RUN", help="run folder or decoded .npz")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.clgs")
     parser.add_argument("--level", default="default", help="fast, default, max or paper")
-    parser.add_argument("--chunk", type=int, default=65_536, metavar="N", help="64 to 2^24; 65536")
+    parser.add_argument("--chunk", type=int, default=65_536, metavar="N", help="16 to 2^20; 65536")
     add_threads(parser)
 
 

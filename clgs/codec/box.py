@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec import container
-from clgs.codec.decode import decode, decode_chunks
+from clgs.codec.decode import decode, decode_chunks, decode_positions
 from clgs.codec.meta import Meta
 from clgs.codec.reader import Reader
 from clgs.codec.source import Source
@@ -73,7 +73,7 @@ def _decode_chunks(reader: Reader, box: Box, pool: ThreadPoolExecutor) -> Quanti
     meta, directory = reader.meta, reader.directory
     least, greatest = (_world(corners, meta) for corners in (directory.least, directory.greatest))
     met = np.flatnonzero(box.meets(least, greatest)).tolist()
-    positions = dict(zip(met, pool.map(reader.positions, met), strict=True))
+    positions = decode_positions(reader, met, pool)
     inside = {index: box.holds(_world(position, meta)) for index, position in positions.items()}
     used = [index for index in met if inside[index].any()]
     anchors = decode_chunks(reader, {index: positions[index] for index in used}, pool)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
+from clgs.codec import runlength
 from clgs.codec.container import ANCH, FEAT, OFFS, SCAL
 from clgs.codec.meta import Grid
 
@@ -17,13 +17,15 @@ TAGS = (ANCH, OFFS, FEAT, SCAL)
 """The sections in chunks, in the order of the directory's columns."""
 
 DEFAULT_CHUNK = 65_536
-MIN_CHUNK, MAX_CHUNK = 64, 1 << 24
-"""Anchors of a chunk, as the encoder takes them; a reader takes 1 and more."""
+MIN_CHUNK, MAX_CHUNK = 16, 1 << 20
+"""Anchors of a chunk, at most."""
 
-_HEAD = struct.Struct("<9I")
-_ROW = np.dtype(
-    [("least", "<i4", 3), ("greatest", "<i4", 3), ("length", "<u4", 4), ("crc", "<u4", 4)]
-)
+COLUMNS = 11
+"""Of a chunk: anchors, least x y z, greatest x y z, bytes in each of TAGS."""
+
+_HEAD = struct.Struct("<10I")
+
+Table = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -32,80 +34,118 @@ class Part:
 
     offset: int
     length: int
-    crc: int
 
 
 @dataclass(frozen=True)
 class Directory:
     """What CHNK holds.
 
-    chunk: anchors a chunk, the last has the rest; headers: for each of TAGS the part that all its
-    chunks share; least, greatest (chunks, 3) int32: the corners of each chunk's positions;
-    parts: for each of TAGS one part a chunk.
+    chunk: anchors a chunk, at most; spans: the rows of every chunk; headers: for each of TAGS the
+    part that all its chunks share, with its CRC; least, greatest (chunks, 3) int32: the corners of
+    each chunk's positions; parts: for each of TAGS one part a chunk; position_crc: of every chunk's
+    part of ANCH; rows_crc: of its parts of the other sections, one after the other.
     """
 
     chunk: int
-    headers: dict[str, Part]
+    spans: list[slice]
+    headers: dict[str, tuple[Part, int]]
     least: npt.NDArray[np.int32]
     greatest: npt.NDArray[np.int32]
     parts: dict[str, list[Part]]
-
-    def __len__(self) -> int:
-        return len(self.least)
+    position_crc: list[int]
+    rows_crc: list[int]
 
     def length(self, tag: str) -> int:
         """Bytes of section ``tag``."""
-        return self.headers[tag].length + sum(part.length for part in self.parts[tag])
-
-
-def spans(anchors: int, chunk: int) -> list[slice]:
-    """The rows of every chunk."""
-    return [slice(at, min(at + chunk, anchors)) for at in range(0, anchors, chunk)]
+        return self.headers[tag][0].length + sum(part.length for part in self.parts[tag])
 
 
 def pack_directory(
     chunk: int,
     position: npt.NDArray[np.int32],
+    spans: list[slice],
     headers: dict[str, bytes],
     streams: dict[str, list[bytes]],
 ) -> bytes:
     """Section CHNK of ``position`` (A, 3) int32 in Morton order, and the bytes of its chunks."""
-    shared = [number for tag in TAGS for number in _measure(headers[tag])]
-    rows = np.zeros(len(streams[ANCH]), _ROW)
-    for index, span in enumerate(spans(len(position), chunk)):
-        corners = position[span].min(axis=0), position[span].max(axis=0)
-        length, crc = zip(*(_measure(streams[tag][index]) for tag in TAGS), strict=True)
-        rows[index] = (*corners, length, crc)
-    return _HEAD.pack(chunk, *shared) + rows.tobytes()
+    table = np.empty((len(spans), COLUMNS), np.int32)
+    table[:, 0] = [span.stop - span.start for span in spans]
+    for row, span in zip(table, spans, strict=True):
+        row[1:4], row[4:7] = position[span].min(axis=0), position[span].max(axis=0)
+    for column, tag in enumerate(TAGS):
+        table[:, 7 + column] = [len(stream) for stream in streams[tag]]
+    crcs = [_codec.crc32c(stream) for stream in streams[ANCH]]
+    rows = zip(*(streams[tag] for tag in TAGS[1:]), strict=True)
+    crcs += [_codec.crc32c(b"".join(parts)) for parts in rows]
+    shared = [number for tag in TAGS for number in measure(headers[tag])]
+    return pack_table(chunk, shared, crcs, table)
 
 
-def _measure(data: bytes) -> tuple[int, int]:
+def measure(data: bytes) -> tuple[int, int]:
+    """Length and CRC."""
     return len(data), _codec.crc32c(data)
+
+
+def pack_table(chunk: int, shared: list[int], crcs: list[int], table: Table) -> bytes:
+    """CHNK of the columns (chunks, COLUMNS); ``shared``: length and CRC of the four headers."""
+    relative = table.copy()
+    relative[1:, 1:4] -= table[:-1, 1:4]
+    relative[:, 4:7] -= table[:, 1:4]
+    head = _HEAD.pack(chunk, len(table), *shared)
+    return head + struct.pack(f"<{len(crcs)}I", *crcs) + runlength.encode(relative)
+
+
+def unpack_table(data: bytes | memoryview) -> tuple[int, list[int], list[int], Table]:
+    """What ``pack_table`` was given.
+
+    Raises:
+        ValueError: the section is damaged.
+    """
+    if len(data) < _HEAD.size:
+        raise ValueError(f"{len(data)} bytes, at least {_HEAD.size} are needed")
+    chunk, count, *shared = _HEAD.unpack_from(data)
+    table_start = _HEAD.size + 8 * count
+    if len(data) < table_start:
+        raise ValueError(f"{len(data)} bytes cannot hold {count} chunks")
+    crcs = list(struct.unpack_from(f"<{2 * count}I", data, _HEAD.size))
+    wide = runlength.decode(data[table_start:], count, COLUMNS).astype(np.int64)
+    wide[:, 1:4] = np.cumsum(wide[:, 1:4], axis=0)
+    wide[:, 4:7] += wide[:, 1:4]
+    table = wide.astype(np.int32)
+    if (table != wide).any():
+        raise ValueError("corners of a chunk are outside of int32")
+    return chunk, shared, crcs, table
 
 
 def unpack_directory(data: bytes | memoryview, anchors: int, grid: Grid) -> Directory:
     """Read section CHNK of a file of ``anchors`` anchors on ``grid``.
 
     Raises:
-        ValueError: wrong size, or corners outside of the grid.
+        ValueError: the section is damaged, or does not fit the counts and the grid.
     """
-    if len(data) < _HEAD.size:
-        raise ValueError(f"{len(data)} bytes, at least {_HEAD.size} are needed")
-    chunk, *shared = _HEAD.unpack_from(data)
-    if not 1 <= chunk <= MAX_CHUNK:
-        raise ValueError(f"{chunk} anchors a chunk, 1 to {MAX_CHUNK} are possible")
-    count = -(-anchors // chunk)
-    if len(data) != _HEAD.size + count * _ROW.itemsize:
-        raise ValueError(f"{len(data)} bytes do not describe {count} chunks")
-    rows = np.frombuffer(data, _ROW, count, _HEAD.size)
-    least, greatest = rows["least"].astype(np.int32), rows["greatest"].astype(np.int32)
+    chunk, shared, crcs, table = unpack_table(data)
+    counts = table[:, 0]
+    if not 1 <= chunk <= MAX_CHUNK or (counts < 1).any() or (counts > chunk).any():
+        raise ValueError(f"numbers of anchors a chunk are not in [1, {chunk}]")
+    stops = np.cumsum(counts, dtype=np.int64).tolist()
+    if (stops[-1] if stops else 0) != anchors:
+        raise ValueError(f"chunks do not hold {anchors} anchors")
+    if (table[:, 7:] < 0).any():
+        raise ValueError("a chunk has a negative length")
+    least, greatest = table[:, 1:4], table[:, 4:7]
     _check_corners(least, greatest, grid)
     headers, parts = {}, {}
     for column, tag in enumerate(TAGS):
         length, crc = shared[2 * column : 2 * column + 2]
-        headers[tag] = Part(0, length, crc)
-        parts[tag] = _parts(length, rows["length"][:, column], rows["crc"][:, column])
-    return Directory(chunk, headers, least, greatest, parts)
+        headers[tag] = Part(0, length), crc
+        ends = length + np.cumsum(table[:, 7 + column], dtype=np.int64)
+        starts = (ends - table[:, 7 + column]).tolist()
+        parts[tag] = [
+            Part(*part) for part in zip(starts, table[:, 7 + column].tolist(), strict=True)
+        ]
+    spans = [slice(start, stop) for start, stop in zip([0, *stops], stops, strict=False)]
+    half = len(table)
+    return Directory(chunk, spans, headers, least, greatest, parts, crcs[:half], crcs[half:])
 
 
 def _check_corners(
@@ -122,12 +162,6 @@ def _check_corners(
         raise ValueError("corners of a chunk do not fit the origin")
     if int(extent).bit_length() != grid.depth:
         raise ValueError(f"corners of a chunk do not fit depth {grid.depth}")
-
-
-def _parts(start: int, length: npt.NDArray[np.uint32], crc: npt.NDArray[np.uint32]) -> list[Part]:
-    ends = start + np.cumsum(length, dtype=np.int64)
-    columns: Sequence[list[int]] = ((ends - length).tolist(), length.tolist(), crc.tolist())
-    return [Part(*values) for values in zip(*columns, strict=True)]
 
 
 def make_grid(position: npt.NDArray[np.int32], level: str) -> Grid:

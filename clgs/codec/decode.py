@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from clgs.codec.container import CHNK, FEAT, META, OFFS, SCAL
 from clgs.codec.content import array_hash, content_arrays, join_hashes
 from clgs.codec.reader import CHANNELS, Reader
 from clgs.codec.source import BytesSource
+from clgs.codec.subtrees import batches
 from clgs.codec.workers import workers
 from clgs.constants import K_OFFSETS
 from clgs.scene.anchors import QuantizedAnchors
@@ -36,12 +38,27 @@ def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
     reader = Reader(BytesSource(data), table)
     with workers(threads) as pool:
         weights = pool.submit(reader.weights)
-        positions = pool.map(reader.positions, range(len(reader.spans)))
-        anchors = decode_chunks(reader, dict(enumerate(positions)), pool)
+        numbers = list(range(len(reader.directory.spans)))
+        anchors = decode_chunks(reader, decode_positions(reader, numbers, pool), pool)
         hashes = pool.map(array_hash, content_arrays(anchors, weights.result()))
         if join_hashes(list(hashes)) != reader.meta.content_hash:
             raise reader.error(META, "the decoded integers do not match their hash")
     return reader.scene(anchors, weights.result())
+
+
+def decode_positions(
+    reader: Reader, numbers: list[int], pool: ThreadPoolExecutor
+) -> dict[int, npt.NDArray[np.int32]]:
+    """Positions (n, 3) int32 of some chunks by number, in ascending order.
+
+    Raises:
+        CodecError: a chunk is damaged.
+    """
+    spans = [reader.directory.spans[number] for number in numbers]
+    turns = [[numbers[i] for i in batch] for batch in batches(spans)]
+    decoded = pool.map(lambda turn: [reader.positions(number) for number in turn], turns)
+    positions = [position for turn in decoded for position in turn]
+    return dict(zip(numbers, positions, strict=True))
 
 
 def decode_chunks(
@@ -55,24 +72,24 @@ def decode_chunks(
     position = np.concatenate([np.empty((0, 3), np.int32), *positions.values()])
     if not octree.ascends(reader.codes(position)):
         raise reader.error(CHNK, "the chunks are not in Morton order")
+    stops = np.cumsum([0, *map(len, positions.values())]).tolist()
+    spans = [slice(*ends) for ends in pairwise(stops)]
+    streams = [reader.streams(number) for number in positions]
+    numbers = list(positions)
     rows = {tag: np.empty((len(position), CHANNELS[tag]), np.int32) for tag in CHANNELS}
+
+    def fill(tag: str, model: Model, batch: range) -> None:
+        for i in batch:
+            rows[tag][spans[i]] = reader.rows(model, streams[i][tag], numbers[i])
+
     tasks: list[Future[None]] = []
     for tag in (FEAT, OFFS, SCAL):
-        model, start = reader.model(tag), 0
-        for index, own in positions.items():
-            target = rows[tag][start : start + len(own)]
-            tasks.append(pool.submit(_fill, reader, model, tag, index, target))
-            start += len(own)
+        model = reader.model(tag)
+        tasks += [pool.submit(fill, tag, model, batch) for batch in batches(spans)]
     for task in tasks:
         task.result()
     offset = rows[OFFS].reshape(-1, K_OFFSETS, 3)
     return QuantizedAnchors(position, offset, rows[FEAT], rows[SCAL])
-
-
-def _fill(
-    reader: Reader, model: Model, tag: str, index: int, target: npt.NDArray[np.int32]
-) -> None:
-    target[...] = reader.rows(model, tag, index)
 
 
 def describe(data: bytes) -> dict[str, Any]:
@@ -92,7 +109,7 @@ def describe(data: bytes) -> dict[str, Any]:
     else:
         reader = Reader(BytesSource(data), table)
         meta, grid = reader.meta, reader.grid
-        chunks = {"anchors": reader.directory.chunk, "count": len(reader.spans)}
+        chunks = {"anchors": reader.directory.chunk, "count": len(reader.directory.spans)}
         more = {"level": grid.level, "origin": grid.origin, "depth": grid.depth, "chunks": chunks}
     sizes = {tag: len(section.data) for tag, section in sections.items()}
     return {

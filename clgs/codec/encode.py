@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.codec import attributes, container, octree
-from clgs.codec.chunks import (
-    DEFAULT_CHUNK,
-    MAX_CHUNK,
-    MIN_CHUNK,
-    TAGS,
-    make_grid,
-    pack_directory,
-    spans,
-)
+from clgs.codec.chunks import DEFAULT_CHUNK, MAX_CHUNK, MIN_CHUNK, TAGS, make_grid, pack_directory
 from clgs.codec.container import ANCH, CHNK, FEAT, MLPS, OFFS, SCAL
 from clgs.codec.content import array_hash, content_arrays, join_hashes
 from clgs.codec.meta import LEVELS, Meta
+from clgs.codec.subtrees import batches, corners, cut
 from clgs.codec.weights import encode as encode_weights
 from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
@@ -41,8 +34,8 @@ def encode(
     Args:
         scene: rows may come in any order; the file keeps them in Morton order.
         level: one of LEVELS; slower levels make smaller files.
-        chunk: anchors that are decoded together, 64 to 2^24: small ones let a box of the scene be
-            read without the rest, and cost bytes.
+        chunk: anchors that are decoded together, at most: 16 to 2^20. Small ones let a box of the
+            scene be read without the rest, and cost bytes.
         threads: at most so many, by default one for each processor; no byte depends on it.
 
     Raises:
@@ -92,20 +85,44 @@ def _encode_sections(
     """The sections but META; what takes longest is begun first."""
     rows = {FEAT: anchors.feature, OFFS: flatten(anchors.offset), SCAL: anchors.scaling}
     models = {tag: pool.submit(attributes.fit, rows[tag], level, chunk) for tag in rows}
-    parts = spans(len(anchors), chunk)
-    cut = zip(*octree.cut(anchors.position, parts), strict=True)
-    tasks = {ANCH: [pool.submit(octree.encode, *part) for part in cut]}
+    parts = cut(anchors.position, chunk)
+    tasks = {ANCH: _encode_positions(anchors.position, parts, pool)}
     packed = pool.submit(encode_weights, weights)
     for tag, model in models.items():
-        encode_chunk = model.result().encode
-        tasks[tag] = [pool.submit(encode_chunk, rows[tag][part]) for part in parts]
-    streams = {tag: [task.result() for task in tasks[tag]] for tag in TAGS}
+        tasks[tag] = _encode_rows(model.result(), rows[tag], parts, pool)
+    streams = {tag: [data for task in tasks[tag] for data in task.result()] for tag in TAGS}
     headers = {ANCH: b"", **{tag: model.result().header for tag, model in models.items()}}
     return {
-        CHNK: pack_directory(chunk, anchors.position, headers, streams),
+        CHNK: pack_directory(chunk, anchors.position, parts, headers, streams),
         **{tag: b"".join([headers[tag], *streams[tag]]) for tag in TAGS},
         MLPS: packed.result(),
     }
+
+
+def _encode_positions(
+    position: npt.NDArray[np.int32], parts: list[slice], pool: ThreadPoolExecutor
+) -> list[Future[list[bytes]]]:
+    """The octrees of all parts, some a task."""
+    origins = corners(position, parts)
+
+    def encode_batch(batch: range) -> list[bytes]:
+        return [octree.encode(position[parts[i]], origins[i]) for i in batch]
+
+    return [pool.submit(encode_batch, batch) for batch in batches(parts)]
+
+
+def _encode_rows(
+    model: attributes.Model,
+    rows: npt.NDArray[np.int32],
+    parts: list[slice],
+    pool: ThreadPoolExecutor,
+) -> list[Future[list[bytes]]]:
+    """The attributes of all parts, some a task."""
+
+    def encode_batch(batch: range) -> list[bytes]:
+        return [model.encode(rows[parts[i]]) for i in batch]
+
+    return [pool.submit(encode_batch, batch) for batch in batches(parts)]
 
 
 def check_options(level: str, chunk: int) -> None:

@@ -72,37 +72,6 @@ def in_order(position: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     return position if (order[1:] > order[:-1]).all() else position[order]
 
 
-def cut(
-    position: npt.NDArray[np.int32], parts: list[slice]
-) -> tuple[list[npt.NDArray[np.int32]], list[tuple[int, int, int]]]:
-    """The ``parts`` of a cloud (A, 3) int32 in Morton order, and an origin for each.
-
-    An origin is a corner of the least octree cell of the whole cloud that holds the part: relative
-    to it, the points of the part keep their order.
-    """
-    if not parts:
-        return [], []
-    low = position.min(axis=0)
-    ends = np.array([[part.start, part.stop - 1] for part in parts]).ravel()
-    code = np.empty(len(ends), np.uint64)
-    _codec.morton_encode(np.ascontiguousarray(position[ends]), code, *map(int, low))
-    corners = []
-    for first, last in code.reshape(-1, 2).tolist():
-        levels = -(-(first ^ last).bit_length() // 3)
-        cell = first >> 3 * levels << 3 * levels
-        corners.append(_corner(cell, low))
-    return [position[part] for part in parts], corners
-
-
-def _corner(code: int, origin: npt.NDArray[np.int32]) -> tuple[int, int, int]:
-    """The position of a Morton code relative to ``origin``."""
-    x, y, z = (
-        int(origin[axis]) + sum((code >> 3 * bit + 2 - axis & 1) << bit for bit in range(MAX_DEPTH))
-        for axis in range(3)
-    )
-    return x, y, z
-
-
 def encode(position: npt.NDArray[np.int32], origin: tuple[int, int, int] | None = None) -> bytes:
     """The octree stream of ``position`` (A, 3) int32, unique and in Morton order.
 

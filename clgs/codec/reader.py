@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec import attributes, container, octree, weights
-from clgs.codec.chunks import TAGS, Directory, Part, spans, unpack_directory
+from clgs.codec.chunks import TAGS, Directory, Part, unpack_directory
 from clgs.codec.container import ANCH, CHNK, FEAT, META, MLPS, OFFS, SCAL, Section, Table
 from clgs.codec.meta import SCALING_DIM, Grid, Meta, unpack_meta
 from clgs.codec.source import Source
@@ -33,7 +33,6 @@ class Reader:
         self._table = table
         self.meta = guarded(self._section(META), unpack_meta, table.major)
         self.directory = self._read_directory()
-        self.spans = spans(self.meta.anchors, self.directory.chunk)
         self._check_lengths()
 
     @property
@@ -48,9 +47,10 @@ class Reader:
         Raises:
             CodecError: the chunk is damaged.
         """
-        span = self.spans[index]
         part = self._read(ANCH, self.directory.parts[ANCH][index])
-        position = _in_chunk(part, index, octree.decode, span.stop - span.start)
+        if _codec.crc32c(part.data) != self.directory.position_crc[index]:
+            raise part.error(f"chunk {index}: checksum differs")
+        position = _in_chunk(part, index, octree.decode, self._count(index))
         low, high = position.min(axis=0), position.max(axis=0)
         if (low != self.directory.least[index]).any():
             raise part.error(f"chunk {index}: least position is {low.tolist()}")
@@ -70,18 +70,31 @@ class Reader:
         Raises:
             CodecError: the section's header is damaged.
         """
-        part = self._read(tag, self.directory.headers[tag])
+        shared, crc = self.directory.headers[tag]
+        part = self._read(tag, shared)
+        if _codec.crc32c(part.data) != crc:
+            raise part.error("checksum of the header differs")
         return guarded(part, attributes.read, CHANNELS[tag])
 
-    def rows(self, model: attributes.Model, tag: str, index: int) -> npt.NDArray[np.int32]:
-        """Attributes (n, channels) int32 of a chunk.
+    def streams(self, index: int) -> dict[str, Section]:
+        """The bytes of the attributes of a chunk, by section.
+
+        Raises:
+            CodecError: they are damaged.
+        """
+        parts = {tag: self._read(tag, self.directory.parts[tag][index]) for tag in CHANNELS}
+        joined = b"".join(part.data for part in parts.values())
+        if _codec.crc32c(joined) != self.directory.rows_crc[index]:
+            raise parts[OFFS].error(f"chunk {index}: checksum of its attributes differs")
+        return parts
+
+    def rows(self, model: attributes.Model, stream: Section, index: int) -> npt.NDArray[np.int32]:
+        """Attributes (n, channels) int32 of a chunk, of one of its ``streams``.
 
         Raises:
             CodecError: the chunk is damaged.
         """
-        span = self.spans[index]
-        part = self._read(tag, self.directory.parts[tag][index])
-        return _in_chunk(part, index, model.decode, span.stop - span.start)
+        return _in_chunk(stream, index, model.decode, self._count(index))
 
     def weights(self) -> npt.NDArray[np.float32]:
         """The weights of the MLPs (13710,) float32.
@@ -99,6 +112,10 @@ class Reader:
         """A CodecError that names section ``tag``."""
         return Section(tag, self._table.entries[tag].offset, memoryview(b"")).error(what)
 
+    def _count(self, index: int) -> int:
+        span = self.directory.spans[index]
+        return int(span.stop - span.start)
+
     def _section(self, tag: str) -> Section:
         return container.read_section(self._source, self._table.entries[tag])
 
@@ -111,19 +128,16 @@ class Reader:
             length, declared = self._table.entries[tag].length, self.directory.length(tag)
             if length != declared:
                 raise self.error(tag, f"{length} bytes, its chunks have {declared}")
-        if self.directory.headers[ANCH].length > 0:
+        if self.directory.headers[ANCH][0].length > 0:
             raise self.error(ANCH, "a header that must be empty")
-        for index, span in enumerate(self.spans):
-            length, count = self.directory.parts[ANCH][index].length, span.stop - span.start
+        for index, part in enumerate(self.directory.parts[ANCH]):
+            length, count = part.length, self._count(index)
             if count > length * octree.MAX_POINTS_A_BYTE:
                 raise self.error(ANCH, f"chunk {index}: {length} bytes cannot hold {count} points")
 
     def _read(self, tag: str, part: Part) -> Section:
         offset = self._table.entries[tag].offset + part.offset
-        section = Section(tag, offset, self._source.read(offset, part.length))
-        if _codec.crc32c(section.data) != part.crc:
-            raise section.error("checksum differs")
-        return section
+        return Section(tag, offset, self._source.read(offset, part.length))
 
 
 def decode_weights(section: Section) -> npt.NDArray[np.float32]:

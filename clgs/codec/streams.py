@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec import attributes, octree
-from clgs.codec.chunks import spans
 from clgs.codec.meta import LEVELS
+from clgs.codec.subtrees import corners, runs
 from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
 
@@ -47,8 +47,9 @@ def encode_positions(positions: npt.ArrayLike, threads: int | None = None) -> by
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
     position = octree.in_order(position)
     with workers(threads) as pool:
-        parts = spans(len(position), POINTS)
-        streams = list(pool.map(octree.encode, *octree.cut(position, parts)))
+        parts = runs(len(position), POINTS)
+        clouds = [position[part] for part in parts]
+        streams = list(pool.map(octree.encode, clouds, corners(position, parts)))
     return _seal(_POSITIONS_HEAD.pack(POSITIONS, len(position)), b"", streams)
 
 
@@ -62,7 +63,7 @@ def decode_positions(
     """
     body = _unseal(data, POSITIONS, _POSITIONS_HEAD.size)
     _, count = _POSITIONS_HEAD.unpack_from(body)
-    parts = spans(count, POINTS)
+    parts = runs(count, POINTS)
     _, streams = _split(body, _POSITIONS_HEAD.size, 0, len(parts))
     for part, (at, stream) in zip(parts, streams, strict=True):
         if part.stop - part.start > len(stream) * octree.MAX_POINTS_A_BYTE:
@@ -107,7 +108,7 @@ def encode_attributes(
         raise CodecError(f"values: {rows.nbytes} bytes as int32, at most {MAX_OUTPUT} fit")
     model = attributes.fit(rows, level, ROWS)
     with workers(threads) as pool:
-        streams = list(pool.map(model.encode, (rows[part] for part in spans(len(rows), ROWS))))
+        streams = list(pool.map(model.encode, (rows[part] for part in runs(len(rows), ROWS))))
     head = _ATTRIBUTES_HEAD.pack(ATTRIBUTES, *rows.shape, len(model.header))
     return _seal(head, model.header, streams)
 
@@ -124,7 +125,7 @@ def decode_attributes(
     _, count, channels, shared = _ATTRIBUTES_HEAD.unpack_from(body)
     if not 1 <= channels <= MAX_CHANNELS or 4 * count * channels > MAX_OUTPUT:
         raise _damage(4, f"{count} rows of {channels} channels are out of range")
-    parts = spans(count, ROWS)
+    parts = runs(count, ROWS)
     header, streams = _split(body, _ATTRIBUTES_HEAD.size, shared, len(parts))
     try:
         model = attributes.read(header, channels)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import struct
-
-import numpy as np
+from collections.abc import Callable
 
 from clgs import _codec
 from clgs.codec import chunks, container
@@ -31,16 +30,27 @@ def rebuilt(data: bytes, **changed: bytes) -> bytes:
 
 def checked(sections: dict[str, bytes]) -> bytes:
     """CHNK with the checksums of what lies at its chunks' places now."""
-    rows = np.frombuffer(sections["CHNK"][36:], chunks._ROW).copy()
-    head = list(struct.unpack_from("<9I", sections["CHNK"]))
+    chunk, shared, _, table = chunks.unpack_table(sections["CHNK"])
+    streams = {}
     for column, tag in enumerate(chunks.TAGS):
-        section, at = sections[tag], head[1 + 2 * column]
-        head[2 + 2 * column] = _codec.crc32c(section[:at])
-        for row in rows:
-            end = at + int(row["length"][column])
-            row["crc"][column] = _codec.crc32c(section[at:end])
-            at = end
-    return struct.pack("<9I", *head) + rows.tobytes()
+        at = shared[2 * column]
+        shared[2 * column + 1] = _codec.crc32c(sections[tag][:at])
+        streams[tag] = []
+        for length in table[:, 7 + column].tolist():
+            streams[tag].append(sections[tag][at : at + length])
+            at += length
+    crcs = [_codec.crc32c(stream) for stream in streams["ANCH"]]
+    rows = zip(*(streams[tag] for tag in chunks.TAGS[1:]), strict=True)
+    crcs += [_codec.crc32c(b"".join(row)) for row in rows]
+    return chunks.pack_table(chunk, shared, crcs, table)
+
+
+def directory(data: bytes, change: Callable[..., None], fix: bool = False) -> bytes:
+    """CHNK of the file after ``change(shared, crcs, table)``; with ``fix`` its checksums right."""
+    chunk, shared, crcs, table = chunks.unpack_table(contents(data)["CHNK"])
+    change(shared, crcs, table)
+    section = chunks.pack_table(chunk, shared, crcs, table)
+    return checked({**contents(data), "CHNK": section}) if fix else section
 
 
 def patched(data: bytes, at: int, new: bytes) -> bytes:
@@ -50,11 +60,3 @@ def patched(data: bytes, at: int, new: bytes) -> bytes:
     end = HEAD + ENTRY * int.from_bytes(data[12:16], "little")
     file[end : end + 4] = struct.pack("<I", _codec.crc32c(bytes(file[:end])))
     return bytes(file)
-
-
-def resized(data: bytes, tag: str, column: int, by: int) -> bytes:
-    """CHNK of the file, the first chunk of section ``tag`` declared longer ``by`` bytes."""
-    section = contents(data)["CHNK"]
-    rows = np.frombuffer(section[36:], chunks._ROW).copy()
-    rows[0]["length"][column] += by
-    return section[:36] + rows.tobytes()

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from clgs import _codec
-from clgs.codec import chunks, octree
+from clgs.codec import chunks, octree, subtrees
 from clgs.codec.decode import decode, describe
 from clgs.codec.encode import encode
 from clgs.errors import CodecError
 from clgs.reference import xxh64
-from tests.codec.damage import checked, contents, rebuilt
+from tests.codec.damage import checked, contents, directory, rebuilt
 from tests.codec.scenes import assert_same, make_golden, random_scene
 
 CHUNKED = make_golden().golden_files()["chunks"]
@@ -24,12 +24,14 @@ def scene():
     return random_scene(np.random.default_rng(9), 1500)
 
 
-@pytest.mark.parametrize("chunk", [64, 65, 100, 1024, 2**24])
+@pytest.mark.parametrize("chunk", [16, 64, 65, 100, 1024, 2**20])
 def test_every_chunk_size(scene, chunk):
     data = encode(scene, chunk=chunk)
     assert_same(decode(data), decode(encode(scene)))
-    count = -(-len(scene.anchors) // chunk)
+    count = describe(data)["chunks"]["count"]
     assert describe(data)["chunks"] == {"anchors": chunk, "count": count}
+    assert count >= len(scene.anchors) / chunk
+    assert count <= 1 or count <= 4 * len(scene.anchors) / chunk
 
 
 @pytest.mark.parametrize("level", ["fast", "default", "max", "paper"])
@@ -41,70 +43,140 @@ def test_no_byte_depends_on_the_threads(scene, level):
     assert describe(data)["level"] == level
 
 
-def test_parts_of_a_cloud_have_corners_of_its_octree():
+def cloud() -> np.ndarray:
     position = np.unique(np.random.default_rng(1).integers(0, 999, (500, 3)), axis=0)
-    position = octree.in_order(position.astype(np.int32) - 70)
-    parts = chunks.spans(len(position), 70)
+    return octree.in_order(position.astype(np.int32) - 70)
+
+
+@pytest.mark.parametrize("parts", [subtrees.runs(500, 70), subtrees.cut(cloud(), 70)])
+def test_parts_of_a_cloud_have_corners_of_its_octree(parts):
+    position = cloud()
     low = position.min(axis=0)
-    for part, corner in zip(*octree.cut(position, parts), strict=True):
-        cells = part - np.array(corner)
+    for part, corner in zip(parts, subtrees.corners(position, parts), strict=True):
+        cells = position[part] - np.array(corner)
         assert (cells >= 0).all()
         size = 1 << int(cells.max()).bit_length()
         assert ((np.array(corner) - low) % size == 0).all()
-        np.testing.assert_array_equal(octree.decode(octree.encode(part, corner), len(part)), part)
-    assert octree.cut(position[:0], []) == ([], [])
+        data = octree.encode(position[part], corner)
+        np.testing.assert_array_equal(octree.decode(data, len(cells)), position[part])
+    assert subtrees.corners(position[:0], []) == []
 
 
-def directory(**changed) -> bytes:
-    """CHNK of the small file with columns of its first chunk changed."""
-    section = contents(CHUNKED)["CHNK"]
-    rows = np.frombuffer(section[36:], chunks._ROW).copy()
-    for name, (column, value) in changed.items():
-        rows[0][name][column] = value
-    return section[:36] + rows.tobytes()
+@pytest.mark.parametrize("most", [1, 2, 7, 70, 499, 500, 10**5])
+def test_small_parts_are_cells_or_children_of_one(most):
+    """Neighbours in one cell stay apart only where they would be too many together."""
+    code = octree.morton_codes(cloud())
+    parts = subtrees.cut(cloud(), most)
+    assert [part.start for part in parts] == [0, *(part.stop for part in parts[:-1])]
+    assert parts[-1].stop == len(code)
+    for part in parts:
+        assert 1 <= part.stop - part.start <= most
+        first, last = int(code[part.start]), int(code[part.stop - 1])
+        levels = max(1, -(-(first ^ last).bit_length() // 3))
+        for at in (part.start - 1, part.stop):  # no other point lies in one of its children
+            if 0 <= at < len(code):
+                child = int(code[at]) >> 3 * (levels - 1)
+                assert child not in (first >> 3 * (levels - 1), last >> 3 * (levels - 1))
+    assert subtrees.cut(cloud()[:0], most) == []
+
+
+@pytest.mark.parametrize("count", [0, 1, 100, 20_000, 70_000])
+@pytest.mark.parametrize("most", [30, 16_384, 65_536])
+def test_batches_hold_every_part_once(count, most):
+    parts = subtrees.runs(count, most)
+    batches = subtrees.batches(parts)
+    assert [i for batch in batches for i in batch] == list(range(len(parts)))
+    for batch in batches[:-1]:
+        assert parts[batch[-1]].stop - parts[batch[0]].start >= subtrees.COMPACT
+
+
+def changed(change, fix=False) -> bytes:
+    """The small file with another directory."""
+    return rebuilt(CHUNKED, CHNK=directory(CHUNKED, change, fix))
+
+
+@pytest.mark.parametrize("at", range(6))
+def test_chunks_have_checksums_of_their_own(at):
+    def change(shared, crcs, table):
+        assert len(crcs) == 6
+        crcs[at] ^= 1
+
+    tag, what = ("ANCH", "checksum differs") if at < 3 else ("OFFS", "checksum of its attributes")
+    with pytest.raises(CodecError, match=rf"section {tag} at byte \d+: chunk {at % 3}: {what}"):
+        decode(changed(change))
 
 
 @pytest.mark.parametrize("tag", chunks.TAGS)
-def test_chunks_have_checksums_of_their_own(tag):
-    column = chunks.TAGS.index(tag)
-    with pytest.raises(CodecError, match=rf"section {tag} at byte \d+: checksum differs"):
-        decode(rebuilt(CHUNKED, CHNK=directory(crc=(column, 7))))
+def test_shared_headers_have_checksums_of_their_own(tag):
+    def change(shared, crcs, table):
+        shared[2 * chunks.TAGS.index(tag) + 1] ^= 1
+
+    if tag == "ANCH":
+        return  # its header is empty, and its checksum is not used
+    with pytest.raises(CodecError, match=rf"section {tag} at byte \d+: checksum of the header"):
+        decode(changed(change))
 
 
 @pytest.mark.parametrize("tag", chunks.TAGS)
-@pytest.mark.parametrize("length", [0, 1, 2**31, 2**32 - 1])
+@pytest.mark.parametrize("length", [-(2**31), -1, 0, 1, 2**31 - 1])
 def test_declared_lengths_must_add_up(tag, length):
-    column = chunks.TAGS.index(tag)
-    with pytest.raises(CodecError, match=rf"section {tag} at byte \d+: \d+ bytes, its chunks have"):
-        decode(rebuilt(CHUNKED, CHNK=directory(length=(column, length))))
+    def change(shared, crcs, table):
+        table[0, 7 + chunks.TAGS.index(tag)] = length
+
+    what = "CHNK at byte .*: a chunk has a negative length"
+    if length >= 0:
+        what = rf"{tag} at byte \d+: \d+ bytes, its chunks have"
+    with pytest.raises(CodecError, match=f"section {what}"):
+        decode(changed(change))
 
 
-def test_bytes_may_not_move_from_chunk_to_chunk():
+@pytest.mark.parametrize("tag", chunks.TAGS)
+def test_bytes_may_not_move_from_chunk_to_chunk(tag):
     """Lengths that add up and checksums that are right, but a byte of one chunk is in the next."""
-    for column, tag in enumerate(chunks.TAGS):
-        section = contents(CHUNKED)["CHNK"]
-        rows = np.frombuffer(section[36:], chunks._ROW).copy()
-        rows[0]["length"][column] += 1
-        rows[1]["length"][column] -= 1
-        moved = checked({**contents(CHUNKED), "CHNK": section[:36] + rows.tobytes()})
-        with pytest.raises(CodecError, match=rf"section {tag} at byte \d+: chunk \d+: "):
-            decode(rebuilt(CHUNKED, CHNK=moved))
+
+    def change(shared, crcs, table):
+        table[:2, 7 + chunks.TAGS.index(tag)] += [1, -1]
+
+    with pytest.raises(CodecError, match=rf"section {tag} at byte \d+: chunk \d+: "):
+        decode(changed(change, fix=True))
 
 
-def test_corners_must_be_those_of_the_positions():
-    rows = np.frombuffer(contents(CHUNKED)["CHNK"][36:], chunks._ROW)
-    for name, by in (("least", -1), ("least", 1), ("greatest", -1), ("greatest", 1)):
-        for axis in range(3):
-            value = int(rows[0][name][axis]) + by
-            with pytest.raises(CodecError, match=r"section (CHNK|ANCH) at byte \d+: "):
-                decode(rebuilt(CHUNKED, CHNK=directory(**{name: (axis, value)})))
+@pytest.mark.parametrize("column", range(1, 7))
+def test_corners_must_be_those_of_the_positions(column):
+    for by in (-1, 1, 10**6, -(10**6)):
+
+        def change(shared, crcs, table, by=by):
+            table[1, column] += by
+
+        with pytest.raises(CodecError, match=r"section (CHNK|ANCH) at byte \d+: "):
+            decode(changed(change))
 
 
-@pytest.mark.parametrize("chunk", [0, 1, 63, 65, 2**24 + 1, 2**32 - 1])
-def test_hostile_chunk_sizes(chunk):
-    section = struct.pack("<I", chunk) + contents(CHUNKED)["CHNK"][4:]
-    with pytest.raises(CodecError, match=r"section \w+ at byte \d+: "):
-        decode(rebuilt(CHUNKED, CHNK=section))
+def test_corners_outside_of_int32_are_refused():
+    def change(shared, crcs, table):
+        table[0, 1:4] = 2**31 - 1
+        table[1:, 1:4] = -2
+
+    with pytest.raises(CodecError, match=r"section CHNK at byte \d+: corners"):
+        decode(changed(change))
+
+
+@pytest.mark.parametrize("counts", [(0, 64), (65, 0), (-1, 65), (1, 1), (2**31 - 1, 2**31 - 1)])
+def test_hostile_counts_of_anchors(counts):
+    def change(shared, crcs, table):
+        table[:2, 0] = counts
+
+    with pytest.raises(CodecError, match=r"section (CHNK|ANCH) at byte \d+: "):
+        decode(changed(change))
+
+
+@pytest.mark.parametrize("at", [0, 4])
+@pytest.mark.parametrize("number", [0, 1, 2, 4, 2**20 + 1, 2**31, 2**32 - 1])
+def test_hostile_chunk_sizes_and_numbers(at, number):
+    section = bytearray(contents(CHUNKED)["CHNK"])
+    section[at : at + 4] = struct.pack("<I", number)
+    with pytest.raises(CodecError, match=r"section CHNK at byte \d+: "):
+        decode(rebuilt(CHUNKED, CHNK=bytes(section)))
 
 
 @pytest.mark.parametrize("at", [*range(152, 168)])
@@ -120,24 +192,27 @@ def test_the_grid_must_be_that_of_the_positions(at):
 
 def test_chunks_in_another_order_are_refused():
     sections = contents(CHUNKED)
-    rows = np.frombuffer(sections["CHNK"][36:], chunks._ROW)
-    swapped = dict(sections)
-    head = struct.unpack_from("<9I", sections["CHNK"])
+    _, shared, _, table = chunks.unpack_table(sections["CHNK"])
+    swapped = {}
     for column, tag in enumerate(chunks.TAGS):
-        ends = head[1 + 2 * column] + np.cumsum(rows["length"][:, column]).astype(int)
-        first, second = (sections[tag][a:b] for a, b in zip([0, *ends], ends[:2], strict=False))
-        shared = sections[tag][: head[1 + 2 * column]]
-        first = first[len(shared) :]
-        swapped[tag] = shared + second + first + sections[tag][ends[1] :]
-    order = [1, 0, *range(2, len(rows))]
-    swapped["CHNK"] = sections["CHNK"][:36] + rows[order].tobytes()
+        start = shared[2 * column]
+        first, second = (int(length) for length in table[:2, 7 + column])
+        a = sections[tag][start : start + first]
+        b = sections[tag][start + first : start + first + second]
+        swapped[tag] = sections[tag][:start] + b + a + sections[tag][start + first + second :]
+
+    def change(shared, crcs, table):
+        table[:2] = table[:2][::-1].copy()
+
+    section = directory(CHUNKED, change)
+    swapped["CHNK"] = checked({**sections, **swapped, "CHNK": section})
     with pytest.raises(CodecError, match=r"section CHNK at byte \d+: the chunks are not in Morton"):
         decode(rebuilt(CHUNKED, **swapped))
 
 
 def test_a_file_of_nothing_declares_nothing():
     empty = make_golden().golden_files()["nothing"]
-    assert len(contents(empty)["CHNK"]) == 36
+    assert describe(empty)["chunks"] == {"anchors": 65536, "count": 0}
     meta = bytearray(contents(empty)["META"])
     meta[164] = 1
     with pytest.raises(CodecError, match="a grid without anchors"):
