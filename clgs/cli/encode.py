@@ -10,8 +10,10 @@ Compress a trained scene into one .clgs file.
 
 --level: default codes every attribute by the cheapest of its modes; fast takes less time, max more
 time and fewer bytes; paper is the run-length coder of the published method, for comparison.
---chunk: anchors that are decoded together. `clgs decode --box` reads whole chunks, so small ones
-let it read less; they make the file larger."""
+--chunk: anchors that are decoded together, at most. `clgs decode --box` reads whole chunks, so
+small ones let it read less. Of a scene of 300,000 anchors they make the file larger by 0.4 % (4096),
+1.3 % (1024), 2.2 % (512), 3.8 % (256) or 7 % (128); a box with a tenth of it then reads about 2, 1.5,
+1.4, 1.3 or 1.2 times a tenth of the file."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -15,6 +15,7 @@ from clgs import _codec
 from clgs.codec import attributes_fit
 from clgs.codec.attributes_model import CHANNEL, Ints, Models
 from clgs.codec.paper import PaperModel
+from clgs.codec.subtrees import runs
 
 LEVELS = ("fast", "default", "max", "paper")
 """Tables alone; predictions and classes too; mixing as well; the paper's coder, to compare with."""
@@ -99,8 +100,12 @@ class TableModel:
         return rows
 
 
-def fit(values: npt.NDArray[np.int32], level: str = "default", chunk: int = CHUNK) -> Model:
-    """The model of ``values`` (n, channels) int32, whose rows will be coded ``chunk`` at a time.
+def fit(
+    values: npt.NDArray[np.int32], level: str = "default", chunk: int | list[slice] = CHUNK
+) -> Model:
+    """The model of ``values`` (n, channels) int32.
+
+    Its rows will be coded ``chunk`` at a time, or in just these chunks.
 
     Raises:
         ValueError: an unknown level, or a number of channels outside [1, 256].
@@ -115,7 +120,8 @@ def fit(values: npt.NDArray[np.int32], level: str = "default", chunk: int = CHUN
     if level == "paper":
         return PaperModel(channels)
     values = np.ascontiguousarray(values, np.int32)
-    model, size = attributes_fit.fit(values, chunk, search=level in ("default", "max"))
+    chunks = runs(rows, chunk) if isinstance(chunk, int) else chunk
+    model, size = attributes_fit.fit(values, chunks, search=level in ("default", "max"))
     header = _codec.attributes_header(model)
     if len(header) + size >= 4 * values.size:
         return RawModel(channels)

@@ -49,7 +49,7 @@ SHARES = [
 """Shares of the own column, of the row and of the rows beside it that are tried."""
 
 
-def fit(values: Ints, chunk: int, search: bool) -> tuple[Models, int]:
+def fit(values: Ints, chunks: list[slice], search: bool) -> tuple[Models, int]:
     """The model of ``values`` (n, channels) and the bytes of all chunks, about."""
     rows, channels = values.shape
     sample = take_sample(values)
@@ -59,10 +59,9 @@ def fit(values: Ints, chunk: int, search: bool) -> tuple[Models, int]:
     if search:
         choose_taps(model, sample, scale)
         choose_activity(model, sample, scale)
-    cost = count_and_choose(model, values, chunk, 256)
+    cost = count_and_choose(model, values, chunks, 256)
     drop_unused(model)
-    chunks = -(-rows // chunk)
-    return model, int(cost.sum()) // (8 << 16) + CHUNK_OVERHEAD * chunks
+    return model, int(cost.sum()) // (8 << 16) + CHUNK_OVERHEAD * len(chunks)
 
 
 def take_sample(values: Ints) -> Ints:
@@ -80,11 +79,13 @@ def find_centres(sample: Ints) -> Ints:
     return np.where(4 * (sample == 0).sum(axis=0) >= len(sample), 0, centres).astype(np.int32)
 
 
-def count_and_choose(model: Models, values: Ints, chunk: int, scale: int) -> npt.NDArray[np.uint64]:
+def count_and_choose(
+    model: Models, values: Ints, chunks: list[slice], scale: int
+) -> npt.NDArray[np.uint64]:
     """Set classes and tables of ``model`` from ``values``; costs (channels,) in 2^-16 bits."""
     count = np.zeros((len(model), CELLS, TABLE), np.uint32)
-    for first in range(0, len(values), chunk):
-        _codec.attributes_count(model, values[first : first + chunk], count)
+    for chunk in chunks:
+        _codec.attributes_count(model, values[chunk], count)
     return choose(model, count, scale)
 
 
@@ -103,8 +104,8 @@ def choose_taps(model: Models, sample: Ints, scale: int) -> None:
         return
     trial["gain"] = model["gain"] = TRIAL_GAIN
     trial["weight"][:, 0] = model["weight"][:, 0] = WEIGHT_OF_OWN
-    cost = count_and_choose(model, sample, len(sample), scale)
-    trial_cost = count_and_choose(trial, sample, len(sample), scale)
+    cost = count_and_choose(model, sample, [slice(len(sample))], scale)
+    trial_cost = count_and_choose(trial, sample, [slice(len(sample))], scale)
     trial_cost += (TAP_COST * trial["taps"]).astype(np.uint64)
     better = trial_cost < cost
     for field in ("taps", "tap"):
@@ -156,7 +157,7 @@ def keep_better(
     best: Models, best_cost: npt.NDArray[np.uint64], trial: Models, sample: Ints, scale: int
 ) -> None:
     """Replace the channels of ``best`` that ``trial`` codes in fewer bits."""
-    cost = count_and_choose(trial, sample, len(sample), scale)
+    cost = count_and_choose(trial, sample, [slice(len(sample))], scale)
     better = cost < best_cost
     best[better] = trial[better]
     best_cost[better] = cost[better]

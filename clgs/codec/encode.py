@@ -84,8 +84,8 @@ def _encode_sections(
 ) -> dict[str, bytes]:
     """The sections but META; what takes longest is begun first."""
     rows = {FEAT: anchors.feature, OFFS: flatten(anchors.offset), SCAL: anchors.scaling}
-    models = {tag: pool.submit(attributes.fit, rows[tag], level, chunk) for tag in rows}
     parts = cut(anchors.position, chunk)
+    models = {tag: pool.submit(attributes.fit, rows[tag], level, parts) for tag in rows}
     tasks = {ANCH: _encode_positions(anchors.position, parts, pool)}
     packed = pool.submit(encode_weights, weights)
     for tag, model in models.items():

@@ -269,7 +269,7 @@ def test_describe_is_plain_and_adds_up(file):
     assert list(info["sections"]) == ["container", *container.VERSIONS[major(file)]]
     if major(file) == 2:
         assert info["level"] == "default"
-        assert info["chunks"] == {"anchors": 64, "count": 3}
+        assert info["chunks"] == {"anchors": 64, "count": 4}
         assert (info["origin"], info["depth"]) == ((0, 0, -3), 5)
     with pytest.raises(CodecError):
         describe(file[:-1])

@@ -100,7 +100,7 @@ def example_directory() -> bytes:
     position = np.array([[x, 0, 0] for x in range(66)], np.int32)
     headers = {"ANCH": b"", "OFFS": b"", "FEAT": b"\1", "SCAL": b""}
     columns = {tag: [bytes([0x11 + i]), bytes([0x21 + i])] for i, tag in enumerate(chunks.TAGS)}
-    return chunks.pack_directory(64, position, [slice(64), slice(64, 66)], headers, columns)
+    return chunks.pack_directory(64, position, [slice(0, 64), slice(64, 66)], headers, columns)
 
 
 def test_example_of_the_directory():
