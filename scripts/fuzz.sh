@@ -64,7 +64,7 @@ done
 run_target() {
     local target=$1 log=$2/$1.log status=0
     mkdir -p "$2/corpus/$target" "$2/seeds/$target"
-    "$2/$target" -max_total_time="$3" -runs="$4" -timeout=5 -rss_limit_mb=1024 \
+    "$2/$target" -max_total_time="$3" -runs="$4" -timeout=60 -rss_limit_mb=1024 \
         -malloc_limit_mb=128 -max_len=512 -print_final_stats=1 \
         -artifact_prefix="$2/findings/$target-" \
         "$2/corpus/$target" "$2/seeds/$target" >"$log" 2>&1 || status=$?

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clgs.codec import attributes, octree, paper, runlength
+from clgs.codec import attributes, octree, paper, runlength, weights
 from clgs.codec.container import read_container
 
 GOLDEN = Path(__file__).resolve().parents[1] / "tests" / "codec" / "golden"
@@ -25,11 +25,16 @@ def main() -> None:
     """Write all seeds."""
     folder = Path(sys.argv[1])
     count = 0
-    for target, name, data in [*golden_seeds(), *matrix_seeds(), *point_seeds()]:
+    for target, name, data in all_seeds():
         (folder / target).mkdir(parents=True, exist_ok=True)
         (folder / target / name).write_bytes(data)
         count += 1
     print(f"fuzz_seeds: {count} inputs")
+
+
+def all_seeds() -> list[Seed]:
+    """At least one for every target."""
+    return [*golden_seeds(), *matrix_seeds(), *point_seeds(), *weight_seeds()]
 
 
 def golden_seeds() -> Iterator[Seed]:
@@ -69,7 +74,7 @@ def matrix_seeds() -> Iterator[Seed]:
         shape = struct.pack("<HB", rows, channels - 1)
         yield "runlength", name, shape + runlength.encode(value)
         yield "paper", name, shape + paper.encode(value)
-        words = runlength.encode_weights(value.ravel().view(np.float32))
+        words = weights.encode(value.ravel().view(np.float32), "float32")
         yield "planes", name, struct.pack("<H", value.size) + words
         for coder in range(3):
             form = bytes([3 + 4 * (channels - 1) + 28 * coder])
@@ -106,6 +111,14 @@ def point_seeds() -> Iterator[Seed]:
         code = octree.morton_codes(position)
         yield "round_trip_octree", name, bytes([7, 0, 0, 0, 0]) + code.astype("<u8").tobytes()
         yield "models", name, position.astype("<i2").tobytes()
+
+
+def weight_seeds() -> Iterator[Seed]:
+    """One matrix of multiples of a power of two, of zeros, of any floats."""
+    rng = np.random.default_rng(3)
+    for name, step in {"multiples": 2.0**-10, "zeros": 8.0, "floats": 1e-9}.items():
+        word = (np.rint(rng.normal(0, 0.1, 120) / step) * step).astype(np.float32)
+        yield "weights", name, bytes([0, 11, 9]) + weights.encode(word, matrices=((12, 10),))
 
 
 if __name__ == "__main__":
