@@ -12,7 +12,10 @@ if TYPE_CHECKING:
     from clgs.codec.box import Box
 
 DESCRIPTION = """\
-Decompress a .clgs file into a NumPy archive.
+Decompress a .clgs file into a NumPy archive, or into a PLY file as the reference code writes it.
+
+X.ply receives the anchors as float32, X.quantized.ply as integers, and X.mlps.npz beside it the
+MLPs; all in the scene's own units, with scales, transform and settings as comments.
 
 --box: only the anchors with x0 <= x < x1, y0 <= y < y1 and z0 <= z < z1, in the units of the input
 data. Of the file, only the header, the MLPs and the chunks that the box meets are read: see
@@ -28,7 +31,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("scene", type=Path, metavar="FILE.clgs")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.npz")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.npz|FILE.ply")
     parser.add_argument("--box", metavar="x0,y0,z0,x1,y1,z1", help="the part in this box alone")
     add_threads(parser)
 
@@ -36,12 +39,14 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
     from clgs.cli.scene_argument import read_bitstream, read_box
+    from clgs.data.scaffold_ply import save_scaffold
     from clgs.errors import UsageError
     from clgs.files import check_target
     from clgs.scene.storage import save_scene
 
-    if args.output.suffix != ".npz":
-        raise UsageError(f"{args.output}: the output must end in .npz; name it so")
+    save = {".npz": save_scene, ".ply": save_scaffold}.get(args.output.suffix)
+    if save is None:
+        raise UsageError(f"{args.output}: the output must end in .npz or .ply; name it so")
     box = None if args.box is None else parse_box(args.box)
     check_target(args.output)
     if box is None:
@@ -50,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         scene, count, size = read_box(args.scene, box, args.threads)
         read = f" in the box, {count:,} of {size:,} bytes read"
-    save_scene(args.output, scene)
+    save(args.output, scene)
     print(f"{args.output}: {len(scene.anchors):,} anchors{read}")
     return 0
 

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from clgs.scene.scene import QuantizedScene
 
 DESCRIPTION = """\
 Compress a trained scene into one .clgs file.
@@ -11,9 +15,15 @@ Compress a trained scene into one .clgs file.
 --level: default codes every attribute by the cheapest of its modes; fast takes less time, max more
 time and fewer bytes; paper is the run-length coder of the published method, for comparison.
 --chunk: anchors that are decoded together, at most. `clgs decode --box` reads whole chunks, so
-small ones let it read less. Of a scene of 300,000 anchors they make the file larger by 0.4 % (4096),
-1.3 % (1024), 2.2 % (512), 3.8 % (256) or 7 % (128); a box with a tenth of it then reads about 2, 1.5,
-1.4, 1.3 or 1.2 times a tenth of the file."""
+small ones let it read less. Of a scene of 300,000 anchors they make the file larger by 0.4 %
+(4096), 1.3 % (1024), 2.2 % (512), 3.8 % (256) or 7 % (128); a box with a tenth of it then reads
+about 2, 1.5, 1.4, 1.3 or 1.2 times a tenth of the file.
+
+RUN may be a PLY file of anchors as the reference code writes it (f_offset_*, f_anchor_feat_*,
+scale_*): X.quantized.ply holds integers, any other name numbers that are rounded by --q. It holds
+no MLPs: they are read from X.mlps.npz beside it or from --mlps, an archive with the arrays of the
+torch file under their names there (opacity_mlp.0.weight ... color_mlp.2.bias), which its owner
+saves by np.savez, or with `mlps` of a decoded scene. nx ny nz, opacity and rot_* are not used."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -24,11 +34,50 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scene", type=Path, metavar="RUN", help="run folder or decoded .npz")
+    parser.add_argument("scene", type=Path, metavar="RUN", help="run folder, .npz or .ply")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.clgs")
     parser.add_argument("--level", default="default", help="fast, default, max or paper")
     parser.add_argument("--chunk", type=int, default=65_536, metavar="N", help="16 to 2^20; 65536")
+    parser.add_argument("--mlps", type=Path, metavar="FILE.npz", help="MLPs of a PLY file")
+    parser.add_argument(
+        "--q",
+        type=scales,
+        metavar="P,O,A,S",
+        help="integers a unit of position, offset, feature and scaling of a PLY file (default: as "
+        "its comments say, else 200,1,1,8)",
+    )
     add_threads(parser)
+
+
+def scales(text: str) -> tuple[float, float, float, float]:
+    """An argument of four positive numbers with commas between."""
+    try:
+        position, offset, feature, scaling = map(float, text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text} is not four numbers P,O,A,S") from None
+    values = position, offset, feature, scaling
+    if not all(2.0**-64 <= value <= 2.0**64 for value in values):
+        raise argparse.ArgumentTypeError(f"{text}: a number is not positive")
+    return values
+
+
+def read_source(args: argparse.Namespace) -> QuantizedScene:
+    """The scene that is to be encoded.
+
+    Raises:
+        DataError: there is none, or it is damaged.
+        UsageError: an option of PLY files with another scene.
+    """
+    from clgs.cli.scene_argument import read_scene
+    from clgs.data.scaffold_ply import load_scaffold
+    from clgs.errors import UsageError
+    from clgs.scene.anchors import QuantizationScales
+
+    if args.scene.suffix == ".ply":
+        return load_scaffold(args.scene, args.mlps, QuantizationScales(*args.q) if args.q else None)
+    if args.mlps or args.q:
+        raise UsageError(f"{args.scene}: --mlps and --q are for a PLY file; leave them out")
+    return read_scene(args.scene)[0]
 
 
 def add_threads(parser: argparse.ArgumentParser) -> None:
@@ -38,13 +87,12 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Encode; exit code 0."""
-    from clgs.cli.scene_argument import read_scene
     from clgs.codec.encode import check_options, encode
     from clgs.files import atomic_write, check_target
 
     check_options(args.level, args.chunk)
     check_target(args.output)
-    scene, _ = read_scene(args.scene)
+    scene = read_source(args)
     data = encode(scene, args.level, args.chunk, args.threads)
     atomic_write(args.output, data)
     count = len(scene.anchors)

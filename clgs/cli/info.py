@@ -29,12 +29,13 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from clgs.cli.scene_argument import read_bytes
-    from clgs.codec.decode import describe
+    from clgs.codec import decode, splats
     from clgs.errors import CodecError
 
     data = read_bytes(args.scene)
     try:
-        description = describe(data)
+        reader = splats if splats.is_splats(data) else decode
+        description: dict[str, Any] = reader.describe(data)
     except CodecError as error:
         raise CodecError(f"{args.scene}: {error}") from error
     if args.json:

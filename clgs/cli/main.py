@@ -27,6 +27,8 @@ COMMANDS = (
     "train",
     "encode",
     "decode",
+    "pack",
+    "unpack",
     "render",
     "eval",
     "info",

@@ -20,6 +20,10 @@ VERSIONS = {
 }
 """The required sections of every major version, in file order."""
 
+SPLT, SPOS, SMUL, SATR = "SPLT", "SPOS", "SMUL", "SATR"
+SPLATS = (SPLT, SPOS, SMUL, SATR)
+"""The required sections of a file of version 2 that holds splats in place of a scene."""
+
 MAJOR, MINOR = 2, 0
 """The version that is written."""
 
@@ -112,8 +116,10 @@ def read_section(source: Source, entry: Entry) -> Section:
     return section
 
 
-def read_table(source: Source) -> Table:
+def read_table(source: Source, splats: bool = False) -> Table:
     """The section table, after all checks but the checksums of the sections themselves.
+
+    The file must hold a scene, or ``splats``.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged.
@@ -124,18 +130,29 @@ def read_table(source: Source) -> Table:
     header = source.read(0, table_end + _CRC.size)
     if _codec.crc32c(header[:table_end]) != _CRC.unpack_from(header, table_end)[0]:
         raise damage(f"header at byte {table_end}", "checksum differs")
+    known = _known_tags(major, bytes(header[_HEAD.size : _HEAD.size + 4]), splats)
     entries: dict[str, Entry] = {}
     end = table_end + _CRC.size
     for at in range(_HEAD.size, table_end, _ENTRY.size):
-        entry = _check_entry(at, _ENTRY.unpack_from(header, at), VERSIONS[major], entries)
+        entry = _check_entry(at, _ENTRY.unpack_from(header, at), known, entries)
         if entry.offset != end or entry.length > source.size - end:
             where = f"section {entry.tag} at byte {entry.offset}"
             raise damage(where, f"{entry.length} bytes do not fit the file")
         end += entry.length
     if end != source.size:
         raise damage(f"file at byte {end}", f"{source.size - end} bytes follow the last section")
-    _check_order(list(entries), VERSIONS[major])
+    _check_order(list(entries), known)
     return Table(major, minor, entries)
+
+
+def _known_tags(major: int, first: bytes, splats: bool) -> tuple[str, ...]:
+    """The required sections of a file whose table begins with tag ``first``."""
+    holds_splats = major > 1 and first == SPLT.encode("ascii")
+    if holds_splats and not splats:
+        raise CodecError("section table at byte 16: the file holds splats; use `clgs unpack`")
+    if splats and not holds_splats:
+        raise CodecError("section table at byte 16: the file holds a scene; use `clgs decode`")
+    return SPLATS if splats else VERSIONS[major]
 
 
 def _check_entry(

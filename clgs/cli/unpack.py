@@ -1,0 +1,40 @@
+"""`clgs unpack splat.clgs -o splat.ply`: packed splats back to a PLY file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from clgs.cli.encode import add_threads
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "unpack",
+        help="decompress what `clgs pack` made into a PLY file",
+        description="Decompress what `clgs pack` made: a little-endian PLY file of float32, with "
+        "the same properties and splats, rounded to the steps, in Morton order.",
+    )
+    parser.add_argument("splats", type=Path, metavar="FILE.clgs")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.ply")
+    add_threads(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Unpack; exit code 0."""
+    from clgs.cli.scene_argument import read_bytes
+    from clgs.codec.splats import unpack
+    from clgs.data.splat_ply import write_splats
+    from clgs.errors import CodecError
+    from clgs.files import atomic_write, check_target
+
+    check_target(args.output)
+    data = read_bytes(args.splats)
+    try:
+        splats = unpack(data, args.threads)
+    except CodecError as error:
+        raise CodecError(f"{args.splats}: {error}") from error
+    atomic_write(args.output, write_splats(splats))
+    print(f"{args.output}: {len(splats):,} splats, {len(splats.names)} properties")
+    return 0

@@ -1,0 +1,211 @@
+"""Ordinary Gaussian splats (3DGS) in a .clgs file: every property in steps of its own.
+
+Lossless with respect to the steps. Rows come back in Morton order of their positions, splats of
+one voxel in the order in which they were given (FORMAT.md, part 13).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs import _codec
+from clgs.codec import container, streams
+from clgs.codec.container import SATR, SMUL, SPLT, SPOS, Section
+from clgs.codec.octree import MAX_EXTENT, morton_codes
+from clgs.codec.reader import guarded
+from clgs.codec.source import BytesSource
+from clgs.errors import CodecError
+
+Ints = npt.NDArray[np.int32]
+
+MAX_PROPERTIES = streams.MAX_CHANNELS + 3
+_HEAD = struct.Struct("<IIHHQ")
+_PROPERTY = struct.Struct("<dB")
+
+
+@dataclass(frozen=True)
+class Splats:
+    """Splats as integers; a value is integer * step.
+
+    names: of the properties, the first three those of the position; steps: one a property,
+    positive; values (N, properties) int32.
+    """
+
+    names: list[str]
+    steps: list[float]
+    values: Ints
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def check(self) -> None:
+        """Raise ValueError where names, steps or shape are none that a file may hold."""
+        if not 4 <= len(self.names) <= MAX_PROPERTIES:
+            raise ValueError(f"{len(self.names)} properties, 4 to {MAX_PROPERTIES} are possible")
+        if len(set(self.names)) < len(self.names):
+            raise ValueError("a property is named twice")
+        for name, step in zip(self.names, self.steps, strict=True):
+            if not (
+                name.isascii() and name.isprintable() and 0 < len(name) < 256 and " " not in name
+            ):
+                raise ValueError(f"property {name[:60]!r}: a name is 1 to 255 letters")
+            if not 2.0**-64 <= step <= 2.0**64:
+                raise ValueError(f"property {name}: the step is {step!r}")
+
+
+def pack(splats: Splats, level: str = "default", threads: int | None = None) -> bytes:
+    """The .clgs file of ``splats``; ``level`` and ``threads`` as of ``encode``.
+
+    Raises:
+        CodecError: positions span 2^21 voxels or more, or properties are none a file may hold.
+    """
+    try:
+        splats.check()
+    except ValueError as error:
+        raise CodecError(f"splats: {error}; correct them") from error
+    values = sort_splats(splats.values)
+    first = _first_of_voxel(values)
+    count = np.diff(np.append(np.flatnonzero(first), len(values)))
+    head = _HEAD.pack(len(values), len(count), len(splats.names), 0, _hash(values))
+    for name, step in zip(splats.names, splats.steps, strict=True):
+        head += _PROPERTY.pack(step, len(name)) + name.encode("ascii")
+    sections = {
+        SPLT: head,
+        SPOS: streams.encode_positions(values[first, :3], threads),
+        SMUL: streams.encode_attributes(count[:, None] - 1, "default", threads),
+        SATR: streams.encode_attributes(values[:, 3:], level, threads),
+    }
+    return container.write_container(sections)
+
+
+def unpack(data: bytes, threads: int | None = None) -> Splats:
+    """The splats that ``pack`` was given, in Morton order.
+
+    Raises:
+        CodecError: no file of splats, or damaged.
+    """
+    sections = _sections(data)
+    splats, voxels, content = _read_head(sections[SPLT])
+    position = _decode(sections[SPOS], streams.decode_positions, threads)
+    count = _decode(sections[SMUL], streams.decode_attributes, threads)
+    rows = _decode(sections[SATR], streams.decode_attributes, threads)
+    if len(position) != voxels or count.shape != (voxels, 1):
+        raise sections[SPLT].error(f"{voxels} voxels declared, {len(position)} found")
+    if rows.shape != (len(splats), len(splats.names) - 3):
+        raise sections[SPLT].error(f"{len(splats)} splats declared, {len(rows)} rows found")
+    if (count < 0).any() or count.sum(dtype=np.int64) + voxels != len(rows):
+        raise sections[SMUL].error("the voxels do not hold all splats")
+    values = np.concatenate([np.repeat(position, count[:, 0] + 1, axis=0), rows], axis=1)
+    if _hash(values) != content:
+        raise sections[SPLT].error("the decoded integers do not match their hash")
+    return Splats(splats.names, splats.steps, values)
+
+
+def is_splats(data: bytes) -> bool:
+    """Whether a file that begins so holds splats, where it is a .clgs file at all."""
+    return data[16:20] == SPLT.encode("ascii")
+
+
+def describe(data: bytes) -> dict[str, object]:
+    """Header and sizes of a file of splats, ready for JSON; payloads are not decoded.
+
+    Raises:
+        CodecError: as ``unpack``, but for damage that only decoding can show.
+    """
+    sections = _sections(data)
+    splats, voxels, content = _read_head(sections[SPLT])
+    sizes = {tag: len(section.data) for tag, section in sections.items()}
+    return {
+        "bytes": len(data),
+        "splats": len(splats),
+        "voxels": voxels,
+        "steps": dict(zip(splats.names, splats.steps, strict=True)),
+        "content_hash": f"{content:016x}",
+        "sections": {"container": len(data) - sum(sizes.values()), **sizes},
+    }
+
+
+def sort_splats(values: Ints) -> Ints:
+    """Rows in Morton order of their first three columns, ties as they came."""
+    return values[np.argsort(morton_codes(values[:, :3]), kind="stable")]
+
+
+def quantize(values: npt.NDArray[np.floating], step: float, name: str) -> Ints:
+    """Integers (N,) nearest to ``values`` / ``step``.
+
+    Raises:
+        CodecError: a value is not finite, or the step is too small for int32.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole = np.rint(values.astype(np.float64) / step)
+        bad = np.flatnonzero(~(np.abs(whole) < 2.0**31))
+    if len(bad):
+        problem = "use a larger step" if np.isfinite(values[bad[0]]) else "correct the file"
+        raise CodecError(f"property {name}: {values[bad[0]]} in row {bad[0]}; {problem}")
+    return whole.astype(np.int32)
+
+
+def position_step(extent: float, size: float | None) -> float:
+    """The default step of positions, a power of two.
+
+    The largest that is at most an eighth of ``size``, the usual scale of a splat, or without it
+    ``extent`` / 65536; but positions fit 2^20 voxels.
+    """
+    if not extent > 0:
+        return 2.0**-16
+    wanted = np.floor(np.log2(size / 8 if size else extent / 65536))
+    least = np.ceil(np.log2(2 * extent / MAX_EXTENT))
+    return float(2.0 ** np.clip(max(wanted, least), -64, 64))
+
+
+def _sections(data: bytes) -> dict[str, Section]:
+    source = BytesSource(data)
+    table = container.read_table(source, splats=True)
+    return {tag: container.read_section(source, table.entries[tag]) for tag in container.SPLATS}
+
+
+def _decode(section: Section, function: object, threads: int | None) -> Ints:
+    try:
+        return function(section.data, threads)  # type: ignore[operator, no-any-return]
+    except CodecError as error:
+        raise section.error(str(error).partition(";")[0]) from error
+
+
+def _read_head(section: Section) -> tuple[Splats, int, int]:
+    """Splats without values that were read, number of voxels and the hash."""
+    return guarded(section, _parse_head)
+
+
+def _parse_head(data: memoryview) -> tuple[Splats, int, int]:
+    if len(data) < _HEAD.size:
+        raise ValueError(f"{len(data)} bytes, at least {_HEAD.size} are needed")
+    rows, voxels, properties, reserved, content = _HEAD.unpack_from(data)
+    names, steps, at = [], [], _HEAD.size
+    for _ in range(properties):
+        if at + _PROPERTY.size > len(data):
+            raise ValueError("the section ends in a property")
+        step, length = _PROPERTY.unpack_from(data, at)
+        at += _PROPERTY.size + length
+        names.append(bytes(data[at - length : at]).decode("latin-1"))
+        steps.append(step)
+    if at != len(data) or reserved != 0 or voxels > rows:
+        raise ValueError("its length or its counts do not agree")
+    empty = np.broadcast_to(np.zeros((), np.int32), (rows, properties))
+    splats = Splats(names, steps, empty)
+    splats.check()
+    return splats, voxels, content
+
+
+def _first_of_voxel(values: Ints) -> npt.NDArray[np.bool_]:
+    """Whether a row is the first of its voxel; rows in Morton order."""
+    first = np.ones(len(values), bool)
+    first[1:] = (values[1:, :3] != values[:-1, :3]).any(axis=1)
+    return first
+
+
+def _hash(values: Ints) -> int:
+    return _codec.xxh64(np.ascontiguousarray(values, "<i4"))

@@ -1,0 +1,174 @@
+"""PLY files with one table of numbers: the element "vertex" of scalar properties.
+
+Little-endian, big-endian and ASCII are read, little-endian is written. The header is believed only
+where the file's size agrees with it. Source of the format: Turk, "The PLY Polygon File Format".
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.errors import DataError
+
+TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
+    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
+}
+"""NumPy's names of the types of properties."""
+
+NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"} | {
+    "f4": "float",
+    "f8": "double",
+}
+
+FORMATS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+
+MAX_HEADER = 1 << 16
+MAX_PROPERTIES = 1024
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns by name, all (N,), in file order; and the lines of comment."""
+
+    columns: dict[str, npt.NDArray[Any]]
+    comments: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+
+@dataclass
+class _Header:
+    """What the header says; ``rows`` of the table, ``alone``: nothing follows it."""
+
+    order: str | None = None
+    rows: int | None = None
+    alone: bool = True
+    properties: list[tuple[str, str]] = field(default_factory=list)
+    comments: list[str] = field(default_factory=list)
+
+    def dtype(self) -> np.dtype[Any]:
+        """Of a row."""
+        order = self.order or "<"
+        return np.dtype([(name, order + kind) for name, kind in self.properties])
+
+
+def read_ply(path: Path) -> Table:
+    """The element "vertex" of a PLY file, which must be the first; elements behind it are skipped.
+
+    Raises:
+        DataError: missing, no PLY file, cut, damaged, or with lists in the table; names the line.
+    """
+    try:
+        return parse_ply(path.read_bytes())
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise DataError(f"{path}: is a folder; name a PLY file") from None
+    except ValueError as error:
+        raise DataError(f"{path}: {error}; write the file again") from None
+
+
+def parse_ply(data: bytes) -> Table:
+    """As :func:`read_ply`, of the file's bytes.
+
+    Raises:
+        ValueError: as DataError there.
+    """
+    header, start = _read_header(data)
+    assert header.rows is not None
+    body, dtype = memoryview(data)[start:], header.dtype()
+    if header.order == "":
+        return Table(_parse_text(body, header), header.comments)
+    needed = header.rows * dtype.itemsize
+    if len(body) < needed or (header.alone and len(body) > needed):
+        raise ValueError(f"{len(body)} bytes follow the header, which promises {needed}")
+    rows = np.frombuffer(body, dtype, header.rows)
+    native = {name: np.ascontiguousarray(rows[name], kind) for name, kind in header.properties}
+    return Table(native, header.comments)
+
+
+def _parse_text(body: memoryview, header: _Header) -> dict[str, npt.NDArray[Any]]:
+    assert header.rows is not None
+    count = header.rows * len(header.properties)
+    if count * 2 - 1 > len(body):
+        raise ValueError(f"{len(body)} bytes cannot hold {count} numbers")
+    words = bytes(body).split(None, count)
+    if len(words) < count or (header.alone and len(words) > count):
+        raise ValueError(f"{len(words)} numbers follow the header, which promises {count}")
+    values = np.array([float(word) for word in words[:count]]).reshape(header.rows, -1)
+    columns = {}
+    for index, (name, kind) in enumerate(header.properties):
+        column = values[:, index]
+        if kind[0] != "f" and not (np.rint(column) == column).all():
+            raise ValueError(f"property {name} is of type {NAMES[kind]} and not whole")
+        columns[name] = column.astype(kind)
+    return columns
+
+
+def _read_header(data: bytes) -> tuple[_Header, int]:
+    """The header, and where the table begins."""
+    if data[:4] not in (b"ply\n", b"ply\r"):
+        raise ValueError("not a PLY file")
+    end = data.find(b"end_header", 0, MAX_HEADER)
+    stop = data.find(b"\n", end) + 1
+    if end < 0 or stop == 0:
+        raise ValueError(f"no end of the header in the first {MAX_HEADER} bytes")
+    header = _Header()
+    for number, line in enumerate(data[:end].decode("latin-1").splitlines()[1:], 2):
+        try:
+            _read_line(header, line.split())
+        except (ValueError, IndexError, KeyError):
+            raise ValueError(f"line {number} of the header, {line[:60]!r}, is not read") from None
+    if header.order is None or header.rows is None or not header.properties:
+        raise ValueError("the header names no format, or no element vertex with properties")
+    return header, stop
+
+
+def _read_line(header: _Header, words: list[str]) -> None:
+    """Take a line of the header; IndexError, KeyError or ValueError where it makes no sense."""
+    match words:
+        case [] | ["obj_info", *_]:
+            return
+        case ["comment", *rest]:
+            header.comments.append(" ".join(rest))
+        case ["format", name, "1.0"] if header.order is None:
+            header.order = FORMATS[name]
+        case ["element", "vertex", count] if header.rows is None and header.alone:
+            if not (count.isascii() and count.isdecimal() and len(count) < 19):
+                raise ValueError
+            header.rows = int(count)
+        case ["element", _, _] if header.rows is not None:
+            header.alone = False
+        case ["property", *_] if not header.alone:
+            return
+        case ["property", kind, name] if header.rows is not None:
+            if name in dict(header.properties) or len(header.properties) == MAX_PROPERTIES:
+                raise ValueError
+            header.properties.append((name, TYPES[kind]))
+        case _:
+            raise ValueError
+
+
+def pack_ply(table: Table) -> bytes:
+    """The little-endian file of a table."""
+    kinds = {name: column.dtype.str[1:] for name, column in table.columns.items()}
+    lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [f"comment {comment}" for comment in table.comments]
+    lines += [f"element vertex {len(table)}"]
+    lines += [f"property {NAMES[kind]} {name}" for name, kind in kinds.items()]
+    rows = np.empty(len(table), [(name, f"<{kind}") for name, kind in kinds.items()])
+    for name, column in table.columns.items():
+        rows[name] = column
+    out = io.BytesIO()
+    out.write("\n".join([*lines, "end_header\n"]).encode("ascii"))
+    out.write(rows.tobytes())
+    return out.getvalue()

@@ -1,0 +1,105 @@
+"""PLY tables: all forms read alike, and every lie in a header refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clgs.data.ply import Table, pack_ply, parse_ply, read_ply
+from clgs.errors import DataError
+
+
+@pytest.fixture
+def table() -> Table:
+    columns = {
+        "x": np.array([0.5, -1.25, 3e7], np.float32),
+        "wide": np.array([1 / 3, 2.0, -0.0]),
+        "red": np.array([0, 255, 7], np.uint8),
+        "id": np.array([-(2**31), 5, 2**31 - 1], np.int32),
+    }
+    return Table(columns, ["made by hand"])
+
+
+def other_form(data: bytes, order: str) -> bytes:
+    """The same table in another format."""
+    table = parse_ply(data)
+    head, _, _ = data.partition(b"end_header\n")
+    head = head.replace(b"binary_little_endian", order.encode()) + b"end_header\n"
+    rows = zip(*table.columns.values(), strict=True)
+    if order == "ascii":
+        return head + "\n".join(" ".join(repr(v.item()) for v in row) for row in rows).encode()
+    kinds = [(name, column.dtype.newbyteorder(">")) for name, column in table.columns.items()]
+    return head + np.array(list(rows), kinds).tobytes()
+
+
+@pytest.mark.parametrize("order", ["binary_big_endian", "ascii"])
+def test_every_form_holds_the_same(table: Table, order: str) -> None:
+    data = pack_ply(table)
+    for form in (data, other_form(data, order), other_form(data, order).replace(b"x\n", b"x\r\n")):
+        found = parse_ply(form)
+        assert found.comments == table.comments
+        assert list(found.columns) == list(table.columns)
+        for name, column in table.columns.items():
+            assert found.columns[name].dtype == column.dtype
+            np.testing.assert_array_equal(found.columns[name], column)
+
+
+def test_elements_behind_the_table_are_skipped(table: Table) -> None:
+    data = pack_ply(table).replace(
+        b"end_header", b"element face 9\nproperty list uchar int vertex_indices\nend_header"
+    )
+    np.testing.assert_array_equal(parse_ply(data + b"rest").columns["x"], table.columns["x"])
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"ply\n", b"plz\n"),
+        (b"end_header", b"end_of_it!"),
+        (b"binary_little_endian", b"binary_middle_endian"),
+        (b"1.0\n", b"2.0\n"),
+        (b"vertex 3", b"vertex 4"),
+        (b"vertex 3", b"vertex 2"),
+        (b"vertex 3", b"vertex -3"),
+        (b"vertex 3", b"vertex 4000000000000000000"),
+        (b"vertex 3", b"vertex 99999999999999999999999"),
+        (b"element vertex", b"element corner"),
+        (b"property uchar red", b"property list uchar int red"),
+        (b"property uchar red", b"property uchar x"),
+        (b"property uchar red", b"property half red"),
+        (b"property uchar red", b"proprety uchar red"),
+        (b"format", b"format binary_little_endian 1.0\nformat"),
+    ],
+)
+def test_malformed_headers_are_refused(table: Table, old: bytes, new: bytes) -> None:
+    data = pack_ply(table)
+    assert old in data
+    with pytest.raises(ValueError, match=r"header|PLY"):
+        parse_ply(data.replace(old, new, 1))
+
+
+def test_every_cut_is_refused(table: Table) -> None:
+    for data in (pack_ply(table), other_form(pack_ply(table), "ascii")):
+        last = len(data) if b"ascii" not in data else data.rindex(b" ")
+        for length in range(last):
+            with pytest.raises(ValueError, match=r"."):
+                parse_ply(data[:length])
+
+
+def test_text_that_is_no_number_is_refused(table: Table) -> None:
+    data = other_form(pack_ply(table), "ascii")
+    for old, new in ((b"255", b"2.5"), (b"255", b"red"), (b"255", b"25 5")):
+        with pytest.raises(ValueError, match=r"red|convert|numbers"):
+            parse_ply(data.replace(old, new))
+
+
+def test_errors_name_the_file(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"none\.ply: no such file"):
+        read_ply(tmp_path / "none.ply")
+    with pytest.raises(DataError, match="folder"):
+        read_ply(tmp_path)
+    (tmp_path / "x.ply").write_bytes(b"")
+    with pytest.raises(DataError, match=r"x\.ply: not a PLY file"):
+        read_ply(tmp_path / "x.ply")
