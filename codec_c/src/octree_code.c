@@ -11,23 +11,21 @@
 #define PREFETCH(x) ((void)0)
 #endif
 
-/* Where the outer cells of a child lie in its word, by the axes (x 4, y 2, z 1) they lie beyond. */
-static const uint8_t PLACE[8] = {0, 8, 10, 2, 12, 4, 6, 0};
-
 typedef struct surroundings {
-    uint64_t density;  /* a byte a child: points near to it */
-    uint64_t cells[2]; /* 16 bits a child: states of its seven outer cells, two bits each */
-    uint32_t count;    /* nodes around */
-    uint32_t total;    /* sum of the densities */
+    clgs_seen seen;
+    uint32_t count; /* nodes around */
+    uint32_t total; /* sum of the densities */
 } surroundings;
 
 typedef struct site {
     clgs_octree_model *model;
     clgs_wide *coder;
-    uint32_t height; /* levels to the leaves */
-    uint32_t class;  /* ... in classes */
-    uint32_t parent; /* class of nodes around the parent */
-    uint32_t family; /* mirrored occupancy of the parent */
+    uint32_t height;   /* levels to the leaves */
+    uint32_t class;    /* ... in classes */
+    uint32_t parent;   /* class of nodes around the parent */
+    uint32_t family;   /* mirrored occupancy of the parent */
+    uint32_t children; /* of the parent */
+    uint32_t known;    /* mask of the family: a root has none */
     surroundings around;
 } site;
 
@@ -67,40 +65,61 @@ static uint32_t density_of(const surroundings *around, uint32_t first, uint32_t 
 {
     uint32_t sum = 0;
     for (uint32_t child = first; child < first + count; child++)
-        sum += (uint32_t)(around->density >> 8 * child & 255);
+        sum += (uint32_t)(around->seen.density >> 8 * child & 255);
     return sum;
 }
 
 static uint32_t cells_of(const surroundings *around, uint32_t child)
 {
-    return (uint32_t)(around->cells[child >> 2] >> 16 * (child & 3) & 0x3FFF);
+    return (uint32_t)(around->seen.cells[child >> 2] >> 16 * (child & 3) & 0x3FFF);
 }
 
-/* Gather what is known of the nodes around node i: those before it are coded. */
-static void look_around(const clgs_octree_model *model, const clgs_levels *levels, size_t i,
-                        surroundings *around)
+/* The nodes around child `own` of node `parent`, which is node i: what is known of them, and their
+ * list. Those before it are coded. */
+CLGS_INLINE void look_around(const clgs_octree_model *model, clgs_levels *levels, size_t parent,
+                             uint32_t own, size_t i, surroundings *around)
 {
-    const clgs_level *now = &levels->now;
-    *around = (surroundings){.count = now->first[i + 1] - now->first[i]};
-    for (uint32_t k = now->first[i]; k < now->first[i + 1]; k++) {
-        uint32_t d = now->list[k] & 31, node = now->list[k] >> 5, coded = node < i;
-        uint32_t occupancy = coded ? levels->occupancy[node] : 0;
-        uint32_t there = model->facing[d][255], full = model->facing[d][occupancy];
-        uint32_t x = d / 9 != 1, y = d / 3 % 3 != 1, z = d % 3 != 1;
-        uint32_t place = PLACE[x << 2 | y << 1 | z];
-        around->density += model->density[d][coded ? occupancy : 256];
-        around->cells[0] |= ((model->spread[there & 15] << coded) | model->spread[full & 15])
-                            << place;
-        around->cells[1] |= ((model->spread[there >> 4] << coded) | model->spread[full >> 4])
-                            << place;
+    const clgs_touch *touch = &levels->touch;
+    const clgs_level *above = &levels->above;
+    const uint8_t *coded = levels->now.occupancy;
+    uint32_t *list = levels->now.list + levels->now.first[i], length = 0;
+    clgs_seen sum = {0};
+    uint32_t occupancy = above->occupancy[parent], node = above->child[parent];
+    for (uint32_t left = occupancy; left; left &= left - 1, node++) {
+        uint32_t other = clgs_lowest(left), d = touch->inner[own][other];
+        if (other == own)
+            continue;
+        const clgs_seen *seen = &model->seen[d][other < own ? coded[node] : CLGS_SEEN - 1];
+        sum.density += seen->density;
+        sum.cells[0] += seen->cells[0];
+        sum.cells[1] += seen->cells[1];
+        list[length++] = node << 5 | d;
     }
+    for (uint32_t k = above->first[parent]; k < above->first[parent + 1]; k++) {
+        uint32_t beyond = above->list[k] & 31, next = above->list[k] >> 5;
+        uint32_t reach = touch->reach[beyond][own];
+        if (!reach)
+            continue;
+        occupancy = above->occupancy[next];
+        for (uint32_t left = occupancy & reach; left; left &= left - 1) {
+            uint32_t other = clgs_lowest(left), d = touch->outer[beyond][own][other];
+            node = above->child[next] + touch->count[occupancy & ((1u << other) - 1)];
+            const clgs_seen *seen = &model->seen[d][next < parent ? coded[node] : CLGS_SEEN - 1];
+            sum.density += seen->density;
+            sum.cells[0] += seen->cells[0];
+            sum.cells[1] += seen->cells[1];
+            list[length++] = node << 5 | d;
+        }
+    }
+    around->seen = sum;
+    around->count = length;
     around->total = density_of(around, 0, 8);
 }
 
 /* Children of the parent besides this node, in classes: 0, 1, 2-3, more. */
 static uint32_t siblings(const site *at)
 {
-    uint32_t children = clgs_count8(at->family);
+    uint32_t children = at->children;
     return children < 3 ? children - (children > 0) : children < 5 ? 2 : 3;
 }
 
@@ -163,10 +182,15 @@ CLGS_INLINE uint32_t code_children(const site *at, uint32_t occupancy, int decod
 {
     clgs_octree_model *model = at->model;
     uint32_t prefix = 1, full = 0, coded = 0;
+    for (uint32_t child = 1; child < 8; child++) {
+        uint32_t cells = cells_of(&at->around, child);
+        PREFETCH(model->child_outer[cells]);
+        PREFETCH(model->child_faces[cells >> 8] + (1u << child));
+    }
     for (uint32_t child = 0; child < 8; child++) {
         uint32_t bit = 1, cells = cells_of(&at->around, child);
         if (full + 8 - child > 2) {
-            uint32_t density = (uint32_t)(at->around.density >> 8 * child & 255);
+            uint32_t density = (uint32_t)(at->around.seen.density >> 8 * child & 255);
             uint32_t near = model->logarithm[1 + density];
             uint32_t *state[3] = {&model->child_faces[cells >> 8][prefix],
                                   &model->child_outer[cells][full],
@@ -184,6 +208,9 @@ CLGS_INLINE uint32_t code_children(const site *at, uint32_t occupancy, int decod
 CLGS_INLINE uint32_t code_node(const site *at, uint32_t occupancy, int decoding)
 {
     uint32_t only = 0;
+    uint32_t near = cells_of(&at->around, 0), far = cells_of(&at->around, 7);
+    PREFETCH(at->model->child_outer[near]);
+    PREFETCH(&at->model->half_faces[1][near >> 8][far >> 8]);
     if (at->around.count > 0 || at->height > 1)
         only = code_only(at, (occupancy & (occupancy - 1)) == 0, decoding);
     if (!only)
@@ -194,43 +221,59 @@ CLGS_INLINE uint32_t code_node(const site *at, uint32_t occupancy, int decoding)
 }
 
 /* Encoder: the occupancy of node i, and the points of its children from `child` on. */
-static uint32_t find_occupancy(clgs_levels *levels, size_t i, uint32_t shift, size_t child,
+static uint32_t find_occupancy(clgs_levels *levels, size_t i, uint32_t shift,
                                const uint64_t *target)
 {
+    size_t child = levels->children;
     uint32_t occupancy = 0, end = levels->now.end[i];
     for (uint32_t k = levels->now.begin[i]; k < end; k++) {
         uint32_t bit = 1u << (target[k] >> shift & 7);
         if (!(occupancy & bit))
-            levels->next.begin[child++] = k;
+            levels->above.begin[child++] = k;
         occupancy |= bit;
-        levels->next.end[child - 1] = k + 1;
+        levels->above.end[child - 1] = k + 1;
     }
     return occupancy;
+}
+
+/* Code child `own` of node `parent`, the next of its level; returns the new end of `points`. */
+CLGS_INLINE uint64_t *code_child(site *at, clgs_levels *levels, size_t parent, uint32_t own,
+                                 const uint64_t *target, uint64_t *points, int decoding)
+{
+    clgs_level *now = &levels->now;
+    size_t i = now->count++;
+    uint32_t occupancy = 0;
+    now->code[i] = levels->above.code[parent] << 3 | own;
+    look_around(at->model, levels, parent, own, i, &at->around);
+    at->family = levels->touch.mirror[own][levels->above.occupancy[parent]] & at->known;
+    now->first[i + 1] = now->first[i] + (at->height > 1 ? at->around.count : 0);
+    if (at->around.count == 0 && at->parent > 0) {
+        uint64_t path = decoding ? 0 : target[now->begin[i]];
+        if (code_alone(at, !decoding && now->end[i] - now->begin[i] == 1, &path, decoding)) {
+            *points++ = now->code[i] << 3 * at->height | path;
+            now->occupancy[i] = 0;
+            return points;
+        }
+    }
+    if (!decoding)
+        occupancy = find_occupancy(levels, i, 3 * (at->height - 1), target);
+    occupancy = code_node(at, occupancy, decoding);
+    now->occupancy[i] = (uint8_t)occupancy;
+    now->child[i] = (uint32_t)levels->children;
+    levels->children += levels->touch.count[occupancy];
+    return points;
 }
 
 CLGS_INLINE uint64_t *code_level(site *at, clgs_levels *levels, const uint64_t *target,
                                  uint64_t *points, int decoding)
 {
-    clgs_level *now = &levels->now;
-    size_t child = 0;
-    for (size_t i = 0; i < now->count && !at->coder->failed; i++) {
-        uint32_t occupancy = 0;
-        at->parent = now->parent[i];
-        at->family = now->family[i];
-        if (now->first[i] == now->first[i + 1] && at->parent > 0) {
-            uint64_t path = decoding ? 0 : target[now->begin[i]];
-            if (code_alone(at, !decoding && now->end[i] - now->begin[i] == 1, &path, decoding)) {
-                *points++ = now->code[i] << 3 * at->height | path;
-                levels->occupancy[i] = 0;
-                continue;
-            }
-        }
-        if (!decoding) {
-            occupancy = find_occupancy(levels, i, 3 * (at->height - 1), child, target);
-            child += clgs_count8(occupancy);
-        }
-        look_around(at->model, levels, i, &at->around);
-        levels->occupancy[i] = (uint8_t)code_node(at, occupancy, decoding);
+    const clgs_level *above = &levels->above;
+    for (size_t parent = 0; parent < above->count && !at->coder->failed; parent++) {
+        uint32_t occupancy = above->occupancy[parent];
+        at->parent = clgs_crowd(above->first[parent + 1] - above->first[parent]);
+        at->children = levels->touch.count[occupancy];
+        for (uint32_t left = occupancy; left; left &= left - 1)
+            points = code_child(at, levels, parent, clgs_lowest(left), target, points, decoding);
     }
     return points;
 }
@@ -240,6 +283,7 @@ uint64_t *clgs_octree_code_level(clgs_octree_model *model, clgs_levels *levels, 
 {
     uint32_t class = height <= 4 ? height - 1 : height <= 7 ? 4 : 5;
     site at = {.model = model, .coder = coder, .height = height, .class = class};
+    at.known = levels->root ? 0 : 255;
     if (target)
         return code_level(&at, levels, target, points, 0);
     return code_level(&at, levels, NULL, points, 1);

@@ -7,13 +7,13 @@ static size_t align(size_t size)
 
 static size_t level_size(size_t count)
 {
-    return align(8 * count) + 3 * align(4 * (count + 1)) + align(4 * CLGS_AROUND * count) +
-           2 * align(count);
+    return align(8 * count) + 3 * align(4 * count) + align(4 * (count + 1)) +
+           align(4 * CLGS_AROUND * (count + 1)) + align(count);
 }
 
 size_t clgs_levels_size(size_t count)
 {
-    return 2 * level_size(count) + align(count) + align(4 * count);
+    return 2 * level_size(count);
 }
 
 static void *carve(uint8_t **at, size_t size)
@@ -26,12 +26,12 @@ static void *carve(uint8_t **at, size_t size)
 static void carve_level(clgs_level *level, size_t count, uint8_t **at)
 {
     level->code = carve(at, 8 * count);
-    level->begin = carve(at, 4 * (count + 1));
-    level->end = carve(at, 4 * (count + 1));
+    level->begin = carve(at, 4 * count);
+    level->end = carve(at, 4 * count);
     level->first = carve(at, 4 * (count + 1));
-    level->list = carve(at, 4 * CLGS_AROUND * count);
-    level->parent = carve(at, count);
-    level->family = carve(at, count);
+    level->list = carve(at, 4 * CLGS_AROUND * (count + 1));
+    level->child = carve(at, 4 * count);
+    level->occupancy = carve(at, count);
 }
 
 static uint32_t direction(int32_t x, int32_t y, int32_t z)
@@ -67,90 +67,43 @@ static void touch_begin(clgs_touch *touch)
                     touch->inner[own][other] = (uint8_t)step;
             }
         }
+    touch->count[0] = 0;
     for (uint32_t own = 0; own < 8; own++)
         for (uint32_t occupancy = 0; occupancy < 256; occupancy++) {
             uint32_t mirrored = 0;
             for (uint32_t child = 0; child < 8; child++)
                 mirrored |= (occupancy >> child & 1) << (child ^ own);
             touch->mirror[own][occupancy] = (uint8_t)mirrored;
+            touch->count[occupancy] = (uint8_t)(touch->count[occupancy / 2] + occupancy % 2);
         }
 }
 
 void clgs_levels_begin(clgs_levels *levels, size_t count, uint8_t *memory)
 {
     levels->capacity = count;
+    carve_level(&levels->above, count, &memory);
     carve_level(&levels->now, count, &memory);
-    carve_level(&levels->next, count, &memory);
-    levels->occupancy = carve(&memory, count);
-    levels->child = carve(&memory, 4 * count);
-    levels->now.count = 1;
-    levels->now.code[0] = 0;
+    levels->above.count = 1;
+    levels->above.code[0] = 0;
+    levels->above.occupancy[0] = 1;
+    levels->above.first[0] = levels->above.first[1] = levels->above.child[0] = 0;
+    levels->now.count = levels->children = 0;
+    levels->now.first[0] = 0;
     levels->now.begin[0] = 0;
     levels->now.end[0] = (uint32_t)count;
-    levels->now.first[0] = levels->now.first[1] = 0;
-    levels->now.parent[0] = levels->now.family[0] = 0;
+    levels->root = 1;
     touch_begin(&levels->touch);
 }
 
-/* Write the list of child `own` of node i to `list`; returns its length. */
-static uint32_t inherit(const clgs_levels *levels, size_t i, uint32_t own, uint32_t *list)
+int clgs_levels_descend(clgs_levels *levels)
 {
-    const clgs_level *now = &levels->now;
-    uint32_t length = 0, next = levels->child[i];
-    for (uint32_t left = levels->occupancy[i]; left; left &= left - 1, next++) {
-        uint32_t other = clgs_lowest(left);
-        if (other != own)
-            list[length++] = next << 5 | levels->touch.inner[own][other];
-    }
-    for (uint32_t k = now->first[i]; k < now->first[i + 1]; k++) {
-        uint32_t d = now->list[k] & 31, node = now->list[k] >> 5;
-        uint32_t occupancy = levels->occupancy[node];
-        for (uint32_t left = occupancy & levels->touch.reach[d][own]; left; left &= left - 1) {
-            uint32_t other = clgs_lowest(left);
-            uint32_t before = clgs_count8(occupancy & ((1u << other) - 1));
-            list[length++] =
-                (levels->child[node] + before) << 5 | levels->touch.outer[d][own][other];
-        }
-    }
-    return length;
-}
-
-static void grow(clgs_levels *levels, size_t i)
-{
-    clgs_level *now = &levels->now, *next = &levels->next;
-    uint32_t occupancy = levels->occupancy[i], node = levels->child[i];
-    uint8_t parent = (uint8_t)clgs_crowd(now->first[i + 1] - now->first[i]);
-    for (uint32_t left = occupancy; left; left &= left - 1, node++) {
-        uint32_t first = next->first[node], octant = clgs_lowest(left);
-        next->code[node] = now->code[i] << 3 | octant;
-        next->parent[node] = parent;
-        next->family[node] = levels->touch.mirror[octant][occupancy];
-        next->first[node + 1] = first + inherit(levels, i, octant, next->list + first);
-    }
-}
-
-int clgs_levels_descend(clgs_levels *levels, int last)
-{
-    clgs_level spare = levels->now;
-    size_t total = 0;
-    for (size_t i = 0; i < levels->now.count; i++) {
-        levels->child[i] = (uint32_t)total;
-        total += clgs_count8(levels->occupancy[i]);
-    }
-    if (total > levels->capacity)
+    clgs_level spare = levels->above;
+    if (levels->children > levels->capacity)
         return 0;
-    levels->next.first[0] = 0;
-    for (size_t i = 0; i < levels->now.count; i++) {
-        if (!last) {
-            grow(levels, i);
-            continue;
-        }
-        uint64_t *code = levels->next.code + levels->child[i];
-        for (uint32_t left = levels->occupancy[i]; left; left &= left - 1)
-            *code++ = levels->now.code[i] << 3 | clgs_lowest(left);
-    }
-    levels->next.count = total;
-    levels->now = levels->next;
-    levels->next = spare;
+    levels->above = levels->now;
+    levels->now = spare;
+    levels->now.count = levels->children = 0;
+    levels->now.first[0] = 0;
+    levels->root = 0;
     return 1;
 }

@@ -1,7 +1,7 @@
-/* The nodes of two octree levels, in Morton order: the one that is coded and the one it grows.
+/* The nodes of two octree levels, in Morton order: one that is coded, and the one above it.
  *
- * A node knows the nodes among the 26 cells around its own: a list as long as needed, which
- * children inherit from their parent. Nodes that were coded whole have no children.
+ * A node knows the nodes among the 26 cells around its own: a list as long as needed, found among
+ * the children of those around its parent. Nodes that were coded whole have no children.
  */
 #ifndef CLGS_OCTREE_LEVELS_H
 #define CLGS_OCTREE_LEVELS_H
@@ -14,13 +14,13 @@
 
 typedef struct clgs_level {
     size_t count;
-    uint64_t *code;  /* Morton code of the node's cell at its level */
-    uint32_t *begin; /* encoder: index of the node's first point; one more entry at the end */
-    uint32_t *end;   /* encoder: behind its last point */
-    uint32_t *first; /* where its list starts in `list`; one more entry at the end */
-    uint32_t *list;  /* 32 * index of a node + its direction */
-    uint8_t *parent; /* its parent's number of nodes around, in classes */
-    uint8_t *family; /* its parent's occupancy, mirrored so that the node itself is child 0 */
+    uint64_t *code;     /* Morton code of the node's cell at its level */
+    uint32_t *begin;    /* encoder: index of the node's first point */
+    uint32_t *end;      /* encoder: behind its last point */
+    uint32_t *first;    /* where its list starts in `list`; one more entry at the end */
+    uint32_t *list;     /* 32 * index of a node + its direction */
+    uint32_t *child;    /* index of its first child, one level below */
+    uint8_t *occupancy; /* bit c: child c exists; child c = 4 x + 2 y + z */
 } clgs_level;
 
 /* How cells of a level touch each other; bits c of a mask are children. */
@@ -29,25 +29,26 @@ typedef struct clgs_touch {
     uint8_t outer[CLGS_DIRECTIONS][8][8]; /* ... to child [2] of the node in direction [0] */
     uint8_t reach[CLGS_DIRECTIONS][8];    /* mask of such children that touch child [1] */
     uint8_t mirror[8][256];               /* occupancy [1] with child c at place c xor [0] */
+    uint8_t count[256];                   /* number of bits set */
 } clgs_touch;
 
 typedef struct clgs_levels {
-    clgs_level now, next;
-    size_t capacity;    /* nodes that a level can hold */
-    uint8_t *occupancy; /* of `now`; bit c: child c exists; child c = 4 x + 2 y + z */
-    uint32_t *child;    /* of `now`: index in `next` of a node's first child */
+    clgs_level above, now;
+    size_t capacity; /* nodes that a level can hold */
+    size_t children; /* of the nodes of `now` so far */
+    int root;        /* `now` is the root's level */
     clgs_touch touch;
 } clgs_levels;
 
 /* Bytes of both levels with room for `count` nodes. */
 size_t clgs_levels_size(size_t count);
 
-/* Lay the arrays out at `memory`; one node, the root, which holds points 0 to count - 1. */
+/* Lay the arrays out at `memory`. `above` holds one node, whose only child, number 0, is the root
+ * and holds points 0 to count - 1. */
 void clgs_levels_begin(clgs_levels *levels, size_t count, uint8_t *memory);
 
-/* Let the occupied children of `now` take its place. Returns 0 where they exceed the capacity.
- * `last`: they are leaves, of which only the codes are needed. */
-int clgs_levels_descend(clgs_levels *levels, int last);
+/* Make the coded level the one above; where its children exceed the capacity, return 0. */
+int clgs_levels_descend(clgs_levels *levels);
 
 /* Nodes around in eight classes: 0, 1, 2, 3, 4-5, 6-8, 9-13, more. */
 static inline uint32_t clgs_crowd(uint32_t around)
@@ -55,18 +56,6 @@ static inline uint32_t clgs_crowd(uint32_t around)
     if (around < 4)
         return around;
     return around < 6 ? 4 : around < 9 ? 5 : around < 14 ? 6 : 7;
-}
-
-/* Number of bits set. */
-static inline uint32_t clgs_count8(uint32_t bits)
-{
-#if defined(__GNUC__)
-    return (uint32_t)__builtin_popcount(bits);
-#else
-    bits = bits - (bits >> 1 & 0x55);
-    bits = (bits & 0x33) + (bits >> 2 & 0x33);
-    return (bits + (bits >> 4)) & 0x0F;
-#endif
 }
 
 /* Index of the lowest bit set, of at least one. */

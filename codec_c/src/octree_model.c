@@ -40,39 +40,40 @@ static uint32_t gain(uint32_t d, uint32_t child, uint32_t own)
     return square < 15 ? GAIN[square] : 0;
 }
 
-static void density_begin(clgs_octree_model *model)
+/* Where the outer cells of a child lie in its word, by the axes (x 4, y 2, z 1) they lie beyond. */
+static const uint8_t PLACE[8] = {0, 8, 10, 2, 12, 4, 6, 0};
+
+/* State `value` of the outer cell that lies in direction d, for the children in `mask`. */
+static void add_cells(clgs_seen *seen, uint32_t d, uint32_t mask, uint64_t value)
 {
-    for (uint32_t d = 0; d < CLGS_DIRECTIONS; d++) {
-        uint64_t *density = model->density[d];
-        density[0] = density[256] = 0;
-        for (uint32_t child = 0; child < 8; child++) {
-            uint64_t gains = 0;
-            for (uint32_t own = 0; own < 8; own++)
-                gains |= (uint64_t)gain(d, child, own) << 8 * own;
-            for (uint32_t other = 0; other < 1u << child; other++)
-                density[1u << child | other] = density[other] + gains;
-        }
-        for (uint32_t own = 0; own < 8; own++)
-            density[256] |= ((density[255] >> 8 * own & 255) + 3) / 6 << 8 * own;
-    }
+    uint32_t axes = (d / 9 != 1 ? 4u : 0) | (d / 3 % 3 != 1 ? 2u : 0) | (d % 3 != 1 ? 1u : 0);
+    uint32_t side = (d / 9 == 2 ? 4u : 0) | (d / 3 % 3 == 2 ? 2u : 0) | (d % 3 == 2 ? 1u : 0);
+    for (uint32_t own = 0; own < 8; own++)
+        if ((own & axes) == side && mask >> (own ^ axes) & 1)
+            seen->cells[own / 4] += value << (16 * (own % 4) + PLACE[axes]);
 }
 
-static void facing_begin(clgs_octree_model *model)
+/* What is seen of nodes in direction d. */
+static void seen_begin(clgs_seen *seen, uint32_t d)
 {
-    for (uint32_t d = 0; d < CLGS_DIRECTIONS; d++) {
-        uint32_t x = d / 9, y = d / 3 % 3, z = d % 3;
-        uint32_t axes = (x != 1 ? 4u : 0) | (y != 1 ? 2u : 0) | (z != 1 ? 1u : 0);
-        uint32_t side = (x == 2 ? 4u : 0) | (y == 2 ? 2u : 0) | (z == 2 ? 1u : 0);
-        for (uint32_t occupancy = 0; occupancy < 256; occupancy++) {
-            uint32_t faces = 0;
-            for (uint32_t own = 0; own < 8; own++)
-                faces |= ((own & axes) == side ? occupancy >> (own ^ axes) & 1 : 0) << own;
-            model->facing[d][occupancy] = (uint8_t)faces;
+    clgs_seen *unknown = seen + CLGS_SEEN - 1;
+    seen[0] = *unknown = (clgs_seen){0};
+    add_cells(unknown, d, 255, 1);
+    add_cells(seen, d, 255, 2);
+    for (uint32_t child = 0; child < 8; child++) {
+        clgs_seen more = {0};
+        add_cells(&more, d, 1u << child, 1);
+        for (uint32_t own = 0; own < 8; own++)
+            more.density |= (uint64_t)gain(d, child, own) << 8 * own;
+        for (uint32_t other = 0; other < 1u << child; other++) {
+            clgs_seen *sum = seen + (1u << child | other);
+            sum->density = seen[other].density + more.density;
+            sum->cells[0] = seen[other].cells[0] + more.cells[0];
+            sum->cells[1] = seen[other].cells[1] + more.cells[1];
         }
     }
-    for (uint32_t bits = 0; bits < 16; bits++)
-        model->spread[bits] = (uint64_t)(bits & 1) | (uint64_t)(bits >> 1 & 1) << 16 |
-                              (uint64_t)(bits >> 2 & 1) << 32 | (uint64_t)(bits >> 3) << 48;
+    for (uint32_t own = 0; own < 8; own++)
+        unknown->density |= ((seen[255].density >> 8 * own & 255) + 3) / 6 << 8 * own;
 }
 
 static void classes_begin(clgs_octree_model *model)
@@ -131,8 +132,8 @@ static void states_begin(clgs_octree_model *model)
 void clgs_octree_model_begin(clgs_octree_model *model)
 {
     clgs_tables_init(&model->tables);
-    density_begin(model);
-    facing_begin(model);
+    for (uint32_t d = 0; d < CLGS_DIRECTIONS; d++)
+        seen_begin(model->seen[d], d);
     classes_begin(model);
     states_begin(model);
     WEIGHTS(model->only_weight, 2);

@@ -13,13 +13,17 @@
 #define CLGS_BALANCE 12   /* the logarithm of a quotient is cut at +-12 quarters */
 #define CLGS_SEEN 257     /* a node not yet coded is seen as occupancy 256 */
 
+/* What a node around adds to what is seen; the children of a node see it together. */
+typedef struct clgs_seen {
+    uint64_t density;  /* a byte a child: points near to it */
+    uint64_t cells[2]; /* 16 bits a child: states of its seven outer cells, two bits each */
+} clgs_seen;
+
 typedef struct clgs_octree_model {
     clgs_tables tables;
     uint8_t logarithm[2048];
     uint8_t trust[256];
-    uint64_t density[CLGS_DIRECTIONS][CLGS_SEEN]; /* eight bytes: what each child gains by it */
-    uint8_t facing[CLGS_DIRECTIONS][256]; /* bit c: the occupied child there that faces child c */
-    uint64_t spread[16];                  /* bit c to bit 16 c */
+    clgs_seen seen[CLGS_DIRECTIONS][CLGS_SEEN]; /* by occupancy */
     uint32_t alone[CLGS_HEIGHTS][CLGS_CROWDS];
     uint32_t only_density[CLGS_HEIGHTS][CLGS_CROWDS][4][CLGS_LOG_STEPS];
     uint32_t only_family[CLGS_HEIGHTS][CLGS_CROWDS][256];

@@ -34,7 +34,18 @@ static void octree_begin(octree *tree, size_t count, uint8_t *memory)
     clgs_levels_begin(&tree->levels, count, memory);
 }
 
-/* Code all levels; the points are those in `points` and the nodes of the last level. */
+/* Write the codes of the last level, whose nodes are points, to `now`; returns their number. */
+static size_t find_leaves(clgs_levels *levels)
+{
+    const clgs_level *above = &levels->above;
+    uint64_t *code = levels->now.code;
+    for (size_t i = 0; i < above->count; i++)
+        for (uint32_t left = above->occupancy[i]; left; left &= left - 1)
+            *code++ = above->code[i] << 3 | clgs_lowest(left);
+    return (size_t)(code - levels->now.code);
+}
+
+/* Code all levels; the points are those in `points` and the leaves. */
 static clgs_error code_levels(octree *tree, size_t count, uint32_t depth, const uint64_t *target)
 {
     uint64_t *end = tree->points;
@@ -44,10 +55,10 @@ static clgs_error code_levels(octree *tree, size_t count, uint32_t depth, const 
             return CLGS_ERROR_TRUNCATED;
         tree->run[++tree->runs] = (size_t)(end - tree->points);
         tree->levels.capacity = count - tree->run[tree->runs];
-        if (!clgs_levels_descend(&tree->levels, height == 1))
+        if (!clgs_levels_descend(&tree->levels))
             return CLGS_ERROR_CORRUPT;
     }
-    return tree->levels.now.count == count - tree->run[tree->runs] ? CLGS_OK : CLGS_ERROR_CORRUPT;
+    return find_leaves(&tree->levels) == tree->levels.capacity ? CLGS_OK : CLGS_ERROR_CORRUPT;
 }
 
 size_t clgs_sparse_encode(const uint64_t *code, size_t count, uint32_t depth, uint8_t *out,
@@ -76,7 +87,7 @@ static void merge(const uint64_t *a, const uint64_t *a_end, const uint64_t *b,
 static void collect(const octree *tree, size_t count, uint64_t *code)
 {
     const uint64_t *leaf = tree->levels.now.code;
-    uint64_t *sorted = tree->levels.next.code, *spare = code;
+    uint64_t *sorted = tree->levels.above.code, *spare = code;
     size_t before = 0;
     for (uint32_t i = 0; i < tree->runs; i++) {
         const uint64_t *run = tree->points + tree->run[i], *end = tree->points + tree->run[i + 1];
