@@ -18,6 +18,8 @@ time and fewer bytes; paper is the run-length coder of the published method, for
 small ones let it read less. Of a scene of 300,000 anchors they make the file larger by 0.4 %
 (4096), 1.3 % (1024), 2.2 % (512), 3.8 % (256) or 7 % (128); a box with a tenth of it then reads
 about 2, 1.5, 1.4, 1.3 or 1.2 times a tenth of the file.
+--mlp: float32 keeps the weights of the MLPs as floats, auto packs them as integers where training
+has rounded them; the same weights come back either way.
 
 RUN may be a PLY file of anchors as the reference code writes it (f_offset_*, f_anchor_feat_*,
 scale_*): X.quantized.ply holds integers, any other name numbers that are rounded by --q. It holds
@@ -46,6 +48,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="integers a unit of position, offset, feature and scaling of a PLY file (default: as "
         "its comments say, else 200,1,1,8)",
     )
+    parser.add_argument("--mlp", default="auto", help="auto or float32")
     add_threads(parser)
 
 
@@ -90,10 +93,10 @@ def run(args: argparse.Namespace) -> int:
     from clgs.codec.encode import check_options, encode
     from clgs.files import atomic_write, check_target
 
-    check_options(args.level, args.chunk)
+    check_options(args.level, args.chunk, args.mlp)
     check_target(args.output)
     scene = read_source(args)
-    data = encode(scene, args.level, args.chunk, args.threads)
+    data = encode(scene, args.level, args.chunk, args.threads, args.mlp)
     atomic_write(args.output, data)
     count = len(scene.anchors)
     per_anchor = f", {8 * len(data) / count:.1f} bits an anchor" if count else ""

@@ -85,6 +85,12 @@ def _add_method_options(parser: argparse.ArgumentParser) -> None:
         help="whether every anchor moves at every step (default), or those that got a gradient",
     )
     add(
+        "--mlp",
+        choices=("quantized", "float32"),
+        help="whether the weights of the MLPs are rounded in the last fifth of the steps (default: "
+        "12 KB of the file), or stay as they are (46 KB)",
+    )
+    add(
         "--coarse-to-fine",
         action=argparse.BooleanOptionalAction,
         help="train on reduced photos first: a quarter of the size, then half",
@@ -174,7 +180,15 @@ def make_config(args: argparse.Namespace) -> TrainConfig:
         "l1_weight": args.loss_weights[0],
         "ssim_weight": args.loss_weights[1],
     }
-    names = ("volume_weight", "proxy", "accuracy", "smallest_anchor", "coarse_to_fine", "adam")
-    optional = {name: getattr(args, name) for name in (*names, "max_memory")}
+    names = (
+        "volume_weight",
+        "proxy",
+        "accuracy",
+        "smallest_anchor",
+        "coarse_to_fine",
+        "adam",
+        "mlp",
+    )
+    optional = {name: getattr(args, name) for name in (*names, "mlp", "max_memory")}
     given |= {name: value for name, value in optional.items() if value is not None}
     return replace(config, **given)

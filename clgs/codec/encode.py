@@ -14,6 +14,7 @@ from clgs.codec.container import ANCH, CHNK, FEAT, MLPS, OFFS, SCAL
 from clgs.codec.content import array_hash, content_arrays, join_hashes
 from clgs.codec.meta import LEVELS, Meta
 from clgs.codec.subtrees import batches, corners, cut
+from clgs.codec.weights import MODES
 from clgs.codec.weights import encode as encode_weights
 from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
@@ -28,8 +29,9 @@ def encode(
     level: str = "default",
     chunk: int = DEFAULT_CHUNK,
     threads: int | None = None,
+    mlp: str = "auto",
 ) -> bytes:
-    """The .clgs file of ``scene``: a pure function of it, of ``level`` and of ``chunk``.
+    """The .clgs file of ``scene``: a pure function of it, of ``level``, ``chunk`` and ``mlp``.
 
     Args:
         scene: rows may come in any order; the file keeps them in Morton order.
@@ -37,18 +39,19 @@ def encode(
         chunk: anchors that are decoded together, at most: 16 to 2^20. Small ones let a box of the
             scene be read without the rest, and cost bytes.
         threads: at most so many, by default one for each processor; no byte depends on it.
+        mlp: one of ``weights.MODES``, how the weights are stored; lossless either way.
 
     Raises:
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
             number; the message names the field and the remedy.
-        UsageError: no such level, or a chunk or number of threads out of range.
+        UsageError: no such level or mode, or a chunk or number of threads out of range.
     """
-    check_options(level, chunk)
+    check_options(level, chunk, mlp)
     _check_scene(scene)
     with workers(threads) as pool:
         anchors = sort_anchors(scene.anchors, pool.map)
         hashes = pool.map(array_hash, content_arrays(anchors, scene.mlps.flat))
-        sections = _encode_sections(anchors, scene.mlps.flat, level, chunk, pool)
+        sections = _encode_sections(anchors, scene.mlps.flat, level, chunk, mlp, pool)
         content = join_hashes(list(hashes))
     grid = make_grid(anchors.position, level)
     meta = Meta(len(anchors), scene.scales, scene.transform, scene.settings, content, grid)
@@ -80,6 +83,7 @@ def _encode_sections(
     weights: npt.NDArray[np.float32],
     level: str,
     chunk: int,
+    mlp: str,
     pool: ThreadPoolExecutor,
 ) -> dict[str, bytes]:
     """The sections but META; what takes longest is begun first."""
@@ -87,7 +91,7 @@ def _encode_sections(
     parts = cut(anchors.position, chunk)
     models = {tag: pool.submit(attributes.fit, rows[tag], level, parts) for tag in rows}
     tasks = {ANCH: _encode_positions(anchors.position, parts, pool)}
-    packed = pool.submit(encode_weights, weights)
+    packed = pool.submit(encode_weights, weights, mlp)
     for tag, model in models.items():
         tasks[tag] = _encode_rows(model.result(), rows[tag], parts, pool)
     streams = {tag: [data for task in tasks[tag] for data in task.result()] for tag in TAGS}
@@ -125,12 +129,14 @@ def _encode_rows(
     return [pool.submit(encode_batch, batch) for batch in batches(parts)]
 
 
-def check_options(level: str, chunk: int) -> None:
+def check_options(level: str, chunk: int, mlp: str = "auto") -> None:
     """Raise UsageError where ``encode`` does not take them."""
     if level not in LEVELS:
         raise UsageError(f"level: {level!r}; known are {', '.join(LEVELS)}")
     if not MIN_CHUNK <= chunk <= MAX_CHUNK:
         raise UsageError(f"chunk: {chunk}; {MIN_CHUNK} to {MAX_CHUNK} anchors are possible")
+    if mlp not in MODES:
+        raise UsageError(f"mlp: {mlp!r}; known are {', '.join(MODES)}")
 
 
 def _check_scene(scene: QuantizedScene) -> None:

@@ -30,21 +30,48 @@ def forward(device: Device, x: DeviceArray, q: float) -> DeviceArray:
     return _run(device, "quantize_forward", x, q, device.empty(x.shape, np.float32))
 
 
+def elements(device: Device, x: DeviceArray, q: DeviceArray) -> DeviceArray:
+    """rint(x q) / q in a new float32 array, without -0.
+
+    Args:
+        device: where the arrays live.
+        x: float32, any shape.
+        q: float32 of the same shape, positive.
+
+    Raises:
+        TypeError, ValueError: a dtype is not float32, or the shapes differ.
+    """
+    _check(x)
+    if q.shape != x.shape or q.dtype != np.float32:
+        raise ValueError(f"q: {q.dtype}{q.shape}, expected float32{x.shape}")
+    result = device.empty(x.shape, np.float32)
+    kernel = device.kernel("quantize", "quantize_elements")
+    device.run(kernel, *_size(device, x), x, q, np.uint32(x.size), result)
+    return result
+
+
 def integers(device: Device, x: DeviceArray, q: float) -> DeviceArray:
     """rint(x q) in a new int32 array; arguments as for :func:`forward`."""
     return _run(device, "quantize_integers", x, q, device.empty(x.shape, np.int32))
 
 
 def _run(device: Device, kernel: str, x: DeviceArray, q: float, result: DeviceArray) -> DeviceArray:
-    if x.dtype != np.float32:
-        raise TypeError(f"x: dtype is {x.dtype}, expected float32")
+    _check(x)
     device.run(
         device.kernel("quantize", kernel),
-        (round_up(-(-x.size // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
+        *_size(device, x),
         x,
         np.uint32(x.size),
         np.float32(q),
         result,
     )
     return result
+
+
+def _size(device: Device, x: DeviceArray) -> tuple[tuple[int], tuple[int]]:
+    return (round_up(-(-x.size // device.vec), GROUP_SIZE),), (GROUP_SIZE,)
+
+
+def _check(x: DeviceArray) -> None:
+    if x.dtype != np.float32:
+        raise TypeError(f"x: dtype is {x.dtype}, expected float32")

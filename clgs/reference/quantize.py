@@ -16,6 +16,11 @@ def forward(x: npt.NDArray[Float], q: float) -> npt.NDArray[Float]:
     return np.asarray(np.rint(x * scale) / scale, x.dtype)
 
 
+def elements(x: npt.NDArray[Float], q: npt.NDArray[Float]) -> npt.NDArray[Float]:
+    """rint(x q) / q with a q for each element, without -0."""
+    return np.asarray(np.rint(x * q) / q + x.dtype.type(0.0), x.dtype)
+
+
 def integers(x: npt.NDArray[Float], q: float) -> npt.NDArray[np.int32]:
     """rint(x q) as int32."""
     return np.rint(x * x.dtype.type(q)).astype(np.int32)

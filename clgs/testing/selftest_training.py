@@ -70,6 +70,9 @@ def _quantize(device: Device, rng: np.random.Generator, count: int) -> Iterator[
     milliseconds = _milliseconds(device, lambda: quantize.forward(device, uploaded, 8.0))
     error = largest(rounded, quantize_reference.forward(x, 8.0))
     error += largest(integers, quantize_reference.integers(x, 8.0))
+    q = (2.0 ** rng.integers(0, 12, count)).astype(np.float32)
+    each = device.download(quantize.elements(device, uploaded, device.upload(q)))
+    error += largest(each, quantize_reference.elements(x, q))
     yield "quantize", "values and integers", error, 0.0, milliseconds
 
 

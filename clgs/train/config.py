@@ -27,6 +27,7 @@ SCALED_WITH_STEPS = (
     "growth_start",
     "growth_end",
     "switch_step",
+    "mlp_switch_step",
     "learning_rate_steps",
 )
 """Moments of a run that move with its length; intervals and counts stay."""
@@ -42,10 +43,12 @@ CHOICES = {
     "proxy": ("channel", "pooled"),
     "accuracy": tuple(PRESETS),
     "adam": ("dense", "visible"),
+    "mlp": ("quantized", "float32"),
 }
 MAY_BE_ZERO = {
     *("seed", "l1_weight", "ssim_weight", "volume_weight", "rate_weight", "voxel", "position_q"),
     *("statistics_start", "growth_start", "growth_end", "switch_step", "growth_threshold"),
+    "mlp_switch_step",
     *(
         "max_memory",
         "smallest_anchor",
@@ -153,6 +156,10 @@ class TrainConfig:
     """Q_S, integers per unit of log scale (paper)."""
     switch_step: int = 15_000
     """Last step without quantisation and rate proxy (paper)."""
+    mlp: str = "quantized"
+    """"quantized": weights of the MLPs become multiples of the steps of ``train.rounding``."""
+    mlp_switch_step: int = 24_000
+    """Last step that renders with the weights as they are."""
 
     statistics_start: int = 500
     """Last step without statistics for growing and pruning (code)."""

@@ -218,7 +218,7 @@ class Trainer:
         anchors, _ = download_anchors(self.device, self.parameters)
         return QuantizedScene(
             sort_anchors(quantized_anchors(anchors, self.queue.scales)),
-            Mlps(self.device.download(self.parameters.scene.weights)),
+            Mlps(self.device.download(self.queue.final_weights(self.parameters))),
             self.queue.scales,
             self.settings,
             self.dataset.transform,

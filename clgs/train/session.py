@@ -29,7 +29,7 @@ from clgs.train.progress import ProgressLog
 from clgs.train.resume import load_checkpoint, run_digest, save_checkpoint
 
 HASHED_VIEWS = 3
-MLP_BYTES = 50_000
+MLP_BYTES = {"quantized": 12_000, "float32": 46_000}
 POSITION_BITS = 12.0
 """Bits that an anchor's position takes, for the size estimate shown while training."""
 
@@ -141,7 +141,7 @@ class Session:
 
     def _estimated_bytes(self) -> int:
         bits = self.trainer.estimated_bits() + POSITION_BITS
-        return int(self.trainer.parameters.count * bits / 8) + MLP_BYTES
+        return int(self.trainer.parameters.count * bits / 8) + MLP_BYTES[self.config.mlp]
 
     def _finish(self) -> RunResult:
         scene = self.trainer.quantized_scene()

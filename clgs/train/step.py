@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from clgs.data.dataset import Dataset
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
-from clgs.ops import adam, loss, rate, scan
+from clgs.ops import adam, loss, quantize, rate, scan
 from clgs.render.frame import Capacity, DeviceScene, Frame, SceneGradients
 from clgs.render.pipeline import check_capacity, render_backward, view_forward
 from clgs.scene.anchors import QuantizationScales
@@ -18,6 +18,7 @@ from clgs.train.config import TrainConfig
 from clgs.train.densify import Densifier
 from clgs.train.optimizer import Optimizer
 from clgs.train.parameters import ANCHOR_GROUPS, Parameters, quantized_view
+from clgs.train.rounding import weight_scales
 from clgs.train.schedule import reduction
 from clgs.train.targets import Color, Targets
 
@@ -80,6 +81,8 @@ class StepQueue:
         self.scales = QuantizationScales(
             config.position_q, config.offset_q, config.feature_q, config.scaling_q
         )
+        quantized = config.mlp == "quantized"
+        self._weight_scales = device.upload(weight_scales()) if quantized else None
         self.capacity: Capacity | None = None
 
     def color(self, rng: np.random.Generator) -> Color:
@@ -132,11 +135,20 @@ class StepQueue:
         return scene, frame, target.photo
 
     def seen(self, parameters: Parameters, step: int) -> DeviceScene:
-        """The parameters as step number ``step`` renders them: rounded after the switch step."""
-        if step <= self._config.switch_step:
-            return parameters.scene
+        """The parameters as step number ``step`` renders them: rounded after the switch steps."""
+        scene = parameters.scene
         with self._device.stage("quantize"):
-            return quantized_view(self._device, parameters.scene, self.scales)
+            if step > self._config.switch_step:
+                scene = quantized_view(self._device, scene, self.scales)
+            if step > self._config.mlp_switch_step:
+                scene = replace(scene, weights=self.final_weights(parameters))
+        return scene
+
+    def final_weights(self, parameters: Parameters) -> DeviceArray:
+        """The weights of the MLPs as they are stored: rounded, unless float32 is asked for."""
+        if self._weight_scales is None:
+            return parameters.scene.weights
+        return quantize.elements(self._device, parameters.scene.weights, self._weight_scales)
 
     def _compare(self, frame: Frame, photo: DeviceArray) -> tuple[loss.LaterValue, DeviceArray]:
         """The value of the loss and its gradient by the picture."""

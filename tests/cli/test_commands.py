@@ -68,6 +68,10 @@ def test_encode_decode_eval_from_the_file_alone(run, data, tmp_path):
     file = tmp_path / "scene.clgs"
     succeed("encode", run, "-o", file)
     assert file.read_bytes() == (run / "scene.clgs").read_bytes()
+    assert json.loads(succeed("info", file, "--json"))["sections"]["MLPS"] < 15_000
+    floats = tmp_path / "floats.clgs"
+    succeed("encode", run, "--mlp", "float32", "-o", floats)
+    assert floats.stat().st_size > file.stat().st_size
     succeed("decode", file, "-o", tmp_path / "scene.npz")
     with np.load(tmp_path / "scene.npz") as mine, np.load(run / "scene.npz") as theirs:
         assert sorted(mine.files) == sorted(theirs.files)

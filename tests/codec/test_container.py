@@ -253,8 +253,22 @@ def test_the_encoder_refuses_what_no_file_may_hold(scene):
         encode(scene)
 
 
+def test_weights_are_the_same_as_integers_and_as_floats(scene, rng):
+    scene.mlps.flat[:] = rng.integers(-99, 99, len(scene.mlps.flat)) / 128
+    packed, floats = encode(scene), encode(scene, mlp="float32")
+    assert contents(packed)["MLPS"][0] == 2
+    assert contents(floats)["MLPS"][0] == 1
+    assert_same(decode(packed), decode(floats))
+
+
 def test_options_that_make_no_sense_are_refused(scene):
-    for options in ({"level": "best"}, {"chunk": 15}, {"chunk": 2**20 + 1}, {"threads": 0}):
+    for options in (
+        {"level": "best"},
+        {"chunk": 15},
+        {"chunk": 2**20 + 1},
+        {"threads": 0},
+        {"mlp": "x"},
+    ):
         with pytest.raises(UsageError, match=f"^{next(iter(options))}: "):
             encode(scene, **options)
 

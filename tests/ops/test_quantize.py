@@ -53,6 +53,20 @@ def test_agrees_with_reference(device, rng, q):
     assert np.array_equal(integers, reference.integers(x, q))
 
 
+def test_a_scale_for_each_element(device, rng):
+    x = rng.normal(0, 1, 13_711).astype(np.float32)
+    q = (2.0 ** rng.integers(-3, 14, len(x))).astype(np.float32)
+    x[:4], q[:4] = [-0.0, -0.4, 0.5, -1.5], 1.0
+    rounded = device.download(quantize.elements(device, device.upload(x), device.upload(q)))
+    expected = reference.elements(x, q)
+    assert np.array_equal(rounded.view(np.uint32), expected.view(np.uint32))
+    assert not np.signbit(rounded[rounded == 0]).any()
+    assert np.array_equal(rounded * q, np.rint(x * q))
+    odd = rng.uniform(1, 999, len(x)).astype(np.float32)
+    rounded = device.download(quantize.elements(device, device.upload(x), device.upload(odd)))
+    assert np.array_equal(rounded, reference.elements(x, odd))
+
+
 @pytest.mark.family("N33")
 @pytest.mark.parametrize("q", SCALES)
 def test_integers_survive_the_round_trip(device, q):
@@ -89,3 +103,8 @@ def test_gradient_passes_straight_through(rng):
 def test_wrong_dtype_is_refused(device):
     with pytest.raises(TypeError, match="int32"):
         quantize.forward(device, device.zeros((3,), np.int32), 1.0)
+    with pytest.raises(TypeError, match="int32"):
+        quantize.elements(device, device.zeros((3,), np.int32), device.zeros((3,)))
+    for q in (device.zeros((4,)), device.zeros((3,), np.int32)):
+        with pytest.raises(ValueError, match="q: "):
+            quantize.elements(device, device.zeros((3,)), q)

@@ -57,6 +57,7 @@ def test_scaled_moves_moments_and_keeps_intervals() -> None:
         "growth_start": 150,
         "growth_end": 1500,
         "switch_step": 1500,
+        "mlp_switch_step": 2400,
         "learning_rate_steps": 3000,
     }
     rates = short.learning_rates
