@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clgs.cli.encode_target import add_target_options
+
 if TYPE_CHECKING:
     from clgs.scene.scene import QuantizedScene
 
@@ -20,6 +22,11 @@ small ones let it read less. Of a scene of 300,000 anchors they make the file la
 about 2, 1.5, 1.4, 1.3 or 1.2 times a tenth of the file.
 --mlp: float32 keeps the weights of the MLPs as floats, auto packs them as integers where training
 has rounded them; the same weights come back either way.
+
+--target-size and --target-psnr make a smaller file without training: anchors are left out, least
+useful for each bit first, and Q of offsets, features or scalings is made coarser where that costs
+less; Q of positions stays. With --data the training views say what is useful, and what it costs
+in PSNR; without, an anchor's size says it.
 
 RUN may be a PLY file of anchors as the reference code writes it (f_offset_*, f_anchor_feat_*,
 scale_*): X.quantized.ply holds integers, any other name numbers that are rounded by --q. It holds
@@ -49,6 +56,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "its comments say, else 200,1,1,8)",
     )
     parser.add_argument("--mlp", default="auto", help="auto or float32")
+    add_target_options(parser)
     add_threads(parser)
 
 
@@ -90,13 +98,22 @@ def add_threads(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Encode; exit code 0."""
+    from clgs.cli.encode_target import check_targets, reduce
     from clgs.codec.encode import check_options, encode
     from clgs.files import atomic_write, check_target
 
     check_options(args.level, args.chunk, args.mlp)
     check_target(args.output)
+    check_targets(args)
     scene = read_source(args)
-    data = encode(scene, args.level, args.chunk, args.threads, args.mlp)
+
+    def pack(scene: QuantizedScene) -> bytes:
+        return encode(scene, args.level, args.chunk, args.threads, args.mlp)
+
+    if args.target_size is None and args.target_psnr is None:
+        data = pack(scene)
+    else:
+        scene, data = reduce(args, scene, pack)
     atomic_write(args.output, data)
     count = len(scene.anchors)
     per_anchor = f", {8 * len(data) / count:.1f} bits an anchor" if count else ""

@@ -161,7 +161,7 @@ def render_backward(
         d_image: (3, H, W) float32.
         volume_weight: weight of the volume term over all neural Gaussians of the frame.
     """
-    d_gaussians, d_mean2d = _rasterise_backward(device, frame, d_image, volume_weight)
+    d_gaussians, d_mean2d = rasterise_backward(device, frame, d_image, volume_weight)
     with device.stage("neural backward"):
         decoded = neural.backward(
             device,
@@ -191,10 +191,10 @@ def render_backward(
     )
 
 
-def _rasterise_backward(
-    device: Device, frame: Frame, d_image: DeviceArray, volume_weight: float
+def rasterise_backward(
+    device: Device, frame: Frame, d_image: DeviceArray, volume_weight: float = 0.0
 ) -> tuple[neural.GaussianGradients, DeviceArray]:
-    """Gradients of the neural Gaussians, and those of their centres on the screen."""
+    """Gradients by the frame's Gaussians, and by their centres (N, 2) on the screen."""
     gaussians = frame.gaussians
     with device.stage("blend backward"):
         splats = _blend_backward(device, frame, d_image)

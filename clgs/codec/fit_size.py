@@ -1,0 +1,106 @@
+"""Fewer bytes without training: fewer anchors and coarser integers, as many as a size holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.errors import UsageError
+from clgs.scene.anchors import QuantizedAnchors
+from clgs.scene.scene import QuantizedScene
+
+POSITION_BITS = 12.0
+"""Of an anchor, about: it does not depend on the anchor."""
+
+ENOUGH = 0.99
+"""Share of a target size that ends the search."""
+
+MAX_TRIALS = 12
+
+Factors = dict[str, float]
+"""What Q of "offset", "feature" or "scaling" is multiplied by; at most 1."""
+
+
+def take(scene: QuantizedScene, rows: npt.NDArray[np.intp]) -> QuantizedScene:
+    """The scene with the anchors ``rows`` alone, in their old order."""
+    kept = np.sort(rows)
+    arrays = (getattr(scene.anchors, field.name)[kept] for field in fields(scene.anchors))
+    return replace(scene, anchors=QuantizedAnchors(*arrays))
+
+
+def coarsen(scene: QuantizedScene, factors: Factors) -> QuantizedScene:
+    """The scene with fewer integers a unit: integers v become rint(v * factor), as Q does."""
+    arrays, scales = dict(vars(scene.anchors)), dict(vars(scene.scales))
+    for name, factor in factors.items():
+        arrays[name] = np.rint(arrays[name] * factor).astype(np.int32)
+        scales[name] *= factor
+    return replace(scene, anchors=QuantizedAnchors(**arrays), scales=type(scene.scales)(**scales))
+
+
+def anchor_bits(anchors: QuantizedAnchors) -> npt.NDArray[np.float64]:
+    """About how many bits each anchor costs, (A,): by how often each channel has its values."""
+    bits = np.full(len(anchors), POSITION_BITS)
+    for values in (anchors.offset, anchors.feature, anchors.scaling):
+        for channel in values.reshape(len(anchors), -1).T:
+            _, index, count = np.unique(channel, return_inverse=True, return_counts=True)
+            bits += np.log2(len(anchors) / count)[index]
+    return bits
+
+
+def most_useful_first(
+    scene: QuantizedScene, importance: npt.NDArray[np.float64]
+) -> npt.NDArray[np.intp]:
+    """The anchors (A,) by ``importance`` (A,) for each bit of their cost, largest first."""
+    return np.argsort(-importance / anchor_bits(scene.anchors), kind="stable")
+
+
+def fit_size(
+    scene: QuantizedScene,
+    order: npt.NDArray[np.intp],
+    target: int,
+    encode: Callable[[QuantizedScene], bytes],
+) -> tuple[QuantizedScene, bytes]:
+    """As many of the anchors ``order`` (A,), first ones first, as ``target`` bytes hold; the file.
+
+    False position over the number of anchors, with exact sizes: never above ``target``, and at
+    least ENOUGH of it or within an anchor of it, where trials suffice.
+
+    Raises:
+        UsageError: the file is larger even without anchors.
+    """
+    cost = np.concatenate([[0.0], np.cumsum(anchor_bits(scene.anchors)[order] / 8)])
+    best, data = scene, encode(scene)
+    if len(data) <= target:
+        return best, data
+    high, high_size, low = len(order), len(data), 0
+    best, data = _cut(scene, order, 0, encode)
+    if len(data) > target:
+        raise UsageError(
+            f"a file of {target:,} bytes is too small: {len(data):,} bytes remain without anchors"
+        )
+    for _ in range(MAX_TRIALS):
+        if high - low <= 1 or len(data) >= ENOUGH * target:
+            break
+        aim = (1 + ENOUGH) / 2 * target
+        share = (aim - len(data)) / (high_size - len(data))
+        wanted = cost[low] + share * (cost[high] - cost[low])
+        count = int(np.clip(np.searchsorted(cost, wanted), low + 1, high - 1))
+        trial, trial_data = _cut(scene, order, count, encode)
+        if len(trial_data) <= target:
+            best, data, low = trial, trial_data, count
+        else:
+            high, high_size = count, len(trial_data)
+    return best, data
+
+
+def _cut(
+    scene: QuantizedScene,
+    order: npt.NDArray[np.intp],
+    count: int,
+    encode: Callable[[QuantizedScene], bytes],
+) -> tuple[QuantizedScene, bytes]:
+    cut = take(scene, order[:count])
+    return cut, encode(cut)

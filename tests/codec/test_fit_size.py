@@ -1,0 +1,80 @@
+"""Scenes cut to a size: never above it, close below it, the most useful anchors kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.codec.decode import decode
+from clgs.codec.encode import encode
+from clgs.codec.fit_size import anchor_bits, coarsen, fit_size, most_useful_first, take
+from clgs.errors import UsageError
+from clgs.scene.anchors import QuantizationScales
+from clgs.scene.mlps import MLP_SIZE, Mlps
+from clgs.scene.scene import QuantizedScene
+from tests.codec.scenes import assert_same, random_scene
+
+
+@pytest.fixture
+def scene(rng: np.random.Generator) -> QuantizedScene:
+    some = random_scene(rng, 3000)
+    return replace(some, mlps=Mlps(np.zeros(MLP_SIZE, np.float32)))
+
+
+def fast(scene: QuantizedScene) -> bytes:
+    return encode(scene, "fast", threads=1)
+
+
+@pytest.mark.parametrize("share", [0.9, 0.5, 0.2, 0.07])
+def test_a_size_is_met_from_below(
+    scene: QuantizedScene, rng: np.random.Generator, share: float
+) -> None:
+    target = int(share * len(fast(scene)))
+    order = rng.permutation(len(scene.anchors))
+    found, data = fit_size(scene, order, target, fast)
+    assert 0.98 * target <= len(data) <= target
+    assert data == fast(found)
+    expected = take(scene, order[: len(found.anchors)])
+    assert_same(found, expected)
+    np.testing.assert_array_equal(decode(data).anchors.position.shape, found.anchors.position.shape)
+
+
+def test_what_fits_stays_whole(scene: QuantizedScene) -> None:
+    data = fast(scene)
+    order = np.arange(len(scene.anchors))
+    assert fit_size(scene, order, len(data), fast)[1] == data
+    found, less = fit_size(scene, order, len(data) - 1, fast)
+    assert len(less) < len(data)
+    assert len(found.anchors) < len(scene.anchors)
+
+
+def test_less_than_no_anchors_is_refused(scene: QuantizedScene) -> None:
+    order = np.arange(len(scene.anchors))
+    least = len(fast(take(scene, order[:0])))
+    assert len(fit_size(scene, order, least, fast)[1]) == least
+    with pytest.raises(UsageError, match=f"{least:,} bytes remain without anchors"):
+        fit_size(scene, order, least - 1, fast)
+
+
+def test_coarser_integers_keep_their_meaning(scene: QuantizedScene) -> None:
+    found = coarsen(scene, {"feature": 0.5, "scaling": 0.75})
+    assert found.scales == QuantizationScales(200.0, 1.0, 0.5, 6.0)
+    before, after = scene.dequantize().anchors, found.dequantize().anchors
+    np.testing.assert_array_equal(after.position, before.position)
+    np.testing.assert_array_equal(after.offset, before.offset)
+    assert np.abs(after.feature - before.feature).max() <= 0.5 / 0.5
+    assert np.abs(after.scaling - before.scaling).max() <= 0.5 / 6.0 + 2**-20
+    assert decode(fast(found)).scales == found.scales
+    assert len(fast(found)) < len(fast(scene))
+
+
+def test_bits_follow_frequencies(scene: QuantizedScene) -> None:
+    bits = anchor_bits(scene.anchors)
+    assert bits.shape == (len(scene.anchors),)
+    common = take(scene, np.argsort(bits)[:200])
+    rare = take(scene, np.argsort(bits)[-200:])
+    assert len(fast(common)) < len(fast(rare))
+    order = most_useful_first(scene, np.ones(len(bits)))
+    np.testing.assert_array_equal(order, np.argsort(bits, kind="stable"))

@@ -1,0 +1,135 @@
+"""Smaller files without training: importance against leaving anchors out, sizes, PSNR."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from clgs.codec.encode import encode, sort_anchors
+from clgs.codec.fit_size import take
+from clgs.data.dataset import View
+from clgs.errors import UsageError
+from clgs.opencl.device import Device
+from clgs.render.renderer import Renderer
+from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.scene import QuantizedScene
+from clgs.testing.anchor_scene import anchor_scene
+from clgs.train.evaluate import to_8bit
+from clgs.train.importance import importance, importance_without_views
+from clgs.train.rate_control import Judge, reduce_to_psnr, reduce_to_size
+
+
+def fast(scene: QuantizedScene) -> bytes:
+    return encode(scene, "fast", threads=1)
+
+
+@pytest.fixture
+def seen(device: Device) -> tuple[QuantizedScene, View]:
+    """A scene of integers, and a noisy photo of it: about 42 dB."""
+    scene, camera = anchor_scene(1200, 64)
+    scales = QuantizationScales(position=2000.0, offset=16.0, feature=16.0, scaling=16.0)
+    integers = (
+        np.rint(getattr(scene.anchors, name) * scale).astype(np.int32)
+        for name, scale in vars(scales).items()
+    )
+    anchors = sort_anchors(QuantizedAnchors(*integers))
+    quantized = QuantizedScene(anchors, scene.mlps, scales, scene.settings, scene.transform)
+    image = to_8bit(Renderer(device, quantized.dequantize()).render(camera))
+    noise = np.random.default_rng(1).integers(-4, 5, image.shape)
+    image = np.clip(image + noise, 0, 255).astype(np.uint8)
+    return quantized, View("front", camera, image, None)
+
+
+def without(
+    device: Device, scene: QuantizedScene, view: View, anchor: int
+) -> npt.NDArray[np.float32]:
+    """The picture without one anchor."""
+    left = take(scene, np.delete(np.arange(len(scene.anchors)), anchor))
+    return Renderer(device, left.dequantize()).render(view.camera)
+
+
+def test_importance_is_what_leaving_out_costs(
+    device: Device, seen: tuple[QuantizedScene, View], rng: np.random.Generator
+) -> None:
+    scene, view = seen
+    repeats = 24
+    estimate = importance(device, scene, [view] * repeats) / repeats
+    whole = Renderer(device, scene.dequantize()).render(view.camera)
+    some = rng.permutation(len(scene.anchors))[:40]
+    exact = [float(np.square(without(device, scene, view, i) - whole).sum()) for i in some]
+    # 24 draws have a standard error of sqrt(2 / 24) = 0.29; single removals are exact but for the
+    # clamp of alpha, the cuts and the overlap of an anchor's own Gaussians.
+    matters = np.array(exact) > 1e-3
+    assert matters.sum() >= 10
+    ratio = estimate[some][matters] / np.array(exact)[matters]
+    assert 0.7 < np.median(ratio) < 1.4
+    assert (np.abs(np.log(ratio)) < np.log(4)).all()
+
+
+def test_importance_is_the_same_every_time(
+    device: Device, seen: tuple[QuantizedScene, View]
+) -> None:
+    scene, view = seen
+    first, second = (importance(device, scene, [view]) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert (first >= 0).all()
+
+
+@pytest.mark.parametrize("share", [0.95, 0.75])
+def test_a_size_is_met_and_the_useful_kept(
+    device: Device, seen: tuple[QuantizedScene, View], share: float
+) -> None:
+    scene, view = seen
+    judge = Judge.of(device, [view] * 4)
+    target = int(share * len(fast(scene)))
+    found = reduce_to_size(scene, target, fast, judge)
+    assert 0.98 * target <= len(found.data) <= target
+    assert found.data == fast(found.scene)
+    assert found.psnr is not None
+    before, after = found.psnr
+    assert after == judge.psnr(found.scene)
+    blind = reduce_to_size(scene, target, fast, None)
+    assert blind.psnr is None
+    assert 0.98 * target <= len(blind.data) <= target
+    assert before > after > judge.psnr(blind.scene)
+
+
+def test_a_scene_that_fits_is_left_alone(device: Device, seen: tuple[QuantizedScene, View]) -> None:
+    scene, view = seen
+    found = reduce_to_size(scene, len(fast(scene)), fast, Judge.of(device, [view]))
+    assert found.scene is scene
+    assert found.psnr is not None
+    assert found.psnr[0] == found.psnr[1]
+
+
+def test_a_psnr_is_kept_with_fewer_anchors(
+    device: Device, seen: tuple[QuantizedScene, View]
+) -> None:
+    scene, view = seen
+    judge = Judge.of(device, [view])
+    whole = judge.psnr(scene)
+    found = reduce_to_psnr(scene, whole - 6.0, fast, judge)
+    assert found.psnr == (whole, judge.psnr(found.scene))
+    assert found.psnr[1] >= whole - 6.0
+    assert len(found.scene.anchors) < len(scene.anchors)
+    smaller = reduce_to_psnr(scene, whole - 14.0, fast, judge)
+    assert len(smaller.data) < len(found.data) < len(fast(scene))
+    with pytest.raises(UsageError, match="the whole scene has"):
+        reduce_to_psnr(scene, whole + 0.1, fast, judge)
+
+
+def test_views_are_spread_evenly(device: Device, seen: tuple[QuantizedScene, View]) -> None:
+    views = [replace(seen[1], name=str(i)) for i in range(100)]
+    names = [int(view.name) for view in Judge.of(device, views).views]
+    assert len(names) == 48
+    assert set(np.diff(names)) <= {2, 3}
+    assert names[0] == 0
+
+
+def test_without_views_large_anchors_come_first(seen: tuple[QuantizedScene, View]) -> None:
+    useful = importance_without_views(seen[0])
+    shape = np.sort(seen[0].anchors.scaling[:, 3:], axis=1)[:, 1:].sum(axis=1)
+    assert (np.diff(shape[np.argsort(useful, kind="stable")]) >= 0).all()
