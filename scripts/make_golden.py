@@ -38,7 +38,12 @@ def main() -> None:
 
 def golden_files() -> dict[str, bytes]:
     """The files of the present version by name."""
-    return {name: encode(scene, **OPTIONS.get(name, {})) for name, scene in golden_scenes().items()}
+    return {name: golden_file(name) for name in golden_scenes()}
+
+
+def golden_file(name: str) -> bytes:
+    """One of them."""
+    return encode(golden_scenes()[name], **OPTIONS.get(name, {}))
 
 
 OPTIONS: dict[str, dict[str, Any]] = {

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from clgs.codec.container import read_container
-from clgs.codec.decode import decode
+from clgs.codec.decode import decode, describe
 from clgs.codec.encode import flatten, sort_anchors
+from clgs.codec.meta import LEVELS
 from clgs.reference import octree, planes, runlength
 from tests.codec.scenes import GOLDEN, assert_same, make_golden
 
@@ -51,3 +52,24 @@ def test_the_reference_reads_the_weights():
     weights = decode(data).mlps.flat
     stream = bytes(read_container(data)[1]["MLPS"].data)
     np.testing.assert_array_equal(planes.decode(stream, len(weights)), weights)
+
+
+PRESENT = make_golden().golden_scenes()
+
+
+@pytest.mark.parametrize("name", PRESENT)
+def test_the_present_version_is_made_and_read_bit_for_bit(name):
+    """A change of the format before its release: make the files again, scripts/make_golden.py."""
+    data = (GOLDEN / f"{name}.clgs").read_bytes()
+    assert make_golden().golden_file(name) == data
+    scene = PRESENT[name]
+    scene.anchors = sort_anchors(scene.anchors)
+    assert_same(decode(data), scene)
+
+
+def test_the_files_show_every_level_and_several_chunks():
+    shown = [describe((GOLDEN / f"{name}.clgs").read_bytes()) for name in PRESENT]
+    assert {one["level"] for one in shown} == set(LEVELS)
+    assert {one["chunks"]["count"] for one in shown} >= {0, 1, 2}
+    assert {one["depth"] for one in shown} >= {0, 21}
+    assert sum(2048 <= one["bytes"] <= 8192 for one in shown) >= 6
