@@ -23,6 +23,9 @@ LEAST_GAIN = 0.01
 LEAST_LEFT = 1e-6
 """Terms are added while more than this part of the variance is left."""
 
+TILE, TILE_ROWS = 32, 256
+"""Columns and rows of a tile of products: OpenBLAS takes up to 2^18 of them in one thread."""
+
 FACTOR = 256
 """Factors are stored in units of 1/256."""
 
@@ -49,7 +52,23 @@ def _products(value: npt.NDArray[np.int64]) -> Floats:
     inner = clamped[2:-1] if len(clamped) > 3 else clamped[:0]
     shifted = [clamped[2 + row : 2 + row + len(inner)] for row in ROWS]
     stacked = np.concatenate(shifted, axis=1)
-    return stacked.T @ stacked
+    return _gram(stacked)
+
+
+def _gram(stacked: Floats) -> Floats:
+    """``stacked.T @ stacked`` in tiles that BLAS does not share out among threads of its own.
+
+    Attributes are fitted in several threads already, and those of BLAS wait by spinning.
+    """
+    columns = stacked.shape[1]
+    products = np.zeros((columns, columns))
+    for first in range(0, len(stacked), TILE_ROWS):
+        rows = stacked[first : first + TILE_ROWS]
+        for i in range(0, columns, TILE):
+            for j in range(i, columns, TILE):
+                tile = rows[:, i : i + TILE].T @ rows[:, j : j + TILE]
+                products[i : i + TILE, j : j + TILE] += tile
+    return np.asarray(np.triu(products) + np.triu(products, 1).T)
 
 
 def _pursue(products: Floats, candidates: npt.NDArray[np.intp], j: int) -> list[int]:
