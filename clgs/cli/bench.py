@@ -1,17 +1,18 @@
-"""`clgs bench`: speed, accuracy and growth of time and memory; one module a kind."""
+"""`clgs bench`: speed, accuracy, growth of time and memory, and the codec; one module a kind."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
 
-KINDS = ("step", "ops", "accuracy", "scaling")
+KINDS = ("step", "ops", "accuracy", "scaling", "codec")
 """Each is a module ``clgs.cli.bench_<kind>`` with ``register(kinds)`` and ``run(args)``."""
 
 SMALLER = {
     "step": "a smaller --size or fewer --gaussians need",
     "ops": "a smaller --size, fewer --gaussians or --elements need",
     "accuracy": "fewer or smaller --scenes, or a larger --downscale of --scene, need",
+    "codec": "fewer --anchors, or smaller DATA with --levels-only, need",
     "scaling": "smaller --sizes or fewer --gaussians need",
 }
 """What to change where memory is short."""

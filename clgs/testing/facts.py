@@ -16,9 +16,13 @@ LIBRARIES = ("numpy", "pyopencl")
 
 def machine_facts(device: Device) -> dict[str, object]:
     """Names and versions of what made a figure; no host names and no times."""
+    return {"device": device_facts(device), **host_facts()}
+
+
+def host_facts() -> dict[str, object]:
+    """As :func:`machine_facts`, of what no device took part in."""
     versions = {name: metadata.version(name) for name in LIBRARIES}
     return {
-        "device": device_facts(device),
         "processor": _processor(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "versions": {"clgs": __version__, "python": platform.python_version(), **versions},

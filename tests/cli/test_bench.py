@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import json
+import sys
 
+import numpy as np
 import pytest
 
 from clgs.cli import bench, bench_scaling
@@ -54,3 +56,52 @@ def test_one_size_has_no_exponent(capsys):
     assert "time ~ count^- " in said
     assert "- bytes a Gaussian and - a pixel" in said
     assert "2 an intersection" in said
+
+
+@pytest.fixture
+def codec_file(tmp_path):
+    values = np.random.default_rng(1).integers(-3, 4, (50, 4), dtype=np.int16)
+    np.savez(tmp_path / "iid_feat.npz", values=values)
+    np.savez(tmp_path / "cloud.npz", positions=np.argwhere(np.ones((4, 3, 2), bool)))
+    return tmp_path
+
+
+def test_codec_measures_every_level_of_files(codec_file, capsys):
+    target = codec_file / "figures.json"
+    assert main(["bench", "codec", str(codec_file), "--repeats", "1", "--json", str(target)]) == 0
+    cloud, rows = json.loads(target.read_text())["subjects"]
+    names = [coder["coder"] for coder in rows["coders"]]
+    assert names[:4] == ["fast", "default", "max", "paper"]
+    assert "xz -9" in names
+    assert rows["baseline"] == 588078
+    assert rows["coders"][0]["ratio"] == rows["coders"][0]["bytes"] / 588078
+    assert cloud["baseline"] is None
+    assert cloud["symbols"] == 24
+    assert "published" in capsys.readouterr().out
+
+
+def test_codec_measures_a_seeded_scene_and_its_file(tmp_path):
+    target = tmp_path / "figures.json"
+    tiny = ["--anchors", "300", "--levels-only", "--repeats", "1", "--json", str(target)]
+    assert main(["bench", "codec", *tiny]) == 0
+    subjects = json.loads(target.read_text())["subjects"]
+    assert [s["name"] for s in subjects] == [
+        f"seeded {part}" for part in ("offset", "feature", "scaling", "position", "file")
+    ]
+    assert all(coder["bytes"] > 0 for s in subjects for coder in s["coders"])
+
+
+def test_codec_names_what_it_cannot_read(tmp_path, capsys):
+    (tmp_path / "bad.npz").write_bytes(b"no archive")
+    for data in (tmp_path / "bad.npz", tmp_path / "none.npz", tmp_path / "empty"):
+        (tmp_path / "empty").mkdir(exist_ok=True)
+        assert main(["bench", "codec", str(data)]) == 3
+        assert str(data) in capsys.readouterr().err
+
+
+def test_absent_compressors_are_named_and_left_out(codec_file, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "brotli", None)
+    assert main(["bench", "codec", str(codec_file), "--repeats", "1"]) == 0
+    said = capsys.readouterr()
+    assert said.err.count("brotli is not installed") == 1
+    assert "brotli 11" not in said.out

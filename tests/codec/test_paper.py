@@ -10,28 +10,17 @@ from hypothesis.extra import numpy as npst
 
 from clgs.codec import attributes, paper
 from clgs.reference import paper as reference
+from clgs.testing.codec_baselines import ATTRIBUTES
 from tests.codec.matrices import INT32, laplace, matrices
 
-BASELINE = {  # bytes of G-PCC's attribute residual coder, the README of the shared data
-    "iid_offset": 252375,
-    "iid_feat": 588078,
-    "iid_scale": 151649,
-    "chan_feat": 530467,
-    "zi_offset": 239515,
-    "corr_weak": 556432,
-    "corr_scale": 144476,
-    "biker_scale_q8": 324445,
-    "biker_color": 469109,
-}
 
-
-@pytest.mark.parametrize("name", BASELINE)
+@pytest.mark.parametrize("name", ATTRIBUTES)
 def test_size_is_that_of_the_published_coder(name, shared_data):
     """Within 1 %: the structure is the same, only the speed of adaptation is our own."""
     value = np.load(shared_data / "codec" / f"{name}.npz")["values"].astype(np.int32)
     data = paper.encode(value)
     np.testing.assert_array_equal(paper.decode(data, *value.shape), value)
-    assert abs(len(data) / BASELINE[name] - 1) <= 0.01
+    assert abs(len(data) / ATTRIBUTES[name] - 1) <= 0.01
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 7])

@@ -9,16 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from clgs.codec import octree
+from clgs.testing.codec_baselines import POSITIONS
 
-POSITIONS = {  # bytes of tmc13 v23, lossless octree geometry
-    "scene_q200": 484946,
-    "armadillo_sparse_1024": 51899,
-    "armadillo_dense_1024": 242340,
-    "bunny_4096": 464382,
-    "bunny_noisy_2048": 534403,
-    "biker_1628": 160897,
-    "biker_407": 49801,
-}
 QUICK = {"armadillo_sparse_1024", "biker_407"}
 LIMIT = 1.003
 """Ratio to the baseline that every cloud keeps."""
