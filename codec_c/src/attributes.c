@@ -57,19 +57,17 @@ static uint32_t large_zigzag(uint32_t symbol, uint32_t literal)
     return (4 + (symbol - CLGS_DIRECT) % 4) << clgs_literal_bits(symbol) | literal;
 }
 
-/* Symbols of the residuals of column j, and the literal bits where `literals` is not NULL. */
+/* Symbols of column j, and the literal bits where `literals` is not NULL. */
 static void split(clgs_columns *columns, size_t j, bits *literals)
 {
-    uint8_t *symbol = columns->symbol + j * columns->rows;
+    uint8_t *symbol = clgs_symbols(columns, j);
     const int32_t *residual = columns->residual;
-    uint32_t all = 0;
+    if (!columns->apart[j])
+        return;
+    clgs_columns_predict(columns, j);
     for (size_t i = 0; i < columns->rows; i++) {
         uint32_t zigzag = clgs_zigzag(residual[i]);
         symbol[i] = (uint8_t)zigzag;
-        all |= zigzag;
-    }
-    for (size_t i = 0; i < columns->rows && all >= CLGS_DIRECT; i++) {
-        uint32_t zigzag = clgs_zigzag(residual[i]);
         if (zigzag < CLGS_DIRECT)
             continue;
         symbol[i] = (uint8_t)large_symbol(zigzag);
@@ -78,22 +76,29 @@ static void split(clgs_columns *columns, size_t j, bits *literals)
     }
 }
 
+static int has_literals(const clgs_channel *channel)
+{
+    uint32_t sum = 0;
+    for (int32_t k = 0; k < channel->classes; k++)
+        for (uint32_t s = CLGS_DIRECT; s < CLGS_ALPHABET; s++)
+            sum += channel->frequency[k][s];
+    return sum > 0;
+}
+
 /* Residuals of column j, from symbols and literal bits, to where its values will be. */
 static void join(clgs_columns *columns, size_t j, bits *literals, int *failed)
 {
-    const uint8_t *symbol = columns->symbol + j * columns->rows;
-    int32_t *value = columns->value + j * columns->rows;
-    uint8_t all = 0;
+    const uint8_t *symbol = clgs_symbols(columns, j);
+    int32_t *value = clgs_values(columns, j);
+    columns->apart[j] |= (uint8_t)has_literals(columns->channel + j);
+    if (!columns->apart[j])
+        return;
     for (size_t i = 0; i < columns->rows; i++) {
-        value[i] = (int32_t)(symbol[i] >> 1) ^ -(int32_t)(symbol[i] & 1);
-        all |= symbol[i];
+        uint32_t zigzag = symbol[i];
+        if (zigzag >= CLGS_DIRECT)
+            zigzag = large_zigzag(zigzag, get_bits(literals, clgs_literal_bits(zigzag), failed));
+        value[i] = clgs_signed(zigzag & 1 ? ~(zigzag >> 1) : zigzag >> 1);
     }
-    for (size_t i = 0; i < columns->rows && all >= CLGS_DIRECT; i++)
-        if (symbol[i] >= CLGS_DIRECT) {
-            uint32_t literal = get_bits(literals, clgs_literal_bits(symbol[i]), failed);
-            uint32_t zigzag = large_zigzag(symbol[i], literal);
-            value[i] = clgs_signed(zigzag & 1 ? ~(zigzag >> 1) : zigzag >> 1);
-        }
 }
 
 static size_t cell_count(size_t rows, size_t channels)
@@ -126,7 +131,6 @@ static size_t stage(clgs_columns *columns, uint8_t *cells, uint8_t *out)
 {
     bits literals = {.out = out};
     for (size_t j = 0; j < columns->channels; j++) {
-        clgs_columns_predict(columns, j);
         split(columns, j, &literals);
         if (columns->channel[j].classes > 1) {
             clgs_columns_cells(columns, j);
@@ -240,6 +244,16 @@ clgs_error clgs_attributes_decode(const void *model, const uint8_t *data, size_t
     return error;
 }
 
+/* Count symbols alone; four tables in turn, because a counter cannot grow every cycle. */
+static void count_symbols(const uint8_t *symbol, size_t rows, uint32_t *count)
+{
+    uint32_t part[4][CLGS_TABLE] = {{0}};
+    for (size_t i = 0; i < rows; i++)
+        part[i & 3][symbol[i]]++;
+    for (size_t s = 0; s < CLGS_TABLE; s++)
+        count[s] += part[0][s] + part[1][s] + part[2][s] + part[3][s];
+}
+
 clgs_error clgs_attributes_count(const void *model, const int32_t *value, size_t rows,
                                  size_t channels, uint32_t *count, void *workspace)
 {
@@ -249,13 +263,17 @@ clgs_error clgs_attributes_count(const void *model, const int32_t *value, size_t
     clgs_columns_place(&columns, workspace);
     clgs_columns_load(&columns, value);
     for (size_t j = 0; j < channels; j++) {
-        const uint8_t *symbol = columns.symbol + j * rows;
+        const clgs_channel *channel = columns.channel + j;
+        const uint8_t *symbol = clgs_symbols(&columns, j);
         uint32_t *own = count + j * CLGS_CELLS * CLGS_TABLE;
-        clgs_columns_predict(&columns, j);
         split(&columns, j, NULL);
-        clgs_columns_cells(&columns, j);
-        for (size_t i = 0; i < rows; i++)
-            own[columns.cell[i] * CLGS_TABLE + symbol[i]]++;
+        if (!clgs_has_cells(channel)) {
+            count_symbols(symbol, rows, own);
+        } else {
+            clgs_columns_cells(&columns, j);
+            for (size_t i = 0; i < rows; i++)
+                own[columns.cell[i] * CLGS_TABLE + symbol[i]]++;
+        }
         clgs_columns_activate(&columns, j);
     }
     return CLGS_OK;

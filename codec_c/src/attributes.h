@@ -57,6 +57,12 @@ _Static_assert(sizeof(clgs_channel) == 33 * 4 + CLGS_CELLS + CLGS_CLASSES * CLGS
 /* Whether every field is in range, so that chunks can follow the model without further checks. */
 int clgs_model_valid(const clgs_channel *channel, size_t channels);
 
+/* Whether a channel's symbols fall into more than one cell. */
+static inline int clgs_has_cells(const clgs_channel *channel)
+{
+    return channel->span || channel->weight[0] || channel->weight[1] || channel->weight[2];
+}
+
 /* Literal bits that follow a symbol of CLGS_DIRECT or more. */
 static inline uint32_t clgs_literal_bits(uint32_t symbol)
 {

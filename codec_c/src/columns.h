@@ -6,18 +6,36 @@
 
 #define CLGS_LANES 8 /* a column is cut into so many runs of rows, coded in turn */
 
-/* One chunk in the caller's workspace. Columns follow each other, `rows` entries each. */
+/* One chunk in the caller's workspace. Columns follow each other, `pitch` entries apart. */
 typedef struct clgs_columns {
     const clgs_channel *channel;
     size_t rows, channels;
-    int32_t *value;     /* (channels, rows), minus centre, modulo 2^32 */
-    uint8_t *symbol;    /* (channels, rows) */
-    uint8_t *cell;      /* (rows): cells of the column at hand */
-    int32_t *residual;  /* (rows): of the column at hand */
+    size_t pitch; /* entries from column to column; an odd number of 64, so that caches serve all */
+    const int32_t *source; /* encoder: (rows, channels), as the caller has them */
+    int32_t *value;        /* (channels, rows), minus centre, modulo 2^32; only where `apart` */
+    uint8_t *symbol;       /* (channels, rows) */
+    uint8_t *cell;         /* (rows): cells of the column at hand */
+    int32_t *residual;     /* (rows): of the column at hand */
     uint16_t *activity; /* (rows + 2): magnitudes of the earlier channels, summed; zero borders */
     uint32_t *partial;  /* (rows): weighted activity without the own column's part */
     uint8_t *level;     /* of each activity, CLGS_MAX_ACTIVITY + 1 of them */
+    uint8_t *tile;      /* some rows of symbols on their way from rows to columns or back */
+    uint8_t apart[CLGS_MAX_CHANNELS];   /* the column's values differ from its symbols' */
+    uint32_t zigzag[CLGS_MAX_CHANNELS]; /* encoder: all bits that occur, where not `apart` */
 } clgs_columns;
+
+static inline uint8_t *clgs_symbols(const clgs_columns *columns, size_t j)
+{
+    return columns->symbol + j * columns->pitch;
+}
+
+static inline int32_t *clgs_values(const clgs_columns *columns, size_t j)
+{
+    return columns->value + j * columns->pitch;
+}
+
+/* Entries from column to column. */
+size_t clgs_pitch(size_t rows);
 
 /* Bytes that `clgs_columns_place` hands out. */
 size_t clgs_columns_size(size_t rows, size_t channels);
@@ -25,8 +43,10 @@ size_t clgs_columns_size(size_t rows, size_t channels);
 /* Lay the arrays out in `memory`, aligned as malloc does; activity becomes zero. The end. */
 uint8_t *clgs_columns_place(clgs_columns *columns, void *memory);
 
-/* Row-major values to columns minus centre, and back. */
+/* Row-major values to columns: to symbols where these are all, to values where `apart`. */
 void clgs_columns_load(clgs_columns *columns, const int32_t *value);
+
+/* Columns to row-major values, from symbols or, where `apart`, from values. */
 void clgs_columns_store(const clgs_columns *columns, int32_t *value);
 
 /* Residuals of column j from its values, and the reverse. */

@@ -27,49 +27,79 @@ static void fill_encoder(clgs_rans_symbol *table, const clgs_channel *channel)
 }
 
 /* Code one symbol; a larger state first gives up its low word. 0 where there is no such symbol. */
-static inline int put(clgs_rans_encoder *coder, size_t lane, const clgs_rans_symbol *symbol)
+static int put(clgs_rans_encoder *coder, size_t lane, const clgs_rans_symbol *symbol)
 {
-    uint32_t x = coder->state[lane], full = x > symbol->most;
-    coder->word[-1] = (uint16_t)x;
-    coder->word -= full;
-    x >>= 16 * full;
+    uint32_t x = coder->state[lane];
+    if (x > symbol->most) {
+        *--coder->word = (uint16_t)x;
+        x >>= 16;
+    }
     uint32_t quotient = (uint32_t)(x * symbol->reciprocal >> SHIFT);
     coder->state[lane] = x + symbol->start + quotient * symbol->complement;
     return symbol->reciprocal != 0;
 }
 
+/* The same without branches, on local variables. */
+#define ENCODE_LANE(LANE)                                                                          \
+    do {                                                                                           \
+        size_t i = start##LANE + step;                                                             \
+        const clgs_rans_symbol *s = table + symbol[i];                                             \
+        if (cell)                                                                                  \
+            s += CLGS_TABLE * (size_t)class_of[cell[i]];                                           \
+        uint32_t full = x##LANE > s->most;                                                         \
+        word[-1] = (uint16_t)x##LANE;                                                              \
+        word -= full;                                                                              \
+        x##LANE >>= 16 * full;                                                                     \
+        uint64_t reciprocal = s->reciprocal;                                                       \
+        missing |= reciprocal == 0;                                                                \
+        x##LANE += s->start + (uint32_t)(x##LANE * reciprocal >> SHIFT) * s->complement;           \
+    } while (0)
+
+/* All steps of all lanes, last one first. 0 where a symbol has no frequency. */
+static inline int encode_steps(clgs_rans_encoder *coder, const uint8_t *symbol, const uint8_t *cell,
+                               const uint8_t *class_of, const size_t *start)
+{
+    uint32_t *x = coder->state, x0 = x[0], x1 = x[1], x2 = x[2], x3 = x[3], x4 = x[4], x5 = x[5],
+             x6 = x[6], x7 = x[7], missing = 0;
+    const size_t start0 = start[0], start1 = start[1], start2 = start[2], start3 = start[3],
+                 start4 = start[4], start5 = start[5], start6 = start[6], start7 = start[7];
+    const clgs_rans_symbol *table = coder->table;
+    uint16_t *word = coder->word;
+    for (size_t step = start[CLGS_LANES] / CLGS_LANES; step-- > 0;) {
+        ENCODE_LANE(7);
+        ENCODE_LANE(6);
+        ENCODE_LANE(5);
+        ENCODE_LANE(4);
+        ENCODE_LANE(3);
+        ENCODE_LANE(2);
+        ENCODE_LANE(1);
+        ENCODE_LANE(0);
+    }
+    x[0] = x0, x[1] = x1, x[2] = x2, x[3] = x3, x[4] = x4, x[5] = x5, x[6] = x6, x[7] = x7;
+    coder->word = word;
+    return !missing;
+}
+
 int clgs_rans_encode(clgs_rans_encoder *coder, const clgs_columns *columns, size_t j,
                      const uint8_t *cell)
 {
-    const clgs_channel *channel = columns->channel + j;
-    const uint8_t *symbol = columns->symbol + j * columns->rows;
-    clgs_rans_encoder local = *coder;
-    const clgs_rans_symbol *table = coder->table;
+    const uint8_t *class_of = columns->channel[j].class_of;
+    const uint8_t *symbol = clgs_symbols(columns, j);
     size_t steps = columns->rows / CLGS_LANES, start[CLGS_LANES + 1];
     int known = 1;
-    fill_encoder(coder->table, channel);
+    fill_encoder(coder->table, columns->channel + j);
     for (size_t lane = 0; lane <= CLGS_LANES; lane++)
         start[lane] = clgs_lane_start(columns->rows, lane);
     for (size_t lane = CLGS_LANES; lane-- > 0;) {
         size_t i = start[lane] + steps;
         if (i < start[lane + 1]) {
-            size_t k = cell ? channel->class_of[cell[i]] : 0;
-            known &= put(&local, lane, table + CLGS_TABLE * k + symbol[i]);
+            size_t k = cell ? class_of[cell[i]] : 0;
+            known &= put(coder, lane, coder->table + CLGS_TABLE * k + symbol[i]);
         }
     }
-    if (cell) {
-        for (size_t step = steps; step-- > 0;)
-            for (size_t lane = CLGS_LANES; lane-- > 0;) {
-                size_t i = start[lane] + step, k = channel->class_of[cell[i]];
-                known &= put(&local, lane, table + CLGS_TABLE * k + symbol[i]);
-            }
-    } else {
-        for (size_t step = steps; step-- > 0;)
-            for (size_t lane = CLGS_LANES; lane-- > 0;)
-                known &= put(&local, lane, table + symbol[start[lane] + step]);
-    }
-    *coder = local;
-    return known;
+    if (cell)
+        return known & encode_steps(coder, symbol, cell, class_of, start);
+    return known & encode_steps(coder, symbol, NULL, class_of, start);
 }
 
 /* Entries of the decoder: symbol, frequency - 1 above bit 8, place in its range above bit 20. */
@@ -84,88 +114,114 @@ static void fill_decoder(uint32_t *table, const clgs_channel *channel)
         }
 }
 
-/* Decode one symbol of a lane; a small state takes the next word. Reads words without a check
- * where `sure`, otherwise counts a missing one as a failure. */
-static inline uint8_t get(clgs_rans_decoder *coder, size_t lane, const uint32_t *table, int sure)
-{
-    uint32_t x = coder->state[lane], entry = table[x % CLGS_SCALE];
-    x = ((entry >> 8 & (CLGS_SCALE - 1)) + 1) * (x >> CLGS_SCALE_BITS) + (entry >> 20);
-    if (sure) {
-        uint32_t word = (uint32_t)coder->word[0] | (uint32_t)coder->word[1] << 8;
-        uint32_t small = x < CLGS_RANS_LOW;
-        x = small ? x << 16 | word : x;
-        coder->word += 2 * small;
-    } else if (x < CLGS_RANS_LOW) {
-        uint32_t word = 0;
-        if (coder->end - coder->word >= 2) {
-            word = (uint32_t)coder->word[0] | (uint32_t)coder->word[1] << 8;
-            coder->word += 2;
-        } else {
-            coder->failed = 1;
-        }
-        x = x << 16 | word;
-    }
-    coder->state[lane] = x;
-    return (uint8_t)entry;
-}
-
-/* The rows of a column, lane by lane, and what the cells of a row depend on. */
+/* The rows of a column, and what the classes of its rows depend on. */
 typedef struct column {
     uint8_t *symbol;
     const uint8_t *cell;
     const uint32_t *partial;
     const uint8_t *class_of, *level;
     uint32_t weight;
+    size_t start[CLGS_LANES + 1];
     uint8_t magnitude[CLGS_TABLE];
-    uint32_t one[CLGS_LANES], two[CLGS_LANES]; /* magnitudes of the two rows before */
+    uint32_t recent[CLGS_LANES]; /* magnitudes of the two rows before, the later one counts twice */
 } column;
 
-static inline void get_plain(clgs_rans_decoder *coder, const column *c, size_t i, size_t lane,
-                             int sure)
+/* What a lane's next symbol is decoded with, by the kind of the channel. */
+typedef enum class_kind { PLAIN, CLASSED, OWN } class_kind;
+
+static inline const uint32_t *table_of(const clgs_rans_decoder *coder, const column *c, size_t i,
+                                       size_t lane, class_kind kind)
 {
-    c->symbol[i] = get(coder, lane, coder->table, sure);
+    uint32_t cell = c->cell[i];
+    if (kind == OWN) {
+        uint32_t recent = (c->recent[lane] & 0xFFFF) + (c->recent[lane] >> 16);
+        uint32_t activity = (c->partial[i] + c->weight * recent) >> CLGS_WEIGHT_BITS;
+        cell |= c->level[activity < CLGS_MAX_ACTIVITY ? activity : CLGS_MAX_ACTIVITY];
+    }
+    return coder->table + CLGS_SCALE * (size_t)c->class_of[cell];
 }
 
-static inline void get_classed(clgs_rans_decoder *coder, const column *c, size_t i, size_t lane,
-                               int sure)
-{
-    const uint32_t *table = coder->table + CLGS_SCALE * (size_t)c->class_of[c->cell[i]];
-    c->symbol[i] = get(coder, lane, table, sure);
-}
-
-static inline void get_own(clgs_rans_decoder *coder, column *c, size_t i, size_t lane, int sure)
-{
-    uint32_t weighted = c->partial[i] + c->weight * (2 * c->one[lane] + c->two[lane]);
-    uint32_t activity = weighted >> CLGS_WEIGHT_BITS;
-    activity = activity < CLGS_MAX_ACTIVITY ? activity : CLGS_MAX_ACTIVITY;
-    uint32_t cell = c->cell[i] | c->level[activity];
-    const uint32_t *table = coder->table + CLGS_SCALE * (size_t)c->class_of[cell];
-    c->symbol[i] = get(coder, lane, table, sure);
-    c->two[lane] = c->one[lane];
-    c->one[lane] = c->magnitude[c->symbol[i]];
-}
-
-/* Run GET over all rows: eight lanes a step, without checks while words for a step remain. */
-#define DECODE_COLUMN(GET)                                                                         \
+/* Decode step `step` of one lane with words that are there: at least one. */
+#define DECODE_LANE(LANE)                                                                          \
     do {                                                                                           \
-        size_t step = 0;                                                                           \
-        for (; step < steps && local.end - local.word >= 2 * CLGS_LANES; step++)                   \
-            for (size_t lane = 0; lane < CLGS_LANES; lane++)                                       \
-                GET(&local, &c, start[lane] + step, lane, 1);                                      \
-        for (; step < steps; step++)                                                               \
-            for (size_t lane = 0; lane < CLGS_LANES; lane++)                                       \
-                GET(&local, &c, start[lane] + step, lane, 0);                                      \
-        for (size_t lane = 0; lane < CLGS_LANES; lane++)                                           \
-            if (start[lane] + steps < start[lane + 1])                                             \
-                GET(&local, &c, start[lane] + steps, lane, 0);                                     \
+        size_t i = start##LANE + step;                                                             \
+        const uint32_t *table = kind == PLAIN ? plain : table_of(coder, c, i, LANE, kind);         \
+        uint32_t entry = table[x##LANE % CLGS_SCALE], next = 0;                                    \
+        x##LANE =                                                                                  \
+            ((entry >> 8 & (CLGS_SCALE - 1)) + 1) * (x##LANE >> CLGS_SCALE_BITS) + (entry >> 20);  \
+        next = x##LANE << 16 | (uint32_t)word[0] | (uint32_t)word[1] << 8;                         \
+        word += x##LANE < CLGS_RANS_LOW ? 2 : 0;                                                   \
+        x##LANE = x##LANE < CLGS_RANS_LOW ? next : x##LANE;                                        \
+        symbol[i] = (uint8_t)entry;                                                                \
+        if (kind == OWN)                                                                           \
+            c->recent[LANE] = (c->recent[LANE] >> 17) | (uint32_t)c->magnitude[entry & 255] << 17; \
     } while (0)
+
+/* Decode steps of all lanes while words for a whole one are sure to remain; the next step. */
+static inline size_t decode_steps(clgs_rans_decoder *coder, column *c, size_t steps,
+                                  class_kind kind)
+{
+    uint32_t *x = coder->state, x0 = x[0], x1 = x[1], x2 = x[2], x3 = x[3], x4 = x[4], x5 = x[5],
+             x6 = x[6], x7 = x[7];
+    const size_t *start = c->start, start0 = start[0], start1 = start[1], start2 = start[2],
+                 start3 = start[3], start4 = start[4], start5 = start[5], start6 = start[6],
+                 start7 = start[7];
+    const uint32_t *plain = coder->table;
+    const uint8_t *word = coder->word, *end = coder->end;
+    uint8_t *symbol = c->symbol;
+    size_t step = 0;
+    for (; step < steps && end - word >= 2 * CLGS_LANES; step++) {
+        DECODE_LANE(0);
+        DECODE_LANE(1);
+        DECODE_LANE(2);
+        DECODE_LANE(3);
+        DECODE_LANE(4);
+        DECODE_LANE(5);
+        DECODE_LANE(6);
+        DECODE_LANE(7);
+    }
+    x[0] = x0, x[1] = x1, x[2] = x2, x[3] = x3, x[4] = x4, x[5] = x5, x[6] = x6, x[7] = x7;
+    coder->word = word;
+    return step;
+}
+
+/* Decode one symbol of a lane where no word may be left. */
+static void decode_last(clgs_rans_decoder *coder, column *c, size_t i, size_t lane, class_kind kind)
+{
+    const uint32_t *table = kind == PLAIN ? coder->table : table_of(coder, c, i, lane, kind);
+    uint32_t x = coder->state[lane], entry = table[x % CLGS_SCALE];
+    x = ((entry >> 8 & (CLGS_SCALE - 1)) + 1) * (x >> CLGS_SCALE_BITS) + (entry >> 20);
+    if (x < CLGS_RANS_LOW && coder->end - coder->word >= 2) {
+        x = x << 16 | (uint32_t)coder->word[0] | (uint32_t)coder->word[1] << 8;
+        coder->word += 2;
+    } else if (x < CLGS_RANS_LOW) {
+        coder->failed = 1;
+        x = CLGS_RANS_LOW;
+    }
+    coder->state[lane] = x;
+    c->symbol[i] = (uint8_t)entry;
+    c->recent[lane] = c->recent[lane] >> 17 | (uint32_t)c->magnitude[entry & 255] << 17;
+}
+
+static void decode_column(clgs_rans_decoder *coder, column *c, size_t steps, class_kind kind)
+{
+    size_t step = 0;
+    if (kind == PLAIN)
+        step = decode_steps(coder, c, steps, PLAIN);
+    else if (kind == CLASSED)
+        step = decode_steps(coder, c, steps, CLASSED);
+    else
+        step = decode_steps(coder, c, steps, OWN);
+    for (; step <= steps; step++)
+        for (size_t lane = 0; lane < CLGS_LANES; lane++)
+            if (c->start[lane] + step < c->start[lane + 1])
+                decode_last(coder, c, c->start[lane] + step, lane, kind);
+}
 
 void clgs_rans_decode(clgs_rans_decoder *coder, clgs_columns *columns, size_t j)
 {
     const clgs_channel *channel = columns->channel + j;
-    clgs_rans_decoder local = *coder;
-    size_t steps = columns->rows / CLGS_LANES, start[CLGS_LANES + 1];
-    column c = {.symbol = columns->symbol + j * columns->rows,
+    column c = {.symbol = clgs_symbols(columns, j),
                 .cell = columns->cell,
                 .partial = columns->partial,
                 .class_of = channel->class_of,
@@ -173,14 +229,9 @@ void clgs_rans_decode(clgs_rans_decoder *coder, clgs_columns *columns, size_t j)
                 .weight = (uint32_t)channel->weight[0]};
     fill_decoder(coder->table, channel);
     for (size_t lane = 0; lane <= CLGS_LANES; lane++)
-        start[lane] = clgs_lane_start(columns->rows, lane);
+        c.start[lane] = clgs_lane_start(columns->rows, lane);
     for (uint32_t s = 0; s < CLGS_TABLE; s++)
         c.magnitude[s] = (uint8_t)clgs_magnitude(s, (uint32_t)channel->gain);
-    if (channel->classes == 1)
-        DECODE_COLUMN(get_plain);
-    else if (channel->weight[0] == 0)
-        DECODE_COLUMN(get_classed);
-    else
-        DECODE_COLUMN(get_own);
-    *coder = local;
+    class_kind kind = channel->classes == 1 ? PLAIN : channel->weight[0] == 0 ? CLASSED : OWN;
+    decode_column(coder, &c, columns->rows / CLGS_LANES, kind);
 }
