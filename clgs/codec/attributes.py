@@ -121,7 +121,7 @@ def fit(
         return PaperModel(channels)
     values = np.ascontiguousarray(values, np.int32)
     chunks = runs(rows, chunk) if isinstance(chunk, int) else chunk
-    model, size = attributes_fit.fit(values, chunks, search=level in ("default", "max"))
+    model, size = attributes_fit.fit(values, chunks, level in ("default", "max"), level == "max")
     header = _codec.attributes_header(model)
     if len(header) + size >= 4 * values.size:
         return RawModel(channels)

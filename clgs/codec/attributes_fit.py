@@ -38,6 +38,10 @@ MAGNITUDE = 256
 WEIGHT_OF_OWN, WEIGHT_OF_ROW, WEIGHT_BESIDE = 1365, 4096, 2048
 """Weights that make the mean of weighted activity 64 x 1024, for one channel before."""
 
+MIXED_SHARE = (0.4, 0.3, 0.3)
+SAMPLE_MARGIN = 1.005
+"""How much longer a mixed channel may be on the sample, to be tried on all rows."""
+
 SHARES = [
     (1.0, 0.0, 0.0),
     (0.0, 1.0, 0.0),
@@ -49,7 +53,7 @@ SHARES = [
 """Shares of the own column, of the row and of the rows beside it that are tried."""
 
 
-def fit(values: Ints, chunks: list[slice], search: bool) -> tuple[Models, int]:
+def fit(values: Ints, chunks: list[slice], search: bool, mix: bool) -> tuple[Models, int]:
     """The model of ``values`` (n, channels) and the bytes of all chunks, about."""
     rows, channels = values.shape
     sample = take_sample(values)
@@ -61,7 +65,10 @@ def fit(values: Ints, chunks: list[slice], search: bool) -> tuple[Models, int]:
         choose_activity(model, sample, scale)
     cost = count_and_choose(model, values, chunks, 256)
     drop_unused(model)
-    return model, int(cost.sum()) // (8 << 16) + CHUNK_OVERHEAD * len(chunks)
+    size = cost // (8 << 16)
+    if mix:
+        choose_mixed(model, size, values, sample, chunks)
+    return model, int(size.sum()) + CHUNK_OVERHEAD * len(chunks)
 
 
 def take_sample(values: Ints) -> Ints:
@@ -171,3 +178,53 @@ def drop_unused(model: Models) -> None:
     looks = np.flatnonzero(model["weight"][:, 1:].any(axis=1))
     needed = np.arange(len(model)) < (looks[-1] if len(looks) else 0)
     model["gain"][~(needed | (model["weight"][:, 0] > 0))] = 0
+
+
+def choose_mixed(
+    model: Models, size: npt.NDArray[np.uint64], values: Ints, sample: Ints, chunks: list[slice]
+) -> None:
+    """Mix the channels where that takes fewer bytes than tables; ``size`` (channels,) follows.
+
+    Channels that gain nothing on the sample, where contexts have learnt less, are not tried on
+    all rows.
+    """
+    mixed = all_mixed(model, sample)
+    promising = (
+        measure(mixed, sample, [slice(len(sample))]) * len(values)
+        < size * len(sample) * SAMPLE_MARGIN
+    )
+    if not promising.any():
+        return
+    trial = np.where(promising, mixed, model)
+    trial["gain"] = mixed["gain"]
+    mixed_size = measure(trial, values, chunks)
+    better = promising & (mixed_size < size)
+    model[better] = mixed[better]
+    size[better] = mixed_size[better]
+    last = np.flatnonzero(better)[-1] if better.any() else -1
+    model["gain"][: last + 1] = mixed["gain"][: last + 1]
+
+
+def all_mixed(model: Models, sample: Ints) -> Models:
+    """``model`` with every channel mixed, and with activity where it had none.
+
+    Gains are 0 only behind the last channel whose classes depend on them, so no class changes.
+    """
+    count = np.zeros((len(model), CELLS, TABLE), np.uint32)
+    _codec.attributes_count(model, sample, count)
+    mixed = model.copy()
+    mixed["coder"], mixed["classes"], mixed["class_of"], mixed["frequency"] = 1, 1, 0, 0
+    mixed["gain"] = np.where(model["gain"] == 0, find_gains(count), model["gain"])
+    weight = weights_of(MIXED_SHARE, len(model))
+    weight[0] = WEIGHT_OF_OWN, 0, 0
+    idle = ~model["weight"].any(axis=1)
+    mixed["weight"][idle] = weight[idle]
+    return mixed
+
+
+def measure(model: Models, values: Ints, chunks: list[slice]) -> npt.NDArray[np.uint64]:
+    """Bytes (channels,) of the channels that are mixed."""
+    size = np.zeros(len(model), np.uint64)
+    for chunk in chunks:
+        _codec.attributes_measure(model, values[chunk], size)
+    return size

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.reference.coding import Coder, RangeDecoder, RangeEncoder
+from clgs.reference.mixed import Column, code_column
 from clgs.reference.runlength import CORRUPT, Symbol
 
 LANES, SCALE_BITS, LOW = 8, 12, 1 << 16
@@ -29,12 +30,13 @@ class Channel:
     gain: int = 0
     weight: list[int] = field(default_factory=lambda: [0, 0, 0])
     span: int = 0
+    mixed: bool = False
     class_of: list[int] = field(default_factory=lambda: [0] * CELLS)
     frequency: list[list[int]] = field(default_factory=list)
 
     def plain(self) -> bool:
         """Whether the centre and one table are all."""
-        return not (self.taps or self.gain or any(self.weight) or self.span)
+        return not (self.taps or self.gain or any(self.weight) or self.span or self.mixed)
 
 
 def write_header(channels: list[Channel]) -> bytes:
@@ -86,7 +88,9 @@ def _code_header(coder: Coder, channels: list[Channel]) -> None:
             for i in range(3):
                 channel.weight[i] = fields.number(f"weight {i}", channel.weight[i], 0, MAX_WEIGHT)
             channel.span = fields.number("span", channel.span, 0, min(j, 2))
-            fields.number("coder", 0, 0, 0)
+            channel.mixed = bool(fields.number("coder", int(channel.mixed), 0, 1))
+            if channel.mixed:
+                continue
             _code_classes(fields, channel)
         classes = max(channel.class_of) + 1
         tables = channel.frequency or [[0] * ALPHABET for _ in range(classes)]
@@ -151,23 +155,52 @@ def encode(channels: list[Channel], rows: npt.NDArray[np.int32]) -> bytes:
     literals, bits = 0, 0
     order: list[tuple[list[int], int]] = []
     for j, channel in enumerate(channels):
-        zigzags = []
-        for i in range(len(rows)):
-            residual = _wrap(values[j][i] - _predict(channel, values, i))
-            zigzags.append(2 * residual if residual >= 0 else -2 * residual - 1)
+        zigzags = _zigzags(channel, values, j)
         symbols.append([_symbol(zigzag) for zigzag in zigzags])
+        if channel.mixed:
+            continue
         for zigzag, symbol in zip(zigzags, symbols[j], strict=True):
             if symbol >= DIRECT:
                 literals |= (zigzag & (1 << _literal_bits(symbol)) - 1) << bits
                 bits += _literal_bits(symbol)
         for i in _coding_order(len(rows)):
-            table = channel.frequency[channel.class_of[_cell(channels, symbols, j, i)]]
-            order.append((table, symbols[j][i]))
-    states, words = _encode_symbols(order, len(channels), len(rows))
+            order.append((_table(channels, symbols, j, i), symbols[j][i]))
+    states, words = _encode_symbols(order, len(rows))
     literal_bytes = literals.to_bytes((bits + 7) // 8, "little")
     lengths = np.array([len(literal_bytes), len(words)], "<u4").tobytes()
     tail = np.array(states, "<u4").tobytes() + np.array(words, "<u2").tobytes()
-    return lengths + literal_bytes + tail
+    return lengths + literal_bytes + tail + _encode_mixed(channels, values, symbols)
+
+
+def _zigzags(channel: Channel, values: list[list[int]], j: int) -> list[int]:
+    """Zigzag numbers of the residuals of column j."""
+    residuals = [_wrap(value - _predict(channel, values, i)) for i, value in enumerate(values[j])]
+    return [2 * r if r >= 0 else -2 * r - 1 for r in residuals]
+
+
+def _encode_mixed(
+    channels: list[Channel], values: list[list[int]], symbols: list[list[int]]
+) -> bytes:
+    """Decisions of all mixed channels."""
+    coder = RangeEncoder()
+    for j, channel in enumerate(channels):
+        if channel.mixed:
+            code_column(coder, _column(channels, values, symbols, j))
+    return coder.finish() if any(channel.mixed for channel in channels) else b""
+
+
+def _column(
+    channels: list[Channel], values: list[list[int]], symbols: list[list[int]], j: int
+) -> Column:
+    return Column(
+        j,
+        values,
+        symbols,
+        has_taps=bool(channels[j].taps),
+        predict=lambda i: _predict(channels[j], values, i),
+        cell=lambda i: _cell(channels, symbols, j, i, first=0),
+        symbol_of=_symbol,
+    )
 
 
 def decode(channels: list[Channel], data: bytes, count: int) -> npt.NDArray[np.int32]:
@@ -177,25 +210,30 @@ def decode(channels: list[Channel], data: bytes, count: int) -> npt.NDArray[np.i
         ValueError: the chunk is damaged.
     """
     literal_bytes, words = (int(x) for x in np.frombuffer(data, "<u4", 2))
-    if len(data) != 8 + literal_bytes + 32 + 2 * words:
+    end = 8 + literal_bytes + 32 + 2 * words
+    if len(data) < end or (len(data) > end and not any(c.mixed for c in channels)):
         raise ValueError(CORRUPT)
     literals = _Bits(data[8 : 8 + literal_bytes])
     states = [int(x) for x in np.frombuffer(data, "<u4", LANES, offset=8 + literal_bytes)]
     source = [int(x) for x in np.frombuffer(data, "<u2", words, offset=40 + literal_bytes)]
+    coder = RangeDecoder(data[end:])
     values: list[list[int]] = []
     symbols: list[list[int]] = []
     for j, channel in enumerate(channels):
         symbols.append([0] * count)
+        values.append([0] * count)
+        if channel.mixed:
+            code_column(coder, _column(channels, values, symbols, j))
+            continue
         for i in _coding_order(count):
-            table = channel.frequency[channel.class_of[_cell(channels, symbols, j, i)]]
-            lane = _lane(count, i)
+            lane, table = _lane(count, i), _table(channels, symbols, j, i)
             symbols[j][i], states[lane] = _decode_symbol(states[lane], table, source)
-        values.append([])
-        for i in range(count):
-            symbol = symbols[j][i]
+        for i, symbol in enumerate(symbols[j]):
             zigzag = symbol if symbol < DIRECT else _large(symbol, literals)
             residual = zigzag >> 1 if zigzag % 2 == 0 else ~(zigzag >> 1)
-            values[j].append(_wrap(residual + _predict(channel, values, i)))
+            values[j][i] = _wrap(residual + _predict(channel, values, i))
+    if any(channel.mixed for channel in channels):
+        coder.finish()
     if source or states != [LOW] * LANES or literals.rest():
         raise ValueError(CORRUPT)
     columns = [
@@ -271,8 +309,15 @@ def _coding_order(rows: int) -> list[int]:
     ]
 
 
-def _cell(channels: list[Channel], symbols: list[list[int]], j: int, i: int) -> int:
-    """What the class of symbol i of channel j depends on."""
+def _table(channels: list[Channel], symbols: list[list[int]], j: int, i: int) -> list[int]:
+    """The table of symbol i of channel j."""
+    rows = len(symbols[0])
+    first = _starts(rows)[_lane(rows, i)]
+    return channels[j].frequency[channels[j].class_of[_cell(channels, symbols, j, i, first)]]
+
+
+def _cell(channels: list[Channel], symbols: list[list[int]], j: int, i: int, first: int) -> int:
+    """What the class of symbol i of channel j depends on; own rows count from ``first``."""
     channel, rows = channels[j], len(symbols[0])
 
     def magnitude(k: int, row: int) -> int:
@@ -281,7 +326,6 @@ def _cell(channels: list[Channel], symbols: list[list[int]], j: int, i: int) -> 
     def activity(row: int) -> int:
         return sum(magnitude(k, row) for k in range(j)) if 0 <= row < rows else 0
 
-    first = _starts(rows)[_lane(rows, i)]
     own = sum((3 - back) * magnitude(j, i - back) for back in (1, 2) if i - back >= first)
     sources = own, activity(i), activity(i - 1) + activity(i + 1)
     total = sum(w * a for w, a in zip(channel.weight, sources, strict=True)) >> 10
@@ -290,11 +334,9 @@ def _cell(channels: list[Channel], symbols: list[list[int]], j: int, i: int) -> 
     return level + 32 * nonzero
 
 
-def _encode_symbols(
-    order: list[tuple[list[int], int]], channels: int, rows: int
-) -> tuple[list[int], list[int]]:
+def _encode_symbols(order: list[tuple[list[int], int]], rows: int) -> tuple[list[int], list[int]]:
     """Final states and words, for tables and symbols in the order of decoding."""
-    lanes = [_lane(rows, i) for i in _coding_order(rows)] * channels
+    lanes = [_lane(rows, i) for i in _coding_order(rows)] * (len(order) // rows)
     states, words = [LOW] * LANES, []
     for lane, (table, symbol) in zip(reversed(lanes), reversed(order), strict=True):
         state, frequency = states[lane], table[symbol]

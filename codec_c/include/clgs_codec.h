@@ -87,7 +87,7 @@ size_t clgs_attributes_header_write(void *model, size_t channels, uint8_t *out, 
                                     void *workspace);
 clgs_error clgs_attributes_header_read(const uint8_t *data, size_t size, void *model,
                                        size_t channels, void *workspace);
-size_t clgs_attributes_bound(size_t rows, size_t channels);
+size_t clgs_attributes_bound(const void *model, size_t rows, size_t channels);
 size_t clgs_attributes_workspace(size_t rows, size_t channels);
 size_t clgs_attributes_encode(const void *model, const int32_t *value, size_t rows, size_t channels,
                               uint8_t *out, size_t capacity, void *workspace);
@@ -99,6 +99,11 @@ clgs_error clgs_attributes_decode(const void *model, const uint8_t *data, size_t
  * 2^-16 bits. `scale` is 256 times what the counted rows stand for. */
 clgs_error clgs_attributes_count(const void *model, const int32_t *value, size_t rows,
                                  size_t channels, uint32_t *count, void *workspace);
+/* Add to `bytes`, (channels), what a chunk takes in each channel that the model mixes; `out` is
+ * scratch memory of `_measure_bound` bytes. */
+size_t clgs_attributes_measure_bound(size_t rows);
+clgs_error clgs_attributes_measure(const void *model, const int32_t *value, size_t rows,
+                                   size_t channels, uint64_t *bytes, uint8_t *out, void *workspace);
 size_t clgs_attributes_choose_workspace(void);
 clgs_error clgs_attributes_choose(void *model, size_t channels, const uint32_t *count,
                                   uint32_t scale, uint64_t *cost, void *workspace);

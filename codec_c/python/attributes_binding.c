@@ -90,7 +90,7 @@ static PyObject *run_encode(const Py_buffer *model, const Py_buffer *value)
     PyObject *result = NULL;
     if (!measure(model, value, &channels, &rows))
         return NULL;
-    size_t bound = clgs_attributes_bound(rows, channels);
+    size_t bound = clgs_attributes_bound(model->buf, rows, channels);
     uint8_t *out = PyMem_Malloc(bound);
     void *workspace = PyMem_Malloc(clgs_attributes_workspace(rows, channels));
     if (!out || !workspace) {
@@ -173,6 +173,43 @@ PyObject *attributes_count(PyObject *module, PyObject *args)
         return NULL;
     PyObject *result = run_count(&model, &value, &count);
     PyBuffer_Release(&count);
+    PyBuffer_Release(&value);
+    PyBuffer_Release(&model);
+    return result;
+}
+
+static PyObject *run_measure(const Py_buffer *model, const Py_buffer *value, const Py_buffer *bytes)
+{
+    size_t channels, rows;
+    clgs_error error = CLGS_ERROR_ARGUMENT;
+    PyObject *result = NULL;
+    if (!measure(model, value, &channels, &rows))
+        return NULL;
+    if ((size_t)bytes->len != 8 * channels)
+        return result_of(error);
+    uint8_t *out = PyMem_Malloc(clgs_attributes_measure_bound(rows));
+    void *workspace = PyMem_Malloc(clgs_attributes_workspace(rows, channels));
+    if (!out || !workspace) {
+        PyErr_NoMemory();
+    } else {
+        Py_BEGIN_ALLOW_THREADS error = clgs_attributes_measure(
+            model->buf, value->buf, rows, channels, bytes->buf, out, workspace);
+        Py_END_ALLOW_THREADS result = result_of(error);
+    }
+    PyMem_Free(workspace);
+    PyMem_Free(out);
+    return result;
+}
+
+/* (model, value, bytes) -> None, the bytes of mixed channels added */
+PyObject *attributes_measure(PyObject *module, PyObject *args)
+{
+    Py_buffer model, value, bytes;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*w*", &model, &value, &bytes))
+        return NULL;
+    PyObject *result = run_measure(&model, &value, &bytes);
+    PyBuffer_Release(&bytes);
     PyBuffer_Release(&value);
     PyBuffer_Release(&model);
     return result;

@@ -13,6 +13,7 @@ PyObject *attributes_read(PyObject *module, PyObject *args);
 PyObject *attributes_encode(PyObject *module, PyObject *args);
 PyObject *attributes_decode(PyObject *module, PyObject *args);
 PyObject *attributes_count(PyObject *module, PyObject *args);
+PyObject *attributes_measure(PyObject *module, PyObject *args);
 PyObject *attributes_choose(PyObject *module, PyObject *args);
 
 PyObject *weights_encode(PyObject *module, PyObject *args);

@@ -279,6 +279,8 @@ static PyMethodDef METHODS[] = {
      "attributes_encode(model, value) -> bytes"},
     {"attributes_decode", attributes_decode, METH_VARARGS, "attributes_decode(model, data, value)"},
     {"attributes_count", attributes_count, METH_VARARGS, "attributes_count(model, value, count)"},
+    {"attributes_measure", attributes_measure, METH_VARARGS,
+     "attributes_measure(model, value, bytes)"},
     {"attributes_choose", attributes_choose, METH_VARARGS,
      "attributes_choose(model, count, scale, cost)"},
     {"weights_encode", weights_encode, METH_VARARGS, "weights_encode(word, layers) -> bytes"},

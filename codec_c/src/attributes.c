@@ -1,9 +1,10 @@
-/* Chunks of attributes: literal bits, then the static symbols of all channels. */
+/* Chunks of attributes: literal bits, static symbols, then the decisions of mixed channels. */
 #include "attributes.h"
 
 #include <string.h>
 
 #include "bytes.h"
+#include "mixed.h"
 #include "rans.h"
 
 #define PREFIX 8 /* lengths of the literals in bytes, and of the words */
@@ -43,15 +44,6 @@ static uint32_t get_bits(bits *b, uint32_t count, int *failed)
     return value;
 }
 
-/* Symbol of a large zigzag number: the octave and the two bits below the top one. */
-static uint32_t large_symbol(uint32_t zigzag)
-{
-    uint32_t top = 31;
-    while (!(zigzag >> top))
-        top--;
-    return CLGS_DIRECT + (top - 7) * 4 + (zigzag >> (top - 2) & 3);
-}
-
 static uint32_t large_zigzag(uint32_t symbol, uint32_t literal)
 {
     return (4 + (symbol - CLGS_DIRECT) % 4) << clgs_literal_bits(symbol) | literal;
@@ -67,11 +59,8 @@ static void split(clgs_columns *columns, size_t j, bits *literals)
     clgs_columns_predict(columns, j);
     for (size_t i = 0; i < columns->rows; i++) {
         uint32_t zigzag = clgs_zigzag(residual[i]);
-        symbol[i] = (uint8_t)zigzag;
-        if (zigzag < CLGS_DIRECT)
-            continue;
-        symbol[i] = (uint8_t)large_symbol(zigzag);
-        if (literals)
+        symbol[i] = clgs_symbol_of(zigzag);
+        if (literals && zigzag >= CLGS_DIRECT)
             put_bits(literals, zigzag, clgs_literal_bits(symbol[i]));
     }
 }
@@ -110,20 +99,52 @@ static size_t cell_count(size_t rows, size_t channels)
 /* Words of the coder and cells of all columns, behind the columns. */
 static size_t staging_size(size_t cells)
 {
-    return 2 * cells + cells + 2 * STATES;
+    return 2 * (cells + CLGS_LANES) + cells;
 }
 
-size_t clgs_attributes_bound(size_t rows, size_t channels)
+static size_t mixed_channels(const clgs_channel *channel, size_t channels)
 {
-    return PREFIX + STATES + 6 * cell_count(rows, channels) + 8;
+    size_t count = 0;
+    for (size_t j = 0; j < channels; j++)
+        count += channel[j].coder == CLGS_MIXED;
+    return count;
 }
+
+size_t clgs_attributes_bound(const void *model, size_t rows, size_t channels)
+{
+    if (cell_count(rows, channels) == 0)
+        return 0;
+    size_t mixed = mixed_channels(model, channels);
+    return PREFIX + STATES + 6 * rows * (channels - mixed) + 8 + CLGS_MIXED_MOST * rows * mixed + 8;
+}
+
+/* Parts of the workspace; `words` and `cell` are an encoder's. */
+typedef struct parts {
+    void *tables;
+    clgs_mixed *mixed;
+    uint16_t *words, *words_end;
+    uint8_t *cell;
+} parts;
+
+#define TABLES_SIZE (CLGS_RANS_ENCODER_SIZE + CLGS_RANS_DECODER_SIZE)
 
 size_t clgs_attributes_workspace(size_t rows, size_t channels)
 {
-    if (cell_count(rows, channels) == 0 && rows > 0)
+    if (cell_count(rows, channels) == 0)
         return 0;
-    return clgs_columns_size(rows, channels) + staging_size(rows * channels) +
-           CLGS_RANS_ENCODER_SIZE + CLGS_RANS_DECODER_SIZE;
+    return clgs_columns_size(rows, channels) + TABLES_SIZE + clgs_mixed_size() +
+           staging_size(rows * channels);
+}
+
+static parts place(clgs_columns *columns, void *workspace)
+{
+    uint8_t *next = clgs_columns_place(columns, workspace);
+    size_t cells = columns->rows * columns->channels;
+    parts p = {.tables = next, .mixed = (clgs_mixed *)(next + TABLES_SIZE)};
+    p.words = (uint16_t *)(next + TABLES_SIZE + clgs_mixed_size());
+    p.words_end = p.words + cells + CLGS_LANES;
+    p.cell = (uint8_t *)p.words_end;
+    return p;
 }
 
 /* Symbols, cells and literals of all columns; returns the bytes of literals. */
@@ -131,7 +152,7 @@ static size_t stage(clgs_columns *columns, uint8_t *cells, uint8_t *out)
 {
     bits literals = {.out = out};
     for (size_t j = 0; j < columns->channels; j++) {
-        split(columns, j, &literals);
+        split(columns, j, columns->channel[j].coder == CLGS_STATIC ? &literals : NULL);
         if (columns->channel[j].classes > 1) {
             clgs_columns_cells(columns, j);
             memcpy(cells + j * columns->rows, columns->cell, columns->rows);
@@ -150,36 +171,63 @@ static void store_words(uint8_t *out, const uint16_t *word, size_t words)
     }
 }
 
+/* States and words of all static columns; the bytes, or 0 where a symbol has no frequency. */
+static size_t encode_static(const clgs_columns *columns, const parts *p, uint8_t *out,
+                            uint32_t *words)
+{
+    clgs_rans_encoder coder = {.word = p->words_end, .table = p->tables};
+    for (size_t lane = 0; lane < CLGS_LANES; lane++)
+        coder.state[lane] = CLGS_RANS_LOW;
+    for (size_t j = columns->channels; j-- > 0;) {
+        const clgs_channel *channel = columns->channel + j;
+        const uint8_t *cell = channel->classes > 1 ? p->cell + j * columns->rows : NULL;
+        if (channel->coder == CLGS_STATIC && !clgs_rans_encode(&coder, columns, j, cell))
+            return 0;
+    }
+    for (size_t lane = 0; lane < CLGS_LANES; lane++)
+        clgs_store32(out + 4 * lane, coder.state[lane]);
+    *words = (uint32_t)(p->words_end - coder.word);
+    store_words(out + STATES, coder.word, *words);
+    return STATES + 2 * (size_t)*words;
+}
+
+/* Decisions of all mixed columns; the bytes. */
+static size_t encode_mixed(clgs_columns *columns, clgs_mixed *mixed, uint8_t *out, uint8_t *end)
+{
+    clgs_range coder;
+    clgs_range_begin_encode(&coder, out, (size_t)(end - out));
+    clgs_mixed_init(mixed);
+    memset(columns->activity - 1, 0, 2 * (columns->rows + 2));
+    for (size_t j = 0; j < columns->channels; j++) {
+        if (columns->channel[j].coder == CLGS_MIXED)
+            clgs_mixed_code(mixed, &coder, columns, j);
+        clgs_columns_activate(columns, j);
+    }
+    clgs_range_end_encode(&coder);
+    return (size_t)(coder.out - out);
+}
+
 size_t clgs_attributes_encode(const void *model, const int32_t *value, size_t rows, size_t channels,
                               uint8_t *out, size_t capacity, void *workspace)
 {
     clgs_columns columns = {.channel = model, .rows = rows, .channels = channels};
-    clgs_rans_encoder coder;
-    size_t cells = cell_count(rows, channels);
-    if (cells == 0 || capacity < clgs_attributes_bound(rows, channels) ||
-        !clgs_model_valid(model, channels))
+    uint32_t words = 0;
+    if (cell_count(rows, channels) == 0 || !clgs_model_valid(model, channels) ||
+        capacity < clgs_attributes_bound(model, rows, channels))
         return 0;
-    coder.table = (clgs_rans_symbol *)clgs_columns_place(&columns, workspace);
-    uint16_t *first = (uint16_t *)((uint8_t *)coder.table + CLGS_RANS_ENCODER_SIZE);
-    uint16_t *last = first + cells + CLGS_LANES;
-    uint8_t *cell = (uint8_t *)last;
+    parts p = place(&columns, workspace);
     clgs_columns_load(&columns, value);
-    size_t literals = stage(&columns, cell, out + PREFIX);
-    coder.word = last;
-    for (size_t lane = 0; lane < CLGS_LANES; lane++)
-        coder.state[lane] = CLGS_RANS_LOW;
-    for (size_t j = channels; j-- > 0;)
-        if (!clgs_rans_encode(&coder, &columns, j,
-                              columns.channel[j].classes > 1 ? cell + j * rows : NULL))
-            return 0;
-    size_t words = (size_t)(last - coder.word);
-    clgs_store32(out, (uint32_t)literals);
-    clgs_store32(out + 4, (uint32_t)words);
+    size_t literals = stage(&columns, p.cell, out + PREFIX);
     uint8_t *at = out + PREFIX + literals;
-    for (size_t lane = 0; lane < CLGS_LANES; lane++)
-        clgs_store32(at + 4 * lane, coder.state[lane]);
-    store_words(at + STATES, coder.word, words);
-    return PREFIX + literals + STATES + 2 * words;
+    size_t coded = encode_static(&columns, &p, at, &words);
+    if (coded == 0)
+        return 0;
+    at += coded;
+    clgs_store32(out, (uint32_t)literals);
+    clgs_store32(out + 4, words);
+    if (mixed_channels(model, channels) > 0)
+        at += encode_mixed(&columns, p.mixed, at, out + capacity);
+    return (size_t)(at - out);
 }
 
 static clgs_error finish(const clgs_rans_decoder *coder, const bits *literals, int failed)
@@ -194,54 +242,97 @@ static clgs_error finish(const clgs_rans_decoder *coder, const bits *literals, i
     return wrong ? CLGS_ERROR_CORRUPT : CLGS_OK;
 }
 
-static clgs_error decode_columns(clgs_columns *columns, clgs_rans_decoder *coder, bits *literals)
+/* The coders of a chunk. */
+typedef struct decoder {
+    clgs_rans_decoder rans;
+    clgs_range range;
+    clgs_mixed *mixed;
+    bits literals;
+} decoder;
+
+static int decode_static(clgs_columns *columns, decoder *d, size_t j)
 {
+    const clgs_channel *channel = columns->channel + j;
     int failed = 0;
-    for (size_t j = 0; j < columns->channels; j++) {
-        const clgs_channel *channel = columns->channel + j;
-        if (channel->classes > 1 && channel->weight[0])
-            clgs_columns_partial(columns, j);
-        else if (channel->classes > 1)
-            clgs_columns_cells(columns, j);
-        clgs_rans_decode(coder, columns, j);
-        join(columns, j, literals, &failed);
-        if (coder->failed || failed)
-            return CLGS_ERROR_TRUNCATED;
-        clgs_columns_restore(columns, j);
-        clgs_columns_activate(columns, j);
-    }
-    return finish(coder, literals, failed);
+    if (channel->classes > 1 && channel->weight[0])
+        clgs_columns_partial(columns, j);
+    else if (channel->classes > 1)
+        clgs_columns_cells(columns, j);
+    clgs_rans_decode(&d->rans, columns, j);
+    join(columns, j, &d->literals, &failed);
+    clgs_columns_restore(columns, j);
+    return !d->rans.failed && !failed;
 }
 
-clgs_error clgs_attributes_decode(const void *model, const uint8_t *data, size_t size,
-                                  int32_t *value, size_t rows, size_t channels, void *workspace)
+static clgs_error decode_columns(clgs_columns *columns, decoder *d)
 {
-    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels};
-    clgs_rans_decoder coder = {.failed = 0};
-    if (cell_count(rows, channels) == 0 || !clgs_model_valid(model, channels))
-        return CLGS_ERROR_ARGUMENT;
+    size_t mixed = mixed_channels(columns->channel, columns->channels);
+    if (mixed > 0)
+        clgs_mixed_init(d->mixed);
+    for (size_t j = 0; j < columns->channels; j++) {
+        int fine = 1;
+        if (columns->channel[j].coder == CLGS_STATIC) {
+            fine = decode_static(columns, d, j);
+        } else {
+            clgs_mixed_code(d->mixed, &d->range, columns, j);
+            fine = !d->range.failed;
+        }
+        if (!fine)
+            return CLGS_ERROR_TRUNCATED;
+        clgs_columns_activate(columns, j);
+    }
+    clgs_error error = mixed > 0 ? clgs_range_end_decode(&d->range) : CLGS_OK;
+    return error ? error : finish(&d->rans, &d->literals, 0);
+}
+
+/* Find the parts of a chunk, and begin to decode them. */
+static clgs_error open_chunk(decoder *d, const clgs_columns *columns, const uint8_t *data,
+                             size_t size)
+{
     if (size < PREFIX + STATES)
         return CLGS_ERROR_TRUNCATED;
     size_t literals = clgs_load32(data), words = clgs_load32(data + 4);
     size_t left = size - PREFIX - STATES;
     if (literals > left || words > (left - literals) / 2)
         return CLGS_ERROR_TRUNCATED;
-    if (literals + 2 * words != left)
+    left -= literals + 2 * words;
+    const uint8_t *states = data + PREFIX + literals, *end = states + STATES + 2 * words;
+    if (mixed_channels(columns->channel, columns->channels) > 0)
+        clgs_range_begin_decode(&d->range, end, left);
+    else if (left > 0)
         return CLGS_ERROR_TRAILING;
-    const uint8_t *states = data + PREFIX + literals;
     for (size_t lane = 0; lane < CLGS_LANES; lane++) {
-        coder.state[lane] = clgs_load32(states + 4 * lane);
-        if (coder.state[lane] < CLGS_RANS_LOW)
+        d->rans.state[lane] = clgs_load32(states + 4 * lane);
+        if (d->rans.state[lane] < CLGS_RANS_LOW)
             return CLGS_ERROR_CORRUPT;
     }
-    bits reader = {.at = data + PREFIX, .end = states};
-    coder.word = states + STATES;
-    coder.end = coder.word + 2 * words;
-    coder.table = (uint32_t *)clgs_columns_place(&columns, workspace);
-    clgs_error error = decode_columns(&columns, &coder, &reader);
+    d->literals = (bits){.at = data + PREFIX, .end = states};
+    d->rans.word = states + STATES;
+    d->rans.end = end;
+    return CLGS_OK;
+}
+
+clgs_error clgs_attributes_decode(const void *model, const uint8_t *data, size_t size,
+                                  int32_t *value, size_t rows, size_t channels, void *workspace)
+{
+    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels};
+    decoder d = {.rans = {.failed = 0}};
+    if (cell_count(rows, channels) == 0 || !clgs_model_valid(model, channels))
+        return CLGS_ERROR_ARGUMENT;
+    parts p = place(&columns, workspace);
+    d.rans.table = p.tables;
+    d.mixed = p.mixed;
+    clgs_error error = open_chunk(&d, &columns, data, size);
+    if (error == CLGS_OK)
+        error = decode_columns(&columns, &d);
     if (error == CLGS_OK)
         clgs_columns_store(&columns, value);
     return error;
+}
+
+size_t clgs_attributes_measure_bound(size_t rows)
+{
+    return CLGS_MIXED_MOST * rows + 8;
 }
 
 /* Count symbols alone; four tables in turn, because a counter cannot grow every cycle. */
@@ -273,6 +364,29 @@ clgs_error clgs_attributes_count(const void *model, const int32_t *value, size_t
             clgs_columns_cells(&columns, j);
             for (size_t i = 0; i < rows; i++)
                 own[columns.cell[i] * CLGS_TABLE + symbol[i]]++;
+        }
+        clgs_columns_activate(&columns, j);
+    }
+    return CLGS_OK;
+}
+
+clgs_error clgs_attributes_measure(const void *model, const int32_t *value, size_t rows,
+                                   size_t channels, uint64_t *bytes, uint8_t *out, void *workspace)
+{
+    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels};
+    if (cell_count(rows, channels) == 0 || !clgs_model_valid(model, channels))
+        return CLGS_ERROR_ARGUMENT;
+    parts p = place(&columns, workspace);
+    clgs_columns_load(&columns, value);
+    clgs_mixed_init(p.mixed);
+    for (size_t j = 0; j < channels; j++) {
+        split(&columns, j, NULL);
+        if (columns.channel[j].coder == CLGS_MIXED) {
+            clgs_range coder;
+            clgs_range_begin_encode(&coder, out, clgs_attributes_measure_bound(rows));
+            clgs_mixed_code(p.mixed, &coder, &columns, j);
+            clgs_range_end_encode(&coder);
+            bytes[j] += (uint64_t)(coder.out - out);
         }
         clgs_columns_activate(&columns, j);
     }

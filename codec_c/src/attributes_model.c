@@ -155,7 +155,11 @@ static void code_channel(header *h, clgs_channel *channel, int32_t j)
             code_within(h, FIELD_WEIGHT + i, channel->weight[i], 0, CLGS_MAX_WEIGHT);
     channel->span =
         code_within(h, FIELD_SPAN, channel->span, 0, j < CLGS_MAX_SPAN ? j : CLGS_MAX_SPAN);
-    channel->coder = code_within(h, FIELD_CODER, channel->coder, 0, CLGS_STATIC);
+    channel->coder = code_within(h, FIELD_CODER, channel->coder, CLGS_STATIC, CLGS_MIXED);
+    if (channel->coder == CLGS_MIXED) {
+        channel->classes = 1;
+        return;
+    }
     code_classes(h, channel);
     for (int32_t k = 0; k < channel->classes; k++)
         code_frequencies(h, channel->frequency[k]);
@@ -235,7 +239,9 @@ static int taps_valid(const clgs_channel *channel, int32_t j)
 
 static int tables_valid(const clgs_channel *channel)
 {
-    if (!within(channel->classes, 1, CLGS_CLASSES))
+    if (channel->coder == CLGS_MIXED)
+        return channel->classes == 1;
+    if (channel->coder != CLGS_STATIC || !within(channel->classes, 1, CLGS_CLASSES))
         return 0;
     for (uint32_t cell = 0; cell < CLGS_CELLS; cell++)
         if (channel->class_of[cell] >= channel->classes)
@@ -260,7 +266,7 @@ int clgs_model_valid(const clgs_channel *channel, size_t channels)
             !within(c->weight[1], 0, CLGS_MAX_WEIGHT) ||
             !within(c->weight[2], 0, CLGS_MAX_WEIGHT) ||
             !within(c->span, 0, before < CLGS_MAX_SPAN ? before : CLGS_MAX_SPAN) ||
-            c->coder != CLGS_STATIC || !tables_valid(c))
+            !tables_valid(c))
             return 0;
     }
     return 1;

@@ -48,7 +48,7 @@ static void find_apart(clgs_columns *columns)
     memset(columns->apart, 0, sizeof columns->apart);
     for (size_t j = 0; j < columns->channels; j++) {
         const clgs_channel *channel = columns->channel + j;
-        columns->apart[j] |= channel->taps > 0;
+        columns->apart[j] |= channel->taps > 0 || channel->coder == CLGS_MIXED;
         for (int32_t t = 0; t < channel->taps; t++)
             columns->apart[channel->tap[t].channel] = 1;
     }
@@ -75,14 +75,6 @@ uint8_t *clgs_columns_place(clgs_columns *columns, void *memory)
         columns->level[activity] = (uint8_t)level;
     }
     return next;
-}
-
-/* int32 of a difference or sum modulo 2^32, as a two's complement machine has it. */
-static int32_t wrap(uint32_t value)
-{
-    int32_t result;
-    memcpy(&result, &value, sizeof result);
-    return result;
 }
 
 static uint64_t load64(const uint8_t *at)
@@ -143,7 +135,7 @@ static void load_row(const int32_t *value, const int32_t *centre, size_t channel
                      uint32_t *all)
 {
     for (size_t j = 0; j < channels; j++) {
-        uint32_t zigzag = clgs_zigzag(wrap((uint32_t)value[j] - (uint32_t)centre[j]));
+        uint32_t zigzag = clgs_zigzag(clgs_wrap((uint32_t)value[j] - (uint32_t)centre[j]));
         symbol[j] = (uint8_t)zigzag;
         all[j] |= zigzag;
     }
@@ -154,7 +146,7 @@ static void load_column(clgs_columns *columns, size_t j)
     int32_t *column = clgs_values(columns, j);
     uint32_t centre = (uint32_t)columns->channel[j].centre;
     for (size_t i = 0; i < columns->rows; i++)
-        column[i] = wrap((uint32_t)columns->source[i * columns->channels + j] - centre);
+        column[i] = clgs_wrap((uint32_t)columns->source[i * columns->channels + j] - centre);
 }
 
 void clgs_columns_load(clgs_columns *columns, const int32_t *value)
@@ -183,7 +175,7 @@ static void store_row(const uint8_t *symbol, const int32_t *centre, size_t chann
 {
     for (size_t j = 0; j < channels; j++) {
         uint32_t s = symbol[j];
-        value[j] = wrap((uint32_t)centre[j] + (s >> 1 ^ (0u - (s & 1))));
+        value[j] = clgs_wrap((uint32_t)centre[j] + (s >> 1 ^ (0u - (s & 1))));
     }
 }
 
@@ -202,7 +194,7 @@ void clgs_columns_store(const clgs_columns *columns, int32_t *value)
     for (size_t j = 0; j < channels; j++)
         for (size_t i = 0; i < rows && columns->apart[j]; i++)
             value[i * channels + j] =
-                wrap((uint32_t)clgs_values(columns, j)[i] + (uint32_t)centre[j]);
+                clgs_wrap((uint32_t)clgs_values(columns, j)[i] + (uint32_t)centre[j]);
 }
 
 static int32_t clamp(int32_t value)
@@ -234,9 +226,19 @@ static void add_taps(clgs_columns *columns, size_t j, int own)
             add_tap(columns, channel->tap + t);
 }
 
-static uint32_t rounded(int32_t sum)
+void clgs_columns_add_taps(clgs_columns *columns, size_t j)
 {
-    return (uint32_t)((sum + (1 << (CLGS_FACTOR_BITS - 1))) >> CLGS_FACTOR_BITS);
+    add_taps(columns, j, 0);
+}
+
+void clgs_columns_own_factors(const clgs_columns *columns, size_t j,
+                              int32_t own[CLGS_TAP_REACH + 1])
+{
+    const clgs_channel *channel = columns->channel + j;
+    memset(own, 0, (CLGS_TAP_REACH + 1) * sizeof own[0]);
+    for (int32_t t = 0; t < channel->taps; t++)
+        if ((size_t)channel->tap[t].channel == j)
+            own[-channel->tap[t].row] += channel->tap[t].factor;
 }
 
 void clgs_columns_predict(clgs_columns *columns, size_t j)
@@ -247,26 +249,25 @@ void clgs_columns_predict(clgs_columns *columns, size_t j)
         return;
     }
     add_taps(columns, j, 1);
-    for (size_t i = 0; i < columns->rows; i++)
-        columns->residual[i] = wrap((uint32_t)value[i] - rounded(columns->residual[i]));
+    for (size_t i = 0; i < columns->rows; i++) {
+        uint32_t predicted = (uint32_t)clgs_tap_rounded(columns->residual[i]);
+        columns->residual[i] = clgs_wrap((uint32_t)value[i] - predicted);
+    }
 }
 
 void clgs_columns_restore(clgs_columns *columns, size_t j)
 {
-    const clgs_channel *channel = columns->channel + j;
-    int32_t *value = clgs_values(columns, j), own[CLGS_TAP_REACH + 1] = {0};
+    int32_t *value = clgs_values(columns, j), own[CLGS_TAP_REACH + 1];
     int32_t before[CLGS_TAP_REACH + 1] = {0};
-    if (channel->taps == 0)
+    if (columns->channel[j].taps == 0)
         return;
-    add_taps(columns, j, 0);
-    for (int32_t t = 0; t < channel->taps; t++)
-        if ((size_t)channel->tap[t].channel == j)
-            own[-channel->tap[t].row] += channel->tap[t].factor;
+    clgs_columns_add_taps(columns, j);
+    clgs_columns_own_factors(columns, j, own);
     for (size_t i = 0; i < columns->rows; i++) {
         int32_t sum = columns->residual[i];
         for (int back = 1; back <= CLGS_TAP_REACH; back++)
             sum += own[back] * before[back];
-        value[i] = wrap((uint32_t)value[i] + rounded(sum));
+        value[i] = clgs_wrap((uint32_t)value[i] + (uint32_t)clgs_tap_rounded(sum));
         for (int back = CLGS_TAP_REACH; back > 1; back--)
             before[back] = before[back - 1];
         before[1] = clamp(value[i]);

@@ -53,6 +53,23 @@ void clgs_columns_store(const clgs_columns *columns, int32_t *value);
 void clgs_columns_predict(clgs_columns *columns, size_t j);
 void clgs_columns_restore(clgs_columns *columns, size_t j);
 
+/* The parts of a prediction: sums over other columns, to `residual`; factors of own rows, by how
+ * far back; a sum of both as a value. */
+void clgs_columns_add_taps(clgs_columns *columns, size_t j);
+void clgs_columns_own_factors(const clgs_columns *columns, size_t j,
+                              int32_t own[CLGS_TAP_REACH + 1]);
+
+static inline int32_t clgs_tap_rounded(int32_t sum)
+{
+    return (sum + (1 << (CLGS_FACTOR_BITS - 1))) >> CLGS_FACTOR_BITS;
+}
+
+/* int32 of a sum or difference modulo 2^32. */
+static inline int32_t clgs_wrap(uint32_t value)
+{
+    return value < 0x80000000u ? (int32_t)value : -(int32_t)(0xFFFFFFFFu - value) - 1;
+}
+
 /* Cells of column j but for the own column's part in its activity, which goes to `partial`. */
 void clgs_columns_partial(clgs_columns *columns, size_t j);
 
@@ -87,6 +104,17 @@ static inline uint32_t clgs_magnitude(uint32_t symbol, uint32_t gain)
 static inline uint32_t clgs_zigzag(int32_t residual)
 {
     return (uint32_t)residual << 1 ^ (residual < 0 ? 0xFFFFFFFFu : 0);
+}
+
+/* Symbol of a zigzag number; large ones share four symbols an octave. */
+static inline uint8_t clgs_symbol_of(uint32_t zigzag)
+{
+    uint32_t top = 31;
+    if (zigzag < CLGS_DIRECT)
+        return (uint8_t)zigzag;
+    while (!(zigzag >> top))
+        top--;
+    return (uint8_t)(CLGS_DIRECT + (top - 7) * 4 + (zigzag >> (top - 2) & 3));
 }
 
 #endif

@@ -15,7 +15,7 @@ _Static_assert((-1 >> 1) == -1, "right shift of negative numbers must be arithme
 #define CLGS_STATE_NEW ((uint32_t)1 << 31)
 #define CLGS_WEIGHT_ONE 65536
 #define CLGS_WEIGHT_LIMIT (16 * CLGS_WEIGHT_ONE)
-#define CLGS_MAX_INPUTS 4
+#define CLGS_MAX_INPUTS 9
 #define CLGS_MIN_PROBABILITY 16
 #define CLGS_CURVE_STEP 64 /* log odds between the knots of a curve: half a nat */
 #define CLGS_CURVE_KNOTS (2 * CLGS_ODDS_LIMIT / CLGS_CURVE_STEP + 1)

@@ -16,6 +16,7 @@ typedef struct clgs_symbol {
     clgs_mix mix;
     uint32_t *base[CLGS_MAX_INPUTS];
     int32_t *weight;
+    uint16_t *curve; /* of node 0, or NULL for none */
 } clgs_symbol;
 
 static inline uint32_t clgs_symbol_bit(clgs_symbol *symbol, uint32_t node, uint32_t bit)
@@ -23,6 +24,7 @@ static inline uint32_t clgs_symbol_bit(clgs_symbol *symbol, uint32_t node, uint3
     for (uint32_t i = 0; i < symbol->mix.inputs; i++)
         symbol->mix.state[i] = symbol->base[i] + node;
     symbol->mix.weight = symbol->weight + symbol->mix.inputs * node;
+    symbol->mix.curve = symbol->curve ? symbol->curve + CLGS_CURVE_KNOTS * node : NULL;
     return clgs_mix_code(&symbol->mix, bit);
 }
 

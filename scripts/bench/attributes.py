@@ -1,7 +1,8 @@
-"""Time of attribute coding on one thread: ``python scripts/bench/attributes.py [ROWS] [LEVEL ...]``.
+"""Time of attribute coding on one thread: ``python scripts/bench/attributes.py [ROWS LEVEL ...]``.
 
 Independent Laplace integers of 30, 50 and 6 channels at 1.68, 2.35 and 5.05 bits a symbol. Levels
-take turns; each figure is the least of the repeats, in seconds and nanoseconds a symbol.
+take turns; each figure is the least of the repeats, in seconds of CPU time, and in nanoseconds a
+symbol.
 """
 
 from __future__ import annotations
@@ -56,14 +57,14 @@ def run(arrays: list[npt.NDArray[np.int32]], level: str) -> list[float]:
     chunk = attributes.CHUNK
     for array in arrays:
         parts = [array[first : first + chunk] for first in range(0, len(array), chunk)]
-        start = time.perf_counter()
+        start = time.process_time()
         model = attributes.fit(array, level, chunk)
-        fitted = time.perf_counter()
+        fitted = time.process_time()
         data = [model.encode(part) for part in parts]
-        encoded = time.perf_counter()
+        encoded = time.process_time()
         reader = attributes.read(model.header, model.channels)
         decoded = [reader.decode(d, len(p)) for d, p in zip(data, parts, strict=True)]
-        end = time.perf_counter()
+        end = time.process_time()
         for i, seconds in enumerate((fitted - start, encoded - fitted, end - encoded)):
             times[i] += seconds
         if not all(map(np.array_equal, decoded, parts)):

@@ -46,6 +46,17 @@ def test_default(name, shared_data):
     assert size(load(name, shared_data), "default") <= LIMIT[name] * BASELINE[name]
 
 
+MAX_LIMIT = {"corr_weak": 0.96, "corr_scale": 0.95, "biker_scale_q8": 0.87, "biker_color": 0.48}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BASELINE)
+def test_max(name, shared_data):
+    value = load(name, shared_data)
+    limit = MAX_LIMIT.get(name, LIMIT[name])
+    assert size(value, "max") <= min(limit * BASELINE[name], size(value, "default"))
+
+
 @pytest.mark.slow
 def test_geometric_mean_of_default(shared_data):
     ratios = [size(load(n, shared_data), "default") / b for n, b in BASELINE.items()]

@@ -1,0 +1,212 @@
+/* Round trips, truncations, bit flips and random damage of attribute headers and chunks.
+ *
+ * Inputs and outputs lie in allocations of their exact size, so that the address sanitizer sees
+ * the first byte outside. Damage may decode to other values, but must end.
+ */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "attributes.h"
+
+#define CHECK(condition) check((condition) != 0, #condition, __LINE__)
+#define COUNTS (CLGS_CELLS * CLGS_TABLE)
+
+typedef struct stream {
+    size_t rows, channels;
+    int32_t *value;
+    clgs_channel *model;
+    void *workspace;
+    uint8_t *header, *data;
+    size_t header_size, size;
+} stream;
+
+static uint64_t random_state = 1;
+
+static void check(int holds, const char *condition, int line)
+{
+    if (holds)
+        return;
+    fprintf(stderr, "test_attributes.c:%d: %s\n", line, condition);
+    exit(1);
+}
+
+static uint32_t random_u32(void)
+{
+    random_state = random_state * 6364136223846793005u + 1442695040888963407u;
+    return (uint32_t)(random_state >> 32);
+}
+
+static void *allocate(size_t size)
+{
+    void *block = calloc(size > 0 ? size : 1, 1);
+    CHECK(block != NULL);
+    return block;
+}
+
+/* Geometric sizes, in channels that are off together, of which some follow others. */
+static void fill_values(stream *s, uint32_t shift)
+{
+    for (size_t i = 0; i < s->rows; i++) {
+        uint32_t off = random_u32() & 1;
+        for (size_t j = 0; j < s->channels; j++) {
+            uint32_t bits = random_u32() >> (shift + random_u32() % (32 - shift));
+            int32_t value = random_u32() & 1 ? (int32_t)(bits >> 1) : -(int32_t)(bits >> 1) - 1;
+            s->value[i * s->channels + j] = off && j < 3 ? 0 : value;
+        }
+    }
+}
+
+/* A model that uses everything that a header can say, tables from counts; some channels mixed. */
+static void make_model(stream *s, int mixed)
+{
+    uint32_t *count = allocate(4 * COUNTS * s->channels);
+    uint64_t *cost = allocate(8 * s->channels);
+    void *chooser = allocate(clgs_attributes_choose_workspace());
+    for (size_t j = 0; j < s->channels; j++) {
+        clgs_channel *c = s->model + j;
+        int32_t before = (int32_t)j;
+        c->centre = before - 1;
+        c->taps = before % 4;
+        for (int32_t t = 0; t < c->taps; t++)
+            c->tap[t] = (clgs_tap){t < before ? t : before, t - 2, 100 - 60 * t};
+        c->gain = 40;
+        c->weight[0] = before % 2 ? 1000 : 0;
+        c->weight[1] = c->weight[2] = before % 3 ? 500 : 0;
+        c->span = before % 3 < before ? before % 3 : 0;
+        c->classes = 1;
+        c->frequency[0][0] = CLGS_SCALE;
+    }
+    CHECK(clgs_attributes_count(s->model, s->value, s->rows, s->channels, count, s->workspace) ==
+          CLGS_OK);
+    CHECK(clgs_attributes_choose(s->model, s->channels, count, 25600, cost, chooser) == CLGS_OK);
+    for (size_t j = 1; mixed && j < s->channels; j += 2) {
+        s->model[j].coder = CLGS_MIXED;
+        s->model[j].classes = 1;
+        memset(s->model[j].class_of, 0, sizeof s->model[j].class_of);
+        memset(s->model[j].frequency, 0, sizeof s->model[j].frequency);
+    }
+    free(chooser);
+    free(cost);
+    free(count);
+}
+
+static clgs_error read_header(const stream *s, const uint8_t *header, size_t size, void *model)
+{
+    void *workspace = allocate(clgs_attributes_header_workspace());
+    uint8_t *exact = allocate(size);
+    memcpy(exact, header, size);
+    clgs_error error = clgs_attributes_header_read(exact, size, model, s->channels, workspace);
+    free(exact);
+    free(workspace);
+    return error;
+}
+
+static clgs_error decode(const stream *s, const void *model, const uint8_t *data, size_t size)
+{
+    uint8_t *exact = allocate(size);
+    int32_t *value = allocate(4 * s->rows * s->channels);
+    memcpy(exact, data, size);
+    clgs_error error =
+        clgs_attributes_decode(model, exact, size, value, s->rows, s->channels, s->workspace);
+    if (error == CLGS_OK && size == s->size && memcmp(data, s->data, size) == 0)
+        CHECK(memcmp(value, s->value, 4 * s->rows * s->channels) == 0);
+    free(value);
+    free(exact);
+    return error;
+}
+
+static void test_round_trip(stream *s)
+{
+    void *workspace = allocate(clgs_attributes_header_workspace());
+    size_t capacity = clgs_attributes_model_size(s->channels);
+    clgs_channel *again = allocate(capacity);
+    s->header = allocate(capacity);
+    s->header_size =
+        clgs_attributes_header_write(s->model, s->channels, s->header, capacity, workspace);
+    CHECK(s->header_size > 0);
+    CHECK(read_header(s, s->header, s->header_size, again) == CLGS_OK);
+    CHECK(memcmp(again, s->model, capacity) == 0);
+    capacity = clgs_attributes_bound(s->model, s->rows, s->channels);
+    s->data = allocate(capacity);
+    s->size = clgs_attributes_encode(s->model, s->value, s->rows, s->channels, s->data, capacity,
+                                     s->workspace);
+    CHECK(s->size > 0 && s->size <= capacity);
+    CHECK(clgs_attributes_encode(s->model, s->value, s->rows, s->channels, s->data, capacity - 1,
+                                 s->workspace) == 0);
+    CHECK(decode(s, again, s->data, s->size) == CLGS_OK);
+    free(again);
+    free(workspace);
+}
+
+static void test_chunk_damage(const stream *s)
+{
+    uint8_t *bad = allocate(s->size + 8);
+    for (size_t size = 0; size < s->size; size++)
+        CHECK(decode(s, s->model, s->data, size) < 0);
+    memcpy(bad, s->data, s->size);
+    for (size_t more = 1; more <= 8; more++)
+        CHECK(decode(s, s->model, bad, s->size + more) < 0);
+    for (size_t bit = 0; bit < 8 * s->size; bit++) {
+        memcpy(bad, s->data, s->size);
+        bad[bit / 8] ^= (uint8_t)(1u << (bit & 7));
+        CHECK(clgs_error_text(decode(s, s->model, bad, s->size)) != NULL);
+    }
+    for (int round = 0; round < 300; round++) {
+        memcpy(bad, s->data, s->size);
+        for (size_t i = 8 + random_u32() % s->size; i < s->size; i++)
+            bad[i] = (uint8_t)random_u32();
+        CHECK(clgs_error_text(decode(s, s->model, bad, s->size)) != NULL);
+    }
+    free(bad);
+}
+
+/* A damaged header either fails or is a model under which decoding ends. */
+static void test_header_damage(const stream *s)
+{
+    uint8_t *bad = allocate(s->header_size);
+    void *model = allocate(clgs_attributes_model_size(s->channels));
+    for (size_t size = 0; size < s->header_size; size++)
+        CHECK(read_header(s, s->header, size, model) < 0);
+    for (int round = 0; round < 2000; round++) {
+        memcpy(bad, s->header, s->header_size);
+        for (uint32_t n = random_u32() % 4 + 1; n > 0; n--)
+            bad[random_u32() % s->header_size] = (uint8_t)random_u32();
+        if (read_header(s, bad, s->header_size, model) == CLGS_OK)
+            CHECK(clgs_error_text(decode(s, model, s->data, s->size)) != NULL);
+    }
+    free(model);
+    free(bad);
+}
+
+static void test_stream(size_t rows, size_t channels, uint32_t shift, int mixed)
+{
+    stream s = {.rows = rows, .channels = channels};
+    s.value = allocate(4 * rows * channels);
+    s.model = allocate(clgs_attributes_model_size(channels));
+    s.workspace = allocate(clgs_attributes_workspace(rows, channels));
+    fill_values(&s, shift);
+    make_model(&s, mixed);
+    test_round_trip(&s);
+    test_chunk_damage(&s);
+    test_header_damage(&s);
+    free(s.header);
+    free(s.data);
+    free(s.workspace);
+    free(s.model);
+    free(s.value);
+}
+
+int main(void)
+{
+    for (int mixed = 0; mixed < 2; mixed++) {
+        test_stream(1, 1, 27, mixed);
+        test_stream(7, 5, 20, mixed);
+        test_stream(60, 4, 27, mixed);
+        test_stream(33, 6, 0, mixed);
+    }
+    CHECK(clgs_attributes_model_size(0) == 0 && clgs_attributes_model_size(257) == 0);
+    CHECK(clgs_attributes_workspace(CLGS_MAX_POINTS + 1, 1) == 0);
+    puts("attributes: all tests passed");
+    return 0;
+}
