@@ -181,12 +181,15 @@ def _zigzags(channel: Channel, values: list[list[int]], j: int) -> list[int]:
 def _encode_mixed(
     channels: list[Channel], values: list[list[int]], symbols: list[list[int]]
 ) -> bytes:
-    """Decisions of all mixed channels."""
+    """Decisions of all mixed channels, behind their length."""
+    if not any(channel.mixed for channel in channels):
+        return b""
     coder = RangeEncoder()
     for j, channel in enumerate(channels):
         if channel.mixed:
             code_column(coder, _column(channels, values, symbols, j))
-    return coder.finish() if any(channel.mixed for channel in channels) else b""
+    decisions = coder.finish()
+    return len(decisions).to_bytes(4, "little") + decisions
 
 
 def _column(
@@ -211,12 +214,13 @@ def decode(channels: list[Channel], data: bytes, count: int) -> npt.NDArray[np.i
     """
     literal_bytes, words = (int(x) for x in np.frombuffer(data, "<u4", 2))
     end = 8 + literal_bytes + 32 + 2 * words
-    if len(data) < end or (len(data) > end and not any(c.mixed for c in channels)):
+    decisions = 4 + int.from_bytes(data[end : end + 4], "little")
+    if len(data) != end + any(c.mixed for c in channels) * decisions:
         raise ValueError(CORRUPT)
     literals = _Bits(data[8 : 8 + literal_bytes])
     states = [int(x) for x in np.frombuffer(data, "<u4", LANES, offset=8 + literal_bytes)]
     source = [int(x) for x in np.frombuffer(data, "<u2", words, offset=40 + literal_bytes)]
-    coder = RangeDecoder(data[end:])
+    coder = RangeDecoder(data[end + 4 :])
     values: list[list[int]] = []
     symbols: list[list[int]] = []
     for j, channel in enumerate(channels):

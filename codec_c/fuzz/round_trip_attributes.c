@@ -6,7 +6,7 @@
 
 static void round_trip(void *model, const int32_t *value, size_t rows, size_t channels)
 {
-    size_t bound = clgs_attributes_bound(rows, channels);
+    size_t bound = clgs_attributes_bound(model, rows, channels);
     uint8_t *out = fuzz_allocate(bound);
     int32_t *decoded = fuzz_allocate(4 * rows * channels);
     void *workspace = fuzz_workspace(clgs_attributes_workspace(rows, channels));

@@ -115,7 +115,8 @@ size_t clgs_attributes_bound(const void *model, size_t rows, size_t channels)
     if (cell_count(rows, channels) == 0)
         return 0;
     size_t mixed = mixed_channels(model, channels);
-    return PREFIX + STATES + 6 * rows * (channels - mixed) + 8 + CLGS_MIXED_MOST * rows * mixed + 8;
+    return PREFIX + STATES + 6 * rows * (channels - mixed) + 8 + CLGS_MIXED_MOST * rows * mixed +
+           12;
 }
 
 /* Parts of the workspace; `words` and `cell` are an encoder's. */
@@ -191,11 +192,11 @@ static size_t encode_static(const clgs_columns *columns, const parts *p, uint8_t
     return STATES + 2 * (size_t)*words;
 }
 
-/* Decisions of all mixed columns; the bytes. */
+/* Decisions of all mixed columns, behind their length; the bytes. */
 static size_t encode_mixed(clgs_columns *columns, clgs_mixed *mixed, uint8_t *out, uint8_t *end)
 {
     clgs_range coder;
-    clgs_range_begin_encode(&coder, out, (size_t)(end - out));
+    clgs_range_begin_encode(&coder, out + 4, (size_t)(end - out) - 4);
     clgs_mixed_init(mixed);
     memset(columns->activity - 1, 0, 2 * (columns->rows + 2));
     for (size_t j = 0; j < columns->channels; j++) {
@@ -204,6 +205,7 @@ static size_t encode_mixed(clgs_columns *columns, clgs_mixed *mixed, uint8_t *ou
         clgs_columns_activate(columns, j);
     }
     clgs_range_end_encode(&coder);
+    clgs_store32(out, (uint32_t)(coder.out - out - 4));
     return (size_t)(coder.out - out);
 }
 
@@ -297,9 +299,13 @@ static clgs_error open_chunk(decoder *d, const clgs_columns *columns, const uint
         return CLGS_ERROR_TRUNCATED;
     left -= literals + 2 * words;
     const uint8_t *states = data + PREFIX + literals, *end = states + STATES + 2 * words;
-    if (mixed_channels(columns->channel, columns->channels) > 0)
-        clgs_range_begin_decode(&d->range, end, left);
-    else if (left > 0)
+    if (mixed_channels(columns->channel, columns->channels) > 0) {
+        if (left < 4 || clgs_load32(end) > left - 4)
+            return CLGS_ERROR_TRUNCATED;
+        clgs_range_begin_decode(&d->range, end + 4, left - 4);
+        left -= 4 + clgs_load32(end);
+    }
+    if (left > 0)
         return CLGS_ERROR_TRAILING;
     for (size_t lane = 0; lane < CLGS_LANES; lane++) {
         d->rans.state[lane] = clgs_load32(states + 4 * lane);
