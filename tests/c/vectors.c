@@ -170,9 +170,9 @@ static void make_model(clgs_channel *model, const int32_t *value, size_t count, 
 static void attributes(const char *name, const int32_t *value, size_t count, size_t channels)
 {
     size_t model_size = clgs_attributes_model_size(channels);
-    size_t bound = clgs_attributes_bound(count, channels), room = model_size + 64;
+    size_t room = model_size + 64;
     clgs_channel *model = allocate(model_size), *read = allocate(model_size);
-    uint8_t *out = allocate(bound), *header = allocate(room);
+    uint8_t *header = allocate(room);
     int32_t *decoded = allocate(4 * count * channels);
     void *work = allocate(clgs_attributes_workspace(count, channels));
     void *header_work = allocate(clgs_attributes_header_workspace());
@@ -181,6 +181,8 @@ static void attributes(const char *name, const int32_t *value, size_t count, siz
     if (clgs_attributes_header_read(header, length, read, channels, header_work) != CLGS_OK)
         fail("header", name);
     report("header", name, header, length, 0);
+    size_t bound = clgs_attributes_bound(read, count, channels);
+    uint8_t *out = allocate(bound);
     size_t size = clgs_attributes_encode(read, value, count, channels, out, bound, work);
     if (clgs_attributes_decode(read, out, size, decoded, count, channels, work) != CLGS_OK)
         fail("attributes", name);
