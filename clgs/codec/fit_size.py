@@ -62,20 +62,24 @@ def fit_size(
     order: npt.NDArray[np.intp],
     target: int,
     encode: Callable[[QuantizedScene], bytes],
+    whole: int | None = None,
 ) -> tuple[QuantizedScene, bytes]:
     """As many of the anchors ``order`` (A,), first ones first, as ``target`` bytes hold; the file.
 
     False position over the number of anchors, with exact sizes: never above ``target``, and at
-    least ENOUGH of it or within an anchor of it, where trials suffice.
+    least ENOUGH of it or within an anchor of it, where trials suffice. ``whole``: about the bytes
+    of the file of all anchors, where it is known to be above ``target``.
 
     Raises:
         UsageError: the file is larger even without anchors.
     """
     cost = np.concatenate([[0.0], np.cumsum(anchor_bits(scene.anchors)[order] / 8)])
-    best, data = scene, encode(scene)
-    if len(data) <= target:
-        return best, data
-    high, high_size, low = len(order), len(data), 0
+    if whole is None:
+        data = encode(scene)
+        if len(data) <= target:
+            return scene, data
+        whole = len(data)
+    high, high_size, low = len(order), whole, 0
     best, data = _cut(scene, order, 0, encode)
     if len(data) > target:
         raise UsageError(

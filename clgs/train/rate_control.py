@@ -103,7 +103,7 @@ def reduce_to_size(
     if judge:
         room = share * float(anchor_bits(scene.anchors).sum())
         order = rank(coarse, judge, lambda cut: anchor_bits(cut.anchors).sum() < room)
-    found, data = fit_size(coarse, order, target, encode)
+    found, data = fit_size(coarse, order, target, encode, len(whole))
     psnr = (judge.psnr(scene), judge.psnr(found)) if judge else None
     return Reduced(found, data, factors, psnr)
 
