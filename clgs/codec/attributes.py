@@ -25,6 +25,9 @@ CHUNK = 65536
 
 MAX_CHANNELS = 256
 
+EXACT_SIZE = 1 << 20
+"""Up to so many values, levels are compared by encoding; beyond, what that adds is negligible."""
+
 
 class Model(Protocol):
     """What the chunks of one attribute share. Safe to use from several threads."""
@@ -121,11 +124,27 @@ def fit(
         return PaperModel(channels)
     values = np.ascontiguousarray(values, np.int32)
     chunks = runs(rows, chunk) if isinstance(chunk, int) else chunk
-    model, size = attributes_fit.fit(values, chunks, level in ("default", "max"), level == "max")
+    model, size = attributes_fit.fit(values, chunks, search=level in ("default", "max"))
     header = _codec.attributes_header(model)
     if len(header) + size >= 4 * values.size:
         return RawModel(channels)
-    return TableModel(header, model)
+    tables = TableModel(header, model)
+    return _mix(tables, values, chunks) if level == "max" else tables
+
+
+def _mix(tables: TableModel, values: Ints, chunks: list[slice]) -> TableModel:
+    """The model with mixed channels, unless it takes more bytes in all."""
+    model = attributes_fit.choose_mixed(tables.model, values, chunks)
+    if not model["coder"].any():
+        return tables
+    mixed = TableModel(_codec.attributes_header(model), model)
+    if values.size > EXACT_SIZE:
+        return mixed
+    sizes = [
+        len(m.header) + sum(len(m.encode(values[chunk])) for chunk in chunks)
+        for m in (mixed, tables)
+    ]
+    return mixed if sizes[0] < sizes[1] else tables
 
 
 def read(header: bytes | memoryview, channels: int) -> Model:

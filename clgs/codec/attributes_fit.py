@@ -38,6 +38,9 @@ MAGNITUDE = 256
 WEIGHT_OF_OWN, WEIGHT_OF_ROW, WEIGHT_BESIDE = 1365, 4096, 2048
 """Weights that make the mean of weighted activity 64 x 1024, for one channel before."""
 
+MIXED_HEADER = 8
+"""Bytes of a mixed channel in the header, about."""
+
 MIXED_SHARE = (0.4, 0.3, 0.3)
 SAMPLE_MARGIN = 1.005
 """How much longer a mixed channel may be on the sample, to be tried on all rows."""
@@ -53,7 +56,7 @@ SHARES = [
 """Shares of the own column, of the row and of the rows beside it that are tried."""
 
 
-def fit(values: Ints, chunks: list[slice], search: bool, mix: bool) -> tuple[Models, int]:
+def fit(values: Ints, chunks: list[slice], search: bool) -> tuple[Models, int]:
     """The model of ``values`` (n, channels) and the bytes of all chunks, about."""
     rows, channels = values.shape
     sample = take_sample(values)
@@ -65,10 +68,7 @@ def fit(values: Ints, chunks: list[slice], search: bool, mix: bool) -> tuple[Mod
         choose_activity(model, sample, scale)
     cost = count_and_choose(model, values, chunks, 256)
     drop_unused(model)
-    size = cost // (8 << 16)
-    if mix:
-        choose_mixed(model, size, values, sample, chunks)
-    return model, int(size.sum()) + CHUNK_OVERHEAD * len(chunks)
+    return model, int(cost.sum()) // (8 << 16) + CHUNK_OVERHEAD * len(chunks)
 
 
 def take_sample(values: Ints) -> Ints:
@@ -180,29 +180,26 @@ def drop_unused(model: Models) -> None:
     model["gain"][~(needed | (model["weight"][:, 0] > 0))] = 0
 
 
-def choose_mixed(
-    model: Models, size: npt.NDArray[np.uint64], values: Ints, sample: Ints, chunks: list[slice]
-) -> None:
-    """Mix the channels where that takes fewer bytes than tables; ``size`` (channels,) follows.
+def choose_mixed(model: Models, values: Ints, chunks: list[slice]) -> Models:
+    """``model`` with those channels mixed where that takes fewer bytes than tables.
 
     Channels that gain nothing on the sample, where contexts have learnt less, are not tried on
     all rows.
     """
+    sample = take_sample(values)
+    size = count_and_choose(model.copy(), values, chunks, 256) // (8 << 16)
     mixed = all_mixed(model, sample)
-    promising = (
-        measure(mixed, sample, [slice(len(sample))]) * len(values)
-        < size * len(sample) * SAMPLE_MARGIN
-    )
+    trial_size = measure(mixed, sample, [slice(len(sample))])
+    promising = trial_size * len(values) < size * len(sample) * SAMPLE_MARGIN
     if not promising.any():
-        return
+        return model
     trial = np.where(promising, mixed, model)
     trial["gain"] = mixed["gain"]
-    mixed_size = measure(trial, values, chunks)
-    better = promising & (mixed_size < size)
-    model[better] = mixed[better]
-    size[better] = mixed_size[better]
+    better = promising & (measure(trial, values, chunks) + MIXED_HEADER < size)
+    result = np.where(better, mixed, model)
     last = np.flatnonzero(better)[-1] if better.any() else -1
-    model["gain"][: last + 1] = mixed["gain"][: last + 1]
+    result["gain"][: last + 1] = mixed["gain"][: last + 1]
+    return result
 
 
 def all_mixed(model: Models, sample: Ints) -> Models:

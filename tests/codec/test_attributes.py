@@ -164,6 +164,13 @@ def test_mixing_pays_where_channels_follow_others_loosely():
     assert assert_round_trip(value, "max", 3000) < assert_round_trip(value, "default", 3000)
 
 
+@pytest.mark.parametrize("chunk", [256, 65536])
+@pytest.mark.parametrize("name", matrices())
+def test_max_is_never_longer_than_default(name, chunk):
+    value = matrices()[name]
+    assert assert_round_trip(value, "max", chunk) <= assert_round_trip(value, "default", chunk)
+
+
 @pytest.mark.parametrize("name", ["extremes", "laplace 1000000.0", "mixture", "shifted"])
 def test_mixed_channels_take_any_values(name):
     value = matrices()[name]
