@@ -199,7 +199,8 @@ static void attributes(const char *name, const int32_t *value, size_t count, siz
 static void fill(int32_t *value, size_t count, uint32_t shift)
 {
     for (size_t i = 0; i < count; i++) {
-        uint32_t bits = random_u32() >> (shift + random_u32() % (32 - shift));
+        uint32_t drawn = random_u32();
+        uint32_t bits = drawn >> (shift + random_u32() % (32 - shift));
         value[i] = random_u32() & 1 ? (int32_t)(bits >> 1) : -(int32_t)(bits >> 1) - 1;
         if (i / 60 % 3 == 0)
             value[i] = 0;
