@@ -208,8 +208,8 @@ MUTATIONS = (
         "quantize",
         "halves away from zero",
         "kernels_cl/quantize.cl",
-        "const fv n = rint(",
-        "const fv n = round(",
+        "rint(load_lanes(x, vector, total) * q);",
+        "round(load_lanes(x, vector, total) * q);",
     ),
     Mutation(
         "neural",

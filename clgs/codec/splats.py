@@ -90,13 +90,13 @@ def unpack(data: bytes, threads: int | None = None) -> Splats:
     """
     sections = _sections(data)
     splats, voxels, content = _read_head(sections[SPLT])
+    expected = {SPOS: (voxels, 3), SMUL: (voxels, 1), SATR: (len(splats), len(splats.names) - 3)}
+    for tag, shape in expected.items():
+        if streams.declared_shape(sections[tag].data) != shape:
+            raise sections[tag].error(f"not the {shape[0]} rows of {shape[1]} that {SPLT} declares")
     position = _decode(sections[SPOS], streams.decode_positions, threads)
     count = _decode(sections[SMUL], streams.decode_attributes, threads)
     rows = _decode(sections[SATR], streams.decode_attributes, threads)
-    if len(position) != voxels or count.shape != (voxels, 1):
-        raise sections[SPLT].error(f"{voxels} voxels declared, {len(position)} found")
-    if rows.shape != (len(splats), len(splats.names) - 3):
-        raise sections[SPLT].error(f"{len(splats)} splats declared, {len(rows)} rows found")
     if (count < 0).any() or count.sum(dtype=np.int64) + voxels != len(rows):
         raise sections[SMUL].error("the voxels do not hold all splats")
     values = np.concatenate([np.repeat(position, count[:, 0] + 1, axis=0), rows], axis=1)

@@ -83,6 +83,19 @@ def decode_positions(
     return position
 
 
+def declared_shape(data: bytes | bytearray | memoryview) -> tuple[int, int]:
+    """Rows and channels that a stream of positions or attributes declares.
+
+    To be compared with what is expected before anything is decoded. (-1, -1) for other bytes.
+    """
+    head = bytes(data[: _ATTRIBUTES_HEAD.size])
+    if head[:4] == POSITIONS and len(head) >= _POSITIONS_HEAD.size:
+        return _POSITIONS_HEAD.unpack_from(head)[1], 3
+    if head[:4] == ATTRIBUTES and len(head) == _ATTRIBUTES_HEAD.size:
+        return _ATTRIBUTES_HEAD.unpack(head)[1:3]
+    return -1, -1
+
+
 def encode_attributes(
     values: npt.ArrayLike, level: str = "default", threads: int | None = None
 ) -> bytes:

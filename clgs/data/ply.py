@@ -67,6 +67,8 @@ def read_ply(path: Path) -> Table:
     Raises:
         DataError: missing, no PLY file, cut, damaged, or with lists in the table; names the line.
     """
+    if path.exists() and not path.is_dir() and not path.is_file():
+        raise DataError(f"{path}: not a regular file; name a PLY file")
     try:
         return parse_ply(path.read_bytes())
     except FileNotFoundError:
@@ -107,11 +109,18 @@ def _parse_text(body: memoryview, header: _Header) -> dict[str, npt.NDArray[Any]
     values = np.array([float(word) for word in words[:count]]).reshape(header.rows, -1)
     columns = {}
     for index, (name, kind) in enumerate(header.properties):
-        column = values[:, index]
-        if kind[0] != "f" and not (np.rint(column) == column).all():
-            raise ValueError(f"property {name} is of type {NAMES[kind]} and not whole")
-        columns[name] = column.astype(kind)
+        columns[name] = _column(values[:, index], name, kind)
     return columns
+
+
+def _column(values: npt.NDArray[np.float64], name: str, kind: str) -> npt.NDArray[Any]:
+    """Numbers of an ASCII file as their property's type, which must hold them."""
+    if kind[0] == "f":
+        return values.astype(kind)
+    limits = np.iinfo(kind)
+    if not ((values >= limits.min) & (values <= limits.max) & (np.rint(values) == values)).all():
+        raise ValueError(f"property {name} is of type {NAMES[kind]}, which cannot hold its values")
+    return values.astype(kind)
 
 
 def _read_header(data: bytes) -> tuple[_Header, int]:

@@ -51,6 +51,16 @@ def test_every_flip_and_cut_is_reported(rng: np.random.Generator) -> None:
                 unpack(data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :])
 
 
+def test_streams_of_other_counts_are_refused_before_they_are_decoded(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = pack(some_splats(rng, 12))
+    monkeypatch.setattr("clgs.codec.streams.declared_shape", lambda _: (1 << 22, 64))
+    monkeypatch.setattr("clgs.codec.streams.decode_positions", None)
+    with pytest.raises(CodecError, match=r"SPOS .*not the 12 rows of 3 that SPLT declares"):
+        unpack(data)
+
+
 def test_scenes_and_splats_are_told_apart(rng: np.random.Generator) -> None:
     packed = pack(some_splats(rng))
     for reader in (decode, describe):

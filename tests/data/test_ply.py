@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -103,3 +104,18 @@ def test_errors_name_the_file(tmp_path: Path) -> None:
     (tmp_path / "x.ply").write_bytes(b"")
     with pytest.raises(DataError, match=r"x\.ply: not a PLY file"):
         read_ply(tmp_path / "x.ply")
+
+
+@pytest.mark.parametrize("value", ["300", "-1", "1.5", "inf"])
+def test_text_holds_what_its_type_holds(tmp_path, value):
+    path = tmp_path / "a.ply"
+    head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty uchar red\nend_header\n"
+    path.write_text(f"{head}{value}\n")
+    with pytest.raises(DataError, match="red is of type uchar, which cannot hold"):
+        read_ply(path)
+
+
+def test_a_pipe_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(DataError, match="not a regular file"):
+        read_ply(tmp_path / "pipe")
