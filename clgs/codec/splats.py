@@ -7,6 +7,7 @@ one voxel in the order in which they were given (FORMAT.md, part 13).
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -168,9 +169,11 @@ def _sections(data: bytes) -> dict[str, Section]:
     return {tag: container.read_section(source, table.entries[tag]) for tag in container.SPLATS}
 
 
-def _decode(section: Section, function: object, threads: int | None) -> Ints:
+def _decode(
+    section: Section, function: Callable[[memoryview, int | None], Ints], threads: int | None
+) -> Ints:
     try:
-        return function(section.data, threads)  # type: ignore[operator, no-any-return]
+        return function(section.data, threads)
     except CodecError as error:
         raise section.error(str(error).partition(";")[0]) from error
 

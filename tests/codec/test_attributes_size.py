@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 
 from clgs.codec import attributes
+from clgs.testing.codec_baselines import ATTRIBUTES as BASELINE
 
-BASELINE = {  # bytes of G-PCC's attribute residual coder
-    "iid_offset": 252375,
-    "iid_feat": 588078,
-    "iid_scale": 151649,
-    "chan_feat": 530467,
-    "zi_offset": 239515,
-    "corr_weak": 556432,
-    "corr_scale": 144476,
-    "biker_scale_q8": 324445,
-    "biker_color": 469109,
-}
 LIMIT = {  # ratios to the baseline, default level
     "iid_offset": 0.985,
     "iid_feat": 0.985,
