@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -66,10 +67,10 @@ def vectors() -> dict[str, Vector]:
     found: dict[str, Vector] = {}
     for name, cloud in clouds().items():
         expected = cloud[morton_order(cloud)] if len(cloud) else cloud
-        found[name] = (lambda c=cloud: encode_positions(c)), decode_positions, expected
+        found[name] = partial(encode_positions, cloud), decode_positions, expected
     for name, table in tables().items():
         for level in LEVELS:
-            encode = lambda t=table, x=level: encode_attributes(t, x)  # noqa: E731
+            encode = partial(encode_attributes, table, level)
             found[f"{name}, {level}"] = encode, decode_attributes, table
     return found
 
