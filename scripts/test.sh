@@ -84,10 +84,13 @@ smoke() {
     "$root/scripts/smoke.sh" "$work/venv/bin" "$work/smoke"
 }
 
+# A file's tests stay in one process: they share kernels built once.
+spread=(-n auto --maxprocesses 8 --dist loadfile)
+
 lint
 if [ -z "$ci" ]; then
     step "tests"
-    exec "$python" -m pytest "$@"
+    exec "$python" -m pytest "${spread[@]}" "$@"
 fi
 
 work=$(mktemp -d)
@@ -98,7 +101,9 @@ test_c
 fuzz
 build_wheel
 smoke
-step "tests of the wheel, slow ones included"
+step "tests of the wheel"
 export CLGS_SHARED_DATA=${CLGS_SHARED_DATA:-$root/../shared/data}
-"$work/venv/bin/python" -m pytest -m "slow or not slow" --durations=10 "$@"
+"$work/venv/bin/python" -m pytest "${spread[@]}" -q --durations=10 "$@"
+step "slow tests" # one at a time: some take most of the memory
+"$work/venv/bin/python" -m pytest -m slow --durations=10 "$@"
 step "done"

@@ -17,8 +17,8 @@ from tests import mutant
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
-if "POCL_CACHE_DIR" not in os.environ:
-    # Before pyopencl is imported: runs side by side must not share PoCL's kernel cache.
+if "POCL_CACHE_DIR" not in os.environ or "PYTEST_XDIST_WORKER" in os.environ:
+    # Before pyopencl is imported: processes side by side must not share PoCL's kernel cache.
     _cache = tempfile.mkdtemp(prefix="clgs-pocl-")
     os.environ["POCL_CACHE_DIR"] = _cache
     atexit.register(shutil.rmtree, _cache, ignore_errors=True)
