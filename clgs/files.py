@@ -7,9 +7,11 @@ import secrets
 import shutil
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from errno import EACCES, EEXIST, EINVAL, EISDIR, ENOENT, ENOTDIR
 from pathlib import Path
+
+from clgs.errors import UsageError
 
 STEM_KEPT = 48
 """Characters of a name that its temporary name keeps: it must not grow too long for a folder."""
@@ -24,6 +26,37 @@ def atomic_write(path: Path, data: bytes) -> None:
     """
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+
+
+def atomic_write_all(contents: dict[Path, bytes]) -> None:
+    """Write several files: all of them, or none.
+
+    All are on the disk before the first takes its name; the first of ``contents`` takes its name
+    last. Where one cannot, the others are again what they were.
+
+    Raises:
+        OSError: as of :func:`atomic_write`.
+    """
+    with ExitStack() as stack:
+        for path in contents:
+            stack.enter_context(_put_back(path))
+        for path, data in contents.items():
+            temporary = stack.enter_context(atomic_path(path))
+            temporary.write_bytes(data)
+            _sync(temporary)
+
+
+def check_output(path: Path, *sources: Path) -> None:
+    """As :func:`check_target`; moreover ``path`` must be none of ``sources``, also through links.
+
+    Raises:
+        OSError: as there.
+        UsageError: writing to ``path`` would destroy what is read.
+    """
+    check_target(path)
+    for source in sources:
+        if path.exists() and source.exists() and path.samefile(source):
+            raise UsageError(f"{path}: is read by this command; choose another output")
 
 
 def check_target(path: Path) -> Path:
@@ -91,6 +124,25 @@ def atomic_path(path: Path) -> Iterator[Path]:
             temporary.unlink()
         raise
     _sync_folder(target.parent)
+
+
+@contextmanager
+def _put_back(path: Path) -> Iterator[None]:
+    """On a failure, ``path`` is again the file that it was, or none."""
+    target = check_target(path)
+    existed, old = target.exists(), _temporary(path, target.parent)
+    if existed:
+        with suppress(OSError):  # A file system without hard links: nothing to put back.
+            os.link(target, old)
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            os.replace(old, target) if existed else target.unlink()
+        raise
+    finally:
+        with suppress(OSError):
+            old.unlink()
 
 
 @contextmanager

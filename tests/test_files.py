@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from clgs.files import atomic_folder, atomic_path, atomic_write, check_folder
+from clgs.errors import UsageError
+from clgs.files import atomic_folder, atomic_path, atomic_write, check_folder, check_output
 
 
 def names(folder):
@@ -157,3 +158,15 @@ def test_folders_are_checked_before_they_are_made(tmp_path):
     for name in ("file", "file/deeper"):
         with pytest.raises(NotADirectoryError, match="is no folder"):
             check_folder(tmp_path / name)
+
+
+def test_an_output_is_no_input(tmp_path):
+    source, other = tmp_path / "a", tmp_path / "b"
+    source.touch()
+    check_output(other, source, tmp_path / "none")
+    other.symlink_to(source)
+    for output in (source, other, tmp_path / "." / "a"):
+        with pytest.raises(UsageError, match="is read by this command; choose another output"):
+            check_output(output, tmp_path / "none", source)
+    with pytest.raises(OSError, match="is a folder"):
+        check_output(tmp_path, source)

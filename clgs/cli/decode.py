@@ -14,8 +14,10 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Decompress a .clgs file into a NumPy archive, or into a PLY file as the reference code writes it.
 
-X.ply receives the anchors as float32, X.quantized.ply as integers, and X.mlps.npz beside it the
-MLPs; all in the scene's own units, with scales, transform and settings as comments.
+X.ply receives the anchors as numbers, X.quantized.ply as integers, and X.mlps.npz beside it the
+MLPs; all in the scene's own units, with scales, transform and settings as comments. Properties are
+float32, or float64 where float32 would not give every integer back. An X.mlps.npz with other MLPs
+is replaced only where the PLY file of that name is replaced too.
 
 --box: only the anchors with x0 <= x < x1, y0 <= y < y1 and z0 <= z < z1, in the units of the input
 data. Of the file, only the header, the MLPs and the chunks that the box meets are read: see
@@ -39,16 +41,19 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
     from clgs.cli.scene_argument import read_bitstream, read_box
+    from clgs.data.mlps_archive import mlps_path
     from clgs.data.scaffold_ply import save_scaffold
     from clgs.errors import UsageError
-    from clgs.files import check_target
+    from clgs.files import check_output
     from clgs.scene.storage import save_scene
 
-    save = {".npz": save_scene, ".ply": save_scaffold}.get(args.output.suffix)
+    suffix = args.output.suffix.lower()
+    save = {".npz": save_scene, ".ply": save_scaffold}.get(suffix)
     if save is None:
         raise UsageError(f"{args.output}: the output must end in .npz or .ply; name it so")
     box = None if args.box is None else parse_box(args.box)
-    check_target(args.output)
+    for output in [args.output] + [mlps_path(args.output)] * (suffix == ".ply"):
+        check_output(output, args.scene)
     if box is None:
         scene, _ = read_bitstream(args.scene, args.threads)
         read = ""

@@ -53,7 +53,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         type=scales,
         metavar="P,O,A,S",
         help="integers a unit of position, offset, feature and scaling of a PLY file (default: as "
-        "its comments say, else 200,1,1,8)",
+        "its comments say, else 200,1,1,8); of X.quantized.ply only where they say none",
     )
     parser.add_argument("--mlp", default="auto", help="auto or float32")
     add_target_options(parser)
@@ -72,6 +72,20 @@ def scales(text: str) -> tuple[float, float, float, float]:
     return values
 
 
+def is_ply(path: Path) -> bool:
+    """Whether the name is that of a PLY file."""
+    return path.suffix.lower() == ".ply"
+
+
+def sources(args: argparse.Namespace) -> list[Path]:
+    """The files that are read."""
+    from clgs.data.mlps_archive import mlps_path
+
+    if is_ply(args.scene):
+        return [args.scene, args.mlps or mlps_path(args.scene)]
+    return [args.scene, args.scene / "scene.npz"]
+
+
 def read_source(args: argparse.Namespace) -> QuantizedScene:
     """The scene that is to be encoded.
 
@@ -84,7 +98,7 @@ def read_source(args: argparse.Namespace) -> QuantizedScene:
     from clgs.errors import UsageError
     from clgs.scene.anchors import QuantizationScales
 
-    if args.scene.suffix == ".ply":
+    if is_ply(args.scene):
         return load_scaffold(args.scene, args.mlps, QuantizationScales(*args.q) if args.q else None)
     if args.mlps or args.q:
         raise UsageError(f"{args.scene}: --mlps and --q are for a PLY file; leave them out")
@@ -100,10 +114,10 @@ def run(args: argparse.Namespace) -> int:
     """Encode; exit code 0."""
     from clgs.cli.encode_target import check_targets, reduce
     from clgs.codec.encode import check_options, encode
-    from clgs.files import atomic_write, check_target
+    from clgs.files import atomic_write, check_output
 
     check_options(args.level, args.chunk, args.mlp)
-    check_target(args.output)
+    check_output(args.output, *sources(args))
     check_targets(args)
     scene = read_source(args)
 

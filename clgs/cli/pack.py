@@ -57,9 +57,9 @@ def run(args: argparse.Namespace) -> int:
     """Pack; exit code 0."""
     from clgs.codec.splats import pack
     from clgs.data.splat_ply import group_of, read_splats
-    from clgs.files import atomic_write, check_target
+    from clgs.files import atomic_write, check_output
 
-    check_target(args.output)
+    check_output(args.output, args.splats)
     splats, errors = read_splats(args.splats, dict(args.step))
     data = pack(splats, args.level, args.threads)
     atomic_write(args.output, data)

@@ -25,7 +25,7 @@ def read_scene(path: Path) -> tuple[QuantizedScene, int | None]:
         return read_run(path)
     if not path.exists():
         raise DataError(f"{path}: no such file or folder; name a run folder or a .clgs file")
-    if path.suffix == ".npz":
+    if path.suffix.lower() == ".npz":
         return load_scene(path), None
     return read_bitstream(path)
 
@@ -47,7 +47,7 @@ def read_bitstream(path: Path, threads: int | None = None) -> tuple[QuantizedSce
         CodecError: it is no .clgs file, or is damaged.
     """
     data = read_bytes(path)
-    with _naming(path):
+    with naming(path):
         return decode(data, threads), len(data)
 
 
@@ -60,16 +60,16 @@ def read_box(path: Path, box: Box, threads: int | None) -> tuple[QuantizedScene,
     """
     if stat.S_ISFIFO(_mode(path)):
         data = path.read_bytes()
-        with _naming(path):
+        with naming(path):
             return decode_box(BytesSource(data), box, threads), len(data), len(data)
-    with path.open("rb", buffering=0) as file, _naming(path):
+    with path.open("rb", buffering=0) as file, naming(path):
         source = FileSource(file)
         scene = decode_box(source, box, threads)
         return scene, source.bytes_read, source.size
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def naming(path: Path) -> Iterator[None]:
     """Let a CodecError name the file."""
     try:
         yield

@@ -23,18 +23,15 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(args: argparse.Namespace) -> int:
     """Unpack; exit code 0."""
-    from clgs.cli.scene_argument import read_bytes
+    from clgs.cli.scene_argument import naming, read_bytes
     from clgs.codec.splats import unpack
     from clgs.data.splat_ply import write_splats
-    from clgs.errors import CodecError
-    from clgs.files import atomic_write, check_target
+    from clgs.files import atomic_write, check_output
 
-    check_target(args.output)
+    check_output(args.output, args.splats)
     data = read_bytes(args.splats)
-    try:
+    with naming(args.splats):
         splats = unpack(data, args.threads)
-    except CodecError as error:
-        raise CodecError(f"{args.splats}: {error}") from error
     atomic_write(args.output, write_splats(splats))
     print(f"{args.output}: {len(splats):,} splats, {len(splats.names)} properties")
     return 0

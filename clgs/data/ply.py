@@ -7,6 +7,7 @@ where the file's size agrees with it. Source of the format: Turk, "The PLY Polyg
 from __future__ import annotations
 
 import io
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -106,7 +107,8 @@ def _parse_text(body: memoryview, header: _Header) -> dict[str, npt.NDArray[Any]
     words = bytes(body).split(None, count)
     if len(words) < count or (header.alone and len(words) > count):
         raise ValueError(f"{len(words)} numbers follow the header, which promises {count}")
-    values = np.array([float(word) for word in words[:count]]).reshape(header.rows, -1)
+    numbers = np.array([float(word) for word in words[:count]])
+    values = numbers.reshape(header.rows, len(header.properties))
     columns = {}
     for index, (name, kind) in enumerate(header.properties):
         columns[name] = _column(values[:, index], name, kind)
@@ -125,21 +127,31 @@ def _column(values: npt.NDArray[np.float64], name: str, kind: str) -> npt.NDArra
 
 def _read_header(data: bytes) -> tuple[_Header, int]:
     """The header, and where the table begins."""
-    if data[:4] not in (b"ply\n", b"ply\r"):
+    if data[: data.find(b"\n", 0, 8) + 1].split() != [b"ply"]:
         raise ValueError("not a PLY file")
-    end = data.find(b"end_header", 0, MAX_HEADER)
-    stop = data.find(b"\n", end) + 1
-    if end < 0 or stop == 0:
-        raise ValueError(f"no end of the header in the first {MAX_HEADER} bytes")
     header = _Header()
-    for number, line in enumerate(data[:end].decode("latin-1").splitlines()[1:], 2):
+    for number, (line, end) in enumerate(_header_lines(data), 1):
+        if line.split() == ["end_header"]:
+            if header.order is None or header.rows is None or not header.properties:
+                problem = "names no format, or no element vertex with properties"
+                raise ValueError(f"the header {problem}")
+            return header, end
         try:
-            _read_line(header, line.split())
+            _read_line(header, line.split() if number > 1 else [])
         except (ValueError, IndexError, KeyError):
             raise ValueError(f"line {number} of the header, {line[:60]!r}, is not read") from None
-    if header.order is None or header.rows is None or not header.properties:
-        raise ValueError("the header names no format, or no element vertex with properties")
-    return header, stop
+    raise ValueError(f"no end of the header in the first {MAX_HEADER} bytes")
+
+
+def _header_lines(data: bytes) -> Iterator[tuple[str, int]]:
+    """The lines that end in the first MAX_HEADER bytes, each with the place behind it.
+
+    They are UTF-8, as far as they are text; other bytes of comments do no harm.
+    """
+    start = 0
+    while stop := data.find(b"\n", start, MAX_HEADER) + 1:
+        yield data[start:stop].decode("utf-8", "replace"), stop
+        start = stop
 
 
 def _read_line(header: _Header, words: list[str]) -> None:
@@ -178,6 +190,25 @@ def pack_ply(table: Table) -> bytes:
     for name, column in table.columns.items():
         rows[name] = column
     out = io.BytesIO()
-    out.write("\n".join([*lines, "end_header\n"]).encode("ascii"))
+    out.write("\n".join([*lines, "end_header\n"]).encode())
     out.write(rows.tobytes())
     return out.getvalue()
+
+
+def narrowest(
+    integers: npt.NDArray[np.int32],
+    decode: Callable[[npt.NDArray[np.int32]], npt.NDArray[np.float64]],
+    encode: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]],
+) -> npt.NDArray[np.floating[Any]]:
+    """The column ``decode(integers)`` as float32, or float64 where float32 loses an integer.
+
+    Args:
+        integers: (N,).
+        decode: the numbers that the integers stand for.
+        encode: its inverse but for rounding; a reader rounds the result.
+    """
+    values = decode(integers)
+    with np.errstate(over="ignore"):
+        single = values.astype(np.float32)
+        same = np.rint(encode(single.astype(np.float64))) == integers
+    return single if same.all() else values

@@ -75,8 +75,18 @@ def load_scene(path: Path) -> QuantizedScene:
     except FileNotFoundError:
         raise DataError(f"{path}: no such file; train first or name a .clgs file") from None
     except DAMAGE as error:
-        problem = " ".join(str(error).split()) or type(error).__name__
+        problem = describe_damage(error)
         raise DataError(f"{path}: not a scene archive ({problem}); write the file again") from None
+
+
+def describe_damage(error: BaseException) -> str:
+    """What one of DAMAGE says of an archive, in one line and in words for its owner."""
+    message = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
+    if "allow_pickle" in message:
+        return "no NumPy archive of plain numbers; pickles are never read"
+    if "context manager" in message:
+        return "a single array"
+    return " ".join(message.split()) or type(error).__name__
 
 
 def _scene(arrays: dict[str, Any]) -> QuantizedScene:

@@ -12,6 +12,7 @@ import pytest
 from clgs.cli import main as cli
 from clgs.cli.scene_argument import read_bytes
 from clgs.codec.encode import encode
+from clgs.data.scaffold_ply import save_scaffold
 from clgs.errors import DataError
 from clgs.scene.storage import load_scene, save_scene
 from clgs.train.hashes import read_fingerprint
@@ -30,8 +31,11 @@ def work(tmp_path, monkeypatch):
     scene = random_scene(np.random.default_rng(3), 5)
     (tmp_path / "s.clgs").write_bytes(encode(scene))
     save_scene(tmp_path / "s.npz", scene)
+    save_scaffold(tmp_path / "s.ply", scene)
+    save_scaffold(tmp_path / "s.quantized.ply", scene)
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to("s.ply")
     return tmp_path
 
 
@@ -55,6 +59,18 @@ def work(tmp_path, monkeypatch):
         ("encode s.npz -o x.clgs --chunk 15", 2, "chunk: 15; 16 to 1048576 anchors are possible"),
         ("encode s.npz -o x.clgs --chunk -1", 2, "chunk: -1; 16 to 1048576 anchors are possible"),
         ("encode s.npz -o x.clgs --threads 0", 2, "threads: 0; at least 1 is needed"),
+        ("encode s.npz -o s.npz", 2, "s.npz: is read by this command; choose another output"),
+        ("encode s.clgs -o ./s.clgs --level max", 2, "s.clgs: is read by this command"),
+        ("encode s.ply -o s.mlps.npz", 2, "s.mlps.npz: is read by this command"),
+        ("encode s.ply --mlps s.npz -o s.npz", 2, "s.npz: is read by this command"),
+        ("encode link -o s.ply", 2, "s.ply: is read by this command"),
+        ("pack s.ply -o link", 2, "link: is read by this command"),
+        ("unpack s.clgs -o s.clgs", 2, "s.clgs: is read by this command"),
+        ("decode s.npz -o s.npz", 2, "s.npz: is read by this command"),
+        ("decode s.mlps.npz -o s.ply", 2, "s.mlps.npz: is read by this command"),
+        ("decode s.clgs -o nodir/x.ply", 1, "nodir/x.ply: cannot be written"),
+        ("encode s.quantized.ply -o x.clgs --q 100,1,1,8", 2, "s.quantized.ply: its integers"),
+        ("encode s.npz -o x.clgs --q 100,1,1,8", 2, "s.npz: --mlps and --q are for a PLY file"),
         ("info folder", 3, "folder: is a folder; name a .clgs file"),
         (f"info {os.devnull}", 3, f"{os.devnull}: is neither a file nor a pipe"),
         ("eval s.clgs", 2, "nothing to do"),
@@ -79,6 +95,33 @@ def test_encode_writes_through_a_link(work, capsys):
     assert cli.main(["encode", "s.npz", "-o", "link.clgs"]) == 0
     assert (work / "link.clgs").is_symlink()
     assert (work / "folder" / "real.clgs").read_bytes() == (work / "s.clgs").read_bytes()
+
+
+def test_the_case_of_suffixes_does_not_matter(work, capsys):
+    whole = (work / "s.clgs").read_bytes()
+    for name in ("T.PLY", "T.Quantized.Ply", "U.NPZ"):
+        assert cli.main(["decode", "s.clgs", "-o", name]) == 0
+        assert cli.main(["encode", name, "-o", f"{name}.CLGS"]) == 0
+        assert (work / f"{name}.CLGS").read_bytes() == whole
+    assert (work / "T.mlps.npz").is_file()
+    assert cli.main(["decode", "T.PLY.CLGS", "-o", "v.npz"]) == 0
+    assert (work / "v.npz").read_bytes() == (work / "U.NPZ").read_bytes()
+
+
+def test_decode_takes_no_name_that_it_was_not_given(work, capsys):
+    (work / "x.mlps.npz").write_bytes(b"mine")
+    before = {path: path.is_file() and path.read_bytes() for path in work.iterdir()}
+    assert cli.main(["decode", "s.clgs", "-o", "x.ply"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("clgs: error: x.mlps.npz: exists and holds other MLPs; remove it")
+    assert said.count("\n") == 1
+    (work / "x.mlps.npz").unlink()
+    (work / "x.mlps.npz").mkdir()
+    assert cli.main(["decode", "s.clgs", "-o", "x.ply"]) == 1
+    assert capsys.readouterr().err.startswith("clgs: error: x.mlps.npz: is a folder")
+    (work / "x.mlps.npz").rmdir()
+    (work / "x.mlps.npz").write_bytes(b"mine")
+    assert {path: path.is_file() and path.read_bytes() for path in work.iterdir()} == before
 
 
 def test_levels_and_chunks_reach_the_file(work, capsys):

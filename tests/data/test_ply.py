@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.data.ply import Table, pack_ply, parse_ply, read_ply
+from clgs.data.ply import Table, narrowest, pack_ply, parse_ply, read_ply
 from clgs.errors import DataError
 
 
@@ -94,6 +94,42 @@ def test_text_that_is_no_number_is_refused(table: Table) -> None:
     for old, new in ((b"255", b"2.5"), (b"255", b"red"), (b"255", b"25 5")):
         with pytest.raises(ValueError, match=r"red|convert|numbers"):
             parse_ply(data.replace(old, new))
+
+
+def test_comments_may_hold_anything(table: Table) -> None:
+    words = ["Ångström … 测试 \x85 \x1c", "the end_header", "end_header", "latin-1 \xe9"]
+    lines = [f"comment {word}".encode() for word in words[:3]]
+    lines.append(b"comment " + words[3].encode("latin-1"))
+    for end in (b"\n", b"\r\n"):
+        data = pack_ply(table).replace(b"element", end.join([*lines, b""]) + b"element", 1)
+        found = parse_ply(data)
+        assert found.comments[0] == "made by hand"
+        assert found.comments[1:4] == [" ".join(word.split()) for word in words[:3]]
+        np.testing.assert_array_equal(found.columns["wide"], table.columns["wide"])
+    unicode = parse_ply(pack_ply(Table(table.columns, ["测试"])))
+    assert unicode.comments == ["测试"]
+
+
+@pytest.mark.parametrize("body", [b"", b"\n", b"\r\n \n"])
+def test_text_without_rows(body: bytes) -> None:
+    head = (
+        b"ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty int n\nend_header\n"
+    )
+    found = parse_ply(head + body)
+    assert [(name, len(column)) for name, column in found.columns.items()] == [("x", 0), ("n", 0)]
+    with pytest.raises(ValueError, match="1 numbers follow the header, which promises 0"):
+        parse_ply(head + body + b"7")
+
+
+@pytest.mark.parametrize(
+    ("integers", "kind"),
+    [([0, -5, 2**24], "f4"), ([2**24 + 1], "f8"), ([2**31 - 1, 1], "f8"), ([], "f4")],
+)
+def test_columns_are_as_narrow_as_they_can_be(integers: list[int], kind: str) -> None:
+    column = np.array(integers, np.int32)
+    found = narrowest(column, lambda n: n / np.float64(1), lambda v: v)
+    assert found.dtype == np.dtype(kind)
+    np.testing.assert_array_equal(found, column)
 
 
 def test_errors_name_the_file(tmp_path: Path) -> None:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import os
+import re
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from clgs.data.mlps_archive import mlps_path, pack_mlps
 from clgs.data.ply import Table, pack_ply, read_ply
-from clgs.data.scaffold_ply import NAMES, load_scaffold, mlps_path, save_scaffold
-from clgs.errors import DataError
-from clgs.scene.anchors import QuantizationScales
+from clgs.data.scaffold_ply import NAMES, load_scaffold, save_scaffold
+from clgs.errors import DataError, UsageError
+from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
 from tests.codec.scenes import assert_same, random_scene
 
@@ -29,6 +37,41 @@ def test_the_way_and_back_is_exact(scene: QuantizedScene, tmp_path: Path, name: 
     save_scaffold(tmp_path / name, scene)
     assert mlps_path(tmp_path / name) == tmp_path / "scene.mlps.npz"
     assert_same(load_scaffold(tmp_path / name), scene)
+
+
+_PLACE = st.integers(-(2**31), 2**31 - 1) | st.integers(2**23 - 9, 2**25)
+_Q = st.floats(2.0**-64, 2.0**64) | st.floats(0.01, 1000) | st.sampled_from([200.0, 1 / 3, 8.0])
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(_PLACE, min_size=1, max_size=12), st.tuples(_Q, _Q, _Q, _Q), st.booleans())
+def test_every_integer_of_every_q_comes_back(
+    places: list[int], q: tuple[float, float, float, float], quantized: bool
+) -> None:
+    def filled(*shape: int) -> npt.NDArray[np.int32]:
+        return np.resize(np.array(places, np.int32), (3, *shape))
+
+    anchors = QuantizedAnchors(filled(3), filled(10, 3), filled(50), filled(6))
+    before = QuantizedScene(anchors, Mlps(np.zeros(MLP_SIZE, np.float32)), QuantizationScales(*q))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / ("s.quantized.ply" if quantized else "s.ply")
+        save_scaffold(path, before)
+        assert_same(load_scaffold(path), before)
+        kinds = {column.dtype.str for column in read_ply(path).columns.values()}
+    small = max(abs(place) for place in places) <= 2**22
+    assert kinds == {"<f4"} if small else kinds <= {"<f4", "<f8"}
+
+
+def test_far_positions_are_doubles_and_the_rest_floats(
+    scene: QuantizedScene, tmp_path: Path
+) -> None:
+    """16.5 million at Q 200 is 82,500.00x: float32 has steps of 1/128 there, coarser than 1/200."""
+    scene = replace(scene, scales=QuantizationScales())
+    scene.anchors.position[:, 0] += 16_500_001
+    save_scaffold(tmp_path / "s.ply", scene)
+    kinds = {name: column.dtype for name, column in read_ply(tmp_path / "s.ply").columns.items()}
+    assert {name for name, kind in kinds.items() if kind == np.float64} == {"x"}
+    assert_same(load_scaffold(tmp_path / "s.ply"), scene)
 
 
 def test_layout_is_that_of_the_reference(scene: QuantizedScene, tmp_path: Path) -> None:
@@ -94,6 +137,7 @@ def test_damaged_anchors_are_refused(
         (b"scales.offset 1.5", b"scales.offset nan"),
         (b"scales.offset 1.5", b"scales.offset a b"),
         (b"scales.offset 1.5", b"scales.offsat 1.5"),
+        (b"scales.offset 1.5", b"scales.offset"),
         (b"transform.scale 0.7", b"transform.scale 1 2"),
     ],
 )
@@ -106,6 +150,117 @@ def test_damaged_comments_are_refused(
     path.write_bytes(path.read_bytes().replace(old, new))
     with pytest.raises(DataError, match=r"s\.ply: "):
         load_scaffold(path)
+
+
+def test_comments_of_other_programs_are_passed_over(scene: QuantizedScene, tmp_path: Path) -> None:
+    path = tmp_path / "s.ply"
+    save_scaffold(path, scene)
+    lines = ["clgs", "clgs is great", "clgs 1 2", "clgs scalesx 1", "clgs my.scale 7", "scale 7"]
+    table = read_ply(path)
+    path.write_bytes(pack_ply(Table(table.columns, [*lines, *table.comments, *lines])))
+    assert_same(load_scaffold(path), scene)
+
+
+def test_q_of_integers_is_what_the_file_says(scene: QuantizedScene, tmp_path: Path) -> None:
+    """Other ones would be another scene; floats may be rounded anew."""
+    floats, integers = tmp_path / "s.ply", tmp_path / "s.quantized.ply"
+    for path in (floats, integers):
+        save_scaffold(path, scene)
+        assert_same(load_scaffold(path, scales=scene.scales), scene)
+    other = QuantizationScales(100.0, 1.5, 0.7, 8.0)
+    assert load_scaffold(floats, scales=other).scales == other
+    with pytest.raises(
+        UsageError, match=r"s\.quantized\.ply: its integers have Q 333.333,1.5,0.7,8"
+    ):
+        load_scaffold(integers, scales=other)
+    integers.write_bytes(pack_ply(Table(read_ply(integers).columns)))
+    found = load_scaffold(integers, scales=other)
+    np.testing.assert_array_equal(found.anchors.position, scene.anchors.position)
+    assert found.scales == other
+
+
+def test_both_files_are_written_or_none(
+    scene: QuantizedScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, replaced = tmp_path / "s.ply", []
+    save_scaffold(path, scene)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    assert sorted(before) == ["s.mlps.npz", "s.ply"]
+    other = replace(scene, mlps=Mlps(scene.mlps.flat + 1), scales=QuantizationScales())
+    rename = os.replace
+
+    def second_fails(source: Path, target: Path) -> None:
+        replaced.append(target)
+        if len(replaced) == 2:
+            raise OSError(1, "Operation not permitted")
+        rename(source, target)
+
+    for files in (before, {}):
+        replaced.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", second_fails)
+            with pytest.raises(OSError, match="not permitted"):
+                save_scaffold(path, other)
+        assert [target.name for target in replaced[:2]] == ["s.mlps.npz", "s.ply"]
+        assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == files
+        for file in tmp_path.iterdir():
+            file.unlink()
+    mlps_path(path).mkdir()
+    with pytest.raises(OSError, match=r"is a folder"):
+        save_scaffold(path, scene)
+    assert list(tmp_path.iterdir()) == [mlps_path(path)]
+
+
+def test_other_mlps_are_not_overwritten_unasked(scene: QuantizedScene, tmp_path: Path) -> None:
+    path = tmp_path / "s.ply"
+    for content in (b"my own", pack_mlps(Mlps(scene.mlps.flat * 2))):
+        mlps_path(path).write_bytes(content)
+        with pytest.raises(FileExistsError, match="holds other MLPs; remove it or choose another"):
+            save_scaffold(path, scene)
+        assert mlps_path(path).read_bytes() == content
+        assert not path.exists()
+    np.savez(mlps_path(path), mlps=scene.mlps.flat)
+    content = mlps_path(path).read_bytes()
+    for name in ("s.ply", "s.quantized.ply"):
+        save_scaffold(tmp_path / name, scene)
+        assert mlps_path(path).read_bytes() == content
+    other = replace(scene, mlps=Mlps(scene.mlps.flat * 2))
+    save_scaffold(path, other)  # both names are there: a second decoding replaces the first
+    assert_same(load_scaffold(path), other)
+
+
+@pytest.mark.parametrize("name", ["S.PLY", "S.Quantized.Ply", "S.quantized.PLY"])
+def test_the_case_of_the_name_does_not_matter(
+    scene: QuantizedScene, tmp_path: Path, name: str
+) -> None:
+    save_scaffold(tmp_path / name, scene)
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(["S.mlps.npz", name])
+    assert_same(load_scaffold(tmp_path / name), scene)
+    whole = read_ply(tmp_path / name).columns["x"] == scene.anchors.position[:, 0]
+    assert whole.all() == ("uant" in name)
+
+
+def test_archives_that_are_none_are_told_without_options_of_numpy(
+    scene: QuantizedScene, tmp_path: Path
+) -> None:
+    path = tmp_path / "s.ply"
+    save_scaffold(path, scene)
+    arrays = {"mlps": np.array([{}, 1], object)}
+    np.savez(tmp_path / "objects.npz", **arrays)  # type: ignore[arg-type]
+    np.savez(tmp_path / "others.npz", weights=scene.mlps.flat)
+    np.save(tmp_path / "one.npy", scene.mlps.flat)
+    (tmp_path / "torch.pth").write_bytes(b"\x80\x04K\x01.")
+    for name, problem in {
+        "objects.npz": "no NumPy archive of plain numbers; pickles are never read",
+        "torch.pth": "no NumPy archive of plain numbers; pickles are never read",
+        "others.npz": "opacity_mlp.0.weight is not a file in the archive",
+        "one.npy": "a single array",
+    }.items():
+        message = (
+            f"{name}: not an archive of the MLPs ({problem}); save arrays opacity_mlp.0.weight"
+        )
+        with pytest.raises(DataError, match=re.escape(message)):
+            load_scaffold(path, tmp_path / name)
 
 
 def test_mlps_are_needed_and_checked(scene: QuantizedScene, tmp_path: Path) -> None:
