@@ -6,7 +6,7 @@ import argparse
 import re
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 _NUMBERS = re.compile(r"-(\d|\.\d|inf)")
 """The start of a word that is a negative number, or a list that begins with one."""
@@ -15,8 +15,15 @@ _NUMBERS = re.compile(r"-(\d|\.\d|inf)")
 class Parser(argparse.ArgumentParser):
     """A parser that itself refuses what it does not know, so that its own usage is shown.
 
-    The standard one of a command hands such arguments back to that of ``clgs``.
+    The standard one of a command hands such arguments back to that of ``clgs``. A wrong value of an
+    option is one line, without the usage.
     """
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with code 2."""
+        if message.startswith("argument -"):
+            self.exit(2, f"clgs: error: {message.removeprefix('argument ')}\n")
+        super().error(message)
 
     def parse_known_args(  # type: ignore[override]  # one form of its four
         self, args: Sequence[str] | None = None, namespace: Any = None

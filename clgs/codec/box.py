@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec import container
-from clgs.codec.decode import decode, decode_chunks, decode_positions
+from clgs.codec import container, version1
+from clgs.codec.decode import decode_chunks, decode_positions
 from clgs.codec.meta import Meta
 from clgs.codec.reader import Reader
 from clgs.codec.source import Source
@@ -58,7 +58,9 @@ def decode_box(source: Source, box: Box, threads: int | None = None) -> Quantize
     """
     table = container.read_table(source)
     if table.major == 1:
-        scene = decode(bytes(source.read(0, source.size)))
+        tags = container.VERSIONS[1]
+        sections = {tag: container.read_section(source, table.entries[tag]) for tag in tags}
+        scene = version1.decode_sections(sections)
         world = _to_world(scene.anchors.position, scene.scales, scene.transform)
         scene.anchors = _select(scene.anchors, box.holds(world))
         return scene

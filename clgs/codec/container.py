@@ -124,13 +124,13 @@ def read_table(source: Source, splats: bool = False) -> Table:
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged.
     """
-    head = source.read(0, min(_HEAD.size, source.size))
-    major, minor, count = _check_head(bytes(head), source.size)
+    head = bytes(source.read(0, min(_HEAD.size, source.size)))
+    major, minor, count = _check_head(head, source.size)
     table_end = _HEAD.size + count * _ENTRY.size
-    header = source.read(0, table_end + _CRC.size)
+    header = head + source.read(_HEAD.size, count * _ENTRY.size + _CRC.size)
     if _codec.crc32c(header[:table_end]) != _CRC.unpack_from(header, table_end)[0]:
         raise damage(f"header at byte {table_end}", "checksum differs")
-    known = _known_tags(major, bytes(header[_HEAD.size : _HEAD.size + 4]), splats)
+    known = _known_tags(major, header[_HEAD.size : _HEAD.size + 4], splats)
     entries: dict[str, Entry] = {}
     end = table_end + _CRC.size
     for at in range(_HEAD.size, table_end, _ENTRY.size):

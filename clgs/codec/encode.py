@@ -16,7 +16,7 @@ from clgs.codec.meta import LEVELS, Meta
 from clgs.codec.subtrees import batches, corners, cut
 from clgs.codec.weights import MODES
 from clgs.codec.weights import encode as encode_weights
-from clgs.codec.workers import workers
+from clgs.codec.workers import check_integer, workers
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
@@ -45,6 +45,7 @@ def encode(
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
             number; the message names the field and the remedy.
         UsageError: no such level or mode, or a chunk or number of threads out of range.
+        TypeError: a chunk or number of threads that is no integer.
     """
     check_options(level, chunk, mlp)
     _check_scene(scene)
@@ -130,10 +131,10 @@ def _encode_rows(
 
 
 def check_options(level: str, chunk: int, mlp: str = "auto") -> None:
-    """Raise UsageError where ``encode`` does not take them."""
+    """Raise UsageError or TypeError where ``encode`` does not take them."""
     if level not in LEVELS:
         raise UsageError(f"level: {level!r}; known are {', '.join(LEVELS)}")
-    if not MIN_CHUNK <= chunk <= MAX_CHUNK:
+    if not MIN_CHUNK <= check_integer("chunk", chunk) <= MAX_CHUNK:
         raise UsageError(f"chunk: {chunk}; {MIN_CHUNK} to {MAX_CHUNK} anchors are possible")
     if mlp not in MODES:
         raise UsageError(f"mlp: {mlp!r}; known are {', '.join(MODES)}")

@@ -16,6 +16,9 @@ from clgs.constants import K_OFFSETS
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.scene import QuantizedScene
 
+MODE_2 = b"\x02"
+"""The first byte of positions and weights in the way that begins with version 2."""
+
 
 def read_meta(sections: dict[str, Section]) -> Meta:
     """Section META, its count checked against the bytes of the positions.
@@ -37,6 +40,9 @@ def decode_sections(sections: dict[str, Section]) -> QuantizedScene:
         CodecError: a section is damaged.
     """
     meta = read_meta(sections)
+    for tag in (ANCH, MLPS):
+        if sections[tag].data[:1] == MODE_2:
+            raise sections[tag].error("mode 2, which version 1 does not have")
     anchors = QuantizedAnchors(
         position=guarded(sections[ANCH], octree.decode, meta.anchors),
         offset=_rows(sections, OFFS, meta).reshape(-1, K_OFFSETS, 3),

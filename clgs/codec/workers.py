@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -17,9 +18,10 @@ def workers(threads: int | None = None) -> Iterator[ThreadPoolExecutor]:
     On an error the tasks that have not begun are dropped.
 
     Raises:
+        TypeError: ``threads`` is no integer.
         UsageError: ``threads`` is less than one.
     """
-    if threads is not None and threads < 1:
+    if threads is not None and check_integer("threads", threads) < 1:
         raise UsageError(f"threads: {threads}; at least 1 is needed")
     pool = ThreadPoolExecutor(threads or processors(), thread_name_prefix="codec")
     try:
@@ -28,6 +30,14 @@ def workers(threads: int | None = None) -> Iterator[ThreadPoolExecutor]:
         pool.shutdown(cancel_futures=True)
         raise
     pool.shutdown()
+
+
+def check_integer(name: str, value: object) -> int:
+    """``value`` as an int; TypeError where it is no integer, such as 2.0."""
+    try:
+        return operator.index(value)  # type: ignore[arg-type]  # what it is for
+    except TypeError:
+        raise TypeError(f"{name}: {value!r}; an integer is needed") from None
 
 
 def processors() -> int:

@@ -23,7 +23,9 @@ def test_sizes() -> None:
             size(text)
 
 
-def test_options_must_fit_each_other(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_options_must_fit_each_other(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
     scene, target = str(tmp_path / "s.npz"), str(tmp_path / "s.clgs")
     save_scene(Path(scene), random_scene(rng))
     for options in (
@@ -33,6 +35,7 @@ def test_options_must_fit_each_other(tmp_path: Path, rng: np.random.Generator) -
         ["--mlps", "x.npz"],
     ):
         assert main(["encode", scene, "-o", target, *options]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
     for options in (
         ["--target-size", "10k", "--target-psnr", "3"],
         ["--target-psnr", "nan"],
@@ -42,6 +45,9 @@ def test_options_must_fit_each_other(tmp_path: Path, rng: np.random.Generator) -
         with pytest.raises(SystemExit) as error:
             main(["encode", scene, "-o", target, *options])
         assert error.value.code == 2
+        said = capsys.readouterr().err
+        assert said.startswith("clgs: error: --")
+        assert said.count("\n") == 1
     assert not Path(target).exists()
 
 

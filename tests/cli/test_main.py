@@ -139,12 +139,8 @@ def test_every_command_has_help(command):
         ("nonsense",),
         ("info",),
         ("info", "x", "--nonsense"),
-        ("bench", "step", "--seed", "-1"),
+        ("bench", "step", "--nonsense"),
         ("bench", "accuracy", "--size", "0"),
-        *(
-            ("train", "x", "-o", "y", "--smallest-anchor", size)
-            for size in ("-1", "nan", "inf", "x")
-        ),
     ],
 )
 def test_wrong_usage_exits_2(arguments):
@@ -155,6 +151,31 @@ def test_wrong_usage_exits_2(arguments):
     usage = " ".join(word for word in ("usage: clgs", command, kind) if word)
     assert result.stderr.startswith(f"{usage} [-h]")
     assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("bench", "step", "--seed", "-1"),
+        ("bench", "ops", "--size", "0"),
+        ("train", "x", "-o", "y", "--smallest-anchor", "-1"),
+        ("train", "x", "-o", "y", "--smallest-anchor", "nan"),
+        ("train", "x", "-o", "y", "--smallest-anchor", "inf"),
+        ("train", "x", "-o", "y", "--smallest-anchor", "x"),
+        ("encode", "x", "-o", "y", "--target-size", "much"),
+        ("encode", "x", "-o", "y", "--threads", "1.5"),
+        ("encode", "x", "-o", "y", "--threads"),
+        ("pack", "x", "-o", "y", "--step", "scale=0"),
+    ],
+)
+def test_a_wrong_value_is_one_line(arguments, capsys):
+    with pytest.raises(SystemExit) as error:
+        cli.main(arguments)
+    assert error.value.code == 2
+    out, err = capsys.readouterr()
+    option = next(word for word in reversed(arguments) if word.startswith("--"))
+    assert (out, err.count("\n")) == ("", 1)
+    assert err.startswith(f"clgs: error: {option}: ")
 
 
 def test_a_termination_is_one_line_from_the_first_moment_on(monkeypatch, capsys):

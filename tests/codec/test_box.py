@@ -108,6 +108,22 @@ def test_only_what_is_needed_is_read_and_checked(file, rng):
         assert_same(decode_box(BytesSource(flipped(file, at)), box), part)
 
 
+@pytest.mark.parametrize("name", sorted(path.stem for path in GOLDEN.glob("*.clgs")))
+def test_no_byte_is_read_twice(name):
+    data = (GOLDEN / f"{name}.clgs").read_bytes()
+    times = np.zeros(len(data), int)
+
+    class Counted(FileSource):
+        def read(self, offset, length):
+            times[offset : offset + length] += 1
+            return super().read(offset, length)
+
+    source = Counted(io.BytesIO(data))
+    decode_box(source, EVERYTHING)
+    assert times.max() == 1
+    assert source.bytes_read == times.sum() == len(data)
+
+
 def flipped(file: bytes, at: int) -> bytes:
     return file[:at] + bytes([file[at] ^ 1]) + file[at + 1 :]
 

@@ -7,10 +7,13 @@ import hashlib
 import numpy as np
 import pytest
 
-from clgs.codec.container import read_container
+from clgs.codec.container import read_container, write_container
 from clgs.codec.decode import decode, describe
 from clgs.codec.encode import flatten, sort_anchors
 from clgs.codec.meta import LEVELS
+from clgs.codec.octree import encode as encode_octree
+from clgs.codec.weights import encode as encode_weights
+from clgs.errors import CodecError
 from clgs.reference import octree, planes, runlength
 from tests.codec.scenes import GOLDEN, assert_same, make_golden
 
@@ -32,6 +35,24 @@ def test_version_1_decodes(name):
     scene = OLD[name]
     scene.anchors = sort_anchors(scene.anchors)
     assert_same(decode((GOLDEN / f"{name}.clgs").read_bytes()), scene)
+
+
+def test_version_1_has_no_modes_of_version_2():
+    data = (GOLDEN / "surface.clgs").read_bytes()
+    contents = {tag: bytes(s.data) for tag, s in read_container(data)[1].items()}
+    scene = decode(data)
+    position, rounded = (
+        scene.anchors.position,
+        np.rint(np.abs(scene.mlps.flat) * 64) / np.float32(64),
+    )
+    least = tuple(position.min(axis=0).tolist())
+    for tag, section in (
+        ("ANCH", encode_octree(position, least)),
+        ("MLPS", encode_weights(rounded)),
+    ):
+        assert section[0] == 2
+        with pytest.raises(CodecError, match=f"section {tag} at byte .*: mode 2, which version 1"):
+            decode(write_container(contents | {tag: section}, major=1))
 
 
 @pytest.mark.parametrize("name", OLD)

@@ -157,6 +157,18 @@ def test_other_types_and_shapes_are_refused():
         codec.encode_attributes(np.zeros((2, 2), int), "best")
 
 
+@pytest.mark.parametrize("threads", [1.5, 1.0, "2", [1]])
+def test_threads_are_integers(threads):
+    for function, argument in (
+        (codec.encode_positions, np.zeros((1, 3), int)),
+        (codec.encode_attributes, np.zeros((1, 3), int)),
+        *SMALL,
+    ):
+        with pytest.raises(TypeError, match=r"^threads: .*; an integer is needed"):
+            function(argument, threads=threads)
+        function(argument, threads=np.int64(2))
+
+
 SMALL = (
     (codec.decode_positions, codec.encode_positions(cloud(60, extent=30))),
     (codec.decode_attributes, codec.encode_attributes(cloud(60, extent=30) - 15)),
