@@ -5,17 +5,23 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from clgs.cli.encode import add_threads
+
+if TYPE_CHECKING:
+    from clgs.codec.splats import Splats
 
 DESCRIPTION = """\
 Compress an ordinary 3DGS file (PLY: x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*, ...).
 
 Every property is rounded to a multiple of its step, which the file states; what is packed is then
-lossless. Default steps: position an eighth of the median scale (a power of two); f_dc 1/64, f_rest
-1/32, opacity 1/32, scale 1/16, rot 1/256, normal 1/64. Properties of integer type have step 1, any
-other needs --step. Quaternions are scaled to length 1. Splats come back in Morton order; all of
-them, also where several share a voxel. `clgs unpack` is the way back."""
+lossless. Default steps: f_dc 1/64, f_rest 1/32, opacity 1/32, scale 1/16, rot 1/256, normal 1/64;
+position an eighth of the median scale (a power of two), or 1/65536 of the extent without scales,
+but no finer than float32 is on an axis that lies far from 0. Positions fit 2^21 steps an axis:
+where a distant splat forces a coarser step, a warning says so. Properties of integer type have step
+1, any other needs --step. Quaternions are scaled to length 1. Splats come back in Morton order; all
+of them, also where several share a voxel. `clgs unpack` is the way back."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -53,19 +59,33 @@ def named_step(text: str) -> tuple[str, float]:
     return name, step
 
 
+def steps_by_group(splats: Splats) -> dict[str, str]:
+    """The steps of every group in words: one, or where its properties differ all."""
+    from clgs.data.splat_steps import group_of
+
+    groups: dict[str, dict[str, float]] = {}
+    for name, step in zip(splats.names, splats.steps, strict=True):
+        groups.setdefault(group_of(name), {})[name] = step
+    return {
+        group: f"{min(steps.values()):g}"
+        if len({*steps.values()}) == 1
+        else ", ".join(f"{step:g} of {name}" for name, step in steps.items())
+        for group, steps in groups.items()
+    }
+
+
 def run(args: argparse.Namespace) -> int:
     """Pack; exit code 0."""
     from clgs.codec.splats import pack
-    from clgs.data.splat_ply import group_of, read_splats
+    from clgs.data.splat_ply import read_splats
     from clgs.files import atomic_write, check_output
 
     check_output(args.output, args.splats)
     splats, errors = read_splats(args.splats, dict(args.step))
     data = pack(splats, args.level, args.threads)
     atomic_write(args.output, data)
-    steps = {group_of(name): step for name, step in zip(splats.names, splats.steps, strict=True)}
-    for group, step in steps.items():
-        print(f"{group}: step {step:g}, rounded by at most {errors[group]:.2g}")
+    for group, steps in steps_by_group(splats).items():
+        print(f"{group}: step {steps}, rounded by at most {errors[group]:.2g}")
     size = args.splats.stat().st_size
     print(
         f"{args.output}: {len(data):,} bytes, {len(splats):,} splats, "

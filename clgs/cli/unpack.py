@@ -13,8 +13,9 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = subparsers.add_parser(
         "unpack",
         help="decompress what `clgs pack` made into a PLY file",
-        description="Decompress what `clgs pack` made: a little-endian PLY file of float32, with "
-        "the same properties and splats, rounded to the steps, in Morton order.",
+        description="Decompress what `clgs pack` made: a little-endian PLY file of float32, or "
+        "float64 where float32 would lose a step, with the same properties and splats, rounded to "
+        "the steps, in Morton order.",
     )
     parser.add_argument("splats", type=Path, metavar="FILE.clgs")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.ply")

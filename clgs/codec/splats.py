@@ -68,6 +68,7 @@ def pack(splats: Splats, level: str = "default", threads: int | None = None) -> 
         splats.check()
     except ValueError as error:
         raise CodecError(f"splats: {error}; correct them") from error
+    _check_extent(splats)
     values = sort_splats(splats.values)
     first = _first_of_voxel(values)
     count = np.diff(np.append(np.flatnonzero(first), len(values)))
@@ -104,6 +105,18 @@ def unpack(data: bytes, threads: int | None = None) -> Splats:
     if _hash(values) != content:
         raise sections[SPLT].error("the decoded integers do not match their hash")
     return Splats(splats.names, splats.steps, values)
+
+
+def _check_extent(splats: Splats) -> None:
+    """Raise CodecError where an axis has more steps than Morton codes have room for."""
+    for i, name in enumerate(splats.names[:3] if len(splats) else []):
+        column = splats.values[:, i]
+        cells = int(column.max()) - int(column.min()) + 1
+        if cells > MAX_EXTENT:
+            raise CodecError(
+                f"splats: {name} spans {cells} steps, at most {MAX_EXTENT} fit; crop distant ones, "
+                f"or give a larger --step position=STEP"
+            )
 
 
 def is_splats(data: bytes) -> bool:
@@ -143,24 +156,12 @@ def quantize(values: npt.NDArray[np.floating], step: float, name: str) -> Ints:
     """
     with np.errstate(over="ignore", invalid="ignore"):
         whole = np.rint(values.astype(np.float64) / step)
-        bad = np.flatnonzero(~(np.abs(whole) < 2.0**31))
+        bad = np.flatnonzero(~((whole >= -(2.0**31)) & (whole < 2.0**31)))
     if len(bad):
-        problem = "use a larger step" if np.isfinite(values[bad[0]]) else "correct the file"
+        finite = np.isfinite(values[bad[0]])
+        problem = f"give a larger --step {name}=STEP" if finite else "correct the file"
         raise CodecError(f"property {name}: {values[bad[0]]} in row {bad[0]}; {problem}")
     return whole.astype(np.int32)
-
-
-def position_step(extent: float, size: float | None) -> float:
-    """The default step of positions, a power of two.
-
-    The largest that is at most an eighth of ``size``, the usual scale of a splat, or without it
-    ``extent`` / 65536; but positions fit 2^20 voxels.
-    """
-    if not extent > 0:
-        return 2.0**-16
-    wanted = np.floor(np.log2(size / 8 if size else extent / 65536))
-    least = np.ceil(np.log2(2 * extent / MAX_EXTENT))
-    return float(2.0 ** np.clip(max(wanted, least), -64, 64))
 
 
 def _sections(data: bytes) -> dict[str, Section]:

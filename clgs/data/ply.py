@@ -199,7 +199,7 @@ def narrowest(
     integers: npt.NDArray[np.int32],
     decode: Callable[[npt.NDArray[np.int32]], npt.NDArray[np.float64]],
     encode: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]],
-) -> npt.NDArray[np.floating[Any]]:
+) -> npt.NDArray[np.float32] | npt.NDArray[np.float64]:
     """The column ``decode(integers)`` as float32, or float64 where float32 loses an integer.
 
     Args:

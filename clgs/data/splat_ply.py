@@ -1,4 +1,4 @@
-"""Ordinary 3DGS PLY files to integers in stated steps, and back to float32.
+"""Ordinary 3DGS PLY files to integers in stated steps, and back.
 
 Quaternions (rot_0 to rot_3) are scaled to length 1 with rot_0 >= 0 first: the same rotation, in
 numbers that one step suits.
@@ -11,33 +11,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.splats import Splats, position_step, quantize
-from clgs.data.ply import Table, pack_ply, read_ply
-from clgs.errors import DataError, UsageError
+from clgs.codec.splats import Splats, quantize
+from clgs.data.ply import Table, narrowest, pack_ply, read_ply
+from clgs.data.splat_steps import POSITION, choose_steps, group_of
+from clgs.errors import DataError
 
-POSITION = ["x", "y", "z"]
 ROTATION = [f"rot_{i}" for i in range(4)]
-SCALE = [f"scale_{i}" for i in range(3)]
-
-STEPS = {
-    "f_dc": 1 / 64,
-    "f_rest": 1 / 32,
-    "opacity": 1 / 32,
-    "scale": 1 / 16,
-    "rot": 1 / 256,
-    "normal": 1 / 64,
-}
-"""Default steps by group: a color moves by half of 1 / 226, an opacity by at most 1 / 256, a size
-by 3 %, a rotation by a quarter of a degree. The step of ``position`` depends on the splats."""
-
-GROUPS = {"x": "position", "y": "position", "z": "position"} | dict.fromkeys(
-    ("nx", "ny", "nz"), "normal"
-)
-
-
-def group_of(name: str) -> str:
-    """The group of a property: "position", "normal", "f_rest" of "f_rest_7", or its own name."""
-    return GROUPS.get(name) or (name.rstrip("0123456789").rstrip("_") or name)
 
 
 def read_splats(path: Path, steps: dict[str, float]) -> tuple[Splats, dict[str, float]]:
@@ -62,7 +41,8 @@ def read_splats(path: Path, steps: dict[str, float]) -> tuple[Splats, dict[str, 
             raise DataError(f"{path}: property {name}: a number is not finite; correct the file")
     if all(name in values for name in ROTATION):
         _normalise(values)
-    chosen = _choose(table, values, steps)
+    kinds = {name: column.dtype for name, column in table.columns.items()}
+    chosen = choose_steps(values, kinds, steps)
     integers = [quantize(values[name], chosen[name], name) for name in names]
     errors: dict[str, float] = {}
     for name, column in zip(names, integers, strict=True):
@@ -72,12 +52,16 @@ def read_splats(path: Path, steps: dict[str, float]) -> tuple[Splats, dict[str, 
 
 
 def write_splats(splats: Splats) -> bytes:
-    """The PLY file of ``splats``, all float32."""
-    columns = {
-        name: (splats.values[:, i] * step).astype(np.float32)
-        for i, (name, step) in enumerate(zip(splats.names, splats.steps, strict=True))
-    }
+    """The PLY file of ``splats``: float32, or float64 where float32 loses an integer."""
+    steps = zip(splats.names, splats.steps, strict=True)
+    columns = {name: _column(splats.values[:, i], step) for i, (name, step) in enumerate(steps)}
     return pack_ply(Table(columns, ["unpacked by clgs"]))
+
+
+def _column(
+    integers: npt.NDArray[np.int32], step: float
+) -> npt.NDArray[np.float32] | npt.NDArray[np.float64]:
+    return narrowest(integers, lambda n: n * np.float64(step), lambda v: v / step)
 
 
 def _normalise(values: dict[str, npt.NDArray[np.float64]]) -> None:
@@ -86,34 +70,3 @@ def _normalise(values: dict[str, npt.NDArray[np.float64]]) -> None:
     rotation /= np.where(length > 0, length, 1.0)
     rotation *= np.where(rotation[:, :1] < 0, -1.0, 1.0)
     values.update({name: rotation[:, i] for i, name in enumerate(ROTATION)})
-
-
-def _choose(
-    table: Table, values: dict[str, npt.NDArray[np.float64]], steps: dict[str, float]
-) -> dict[str, float]:
-    """The step of every property."""
-    known = {*values, *map(group_of, values)}
-    if unknown := [name for name in steps if name not in known]:
-        raise UsageError(f"--step {unknown[0]}: the file has no such property or group")
-    chosen = {}
-    for name in values:
-        group = group_of(name)
-        step = steps.get(name, steps.get(group, STEPS.get(group)))
-        if step is None and group == "position":
-            step = _position_step(values)
-        elif step is None and table.columns[name].dtype.kind != "f":
-            step = 1.0
-        if step is None:
-            raise UsageError(f"property {name} has no default step; give --step {name}=STEP")
-        chosen[name] = step
-    return chosen
-
-
-def _position_step(values: dict[str, npt.NDArray[np.float64]]) -> float:
-    if not len(values["x"]):
-        return position_step(0.0, None)
-    extent = max(float(np.ptp(values[name])) for name in POSITION)
-    size = None
-    if all(name in values for name in SCALE):
-        size = float(np.exp(np.clip(np.median([values[name] for name in SCALE]), -30, 30)))
-    return position_step(extent, size)

@@ -10,9 +10,8 @@ import pytest
 from clgs.cli.main import main
 from clgs.codec.decode import decode, describe
 from clgs.codec.encode import encode
-from clgs.codec.splats import Splats, pack, position_step, quantize, sort_splats, unpack
+from clgs.codec.splats import Splats, pack, quantize, sort_splats, unpack
 from clgs.data.ply import Table, pack_ply, read_ply
-from clgs.data.splat_ply import group_of
 from clgs.errors import CodecError
 from tests.codec.scenes import random_scene
 
@@ -94,15 +93,20 @@ def test_values_that_no_step_suits_are_refused() -> None:
         with pytest.raises(CodecError, match=r"property opacity: .* in row 1"):
             quantize(np.array([0.0, value]), 1.0, "opacity")
 
+    least = np.array([-(2.0**31), 2.0**31 - 1])
+    np.testing.assert_array_equal(quantize(least, 1.0, "x"), least)
 
-def test_default_step_of_positions() -> None:
-    assert position_step(10.0, 0.1) == 2.0**-7
-    assert position_step(2.0**20, 1e-9) == 1.0
-    assert position_step(1.0, None) == 2.0**-16
-    assert position_step(0.0, None) == 2.0**-16
-    assert [group_of(name) for name in ("x", "nz", "f_rest_12", "opacity", "scale_0", "7")] == [
-        *("position", "normal", "f_rest", "opacity", "scale", "7")
-    ]
+
+def test_too_wide_splats_are_refused_in_words_of_the_command() -> None:
+    values = np.zeros((2, 5), np.int32)
+    values[1, 1] = 2**21
+    message = r"splats: y spans 2097153 steps, at most 2097152 fit; .* --step position=STEP"
+    with pytest.raises(CodecError, match=message):
+        pack(Splats(NAMES, [1.0] * 5, values))
+    values[1, 1] -= 1
+    np.testing.assert_array_equal(unpack(pack(Splats(NAMES, [1.0] * 5, values))).values, values)
+    with pytest.raises(CodecError, match=r"property x: .* in row 0; give a larger --step x=STEP"):
+        quantize(np.array([3e9]), 1.0, "x")
 
 
 def splat_ply(rng: np.random.Generator, path: Path) -> Table:
