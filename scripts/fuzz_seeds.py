@@ -45,8 +45,13 @@ def golden_seeds() -> Iterator[Seed]:
             continue
         (anchors,) = struct.unpack_from("<I", sections["META"].data)
         if anchors:
-            yield "octree", path.stem, struct.pack("<H", anchors - 1) + sections["ANCH"].data
-        yield "runlength", path.stem, struct.pack("<HB", anchors, 5) + sections["SCAL"].data
+            yield "octree", path.stem, count(anchors - 1, 512) + sections["ANCH"].data
+        yield "runlength", path.stem, count(anchors, 256) + b"\5" + sections["SCAL"].data
+
+
+def count(number: int, usual: int) -> bytes:
+    """What ``fuzz_take_count`` reads as this number."""
+    return struct.pack("<H", number if number < usual else 0xF000 + number)
 
 
 def matrices() -> dict[str, np.ndarray]:
@@ -71,17 +76,17 @@ def matrix_seeds() -> Iterator[Seed]:
     """Every matrix by every coder of rows."""
     for name, value in matrices().items():
         rows, channels = value.shape
-        shape = struct.pack("<HB", rows, channels - 1)
-        yield "runlength", name, shape + runlength.encode(value)
-        yield "paper", name, shape + paper.encode(value)
+        wide = bytes([channels - 1])
+        yield "runlength", name, count(rows, 256) + wide + runlength.encode(value)
+        yield "paper", name, count(rows, 512) + wide + paper.encode(value)
         words = weights.encode(value.ravel().view(np.float32), "float32")
-        yield "planes", name, struct.pack("<H", value.size) + words
+        yield "planes", name, count(value.size, 128) + words
         for coder in range(3):
             form = bytes([3 + 4 * (channels - 1) + 28 * coder])
             yield "round_trip", f"{name}_{coder}", form + value.astype("<i4").tobytes()
         for level in ("fast", "default", "max"):
             model = attributes.fit(value, level, rows)
-            head = struct.pack("<HBH", rows - 1, channels - 1, len(model.header))
+            head = count(rows - 1, 256) + struct.pack("<BH", channels - 1, len(model.header))
             yield "attributes", f"{name}_{level}", head + model.header + model.encode(value)
             head = struct.pack("<BH", channels - 1 | 128, len(model.header))
             data = head + model.header + value.astype("<i4").tobytes()
@@ -103,14 +108,12 @@ def point_seeds() -> Iterator[Seed]:
     for name, cloud in clouds.items():
         position = cloud.astype(np.int32)
         position = position[octree.morton_order(position)]
-        yield (
-            "octree",
-            f"points_{name}",
-            struct.pack("<H", len(position) - 1) + octree.encode(position),
-        )
+        stream = octree.encode(position)
+        yield "octree", f"points_{name}", count(len(position) - 1, 512) + stream
         code = octree.morton_codes(position)
         yield "round_trip_octree", name, bytes([7, 0, 0, 0, 0]) + code.astype("<u8").tobytes()
         yield "models", name, position.astype("<i2").tobytes()
+        yield "ranges", name, position.astype("<i2").tobytes()
 
 
 def weight_seeds() -> Iterator[Seed]:

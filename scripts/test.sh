@@ -44,6 +44,15 @@ test_c() {
     "$bin/cmake" -S . -B build/c -DCLGS_SANITIZE=ON -DCLGS_WERROR=ON >/dev/null
     "$bin/cmake" --build build/c
     "$bin/ctest" --test-dir build/c --output-on-failure
+    local clang
+    if clang=$(CHECK=memory scripts/fuzz.sh --find); then
+        "$bin/cmake" -S . -B build/c_memory -DCMAKE_C_COMPILER="$clang" \
+            -DCLGS_SANITIZE_MEMORY=ON -DCLGS_WERROR=ON >/dev/null
+        "$bin/cmake" --build build/c_memory
+        "$bin/ctest" --test-dir build/c_memory --output-on-failure
+    else
+        echo "memory sanitizer: skipped: no clang with its runtime"
+    fi
 }
 
 fuzz() {

@@ -2,11 +2,26 @@
 #ifndef CLGS_FUZZ_H
 #define CLGS_FUZZ_H
 
-#include <sanitizer/asan_interface.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "clgs_codec.h"
+
+#if defined(__has_feature)
+#if __has_feature(address_sanitizer)
+#include <sanitizer/asan_interface.h>
+#define FUZZ_CLOSE(at, size) ASAN_POISON_MEMORY_REGION(at, size)
+#define FUZZ_OPEN(at, size) ASAN_UNPOISON_MEMORY_REGION(at, size)
+#elif __has_feature(memory_sanitizer)
+#include <sanitizer/msan_interface.h>
+#define FUZZ_CLOSE(at, size) ((void)0)
+#define FUZZ_OPEN(at, size) __msan_poison(at, size)
+#endif
+#endif
+#if !defined(FUZZ_OPEN)
+#define FUZZ_CLOSE(at, size) ((void)0)
+#define FUZZ_OPEN(at, size) ((void)0)
+#endif
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
@@ -24,29 +39,40 @@ static inline uint32_t fuzz_take(fuzz_input *input, size_t bytes)
     return value;
 }
 
-/* A block of its exact size, so that the sanitizers see the first byte outside of it. */
-static inline void *fuzz_allocate(size_t size)
+/* A count of two bytes: below `usual`, in one of 16 cases up to `most` <= 4096. Large ones take
+ * longer and seldom show more. */
+static inline size_t fuzz_take_count(fuzz_input *input, uint32_t usual, uint32_t most)
 {
-    void *block = malloc(size);
-    if (!block && size > 0)
-        abort();
-    return block;
+    uint32_t number = fuzz_take(input, 2);
+    return number < 0xF000 ? number % usual : (number - 0xF000) % most;
 }
 
-/* A workspace of its exact size in one block that is kept: new pages for every input would take
- * most of the time. It is not freed; a target has one. */
-static inline void *fuzz_workspace(size_t size)
+typedef enum fuzz_slot {
+    FUZZ_WORKSPACE,
+    FUZZ_MODEL,
+    FUZZ_VALUE,
+    FUZZ_DECODED,
+    FUZZ_OUTPUT,
+    FUZZ_SLOTS
+} fuzz_slot;
+
+/* A block that seems to be of its exact size and new: the sanitizers see the first byte behind it,
+ * and what is read before it is written. It is kept for the next input, as new pages would take
+ * most of the time. It is not freed; a slot has one. */
+static inline void *fuzz_block(fuzz_slot slot, size_t size)
 {
-    static uint8_t *block;
-    static size_t capacity;
-    if (size > capacity) {
-        free(block);
-        block = fuzz_allocate(size);
-        capacity = size;
+    static uint8_t *block[FUZZ_SLOTS];
+    static size_t capacity[FUZZ_SLOTS];
+    if (size > capacity[slot] || !block[slot]) {
+        free(block[slot]);
+        block[slot] = malloc(size + 1);
+        capacity[slot] = size + 1;
+        if (!block[slot])
+            abort();
     }
-    ASAN_UNPOISON_MEMORY_REGION(block, capacity);
-    ASAN_POISON_MEMORY_REGION(block + size, capacity - size);
-    return block;
+    FUZZ_OPEN(block[slot], capacity[slot]);
+    FUZZ_CLOSE(block[slot] + size, capacity[slot] - size);
+    return block[slot];
 }
 
 static inline void fuzz_check(int holds)

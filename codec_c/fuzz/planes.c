@@ -4,10 +4,9 @@
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     fuzz_input input = {data, size};
-    size_t count = fuzz_take(&input, 2) % 1024;
-    uint32_t *word = fuzz_allocate(4 * count);
-    void *workspace = fuzz_workspace(clgs_planes_workspace());
+    size_t count = fuzz_take_count(&input, 128, 1024);
+    uint32_t *word = fuzz_block(FUZZ_VALUE, 4 * count);
+    void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_planes_workspace());
     clgs_planes_decode(input.at, input.size, word, count, workspace);
-    free(word);
     return 0;
 }

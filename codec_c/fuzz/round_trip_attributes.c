@@ -7,17 +7,15 @@
 static void round_trip(void *model, const int32_t *value, size_t rows, size_t channels)
 {
     size_t bound = clgs_attributes_bound(model, rows, channels);
-    uint8_t *out = fuzz_allocate(bound);
-    int32_t *decoded = fuzz_allocate(4 * rows * channels);
-    void *workspace = fuzz_workspace(clgs_attributes_workspace(rows, channels));
+    uint8_t *out = fuzz_block(FUZZ_OUTPUT, bound);
+    int32_t *decoded = fuzz_block(FUZZ_DECODED, 4 * rows * channels);
+    void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_workspace(rows, channels));
     size_t size = clgs_attributes_encode(model, value, rows, channels, out, bound, workspace);
     fuzz_check(size <= bound);
     if (size > 0) { /* 0: a symbol that the tables lack */
         fuzz_check(!clgs_attributes_decode(model, out, size, decoded, rows, channels, workspace));
         fuzz_check(memcmp(value, decoded, 4 * rows * channels) == 0);
     }
-    free(decoded);
-    free(out);
 }
 
 static int32_t take_value(fuzz_input *input, uint32_t wide)
@@ -37,9 +35,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         length = input.size;
     size_t rows = (input.size - length) / (width * channels);
     size_t model_size = clgs_attributes_model_size(channels);
-    void *model = fuzz_allocate(model_size);
-    void *workspace = fuzz_allocate(clgs_attributes_header_workspace());
-    int32_t *value = fuzz_allocate(4 * rows * channels);
+    void *model = fuzz_block(FUZZ_MODEL, model_size);
+    void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_header_workspace());
+    int32_t *value = fuzz_block(FUZZ_VALUE, 4 * rows * channels);
     memset(model, 0, model_size);
     const uint8_t *header = input.at;
     input = (fuzz_input){header + length, input.size - length};
@@ -48,8 +46,5 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     if (clgs_attributes_header_read(header, length, model, channels, workspace) == CLGS_OK &&
         rows > 0)
         round_trip(model, value, rows, channels);
-    free(value);
-    free(workspace);
-    free(model);
     return 0;
 }

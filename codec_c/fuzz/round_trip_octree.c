@@ -30,9 +30,9 @@ static void place(uint64_t *code, size_t *count, const int32_t origin[3], int32_
 static void round_trip(const int32_t *position, size_t count, const int32_t origin[3])
 {
     size_t bound = clgs_octree_bound(count);
-    uint8_t *out = fuzz_allocate(bound);
-    int32_t *decoded = fuzz_allocate(12 * count);
-    void *workspace = fuzz_workspace(clgs_octree_workspace(count));
+    uint8_t *out = fuzz_block(FUZZ_OUTPUT, bound);
+    int32_t *decoded = fuzz_block(FUZZ_DECODED, 12 * count);
+    void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_octree_workspace(count));
     size_t size = clgs_octree_encode(position, count, origin, out, bound, workspace);
     fuzz_check(size > 0 && size <= bound);
     fuzz_check(clgs_octree_decode(out, size, decoded, count, workspace) == CLGS_OK);
@@ -41,8 +41,6 @@ static void round_trip(const int32_t *position, size_t count, const int32_t orig
         memcpy(decoded, decoded + 3, 12);
         fuzz_check(clgs_octree_encode(decoded, count, origin, out, bound, workspace) == 0);
     }
-    free(decoded);
-    free(out);
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
@@ -54,8 +52,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     const int32_t origin[3] = {(int32_t)far, -(int32_t)far, 0};
     if (count == 0)
         return 0;
-    uint64_t *code = fuzz_allocate(8 * count);
-    int32_t *position = fuzz_allocate(12 * count);
+    uint64_t *code = fuzz_block(FUZZ_MODEL, 8 * count);
+    int32_t *position = fuzz_block(FUZZ_VALUE, 12 * count);
     for (size_t i = 0; i < count; i++) {
         uint64_t bits = fuzz_take(&input, width < 4 ? width : 4);
         bits |= (uint64_t)fuzz_take(&input, width < 4 ? 0 : width - 4) << 32;
@@ -63,7 +61,5 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     }
     place(code, &count, origin, position);
     round_trip(position, count, origin);
-    free(position);
-    free(code);
     return 0;
 }

@@ -4,10 +4,9 @@
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     fuzz_input input = {data, size};
-    size_t rows = fuzz_take(&input, 2) % 1024, channels = fuzz_take(&input, 1) % 6 + 1;
-    int32_t *value = fuzz_allocate(4 * rows * channels);
-    void *workspace = fuzz_workspace(clgs_runlength_workspace(channels));
+    size_t rows = fuzz_take_count(&input, 256, 1024), channels = fuzz_take(&input, 1) % 6 + 1;
+    int32_t *value = fuzz_block(FUZZ_VALUE, 4 * rows * channels);
+    void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_runlength_workspace(channels));
     clgs_runlength_decode(input.at, input.size, value, rows, channels, workspace);
-    free(value);
     return 0;
 }

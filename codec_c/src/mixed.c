@@ -129,7 +129,9 @@ static void code_row(walk *w, clgs_mixed *m, clgs_symbol *symbol, size_t i)
     for (size_t k = 0; k < INPUTS; k++)
         symbol->base[k] = m->state[FIRST[k] + context[k]];
     symbol->weight = m->weight[cell % CLGS_LEVELS / 8];
-    int32_t residual = clgs_wrap((uint32_t)w->value[i] - (uint32_t)predicted);
+    int32_t residual = 0; /* what a decoder finds out */
+    if (!symbol->mix.coder->decoding)
+        residual = clgs_wrap((uint32_t)w->value[i] - (uint32_t)predicted);
     residual = clgs_wrap((uint32_t)clgs_symbol_value(symbol, residual));
     w->value[i] = clgs_wrap((uint32_t)residual + (uint32_t)predicted);
     w->symbol[i] = clgs_symbol_of(clgs_zigzag(residual));
