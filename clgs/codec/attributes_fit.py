@@ -23,8 +23,8 @@ from clgs.codec.attributes_model import (
 from clgs.codec.attributes_taps import find_taps
 
 SAMPLE_BLOCKS, SAMPLE_ROWS = 8, 2048
-CHUNK_OVERHEAD = 44
-"""Bytes of a chunk besides its symbols, at most 4 of them to round up."""
+LONG_ROWS = 2048
+"""Chunks from so many rows on have eight lanes, shorter ones have one."""
 
 TAP_COST = 24 << 16
 """Bits of a term in the header, in 2^-16 bits."""
@@ -68,7 +68,12 @@ def fit(values: Ints, chunks: list[slice], search: bool) -> tuple[Models, int]:
         choose_activity(model, sample, scale)
     cost = count_and_choose(model, values, chunks, 256)
     drop_unused(model)
-    return model, int(cost.sum()) // (8 << 16) + CHUNK_OVERHEAD * len(chunks)
+    return model, int(cost.sum()) // (8 << 16) + sum(map(overhead, chunks))
+
+
+def overhead(chunk: slice) -> int:
+    """Bytes of a chunk besides its symbols, about."""
+    return 20 if chunk.stop - chunk.start >= LONG_ROWS else 2
 
 
 def take_sample(values: Ints) -> Ints:

@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from clgs.reference import rans
 from clgs.reference.coding import Coder, RangeDecoder, RangeEncoder
 from clgs.reference.mixed import Column, code_column
 from clgs.reference.runlength import CORRUPT, Symbol
+from clgs.reference.varint import read_varint, varint
 
-LANES, SCALE_BITS, LOW = 8, 12, 1 << 16
 ALPHABET, DIRECT, CELLS, CLASSES, TAPS, REACH = 228, 128, 64, 16, 8, 3
 MAX_FACTOR, CLAMP, MAX_GAIN, MAX_WEIGHT = 2047, 32767, 65535, 8191
 THRESHOLDS = [4, 5, 6, 7, 8, 10, 11, 13, 16, 19, 23, 27, 32, 38, 45, 54, 64, 76, 91, 108, 128]
@@ -121,7 +122,7 @@ def _code_classes(fields: _Fields, channel: Channel) -> None:
 
 
 def _code_table(fields: _Fields, table: list[int]) -> list[int]:
-    left, coded = 1 << SCALE_BITS, [0] * ALPHABET
+    left, coded = 1 << rans.SCALE_BITS, [0] * ALPHABET
     for s in range(ALPHABET):
         if left == 0:
             break
@@ -163,13 +164,22 @@ def encode(channels: list[Channel], rows: npt.NDArray[np.int32]) -> bytes:
             if symbol >= DIRECT:
                 literals |= (zigzag & (1 << _literal_bits(symbol)) - 1) << bits
                 bits += _literal_bits(symbol)
-        for i in _coding_order(len(rows)):
+        for i in rans.coding_order(len(rows)):
             order.append((_table(channels, symbols, j, i), symbols[j][i]))
-    states, words = _encode_symbols(order, len(rows))
-    literal_bytes = literals.to_bytes((bits + 7) // 8, "little")
-    lengths = np.array([len(literal_bytes), len(words)], "<u4").tobytes()
-    tail = np.array(states, "<u4").tobytes() + np.array(words, "<u2").tobytes()
-    return lengths + literal_bytes + tail + _encode_mixed(channels, values, symbols)
+    data = b""
+    if _any_literals(channels):
+        literal_bytes = literals.to_bytes((bits + 7) // 8, "little")
+        data += varint(len(literal_bytes)) + literal_bytes
+    if order:
+        symbols_coded = rans.encode_symbols(order, len(rows))
+        mixed = any(channel.mixed for channel in channels)
+        data += (varint(len(symbols_coded)) if mixed else b"") + symbols_coded
+    return data + _encode_mixed(channels, values, symbols)
+
+
+def _any_literals(channels: list[Channel]) -> bool:
+    """Whether a table has a symbol that literal bits follow."""
+    return any(any(table[DIRECT:]) for c in channels if not c.mixed for table in c.frequency)
 
 
 def _zigzags(channel: Channel, values: list[list[int]], j: int) -> list[int]:
@@ -181,15 +191,14 @@ def _zigzags(channel: Channel, values: list[list[int]], j: int) -> list[int]:
 def _encode_mixed(
     channels: list[Channel], values: list[list[int]], symbols: list[list[int]]
 ) -> bytes:
-    """Decisions of all mixed channels, behind their length."""
+    """Decisions of all mixed channels."""
     if not any(channel.mixed for channel in channels):
         return b""
     coder = RangeEncoder()
     for j, channel in enumerate(channels):
         if channel.mixed:
             code_column(coder, _column(channels, values, symbols, j))
-    decisions = coder.finish()
-    return len(decisions).to_bytes(4, "little") + decisions
+    return coder.finish()
 
 
 def _column(
@@ -212,15 +221,16 @@ def decode(channels: list[Channel], data: bytes, count: int) -> npt.NDArray[np.i
     Raises:
         ValueError: the chunk is damaged.
     """
-    literal_bytes, words = (int(x) for x in np.frombuffer(data, "<u4", 2))
-    end = 8 + literal_bytes + 32 + 2 * words
-    decisions = 4 + int.from_bytes(data[end : end + 4], "little")
-    if len(data) != end + any(c.mixed for c in channels) * decisions:
-        raise ValueError(CORRUPT)
-    literals = _Bits(data[8 : 8 + literal_bytes])
-    states = [int(x) for x in np.frombuffer(data, "<u4", LANES, offset=8 + literal_bytes)]
-    source = [int(x) for x in np.frombuffer(data, "<u2", words, offset=40 + literal_bytes)]
-    coder = RangeDecoder(data[end + 4 :])
+    literals = _Bits(b"")
+    if _any_literals(channels):
+        part, data = _take(data)
+        literals = _Bits(part)
+    static = b""
+    if not all(channel.mixed for channel in channels):
+        mixed = any(channel.mixed for channel in channels)
+        static, data = _take(data) if mixed else (data, b"")
+    states, source = rans.split_words(static, count)
+    coder = RangeDecoder(data)
     values: list[list[int]] = []
     symbols: list[list[int]] = []
     for j, channel in enumerate(channels):
@@ -229,16 +239,16 @@ def decode(channels: list[Channel], data: bytes, count: int) -> npt.NDArray[np.i
         if channel.mixed:
             code_column(coder, _column(channels, values, symbols, j))
             continue
-        for i in _coding_order(count):
-            lane, table = _lane(count, i), _table(channels, symbols, j, i)
-            symbols[j][i], states[lane] = _decode_symbol(states[lane], table, source)
+        for i in rans.coding_order(count):
+            lane, table = rans.lane_of(count, i), _table(channels, symbols, j, i)
+            symbols[j][i], states[lane] = rans.decode_symbol(states[lane], table, source)
         for i, symbol in enumerate(symbols[j]):
             zigzag = symbol if symbol < DIRECT else _large(symbol, literals)
             residual = zigzag >> 1 if zigzag % 2 == 0 else ~(zigzag >> 1)
             values[j][i] = _wrap(residual + _predict(channel, values, i))
     if any(channel.mixed for channel in channels):
         coder.finish()
-    if source or states != [LOW] * LANES or literals.rest():
+    if source or states != rans.first_states(count) or literals.rest():
         raise ValueError(CORRUPT)
     columns = [
         [_wrap(x + c.centre) for x in column] for c, column in zip(channels, values, strict=True)
@@ -293,30 +303,18 @@ def _large(symbol: int, literals: _Bits) -> int:
     return (4 + (symbol - DIRECT) % 4) << bits | literals.take(bits)
 
 
-def _starts(rows: int) -> list[int]:
-    """First rows of the lanes, and the number of rows."""
-    return [rows // LANES * lane + min(lane, rows % LANES) for lane in range(LANES + 1)]
-
-
-def _lane(rows: int, i: int) -> int:
-    return max(lane for lane in range(LANES) if _starts(rows)[lane] <= i)
-
-
-def _coding_order(rows: int) -> list[int]:
-    """The first row of every lane, then the second of every lane, and so on."""
-    starts = _starts(rows)
-    return [
-        starts[lane] + step
-        for step in range(-(-rows // LANES))
-        for lane in range(LANES)
-        if starts[lane] + step < starts[lane + 1]
-    ]
+def _take(data: bytes) -> tuple[bytes, bytes]:
+    """As many bytes as a number before them says, and the rest."""
+    size, at = read_varint(data, 0)
+    if not 0 <= size <= len(data) - at:
+        raise ValueError(CORRUPT)
+    return data[at : at + size], data[at + size :]
 
 
 def _table(channels: list[Channel], symbols: list[list[int]], j: int, i: int) -> list[int]:
     """The table of symbol i of channel j."""
     rows = len(symbols[0])
-    first = _starts(rows)[_lane(rows, i)]
+    first = rans.starts(rows)[rans.lane_of(rows, i)]
     return channels[j].frequency[channels[j].class_of[_cell(channels, symbols, j, i, first)]]
 
 
@@ -336,31 +334,3 @@ def _cell(channels: list[Channel], symbols: list[list[int]], j: int, i: int, fir
     level = sum(total >= threshold for threshold in THRESHOLDS)
     nonzero = any(symbols[j - back][i] for back in range(1, channel.span + 1))
     return level + 32 * nonzero
-
-
-def _encode_symbols(order: list[tuple[list[int], int]], rows: int) -> tuple[list[int], list[int]]:
-    """Final states and words, for tables and symbols in the order of decoding."""
-    lanes = [_lane(rows, i) for i in _coding_order(rows)] * (len(order) // rows)
-    states, words = [LOW] * LANES, []
-    for lane, (table, symbol) in zip(reversed(lanes), reversed(order), strict=True):
-        state, frequency = states[lane], table[symbol]
-        if state >= frequency << 20:
-            words.append(state & 0xFFFF)
-            state >>= 16
-        start = sum(table[:symbol])
-        states[lane] = (state // frequency << SCALE_BITS) + start + state % frequency
-    return states, words[::-1]
-
-
-def _decode_symbol(state: int, table: list[int], words: list[int]) -> tuple[int, int]:
-    place = state % (1 << SCALE_BITS)
-    symbol, start = 0, 0
-    while start + table[symbol] <= place:
-        start += table[symbol]
-        symbol += 1
-    state = table[symbol] * (state >> SCALE_BITS) + place - start
-    if state < LOW:
-        if not words:
-            raise ValueError(CORRUPT)
-        state = state << 16 | words.pop(0)
-    return symbol, state

@@ -22,6 +22,7 @@ from clgs.reference.coding import (
     WideEncoder,
     code_mixed,
 )
+from clgs.reference.varint import read_varint, varint
 
 LIMIT, SHIFT = 250, 15
 HEADER = 14
@@ -56,7 +57,7 @@ def encode(
     else:
         wide = WideEncoder()
         octree_sparse.code_levels(wide, depth, cells)
-        data = bytes([2, depth]) + b"".join(_varint(int(c)) for c in corner) + wide.finish()
+        data = bytes([2, depth]) + b"".join(varint(int(c)) for c in corner) + wide.finish()
     return min(data, raw, key=len)
 
 
@@ -70,7 +71,7 @@ def decode(data: bytes, count: int) -> npt.NDArray[np.int32]:
     if mode == 2:
         axes, at = [], 2
         for _ in range(3):
-            axis, at = _read_varint(data, at)
+            axis, at = read_varint(data, at)
             axes.append(axis)
         wide = WideDecoder(data[at:])
         cells = sorted(octree_sparse.code_levels(wide, depth, None, count), key=_morton)
@@ -92,24 +93,6 @@ def _decode_older(data: bytes, count: int) -> list[Cell]:
     cells = _code_levels(coder, data[1], None, count)
     coder.finish()
     return cells
-
-
-def _varint(value: int) -> bytes:
-    zigzag, data = 2 * value if value >= 0 else -2 * value - 1, bytearray()
-    while zigzag >= 128:
-        data.append(zigzag & 127 | 128)
-        zigzag >>= 7
-    return bytes([*data, zigzag])
-
-
-def _read_varint(data: bytes, at: int) -> tuple[int, int]:
-    zigzag, shift = 0, 0
-    while True:
-        zigzag |= (data[at] & 127) << shift
-        shift += 7
-        at += 1
-        if data[at - 1] < 128:
-            return (zigzag >> 1 if zigzag % 2 == 0 else -(zigzag + 1 >> 1)), at
 
 
 def _code_levels(

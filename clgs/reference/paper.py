@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.reference.coding import Coder, RangeDecoder, RangeEncoder
-from clgs.reference.runlength import CORRUPT, read_varint, varint
+from clgs.reference.runlength import CORRUPT
+from clgs.reference.varint import read_varint, varint
 
 GROUP, RATE = 3, 5
 UNARY_RUN, PAIRED_RUN, MAX_ORDER = 3, 11, 32

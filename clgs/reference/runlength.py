@@ -15,6 +15,7 @@ from clgs.reference.coding import (
     State,
     code_mixed,
 )
+from clgs.reference.varint import read_varint, varint
 
 SLOW_LIMIT, FAST_LIMIT, SHIFT = 1000, 250, 14
 CLAMP = 255
@@ -161,24 +162,3 @@ def _find_centre(column: tuple[int, ...]) -> int:
 
 def _clamp(value: int) -> int:
     return min(max(value, -CLAMP), CLAMP)
-
-
-def varint(value: int) -> bytes:
-    """Zigzag in groups of 7 bits, lowest first; the top bit says that more follow."""
-    zigzag = 2 * value if value >= 0 else -2 * value - 1
-    out = bytearray()
-    while zigzag >= 128:
-        out.append(zigzag & 127 | 128)
-        zigzag >>= 7
-    return bytes([*out, zigzag])
-
-
-def read_varint(data: bytes, at: int) -> tuple[int, int]:
-    """The integer at ``at``, and where the next one starts."""
-    zigzag, shift = 0, 0
-    while True:
-        byte = data[at]
-        zigzag |= (byte & 127) << shift
-        at, shift = at + 1, shift + 7
-        if byte < 128:
-            return (zigzag >> 1) ^ -(zigzag & 1), at

@@ -58,6 +58,7 @@ uint8_t *clgs_columns_place(clgs_columns *columns, void *memory)
 {
     uint8_t *next = memory;
     size_t rows = columns->rows, cells = clgs_pitch(rows) * columns->channels;
+    columns->lanes = rows < CLGS_LONG_ROWS ? 1 : CLGS_LANES;
     columns->pitch = clgs_pitch(rows);
     columns->value = take(&next, 4 * cells);
     columns->symbol = take(&next, cells);
@@ -310,9 +311,9 @@ void clgs_columns_cells(clgs_columns *columns, size_t j)
     const int32_t *weight = columns->channel[j].weight;
     clgs_columns_partial(columns, j);
     if (weight[0])
-        for (size_t lane = 0; lane < CLGS_LANES; lane++)
-            own_cells(columns, j, clgs_lane_start(columns->rows, lane),
-                      clgs_lane_start(columns->rows, lane + 1));
+        for (size_t lane = 0; lane < columns->lanes; lane++)
+            own_cells(columns, j, clgs_lane_start(columns, lane),
+                      clgs_lane_start(columns, lane + 1));
     else if (weight[1] || weight[2])
         for (size_t i = 0; i < columns->rows; i++)
             columns->cell[i] |= clgs_level_of(columns, columns->partial[i]);

@@ -4,12 +4,13 @@
 
 #include "attributes.h"
 
-#define CLGS_LANES 8 /* a column is cut into so many runs of rows, coded in turn */
+#define CLGS_LANES 8        /* a long column is cut into so many runs of rows, coded in turn */
+#define CLGS_LONG_ROWS 2048 /* shorter columns are one run: every lane costs bytes */
 
 /* One chunk in the caller's workspace. Columns follow each other, `pitch` entries apart. */
 typedef struct clgs_columns {
     const clgs_channel *channel;
-    size_t rows, channels;
+    size_t rows, channels, lanes;
     size_t pitch; /* entries from column to column; an odd number of 64, so that caches serve all */
     const int32_t *source; /* encoder: (rows, channels), as the caller has them */
     int32_t *value;        /* (channels, rows), minus centre, modulo 2^32; only where `apart` */
@@ -79,11 +80,11 @@ void clgs_columns_cells(clgs_columns *columns, size_t j);
 /* Add the magnitudes of column j to the activity; call when its symbols are known. */
 void clgs_columns_activate(clgs_columns *columns, size_t j);
 
-/* First row of a lane; lane CLGS_LANES starts behind the last row. */
-static inline size_t clgs_lane_start(size_t rows, size_t lane)
+/* First row of a lane; the one behind the last lane starts behind the last row. */
+static inline size_t clgs_lane_start(const clgs_columns *columns, size_t lane)
 {
-    size_t more = rows % CLGS_LANES;
-    return rows / CLGS_LANES * lane + (lane < more ? lane : more);
+    size_t more = columns->rows % columns->lanes;
+    return columns->rows / columns->lanes * lane + (lane < more ? lane : more);
 }
 
 /* Level of a weighted activity. */

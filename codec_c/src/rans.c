@@ -8,6 +8,85 @@
  * error (below frequency <= 2^12) stay below 2^44, so quotients are exact; products fit 64 bits. */
 #define SHIFT 44
 
+static uint32_t first_state(size_t lanes)
+{
+    return lanes == 1 ? 1 : CLGS_RANS_LOW;
+}
+
+/* Bytes of a state on its own: none of the upper ones is 0, but there is one at least. */
+static size_t state_size(uint32_t state)
+{
+    size_t size = 1;
+    while (size < 4 && state >> 8 * size)
+        size++;
+    return size;
+}
+
+void clgs_rans_begin_encode(clgs_rans_encoder *coder, size_t lanes, clgs_rans_symbol *table,
+                            uint16_t *end)
+{
+    *coder = (clgs_rans_encoder){.lanes = lanes, .word = end, .end = end, .table = table};
+    for (size_t lane = 0; lane < lanes; lane++)
+        coder->state[lane] = first_state(lanes);
+}
+
+size_t clgs_rans_size(const clgs_rans_encoder *coder)
+{
+    size_t states = coder->lanes == 1 ? state_size(coder->state[0]) : 4 * coder->lanes;
+    return states + 2 * (size_t)(coder->end - coder->word);
+}
+
+uint8_t *clgs_rans_end_encode(const clgs_rans_encoder *coder, uint8_t *out)
+{
+    for (size_t lane = 0; lane < coder->lanes; lane++) {
+        size_t size = coder->lanes == 1 ? state_size(coder->state[0]) : 4;
+        for (size_t i = 0; i < size; i++)
+            *out++ = (uint8_t)(coder->state[lane] >> 8 * i);
+    }
+    for (const uint16_t *word = coder->word; word < coder->end; word++) {
+        *out++ = (uint8_t)*word;
+        *out++ = (uint8_t)(*word >> 8);
+    }
+    return out;
+}
+
+/* A single state before words is CLGS_RANS_LOW at least, so it has three or four bytes. */
+static clgs_error load_single(clgs_rans_decoder *coder, const uint8_t *at, const uint8_t *end)
+{
+    size_t size = (size_t)(end - at);
+    if (size > 4)
+        size = 4 - size % 2;
+    for (size_t i = 0; i < size; i++)
+        coder->state[0] |= (uint32_t)at[i] << 8 * i;
+    coder->word = at + size;
+    return size > 0 && state_size(coder->state[0]) == size ? CLGS_OK : CLGS_ERROR_CORRUPT;
+}
+
+clgs_error clgs_rans_begin_decode(clgs_rans_decoder *coder, size_t lanes, const uint8_t *at,
+                                  const uint8_t *end)
+{
+    *coder = (clgs_rans_decoder){.lanes = lanes, .end = end, .table = coder->table};
+    if (lanes == 1)
+        return load_single(coder, at, end);
+    if ((size_t)(end - at) < 4 * lanes)
+        return CLGS_ERROR_TRUNCATED;
+    for (size_t lane = 0; lane < lanes; lane++, at += 4) {
+        coder->state[lane] = clgs_load32(at);
+        if (coder->state[lane] < CLGS_RANS_LOW)
+            return CLGS_ERROR_CORRUPT;
+    }
+    coder->word = at;
+    return CLGS_OK;
+}
+
+int clgs_rans_finished(const clgs_rans_decoder *coder)
+{
+    uint32_t wrong = 0;
+    for (size_t lane = 0; lane < coder->lanes; lane++)
+        wrong |= coder->state[lane] ^ first_state(coder->lanes);
+    return wrong == 0;
+}
+
 /* A channel's tables for the encoder, one a class. */
 static void fill_encoder(clgs_rans_symbol *table, const clgs_channel *channel)
 {
@@ -85,18 +164,19 @@ int clgs_rans_encode(clgs_rans_encoder *coder, const clgs_columns *columns, size
 {
     const uint8_t *class_of = columns->channel[j].class_of;
     const uint8_t *symbol = clgs_symbols(columns, j);
-    size_t steps = columns->rows / CLGS_LANES, start[CLGS_LANES + 1];
+    size_t lanes = coder->lanes, start[CLGS_LANES + 1];
+    size_t first = lanes == 1 ? 0 : columns->rows / lanes;
     int known = 1;
     fill_encoder(coder->table, columns->channel + j);
-    for (size_t lane = 0; lane <= CLGS_LANES; lane++)
-        start[lane] = clgs_lane_start(columns->rows, lane);
-    for (size_t lane = CLGS_LANES; lane-- > 0;) {
-        size_t i = start[lane] + steps;
-        if (i < start[lane + 1]) {
+    for (size_t lane = 0; lane <= lanes; lane++)
+        start[lane] = clgs_lane_start(columns, lane);
+    for (size_t lane = lanes; lane-- > 0;)
+        for (size_t i = start[lane + 1]; i-- > start[lane] + first;) {
             size_t k = cell ? class_of[cell[i]] : 0;
             known &= put(coder, lane, coder->table + CLGS_TABLE * k + symbol[i]);
         }
-    }
+    if (lanes == 1)
+        return known;
     if (cell)
         return known & encode_steps(coder, symbol, cell, class_of, start);
     return known & encode_steps(coder, symbol, NULL, class_of, start);
@@ -185,7 +265,7 @@ static inline size_t decode_steps(clgs_rans_decoder *coder, column *c, size_t st
     return step;
 }
 
-/* Decode one symbol of a lane where no word may be left. */
+/* Decode one symbol of a lane where no word may be left: a single lane needs no more of them. */
 static void decode_last(clgs_rans_decoder *coder, column *c, size_t i, size_t lane, class_kind kind)
 {
     const uint32_t *table = kind == PLAIN ? coder->table : table_of(coder, c, i, lane, kind);
@@ -194,7 +274,7 @@ static void decode_last(clgs_rans_decoder *coder, column *c, size_t i, size_t la
     if (x < CLGS_RANS_LOW && coder->end - coder->word >= 2) {
         x = x << 16 | (uint32_t)coder->word[0] | (uint32_t)coder->word[1] << 8;
         coder->word += 2;
-    } else if (x < CLGS_RANS_LOW) {
+    } else if (x < CLGS_RANS_LOW && coder->lanes > 1) {
         coder->failed = 1;
         x = CLGS_RANS_LOW;
     }
@@ -203,19 +283,25 @@ static void decode_last(clgs_rans_decoder *coder, column *c, size_t i, size_t la
     c->recent[lane] = c->recent[lane] >> 17 | (uint32_t)c->magnitude[entry & 255] << 17;
 }
 
-static void decode_column(clgs_rans_decoder *coder, column *c, size_t steps, class_kind kind)
+/* Decode the steps from `step` on, of which lanes may lack the last one. */
+static inline void decode_rest(clgs_rans_decoder *coder, column *c, size_t step, size_t steps,
+                               class_kind kind)
 {
-    size_t step = 0;
-    if (kind == PLAIN)
-        step = decode_steps(coder, c, steps, PLAIN);
-    else if (kind == CLASSED)
-        step = decode_steps(coder, c, steps, CLASSED);
-    else
-        step = decode_steps(coder, c, steps, OWN);
     for (; step <= steps; step++)
-        for (size_t lane = 0; lane < CLGS_LANES; lane++)
+        for (size_t lane = 0; lane < coder->lanes; lane++)
             if (c->start[lane] + step < c->start[lane + 1])
                 decode_last(coder, c, c->start[lane] + step, lane, kind);
+}
+
+static void decode_column(clgs_rans_decoder *coder, column *c, size_t rows, class_kind kind)
+{
+    size_t steps = rows / coder->lanes, most = coder->lanes == 1 ? 0 : steps;
+    if (kind == PLAIN)
+        decode_rest(coder, c, decode_steps(coder, c, most, PLAIN), steps, PLAIN);
+    else if (kind == CLASSED)
+        decode_rest(coder, c, decode_steps(coder, c, most, CLASSED), steps, CLASSED);
+    else
+        decode_rest(coder, c, decode_steps(coder, c, most, OWN), steps, OWN);
 }
 
 void clgs_rans_decode(clgs_rans_decoder *coder, clgs_columns *columns, size_t j)
@@ -228,10 +314,10 @@ void clgs_rans_decode(clgs_rans_decoder *coder, clgs_columns *columns, size_t j)
                 .level = columns->level,
                 .weight = (uint32_t)channel->weight[0]};
     fill_decoder(coder->table, channel);
-    for (size_t lane = 0; lane <= CLGS_LANES; lane++)
-        c.start[lane] = clgs_lane_start(columns->rows, lane);
+    for (size_t lane = 0; lane <= coder->lanes; lane++)
+        c.start[lane] = clgs_lane_start(columns, lane);
     for (uint32_t s = 0; s < CLGS_TABLE; s++)
         c.magnitude[s] = (uint8_t)clgs_magnitude(s, (uint32_t)channel->gain);
     class_kind kind = channel->classes == 1 ? PLAIN : channel->weight[0] == 0 ? CLASSED : OWN;
-    decode_column(coder, &c, columns->rows / CLGS_LANES, kind);
+    decode_column(coder, &c, columns->rows, kind);
 }

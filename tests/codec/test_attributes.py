@@ -242,7 +242,6 @@ def test_damaged_chunks_are_refused_or_other_rows(name, kind):
     data = model.encode(value)
     for bad in damaged(data):
         rows = outcome(model.decode, bad, 200)
-        assert isinstance(rows, str) or len(bad) == len(data)
         if kind == "tables" or bad[:-1] != data[:-1]:  # several last bytes name the same interval
             assert isinstance(rows, str) or (rows != value).any()
 
