@@ -131,10 +131,9 @@ def _put_back(path: Path) -> Iterator[None]:
     """On a failure, ``path`` is again the file that it was, or none."""
     target = check_target(path)
     existed, old = target.exists(), _temporary(path, target.parent)
-    if existed:
-        with suppress(OSError):  # A file system without hard links: nothing to put back.
-            os.link(target, old)
     try:
+        if existed:
+            _keep(target, old)
         yield
     except BaseException:
         with suppress(OSError):
@@ -143,6 +142,14 @@ def _put_back(path: Path) -> Iterator[None]:
     finally:
         with suppress(OSError):
             old.unlink()
+
+
+def _keep(target: Path, old: Path) -> None:
+    """Let ``old`` name the file ``target``, or a copy where the file system has no hard links."""
+    try:
+        os.link(target, old)
+    except OSError:
+        shutil.copy2(target, old)
 
 
 @contextmanager

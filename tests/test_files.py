@@ -9,7 +9,14 @@ from pathlib import Path
 import pytest
 
 from clgs.errors import UsageError
-from clgs.files import atomic_folder, atomic_path, atomic_write, check_folder, check_output
+from clgs.files import (
+    atomic_folder,
+    atomic_path,
+    atomic_write,
+    atomic_write_all,
+    check_folder,
+    check_output,
+)
 
 
 def names(folder):
@@ -158,6 +165,39 @@ def test_folders_are_checked_before_they_are_made(tmp_path):
     for name in ("file", "file/deeper"):
         with pytest.raises(NotADirectoryError, match="is no folder"):
             check_folder(tmp_path / name)
+
+
+@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize("call", ["replace", "fsync"])
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_several_files_are_written_or_none(tmp_path, monkeypatch, links, call, number):
+    contents = {tmp_path / "a": b"new a", tmp_path / "b": b"new b", tmp_path / "c": b"new c"}
+    (tmp_path / "b").write_bytes(b"old b")
+    (tmp_path / "elsewhere").write_bytes(b"old c")
+    (tmp_path / "c").symlink_to("elsewhere")
+    whole, calls = getattr(os, call), []
+
+    def fail_once(*arguments):
+        calls.append(arguments)
+        if len(calls) == number:
+            raise OSError(28, "No space left on device")
+        return whole(*arguments)
+
+    def no_links(*arguments):
+        raise OSError(1, "Operation not permitted")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, call, fail_once)
+        if not links:
+            patch.setattr(os, "link", no_links)
+        with pytest.raises(OSError, match="No space left"):
+            atomic_write_all(contents)
+    assert names(tmp_path) == ["b", "c", "elsewhere"]
+    assert [(tmp_path / name).read_bytes() for name in "bc"] == [b"old b", b"old c"]
+    atomic_write_all(contents)
+    assert names(tmp_path) == ["a", "b", "c", "elsewhere"]
+    assert {path: path.read_bytes() for path in contents} == contents
+    assert (tmp_path / "c").is_symlink()
 
 
 def test_an_output_is_no_input(tmp_path):

@@ -118,7 +118,8 @@ def _parse_text(body: memoryview, header: _Header) -> dict[str, npt.NDArray[Any]
 def _column(values: npt.NDArray[np.float64], name: str, kind: str) -> npt.NDArray[Any]:
     """Numbers of an ASCII file as their property's type, which must hold them."""
     if kind[0] == "f":
-        return values.astype(kind)
+        with np.errstate(over="ignore"):
+            return values.astype(kind)
     limits = np.iinfo(kind)
     if not ((values >= limits.min) & (values <= limits.max) & (np.rint(values) == values)).all():
         raise ValueError(f"property {name} is of type {NAMES[kind]}, which cannot hold its values")

@@ -151,6 +151,11 @@ def test_text_holds_what_its_type_holds(tmp_path, value):
         read_ply(path)
 
 
+def test_text_beyond_a_float_is_infinite():
+    head = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n"
+    assert parse_ply(head + b"1e300 -1e300").columns["x"].tolist() == [np.inf, -np.inf]
+
+
 def test_a_pipe_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(DataError, match="not a regular file"):
