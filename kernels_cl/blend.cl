@@ -20,30 +20,45 @@
 #define UNIT_INVERSE (1.0f / WHITENING_UNIT)
 #define BATCH 256 /* records staged at a time (GPU form) */
 
-inline float clamp_color(float value)
+inline fv clamp_color(const fv value)
 {
-    return value < -COLOR_LIMIT ? -COLOR_LIMIT : (value > COLOR_LIMIT ? COLOR_LIMIT : value);
+    const fv raised = value < (fv)(-COLOR_LIMIT) ? (fv)(-COLOR_LIMIT) : value;
+    return raised > (fv)(COLOR_LIMIT) ? (fv)(COLOR_LIMIT) : raised;
 }
 
-/* Record of every Gaussian. */
+/* Record of every Gaussian; one work-item VEC of them. */
 __kernel void blend_prepare(__global const float *mean2d, __global const float *whitening,
                             __global const float *color, __global const float *opacity,
                             const int count, __global float *splats)
 {
-    const int i = (int)get_global_id(0);
-    if (i >= count)
+    const int first = (int)get_global_id(0) * VEC;
+    if (first >= count)
         return;
-    const Splat s = make_splat2d(mean2d, whitening, opacity, i);
-    const Reach r = reach_of(&s);
-    const Span span = span_of(&s, &r);
-    const float red = clamp_color(color[3 * i]), green = clamp_color(color[3 * i + 1]),
-                blue = clamp_color(color[3 * i + 2]);
-    const bool valid = red + green + blue <= 3.0f * COLOR_LIMIT; /* NaN touches nothing */
-    __global float *to = splats + RECORD_SIZE * (size_t)i;
-    vstore4((float4)(s.x, s.y, s.r1, s.l), 0, to);
-    vstore4((float4)(s.r2, valid ? s.bias : -INFINITY, valid ? red : 0.0f, valid ? green : 0.0f), 1,
-            to);
-    vstore4((float4)(valid ? blue : 0.0f, span.slope, span.squared, span.shrink), 2, to);
+    const size_t used = (size_t)min(VEC, count - first);
+    const Ellipses e = load_ellipses(mean2d, whitening, opacity, (size_t)first, used);
+    fv paint[3];
+    load_rows3(color, (size_t)first, used, paint);
+    const fv zero = (fv)(0.0f);
+    const fv red = clamp_color(paint[0]), green = clamp_color(paint[1]),
+             blue = clamp_color(paint[2]);
+    const iv valid = red + green + blue <= (fv)(3.0f * COLOR_LIMIT); /* NaN touches nothing */
+    const fv record[RECORD_SIZE] = {e.x,
+                                    e.y,
+                                    e.r1,
+                                    e.l,
+                                    e.r2,
+                                    valid ? e.bias : (fv)(-INFINITY),
+                                    valid ? red : zero,
+                                    valid ? green : zero,
+                                    valid ? blue : zero,
+                                    e.slope,
+                                    e.squared,
+                                    e.shrink,
+                                    zero,
+                                    zero,
+                                    zero,
+                                    zero};
+    store_rows16(record, splats, (size_t)first, used);
 }
 
 /* Units that a Gaussian may touch in the tile at (x, y). */

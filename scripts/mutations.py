@@ -129,9 +129,9 @@ MUTATIONS = (
     Mutation(
         "tiles",
         "three sigma in the test of tiles",
-        "kernels_cl/include/footprint.h",
-        "const fv reach = sqrt(fma(limit, (fv)(1.00001f), (fv)(1e-5f))) + error;",
-        "const fv reach = (fv)(3.0f * WHITENING_UNIT);",
+        SPLAT,
+        "e.reach = sqrt(fma(limit, (fv)(1.00001f), (fv)(1e-5f))) + error;",
+        "e.reach = (fv)(3.0f * WHITENING_UNIT);",
     ),
     Mutation(
         "tiles",
@@ -151,8 +151,8 @@ MUTATIONS = (
         "blend",
         "three sigma in the test of units",
         SPLAT,
-        "const float reach = sqrt(fma(limit, 1.00001f, 1e-5f)) + error;",
-        "const float reach = 3.0f * WHITENING_UNIT;",
+        "e.squared = e.reach * e.reach * 1.00001f * inverse;",
+        "e.squared = 9.0f * WHITENING_UNIT * WHITENING_UNIT * inverse;",
     ),
     Mutation(
         "sort",

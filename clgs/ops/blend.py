@@ -300,7 +300,7 @@ def gather(
     records = device.empty((len(tiles.gaussian), RECORD_SIZE))
     device.run(
         device.kernel("blend", "blend_prepare", **defines),
-        (round_up(count, GROUP_SIZE),),
+        (round_up(-(-count // device.lanes), GROUP_SIZE),),
         (GROUP_SIZE,),
         projected.mean2d,
         projected.whitening,

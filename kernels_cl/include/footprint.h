@@ -2,7 +2,6 @@
 #ifndef CLGS_FOOTPRINT_H
 #define CLGS_FOOTPRINT_H
 
-#include "include/rows.h"
 #include "include/splat.h"
 
 #ifndef SKIP_EXACT_TILES
@@ -19,9 +18,8 @@ typedef struct {
     int width, height, first, end;
 } Window;
 
-/* VEC Gaussians: ellipses, a little too large (see reach_of), and the tiles of their boxes. On a
- * row of pixels dy below the centre an ellipse lies around slope dy, half as wide as sqrt(squared -
- * shrink dy^2); its last column is on the row `tip`, its first on the row -tip. */
+/* VEC Gaussians: their Ellipses, and the tiles of their boxes. The last column of an ellipse is on
+ * the row `tip` below its centre, its first on the row -tip. */
 typedef struct {
     fv x, y, slope, squared, shrink, tip;
     fv margin;                   /* pixels, for the rounding of columns */
@@ -75,29 +73,21 @@ inline Footprints add_boxes(Footprints f, const fv half_x, const fv half_y, cons
 inline Footprints load_footprints(const Geometry *g, const int first, const int used,
                                   const Window w)
 {
-    fv centre[2], factor[3], opacity[1], extent[2];
-    load_rows2(g->mean2d, (size_t)first, (size_t)used, centre);
-    load_rows3(g->whitening, (size_t)first, (size_t)used, factor);
-    load_rows1(g->opacity, (size_t)first, (size_t)used, opacity);
+    const Ellipses e =
+        load_ellipses(g->mean2d, g->whitening, g->opacity, (size_t)first, (size_t)used);
+    fv extent[2];
     load_rows2(g->extent, (size_t)first, (size_t)used, extent);
-    const fv bias = opacity[0] > (fv)(0.0f) ? log_v(opacity[0]) * LOG2_E : (fv)(-INFINITY);
-    const fv limit = bias - LOG2_ALPHA_CUT;
-    const fv r1 = factor[0] * WHITENING_UNIT, r2 = factor[2] * WHITENING_UNIT;
-    const fv sigma_x = 1.0f / r1, minor = 1.0f / r2, lr2 = factor[1] * r2;
-    const fv lean = factor[1] * sigma_x, sigma_y = sqrt(fma(lean, lean, minor * minor));
-    const fv error = 1e-6f * r2 * (fabs(lean) + sigma_y) * sqrt(limit + 1e-4f);
-    const fv reach = sqrt(fma(limit, (fv)(1.00001f), (fv)(1e-5f))) + error;
-    const fv half_x = reach * sigma_x, inverse = 1.0f / fma(r1, r1, lr2 * lr2);
+    const fv half_x = e.reach * e.sigma_x;
     Footprints f;
-    f.x = centre[0];
-    f.y = centre[1];
-    f.slope = lr2 * r2 * inverse;
-    f.squared = reach * reach * 1.00001f * inverse;
-    f.shrink = (r1 * r2 * inverse) * (r1 * r2 * inverse);
-    f.tip = lean * reach;
+    f.x = e.x;
+    f.y = e.y;
+    f.slope = e.slope;
+    f.squared = e.squared;
+    f.shrink = e.shrink;
+    f.tip = e.lean * e.reach;
     f.margin = fma((fv)(1e-6f), fabs(f.x) + half_x, (fv)(1e-3f));
-    const iv drawn = (extent[0] > (fv)(0.0f)) & (reach >= (fv)(0.0f));
-    return add_boxes(f, half_x + f.margin, fma(reach, sigma_y, (fv)(1e-3f)), drawn, w);
+    const iv drawn = (extent[0] > (fv)(0.0f)) & (e.reach >= (fv)(0.0f));
+    return add_boxes(f, half_x + f.margin, fma(e.reach, e.sigma_y, (fv)(1e-3f)), drawn, w);
 }
 
 inline fv spread(const fv value)

@@ -9,7 +9,7 @@
 #ifndef CLGS_SPLAT_H
 #define CLGS_SPLAT_H
 
-#include "include/real.h"
+#include "include/rows.h"
 
 #ifndef TILE_SIZE
 #define TILE_SIZE 16
@@ -41,20 +41,6 @@ typedef struct {
     iv touched;   /* NaN anywhere: not touched */
     iv saturated; /* alpha was clamped to ALPHA_MAX */
 } Touch;
-
-inline Splat make_splat2d(__global const float *mean2d, __global const float *whitening,
-                          __global const float *opacity, int i)
-{
-    Splat s;
-    s.x = mean2d[2 * i];
-    s.y = mean2d[2 * i + 1];
-    s.r1 = whitening[3 * i] * WHITENING_UNIT;
-    s.l = whitening[3 * i + 1];
-    s.r2 = whitening[3 * i + 2] * WHITENING_UNIT;
-    const float bias = opacity[i] > 0.0f ? log_s(opacity[i]) * LOG2_E : -INFINITY; /* NaN, too */
-    s.bias = bias < BIAS_MAX ? bias : BIAS_MAX;
-    return s;
-}
 
 /* 2^f for |f| <= 1/2, highest power first; relative errors of degree 6 to 3: 8e-8, 2e-7, 3e-6,
  * 8e-5. */
@@ -134,87 +120,47 @@ inline Touch touch(const Splat *s, fv pixel_x, fv pixel_y, const TouchConstants 
     return t;
 }
 
-/* Where a splat can touch pixels at all, a little too large so that rounding
- * never loses one. */
+/* VEC splats, and the ellipses outside of which they touch no pixel, a little too large so that
+ * rounding never loses one. On a row of pixels dy below its centre an ellipse lies around slope dy,
+ * half as wide as sqrt(squared - shrink dy^2). */
 typedef struct {
-    float squared;        /* largest y1^2 + y2^2 */
-    float half_x, half_y; /* of the bounding box, pixels */
-} Reach;
+    fv x, y, r1, l, r2, bias; /* as of a Splat */
+    fv reach;                 /* largest sqrt(y1^2 + y2^2); below zero or NaN: no ellipse */
+    fv sigma_x, sigma_y;      /* half as wide and as high as one of reach 1 */
+    fv lean;                  /* row of the last column, at reach 1 */
+    fv slope, squared, shrink;
+} Ellipses;
 
-inline Reach reach_of(const Splat *s)
+/* Splats first to first + used - 1, at most VEC. */
+inline Ellipses load_ellipses(__global const float *mean2d, __global const float *whitening,
+                              __global const float *opacity, const size_t first, const size_t used)
 {
-    Reach r;
-    /* The rounding error of y2 is that of dy - l * dx, a difference of terms as
-     * large as the box.
+    fv centre[2], factor[3], alpha[1];
+    load_rows2(mean2d, first, used, centre);
+    load_rows3(whitening, first, used, factor);
+    load_rows1(opacity, first, used, alpha);
+    const fv bias = alpha[0] > (fv)(0.0f) ? log_v(alpha[0]) * LOG2_E : (fv)(-INFINITY); /* NaN */
+    Ellipses e;
+    e.x = centre[0];
+    e.y = centre[1];
+    e.r1 = factor[0] * WHITENING_UNIT;
+    e.l = factor[1];
+    e.r2 = factor[2] * WHITENING_UNIT;
+    e.bias = bias < (fv)(BIAS_MAX) ? bias : (fv)(BIAS_MAX);
+    const fv limit = e.bias - LOG2_ALPHA_CUT;
+    const fv minor = 1.0f / e.r2, lr2 = e.l * e.r2;
+    e.sigma_x = 1.0f / e.r1;
+    e.lean = e.l * e.sigma_x;
+    e.sigma_y = sqrt(fma(e.lean, e.lean, minor * minor));
+    /* The rounding error of y2 is that of dy - l * dx, a difference of terms as large as the box.
      */
-    const float limit = s->bias - LOG2_ALPHA_CUT;
-    const float sigma_x = 1.0f / s->r1, minor = 1.0f / s->r2;
-    const float lean = s->l * sigma_x;
-    const float sigma_y = sqrt(fma(lean, lean, minor * minor));
-    const float error = 1e-6f * s->r2 * (fabs(lean) + sigma_y) * sqrt(limit + 1e-4f);
-    const float reach = sqrt(fma(limit, 1.00001f, 1e-5f)) + error;
-    r.squared = reach * reach;
-    r.half_x = fma(reach, sigma_x, 1e-3f);
-    r.half_y = fma(reach, sigma_y, 1e-3f);
-    return r;
-}
-
-/* How wide the touched ellipse is in a row of pixels dy below the centre: it
- * lies around slope dy, half as wide as sqrt(squared - shrink dy^2). */
-typedef struct {
-    float slope, squared, shrink;
-} Span;
-
-inline Span span_of(const Splat *s, const Reach *r)
-{
-    const float lr2 = s->l * s->r2;
-    const float inverse = 1.0f / fma(s->r1, s->r1, lr2 * lr2);
-    Span span;
-    span.slope = lr2 * s->r2 * inverse;
-    span.squared = r->squared * 1.00001f * inverse;
-    span.shrink = (s->r1 * s->r2 * inverse) * (s->r1 * s->r2 * inverse);
-    return span;
-}
-
-/* First (.xy) and last (.zw) column and row of the pixels whose centres lie in
- * centre +- half, within an image of the given size; none where first > last,
- * all where half is not finite. All four at once and without branches, which
- * would be hard to predict. */
-inline int4 pixel_box(float2 centre, float2 half_size, float2 size)
-{
-    const float4 low = (float4)(0.0f, 0.0f, 1.0f - size.x, 1.0f - size.y);
-    const float4 high = (float4)(size.x, size.y, 1.0f, 1.0f);
-    float4 edge = ceil((float4)(centre - half_size - 0.5f, 0.5f - centre - half_size));
-    edge = edge > low ? edge : low;
-    edge = edge < high ? edge : high;
-    return convert_int4(edge) * (int4)(1, 1, -1, -1);
-}
-
-inline float squared_whitened(const Splat *s, float dx, float dy)
-{
-    const float y1 = dx * s->r1;
-    const float y2 = fma(-s->l, dx, dy) * s->r2;
-    return fma(y1, y1, y2 * y2);
-}
-
-inline float clamp_between(float x, float low, float high)
-{
-    return x < low ? low : (x > high ? high : x);
-}
-
-/* Whether the splat may touch a pixel from first to last (column, row): the
- * smallest y1^2 + y2^2 over the rectangle of pixel centres lies at its centre
- * or on an edge facing it. */
-inline bool reaches_pixels(const Splat *s, float squared, int2 first, int2 last)
-{
-    const float left = (float)first.x + 0.5f - s->x, right = (float)last.x + 0.5f - s->x;
-    const float top = (float)first.y + 0.5f - s->y, bottom = (float)last.y + 0.5f - s->y;
-    const float near_x = clamp_between(0.0f, left, right);
-    const float near_y = clamp_between(0.0f, top, bottom);
-    const float on_column = squared_whitened(s, near_x, clamp_between(s->l * near_x, top, bottom));
-    const float slope = s->l * s->r2 * s->r2 / fma(s->r1, s->r1, s->l * s->r2 * s->l * s->r2);
-    const float on_row = squared_whitened(s, clamp_between(slope * near_y, left, right), near_y);
-    return (on_column <= squared) | (on_row <= squared);
+    const fv error = 1e-6f * e.r2 * (fabs(e.lean) + e.sigma_y) * sqrt(limit + 1e-4f);
+    e.reach = sqrt(fma(limit, (fv)(1.00001f), (fv)(1e-5f))) + error;
+    const fv inverse = 1.0f / fma(e.r1, e.r1, lr2 * lr2);
+    e.slope = lr2 * e.r2 * inverse;
+    e.squared = e.reach * e.reach * 1.00001f * inverse;
+    e.shrink = (e.r1 * e.r2 * inverse) * (e.r1 * e.r2 * inverse);
+    return e;
 }
 
 #endif

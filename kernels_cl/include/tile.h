@@ -71,8 +71,8 @@ inline int unit_y(int unit)
     return (int)((uint)unit / UNIT_COLUMNS * UNIT_HEIGHT);
 }
 
-/* Units that an ellipse touches, its centre relative to the tile; see Span in
- * splat.h. All are kept where a number is not finite. A little too large, so
+/* Units that an ellipse touches, its centre relative to the tile; see Ellipses
+ * in splat.h. All are kept where a number is not finite. A little too large, so
  * that rounding never loses a pixel. */
 inline uint units_of(float2 centre, float slope, float squared, float shrink)
 {
