@@ -140,7 +140,8 @@ def _read_header(data: bytes) -> tuple[_Header, int]:
         try:
             _read_line(header, line.split() if number > 1 else [])
         except (ValueError, IndexError, KeyError):
-            raise ValueError(f"line {number} of the header, {line[:60]!r}, is not read") from None
+            shown = line.strip()[:60]
+            raise ValueError(f"line {number} of the header, {shown!r}, is not read") from None
     raise ValueError(f"no end of the header in the first {MAX_HEADER} bytes")
 
 

@@ -81,6 +81,12 @@ def test_malformed_headers_are_refused(table: Table, old: bytes, new: bytes) -> 
         parse_ply(data.replace(old, new, 1))
 
 
+def test_a_line_that_is_not_read_is_shown(table: Table) -> None:
+    data = pack_ply(table).replace(b"element vertex", b"element chunk 5\r\nelement vertex")
+    with pytest.raises(ValueError, match=r"^line 4 of the header, 'element chunk 5', is not read$"):
+        parse_ply(data)
+
+
 def test_every_cut_is_refused(table: Table) -> None:
     for data in (pack_ply(table), other_form(pack_ply(table), "ascii")):
         last = len(data) if b"ascii" not in data else data.rindex(b" ")
