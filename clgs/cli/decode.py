@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.encode import add_threads
+from clgs.cli.codec_options import add_files, add_threads
 
 if TYPE_CHECKING:
     from clgs.codec.box import Box
@@ -32,8 +31,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scene", type=Path, metavar="FILE.clgs")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.npz|FILE.ply")
+    add_files(parser, "scene", "FILE.clgs", "FILE.npz|FILE.ply")
     parser.add_argument("--box", metavar="x0,y0,z0,x1,y1,z1", help="the part in this box alone")
     add_threads(parser)
 

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clgs.cli.codec_options import add_files, add_level, add_threads
 from clgs.cli.encode_target import add_target_options
 
 if TYPE_CHECKING:
@@ -28,11 +29,12 @@ useful for each bit first, and Q of offsets, features or scalings is made coarse
 less; Q of positions stays. With --data the training views say what is useful, and what it costs
 in PSNR; without, an anchor's size says it.
 
-RUN may be a PLY file of anchors as the reference code writes it (f_offset_*, f_anchor_feat_*,
-scale_*): X.quantized.ply holds integers, any other name numbers that are rounded by --q. It holds
-no MLPs: they are read from X.mlps.npz beside it or from --mlps, an archive with the arrays of the
-torch file under their names there (opacity_mlp.0.weight ... color_mlp.2.bias), which its owner
-saves by np.savez, or with `mlps` of a decoded scene. nx ny nz, opacity and rot_* are not used."""
+RUN is a run folder, the .npz or .clgs file of a scene, or a PLY file of anchors as the reference
+code writes it (f_offset_*, f_anchor_feat_*, scale_*): X.quantized.ply holds integers, any other
+name numbers that are rounded by --q. PLY files hold no MLPs: they are read from X.mlps.npz beside
+or from --mlps, an archive with the arrays of the torch file under their names there
+(opacity_mlp.0.weight ... color_mlp.2.bias), which its owner saves by np.savez, or with `mlps` of a
+decoded scene. nx ny nz, opacity and rot_* are not used."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -43,9 +45,8 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("scene", type=Path, metavar="RUN", help="run folder, .npz or .ply")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.clgs")
-    parser.add_argument("--level", default="default", help="fast, default, max or paper")
+    add_files(parser, "scene", "RUN", "FILE.clgs")
+    add_level(parser)
     parser.add_argument("--chunk", type=int, default=65_536, metavar="N", help="16 to 2^20; 65536")
     parser.add_argument("--mlps", type=Path, metavar="FILE.npz", help="MLPs of a PLY file")
     parser.add_argument(
@@ -103,11 +104,6 @@ def read_source(args: argparse.Namespace) -> QuantizedScene:
     if args.mlps or args.q:
         raise UsageError(f"{args.scene}: --mlps and --q are for a PLY file; leave them out")
     return read_scene(args.scene)[0]
-
-
-def add_threads(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--threads``."""
-    parser.add_argument("--threads", type=int, metavar="N", help="default: one a processor")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.encode import add_threads
+from clgs.cli.codec_options import add_files, add_level, add_threads
 
 if TYPE_CHECKING:
     from clgs.codec.splats import Splats
@@ -32,8 +31,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("splats", type=Path, metavar="FILE.ply")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.clgs")
+    add_files(parser, "splats", "FILE.ply", "FILE.clgs")
     parser.add_argument(
         "--step",
         type=named_step,
@@ -43,7 +41,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="of a group (position, scale, f_rest, ...) or a property, such as scale=0.03; again "
         "for each",
     )
-    parser.add_argument("--level", default="default", help="fast, default, max or paper")
+    add_level(parser)
     add_threads(parser)
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from clgs.cli.encode import add_threads
+from clgs.cli.codec_options import add_files, add_threads
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -17,8 +16,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "float64 where float32 would lose a step, with the same properties and splats, rounded to "
         "the steps, in Morton order.",
     )
-    parser.add_argument("splats", type=Path, metavar="FILE.clgs")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.ply")
+    add_files(parser, "splats", "FILE.clgs", "FILE.ply")
     add_threads(parser)
 
 

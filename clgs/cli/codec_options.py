@@ -1,0 +1,25 @@
+"""Options that the commands of the codec share."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def add_files(parser: argparse.ArgumentParser, name: str, source: str, output: str) -> None:
+    """Add the argument ``name`` and the option ``--output``, shown as ``source`` and ``output``.
+
+    ``clgs.files.check_output`` must see both.
+    """
+    parser.add_argument(name, type=Path, metavar=source)
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar=output)
+
+
+def add_level(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--level``, which the encoder checks."""
+    parser.add_argument("--level", default="default", help="fast, default, max or paper")
+
+
+def add_threads(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--threads``."""
+    parser.add_argument("--threads", type=int, metavar="N", help="default: one a processor")
