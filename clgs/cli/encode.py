@@ -26,8 +26,8 @@ has rounded them; the same weights come back either way.
 
 --target-size and --target-psnr make a smaller file without training: anchors are left out, least
 useful for each bit first, and Q of offsets, features or scalings is made coarser where that costs
-less; Q of positions stays. With --data the training views say what is useful, and what it costs
-in PSNR; without, an anchor's size says it.
+less; Q of positions stays. With --data the training views (48 at most) say what is useful, and 12
+of them, or --all-views, what it costs in PSNR; without, an anchor's size says what is useful.
 
 RUN is a run folder, the .npz or .clgs file of a scene, or a PLY file of anchors as the reference
 code writes it (f_offset_*, f_anchor_feat_*, scale_*): X.quantized.ply holds integers, any other

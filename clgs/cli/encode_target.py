@@ -30,6 +30,11 @@ def add_target_options(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="of the photos (default: as the config.toml beside RUN says, else 1)",
     )
+    parser.add_argument(
+        "--all-views",
+        action="store_true",
+        help="measure PSNR on all training views (default: on 12 that lie far from each other)",
+    )
     parser.add_argument("--device", help="number or part of the name, see `clgs devices`")
     # What the views of other commands have as options.
     parser.set_defaults(split="train", accuracy=None, smallest_anchor=None, max_memory=None)
@@ -72,16 +77,20 @@ def reduce(
     args: argparse.Namespace, scene: QuantizedScene, encode: Callable[[QuantizedScene], bytes]
 ) -> tuple[QuantizedScene, bytes]:
     """The smaller scene and its file; prints what it cost."""
+    from clgs.cli.progress import bar
     from clgs.train.rate_control import reduce_to_psnr, reduce_to_size
 
-    judge = _judge(args, scene) if args.data is not None else None
-    if args.target_psnr is not None:
-        assert judge is not None
-        found = reduce_to_psnr(scene, args.target_psnr, encode, judge)
-    else:
-        found = reduce_to_size(scene, args.target_size, encode, judge)
+    judge, views = None, 0
+    with bar(None, "looking at views" if args.data else "encoding") as advance:
+        if args.data is not None:
+            judge, views = _judge(args, scene, advance)
+        if args.target_psnr is not None:
+            assert judge is not None
+            found = reduce_to_psnr(scene, args.target_psnr, encode, judge)
+        else:
+            found = reduce_to_size(scene, args.target_size, encode, judge)
     kept, count = len(found.scene.anchors), len(scene.anchors)
-    coarser = ", ".join(f"Q of {name} x {factor:g}" for name, factor in found.factors.items())
+    coarser = ", ".join(f"Q of {name} x {factor:.3g}" for name, factor in found.factors.items())
     print(f"kept {kept:,} of {count:,} anchors; {coarser or 'all Q as they were'}")
     if found.psnr is None:
         print("PSNR cost: not measured; name the dataset with --data, which also chooses better")
@@ -89,16 +98,29 @@ def reduce(
         assert judge is not None
         before, after = found.psnr
         print(
-            f"PSNR on {len(judge.views)} training views: {before:.2f} dB -> {after:.2f} dB "
-            f"({after - before:+.2f} dB)"
+            f"PSNR on {len(judge.views)} of {views} training views: {before:.2f} dB -> "
+            f"{after:.2f} dB ({after - before:+.2f} dB)"
         )
     return found.scene, found.data
 
 
-def _judge(args: argparse.Namespace, scene: QuantizedScene) -> Judge:
-    from clgs.cli.view_options import selected_options, selected_views
-    from clgs.opencl.device import Device
-    from clgs.train.rate_control import Judge
+def _judge(
+    args: argparse.Namespace, scene: QuantizedScene, on_render: Callable[[], None]
+) -> tuple[Judge, int]:
+    """What judges by the training views, and how many of these there are.
 
-    views = selected_views(args, scene)
-    return Judge.of(Device(args.device), views, selected_options(args))
+    Only the photos that are looked at are loaded.
+    """
+    from clgs.cli.view_options import selected_options, selected_views, trained_downscale
+    from clgs.opencl.device import Device
+    from clgs.train.rate_control import MAX_CAMERAS, MEASURED, Judge
+    from clgs.train.view_choice import spread
+
+    args.downscale = args.downscale or trained_downscale(args.scene)
+    empty = selected_views(args, scene, load_images=False)
+    cameras = [view.camera for view in empty]
+    measured = spread(cameras, len(cameras) if args.all_views else MEASURED)
+    names = {empty[i].name for i in measured}
+    views = [view for view in selected_views(args, scene, names) if view.name in names]
+    seen = [cameras[i] for i in spread(cameras, MAX_CAMERAS)]
+    return Judge(Device(args.device), seen, views, selected_options(args), on_render), len(empty)

@@ -30,8 +30,11 @@ PLAIN_SECONDS = 15.0
 
 
 @contextmanager
-def bar(total: int, label: str) -> Iterator[Callable[[], None]]:
-    """A bar of ``total`` units; the block receives a function that advances it by one."""
+def bar(total: int | None, label: str) -> Iterator[Callable[[], None]]:
+    """A bar of ``total`` units, None where nobody knows.
+
+    The block receives a function that advances it by one.
+    """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     console = Console(stderr=True)
     quiet = not console.is_terminal

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from clgs.options import PRESETS
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from clgs.data.dataset import Dataset, View
     from clgs.options import RenderOptions
     from clgs.scene.scene import QuantizedScene
@@ -64,27 +66,36 @@ def add_memory_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def selected_views(args: argparse.Namespace, scene: QuantizedScene) -> list[View]:
+def selected_views(
+    args: argparse.Namespace, scene: QuantizedScene, load_images: bool | Collection[str] = True
+) -> list[View]:
     """The views that the options name, posed in the scene's units.
+
+    ``load_images``: as of ``load_dataset``.
 
     Raises:
         DataError: the split is empty, or the dataset does not fit the scene.
     """
     from clgs.errors import DataError
 
-    dataset = _load(args, scene)
+    dataset = _load(args, scene, load_images)
     views = dataset.test if args.split == "test" else dataset.train
     if not views:
         raise DataError(f"{args.data}: has no {args.split} views; try --split train")
     return views
 
 
-def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
+def _load(
+    args: argparse.Namespace, scene: QuantizedScene, load_images: bool | Collection[str]
+) -> Dataset:
     from clgs.data.dataset import load_dataset
     from clgs.data.repose import repose
 
-    downscale = args.downscale or _trained_downscale(args.scene)
-    return repose(load_dataset(args.data, downscale=downscale, load_points=False), scene.transform)
+    downscale = args.downscale or trained_downscale(args.scene)
+    dataset = load_dataset(
+        args.data, downscale=downscale, load_images=load_images, load_points=False
+    )
+    return repose(dataset, scene.transform)
 
 
 def selected_options(args: argparse.Namespace) -> RenderOptions:
@@ -109,7 +120,7 @@ def _trained_config(scene: Path) -> TrainConfig | None:
     return from_toml(path.read_text(encoding="utf-8"), str(path)) if path.is_file() else None
 
 
-def _trained_downscale(scene: Path) -> int:
+def trained_downscale(scene: Path) -> int:
     """The --downscale of the run folder that ``scene`` is or lies in; 1, said aloud, elsewhere."""
     config = _trained_config(scene)
     if config is not None:

@@ -20,6 +20,9 @@ ENOUGH = 0.99
 
 MAX_TRIALS = 12
 
+SPAN_LIMIT = 1 << 16
+"""Channels with a smaller span of values are counted without sorting."""
+
 Factors = dict[str, float]
 """What Q of "offset", "feature" or "scaling" is multiplied by; at most 1."""
 
@@ -43,11 +46,23 @@ def coarsen(scene: QuantizedScene, factors: Factors) -> QuantizedScene:
 def anchor_bits(anchors: QuantizedAnchors) -> npt.NDArray[np.float64]:
     """About how many bits each anchor costs, (A,): by how often each channel has its values."""
     bits = np.full(len(anchors), POSITION_BITS)
+    if not len(anchors):
+        return bits
     for values in (anchors.offset, anchors.feature, anchors.scaling):
-        for channel in values.reshape(len(anchors), -1).T:
-            _, index, count = np.unique(channel, return_inverse=True, return_counts=True)
-            bits += np.log2(len(anchors) / count)[index]
+        for channel in np.ascontiguousarray(values.reshape(len(anchors), -1).T):
+            index, count = _frequencies(channel)
+            bits += np.log2(len(anchors) / np.maximum(count, 1))[index]
     return bits
+
+
+def _frequencies(
+    channel: npt.NDArray[np.int32],
+) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """For each value (A,) the number of its kind, and how many there are of each kind."""
+    index = channel.astype(np.intp) - int(channel.min())
+    if int(index.max()) >= SPAN_LIMIT:
+        _, index = np.unique(channel, return_inverse=True)
+    return index, np.bincount(index)
 
 
 def most_useful_first(
@@ -79,12 +94,9 @@ def fit_size(
         if len(data) <= target:
             return scene, data
         whole = len(data)
+    least_size(scene, target, encode)
     high, high_size, low = len(order), whole, 0
     best, data = _cut(scene, order, 0, encode)
-    if len(data) > target:
-        raise UsageError(
-            f"a file of {target:,} bytes is too small: {len(data):,} bytes remain without anchors"
-        )
     for _ in range(MAX_TRIALS):
         if high - low <= 1 or len(data) >= ENOUGH * target:
             break
@@ -98,6 +110,23 @@ def fit_size(
         else:
             high, high_size = count, len(trial_data)
     return best, data
+
+
+def least_size(
+    scene: QuantizedScene, target: int, encode: Callable[[QuantizedScene], bytes]
+) -> int:
+    """Bytes of the file without anchors.
+
+    Raises:
+        UsageError: more than ``target``.
+    """
+    least = len(encode(take(scene, np.arange(0))))
+    if least > target:
+        raise UsageError(
+            f"a file of {target:,} bytes is too small: {least:,} bytes remain without anchors; "
+            "ask for more"
+        )
+    return least
 
 
 def _cut(

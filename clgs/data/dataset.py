@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -73,7 +74,7 @@ def load_dataset(
     preset_units: bool = False,
     cache: Path | None = None,
     seed: int = 0,
-    load_images: bool = True,
+    load_images: bool | Collection[str] = True,
     load_points: bool = True,
 ) -> Dataset:
     """The data set in the folder ``path``: Blender, transforms.json or COLMAP.
@@ -84,7 +85,8 @@ def load_dataset(
         preset_units: keep the given units instead of scaling to SCENE_RADIUS.
         cache: folder in which triangulated points are kept; never the data folder.
         seed: of random and triangulated points.
-        load_images: without, views have empty images, and points come from COLMAP models only.
+        load_images: without, views have empty images, and points come from COLMAP models only; or
+            the names of the photos that are loaded, the others stay empty.
         load_points: without, none are triangulated or drawn: enough to render and evaluate.
 
     Raises:
@@ -96,11 +98,11 @@ def load_dataset(
     if not photos.train:
         raise DataError(f"{path}: no photo is left to train on; at least two are needed")
     transform, radius = _normalise(photos, preset_units)
-    to_view = partial(_view, transform=transform, downscale=downscale, load_image=load_images)
+    to_view = partial(_view, transform=transform, downscale=downscale, load_images=load_images)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         views = list(pool.map(to_view, photos.train + photos.test))
     train, test = views[: len(photos.train)], views[len(photos.train) :]
-    make_points = load_images and load_points
+    make_points = load_images is True and load_points
     if make_points and photos.points is None and photos.kind != "blender":
         _triangulate(photos, cache, seed)
     points, colors = _scene_points(photos, transform, radius)
@@ -157,7 +159,13 @@ def _normalise(photos: PhotoSet, keep_units: bool) -> tuple[SceneTransform, floa
     return SceneTransform((x, y, z), SCENE_RADIUS / radius), SCENE_RADIUS
 
 
-def _view(photo: Photo, *, transform: SceneTransform, downscale: int, load_image: bool) -> View:
+def _view(
+    photo: Photo,
+    *,
+    transform: SceneTransform,
+    downscale: int,
+    load_images: bool | Collection[str],
+) -> View:
     """The photo undistorted at full resolution, cropped to valid pixels, then downscaled."""
     try:
         lens, _ = undistort_lens(photo.lens)
@@ -165,7 +173,8 @@ def _view(photo: Photo, *, transform: SceneTransform, downscale: int, load_image
         raise DataError(f"{photo.path}: {error}; correct k1, k2, p1, p2") from error
     width, height = (max(1, round(size / downscale)) for size in (lens.width, lens.height))
     image = Pixels(np.empty((0, 0, 3), np.uint8), None)
-    if load_image:
+    wanted = load_images if isinstance(load_images, bool) else photo.name in load_images
+    if wanted:
         pixels = read_image(photo.path, (photo.lens.width, photo.lens.height))
         image = box_downscale(undistort_pixels(pixels, photo.lens)[0], downscale)
     camera = _camera(photo, lens.resized(width, height), transform)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from threading import Lock
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,9 @@ _MAX_ANGLE = np.radians(80.0)
 
 _BAND_PIXELS = 65_536
 """Pixels resampled at a time, so that the work stays in the cache."""
+
+_one_at_a_time = Lock()
+"""Held while sources are computed, so that threads wait for them instead of repeating the work."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +143,9 @@ def undistort_pixels(pixels: Pixels, lens: Lens) -> tuple[Pixels, Lens]:
     channels = pixels.color
     if pixels.alpha is not None:
         channels = np.concatenate([channels, pixels.alpha[..., None]], axis=2)
-    result = _resample(channels, *_sources(lens))
+    with _one_at_a_time:
+        sources = _sources(lens)
+    result = _resample(channels, *sources)
     result = result.reshape(pinhole.height, pinhole.width, -1)
     alpha = None if pixels.alpha is None else np.ascontiguousarray(result[..., 3])
     return Pixels(np.ascontiguousarray(result[..., :3]), alpha), pinhole
@@ -173,16 +179,17 @@ def _resample(
 ) -> npt.NDArray[np.uint8]:
     """Bilinear samples (N, C) uint8 of image (H, W, C)."""
     height, width, channels = image.shape
-    flat = image.reshape(-1, channels)
+    planes = np.ascontiguousarray(image.reshape(-1, channels).T)
     right, below = int(width > 1), width * int(height > 1)
-    result = np.empty((len(index), channels), np.uint8)
+    result = np.empty((channels, len(index)), np.uint8)
     for start in range(0, len(index), _BAND_PIXELS):
         part = slice(start, start + _BAND_PIXELS)
-        at, x, y = index[part], weight[part, :1], weight[part, 1:]
-        upper = _between(flat[at], flat[at + right], x)
-        lower = _between(flat[at + below], flat[at + below + right], x)
-        result[part] = np.rint(upper + (lower - upper) * y)
-    return result
+        at, (x, y) = index[part].astype(np.intp), np.ascontiguousarray(weight[part].T)
+        for plane, values in zip(planes, result, strict=True):
+            upper = _between(plane[at], plane[at + right], x)
+            lower = _between(plane[at + below], plane[at + below + right], x)
+            values[part] = np.rint(upper + (lower - upper) * y)
+    return np.ascontiguousarray(result.T)
 
 
 def _between(

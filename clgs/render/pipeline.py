@@ -197,7 +197,7 @@ def rasterise_backward(
     """Gradients by the frame's Gaussians, and by their centres (N, 2) on the screen."""
     gaussians = frame.gaussians
     with device.stage("blend backward"):
-        splats = _blend_backward(device, frame, d_image)
+        splats = blend_backward(device, frame, d_image)
     shape = (gaussians.mean, gaussians.scale, gaussians.rotation)
     with device.stage("project backward"):
         solids = project.backward(
@@ -215,7 +215,8 @@ def rasterise_backward(
     return d_gaussians, splats.d_mean2d
 
 
-def _blend_backward(device: Device, frame: Frame, d_image: DeviceArray) -> blend.BlendGradients:
+def blend_backward(device: Device, frame: Frame, d_image: DeviceArray) -> blend.BlendGradients:
+    """Gradients by what was blended: the projected Gaussians, their colors and opacities."""
     projected, gaussians, background = frame.projected, frame.gaussians, frame.background
     if frame.groups is not None:
         return tile_groups.backward(

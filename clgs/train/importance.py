@@ -10,34 +10,42 @@ seem to do harm are needed by each other, and leaving out thousands of them by i
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import K_OFFSETS
-from clgs.data.dataset import View
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render.frame import Frame, upload_scene
-from clgs.render.pipeline import rasterise_backward, render_forward
+from clgs.render.pipeline import blend_backward, render_forward
+from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
 
 SEED = 0
 
 
 def importance(
-    device: Device, scene: QuantizedScene, views: list[View], options: RenderOptions = DEFAULT
+    device: Device,
+    scene: QuantizedScene,
+    cameras: Sequence[Camera],
+    options: RenderOptions = DEFAULT,
+    on_render: Callable[[], None] = lambda: None,
 ) -> npt.NDArray[np.float64]:
-    """The squared error of ``views`` that each anchor saves, (A,) float64, at least 0.
+    """The squared error of the pictures from ``cameras`` that each anchor saves, (A,) float64.
 
-    Summed over pixels and channels, colors in [0, 1].
+    At least 0. Summed over pixels and channels, colors in [0, 1]. ``on_render`` is called after
+    each camera.
     """
     total, rng = np.zeros(len(scene.anchors)), np.random.default_rng(SEED)
     uploaded = upload_scene(device, scene.dequantize())
-    for view in views:
-        frame = render_forward(device, uploaded, view.camera, scene.settings, options)
+    for camera in cameras:
+        frame = render_forward(device, uploaded, camera, scene.settings, options)
         signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
         anchor, change = _change(device, frame, signs)
         total[anchor] += np.square(change)
+        on_render()
     return total
 
 
@@ -55,7 +63,7 @@ def _change(
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
     """The anchors of the frame (n,), each once, and <d, ``direction``> of each."""
     gaussians = frame.gaussians
-    gradients, _ = rasterise_backward(device, frame, device.upload(direction))
+    gradients = blend_backward(device, frame, device.upload(direction))
     change = device.download(gaussians.opacity) * device.download(gradients.d_opacity)
     visible = device.download(frame.activations.visible)
     row = device.download(gaussians.slot) // K_OFFSETS

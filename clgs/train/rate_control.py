@@ -6,66 +6,88 @@ Q_P stays: a coarser grid would move all Gaussians of an anchor, and positions a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.fit_size import Factors, anchor_bits, coarsen, fit_size, most_useful_first, take
+from clgs.codec.fit_size import (
+    Factors,
+    anchor_bits,
+    coarsen,
+    fit_size,
+    least_size,
+    most_useful_first,
+    take,
+)
 from clgs.data.dataset import View
 from clgs.errors import UsageError
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
+from clgs.render.renderer import Renderer
+from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
-from clgs.train.evaluation import evaluate_views
+from clgs.train.evaluate import psnr_8bit, to_8bit
 from clgs.train.importance import importance, importance_without_views
+from clgs.train.targets import planar
 
 Encode = Callable[[QuantizedScene], bytes]
 
-MIXES: tuple[Factors, ...] = (
-    {},
-    {"scaling": 0.75},
-    {"feature": 0.75},
-    {"offset": 0.5},
-)
-"""What is tried before anchors are dropped."""
+COARSER = ("offset", "feature", "scaling")
+"""Attributes whose Q may be multiplied by STEP, again and again, while that costs least."""
 
-MAX_VIEWS = 48
-"""Views that are looked at, evenly spread; to compare mixes, every COMPARED-th of them."""
+STEP = 0.75
 
-COMPARED = 6
+SPARE = 1.1
+"""A coarser Q is tried where all anchors would take this many times the room."""
+
+MAX_CAMERAS = 48
+"""Views that say what is useful, at most. Each shows anchors that few others do."""
+
+MEASURED, COMPARED = 12, 6
+"""Views that PSNR is measured on, unless all are asked for; and to compare different Q."""
+
+PIXELS = 2.0
+"""Usefulness is judged at half the resolution where so many pixels an anchor remain."""
 
 ROUND = 0.15
 """Share of all anchors that is dropped before the others are judged again."""
 
-PSNR_STEPS = 9
+PSNR_STEPS = 6
 
 
 @dataclass(frozen=True)
 class Judge:
-    """Training views to measure by."""
+    """The cameras that say what is useful, and the photos that PSNR is measured on.
+
+    on_render: called after each picture.
+    """
 
     device: Device
-    views: list[View]
+    cameras: Sequence[Camera]
+    views: Sequence[View]
     options: RenderOptions = DEFAULT
+    on_render: Callable[[], None] = lambda: None
 
-    @classmethod
-    def of(cls, device: Device, views: list[View], options: RenderOptions = DEFAULT) -> Judge:
-        """One with at most MAX_VIEWS of ``views``."""
-        count = min(len(views), MAX_VIEWS)
-        chosen = [views[i * len(views) // count] for i in range(count)]
-        return cls(device, chosen, options)
-
-    def psnr(self, scene: QuantizedScene, every: int = 1) -> float:
-        """Mean over the views, or every ``every``-th, in dB."""
-        views = self.views[::every]
-        scores = evaluate_views(self.device, scene, views, options=self.options)
-        return float(np.mean([score.psnr for score in scores]))
+    def psnr(self, scene: QuantizedScene, count: int | None = None) -> float:
+        """Mean over the views, or ``count`` of them, in dB, as ``clgs eval`` measures it."""
+        renderer = Renderer(self.device, scene.dequantize(), self.options)
+        scores = []
+        for view in self.views[:: max(1, len(self.views) // count) if count else 1]:
+            photo = planar(view, scene.settings.background).transpose(1, 2, 0)
+            scores.append(psnr_8bit(to_8bit(renderer.render(view.camera)), photo))
+            self.on_render()
+        return float(np.mean(scores))
 
     def importance(self, scene: QuantizedScene) -> npt.NDArray[np.float64]:
         """Of each anchor, (A,)."""
-        return importance(self.device, scene, self.views, self.options)
+        room = PIXELS * len(scene.anchors)
+        cameras = [
+            camera.reduced(2 if camera.width * camera.height >= 4 * room else 1)
+            for camera in self.cameras
+        ]
+        return importance(self.device, scene, cameras, self.options, self.on_render)
 
 
 @dataclass(frozen=True)
@@ -89,23 +111,20 @@ def reduce_to_size(
     Raises:
         UsageError: the file is larger even without anchors.
     """
-    whole = encode(scene)
-    if len(whole) <= target:
-        before = judge.psnr(scene) if judge else None
-        return Reduced(scene, whole, {}, (before, before) if before is not None else None)
-    useful = judge.importance(scene) if judge else importance_without_views(scene)
-    factors: Factors = {}
-    share = target / len(whole)
-    if judge:
-        factors = _best_mix(scene, useful, share, judge)
-    coarse = coarsen(scene, factors)
-    order = most_useful_first(coarse, useful)
-    if judge:
-        room = share * float(anchor_bits(scene.anchors).sum())
-        order = rank(coarse, judge, lambda cut: anchor_bits(cut.anchors).sum() < room)
-    found, data = fit_size(coarse, order, target, encode, len(whole))
-    psnr = (judge.psnr(scene), judge.psnr(found)) if judge else None
-    return Reduced(found, data, factors, psnr)
+    whole = len(data := encode(scene))
+    before = judge.psnr(scene) if judge and whole <= target else None
+    if whole <= target:
+        return Reduced(scene, data, {}, (before, before) if before is not None else None)
+    least = least_size(scene, target, encode)
+    if judge is None:
+        order = most_useful_first(scene, importance_without_views(scene))
+        return Reduced(*fit_size(scene, order, target, encode, whole), {}, None)
+    before = judge.psnr(scene)
+    room = (target - least) / (whole - least) * float(anchor_bits(scene.anchors).sum())
+    order, _ = rank(scene, judge, lambda cut: anchor_bits(cut.anchors).sum() < room)
+    factors = _best_factors(scene, order, room, judge)
+    found, data = fit_size(coarsen(scene, factors), order, target, encode, whole)
+    return Reduced(found, data, factors, (before, judge.psnr(found)))
 
 
 def reduce_to_psnr(scene: QuantizedScene, target: float, encode: Encode, judge: Judge) -> Reduced:
@@ -114,14 +133,14 @@ def reduce_to_psnr(scene: QuantizedScene, target: float, encode: Encode, judge: 
     Raises:
         UsageError: the whole scene is below ``target``.
     """
-    before = after = judge.psnr(scene)
+    before = judge.psnr(scene)
     if before < target:
         raise UsageError(
             f"the whole scene has {before:.2f} dB on the training views, less than {target:g} dB; "
             "ask for less"
         )
-    order = rank(scene, judge, lambda cut: judge.psnr(cut) < target)
-    low, high, best = 0, len(order), scene
+    order, (low, high) = rank(scene, judge, lambda cut: judge.psnr(cut) < target)
+    best, after = take(scene, order[:high]), None
     for _ in range(PSNR_STEPS):
         count = (low + high) // 2
         trial = take(scene, order[:count])
@@ -130,15 +149,17 @@ def reduce_to_psnr(scene: QuantizedScene, target: float, encode: Encode, judge: 
             high, best, after = count, trial, reached
         else:
             low = count
-    return Reduced(best, encode(best), {}, (before, after))
+    return Reduced(best, encode(best), {}, (before, judge.psnr(best) if after is None else after))
 
 
 def rank(
     scene: QuantizedScene, judge: Judge, too_few: Callable[[QuantizedScene], bool]
-) -> npt.NDArray[np.intp]:
+) -> tuple[npt.NDArray[np.intp], tuple[int, int]]:
     """The anchors (A,), most useful first; what is left is judged again after every ROUND.
 
     Anchors gain importance as others go. Rounds end where ``too_few`` says that a cut goes too far.
+    With them, two numbers of anchors, first ones first: one that is too few (or 0), and one that
+    is not.
     """
     rows, dropped = np.arange(len(scene.anchors)), np.empty(0, np.intp)
     while True:
@@ -146,22 +167,30 @@ def rank(
         ranked = rows[most_useful_first(left, judge.importance(left))]
         count = min(int(np.ceil(len(ranked) - ROUND * len(scene.anchors))), len(ranked) - 1)
         if count <= 0 or too_few(take(scene, ranked[:count])):
-            return np.concatenate([ranked, dropped])
+            return np.concatenate([ranked, dropped]), (max(count, 0), len(ranked))
         rows, dropped = np.sort(ranked[:count]), np.concatenate([ranked[count:], dropped])
 
 
-def _best_mix(
-    scene: QuantizedScene, useful: npt.NDArray[np.float64], share: float, judge: Judge
+def _best_factors(
+    scene: QuantizedScene, order: npt.NDArray[np.intp], room: float, judge: Judge
 ) -> Factors:
-    """The mix with the best PSNR at about ``share`` of the bits of the whole scene."""
-    room = share * float(anchor_bits(scene.anchors).sum())
-    best: tuple[float, Factors] = (-np.inf, {})
-    for factors in MIXES:
+    """What Q is multiplied by for the best PSNR in about ``room`` bits of anchors.
+
+    First ones of ``order`` first. One STEP of one attribute at a time, while that is a gain.
+    """
+
+    def reached(factors: Factors) -> float:
         coarse = coarsen(scene, factors)
-        order = most_useful_first(coarse, useful)
         cost = np.cumsum(anchor_bits(coarse.anchors)[order])
-        kept = take(coarse, order[: int(np.searchsorted(cost, room))])
-        reached = judge.psnr(kept, COMPARED)
-        if reached > best[0]:
-            best = reached, factors
-    return best[1]
+        if factors and cost[-1] < SPARE * room:
+            return -np.inf
+        return judge.psnr(take(coarse, order[: int(np.searchsorted(cost, room))]), COMPARED)
+
+    factors: Factors = {}
+    best = reached(factors)
+    while True:
+        trials = [{**factors, name: factors.get(name, 1.0) * STEP} for name in COARSER]
+        scores = [reached(trial) for trial in trials]
+        if not max(scores) > best:
+            return factors
+        best, factors = max(scores), trials[int(np.argmax(scores))]

@@ -10,8 +10,11 @@ import pytest
 
 from clgs.cli.encode_target import size
 from clgs.cli.main import main
+from clgs.codec.encode import encode
+from clgs.opencl.device import Device
 from clgs.scene.storage import save_scene
 from tests.codec.scenes import random_scene
+from tests.data.folders import write_transforms
 
 
 def test_sizes() -> None:
@@ -62,3 +65,63 @@ def test_without_a_dataset_the_cost_is_not_measured(
     assert main(["encode", str(scene), "-o", str(target), "--target-size", str(wanted)]) == 0
     assert 0.98 * wanted <= target.stat().st_size <= wanted
     assert "PSNR cost: not measured" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("level", ["fast", "default"])
+def test_the_same_file_every_time(tmp_path: Path, rng: np.random.Generator, level: str) -> None:
+    scene = tmp_path / "s.npz"
+    save_scene(scene, random_scene(rng, 2000))
+    command = ["encode", str(scene), "--level", level, "--target-size", "50k"]
+    for name, threads in (("a.clgs", "1"), ("b.clgs", "2")):
+        assert main([*command, "--threads", threads, "-o", str(tmp_path / name)]) == 0
+    first = (tmp_path / "a.clgs").read_bytes()
+    assert first == (tmp_path / "b.clgs").read_bytes()
+    assert 0.98 * 50_000 <= len(first) <= 50_000
+
+
+def test_a_size_that_cannot_be_reached_is_one_line(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, target = tmp_path / "s.npz", tmp_path / "s.clgs"
+    save_scene(scene, random_scene(rng, 200))
+    assert main(["encode", str(scene), "-o", str(target), "--target-size", "50"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("clgs: error: a file of 50 bytes is too small: ")
+    assert error.count("\n") == 1
+    assert not target.exists()
+
+
+def test_an_interrupted_run_leaves_nothing(
+    tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, target = tmp_path / "s.npz", tmp_path / "s.clgs"
+    save_scene(scene, random_scene(rng, 2000))
+    target.write_bytes(b"before")
+    trials: list[int] = []
+
+    def interrupted(*arguments: object, **_: object) -> bytes:
+        trials.append(1)
+        if len(trials) == 3:
+            raise KeyboardInterrupt
+        return encode(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("clgs.codec.encode.encode", interrupted)
+    assert main(["encode", str(scene), "-o", str(target), "--target-size", "60k"]) == 130
+    assert len(trials) == 3
+    assert target.read_bytes() == b"before"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["s.clgs", "s.npz"]
+
+
+def test_photos_of_a_dataset_say_what_it_costs(
+    tmp_path: Path, device: Device, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, target = tmp_path / "s.npz", tmp_path / "s.clgs"
+    save_scene(scene, random_scene(rng, 2000))
+    write_transforms(tmp_path / "data", 16)
+    command = ["encode", str(scene), "-o", str(target), "--data", str(tmp_path / "data")]
+    command += ["--target-size", "50k", "--downscale", "1", "--device", device.name]
+    assert main(command) == 0
+    assert "PSNR on 12 of 14 training views: " in capsys.readouterr().out
+    assert 0.98 * 50_000 <= target.stat().st_size <= 50_000
+    assert main([*command, "--all-views"]) == 0
+    assert "PSNR on 14 of 14 training views: " in capsys.readouterr().out

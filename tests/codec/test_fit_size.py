@@ -70,6 +70,21 @@ def test_coarser_integers_keep_their_meaning(scene: QuantizedScene) -> None:
     assert len(fast(found)) < len(fast(scene))
 
 
+def test_bits_are_those_of_the_frequencies(scene: QuantizedScene) -> None:
+    anchors = scene.anchors
+    feature = anchors.feature.copy()
+    feature[::2, 0] += 2**30
+    wide = replace(anchors, feature=feature)
+    for some in (anchors, wide, take(scene, np.arange(1)).anchors):
+        expected = np.full(len(some), 12.0)
+        for values in (some.offset, some.feature, some.scaling):
+            for channel in values.reshape(len(some), -1).T:
+                equal = np.array([(channel == value).sum() for value in channel])
+                expected += np.log2(len(some) / equal)
+        np.testing.assert_allclose(anchor_bits(some), expected, rtol=1e-12)
+    assert anchor_bits(take(scene, np.arange(0)).anchors).shape == (0,)
+
+
 def test_bits_follow_frequencies(scene: QuantizedScene) -> None:
     bits = anchor_bits(scene.anchors)
     assert bits.shape == (len(scene.anchors),)

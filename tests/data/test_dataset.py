@@ -66,6 +66,16 @@ def test_far_offset_costs_no_precision(tmp_path: Path):
     assert np.abs(project(views[0], points) - project(views[1], points)).max() <= 1e-4
 
 
+def test_photos_that_nobody_asks_for_stay_empty(tmp_path: Path):
+    write_transforms(tmp_path, 4)
+    whole = load_dataset(tmp_path, load_points=False).train
+    some = load_dataset(tmp_path, load_images={whole[1].name}, load_points=False).train
+    np.testing.assert_array_equal(some[1].image, whole[1].image)
+    assert [view.image.size > 0 for view in some] == [i == 1 for i in range(len(whole))]
+    for a, b in zip(some, whole, strict=True):
+        np.testing.assert_array_equal(a.camera.pack(0.2), b.camera.pack(0.2))
+
+
 @pytest.mark.parametrize("size", [(40, 30), (41, 31), (53, 39)])
 @pytest.mark.parametrize("downscale", [1, 2, 3])
 def test_downscaled_intrinsics(tmp_path: Path, size: tuple[int, int], downscale: int):
