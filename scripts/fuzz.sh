@@ -59,7 +59,7 @@ fi
 # took three quarters of the time: an entropy coder compares at every bit, and formats have no magic
 # words longer than a byte. Files that fill tables for every stream go without any checks under
 # the address sanitizer: the C tests and the memory sanitizer check them.
-plain=" model octree_model "
+plain=" model octree_model attributes_fit "
 [ "$checks" = address,undefined ] || plain=
 compile() {
     local name=$1

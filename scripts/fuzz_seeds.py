@@ -84,13 +84,26 @@ def matrix_seeds() -> Iterator[Seed]:
         for coder in range(3):
             form = bytes([3 + 4 * (channels - 1) + 28 * coder])
             yield "round_trip", f"{name}_{coder}", form + value.astype("<i4").tobytes()
+        for kind in (b"\0", b"\7"):
+            fields = kind + struct.pack("<bHHHH", 0, 16, 1024, 512, 256)
+            head = bytes([min(channels, 2) - 1 | 192]) + fields * min(channels, 2)
+            data = head + value[:, :2].astype("<i4").tobytes()
+            yield "round_trip_fit", f"{name}_{kind.hex()}", data
         for level in ("fast", "default", "max"):
-            model = attributes.fit(value, level, rows)
-            head = count(rows - 1, 256) + struct.pack("<BH", channels - 1, len(model.header))
-            yield "attributes", f"{name}_{level}", head + model.header + model.encode(value)
-            head = struct.pack("<BH", channels - 1 | 128, len(model.header))
-            data = head + model.header + value.astype("<i4").tobytes()
-            yield "round_trip_attributes", f"{name}_{level}", data
+            yield from attribute_seeds(f"{name}_{level}", value, level)
+    seldom = (np.arange(2200) % 97 == 5).astype(np.int32)[:, None]  # in eight lanes
+    yield next(attribute_seeds("long", seldom, "fast"))
+
+
+def attribute_seeds(name: str, value: np.ndarray, level: str) -> Iterator[Seed]:
+    """A chunk of the values, the values themselves, and these over and over as a long column."""
+    rows, channels = value.shape
+    model = attributes.fit(value, level, rows)
+    head = count(rows - 1, 256) + struct.pack("<BH", channels - 1, len(model.header))
+    yield "attributes", name, head + model.header + model.encode(value)
+    data = struct.pack("<H", len(model.header)) + model.header + value.astype("<i4").tobytes()
+    yield "round_trip_attributes", name, bytes([channels - 1 | 128]) + data
+    yield "round_trip_attributes", f"{name}_long", bytes([channels - 1 | 252]) + data
 
 
 def point_seeds() -> Iterator[Seed]:
