@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -49,9 +50,9 @@ class Box:
 def decode_box(source: Source, box: Box, threads: int | None = None) -> QuantizedScene:
     """The scene with those of its anchors alone whose position lies in ``box``.
 
-    Of a file of version 2, only the section table, META, CHNK, MLPS, the positions of the chunks
-    that meet the box and the attributes of those that have an anchor in it are read. World
-    positions are computed as for ``world_position`` of a scene archive.
+    Of a file of version 2, only these are read: the section table, META, MLPS, the lists of chunks
+    and the positions of those that meet the box, and the attributes of those that have an anchor in
+    it. World positions are computed as for ``world_position`` of a scene archive.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged in what is read.
@@ -72,13 +73,12 @@ def decode_box(source: Source, box: Box, threads: int | None = None) -> Quantize
 
 
 def _decode_chunks(reader: Reader, box: Box, pool: ThreadPoolExecutor) -> QuantizedAnchors:
-    meta, directory = reader.meta, reader.directory
-    least, greatest = (_world(corners, meta) for corners in (directory.least, directory.greatest))
-    met = np.flatnonzero(box.meets(least, greatest)).tolist()
-    positions = decode_positions(reader, met, pool)
-    inside = {index: box.holds(_world(position, meta)) for index, position in positions.items()}
-    used = [index for index in met if inside[index].any()]
-    anchors = decode_chunks(reader, {index: positions[index] for index in used}, pool)
+    meta = reader.meta
+    met = reader.chunks(lambda *corners: box.meets(*(_world(c, meta) for c in corners)))
+    opened = decode_positions(reader, met, pool)
+    inside = [box.holds(_world(one.position, meta)) for one in opened]
+    used = [i for i, kept in enumerate(inside) if kept.any()]
+    anchors = decode_chunks(reader, [opened[i] for i in used], pool)
     return _select(anchors, np.concatenate([np.empty(0, bool), *(inside[i] for i in used)]))
 
 
@@ -87,12 +87,12 @@ def _select(anchors: QuantizedAnchors, kept: npt.NDArray[np.bool_]) -> Quantized
     return QuantizedAnchors(*(array[kept] for array in arrays))
 
 
-def _world(position: npt.NDArray[np.int32], meta: Meta) -> npt.NDArray[np.float64]:
+def _world(position: npt.NDArray[np.integer[Any]], meta: Meta) -> npt.NDArray[np.float64]:
     return _to_world(position, meta.scales, meta.transform)
 
 
 def _to_world(
-    position: npt.NDArray[np.int32], scales: QuantizationScales, transform: SceneTransform
+    position: npt.NDArray[np.integer[Any]], scales: QuantizationScales, transform: SceneTransform
 ) -> npt.NDArray[np.float64]:
     """Positions (A, 3) in the units of the input data; on each axis it never decreases."""
     return transform.to_world(position / np.float64(scales.position))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from clgs.codec import container, octree, version1
 from clgs.codec.attributes import Model
+from clgs.codec.chunks import Chunk
 from clgs.codec.container import CHNK, FEAT, META, OFFS, SCAL
 from clgs.codec.content import array_hash, content_arrays, join_hashes
 from clgs.codec.reader import CHANNELS, Reader
@@ -38,49 +40,54 @@ def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
     reader = Reader(BytesSource(data), table)
     with workers(threads) as pool:
         weights = pool.submit(reader.weights)
-        numbers = list(range(len(reader.directory.spans)))
-        anchors = decode_chunks(reader, decode_positions(reader, numbers, pool), pool)
+        anchors = decode_chunks(reader, decode_positions(reader, reader.chunks(), pool), pool)
         hashes = pool.map(array_hash, content_arrays(anchors, weights.result()))
         if join_hashes(list(hashes)) != reader.meta.content_hash:
             raise reader.error(META, "the decoded integers do not match their hash")
     return reader.scene(anchors, weights.result())
 
 
-def decode_positions(
-    reader: Reader, numbers: list[int], pool: ThreadPoolExecutor
-) -> dict[int, npt.NDArray[np.int32]]:
-    """Positions (n, 3) int32 of some chunks by number, in ascending order.
+@dataclass(frozen=True)
+class Opened:
+    """A chunk, and its positions (n, 3) int32."""
+
+    chunk: Chunk
+    position: npt.NDArray[np.int32]
+
+
+def decode_positions(reader: Reader, chunks: list[Chunk], pool: ThreadPoolExecutor) -> list[Opened]:
+    """The positions of some chunks in ascending order.
 
     Raises:
         CodecError: a chunk is damaged.
     """
-    spans = [reader.directory.spans[number] for number in numbers]
-    turns = [[numbers[i] for i in batch] for batch in batches(spans)]
-    decoded = pool.map(lambda turn: [reader.positions(number) for number in turn], turns)
-    positions = [position for turn in decoded for position in turn]
-    return dict(zip(numbers, positions, strict=True))
+
+    def open_batch(batch: range) -> list[Opened]:
+        return [Opened(chunks[i], reader.positions(chunks[i])) for i in batch]
+
+    decoded = pool.map(open_batch, batches([chunk.span for chunk in chunks]))
+    return [opened for batch in decoded for opened in batch]
 
 
 def decode_chunks(
-    reader: Reader, positions: dict[int, npt.NDArray[np.int32]], pool: ThreadPoolExecutor
+    reader: Reader, opened: list[Opened], pool: ThreadPoolExecutor
 ) -> QuantizedAnchors:
-    """The anchors of some chunks, in the order of ``positions``, which holds theirs by number.
+    """The anchors of some chunks.
 
     Raises:
         CodecError: a chunk is damaged, or does not follow the one before in Morton order.
     """
-    position = np.concatenate([np.empty((0, 3), np.int32), *positions.values()])
+    position = np.concatenate([np.empty((0, 3), np.int32), *(one.position for one in opened)])
     if not octree.ascends(reader.codes(position)):
         raise reader.error(CHNK, "the chunks are not in Morton order")
-    stops = np.cumsum([0, *map(len, positions.values())]).tolist()
+    stops = np.cumsum([0, *(len(one.position) for one in opened)]).tolist()
     spans = [slice(*ends) for ends in pairwise(stops)]
-    streams = [reader.streams(number) for number in positions]
-    numbers = list(positions)
+    streams = [reader.streams(one.chunk) for one in opened]
     rows = {tag: np.empty((len(position), CHANNELS[tag]), np.int32) for tag in CHANNELS}
 
     def fill(tag: str, model: Model, batch: range) -> None:
         for i in batch:
-            rows[tag][spans[i]] = reader.rows(model, streams[i][tag], numbers[i])
+            rows[tag][spans[i]] = reader.rows(model, streams[i][tag], opened[i].chunk)
 
     tasks: list[Future[None]] = []
     for tag in (FEAT, OFFS, SCAL):
@@ -109,7 +116,7 @@ def describe(data: bytes) -> dict[str, Any]:
     else:
         reader = Reader(BytesSource(data), table)
         meta, grid = reader.meta, reader.grid
-        chunks = {"anchors": reader.directory.chunk, "count": len(reader.directory.spans)}
+        chunks = {"anchors": reader.head.chunk, "count": reader.head.count}
         more = {"level": grid.level, "origin": grid.origin, "depth": grid.depth, "chunks": chunks}
     sizes = {tag: len(section.data) for tag, section in sections.items()}
     return {

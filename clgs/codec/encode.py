@@ -111,7 +111,7 @@ def _encode_positions(
     origins = corners(position, parts)
 
     def encode_batch(batch: range) -> list[bytes]:
-        return [octree.encode(position[parts[i]], origins[i]) for i in batch]
+        return [octree.encode_in(position[parts[i]], origins[i]) for i in batch]
 
     return [pool.submit(encode_batch, batch) for batch in batches(parts)]
 

@@ -12,6 +12,9 @@ MAX_DEPTH = 21
 MAX_EXTENT = 1 << MAX_DEPTH
 """Positions span fewer cells than this on each axis: 3 x 21 bits fit a Morton code."""
 
+SPARSE, BARE = 2, 3
+"""Modes, the first byte of a stream; BARE: as SPARSE, but without depth and corner."""
+
 MAX_POINTS_A_BYTE = 1 << 15
 """No octree stream holds more: a point costs a decision, a decision at least 1/22,711 byte."""
 
@@ -101,3 +104,40 @@ def decode(data: bytes | memoryview, count: int) -> npt.NDArray[np.int32]:
     elif len(data) > 0:
         raise ValueError("bytes follow the last symbol of the stream")
     return position
+
+
+def encode_in(position: npt.NDArray[np.int32], corner: tuple[int, int, int]) -> bytes:
+    """The stream of a cell of a larger octree, whose reader knows its corner and its depth.
+
+    Raises:
+        ValueError: as ``encode``.
+    """
+    data = encode(position, corner)
+    if data[:1] != bytes([SPARSE]):
+        return data
+    return bytes([BARE]) + data[len(_head(corner, data[1])) :]
+
+
+def decode_in(
+    data: bytes | memoryview, count: int, corner: tuple[int, int, int], depth: int
+) -> npt.NDArray[np.int32]:
+    """``count`` positions (count, 3) int32 of a stream of ``encode_in``.
+
+    Raises:
+        ValueError: as ``decode``.
+    """
+    if data[:1] == bytes([BARE]):
+        data = _head(corner, depth) + bytes(data[1:])
+    return decode(data, count)
+
+
+def _head(corner: tuple[int, int, int], depth: int) -> bytes:
+    """What a stream of mode SPARSE begins with: mode, depth, corner as varints."""
+    head = bytearray([SPARSE, depth])
+    for number in corner:
+        zigzag = 2 * number if number >= 0 else -2 * number - 1
+        while zigzag >= 128:
+            head.append(zigzag & 127 | 128)
+            zigzag >>= 7
+        head.append(zigzag)
+    return bytes(head)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec import attributes, container, octree, weights
-from clgs.codec.chunks import TAGS, Directory, Part, unpack_directory
+from clgs.codec import attributes, chunks, container, octree, subtrees, weights
+from clgs.codec.chunks import HEAD_SIZE, TAGS, Chunk, Head, Part
 from clgs.codec.container import ANCH, CHNK, FEAT, META, MLPS, OFFS, SCAL, Section, Table
 from clgs.codec.meta import SCALING_DIM, Grid, Meta, unpack_meta
 from clgs.codec.source import Source
@@ -22,6 +22,9 @@ from clgs.scene.scene import QuantizedScene
 CHANNELS = {OFFS: 3 * K_OFFSETS, FEAT: FEATURE_DIM, SCAL: SCALING_DIM}
 """Channels of the sections that hold attributes."""
 
+Meets: TypeAlias = Callable[[npt.NDArray[np.int64], npt.NDArray[np.int64]], npt.NDArray[np.bool_]]
+"""Which of the boxes with these least and greatest corners (n, 3) are wanted."""
+
 _T = TypeVar("_T")
 
 
@@ -32,7 +35,7 @@ class Reader:
         self._source = source
         self._table = table
         self.meta = guarded(self._section(META), unpack_meta, table.major)
-        self.directory = self._read_directory()
+        self.head = self._read_head()
         self._check_lengths()
 
     @property
@@ -41,22 +44,66 @@ class Reader:
         assert self.meta.grid is not None
         return self.meta.grid
 
-    def positions(self, index: int) -> npt.NDArray[np.int32]:
+    def chunks(self, meets: Meets | None = None) -> list[Chunk]:
+        """The chunks whose box ``meets`` takes, by default all; no other group is read.
+
+        Raises:
+            CodecError: a group is damaged.
+        """
+        corners = self.head.groups[:, 1:4], self.head.groups[:, 4:7]
+        met = meets(*corners) if meets else np.ones(len(self.head.groups), bool)
+        listed = [chunk for index in np.flatnonzero(met).tolist() for chunk in self._group(index)]
+        if meets is None or not listed:
+            return listed
+        least, greatest = (
+            np.array([c.least for c in listed]),
+            np.array([c.greatest for c in listed]),
+        )
+        return [listed[i] for i in np.flatnonzero(meets(least, greatest)).tolist()]
+
+    def _group(self, index: int) -> list[Chunk]:
+        """The chunks of a group, after all checks that need no decoding."""
+        place, crc = self.head.places[index]
+        part = self._read(CHNK, place)
+        if _codec.crc32c(part.data) != crc:
+            raise part.error(f"checksum of group {index} differs")
+        listed = guarded(part, chunks.unpack_group, self.head, index)
+        for chunk in listed:
+            length, count = chunk.parts[ANCH].length, chunk.span.stop - chunk.span.start
+            if count > length * octree.MAX_POINTS_A_BYTE:
+                what = f"chunk {chunk.number}: {length} bytes cannot hold {count} points"
+                raise self.error(ANCH, what)
+        return listed
+
+    def positions(self, chunk: Chunk) -> npt.NDArray[np.int32]:
         """Positions (n, 3) int32 of a chunk.
 
         Raises:
             CodecError: the chunk is damaged.
         """
-        part = self._read(ANCH, self.directory.parts[ANCH][index])
-        if _codec.crc32c(part.data) != self.directory.position_crc[index]:
-            raise part.error(f"chunk {index}: checksum differs")
-        position = _in_chunk(part, index, octree.decode, self._count(index))
-        low, high = position.min(axis=0), position.max(axis=0)
-        if (low != self.directory.least[index]).any():
-            raise part.error(f"chunk {index}: least position is {low.tolist()}")
-        if (high != self.directory.greatest[index]).any():
-            raise part.error(f"chunk {index}: greatest position is {high.tolist()}")
+        part = self._read(ANCH, chunk.parts[ANCH])
+        if _codec.crc32c(part.data) != chunk.position_crc:
+            raise part.error(f"chunk {chunk.number}: checksum differs")
+        cell = subtrees.cell(chunk.least, chunk.greatest, self.grid.origin)
+        position = _in_chunk(part, chunk, lambda data, count: octree.decode_in(data, count, *cell))
+        low, high = position.min(axis=0).tolist(), position.max(axis=0).tolist()
+        if tuple(low) != chunk.least:
+            raise part.error(f"chunk {chunk.number}: least position is {low}")
+        if tuple(high) != chunk.greatest:
+            raise part.error(f"chunk {chunk.number}: greatest position is {high}")
         return position
+
+    def streams(self, chunk: Chunk) -> dict[str, Section]:
+        """The bytes of the attributes of a chunk, by section.
+
+        Raises:
+            CodecError: they are damaged.
+        """
+        parts = {tag: self._read(tag, chunk.parts[tag]) for tag in CHANNELS}
+        joined = b"".join(part.data for part in parts.values())
+        if _codec.crc32c(joined) != chunk.rows_crc:
+            raise parts[OFFS].error(f"chunk {chunk.number}: checksum of its attributes differs")
+        return parts
 
     def codes(self, position: npt.NDArray[np.int32]) -> npt.NDArray[np.uint64]:
         """Morton codes of positions that were checked to lie on the grid."""
@@ -70,31 +117,19 @@ class Reader:
         Raises:
             CodecError: the section's header is damaged.
         """
-        shared, crc = self.directory.headers[tag]
+        shared, crc = self.head.headers[tag]
         part = self._read(tag, shared)
         if _codec.crc32c(part.data) != crc:
             raise part.error("checksum of the header differs")
         return guarded(part, attributes.read, CHANNELS[tag])
 
-    def streams(self, index: int) -> dict[str, Section]:
-        """The bytes of the attributes of a chunk, by section.
-
-        Raises:
-            CodecError: they are damaged.
-        """
-        parts = {tag: self._read(tag, self.directory.parts[tag][index]) for tag in CHANNELS}
-        joined = b"".join(part.data for part in parts.values())
-        if _codec.crc32c(joined) != self.directory.rows_crc[index]:
-            raise parts[OFFS].error(f"chunk {index}: checksum of its attributes differs")
-        return parts
-
-    def rows(self, model: attributes.Model, stream: Section, index: int) -> npt.NDArray[np.int32]:
+    def rows(self, model: attributes.Model, stream: Section, chunk: Chunk) -> npt.NDArray[np.int32]:
         """Attributes (n, channels) int32 of a chunk, of one of its ``streams``.
 
         Raises:
             CodecError: the chunk is damaged.
         """
-        return _in_chunk(stream, index, model.decode, self._count(index))
+        return _in_chunk(stream, chunk, model.decode)
 
     def weights(self) -> npt.NDArray[np.float32]:
         """The weights of the MLPs (13710,) float32.
@@ -112,31 +147,36 @@ class Reader:
         """A CodecError that names section ``tag``."""
         return Section(tag, self._table.entries[tag].offset, memoryview(b"")).error(what)
 
-    def _count(self, index: int) -> int:
-        span = self.directory.spans[index]
-        return int(span.stop - span.start)
-
     def _section(self, tag: str) -> Section:
         return container.read_section(self._source, self._table.entries[tag])
 
-    def _read_directory(self) -> Directory:
-        return guarded(self._section(CHNK), unpack_directory, self.meta.anchors, self.grid)
+    def _read_head(self) -> Head:
+        part = self._read(CHNK, Part(0, min(HEAD_SIZE, self._table.entries[CHNK].length)))
+        size = guarded(part, chunks.head_size)
+        rest = self._read(CHNK, Part(HEAD_SIZE, size - HEAD_SIZE))
+        part = Section(CHNK, part.offset, memoryview(b"".join([part.data, rest.data])))
+        head = guarded(part, chunks.unpack_head)
+        guarded(part, lambda _: chunks.check_head(head, self.meta.anchors, self.grid))
+        return head
 
     def _check_lengths(self) -> None:
         """No count is believed before there are bytes that can hold it."""
-        for tag in TAGS:
-            length, declared = self._table.entries[tag].length, self.directory.length(tag)
-            if length != declared:
-                raise self.error(tag, f"{length} bytes, its chunks have {declared}")
-        if self.directory.headers[ANCH][0].length > 0:
+        end = max((place.offset + place.length for place, _ in self.head.places), default=None)
+        declared = {tag: self.head.length(tag) for tag in TAGS}
+        if end is not None:
+            declared[CHNK] = end
+        for tag, size in declared.items():
+            length = self._table.entries[tag].length
+            if length != size:
+                raise self.error(tag, f"{length} bytes, its chunks have {size}")
+        if self.head.headers[ANCH][0].length > 0:
             raise self.error(ANCH, "a header that must be empty")
-        for index, part in enumerate(self.directory.parts[ANCH]):
-            length, count = part.length, self._count(index)
-            if count > length * octree.MAX_POINTS_A_BYTE:
-                raise self.error(ANCH, f"chunk {index}: {length} bytes cannot hold {count} points")
 
     def _read(self, tag: str, part: Part) -> Section:
-        offset = self._table.entries[tag].offset + part.offset
+        entry = self._table.entries[tag]
+        if part.offset + part.length > entry.length:
+            raise self.error(tag, f"{entry.length} bytes, {part.offset + part.length} are needed")
+        offset = entry.offset + part.offset
         return Section(tag, offset, self._source.read(offset, part.length))
 
 
@@ -168,9 +208,11 @@ def guarded(section: Section, function: Callable[..., _T], *arguments: object) -
 
 
 def _in_chunk(
-    part: Section, index: int, function: Callable[..., npt.NDArray[np.int32]], count: int
+    part: Section,
+    chunk: Chunk,
+    function: Callable[[memoryview, int], npt.NDArray[np.int32]],
 ) -> npt.NDArray[np.int32]:
     try:
-        return function(part.data, count)
+        return function(part.data, chunk.span.stop - chunk.span.start)
     except ValueError as error:
-        raise part.error(f"chunk {index}: {error}") from error
+        raise part.error(f"chunk {chunk.number}: {error}") from error

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs import _codec
 from clgs.codec import octree
 from clgs.codec.octree import MAX_DEPTH
 
@@ -35,29 +35,51 @@ def cut(position: npt.NDArray[np.int32], most: int) -> list[slice]:
         start, stop, level = todo.pop()
         if stop - start <= most:
             parts.append(slice(start, stop))
-        else:
-            todo += reversed(_children(code, start, stop, level, most))
+            continue
+        edges = _children(code, start, stop, level)
+        joined = _join(position, edges, most)
+        todo += [(low, high, level - 1) for low, high in reversed(joined)]
     return parts
 
 
-def _children(
-    code: npt.NDArray[np.uint64], start: int, stop: int, level: int, most: int
-) -> list[tuple[int, int, int]]:
-    """(start, stop, level) of the children of a cell, small neighbours joined."""
+def _children(code: npt.NDArray[np.uint64], start: int, stop: int, level: int) -> list[int]:
+    """First points of the children of a cell, and the end of the last one."""
     below = 3 * (level - 1)
     first = int(code[start]) >> below + 3 << 3
     bounds = np.array([first + child << below for child in range(1, 8)], np.uint64)
-    edges = [start, *(start + np.searchsorted(code[start:stop], bounds)).tolist(), stop]
-    joined: list[tuple[int, int, int]] = []
-    for low, high in pairwise(edges):
-        if joined and high - joined[-1][0] <= most:
-            joined[-1] = (joined[-1][0], high, level - 1)
-        elif high > low:
-            joined.append((low, high, level - 1))
-    return joined
+    edges = {start, *(start + np.searchsorted(code[start:stop], bounds)).tolist(), stop}
+    return sorted(edges)
 
 
-def corners(position: npt.NDArray[np.int32], parts: list[slice]) -> list[tuple[int, int, int]]:
+def _join(position: npt.NDArray[np.int32], edges: list[int], most: int) -> list[tuple[int, int]]:
+    """Neighbouring children joined up to ``most`` points, to the fewest parts.
+
+    Of these, the parts with the least sum of points times edges of their boxes.
+    """
+    points = position[edges[0] : edges[-1]]
+    first = np.array(edges[:-1]) - edges[0]
+    low, high = np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)
+    best = [(0, 0, 0)]  # up to each edge: parts, the sum, and the edge before
+    for end in range(1, len(edges)):
+        ways = []
+        for begin in range(end):
+            count = edges[end] - edges[begin]
+            if count <= most or begin == end - 1:
+                span = high[begin:end].max(axis=0).astype(np.int64) - low[begin:end].min(axis=0)
+                parts, total, _ = best[begin]
+                ways.append((parts + 1, total + count * int(span.sum()), begin))
+        best.append(min(ways))
+    joined, end = [], len(edges) - 1
+    while end > 0:
+        joined.append((edges[best[end][2]], edges[end]))
+        end = best[end][2]
+    return joined[::-1]
+
+
+Corner: TypeAlias = tuple[int, int, int]
+
+
+def corners(position: npt.NDArray[np.int32], parts: list[slice]) -> list[Corner]:
     """The origin of each part's octree: a corner of the least cell of the whole that holds it.
 
     Relative to it, the points of the part keep their order; relative to their own minimum they
@@ -65,24 +87,19 @@ def corners(position: npt.NDArray[np.int32], parts: list[slice]) -> list[tuple[i
     """
     if not parts:
         return []
-    low = position.min(axis=0)
-    ends = np.array([[part.start, part.stop - 1] for part in parts]).ravel()
-    code = np.empty(len(ends), np.uint64)
-    _codec.morton_encode(np.ascontiguousarray(position[ends]), code, *map(int, low))
-    found = []
-    for first, last in code.reshape(-1, 2).tolist():
-        levels = -(-(first ^ last).bit_length() // 3)
-        found.append(_corner(first >> 3 * levels << 3 * levels, low))
-    return found
+    first = [part.start for part in parts]
+    least = np.minimum.reduceat(position, first).tolist()
+    greatest = np.maximum.reduceat(position, first).tolist()
+    x, y, z = position.min(axis=0).tolist()
+    return [cell(low, high, (x, y, z))[0] for low, high in zip(least, greatest, strict=True)]
 
 
-def _corner(code: int, origin: npt.NDArray[np.int32]) -> tuple[int, int, int]:
-    """The position of a Morton code relative to ``origin``."""
-    x, y, z = (
-        int(origin[axis]) + sum((code >> 3 * bit + 2 - axis & 1) << bit for bit in range(MAX_DEPTH))
-        for axis in range(3)
-    )
-    return x, y, z
+def cell(least: Sequence[int], greatest: Sequence[int], origin: Corner) -> tuple[Corner, int]:
+    """Corner and levels of the least octree cell that holds a box, in an octree from ``origin``."""
+    ends = [(low - o, high - o) for low, high, o in zip(least, greatest, origin, strict=True)]
+    levels = max((low ^ high).bit_length() for low, high in ends)
+    x, y, z = (o + (low >> levels << levels) for (low, _), o in zip(ends, origin, strict=True))
+    return (x, y, z), levels
 
 
 def batches(parts: list[slice]) -> list[range]:

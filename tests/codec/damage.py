@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
+import numpy as np
+
 from clgs import _codec
 from clgs.codec import chunks, container
 
@@ -30,7 +32,7 @@ def rebuilt(data: bytes, **changed: bytes) -> bytes:
 
 def checked(sections: dict[str, bytes]) -> bytes:
     """CHNK with the checksums of what lies at its chunks' places now."""
-    chunk, shared, _, table = chunks.unpack_table(sections["CHNK"])
+    chunk, shared, _, table = unpack_table(sections["CHNK"])
     streams = {}
     for column, tag in enumerate(chunks.TAGS):
         at = shared[2 * column]
@@ -45,9 +47,25 @@ def checked(sections: dict[str, bytes]) -> bytes:
     return chunks.pack_table(chunk, shared, crcs, table)
 
 
+def unpack_table(section: bytes) -> tuple[int, list[int], list[int], chunks.Table]:
+    """What ``chunks.pack_table`` was given to make a CHNK that is not damaged."""
+    head = chunks.unpack_head(section[: chunks.head_size(section)])
+    listed: list[chunks.Chunk] = []
+    for index, (place, _) in enumerate(head.places):
+        data = section[place.offset : place.offset + place.length]
+        listed += chunks.unpack_group(data, head, index)
+    shared = [number for part, crc in head.headers.values() for number in (part.length, crc)]
+    crcs = [chunk.position_crc for chunk in listed] + [chunk.rows_crc for chunk in listed]
+    rows = [
+        (c.span.stop - c.span.start, *c.least, *c.greatest, *(p.length for p in c.parts.values()))
+        for c in listed
+    ]
+    return head.chunk, shared, crcs, np.array(rows, np.int32).reshape(-1, chunks.COLUMNS)
+
+
 def directory(data: bytes, change: Callable[..., None], fix: bool = False) -> bytes:
     """CHNK of the file after ``change(shared, crcs, table)``; with ``fix`` its checksums right."""
-    chunk, shared, crcs, table = chunks.unpack_table(contents(data)["CHNK"])
+    chunk, shared, crcs, table = unpack_table(contents(data)["CHNK"])
     change(shared, crcs, table)
     section = chunks.pack_table(chunk, shared, crcs, table)
     return checked({**contents(data), "CHNK": section}) if fix else section

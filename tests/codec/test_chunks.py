@@ -13,7 +13,7 @@ from clgs.codec.decode import decode, describe
 from clgs.codec.encode import encode
 from clgs.errors import CodecError
 from clgs.reference import xxh64
-from tests.codec.damage import checked, contents, directory, rebuilt
+from tests.codec.damage import checked, contents, directory, rebuilt, unpack_table
 from tests.codec.scenes import assert_same, make_golden, random_scene
 
 CHUNKED = make_golden().golden_files()["chunks"]
@@ -123,10 +123,20 @@ def test_declared_lengths_must_add_up(tag, length):
     def change(shared, crcs, table):
         table[0, 7 + chunks.TAGS.index(tag)] = length
 
-    what = "CHNK at byte .*: a chunk has a negative length"
-    if length >= 0:
-        what = rf"{tag} at byte \d+: \d+ bytes, its chunks have"
+    what = rf"(CHNK|{tag}) at byte \d+: (a group has a negative length|\d+ bytes, its chunks have)"
     with pytest.raises(CodecError, match=f"section {what}"):
+        decode(changed(change))
+
+
+@pytest.mark.parametrize("tag", chunks.TAGS)
+def test_lengths_that_add_up_may_not_be_negative(tag):
+    def change(shared, crcs, table):
+        column = 7 + chunks.TAGS.index(tag)
+        table[:2, column] += [-table[0, column] - 1, table[0, column] + 1]
+
+    with pytest.raises(
+        CodecError, match=r"section CHNK at byte \d+: a chunk has a negative length"
+    ):
         decode(changed(change))
 
 
@@ -192,7 +202,7 @@ def test_the_grid_must_be_that_of_the_positions(at):
 
 def test_chunks_in_another_order_are_refused():
     sections = contents(CHUNKED)
-    _, shared, _, table = chunks.unpack_table(sections["CHNK"])
+    _, shared, _, table = unpack_table(sections["CHNK"])
     swapped = {}
     for column, tag in enumerate(chunks.TAGS):
         start = shared[2 * column]

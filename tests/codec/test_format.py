@@ -119,3 +119,10 @@ def test_signatures_and_hashes_of_the_document():
         assert signature.hex(" ").upper() in TEXT
     for data in (b"", b"abc"):
         assert f"{_codec.xxh64(data):016X}" in TEXT
+
+
+def test_parts_are_numbered_in_order():
+    numbers = [int(number) for number in re.findall(r"^## (\d+)\. ", TEXT, re.MULTILINE)]
+    assert numbers == list(range(1, len(numbers) + 1))
+    listed = re.findall(r"(?:: |· )(\d+) ", TEXT.split("Contents")[1].split("\n")[0])
+    assert [int(number) for number in listed] == numbers
