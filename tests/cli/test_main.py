@@ -196,12 +196,16 @@ def test_a_specialisation_that_there_is_not_is_wrong_usage(monkeypatch, capsys):
 
 
 def test_help_starts_quickly():
-    seconds = []
+    """In the time of ten starts of an empty interpreter, whatever the machine does beside."""
+    empty, helped = [], []
     for _ in range(7):
         start = time.perf_counter()
+        subprocess.run([sys.executable, "-c", ""], check=True)
+        middle = time.perf_counter()
         clgs("--help")
-        seconds.append(time.perf_counter() - start)
-    assert min(seconds) <= 0.15
+        empty.append(middle - start)
+        helped.append(time.perf_counter() - middle)
+    assert min(helped) <= 10 * min(empty)
 
 
 def test_help_imports_nothing_heavy():
