@@ -115,6 +115,7 @@ class Lens:
         return np.stack(columns, axis=2)
 
 
+@lru_cache(maxsize=256)
 def undistort_lens(lens: Lens) -> tuple[Lens, tuple[int, int]]:
     """The pinhole lens of the undistorted image, and the (x, y) of its corner.
 
