@@ -9,13 +9,18 @@ import numpy as np
 
 from clgs import _codec
 from clgs.codec import chunks, container
+from clgs.codec.source import BytesSource
 
 ENTRY, HEAD = 32, 16
 
 
 def contents(data: bytes) -> dict[str, bytes]:
-    """The known sections of a file."""
-    return {tag: bytes(s.data) for tag, s in container.read_container(data)[1].items()}
+    """The known sections of a file of a scene or of splats."""
+    source = BytesSource(data)
+    splats = data[HEAD : HEAD + 4] == b"SPLT"
+    entries = container.read_table(source, splats).entries
+    tags = container.SPLATS if splats else container.VERSIONS[major(data)]
+    return {tag: bytes(container.read_section(source, entries[tag]).data) for tag in tags}
 
 
 def major(data: bytes) -> int:
@@ -69,6 +74,24 @@ def directory(data: bytes, change: Callable[..., None], fix: bool = False) -> by
     change(shared, crcs, table)
     section = chunks.pack_table(chunk, shared, crcs, table)
     return checked({**contents(data), "CHNK": section}) if fix else section
+
+
+def sealed_directory(section: bytes) -> bytes:
+    """A changed CHNK with the checksums of its groups and of its head right, if it has any."""
+    out = bytearray(section)
+    if len(out) < chunks.HEAD_SIZE or chunks.head_size(section) > len(out):
+        return section
+    end = at = chunks.head_size(section)
+    count = int.from_bytes(out[4:8], "little")
+    for entry in range(chunks.HEAD_SIZE, chunks.HEAD_SIZE + 8 * -(-count // chunks.GROUP), 8):
+        length = int.from_bytes(out[entry : entry + 4], "little")
+        crc = _codec.crc32c(bytes(out[at : at + length]))
+        out[entry + 4 : entry + 8] = struct.pack("<I", crc)
+        at += length
+    own = chunks.HEAD_SIZE - 4
+    head = bytes(out[:own] + out[chunks.HEAD_SIZE : end])
+    out[own : chunks.HEAD_SIZE] = struct.pack("<I", _codec.crc32c(head))
+    return bytes(out)
 
 
 def patched(data: bytes, at: int, new: bytes) -> bytes:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 import tracemalloc
 
 import numpy as np
@@ -13,20 +15,26 @@ from clgs.codec import decode_attributes, decode_positions, encode_attributes, e
 from clgs.codec.decode import decode
 from clgs.errors import CodecError
 from tests.codec import damage
-from tests.codec.mutations import attempt, cases
-from tests.codec.scenes import GOLDEN
-
-ROOM = 64 << 20
-"""Bytes that a decoder may take besides twice its output."""
+from tests.codec.mutations import ROOM, attempt, cases
+from tests.codec.scenes import GOLDEN, ROOT
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_seeded_damage_with_right_checksums_is_an_error_or_decodes(seed):
     outcomes = [
-        attempt(case)
+        attempt(case)[0]
         for _, case in zip(range(500), cases(np.random.default_rng(seed)), strict=False)
     ]
     assert set(outcomes) == {"refused", "decoded"}  # both happen: the parsers are reached
+
+
+@pytest.mark.slow
+def test_much_seeded_damage_takes_little_time_and_memory():
+    """Another process, so that memory held before does not hide what is taken."""
+    command = [sys.executable, "-m", "tests.codec.mutations", "20000", "77"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=3600, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("20000 inputs of seed 77")
 
 
 def sealed(body: bytes) -> bytes:
