@@ -25,8 +25,14 @@ CHUNK = 65536
 
 MAX_CHANNELS = 256
 
-EXACT_SIZE = 1 << 20
-"""Up to so many values, levels are compared by encoding; beyond, what that adds is negligible."""
+EXACT_SIZE = {"fast": 1 << 16, "default": 1 << 21, "max": 1 << 62}
+"""Up to so many values, coders are compared by encoding; beyond, by what is known of them."""
+
+NEAR, NEAR_SIZE = 1.03, 1 << 22
+"""Where the paper's coder comes so near on a sample, it codes up to so many values to compare."""
+
+LEAST_MIXED_ROWS = 256
+"""Mixed channels learn too little in chunks that are shorter on average."""
 
 
 class Model(Protocol):
@@ -125,26 +131,35 @@ def fit(
     values = np.ascontiguousarray(values, np.int32)
     chunks = runs(rows, chunk) if isinstance(chunk, int) else chunk
     model, size = attributes_fit.fit(values, chunks, search=level in ("default", "max"))
-    header = _codec.attributes_header(model)
-    if len(header) + size >= 4 * values.size:
+    tables = TableModel(_codec.attributes_header(model), model)
+    paper = PaperModel(channels)
+    if values.size <= EXACT_SIZE[level]:
+        models: list[Model] = [tables, paper, RawModel(channels)]
+        if level == "max" and rows >= LEAST_MIXED_ROWS * len(chunks):
+            mixed = attributes_fit.choose_mixed(model, values, chunks)
+            models.insert(0, TableModel(_codec.attributes_header(mixed), mixed))
+        return min(models, key=lambda one: _size(one, values, chunks))
+    size += len(tables.header)
+    if size >= 4 * values.size:
         return RawModel(channels)
-    tables = TableModel(header, model)
-    return _mix(tables, values, chunks) if level == "max" else tables
-
-
-def _mix(tables: TableModel, values: Ints, chunks: list[slice]) -> TableModel:
-    """The model with mixed channels, unless it takes more bytes in all."""
-    model = attributes_fit.choose_mixed(tables.model, values, chunks)
-    if not model["coder"].any():
+    if level == "fast":
         return tables
-    mixed = TableModel(_codec.attributes_header(model), model)
-    if values.size > EXACT_SIZE:
-        return mixed
-    sizes = [
-        len(m.header) + sum(len(m.encode(values[chunk])) for chunk in chunks)
-        for m in (mixed, tables)
-    ]
-    return mixed if sizes[0] < sizes[1] else tables
+    plain_size = _sampled_size(paper, values, chunks)
+    if plain_size < NEAR * size and values.size <= NEAR_SIZE:
+        plain_size = _size(paper, values, chunks)
+    return paper if plain_size < size else tables
+
+
+def _size(model: Model, values: Ints, chunks: list[slice]) -> int:
+    """Bytes of the header and of all chunks."""
+    return len(model.header) + sum(len(model.encode(values[chunk])) for chunk in chunks)
+
+
+def _sampled_size(model: Model, values: Ints, chunks: list[slice]) -> int:
+    """The same, from a sample in chunks of the mean length."""
+    sample = attributes_fit.take_sample(values)
+    parts = runs(len(sample), min(len(sample), -(-len(values) // len(chunks))))
+    return _size(model, sample, parts) * len(values) // len(sample)
 
 
 def read(header: bytes | memoryview, channels: int) -> Model:
