@@ -49,7 +49,7 @@ def golden_file(name: str) -> bytes:
 OPTIONS: dict[str, dict[str, Any]] = {
     "chunks": {"chunk": 64},
     "fast": {"level": "fast"},
-    "max": {"level": "max", "chunk": 64},
+    "max": {"level": "max"},
     "paper": {"level": "paper"},
 }
 """How a file is encoded, where not by default."""
@@ -63,9 +63,9 @@ def golden_scenes() -> dict[str, QuantizedScene]:
         "nothing": _scene(np.empty((0, 3), np.int32), 0, 11),
         "single": _scene(np.array([[-(2**31), 5, 0]], np.int32), 3, 12),
         "chunks": _scene(_surface(12), 2, 13, settings, transform),
-        "fast": _scene(_surface(8), 3, 14, settings),
-        "default": _scene(_surface(8) * 3 - 11, 3, 15, None, transform),
-        "max": _scene(_surface(9), 2, 16),
+        "fast": _follow(_scene(_surface(8), 3, 14, settings), 4),
+        "default": _follow(_scene(_surface(14) * 3 - 11, 3, 15, None, transform), 1),
+        "max": _follow(_scene(_surface(17), 1, 16), 1),
         "paper": _scene(_scattered(), 9, 17),
         "deep": _scene(_deep(), 2**31 - 1, 18),
     }
@@ -131,6 +131,17 @@ def _scene(
         settings or RenderSettings(),
         transform or SceneTransform(),
     )
+
+
+def _follow(scene: QuantizedScene, period: int) -> QuantizedScene:
+    """The scene with attributes that mostly follow the first of their rows, which drifts."""
+    anchors = scene.anchors
+    drift = np.cumsum(anchors.feature[:, 0] % 3 - 1)
+    for rows in (anchors.feature, anchors.scaling, anchors.offset.reshape(len(anchors), -1)):
+        change = rows % 3 - 1
+        change[:, np.arange(rows.shape[1]) % (4 * period) != 0] = 0
+        rows[:] = drift[:, None] // 2 * (np.arange(rows.shape[1]) % 2) + change
+    return scene
 
 
 class _Draw:
