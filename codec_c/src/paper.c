@@ -1,8 +1,4 @@
-#include "bytes.h"
-#include "range.h"
-
-#define MODE_RAW 0
-#define MODE_CODED 1
+#include "matrix.h"
 
 #define GROUP 3       /* channels coded together; those that are left over are coded alone */
 #define RATE 5        /* a probability moves by 2^-RATE of the distance */
@@ -18,12 +14,8 @@ typedef struct contexts {
 } contexts;
 
 typedef struct paper {
-    clgs_range coder;
+    clgs_matrix matrix; /* first; the centres are means */
     contexts contexts;
-    size_t rows, channels;
-    const int32_t *source; /* encoder */
-    int32_t *target;       /* decoder */
-    int32_t mean[CLGS_MAX_CHANNELS];
 } paper;
 
 /* An Exp-Golomb code: the first `count` prefix decisions have a probability each, those after them
@@ -35,14 +27,14 @@ typedef struct golomb {
 
 static uint32_t code_bit(paper *stream, uint16_t *p, uint32_t bit)
 {
-    bit = clgs_range_code(&stream->coder, bit, *p);
+    bit = clgs_range_code(&stream->matrix.coder, bit, *p);
     *p = (uint16_t)(bit ? *p + ((65536 - *p) >> RATE) : *p - (*p >> RATE));
     return bit;
 }
 
 static uint32_t code_raw(paper *stream, uint32_t bit)
 {
-    return clgs_range_code(&stream->coder, bit, 32768);
+    return clgs_range_code(&stream->matrix.coder, bit, 32768);
 }
 
 static uint64_t code_golomb(paper *stream, const golomb *code, uint64_t value)
@@ -114,38 +106,38 @@ static int code_row(paper *stream, size_t i, size_t j, size_t group)
 {
     uint64_t size[GROUP] = {0};
     uint32_t negative[GROUP] = {0};
-    size_t at = i * stream->channels + j;
-    for (size_t k = 0; k < group && stream->source; k++) {
-        int64_t value = (int64_t)stream->source[at + k] - stream->mean[j + k];
+    size_t at = i * stream->matrix.channels + j;
+    for (size_t k = 0; k < group && stream->matrix.source; k++) {
+        int64_t value = (int64_t)stream->matrix.source[at + k] - stream->matrix.centre[j + k];
         negative[k] = value < 0;
         size[k] = (uint64_t)(value < 0 ? -value : value);
     }
     code_magnitudes(stream, size, group);
     for (size_t k = 0; k < group; k++) {
         negative[k] = size[k] > 0 && code_raw(stream, negative[k]);
-        int64_t value = stream->mean[j + k] + (negative[k] ? -(int64_t)size[k] : (int64_t)size[k]);
+        int64_t value =
+            stream->matrix.centre[j + k] + (negative[k] ? -(int64_t)size[k] : (int64_t)size[k]);
         if (value < INT32_MIN || value > INT32_MAX)
             return 0;
-        if (stream->target)
-            stream->target[at + k] = (int32_t)value;
+        if (stream->matrix.target)
+            stream->matrix.target[at + k] = (int32_t)value;
     }
     return 1;
 }
 
 static uint64_t find_run(const paper *stream, size_t first, size_t j, size_t group)
 {
-    for (size_t i = first; i < stream->rows; i++)
-        for (size_t k = j; k < j + group; k++)
-            if (stream->source[i * stream->channels + k] != stream->mean[k])
-                return i - first;
-    return stream->rows - first;
+    size_t i = first;
+    while (i < stream->matrix.rows && clgs_matrix_is_centre(&stream->matrix, i, j, group))
+        i++;
+    return i - first;
 }
 
 static void fill_run(const paper *stream, size_t first, size_t end, size_t j, size_t group)
 {
-    for (size_t i = first; i < end && stream->target; i++)
+    for (size_t i = first; i < end && stream->matrix.target; i++)
         for (size_t k = j; k < j + group; k++)
-            stream->target[i * stream->channels + k] = stream->mean[k];
+            stream->matrix.target[i * stream->matrix.channels + k] = stream->matrix.centre[k];
 }
 
 static clgs_error code_group(paper *stream, size_t j, size_t group)
@@ -153,107 +145,49 @@ static clgs_error code_group(paper *stream, size_t j, size_t group)
     uint16_t *p = (uint16_t *)&stream->contexts;
     for (size_t k = 0; k < sizeof stream->contexts / sizeof *p; k++)
         p[k] = 32768;
-    for (size_t i = 0; i < stream->rows;) {
-        uint64_t run = code_run(stream, stream->source ? find_run(stream, i, j, group) : 0);
-        if (run > stream->rows - i)
+    for (size_t i = 0; i < stream->matrix.rows;) {
+        uint64_t run = code_run(stream, stream->matrix.source ? find_run(stream, i, j, group) : 0);
+        if (run > stream->matrix.rows - i)
             return CLGS_ERROR_CORRUPT;
         fill_run(stream, i, i + (size_t)run, j, group);
         i += (size_t)run;
-        if (i < stream->rows && !code_row(stream, i++, j, group))
+        if (i < stream->matrix.rows && !code_row(stream, i++, j, group))
             return CLGS_ERROR_CORRUPT;
-        if (stream->coder.failed)
+        if (stream->matrix.coder.failed)
             return CLGS_ERROR_TRUNCATED;
     }
     return CLGS_OK;
 }
 
-static clgs_error code_groups(paper *stream)
+static clgs_error code_groups(clgs_matrix *matrix)
 {
     clgs_error error = CLGS_OK;
-    for (size_t j = 0, group; j < stream->channels && !error; j += group) {
-        group = stream->channels - j >= GROUP ? GROUP : 1;
-        error = code_group(stream, j, group);
+    for (size_t j = 0, group; j < matrix->channels && !error; j += group) {
+        group = matrix->channels - j >= GROUP ? GROUP : 1;
+        error = code_group((paper *)matrix, j, group);
     }
     return error;
 }
 
-/* The mean of a channel, halves rounded up. */
-static int32_t find_mean(const int32_t *value, size_t rows, size_t channels)
-{
-    int64_t sum = 0, count = (int64_t)rows;
-    for (size_t i = 0; i < rows; i++)
-        sum += value[i * channels];
-    int64_t twice = 2 * sum + count, half = twice / (2 * count);
-    return (int32_t)(half - (twice % (2 * count) < 0));
-}
-
 size_t clgs_paper_bound(size_t rows, size_t channels)
 {
-    int fits = rows <= CLGS_MAX_POINTS && channels >= 1 && channels <= CLGS_MAX_CHANNELS;
-    return fits ? 1 + 4 * rows * channels : 0;
-}
-
-static size_t encode_coded(paper *stream, uint8_t *out, size_t capacity)
-{
-    uint8_t *at = out;
-    if (capacity < 1 + CLGS_MAX_VARINT * stream->channels)
-        return 0;
-    *at++ = MODE_CODED;
-    for (size_t j = 0; j < stream->channels; j++) {
-        stream->mean[j] = find_mean(stream->source + j, stream->rows, stream->channels);
-        at = clgs_store_varint(at, stream->mean[j]);
-    }
-    clgs_range_begin_encode(&stream->coder, at, capacity - (size_t)(at - out));
-    if (code_groups(stream) != CLGS_OK)
-        return 0;
-    clgs_range_end_encode(&stream->coder);
-    return stream->coder.failed ? 0 : (size_t)(stream->coder.out - out);
+    return clgs_matrix_bound(rows, channels);
 }
 
 size_t clgs_paper_encode(const int32_t *value, size_t rows, size_t channels, uint8_t *out,
                          size_t capacity)
 {
-    paper stream = {.rows = rows, .channels = channels, .source = value};
-    size_t bound = clgs_paper_bound(rows, channels);
-    if (bound == 0 || capacity < bound)
+    paper stream = {.matrix = {.rows = rows, .channels = channels, .source = value}};
+    if (clgs_matrix_bound(rows, channels) == 0)
         return 0;
-    size_t size = rows > 0 ? encode_coded(&stream, out, bound) : 0;
-    if (size > 0)
-        return size;
-    out[0] = MODE_RAW;
-    for (size_t i = 0; i < rows * channels; i++)
-        clgs_store32(out + 1 + 4 * i, (uint32_t)value[i]);
-    return bound;
-}
-
-static clgs_error decode_coded(paper *stream, const uint8_t *at, const uint8_t *end)
-{
-    for (size_t j = 0; j < stream->channels; j++) {
-        at = clgs_load_varint(at, end, stream->mean + j);
-        if (!at)
-            return CLGS_ERROR_CORRUPT;
-    }
-    clgs_range_begin_decode(&stream->coder, at, (size_t)(end - at));
-    clgs_error error = code_groups(stream);
-    return error ? error : clgs_range_end_decode(&stream->coder);
+    for (size_t j = 0; j < channels && rows > 0; j++)
+        stream.matrix.centre[j] = clgs_matrix_mean(&stream.matrix, j);
+    return clgs_matrix_encode(&stream.matrix, code_groups, out, capacity);
 }
 
 clgs_error clgs_paper_decode(const uint8_t *data, size_t size, int32_t *value, size_t rows,
                              size_t channels)
 {
-    paper stream = {.rows = rows, .channels = channels, .target = value};
-    size_t bound = clgs_paper_bound(rows, channels);
-    if (bound == 0)
-        return CLGS_ERROR_ARGUMENT;
-    if (size < 1)
-        return CLGS_ERROR_TRUNCATED;
-    if (data[0] == MODE_CODED && rows > 0)
-        return decode_coded(&stream, data + 1, data + size);
-    if (data[0] != MODE_RAW)
-        return CLGS_ERROR_CORRUPT;
-    if (size != bound)
-        return size < bound ? CLGS_ERROR_TRUNCATED : CLGS_ERROR_TRAILING;
-    for (size_t i = 0; i < rows * channels; i++)
-        value[i] = clgs_signed(clgs_load32(data + 1 + 4 * i));
-    return CLGS_OK;
+    paper stream = {.matrix = {.rows = rows, .channels = channels, .target = value}};
+    return clgs_matrix_decode(&stream.matrix, code_groups, data, size);
 }

@@ -1,10 +1,7 @@
 #include <string.h>
 
-#include "bytes.h"
+#include "matrix.h"
 #include "symbol.h"
-
-#define MODE_RAW 0
-#define MODE_CODED 1
 
 #define INPUTS 3
 #define SPACE 16       /* contexts from the two rows before */
@@ -20,7 +17,6 @@ typedef struct channel {
     uint32_t space[SPACE][CLGS_NODES];
     uint32_t cross[CROSS][CLGS_NODES];
     int32_t weight[CLGS_NODES * INPUTS];
-    int32_t centre;
 } channel;
 
 typedef struct model {
@@ -32,11 +28,8 @@ typedef struct model {
 } model;
 
 typedef struct runlength {
-    clgs_range coder;
+    clgs_matrix matrix; /* first */
     model *model;
-    size_t rows, channels;
-    const int32_t *source; /* encoder */
-    int32_t *target;       /* decoder */
 } runlength;
 
 /* Signed level of a neighbour: 0, 1, 2, 3-4, 5-8, 9-16, 17-32, more; 8 and up where negative. */
@@ -63,7 +56,7 @@ static int64_t code_value(runlength *stream, size_t j, int64_t value)
     uint32_t space = level(above[j] + higher[j]);
     uint32_t cross = level(row[(ptrdiff_t)j - 1]) * 4 + small_level(row[(ptrdiff_t)j - 2]);
     clgs_symbol symbol = {
-        .mix = {.coder = &stream->coder,
+        .mix = {.coder = &stream->matrix.coder,
                 .tables = &m->tables,
                 .inputs = INPUTS,
                 .limit = {SLOW_LIMIT, FAST_LIMIT, FAST_LIMIT},
@@ -80,7 +73,7 @@ static size_t code_run(runlength *stream, size_t length)
 {
     model *m = stream->model;
     clgs_symbol symbol = {
-        .mix = {.coder = &stream->coder,
+        .mix = {.coder = &stream->matrix.coder,
                 .tables = &m->tables,
                 .inputs = 1,
                 .limit = {FAST_LIMIT},
@@ -101,24 +94,24 @@ static void next_row(runlength *stream)
 /* Length of the run of rows from `first` that equal the centres. */
 static size_t find_run(const runlength *stream, size_t first)
 {
-    for (size_t i = first; i < stream->rows; i++)
-        for (size_t j = 0; j < stream->channels; j++)
-            if (stream->source[i * stream->channels + j] != stream->model->channels[j].centre)
-                return i - first;
-    return stream->rows - first;
+    const clgs_matrix *matrix = &stream->matrix;
+    size_t i = first;
+    while (i < matrix->rows && clgs_matrix_is_centre(matrix, i, 0, matrix->channels))
+        i++;
+    return i - first;
 }
 
 static int code_row(runlength *stream, size_t i)
 {
-    for (size_t j = 0; j < stream->channels; j++) {
-        size_t at = i * stream->channels + j;
-        int64_t centre = stream->model->channels[j].centre;
-        int64_t value = stream->source ? stream->source[at] - centre : 0;
+    for (size_t j = 0; j < stream->matrix.channels; j++) {
+        size_t at = i * stream->matrix.channels + j;
+        int64_t centre = stream->matrix.centre[j];
+        int64_t value = stream->matrix.source ? stream->matrix.source[at] - centre : 0;
         value = code_value(stream, j, value) + centre;
         if (value < INT32_MIN || value > INT32_MAX)
             return 0;
-        if (stream->target)
-            stream->target[at] = (int32_t)value;
+        if (stream->matrix.target)
+            stream->matrix.target[at] = (int32_t)value;
     }
     next_row(stream);
     return 1;
@@ -126,44 +119,40 @@ static int code_row(runlength *stream, size_t i)
 static void skip_rows(runlength *stream, size_t first, size_t count)
 {
     model *m = stream->model;
-    for (size_t i = 0; i < count && stream->target; i++)
-        for (size_t j = 0; j < stream->channels; j++)
-            stream->target[(first + i) * stream->channels + j] = m->channels[j].centre;
+    for (size_t i = 0; i < count && stream->matrix.target; i++)
+        for (size_t j = 0; j < stream->matrix.channels; j++)
+            stream->matrix.target[(first + i) * stream->matrix.channels + j] =
+                stream->matrix.centre[j];
     if (count > 0)
         memset(m->row[0], 0, sizeof m->row[0]);
     for (size_t i = 0; i < count && i < 2; i++)
         next_row(stream);
 }
 
-static clgs_error code_rows(runlength *stream)
+static clgs_error code_rows(clgs_matrix *matrix)
 {
-    for (size_t i = 0; i < stream->rows;) {
-        size_t run = code_run(stream, stream->source ? find_run(stream, i) : 0);
-        if (run > stream->rows - i)
+    runlength *stream = (runlength *)matrix;
+    for (size_t i = 0; i < matrix->rows;) {
+        size_t run = code_run(stream, matrix->source ? find_run(stream, i) : 0);
+        if (run > matrix->rows - i)
             return CLGS_ERROR_CORRUPT;
         skip_rows(stream, i, run);
         i += run;
-        if (i < stream->rows && !code_row(stream, i++))
+        if (i < matrix->rows && !code_row(stream, i++))
             return CLGS_ERROR_CORRUPT;
-        if (stream->coder.failed)
+        if (matrix->coder.failed)
             return CLGS_ERROR_TRUNCATED;
     }
     return CLGS_OK;
 }
 
-/* 0 where a quarter of the values are 0, otherwise the mean rounded to nearest, halves up. */
-static int32_t find_centre(const int32_t *value, size_t rows, size_t channels)
+/* 0 where a quarter of the values are 0, otherwise the mean. */
+static int32_t find_centre(const clgs_matrix *matrix, size_t j)
 {
-    int64_t sum = 0, count = (int64_t)rows;
     size_t zeros = 0;
-    for (size_t i = 0; i < rows; i++) {
-        sum += value[i * channels];
-        zeros += value[i * channels] == 0;
-    }
-    if (4 * zeros >= rows)
-        return 0;
-    int64_t twice = 2 * sum + count, half = twice / (2 * count);
-    return (int32_t)(half - (twice % (2 * count) < 0));
+    for (size_t i = 0; i < matrix->rows; i++)
+        zeros += matrix->source[i * matrix->channels + j] == 0;
+    return 4 * zeros >= matrix->rows ? 0 : clgs_matrix_mean(matrix, j);
 }
 
 static void model_init(model *m, size_t channels)
@@ -188,75 +177,29 @@ size_t clgs_runlength_workspace(size_t channels)
 
 size_t clgs_runlength_bound(size_t rows, size_t channels)
 {
-    int fits = rows <= CLGS_MAX_POINTS && channels >= 1 && channels <= CLGS_MAX_CHANNELS;
-    return fits ? 1 + 4 * rows * channels : 0;
-}
-
-static size_t encode_coded(runlength *stream, uint8_t *out, size_t capacity)
-{
-    uint8_t *at = out;
-    if (capacity < 1 + CLGS_MAX_VARINT * stream->channels)
-        return 0;
-    *at++ = MODE_CODED;
-    for (size_t j = 0; j < stream->channels; j++) {
-        int32_t centre = find_centre(stream->source + j, stream->rows, stream->channels);
-        stream->model->channels[j].centre = centre;
-        at = clgs_store_varint(at, centre);
-    }
-    clgs_range_begin_encode(&stream->coder, at, capacity - (size_t)(at - out));
-    if (code_rows(stream) != CLGS_OK)
-        return 0;
-    clgs_range_end_encode(&stream->coder);
-    return stream->coder.failed ? 0 : (size_t)(stream->coder.out - out);
+    return clgs_matrix_bound(rows, channels);
 }
 
 size_t clgs_runlength_encode(const int32_t *value, size_t rows, size_t channels, uint8_t *out,
                              size_t capacity, void *workspace)
 {
-    runlength stream = {.model = workspace, .rows = rows, .channels = channels, .source = value};
-    size_t bound = clgs_runlength_bound(rows, channels);
-    if (bound == 0 || capacity < bound)
+    runlength stream = {.matrix = {.rows = rows, .channels = channels, .source = value},
+                        .model = workspace};
+    if (clgs_matrix_bound(rows, channels) == 0)
         return 0;
     model_init(stream.model, channels);
-    size_t size = rows > 0 ? encode_coded(&stream, out, bound) : 0;
-    if (size > 0)
-        return size;
-    out[0] = MODE_RAW;
-    for (size_t i = 0; i < rows * channels; i++)
-        clgs_store32(out + 1 + 4 * i, (uint32_t)value[i]);
-    return bound;
-}
-
-static clgs_error decode_coded(runlength *stream, const uint8_t *at, const uint8_t *end)
-{
-    for (size_t j = 0; j < stream->channels; j++) {
-        at = clgs_load_varint(at, end, &stream->model->channels[j].centre);
-        if (!at)
-            return CLGS_ERROR_CORRUPT;
-    }
-    clgs_range_begin_decode(&stream->coder, at, (size_t)(end - at));
-    clgs_error error = code_rows(stream);
-    return error ? error : clgs_range_end_decode(&stream->coder);
+    for (size_t j = 0; j < channels && rows > 0; j++)
+        stream.matrix.centre[j] = find_centre(&stream.matrix, j);
+    return clgs_matrix_encode(&stream.matrix, code_rows, out, capacity);
 }
 
 clgs_error clgs_runlength_decode(const uint8_t *data, size_t size, int32_t *value, size_t rows,
                                  size_t channels, void *workspace)
 {
-    runlength stream = {.model = workspace, .rows = rows, .channels = channels, .target = value};
-    size_t bound = clgs_runlength_bound(rows, channels);
-    if (bound == 0)
+    runlength stream = {.matrix = {.rows = rows, .channels = channels, .target = value},
+                        .model = workspace};
+    if (clgs_matrix_bound(rows, channels) == 0)
         return CLGS_ERROR_ARGUMENT;
-    if (size < 1)
-        return CLGS_ERROR_TRUNCATED;
-    if (data[0] == MODE_CODED && rows > 0) {
-        model_init(stream.model, channels);
-        return decode_coded(&stream, data + 1, data + size);
-    }
-    if (data[0] != MODE_RAW)
-        return CLGS_ERROR_CORRUPT;
-    if (size != bound)
-        return size < bound ? CLGS_ERROR_TRUNCATED : CLGS_ERROR_TRAILING;
-    for (size_t i = 0; i < rows * channels; i++)
-        value[i] = clgs_signed(clgs_load32(data + 1 + 4 * i));
-    return CLGS_OK;
+    model_init(stream.model, channels);
+    return clgs_matrix_decode(&stream.matrix, code_rows, data, size);
 }

@@ -91,6 +91,8 @@ def test_the_present_version_is_made_and_read_bit_for_bit(name):
 def test_the_files_show_every_level_and_several_chunks():
     shown = [describe((GOLDEN / f"{name}.clgs").read_bytes()) for name in PRESENT]
     assert {one["level"] for one in shown} == set(LEVELS)
-    assert {one["chunks"]["count"] for one in shown} >= {0, 1, 2}
+    counts = {one["chunks"]["count"] for one in shown}
+    assert counts >= {0, 1}
+    assert max(counts) > 1
     assert {one["depth"] for one in shown} >= {0, 21}
     assert sum(2048 <= one["bytes"] <= 8192 for one in shown) >= 6
