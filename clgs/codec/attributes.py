@@ -25,10 +25,10 @@ CHUNK = 65536
 
 MAX_CHANNELS = 256
 
-EXACT_SIZE = {"fast": 1 << 16, "default": 1 << 21, "max": 1 << 62}
+EXACT_SIZE = {"fast": 1 << 16, "default": 1 << 18, "max": 1 << 62}
 """Up to so many values, coders are compared by encoding; beyond, by what is known of them."""
 
-NEAR, NEAR_SIZE = 1.03, 1 << 22
+NEAR, NEAR_SIZE = 1.016, 1 << 22
 """Where the paper's coder comes so near on a sample, it codes up to so many values to compare."""
 
 LEAST_MIXED_ROWS = 256
@@ -139,7 +139,6 @@ def fit(
             mixed = attributes_fit.choose_mixed(model, values, chunks)
             models.insert(0, TableModel(_codec.attributes_header(mixed), mixed))
         return min(models, key=lambda one: _size(one, values, chunks))
-    size += len(tables.header)
     if size >= 4 * values.size:
         return RawModel(channels)
     if level == "fast":
