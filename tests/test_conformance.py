@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from clgs.cli.main import main
 from clgs.errors import DataError
 from clgs.testing.conformance import differences, fingerprints, from_record, to_record
 from clgs.testing.exact_random import ExactRandom
+from clgs.testing.facts import machine_facts
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +39,19 @@ def test_floats_are_exact_and_go_on_where_they_stopped():
 
 def test_two_runs_agree(open_device, found):
     assert differences(fingerprints(open_device("cpu")), found) == []
+
+
+def test_the_committed_hashes_are_those_of_today(open_device, found):
+    """On the driver that they name: a change of any bit comes with a new file."""
+    committed = Path(__file__).parents[1] / "docs/benchmarks/conformance_pocl.json"
+    if not committed.is_file():
+        pytest.skip("no docs beside the tests")
+    record = json.loads(committed.read_text())
+    facts = machine_facts(open_device("cpu"))
+    for fact in ("version", "driver", "native_vector_width"):
+        if facts["device"][fact] != record["device"][fact]:
+            pytest.skip(f"another device: {fact} is {facts['device'][fact]}")
+    assert differences(found, from_record(record)) == []
 
 
 def test_every_tensor_is_its_own(found):
