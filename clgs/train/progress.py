@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import csv
+import io
+import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from clgs.errors import DataError
+from clgs.files import atomic_write
 from clgs.train.loop import StepResult
 
 COLUMNS = ("step", "seconds", "loss", "l1", "ssim", "psnr", "anchors", "estimated_bytes", "event")
@@ -17,19 +22,18 @@ class ProgressLog:
     """Appends to ``progress.csv``; a resumed run first drops the rows after its checkpoint."""
 
     def __init__(self, path: Path, steps_done: int) -> None:
-        """Open ``path`` to continue after step ``steps_done``."""
+        """Open ``path`` to continue after step ``steps_done``.
+
+        Raises:
+            DataError: the file is damaged; it stays as it was.
+        """
         rows = _read(path, steps_done) if steps_done else []
-        self._file = path.open("w", newline="", encoding="utf-8")
-        self._writer = csv.DictWriter(self._file, COLUMNS)
-        self._writer.writeheader()
-        self._writer.writerows(rows)
-        self._file.flush()
-        self.events: dict[str, float] = {
-            row["event"]: float(row["psnr"]) for row in rows if row["event"]
-        }
-        spent = float(rows[-1]["seconds"]) if rows else 0.0
-        self._start = time.perf_counter() - spent
-        self.seconds = spent
+        self._path = path
+        self.events = {row["event"]: float(row["psnr"]) for row in rows if row["event"]}
+        self.seconds = float(rows[-1]["seconds"]) if rows else 0.0
+        self._start = time.perf_counter() - self.seconds
+        atomic_write(path, _text(rows).encode())
+        self._file = path.open("a", newline="", encoding="utf-8")
 
     def write(self, result: StepResult, psnr: float, estimated_bytes: int) -> None:
         """One row of the regular log."""
@@ -50,22 +54,63 @@ class ProgressLog:
 
     def close(self) -> None:
         """Finish the file; ``seconds`` then holds the time of all legs of the run."""
-        self._file.close()
         self.seconds = time.perf_counter() - self._start
+        with self._blamed():
+            self._file.close()
 
     def _row(self, **values: Any) -> None:
         seconds = f"{time.perf_counter() - self._start:.1f}"
-        self._writer.writerow({"seconds": seconds, **values})
-        self._file.flush()
+        with self._blamed():
+            csv.DictWriter(self._file, COLUMNS).writerow({"seconds": seconds, **values})
+            self._file.flush()
+
+    @contextmanager
+    def _blamed(self) -> Iterator[None]:
+        """Name the file in the system's errors, which know only its number."""
+        try:
+            yield
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self._path)) from error
+
+
+def _text(rows: list[dict[str, str]]) -> str:
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, COLUMNS)
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 def _read(path: Path, steps_done: int) -> list[dict[str, str]]:
+    """The rows up to step ``steps_done``, their numbers checked.
+
+    A last line without an end is what a full disk or a power cut left of a row; it is skipped.
+    """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return [row for row in csv.DictReader(file) if int(row["step"]) <= steps_done]
+        whole = path.read_bytes()
     except FileNotFoundError:
         return []
-    except (KeyError, TypeError, ValueError) as error:
+    try:
+        lines = whole[: whole.rfind(b"\n") + 1].decode().splitlines()
+        reader = csv.DictReader(lines)
+        if lines and reader.fieldnames != list(COLUMNS):
+            raise ValueError("its first line does not name the columns")
+        return [row for row in reader if _checked(row, reader.line_num) <= steps_done]
+    except (ValueError, csv.Error) as error:
         raise DataError(f"{path}: not a progress log ({error}); remove it and resume again") from (
             None
         )
+
+
+def _checked(row: dict[str, Any], line: int) -> int:
+    """The step of a row; raises ValueError where a field that is read again is no number."""
+    if None in row or None in row.values():
+        raise ValueError(f"line {line} has not {len(COLUMNS)} fields")
+    try:
+        if row["event"]:
+            float(row["psnr"])
+        if not 0.0 <= float(row["seconds"]) < math.inf:
+            raise ValueError
+        return int(row["step"])
+    except ValueError:
+        raise ValueError(f"line {line}: step, seconds or psnr is not a number") from None
