@@ -82,5 +82,5 @@ def _handlers_kept() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    for number in seen:
-        signal.raise_signal(number)
+    for arrived in seen:
+        signal.raise_signal(arrived)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -78,11 +80,57 @@ def test_other_photos_are_noticed(finished, dataset, open_device):
     assert files(finished.folder) == before
 
 
-def test_a_finished_run_that_lacks_a_file_is_named(finished, dataset, open_device, tmp_path):
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-7])
+
+
+def flip(path):
+    whole = bytearray(path.read_bytes())
+    whole[len(whole) // 2] ^= 1
+    path.write_bytes(whole)
+
+
+def put(name, value):
+    """A change of one field of a JSON file."""
+
+    def change(path):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "reason"),
+    [
+        ("scene.clgs", Path.unlink, r"scene\.clgs"),
+        ("scene.clgs", cut, r"scene\.clgs has \d+ bytes, not \d+"),
+        ("scene.clgs", flip, ""),
+        ("scene.npz", Path.unlink, r"scene\.npz"),
+        ("scene.npz", cut, r"scene\.npz"),
+        ("hashes.json", Path.unlink, r"hashes\.json"),
+        ("hashes.json", put("scene", "0" * 64), r"scene\.clgs and hashes\.json differ"),
+        ("results.json", cut, ""),
+        ("results.json", put("bytes", 7), r"scene\.clgs has \d+ bytes, not 7"),
+    ],
+)
+def test_a_finished_run_with_a_damaged_file_is_refused(
+    finished, dataset, open_device, tmp_path, name, damage, reason
+):
     folder = shutil.copytree(finished.folder, tmp_path / "run")
-    (folder / "scene.clgs").unlink()
-    with pytest.raises(DataError, match=r"damaged \(.*scene\.clgs"):
-        train_scene(dataset, folder, CONFIG, device=open_device("cpu"), resume=True)
+    damage(folder / name)
+    before = files(folder)
+    device = open_device("cpu")
+    with pytest.raises(DataError, match=rf"run: a finished run, but damaged \(.*{reason}.*remove"):
+        train_scene(dataset, folder, CONFIG, device=device, resume=True)
+    assert files(folder) == before
+
+
+def test_a_damaged_run_is_made_anew_as_the_message_says(finished, dataset, open_device, tmp_path):
+    folder = shutil.copytree(finished.folder, tmp_path / "run")
+    cut(folder / "scene.clgs")
+    (folder / "results.json").unlink()
+    again = train_scene(dataset, folder, CONFIG, device=open_device("cpu"), resume=True)
+    assert again.bitstream == finished.bitstream == (folder / "scene.clgs").read_bytes()
 
 
 @pytest.mark.usefixtures("huge_entries")
