@@ -18,9 +18,10 @@ Compress a trained scene into one .clgs file.
 --level: default codes every attribute by the cheapest of its modes; fast takes less time, max more
 time and fewer bytes; paper is the run-length coder of the published method, for comparison.
 --chunk: anchors that are decoded together, at most. `clgs decode --box` reads whole chunks, so
-small ones let it read less. Of a scene of 300,000 anchors they make the file larger by 0.4 %
-(4096), 1.3 % (1024), 2.2 % (512), 3.8 % (256) or 7 % (128); a box with a tenth of it then reads
-about 2, 1.5, 1.4, 1.3 or 1.2 times a tenth of the file.
+small ones let it read less. They make the file larger by 0.2 to 0.5 % (4096), 0.3 to 0.7 % (1024),
+0.8 to 1.4 % (256), 1.3 to 2.3 % (128) or 2.3 to 3.9 % (64), the more the fewer anchors there are; a
+box with a tenth of 300,000 anchors then reads about 2, 1.5, 1.3, 1.2 or 1.2 times a tenth of it.
+Below 256, max is no smaller than default, and paper grows by a quarter (64).
 --mlp: float32 keeps the weights of the MLPs as floats, auto packs them as integers where training
 has rounded them; the same weights come back either way.
 

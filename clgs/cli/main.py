@@ -68,7 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         with _terminations_interrupt(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
             code = _run(argv)
-        sys.stdout.flush()
+        if sys.stdout is not None:  # closed by the caller: `clgs info scene.clgs >&-`
+            sys.stdout.flush()
     except BrokenPipeError:
         # The reader went away, as in `clgs devices | head -1`; keep Python from complaining later.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -18,9 +18,10 @@ Every property is rounded to a multiple of its step, which the file states; what
 lossless. Default steps: f_dc 1/64, f_rest 1/32, opacity 1/32, scale 1/16, rot 1/256, normal 1/64;
 position an eighth of the median scale (a power of two), or 1/65536 of the extent without scales,
 but no finer than float32 is on an axis that lies far from 0. Positions fit 2^21 steps an axis:
-where a distant splat forces a coarser step, a warning says so. Properties of integer type have step
-1, any other needs --step. Quaternions are scaled to length 1. Splats come back in Morton order; all
-of them, also where several share a voxel. `clgs unpack` is the way back."""
+where a distant splat forces a coarser step, a warning says so. Other properties have step 1 where
+they are of integer type and need --step where not. Quaternions are scaled to length 1 and to a
+rot_0 that is not negative, which is the same rotation. Splats come back in Morton order; all of
+them, also where several share a voxel. `clgs unpack` is the way back."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -28,8 +28,8 @@ MAX_CHANNELS = 256
 EXACT_SIZE = {"fast": 1 << 16, "default": 1 << 18, "max": 1 << 62}
 """Up to so many values, coders are compared by encoding; beyond, by what is known of them."""
 
-NEAR, NEAR_SIZE = 1.016, 1 << 22
-"""Where the paper's coder comes so near on a sample, it codes up to so many values to compare."""
+PLAIN_SIZE = 1 << 22
+"""Level default has the paper's coder code up to so many values to compare; beyond, a sample."""
 
 LEAST_MIXED_ROWS = 256
 """Mixed channels learn too little in chunks that are shorter on average."""
@@ -143,10 +143,18 @@ def fit(
         return RawModel(channels)
     if level == "fast":
         return tables
-    plain_size = _sampled_size(paper, values, chunks)
-    if plain_size < NEAR * size and values.size <= NEAR_SIZE:
-        plain_size = _size(paper, values, chunks)
-    return paper if plain_size < size else tables
+    return paper if _plain_is_smaller(paper, tables, size, values, chunks) else tables
+
+
+def _plain_is_smaller(
+    plain: Model, tables: Model, size: int, values: Ints, chunks: list[slice]
+) -> bool:
+    """Whether ``plain`` takes fewer bytes than ``tables``, which take about ``size``."""
+    if values.size > PLAIN_SIZE:
+        return _sampled_size(plain, values, chunks) < size
+    plain_size = _size(plain, values, chunks)
+    near = abs(plain_size - size) < size // 100
+    return plain_size < (_size(tables, values, chunks) if near else size)
 
 
 def _size(model: Model, values: Ints, chunks: list[slice]) -> int:

@@ -102,7 +102,9 @@ class Reader:
         parts = {tag: self._read(tag, chunk.parts[tag]) for tag in CHANNELS}
         joined = b"".join(part.data for part in parts.values())
         if _codec.crc32c(joined) != chunk.rows_crc:
-            raise parts[OFFS].error(f"chunk {chunk.number}: checksum of its attributes differs")
+            raise parts[OFFS].error(
+                f"chunk {chunk.number}: checksum of its attributes differs, of all three"
+            )
         return parts
 
     def codes(self, position: npt.NDArray[np.int32]) -> npt.NDArray[np.uint64]:

@@ -9,6 +9,7 @@ import sys
 import time
 import types
 from itertools import takewhile
+from pathlib import Path
 
 import pytest
 
@@ -193,6 +194,17 @@ def test_a_specialisation_that_there_is_not_is_wrong_usage(monkeypatch, capsys):
         said = capsys.readouterr().err
         assert said.count("\n") == 1
         assert "CLGS_SPECIALISATION=bogus: is not cpu or gpu" in said
+
+
+def test_a_closed_output_is_no_error():
+    """As of ``clgs info scene.clgs >&-``."""
+    code = "import os, sys; os.close(1); os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+    scene = next((Path(__file__).parents[1] / "codec" / "golden").glob("*.clgs"))
+    command = [sys.executable, "-c", code, "-m", "clgs.cli.main", "info", str(scene)]
+    bare = [sys.executable, "-c", code, "-c", "import sys; assert sys.stdout is None"]
+    assert subprocess.run(bare, check=False).returncode == 0
+    found = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)
+    assert (found.returncode, found.stderr) == (0, "")
 
 
 def test_help_starts_quickly():

@@ -54,6 +54,15 @@ def test_geometric_mean_of_default(shared_data):
     assert max(ratios) <= 1
 
 
+def test_scales_that_change_from_row_to_row_take_no_more_than_the_plain_coder(rng):
+    """More values than are compared by encoding at any rate, unlike their sample."""
+    scale = np.exp(3 * np.sin(np.arange(100_000) / 700))[:, None]
+    waves = np.rint(rng.normal(size=(100_000, 4)) * scale)
+    halves = np.concatenate([np.zeros((50_000, 3)), np.rint(rng.laplace(0, 3, (50_000, 3)))])
+    for value in (waves.astype(np.int32), halves.astype(np.int32)):
+        assert size(value, "max") <= size(value, "default") <= size(value, "paper")
+
+
 @pytest.mark.parametrize("level", ["fast", "default"])
 @pytest.mark.parametrize(("spread", "bound"), [(0.5, 1.003), (2.0, 1.003), (12.0, 1.005)])
 def test_laplace_integers_cost_their_entropy(spread, level, bound):
