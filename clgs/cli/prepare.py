@@ -6,6 +6,8 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
+from clgs.cli.view_options import named_path
+
 if TYPE_CHECKING:
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -18,7 +20,9 @@ def register(subparsers: Subparsers) -> None:
         description="Structure from motion: writes DATA/images (undistorted) and DATA/sparse/0.",
     )
     parser.add_argument("photos", metavar="PHOTOS", help="folder of JPEG or PNG photos")
-    parser.add_argument("-o", "--output", metavar="DATA", required=True, help="new folder")
+    parser.add_argument(
+        "-o", "--output", type=named_path, metavar="DATA", required=True, help="new folder"
+    )
     parser.add_argument("--seed", type=int, default=0, help="random seed (default: %(default)s)")
     parser.set_defaults(run=run)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from clgs.cli.view_options import add_view_options
+from clgs.cli.view_options import add_view_options, named_path
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -13,7 +13,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = subparsers.add_parser("render", help="render the views of a dataset as PNG files")
     parser.add_argument("scene", type=Path, metavar="SCENE", help="run folder or .clgs file")
     add_view_options(parser, data_required=True)
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    parser.add_argument("-o", "--output", type=named_path, required=True, metavar="DIR")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,7 +6,12 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.view_options import add_accuracy_options, add_memory_option, positive_int
+from clgs.cli.view_options import (
+    add_accuracy_options,
+    add_memory_option,
+    named_path,
+    positive_int,
+)
 
 if TYPE_CHECKING:
     from clgs.train.config import TrainConfig
@@ -28,7 +33,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("data", type=Path, help="Blender, transforms.json or COLMAP folder")
-    add("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder")
+    add("-o", "--output", type=named_path, required=True, metavar="RUN", help="run folder")
     add(
         "--preset",
         choices=("quick", "paper"),
@@ -123,6 +128,8 @@ def run(args: argparse.Namespace) -> int:
     config = make_config(args)
     if args.output.exists() and not args.output.is_dir():
         raise UsageError(f"{args.output}: is not a folder; name another with -o")
+    if args.output.exists() and args.data.exists() and args.output.samefile(args.data):
+        raise UsageError(f"{args.output}: is the folder of the photos; name another with -o")
     if not args.resume and (args.output / "config.toml").exists():
         raise DataError(f"{args.output}: holds a run already; add --resume or name another folder")
     device = Device(args.device)

@@ -137,6 +137,13 @@ def positive_int(text: str) -> int:
     return value
 
 
+def named_path(text: str) -> Path:
+    """An argument that must name a file or folder: an empty one would mean the current folder."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("the name is empty")
+    return Path(text)
+
+
 def pixels(text: str) -> float:
     """An argument that must be a finite number of at least 0."""
     try:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pyopencl as cl
 
-from clgs.errors import DeviceError
+from clgs.errors import DeviceError, UsageError
 
 REMEDY = (
     "install one: on Debian or Ubuntu `apt-get install pocl-opencl-icd`, "
@@ -58,8 +58,11 @@ def choose_device(name: str | None = None) -> Any:
     of a name. Emulators (Oclgrind) are taken only by name.
 
     Raises:
+        UsageError: ``name`` is empty.
         DeviceError: there is no device, or none of that name.
     """
+    if name is not None and not name.strip():
+        raise UsageError("--device: the name is empty; `clgs devices` shows what there is")
     devices = list_devices()
     if not devices:
         raise DeviceError(f"no OpenCL device found; {REMEDY}")

@@ -88,7 +88,8 @@ def _rate(device: Device, rng: np.random.Generator, count: int) -> Iterator[Foun
         bits = rate_reference.forward(symbols, form)
         gradient = rate_reference.backward(symbols, form)
         milliseconds = _milliseconds(device, partial(rate.forward, device, uploaded, 1.0, form))
-        yield "rate", f"bits ({form})", abs(result.bits / bits - 1), 1e-6, milliseconds
+        error = relative_l2(np.array([result.bits]), np.array([bits]))
+        yield "rate", f"bits ({form})", error, 1e-6, milliseconds
         error = relative_l2(device.download(d_x), gradient)
         yield "rate", f"d_x ({form})", error, 1e-5, milliseconds
 

@@ -159,6 +159,9 @@ def test_wrong_usage_exits_2(arguments):
     [
         ("bench", "step", "--seed", "-1"),
         ("bench", "ops", "--size", "0"),
+        ("train", "x", "--output", ""),
+        ("render", "x", "--data", "y", "--output", ""),
+        ("prepare", "x", "--output", " "),
         ("train", "x", "-o", "y", "--smallest-anchor", "-1"),
         ("train", "x", "-o", "y", "--smallest-anchor", "nan"),
         ("train", "x", "-o", "y", "--smallest-anchor", "inf"),
@@ -176,7 +179,8 @@ def test_a_wrong_value_is_one_line(arguments, capsys):
     out, err = capsys.readouterr()
     option = next(word for word in reversed(arguments) if word.startswith("--"))
     assert (out, err.count("\n")) == ("", 1)
-    assert err.startswith(f"clgs: error: {option}: ")
+    assert err.startswith("clgs: error: ")
+    assert err.split(": ")[2].endswith(option)
 
 
 def test_a_termination_is_one_line_from_the_first_moment_on(monkeypatch, capsys):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import pyopencl as cl
 import pytest
 
-from clgs.errors import DeviceError
+from clgs.errors import DeviceError, UsageError
 from clgs.opencl import choose
 
 
@@ -121,6 +121,11 @@ class TestBusyMachine:
         assert f"--device {wanted}" in message
         assert "2: Big Card, 3: Small Card" in message
         assert "\n" not in message
+
+    @pytest.mark.parametrize("wanted", ["", " "])
+    def test_an_empty_name_is_wrong_usage(self, wanted):
+        with pytest.raises(UsageError, match="--device: the name is empty"):
+            choose.choose_device(wanted)
 
     @pytest.mark.parametrize("variable", ["9", "2:9", "amd", "portable:card"])
     def test_an_unknown_context_is_an_error(self, monkeypatch, variable):

@@ -189,3 +189,13 @@ def test_the_smallest_anchor_is_that_of_the_run_unless_another_is_named(
     for mine, other, trained in zip(nothing, whole, renders, strict=True):
         assert mine.read_bytes() == trained.read_bytes() != other.read_bytes()
     assert result.summary["psnr"] > 0
+
+
+def test_the_photos_folder_is_no_run_folder(data, tmp_path, monkeypatch, capsys):
+    before = files(data)
+    (tmp_path / "link").symlink_to(data)
+    monkeypatch.chdir(data)
+    for output in (str(data), str(tmp_path / "link"), "."):
+        assert cli.main(["train", str(data), "-o", output, "--steps", "3"]) == 2
+        assert "is the folder of the photos; name another with -o\n" in capsys.readouterr().err
+    assert files(data) == before
