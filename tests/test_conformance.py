@@ -100,3 +100,13 @@ def test_a_file_of_another_kind_is_refused_before_the_work(tmp_path, capsys, mon
 def test_another_set_of_tensors_is_refused(found):
     with pytest.raises(DataError, match="another version"):
         differences(found, found[1:])
+
+
+def test_a_tensor_listed_twice_is_refused_before_the_work(found, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("clgs.testing.conformance.fingerprints", None)
+    path = tmp_path / "twice.json"
+    path.write_text(json.dumps(to_record([*found, replace(found[0], sha256="0" * 64)], {})))
+    assert main(["conformance", "--check", str(path)]) == 3
+    said = capsys.readouterr().err
+    assert f"{path}: lists a tensor 2 times: {found[0].place}" in said
+    assert said.count("\n") == 1

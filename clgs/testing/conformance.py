@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -181,9 +182,13 @@ def from_record(record: object) -> list[Fingerprint]:
         assert isinstance(record, dict)
         if record["format"] != FORMAT:
             raise DataError(f"made in the form {record['format']!r}, expected {FORMAT!r}")
-        return [Fingerprint(**{k: str(v) for k, v in one.items()}) for one in record["tensors"]]
+        found = [Fingerprint(**{k: str(v) for k, v in one.items()}) for one in record["tensors"]]
     except (AssertionError, KeyError, TypeError, AttributeError) as error:
         raise DataError("is no file of `clgs conformance -o`") from error
+    place, times = Counter(one.place for one in found).most_common(1)[0] if found else ("", 0)
+    if times > 1:
+        raise DataError(f"lists a tensor {times} times: {place}; make the file anew")
+    return found
 
 
 def other_order(record: dict[str, Any], facts: dict[str, Any]) -> list[str]:

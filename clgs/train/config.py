@@ -60,6 +60,9 @@ MAY_BE_ZERO = {
     ),
 }
 MAY_BE_NEGATIVE = {"scaling_cap"}
+WEIGHTS = {"l1_weight", "ssim_weight", "volume_weight", "rate_weight"}
+MAX_WEIGHT = 1e6
+"""Adam squares the gradients: with weights much above it they overflow, and nothing trains."""
 
 
 @dataclass(frozen=True)
@@ -192,6 +195,8 @@ class TrainConfig:
     def __post_init__(self) -> None:
         for setting in fields(self):
             object.__setattr__(self, setting.name, _checked(self, setting.name, str(setting.type)))
+        if self.l1_weight == self.ssim_weight == 0:
+            raise UsageError("l1_weight, ssim_weight: both are 0, so that nothing would be learned")
         _check_order(self)
 
     def for_dataset(self, kind: str) -> TrainConfig:
@@ -327,6 +332,8 @@ def _number(name: str, value: object) -> float:
     if value < 0 or (value == 0 and name not in MAY_BE_ZERO):
         least = "at least 0" if name in MAY_BE_ZERO else "above 0"
         raise UsageError(f"{name}: {value} is not {least}")
+    if name in WEIGHTS and value > MAX_WEIGHT:
+        raise UsageError(f"{name}: {value} is above {MAX_WEIGHT:g}, the largest weight")
     return float(value)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NoReturn
@@ -26,6 +27,11 @@ from clgs.train.parameters import Parameters, download_anchors, new_parameters, 
 from clgs.train.schedule import ViewSampler
 from clgs.train.step import Enqueued, Plan, StepQueue
 from clgs.train.targets import BACKGROUNDS, planar
+
+UNDRAWN_STEPS = 10
+"""So many steps at the start of a run that draw nothing are worth a warning."""
+
+_log = logging.getLogger(__name__)
 
 
 class NonFiniteLossError(ClgsError):
@@ -74,6 +80,7 @@ class Trainer:
         self.merged = 0
         self._ahead = ahead
         self._under_way: list[Enqueued] = []
+        self._undrawn: int | None = 0
 
     @property
     def settings(self) -> RenderSettings:
@@ -137,6 +144,7 @@ class Trainer:
                 self._give_up()
             self._repeat()
         settled = self._under_way.pop(0)
+        self._warn_if_undrawn(settled)
         if settled.frame is not None:
             self.parameters = self.densifier.replace_anchors(
                 self.parameters, settled.frame, self.rng
@@ -153,6 +161,21 @@ class Trainer:
             settled.rate_bits,
             self.parameters.count,
         )
+
+    def _warn_if_undrawn(self, settled: Enqueued) -> None:
+        """Say once where no step so far drew anything: nothing is learned then."""
+        if self._undrawn is None:
+            return
+        self._undrawn = None if settled.needed().entries else self._undrawn + 1
+        if self._undrawn and (
+            self._undrawn == UNDRAWN_STEPS or settled.plan.step == self.config.steps
+        ):
+            _log.warning(
+                "nothing was drawn in the first %d steps, so nothing was learned; try a smaller "
+                "--smallest-anchor, or check the poses",
+                self._undrawn,
+            )
+            self._undrawn = None
 
     def _repeat(self) -> None:
         """Do the steps under way again, in order, with more room for the first of them."""

@@ -161,3 +161,17 @@ def test_bad_values_in_code_are_usage_errors() -> None:
     with pytest.raises(UsageError, match="steps: 0"):
         TrainConfig().scaled(0)
     assert TrainConfig(scaling_cap=-1).scaling_cap == -1.0
+
+
+@pytest.mark.parametrize("name", ["l1_weight", "ssim_weight", "volume_weight", "rate_weight"])
+def test_weights_have_a_bound_that_is_said(name: str) -> None:
+    assert getattr(TrainConfig(**{name: 1e6}), name) == 1e6
+    with pytest.raises(UsageError, match=rf"{name}: 1e\+30 is above 1e\+06"):
+        TrainConfig(**{name: 1e30})
+
+
+def test_a_loss_without_weights_is_refused() -> None:
+    assert TrainConfig(l1_weight=0).ssim_weight > 0
+    assert TrainConfig(ssim_weight=0).l1_weight > 0
+    with pytest.raises(UsageError, match="both are 0"):
+        TrainConfig(l1_weight=0, ssim_weight=0)

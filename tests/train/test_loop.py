@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.train.config import preset
+from clgs.train.config import MAX_WEIGHT, preset
 from clgs.train.loop import NonFiniteLossError, Trainer
 from clgs.train.resume import load_checkpoint, save_checkpoint
 from clgs.train.savings import savings
@@ -125,3 +125,35 @@ def test_savings_count_no_more_than_all(dataset, cpu):
     assert found["(bound)", "pairs blended of visited"].done > 0
     rate = found["rate interval", "steps with the rate proxy"]
     assert (rate.done, rate.without) == (STEPS // 20, STEPS // 2)
+
+
+def test_the_largest_weights_train(dataset, cpu):
+    most = MAX_WEIGHT
+    trainer = Trainer(cpu, dataset, config(dataset, l1_weight=most, ssim_weight=most))
+    start = trainer.psnr(dataset.test)
+    for _ in trainer.steps(60):
+        pass
+    assert trainer.psnr(dataset.test) > start + 1
+
+
+@pytest.mark.parametrize(("steps", "said"), [(9, 0), (10, 1), (25, 1)])
+def test_a_run_that_draws_nothing_is_warned_of_once(dataset, cpu, caplog, steps, said):
+    trainer = Trainer(cpu, dataset, config(dataset, smallest_anchor=1e30))
+    for _ in trainer.steps(steps):
+        pass
+    assert [record.levelname for record in caplog.records] == ["WARNING"] * said
+    assert all("nothing was drawn in the first 10 steps" in one.message for one in caplog.records)
+
+
+def test_a_shorter_run_that_draws_nothing_is_warned_of_at_its_end(dataset, cpu, caplog):
+    trainer = Trainer(cpu, dataset, replace(config(dataset).scaled(4), smallest_anchor=1e30))
+    for _ in trainer.steps(4):
+        pass
+    assert "nothing was drawn in the first 4 steps" in caplog.text
+
+
+def test_a_run_that_draws_is_not_warned_of(dataset, cpu, caplog):
+    trainer = Trainer(cpu, dataset, config(dataset))
+    for _ in trainer.steps(12):
+        pass
+    assert not caplog.records
