@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -140,6 +142,7 @@ def run(args: argparse.Namespace) -> int:
         preset_units=not config.normalize,
         cache=args.output,
         seed=args.seed,
+        on_stage=partial(print, file=sys.stderr, flush=True),
     )
     config = config.for_dataset(dataset.kind)
     if args.resume and (finished := finished_run(args.output, dataset, config)):

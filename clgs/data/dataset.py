@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -76,6 +76,7 @@ def load_dataset(
     seed: int = 0,
     load_images: bool | Collection[str] = True,
     load_points: bool = True,
+    on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Dataset:
     """The data set in the folder ``path``: Blender, transforms.json or COLMAP.
 
@@ -88,6 +89,7 @@ def load_dataset(
         load_images: without, views have empty images, and points come from COLMAP models only; or
             the names of the photos that are loaded, the others stay empty.
         load_points: without, none are triangulated or drawn: enough to render and evaluate.
+        on_stage: called with a line before work that takes minutes.
 
     Raises:
         DataError: nothing usable there; one line with file, field and remedy.
@@ -104,7 +106,7 @@ def load_dataset(
     train, test = views[: len(photos.train)], views[len(photos.train) :]
     make_points = load_images is True and load_points
     if make_points and photos.points is None and photos.kind != "blender":
-        _triangulate(photos, cache, seed)
+        _triangulate(photos, cache, seed, on_stage)
     points, colors = _scene_points(photos, transform, radius)
     if make_points and not len(points):
         viewpoints = [viewpoint(view.camera, view.alpha) for view in train]
@@ -196,12 +198,14 @@ def _camera(photo: Photo, lens: Lens, transform: SceneTransform) -> Camera:
     )
 
 
-def _triangulate(photos: PhotoSet, cache: Path | None, seed: int) -> None:
+def _triangulate(
+    photos: PhotoSet, cache: Path | None, seed: int, on_stage: Callable[[str], None]
+) -> None:
     """Fill in the points from the training photos; on failure they stay None."""
     from clgs.data.triangulate import triangulate
 
     try:
-        points = triangulate(photos.train, cache, seed)
+        points = triangulate(photos.train, cache, seed, on_stage)
     except DataError as error:
         _log.warning("no triangulated points, starting from random ones: %s", error)
         return

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,11 +66,16 @@ class _Features:
     color: npt.NDArray[np.uint8]
 
 
-def triangulate(photos: list[Photo], cache: Path | None = None, seed: int = 0) -> Points:
+def triangulate(
+    photos: list[Photo],
+    cache: Path | None = None,
+    seed: int = 0,
+    on_stage: Callable[[str], None] = lambda stage: None,
+) -> Points:
     """Points seen in at least two of the ``photos``, at their given poses.
 
     With ``cache`` (a folder) the result is kept there under a name made from poses, lenses, image
-    contents and seed, and found again.
+    contents and seed, and found again. ``on_stage`` is told before long work begins.
 
     Raises:
         DataError: pycolmap is missing or fails.
@@ -77,6 +83,7 @@ def triangulate(photos: list[Photo], cache: Path | None = None, seed: int = 0) -
     file = None if cache is None else cache / f"points-{_key(photos, seed)}.npz"
     if file is not None and (cached := _read_cache(file)) is not None:
         return cached
+    on_stage(f"finding points in {len(photos)} photos")
     with tempfile.TemporaryDirectory(prefix="clgs-") as folder:
         points = _triangulate(photos, Path(folder), seed)
     if file is not None:

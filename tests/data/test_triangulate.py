@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from clgs.cli.main import main
+from clgs.data.photo import Photo
 from clgs.data.transforms import read_transforms
 from clgs.data.triangulate import Points, triangulate
 from tests.data.folders import noise_image, write_room
@@ -15,8 +17,12 @@ from tests.data.folders import noise_image, write_room
 pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
 
 
+def photos(root: Path) -> list[Photo]:
+    return read_transforms(root).train
+
+
 def room_points(root: Path, cache: Path | None = None, seed: int = 0) -> Points:
-    return triangulate(read_transforms(root).train, cache, seed)
+    return triangulate(photos(root), cache, seed)
 
 
 def test_points_lie_on_the_walls_and_are_cached(tmp_path: Path):
@@ -49,3 +55,14 @@ def test_changed_images_are_not_answered_from_the_cache(tmp_path: Path):
     room_points(tmp_path / "room", cache)
     room_points(tmp_path / "room", cache, seed=1)
     assert len(list(cache.iterdir())) == 3
+
+
+def test_the_search_for_points_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write_room(tmp_path / "room", 5, (64, 48))
+    command = ["train", str(tmp_path / "room"), "-o", str(tmp_path / "run"), "--steps", "1"]
+    assert main([*command, "--resume"]) == 0
+    out, err = capsys.readouterr()
+    assert "finding points" not in out
+    assert err.splitlines()[0] == f"finding points in {len(photos(tmp_path / 'room'))} photos"
+    assert main([*command, "--resume"]) == 0  # from the cache in the run folder
+    assert "finding points" not in capsys.readouterr().err
