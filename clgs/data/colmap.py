@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.colmap_check import check_binary_model, check_name
+from clgs.data.colmap_text import explain_text_model
 from clgs.data.images import stored_size
 from clgs.data.lens import Lens
 from clgs.data.photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
@@ -63,12 +64,23 @@ def _read_model(
         check_binary_model(model)
     with quiet_pycolmap(f"{model}: unreadable COLMAP model") as pycolmap:
         reconstruction = pycolmap.Reconstruction()
-        read = reconstruction.read_binary if suffix == ".bin" else reconstruction.read_text
-        read(str(model))
+        if suffix == ".bin":
+            reconstruction.read_binary(str(model))
+        else:
+            _read_text(reconstruction, model)
         folder = root / "images" if (root / "images").is_dir() else root
         photos, skipped = _photos(reconstruction, folder, model)
         points, colors = _points(reconstruction)
     return photos, skipped, points, colors
+
+
+def _read_text(reconstruction: Any, model: Path) -> None:
+    """Fill ``reconstruction``; a fault has its file, line and field where that can be found."""
+    try:
+        reconstruction.read_text(str(model))
+    except Exception:
+        explain_text_model(model)
+        raise
 
 
 def _photos(reconstruction: Any, folder: Path, model: Path) -> tuple[list[Photo], int]:

@@ -17,7 +17,7 @@ from clgs.errors import DataError
 MAX_COORDINATE = 1e12
 MAX_IMAGE_SIDE = 1_000_000
 MAX_NAME_BYTES = 1024
-_PARAMETERS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12, 11: 16}
+PARAMETERS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12, 11: 16}
 """Number of parameters of each COLMAP camera model id of the file format."""
 
 
@@ -108,9 +108,9 @@ def _camera(reader: _Reader) -> None:
     _, model, width, height = reader.take("<IiQQ")
     if not (1 <= width <= MAX_IMAGE_SIDE and 1 <= height <= MAX_IMAGE_SIDE):
         reader.fail(f"camera size {width}x{height} is impossible")
-    if model not in _PARAMETERS:
+    if model not in PARAMETERS:
         reader.fail(f"camera model {model} is unknown (undistort with COLMAP's image_undistorter)")
-    if not reader.reals(_PARAMETERS[model], "camera parameter")[0] > 0:
+    if not reader.reals(PARAMETERS[model], "camera parameter")[0] > 0:
         reader.fail("focal length is not positive")
 
 

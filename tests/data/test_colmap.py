@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from clgs.data.colmap import find_model, read_colmap
-from clgs.data.colmap_check import check_binary_model
+from clgs.data.colmap_check import PARAMETERS, check_binary_model
+from clgs.data.colmap_text import MODELS
 from clgs.data.photo import PhotoSet
 from clgs.errors import DataError
 from tests.data.folders import ring, write_colmap
@@ -144,12 +145,53 @@ def test_bit_flips_are_refused_or_harmless(tmp_path: Path, rng: np.random.Genera
         file.write_bytes(whole)
 
 
+IMAGE = "1 1 0 0 0 0 0 0 1 001.png\n"
+
+
 @pytest.mark.parametrize(
-    "text", ["", "1 PINHOLE x\n", "1 PINHOLE 41\n", "1 NOSUCH 41 31 1 2 3 4\n"]
+    ("name", "text", "fault"),
+    [
+        ("cameras", "1 PINHOLE x\n", "line 1: WIDTH is 'x', not a whole number"),
+        ("cameras", "# a comment\n\n1 PINHOLE 41\n", "line 3: HEIGHT is missing"),
+        ("cameras", "1 NOSUCH 41 31 1 2 3 4\n", "line 1: MODEL 'NOSUCH' is unknown"),
+        ("cameras", "1 PINHOLE 41 31 50 50 20\n", "line 1: PARAMS are 3 numbers, PINHOLE has 4"),
+        ("cameras", "1 PINHOLE 41 31 50 nan 20 9\n", "line 1: PARAMS is 'nan', not a finite"),
+        ("cameras", f"1 PINHOLE {'9' * 20} 31 50 50 20 9\n", "line 1: WIDTH is '9"),
+        ("images", IMAGE.replace("001.png", ""), "line 1: NAME is missing"),
+        ("images", IMAGE.replace("1 1 0", "1 ? 0"), "line 1: QW is '?', not a finite number"),
+        ("images", f"{IMAGE}1 2\n", "line 2: POINTS2D are not of three numbers each"),
+        ("images", f"{IMAGE}1 2 x\n", "line 2: POINT3D_ID is 'x', not a whole number"),
+        ("points3D", "7 2\n", "line 1: Y is missing"),
+        ("points3D", "7 2 3 nan 1 2 3 0.1\n", "line 1: Z is 'nan', not a finite number"),
+        ("points3D", "7 2 3 4 1 2 3 0.1 99 0\n", "line 1: TRACK: images.txt has no point 0 of"),
+        ("points3D", "7 2 3 4 1 2 3 0.1 1 99\n", "line 1: TRACK: images.txt has no point 99 of"),
+    ],
 )
-def test_damaged_text_is_one_line(tmp_path: Path, text: str):
+def test_damaged_text_is_one_line_with_file_and_field(
+    tmp_path: Path, name: str, text: str, fault: str
+):
     write_colmap(tmp_path, text=True, rigs=False)
-    (tmp_path / "sparse" / "0" / "cameras.txt").write_text(text)
+    file = tmp_path / "sparse" / "0" / f"{name}.txt"
+    file.write_text(text)
     with pytest.raises(DataError) as caught:
         load(tmp_path)
     assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(f"{file}: {fault}")
+    assert str(caught.value).endswith("export the model again")
+
+
+def test_images_of_no_camera_are_named(tmp_path: Path):
+    write_colmap(tmp_path, text=True, rigs=False)
+    (tmp_path / "sparse" / "0" / "cameras.txt").write_text("")
+    with pytest.raises(DataError, match=r"images\.txt: line \d+: CAMERA_ID 1 is not in cameras\.t"):
+        load(tmp_path)
+
+
+def test_names_and_numbers_of_camera_models_are_those_of_pycolmap():
+    import pycolmap
+
+    assert len(MODELS) == len(PARAMETERS)
+    for number, name in enumerate(MODELS):
+        camera = pycolmap.Camera.create_from_model_name(1, name, 50.0, 41, 31)
+        assert int(camera.model) == number
+        assert len(camera.params) == PARAMETERS[number]
