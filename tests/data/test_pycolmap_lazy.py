@@ -11,7 +11,8 @@ import pytest
 START = """
 import os, signal
 from clgs.data.pycolmap_lazy import quiet_pycolmap
-signal.signal(signal.SIGTERM, signal.default_int_handler)
+for number in (signal.SIGINT, signal.SIGTERM):  # in the background SIGINT may come ignored
+    signal.signal(number, signal.default_int_handler)
 try:
     with quiet_pycolmap("a task") as pycolmap:
         print(pycolmap.__name__)
