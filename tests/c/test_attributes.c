@@ -165,15 +165,13 @@ static void test_chunk_damage(const stream *s)
     free(bad);
 }
 
-/* A damaged header either fails or is another model, under which decoding ends. */
+/* A damaged header either fails or is a model under which decoding ends. */
 static void test_header_damage(const stream *s)
 {
     uint8_t *bad = allocate(s->header_size);
-    size_t model_size = clgs_attributes_model_size(s->channels);
-    void *model = allocate(model_size);
+    void *model = allocate(clgs_attributes_model_size(s->channels));
     for (size_t size = 0; size < s->header_size; size++)
-        if (read_header(s, s->header, size, model) == CLGS_OK)
-            CHECK(memcmp(model, s->model, model_size) != 0);
+        CHECK(read_header(s, s->header, size, model) < 0);
     for (int round = 0; round < 2000; round++) {
         memcpy(bad, s->header, s->header_size);
         for (uint32_t n = random_u32() % 4 + 1; n > 0; n--)
@@ -195,7 +193,8 @@ static void test_stream(size_t rows, size_t channels, uint32_t shift, int mixed)
     make_model(&s, mixed);
     test_round_trip(&s);
     test_chunk_damage(&s);
-    test_header_damage(&s);
+    if (rows < CLGS_LONG_ROWS) /* long streams are here for their eight lanes */
+        test_header_damage(&s);
     free(s.header);
     free(s.data);
     free(s.workspace);
