@@ -47,7 +47,7 @@ PyObject *attributes_header(PyObject *module, PyObject *args)
         return NULL;
     size_t capacity = (size_t)model.len + 64, size = 0;
     uint8_t *out = PyMem_Malloc(capacity);
-    void *workspace = PyMem_Malloc(clgs_attributes_header_workspace());
+    void *workspace = workspace_new(clgs_attributes_header_workspace());
     if (!out || !workspace) {
         PyErr_NoMemory();
     } else {
@@ -55,7 +55,7 @@ PyObject *attributes_header(PyObject *module, PyObject *args)
             clgs_attributes_header_write(model.buf, channels_of(&model), out, capacity, workspace);
         Py_END_ALLOW_THREADS result = bytes_of(out, size);
     }
-    PyMem_Free(workspace);
+    workspace_free(workspace);
     PyMem_Free(out);
     PyBuffer_Release(&model);
     return result;
@@ -69,7 +69,7 @@ PyObject *attributes_read(PyObject *module, PyObject *args)
     (void)module;
     if (!PyArg_ParseTuple(args, "y*w*", &data, &model))
         return NULL;
-    void *workspace = PyMem_Malloc(clgs_attributes_header_workspace());
+    void *workspace = workspace_new(clgs_attributes_header_workspace());
     if (!workspace) {
         PyErr_NoMemory();
     } else {
@@ -78,7 +78,7 @@ PyObject *attributes_read(PyObject *module, PyObject *args)
             data.buf, (size_t)data.len, model.buf, channels_of(&model), workspace);
         Py_END_ALLOW_THREADS result = result_of(error);
     }
-    PyMem_Free(workspace);
+    workspace_free(workspace);
     PyBuffer_Release(&model);
     PyBuffer_Release(&data);
     return result;
@@ -92,7 +92,7 @@ static PyObject *run_encode(const Py_buffer *model, const Py_buffer *value)
         return NULL;
     size_t bound = clgs_attributes_bound(model->buf, rows, channels);
     uint8_t *out = PyMem_Malloc(bound);
-    void *workspace = PyMem_Malloc(clgs_attributes_workspace(rows, channels));
+    void *workspace = workspace_new(clgs_attributes_workspace(rows, channels));
     if (!out || !workspace) {
         PyErr_NoMemory();
     } else {
@@ -100,7 +100,7 @@ static PyObject *run_encode(const Py_buffer *model, const Py_buffer *value)
             clgs_attributes_encode(model->buf, value->buf, rows, channels, out, bound, workspace);
         Py_END_ALLOW_THREADS result = bytes_of(out, size);
     }
-    PyMem_Free(workspace);
+    workspace_free(workspace);
     PyMem_Free(out);
     return result;
 }
@@ -124,12 +124,12 @@ static PyObject *run_decode(const Py_buffer *model, const Py_buffer *data, const
     clgs_error error;
     if (!measure(model, value, &channels, &rows))
         return NULL;
-    void *workspace = PyMem_Malloc(clgs_attributes_workspace(rows, channels));
+    void *workspace = workspace_new(clgs_attributes_workspace(rows, channels));
     if (!workspace)
         return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS error = clgs_attributes_decode(model->buf, data->buf, (size_t)data->len,
                                                           value->buf, rows, channels, workspace);
-    Py_END_ALLOW_THREADS PyMem_Free(workspace);
+    Py_END_ALLOW_THREADS workspace_free(workspace);
     return result_of(error);
 }
 
@@ -155,12 +155,12 @@ static PyObject *run_count(const Py_buffer *model, const Py_buffer *value, const
         return NULL;
     if ((size_t)count->len != 4 * COUNTS * channels)
         return result_of(error);
-    void *workspace = PyMem_Malloc(clgs_attributes_workspace(rows, channels));
+    void *workspace = workspace_new(clgs_attributes_workspace(rows, channels));
     if (!workspace)
         return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS error =
         clgs_attributes_count(model->buf, value->buf, rows, channels, count->buf, workspace);
-    Py_END_ALLOW_THREADS PyMem_Free(workspace);
+    Py_END_ALLOW_THREADS workspace_free(workspace);
     return result_of(error);
 }
 
@@ -188,7 +188,7 @@ static PyObject *run_measure(const Py_buffer *model, const Py_buffer *value, con
     if ((size_t)bytes->len != 8 * channels)
         return result_of(error);
     uint8_t *out = PyMem_Malloc(clgs_attributes_measure_bound(rows));
-    void *workspace = PyMem_Malloc(clgs_attributes_workspace(rows, channels));
+    void *workspace = workspace_new(clgs_attributes_workspace(rows, channels));
     if (!out || !workspace) {
         PyErr_NoMemory();
     } else {
@@ -196,7 +196,7 @@ static PyObject *run_measure(const Py_buffer *model, const Py_buffer *value, con
             model->buf, value->buf, rows, channels, bytes->buf, out, workspace);
         Py_END_ALLOW_THREADS result = result_of(error);
     }
-    PyMem_Free(workspace);
+    workspace_free(workspace);
     PyMem_Free(out);
     return result;
 }
@@ -225,7 +225,7 @@ PyObject *attributes_choose(PyObject *module, PyObject *args)
     if (!PyArg_ParseTuple(args, "w*y*Iw*", &model, &count, &scale, &cost))
         return NULL;
     size_t channels = channels_of(&model);
-    void *workspace = PyMem_Malloc(clgs_attributes_choose_workspace());
+    void *workspace = workspace_new(clgs_attributes_choose_workspace());
     if (!workspace) {
         PyErr_NoMemory();
     } else if ((size_t)count.len != 4 * COUNTS * channels || (size_t)cost.len != 8 * channels) {
@@ -236,7 +236,7 @@ PyObject *attributes_choose(PyObject *module, PyObject *args)
             clgs_attributes_choose(model.buf, channels, count.buf, scale, cost.buf, workspace);
         Py_END_ALLOW_THREADS result = result_of(error);
     }
-    PyMem_Free(workspace);
+    workspace_free(workspace);
     PyBuffer_Release(&cost);
     PyBuffer_Release(&count);
     PyBuffer_Release(&model);

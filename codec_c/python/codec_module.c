@@ -98,7 +98,7 @@ static PyObject *run_encode(codec_job *job)
         return NULL;
     size_t bound = output_bound(job), size = 0;
     uint8_t *out = PyMem_Malloc(bound);
-    void *workspace = PyMem_Malloc(workspace_size(job));
+    void *workspace = workspace_new(workspace_size(job));
     if (!out || !workspace) {
         PyErr_NoMemory();
     } else {
@@ -107,7 +107,7 @@ static PyObject *run_encode(codec_job *job)
             PyBytes_FromStringAndSize((const char *)out, (Py_ssize_t)size);
         else PyErr_SetString(PyExc_ValueError, "the array cannot be encoded");
     }
-    PyMem_Free(workspace);
+    workspace_free(workspace);
     PyMem_Free(out);
     return result;
 }
@@ -117,11 +117,11 @@ static PyObject *run_decode(codec_job *job)
     clgs_error error;
     if (!measure(job))
         return NULL;
-    void *workspace = PyMem_Malloc(workspace_size(job));
+    void *workspace = workspace_new(workspace_size(job));
     if (!workspace)
         return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS error = decode(job, workspace);
-    Py_END_ALLOW_THREADS PyMem_Free(workspace);
+    Py_END_ALLOW_THREADS workspace_free(workspace);
     if (error == CLGS_OK)
         return Py_NewRef(Py_None);
     PyErr_SetString(PyExc_ValueError, clgs_error_text(error));

@@ -23,7 +23,7 @@ static PyObject *run_encode(weights_job *job)
     PyObject *result = NULL;
     size_t size = 0;
     uint8_t *out = PyMem_Malloc(job->bound);
-    void *workspace = PyMem_Malloc(clgs_weights_workspace(job->layer.buf, job->layers));
+    void *workspace = workspace_new(clgs_weights_workspace(job->layer.buf, job->layers));
     if (!out || !workspace) {
         PyErr_NoMemory();
     } else {
@@ -32,7 +32,7 @@ static PyObject *run_encode(weights_job *job)
         Py_END_ALLOW_THREADS result =
             PyBytes_FromStringAndSize((const char *)out, (Py_ssize_t)size);
     }
-    PyMem_Free(workspace);
+    workspace_free(workspace);
     PyMem_Free(out);
     return result;
 }
@@ -40,13 +40,13 @@ static PyObject *run_encode(weights_job *job)
 static PyObject *run_decode(weights_job *job)
 {
     clgs_error error;
-    void *workspace = PyMem_Malloc(clgs_weights_workspace(job->layer.buf, job->layers));
+    void *workspace = workspace_new(clgs_weights_workspace(job->layer.buf, job->layers));
     if (!workspace)
         return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS error =
         clgs_weights_decode(job->data.buf, (size_t)job->data.len, job->word.buf, job->layer.buf,
                             job->layers, workspace);
-    Py_END_ALLOW_THREADS PyMem_Free(workspace);
+    Py_END_ALLOW_THREADS workspace_free(workspace);
     if (error == CLGS_OK)
         return Py_NewRef(Py_None);
     PyErr_SetString(PyExc_ValueError, clgs_error_text(error));

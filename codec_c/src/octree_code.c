@@ -17,6 +17,18 @@ typedef struct surroundings {
     uint32_t total; /* sum of the densities */
 } surroundings;
 
+typedef struct neighbour {
+    uint32_t child; /* its first */
+    uint32_t occupancy;
+} neighbour;
+
+/* Bits of masks are cells of the 4 x 4 x 4 children's cells in and around a node. */
+typedef struct circle {
+    uint64_t cells; /* those of children */
+    uint64_t known; /* ... that are coded */
+    neighbour node[CLGS_DIRECTIONS];
+} circle;
+
 typedef struct site {
     clgs_octree_model *model;
     clgs_wide *coder;
@@ -26,6 +38,7 @@ typedef struct site {
     uint32_t family;   /* mirrored occupancy of the parent */
     uint32_t children; /* of the parent */
     uint32_t known;    /* mask of the family: a root has none */
+    circle circle;     /* around the parent */
     surroundings around;
 } site;
 
@@ -74,42 +87,43 @@ static uint32_t cells_of(const surroundings *around, uint32_t child)
     return (uint32_t)(around->seen.cells[child >> 2] >> 16 * (child & 3) & 0x3FFF);
 }
 
-/* The nodes around child `own` of node `parent`, which is node i: what is known of them, and their
- * list. Those before it are coded. */
-CLGS_INLINE void look_around(const clgs_octree_model *model, clgs_levels *levels, size_t parent,
-                             uint32_t own, size_t i, surroundings *around)
+/* The nodes around `parent`, and their children that may touch its own. */
+static void circle_begin(circle *circle, const clgs_levels *levels, size_t parent)
 {
     const clgs_touch *touch = &levels->touch;
     const clgs_level *above = &levels->above;
+    circle->node[CLGS_SELF] = (neighbour){above->child[parent], above->occupancy[parent]};
+    circle->cells = clgs_touch_cells(touch, CLGS_SELF, above->occupancy[parent]);
+    circle->known = 0;
+    for (uint32_t k = above->first[parent]; k < above->first[parent + 1]; k++) {
+        uint32_t d = above->list[k] & 31, node = above->list[k] >> 5;
+        uint32_t occupancy = above->occupancy[node];
+        uint64_t cells = clgs_touch_cells(touch, d, occupancy);
+        circle->node[d] = (neighbour){above->child[node], occupancy};
+        circle->cells |= cells;
+        circle->known |= node < parent ? cells : 0;
+    }
+}
+
+/* The nodes around child `own` of a node, which is node i: what is known of them, and their list.
+ * Those before it are coded. */
+CLGS_INLINE void look_around(const clgs_octree_model *model, clgs_levels *levels,
+                             const circle *circle, uint32_t own, size_t i, surroundings *around)
+{
+    const clgs_touch *touch = &levels->touch;
     const uint8_t *coded = levels->now.occupancy;
     uint32_t *list = levels->now.list + levels->now.first[i], length = 0;
     clgs_seen sum = {0};
-    uint32_t occupancy = above->occupancy[parent], node = above->child[parent];
-    for (uint32_t left = occupancy; left; left &= left - 1, node++) {
-        uint32_t other = clgs_lowest(left), d = touch->inner[own][other];
-        if (other == own)
-            continue;
-        const clgs_seen *seen = &model->seen[d][other < own ? coded[node] : CLGS_SEEN - 1];
+    for (uint64_t left = circle->cells & touch->window[own]; left; left &= left - 1) {
+        uint32_t cell = clgs_lowest64(left), d = touch->direction[own][cell];
+        const neighbour *next = &circle->node[touch->owner[cell]];
+        uint32_t node = next->child + touch->count[next->occupancy & touch->before[cell]];
+        uint32_t occupancy = circle->known >> cell & 1 ? coded[node] : CLGS_SEEN - 1;
+        const clgs_seen *seen = &model->seen[d][occupancy];
         sum.density += seen->density;
         sum.cells[0] += seen->cells[0];
         sum.cells[1] += seen->cells[1];
         list[length++] = node << 5 | d;
-    }
-    for (uint32_t k = above->first[parent]; k < above->first[parent + 1]; k++) {
-        uint32_t beyond = above->list[k] & 31, next = above->list[k] >> 5;
-        uint32_t reach = touch->reach[beyond][own];
-        if (!reach)
-            continue;
-        occupancy = above->occupancy[next];
-        for (uint32_t left = occupancy & reach; left; left &= left - 1) {
-            uint32_t other = clgs_lowest(left), d = touch->outer[beyond][own][other];
-            node = above->child[next] + touch->count[occupancy & ((1u << other) - 1)];
-            const clgs_seen *seen = &model->seen[d][next < parent ? coded[node] : CLGS_SEEN - 1];
-            sum.density += seen->density;
-            sum.cells[0] += seen->cells[0];
-            sum.cells[1] += seen->cells[1];
-            list[length++] = node << 5 | d;
-        }
     }
     around->seen = sum;
     around->count = length;
@@ -244,7 +258,7 @@ CLGS_INLINE uint64_t *code_child(site *at, clgs_levels *levels, size_t parent, u
     size_t i = now->count++;
     uint32_t occupancy = 0;
     now->code[i] = levels->above.code[parent] << 3 | own;
-    look_around(at->model, levels, parent, own, i, &at->around);
+    look_around(at->model, levels, &at->circle, own, i, &at->around);
     at->family = levels->touch.mirror[own][levels->above.occupancy[parent]] & at->known;
     now->first[i + 1] = now->first[i] + (at->height > 1 ? at->around.count : 0);
     if (at->around.count == 0 && at->parent > 0) {
@@ -272,8 +286,12 @@ CLGS_INLINE uint64_t *code_level(site *at, clgs_levels *levels, const uint64_t *
         uint32_t occupancy = above->occupancy[parent];
         at->parent = clgs_crowd(above->first[parent + 1] - above->first[parent]);
         at->children = levels->touch.count[occupancy];
-        for (uint32_t left = occupancy; left; left &= left - 1)
-            points = code_child(at, levels, parent, clgs_lowest(left), target, points, decoding);
+        circle_begin(&at->circle, levels, parent);
+        for (uint32_t left = occupancy; left; left &= left - 1) {
+            uint32_t own = clgs_lowest(left);
+            points = code_child(at, levels, parent, own, target, points, decoding);
+            at->circle.known |= clgs_touch_cells(&levels->touch, CLGS_SELF, 1u << own);
+        }
     }
     return points;
 }

@@ -34,48 +34,64 @@ static void carve_level(clgs_level *level, size_t count, uint8_t **at)
     level->occupancy = carve(at, count);
 }
 
-static uint32_t direction(int32_t x, int32_t y, int32_t z)
+/* Coordinate of a cell on axis 0 to 2, 0 to 3. */
+static int32_t coordinate(uint32_t cell, uint32_t axis)
 {
-    return (uint32_t)(9 * (x + 1) + 3 * (y + 1) + z + 1);
+    return (int32_t)(cell >> (4 - 2 * axis) & 3);
 }
 
-/* Direction from child `own` of a node to child `other` of the node at (x, y, z), or 27 where
- * they do not touch. */
-static uint32_t between(uint32_t own, uint32_t other, int32_t x, int32_t y, int32_t z)
+/* Steps of a direction on axis 0 to 2, -1 to 1. */
+static int32_t step(uint32_t d, uint32_t axis)
 {
-    x = 2 * x + (int32_t)(other >> 2) - (int32_t)(own >> 2);
-    y = 2 * y + (int32_t)(other >> 1 & 1) - (int32_t)(own >> 1 & 1);
-    z = 2 * z + (int32_t)(other & 1) - (int32_t)(own & 1);
-    if (x < -1 || x > 1 || y < -1 || y > 1 || z < -1 || z > 1)
-        return CLGS_DIRECTIONS;
-    return direction(x, y, z);
+    return (int32_t)(d / (axis == 0 ? 9 : axis == 1 ? 3 : 1) % 3) - 1;
+}
+
+/* Fill in which node a cell belongs to, and how the children of a node see it. */
+static void cell_begin(clgs_touch *touch, uint32_t cell)
+{
+    uint32_t owner = 0, child = 0;
+    for (uint32_t axis = 0; axis < 3; axis++) {
+        uint32_t place = (uint32_t)coordinate(cell, axis) + 1; /* from -1: 1 to 4 */
+        owner = 3 * owner + place / 2;
+        child = 2 * child + place % 2;
+    }
+    touch->owner[cell] = (uint8_t)owner;
+    touch->before[cell] = (uint8_t)((1u << child) - 1);
+    touch->facing[owner] |= (uint8_t)(1u << child);
+    for (uint32_t own = 0; own < 8; own++) {
+        uint32_t d = 0, near = 1;
+        for (uint32_t axis = 0; axis < 3; axis++) {
+            int32_t move = coordinate(cell, axis) - 1 - (int32_t)(own >> (2 - axis) & 1);
+            near &= move >= -1 && move <= 1;
+            d = 3 * d + (uint32_t)(move + 1);
+        }
+        touch->direction[own][cell] = (uint8_t)(near ? d : CLGS_SELF);
+        touch->window[own] |= (uint64_t)(near && d != CLGS_SELF) << cell;
+    }
+}
+
+static void occupancy_begin(clgs_touch *touch, uint32_t occupancy)
+{
+    touch->count[occupancy] = (uint8_t)(touch->count[occupancy / 2] + occupancy % 2);
+    for (uint32_t child = 0; child < 8; child++) {
+        uint64_t cell = 16 * (child >> 2) + 4 * (child >> 1 & 1) + (child & 1);
+        touch->spread[occupancy] |= (uint64_t)(occupancy >> child & 1) << cell;
+        for (uint32_t own = 0; own < 8; own++)
+            touch->mirror[own][occupancy] |= (uint8_t)((occupancy >> child & 1) << (child ^ own));
+    }
 }
 
 static void touch_begin(clgs_touch *touch)
 {
-    for (uint32_t d = 0; d < CLGS_DIRECTIONS; d++)
-        for (uint32_t own = 0; own < 8; own++) {
-            int32_t x = (int32_t)(d / 9) - 1, y = (int32_t)(d / 3 % 3) - 1,
-                    z = (int32_t)(d % 3) - 1;
-            touch->reach[d][own] = 0;
-            for (uint32_t other = 0; other < 8; other++) {
-                uint32_t step = between(own, other, x, y, z);
-                touch->outer[d][own][other] = (uint8_t)step;
-                if (step < CLGS_DIRECTIONS)
-                    touch->reach[d][own] |= (uint8_t)(1u << other);
-                if (d == CLGS_SELF)
-                    touch->inner[own][other] = (uint8_t)step;
-            }
-        }
-    touch->count[0] = 0;
-    for (uint32_t own = 0; own < 8; own++)
-        for (uint32_t occupancy = 0; occupancy < 256; occupancy++) {
-            uint32_t mirrored = 0;
-            for (uint32_t child = 0; child < 8; child++)
-                mirrored |= (occupancy >> child & 1) << (child ^ own);
-            touch->mirror[own][occupancy] = (uint8_t)mirrored;
-            touch->count[occupancy] = (uint8_t)(touch->count[occupancy / 2] + occupancy % 2);
-        }
+    *touch = (clgs_touch){0};
+    for (uint32_t cell = 0; cell < 64; cell++)
+        cell_begin(touch, cell);
+    for (uint32_t occupancy = 0; occupancy < 256; occupancy++)
+        occupancy_begin(touch, occupancy);
+    for (uint32_t d = 0; d < CLGS_DIRECTIONS; d++) {
+        int32_t shift = 21 + 2 * (16 * step(d, 0) + 4 * step(d, 1) + step(d, 2));
+        touch->shift[d] = (uint8_t)((uint32_t)shift & 63);
+    }
 }
 
 void clgs_levels_begin(clgs_levels *levels, size_t count, uint8_t *memory)

@@ -23,13 +23,18 @@ typedef struct clgs_level {
     uint8_t *occupancy; /* bit c: child c exists; child c = 4 x + 2 y + z */
 } clgs_level;
 
-/* How cells of a level touch each other; bits c of a mask are children. */
+/* Of the cells of a node's children and those around them, 4 x 4 x 4 with numbers 16 x + 4 y + z,
+ * the children's own are those with x, y, z in 1 to 2. Bits of 64-bit masks are such cells. */
 typedef struct clgs_touch {
-    uint8_t inner[8][8];                  /* direction from child to child of one node */
-    uint8_t outer[CLGS_DIRECTIONS][8][8]; /* ... to child [2] of the node in direction [0] */
-    uint8_t reach[CLGS_DIRECTIONS][8];    /* mask of such children that touch child [1] */
-    uint8_t mirror[8][256];               /* occupancy [1] with child c at place c xor [0] */
-    uint8_t count[256];                   /* number of bits set */
+    uint64_t window[8];              /* the 26 cells around child [0] */
+    uint64_t spread[256];            /* children of occupancy [0], with x, y, z in 0 to 1 */
+    uint8_t shift[CLGS_DIRECTIONS];  /* rotates them to their place for nodes in direction [0] */
+    uint8_t facing[CLGS_DIRECTIONS]; /* mask of children there that are among the cells */
+    uint8_t owner[64];               /* direction of the node whose child has cell [0] */
+    uint8_t before[64];              /* mask of its children before that one */
+    uint8_t direction[8][64];        /* from child [0] to cell [1] */
+    uint8_t mirror[8][256];          /* occupancy [1] with child c at place c xor [0] */
+    uint8_t count[256];              /* number of bits set */
 } clgs_touch;
 
 typedef struct clgs_levels {
@@ -69,6 +74,24 @@ static inline uint32_t clgs_lowest(uint32_t bits)
         index++;
     return index;
 #endif
+}
+
+static inline uint32_t clgs_lowest64(uint64_t bits)
+{
+#if defined(__GNUC__)
+    return (uint32_t)__builtin_ctzll(bits);
+#else
+    uint32_t low = (uint32_t)bits;
+    return low ? clgs_lowest(low) : 32 + clgs_lowest((uint32_t)(bits >> 32));
+#endif
+}
+
+/* Cells of the children of a node in direction d. */
+static inline uint64_t clgs_touch_cells(const clgs_touch *touch, uint32_t d, uint32_t occupancy)
+{
+    uint64_t spread = touch->spread[occupancy & touch->facing[d]];
+    uint32_t shift = touch->shift[d];
+    return spread << shift | spread >> (-shift & 63);
 }
 
 #endif

@@ -88,14 +88,19 @@ CLGS_INLINE void clgs_wide_shift(clgs_wide *coder, int decoding)
 CLGS_INLINE uint32_t clgs_wide_code(clgs_wide *coder, uint32_t bit, uint32_t p, int decoding)
 {
     uint64_t low = coder->low, bound = (coder->range >> 16) * p;
-    if (decoding)
+    if (decoding) {
         bit = low < bound;
-    if (bit) {
-        coder->range = bound;
-    } else {
-        coder->low = decoding ? low - bound : low + bound;
-        coder->range -= bound;
-        if (!decoding && coder->low < low)
+        if (bit) {
+            coder->range = bound;
+        } else {
+            coder->low = low - bound;
+            coder->range -= bound;
+        }
+    } else { /* the bit is known: no branch to guess wrong */
+        uint64_t zero = (uint64_t)bit - 1;
+        coder->low = low + (bound & zero);
+        coder->range = bound + ((coder->range - 2 * bound) & zero);
+        if (coder->low < low)
             clgs_wide_carry(coder);
     }
     clgs_wide_shift(coder, decoding);
