@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.colmap_check import check_binary_model, check_name
-from clgs.data.colmap_text import explain_text_model
+from clgs.data.colmap_text import check_text_poses, explain_text_model
 from clgs.data.images import stored_size
 from clgs.data.lens import Lens
 from clgs.data.photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
@@ -76,6 +76,7 @@ def _read_model(
 
 def _read_text(reconstruction: Any, model: Path) -> None:
     """Fill ``reconstruction``; a fault has its file, line and field where that can be found."""
+    check_text_poses(model)
     try:
         reconstruction.read_text(str(model))
     except Exception:

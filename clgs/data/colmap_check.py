@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NoReturn
 
@@ -81,8 +81,7 @@ class _Reader:
 
     def pose(self) -> None:
         """A quaternion and a translation."""
-        quaternion = self.reals(7, "pose")[:4]
-        if not math.isclose(math.hypot(*quaternion), 1.0, abs_tol=0.01):
+        if not is_unit(self.reals(7, "pose")[:4]):
             self.fail("rotation quaternion is not of unit length")
 
     def name(self) -> None:
@@ -95,6 +94,11 @@ class _Reader:
         except UnicodeDecodeError:
             self.fail("image name is not UTF-8")
         self.at = end + 1
+
+
+def is_unit(quaternion: Iterable[float]) -> bool:
+    """Whether its length is 1 but for rounding; pycolmap does not scale what it reads."""
+    return math.isclose(math.hypot(*quaternion), 1.0, abs_tol=0.01)
 
 
 def check_name(name: str, source: str) -> None:

@@ -1,4 +1,7 @@
-"""Finds the line of a text COLMAP model at which pycolmap stumbled, whose words name C++ code."""
+"""Checks a text COLMAP model line by line.
+
+pycolmap takes a zero quaternion for no rotation, and where it stumbles, its words name C++ code.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
-from clgs.data.colmap_check import PARAMETERS
+from clgs.data.colmap_check import MAX_COORDINATE, PARAMETERS, is_unit
 from clgs.errors import DataError
 
 MODELS = [
@@ -30,8 +33,31 @@ MODELS = [
 _CAMERA = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT")
 _IMAGE = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
 _POINT = ("POINT3D_ID", "X", "Y", "Z", "R", "G", "B", "ERROR")
+_FRAME = ("FRAME_ID", "RIG_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
+_RIG = ("RIG_ID", "NUM_SENSORS", "REF_SENSOR_TYPE", "REF_SENSOR_ID")
+_SENSOR = ("SENSOR_TYPE", "SENSOR_ID", "HAS_POSE", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
+_UNPOSED = 3
+"""Fields of a sensor without a pose."""
+
 _WHOLE = {"CAMERA_ID", "IMAGE_ID", "POINT3D_ID", "WIDTH", "HEIGHT", "R", "G", "B"}
-_TEXT = {"MODEL", "NAME"}
+_TEXT = {"MODEL", "NAME", "REF_SENSOR_TYPE", "SENSOR_TYPE"}
+
+
+def check_text_poses(folder: Path) -> None:
+    """Raise DataError, naming file, line and field, where a pose is no rotation and translation.
+
+    Args:
+        folder: holds images.txt and, where the model has rigs, frames.txt and rigs.txt.
+    """
+    lines = _every_line(folder / "images.txt")
+    for line in lines:
+        if _counts(line):
+            line.check_pose(_IMAGE)
+            next(lines, None)  # its image points
+    for line in _lines(folder / "frames.txt"):
+        line.check_pose(_FRAME)
+    for line in _lines(folder / "rigs.txt"):
+        _rig(line)
 
 
 def explain_text_model(folder: Path) -> None:
@@ -69,6 +95,19 @@ class _Line:
             self.check_word(name, self.words[index])
         return self.words[len(names) :]
 
+    def check_pose(self, names: tuple[str, ...]) -> None:
+        """Refuse fields QW to TZ that are not finite, or a quaternion that is not of length 1."""
+        first = names.index("QW")
+        for name, word in zip(names[first : first + 7], self.words[first:], strict=False):
+            self.check_word(name, word)
+        if len(self.words) < first + 7:
+            self.fail(f"{names[len(self.words)]} is missing")
+        quaternion = self.words[first : first + 4]
+        if not is_unit(map(float, quaternion)):
+            self.fail("QW, QX, QY, QZ are not of length 1")
+        if any(not abs(float(word)) <= MAX_COORDINATE for word in self.words[first : first + 7]):
+            self.fail(f"TX, TY, TZ are larger than {MAX_COORDINATE:g}")
+
     def check_word(self, name: str, word: str) -> None:
         """Refuse a ``word`` that cannot be the field ``name``."""
         if name in _WHOLE and not _is_whole(word):
@@ -78,6 +117,9 @@ class _Line:
 
 
 def _every_line(path: Path) -> Iterator[_Line]:
+    """None where there is no such file: models without rigs lack two."""
+    if not path.is_file():
+        return
     with path.open(encoding="utf-8", errors="replace") as file:
         for number, text in enumerate(file, 1):
             yield _Line(path, number, text.split())
@@ -122,6 +164,17 @@ def _images(path: Path, cameras: set[int]) -> Iterator[tuple[int, int]]:
         for index, word in enumerate(points.words):
             points.check_word(("X", "Y", "POINT3D_ID")[index % 3], word)
         yield line.field(_IMAGE, "IMAGE_ID"), len(points.words) // 3
+
+
+def _rig(line: _Line) -> None:
+    """Check the poses of the rig's sensors; the first sensor has none."""
+    sensors = line.words[len(_RIG) :]
+    while sensors:
+        sensor = _Line(line.path, line.number, sensors)
+        posed = sensors[_UNPOSED - 1 : _UNPOSED] == ["1"]
+        if posed:
+            sensor.check_pose(_SENSOR)
+        sensors = sensors[len(_SENSOR) if posed else _UNPOSED :]
 
 
 def _point(line: _Line, images: dict[int, int]) -> None:

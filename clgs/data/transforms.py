@@ -109,6 +109,8 @@ class _Fields:
             self.fail("transform_matrix", "is missing or not 4x4; correct it")
         camera_to_world = matrix[:3, :3] * np.array([1.0, -1.0, -1.0])
         rotation = rigid(camera_to_world, f"{self.source}: transform_matrix").T
+        if not np.all(np.abs(matrix[3:] - (0.0, 0.0, 0.0, 1.0)) <= 1e-6):
+            self.fail("transform_matrix", "does not end in 0 0 0 1; is it transposed? correct it")
         centre = matrix[:3, 3]
         if not np.all(np.abs(centre) < 1e12):
             self.fail("transform_matrix", "has no finite position; correct it")

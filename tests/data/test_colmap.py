@@ -11,7 +11,7 @@ import pytest
 
 from clgs.data.colmap import find_model, read_colmap
 from clgs.data.colmap_check import PARAMETERS, check_binary_model
-from clgs.data.colmap_text import MODELS
+from clgs.data.colmap_text import MODELS, check_text_poses
 from clgs.data.photo import PhotoSet
 from clgs.errors import DataError
 from tests.data.folders import ring, write_colmap
@@ -100,6 +100,9 @@ DAMAGE = {
     "NaN point": ("points3D", 16, NAN),
     "track length": ("points3D", 8 + 8 + 24 + 3 + 8, struct.pack("<Q", 2**40)),
     "frame NaN": ("frames", 16, NAN),
+    "frame zero quaternion": ("frames", 16, bytes(32)),
+    "scaled quaternion": ("images", 12, struct.pack("<4d", 2.0, 0.0, 0.0, 0.0)),
+    "infinite translation": ("images", 44, struct.pack("<d", float("inf"))),
 }
 
 
@@ -159,6 +162,20 @@ IMAGE = "1 1 0 0 0 0 0 0 1 001.png\n"
         ("cameras", f"1 PINHOLE {'9' * 20} 31 50 50 20 9\n", "line 1: WIDTH is '9"),
         ("images", IMAGE.replace("001.png", ""), "line 1: NAME is missing"),
         ("images", IMAGE.replace("1 1 0", "1 ? 0"), "line 1: QW is '?', not a finite number"),
+        (
+            "images",
+            IMAGE.replace("1 0 0 0 0", "0 0 0 0 0"),
+            "line 1: QW, QX, QY, QZ are not of length 1",
+        ),
+        (
+            "images",
+            f"\n{IMAGE.replace('1 1 0', '1 2 0')}",
+            "line 2: QW, QX, QY, QZ are not of length 1",
+        ),
+        ("images", IMAGE.replace("1 1 0", "1 nan 0"), "line 1: QW is 'nan', not a finite number"),
+        ("images", IMAGE.replace("0 1 001", "inf 1 001"), "line 1: TZ is 'inf', not a finite"),
+        ("images", IMAGE.replace("0 1 001", "1e13 1 001"), "line 1: TX, TY, TZ are larger"),
+        ("images", "1 1 0 0\n", "line 1: QZ is missing"),
         ("images", f"{IMAGE}1 2\n", "line 2: POINTS2D are not of three numbers each"),
         ("images", f"{IMAGE}1 2 x\n", "line 2: POINT3D_ID is 'x', not a whole number"),
         ("points3D", "7 2\n", "line 1: Y is missing"),
@@ -178,6 +195,31 @@ def test_damaged_text_is_one_line_with_file_and_field(
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(f"{file}: {fault}")
     assert str(caught.value).endswith("export the model again")
+
+
+FRAME = "1 1 1 0 0 0 0 0 4 1 CAMERA 1 1\n"
+RIG = "1 3 CAMERA 1 CAMERA 2 0 CAMERA 3 1 1 0 0 0 0.1 0 0\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "fault"),
+    [
+        ("frames", FRAME.replace("1 1 1", "1 1 0"), "line 1: QW, QX, QY, QZ are not of length 1"),
+        ("frames", FRAME.replace("0 4 1", "0 nan 1"), "line 1: TZ is 'nan', not a finite number"),
+        ("rigs", RIG.replace("1 1 0", "1 0 0"), "line 1: QW, QX, QY, QZ are not of length 1"),
+        ("rigs", RIG.replace("0.1", "inf"), "line 1: TX is 'inf', not a finite number"),
+        ("rigs", RIG.removesuffix(" 0\n"), "line 1: TZ is missing"),
+    ],
+)
+def test_poses_of_rigs_in_text_are_checked(tmp_path: Path, name: str, text: str, fault: str):
+    (tmp_path / "images.txt").write_text(IMAGE)
+    (tmp_path / "frames.txt").write_text(FRAME)
+    (tmp_path / "rigs.txt").write_text(RIG)
+    check_text_poses(tmp_path)
+    (tmp_path / f"{name}.txt").write_text(text)
+    with pytest.raises(DataError) as caught:
+        check_text_poses(tmp_path)
+    assert str(caught.value).startswith(f"{tmp_path / name}.txt: {fault}")
 
 
 def test_images_of_no_camera_are_named(tmp_path: Path):

@@ -114,6 +114,9 @@ def set_path(value: object) -> Callable[[dict], None]:
 POSE = opengl(ring(3)[0])
 SCALED = (np.array(POSE) * 2).tolist()
 MIRRORED = (np.array(POSE) * [-1, 1, 1, 1]).tolist()
+SHEARED = (np.array(POSE) @ [[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]).tolist()
+FLAT = (np.array(POSE) * [1, 1, 0, 1]).tolist()
+ZERO = [[0, 0, 0, 1], [0, 0, 0, 2], [0, 0, 0, 3], [0, 0, 0, 1]]
 WITH_STRING = [["a", 0, 0, 0], *POSE[1:]]
 
 BAD = {
@@ -135,6 +138,11 @@ BAD = {
     "pose text": (set_pose(WITH_STRING), "transform_matrix"),
     "pose scaled": (set_pose(SCALED), "not a rotation"),
     "pose mirrored": (set_pose(MIRRORED), "not a rotation"),
+    "pose sheared": (set_pose(SHEARED), "not a rotation"),
+    "pose singular": (set_pose(FLAT), "not a rotation"),
+    "pose zero": (set_pose(ZERO), "not a rotation"),
+    "pose transposed": (set_pose(np.array(POSE).T.tolist()), "frame 1.*end in 0 0 0 1"),
+    "pose homogeneous": (set_pose([*POSE[:3], [0, 0, 0, 2]]), "frame 1.*end in 0 0 0 1"),
     "pose overflow": (set_pose([[10**400, 0, 0, 0], *POSE[1:]]), "transform_matrix"),
     "parent": (set_path("../secret.png"), "inside"),
     "hidden parent": (set_path("images/../../secret.png"), "inside"),
