@@ -24,6 +24,12 @@ __kernel void mlp_opacity(__global const float *feature, __global const float *p
     if (first >= stride)
         return;
     const Model model = {feature, position, visible, (size_t)count, weights, camera};
+    if (anchor_of(&model, first) < 0) { /* nor has any sample behind it */
+        for (size_t j = 0; j < K_OFFSETS; ++j)
+            for (size_t s = 0; s < VECTORS; ++s)
+                STORE_ALIGNED((fv)(0.0f), s, opacity + j * stride + first);
+        return;
+    }
     float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK];
     gather(&model, first, x);
     hidden_layer(weights, x, hidden);
