@@ -8,7 +8,7 @@ import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from errno import EACCES, EEXIST, EINVAL, EISDIR, ENOENT, ENOTDIR
+from errno import EACCES, EDQUOT, EEXIST, EINVAL, EISDIR, ENOENT, ENOSPC, ENOTDIR
 from pathlib import Path
 
 from clgs.errors import UsageError
@@ -44,6 +44,28 @@ def atomic_write_all(contents: dict[Path, bytes]) -> None:
             temporary = stack.enter_context(atomic_path(path))
             temporary.write_bytes(data)
             _sync(temporary)
+
+
+def append(path: Path, data: bytes) -> None:
+    """Add ``data`` at the end of ``path``, all of it or nothing.
+
+    Raises:
+        OSError: ``path`` cannot be written, or the disk is full.
+    """
+    with _blamed_on(path, path), path.open("ab", buffering=0) as file:
+        size = file.seek(0, os.SEEK_END)
+        try:
+            while data:
+                data = data[file.write(data) or 0 :]
+        except BaseException:
+            with suppress(OSError):
+                file.truncate(size)
+            raise
+
+
+def is_full(error: OSError) -> bool:
+    """Whether the disk, or what the user may take of it, is full."""
+    return error.errno in (ENOSPC, EDQUOT)
 
 
 def check_output(path: Path, *sources: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import stat
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 from clgs.errors import UsageError
 from clgs.files import (
+    append,
     atomic_folder,
     atomic_path,
     atomic_write,
@@ -210,3 +212,22 @@ def test_an_output_is_no_input(tmp_path):
             check_output(output, tmp_path / "none", source)
     with pytest.raises(OSError, match="is a folder"):
         check_output(tmp_path, source)
+
+
+def test_what_cannot_be_added_whole_is_not_added(tmp_path, monkeypatch):
+    """As on a disk with room for a part."""
+    path = tmp_path / "log"
+    append(path, b"one\n")
+
+    class Part(io.FileIO):
+        def write(self, data):
+            if len(data) < 4:
+                raise OSError(28, "No space left on device")
+            return super().write(data[:2])
+
+    monkeypatch.setattr(Path, "open", lambda path, mode, buffering: Part(path, mode))
+    with pytest.raises(OSError, match=r"No space left on device: .*log"):
+        append(path, b"two\nthree\n")
+    monkeypatch.undo()
+    append(path, b"four\n")
+    assert path.read_bytes() == b"one\nfour\n"

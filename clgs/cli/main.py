@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from clgs import __version__
 from clgs.errors import ClgsError, DeviceError
+from clgs.files import is_full
 
 if TYPE_CHECKING:
     import argparse
@@ -128,7 +129,8 @@ def explain(error: Exception) -> tuple[str, int]:
         return str(error), error.exit_code
     if isinstance(error, OSError):
         name = f"{error.filename}: " if error.filename is not None else ""
-        return f"{name}{error.strerror or error}", ClgsError.exit_code
+        remedy = "; free space and run it again" if is_full(error) else ""
+        return f"{name}{error.strerror or error}{remedy}", ClgsError.exit_code
     if isinstance(error, MemoryError):
         return "out of memory; try a larger --downscale", ClgsError.exit_code
     if isinstance(error, ImportError):

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.errors import ClgsError, DataError
-from clgs.files import atomic_path
+from clgs.files import atomic_path, is_full
 
 FORMAT_VERSION = 1
 KEPT = 2
@@ -42,7 +42,7 @@ def save(folder: Path, arrays: Arrays, scalars: Scalars, digest: str) -> Path:
     """Write a checkpoint; returns its path.
 
     Older ones are removed afterwards but for the newest, and so are those of later steps, which
-    a run that went back has abandoned.
+    a run that went back has abandoned. On a full disk they are removed before.
 
     Args:
         folder: made where it is missing; holds the checkpoints of one run.
@@ -57,8 +57,13 @@ def save(folder: Path, arrays: Arrays, scalars: Scalars, digest: str) -> Path:
     path = folder / f"step_{step:08d}.npz"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with atomic_path(path) as temporary:
-            _write(temporary, arrays, {"scalars": scalars, "digest": digest})
+        metadata = {"scalars": scalars, "digest": digest}
+        try:
+            _write(path, arrays, metadata)
+        except OSError as error:
+            if not (is_full(error) and _make_room(folder, step)):
+                raise
+            _write(path, arrays, metadata)
         _clean(folder, path)
     except OSError as error:
         raise ClgsError(
@@ -101,7 +106,10 @@ def checkpoints(folder: Path) -> list[Path]:
 def _write(path: Path, arrays: Arrays, metadata: dict[str, Any]) -> None:
     described = {name: _description(array) for name, array in arrays.items()}
     document = json.dumps({"version": FORMAT_VERSION, **metadata, "arrays": described})
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
+    with (
+        atomic_path(path) as temporary,
+        zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive,
+    ):
         archive.writestr(zipfile.ZipInfo(METADATA), document)
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
@@ -137,6 +145,28 @@ def _description(array: npt.NDArray[Any]) -> dict[str, Any]:
         "shape": list(array.shape),
         "crc32": zlib.crc32(contiguous.reshape(-1).view(np.uint8).data),
     }
+
+
+def _make_room(folder: Path, step: int) -> bool:
+    """Remove what a killed process left and, where the newest before ``step`` is whole, the others.
+
+    Returns whether that was anything.
+    """
+    removable = list(folder.glob(".step_*.npz"))
+    earlier = [path for path in checkpoints(folder) if path.name < f"step_{step:08d}.npz"]
+    if earlier and _is_whole(earlier[-1]):
+        removable += [path for path in checkpoints(folder) if path != earlier[-1]]
+    for path in removable:
+        path.unlink(missing_ok=True)
+    return bool(removable)
+
+
+def _is_whole(path: Path) -> bool:
+    try:
+        _read(path)
+    except (*DAMAGE, DataError):
+        return False
+    return True
 
 
 def _clean(folder: Path, newest: Path) -> None:

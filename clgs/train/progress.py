@@ -6,20 +6,21 @@ import csv
 import io
 import math
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from clgs.errors import DataError
-from clgs.files import atomic_write
+from clgs.files import append, atomic_write, is_full
 from clgs.train.loop import StepResult
 
 COLUMNS = ("step", "seconds", "loss", "l1", "ssim", "psnr", "anchors", "estimated_bytes", "event")
 
 
 class ProgressLog:
-    """Appends to ``progress.csv``; a resumed run first drops the rows after its checkpoint."""
+    """Appends to ``progress.csv``; a resumed run first drops the rows after its checkpoint.
+
+    While the disk is full, rows wait.
+    """
 
     def __init__(self, path: Path, steps_done: int) -> None:
         """Open ``path`` to continue after step ``steps_done``.
@@ -33,7 +34,7 @@ class ProgressLog:
         self.seconds = float(rows[-1]["seconds"]) if rows else 0.0
         self._start = time.perf_counter() - self.seconds
         atomic_write(path, _text(rows).encode())
-        self._file = path.open("a", newline="", encoding="utf-8")
+        self._waiting: list[dict[str, Any]] = []
 
     def write(self, result: StepResult, psnr: float, estimated_bytes: int) -> None:
         """One row of the regular log."""
@@ -53,30 +54,33 @@ class ProgressLog:
         self._row(step=step, psnr=f"{psnr:.3f}", event=name)
 
     def close(self) -> None:
-        """Finish the file; ``seconds`` then holds the time of all legs of the run."""
+        """Stop the clock; ``seconds`` then holds the time of all legs of the run."""
         self.seconds = time.perf_counter() - self._start
-        with self._blamed():
-            self._file.close()
+
+    def flush(self) -> None:
+        """Write the rows that wait.
+
+        Raises:
+            OSError: the disk is full, or another fault of the file; the rows go on waiting.
+        """
+        append(self._path, _text(self._waiting, header=False).encode())
+        self._waiting = []
 
     def _row(self, **values: Any) -> None:
         seconds = f"{time.perf_counter() - self._start:.1f}"
-        with self._blamed():
-            csv.DictWriter(self._file, COLUMNS).writerow({"seconds": seconds, **values})
-            self._file.flush()
-
-    @contextmanager
-    def _blamed(self) -> Iterator[None]:
-        """Name the file in the system's errors, which know only its number."""
+        self._waiting.append({"seconds": seconds, **values})
         try:
-            yield
+            self.flush()
         except OSError as error:
-            raise OSError(error.errno, error.strerror, str(self._path)) from error
+            if not is_full(error):
+                raise
 
 
-def _text(rows: list[dict[str, str]]) -> str:
+def _text(rows: list[dict[str, Any]], header: bool = True) -> str:
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, COLUMNS)
-    writer.writeheader()
+    if header:
+        writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
 

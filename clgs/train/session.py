@@ -22,11 +22,12 @@ from clgs.train.checkpoint import checkpoints
 from clgs.train.config import TrainConfig
 from clgs.train.evaluation import ViewScore, evaluate_views, summarize
 from clgs.train.finished import RESULTS, RunResult, finished_run
+from clgs.train.full_disk import Keeper
 from clgs.train.hashes import fingerprint
 from clgs.train.interrupt import interruptions
 from clgs.train.loop import StepResult, Trainer
 from clgs.train.progress import ProgressLog
-from clgs.train.resume import load_checkpoint, run_digest, save_checkpoint
+from clgs.train.resume import load_checkpoint, run_digest
 
 HASHED_VIEWS = 3
 MLP_BYTES = {"quantized": 12_000, "float32": 46_000}
@@ -63,6 +64,7 @@ class Session:
         self.trainer = Trainer(device, dataset, config)
         if resume and checkpoints(folder / "checkpoint"):
             load_checkpoint(folder / "checkpoint", self.trainer)
+        self.keeper = Keeper(folder, self.trainer)
         self.trainer.check_budget()
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RESULTS).unlink(missing_ok=True)
@@ -73,7 +75,11 @@ class Session:
         """Train to the end, then quantise, encode, render and score the held-out views.
 
         Ctrl-C and SIGTERM let the step finish, leave a checkpoint behind and raise
-        KeyboardInterrupt; a second Ctrl-C does not wait.
+        KeyboardInterrupt; a second Ctrl-C does not wait. On a full disk training goes on; at the
+        end it waits for room where otherwise steps would be lost.
+
+        Raises:
+            FullDiskError: there is no room; the newest checkpoint is whole.
         """
         try:
             with interruptions() as interrupted:
@@ -82,11 +88,15 @@ class Session:
                         if on_progress is not None:
                             on_progress(progress)
                     if interrupted():
-                        self._checkpoint()
+                        self.keeper.save()
                         raise KeyboardInterrupt
+                if self.config.checkpoint_interval:
+                    self.keeper.try_save()
+                if interrupted():
+                    raise KeyboardInterrupt
         finally:
             self.log.close()
-        return self._finish()
+        return self.keeper.with_room(self._finish)
 
     def _advance(self, stop: Callable[[], bool]) -> Iterator[Progress]:
         """Train up to the next step after which the state is looked at; fewer once ``stop()``."""
@@ -101,7 +111,7 @@ class Session:
         """The first step after ``done`` at which something is logged or saved."""
         config = self.config
         switch = config.switch_step
-        intervals = [config.log_interval, config.checkpoint_interval or config.steps]
+        intervals = [config.log_interval, self.keeper.interval or config.steps]
         moments = [switch, switch + 1, switch + 500, config.steps]
         moments += [(done // interval + 1) * interval for interval in intervals]
         return min(moment for moment in moments if moment > done)
@@ -117,17 +127,14 @@ class Session:
             progress.psnr = self.fixed_view_psnr()
             progress.estimated_bytes = self._estimated_bytes()
             self.log.write(result, progress.psnr, progress.estimated_bytes)
-        if config.checkpoint_interval and result.step % config.checkpoint_interval == 0:
-            self._checkpoint()
+        if self.keeper.interval and result.step % self.keeper.interval == 0:
+            self.keeper.try_save()
         return progress
 
     def _log_psnr(self, moment: str) -> float:
         psnr = self.fixed_view_psnr()
         self.log.event(self.trainer.steps_done, f"psnr {moment}", psnr)
         return psnr
-
-    def _checkpoint(self) -> None:
-        save_checkpoint(self.folder / "checkpoint", self.trainer)
 
     def fixed_views(self) -> list[View]:
         """The training views on which progress is measured, evenly spread."""
@@ -144,6 +151,7 @@ class Session:
         return int(self.trainer.parameters.count * bits / 8) + MLP_BYTES[self.config.mlp]
 
     def _finish(self) -> RunResult:
+        self.log.flush()
         scene = self.trainer.quantized_scene()
         save_scene(self.folder / "scene.npz", scene)
         views = (self.dataset.test or self.dataset.train)[:HASHED_VIEWS]

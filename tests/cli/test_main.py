@@ -53,7 +53,11 @@ def cl_error(name):
         (DataError("x.json: no frames"), 3, "x.json: no frames"),
         (CodecError("ANCH: bad CRC"), 3, "ANCH: bad CRC"),
         (DeviceError("no device\n\tfound"), 4, "no device found"),
-        (OSError(28, "No space left on device", "/x"), 1, "/x: No space left on device"),
+        (
+            OSError(28, "No space left on device", "/x"),
+            1,
+            "/x: No space left on device; free space and",
+        ),
         (PermissionError(13, "Permission denied", "/x"), 1, "/x: Permission denied"),
         (MemoryError(), 1, "out of memory"),
         (cl_error("MemoryError")("clCreateBuffer failed:\nX"), 4, "out of memory (clCreateBuffer"),

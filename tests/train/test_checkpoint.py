@@ -220,6 +220,47 @@ def test_a_full_disk_leaves_the_previous_one(
     assert_content(checkpoint.load(tmp_path, DIGEST), 100)
 
 
+@pytest.fixture
+def small_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There is room for two checkpoints, with the one that is being written."""
+    whole = os.fsync
+
+    def fsync(descriptor: int) -> None:
+        if len([path for path in tmp_path.iterdir() if "step_" in path.name]) > 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        whole(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+
+
+@pytest.mark.usefixtures("small_disk")
+def test_the_checkpoint_before_the_newest_makes_room(tmp_path: Path) -> None:
+    for step in (100, 200, 300, 400):
+        save(tmp_path, step)
+        assert_content(checkpoint.load(tmp_path, DIGEST), step)
+    assert [path.stem for path in checkpoint.checkpoints(tmp_path)] == [
+        *("step_00000300", "step_00000400"),
+    ]
+
+
+@pytest.mark.usefixtures("small_disk")
+def test_what_a_killed_process_left_makes_room(tmp_path: Path) -> None:
+    save(tmp_path, 100)
+    (tmp_path / ".step_00000200.dead.npz").write_bytes(b"left by a killed process")
+    save(tmp_path, 200)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.usefixtures("small_disk")
+def test_the_only_whole_checkpoint_never_makes_room(tmp_path: Path) -> None:
+    save(tmp_path, 100)
+    save(tmp_path, 200).write_bytes(b"damaged")
+    with pytest.raises(ClgsError, match="No space left on device"):
+        save(tmp_path, 300)
+    with pytest.warns(UserWarning, match="damaged"):
+        assert_content(checkpoint.load(tmp_path, DIGEST), 100)
+
+
 KILLED = """
 import sys
 from pathlib import Path
