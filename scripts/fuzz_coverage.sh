@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# What of codec_c/src the fuzz targets reach: scripts/fuzz_coverage.sh [CORPUS, build/fuzz/corpus].
-# Runs every input that scripts/fuzz.sh has kept (CORPUS/<target>/) and its seeds once, and prints
-# lines and branches reached, by file. Lines not reached: `llvm-cov show` as it is called below.
+# What of codec_c/src the fuzz targets and the C tests reach:
+# scripts/fuzz_coverage.sh [CORPUS, build/fuzz/corpus]. Runs every input that scripts/fuzz.sh has
+# kept (CORPUS/<target>/), its seeds and the tests once, and prints lines and branches reached, by
+# file: the targets alone, then with the tests, which pass sizes out of range. Lines not reached: `llvm-cov show` as it is called below.
 set -euo pipefail
 
 cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
@@ -22,7 +23,7 @@ rm -rf "$build"
 mkdir -p "$build"
 flags=(-std=c11 -O1 -fprofile-instr-generate -fcoverage-mapping -Icodec_c/include)
 for file in codec_c/src/*.c; do
-    "$clang" "${flags[@]}" -fsanitize=fuzzer-no-link -c "$file" -o "$build/$(basename "$file" .c).o"
+    "$clang" "${flags[@]}" -c "$file" -o "$build/$(basename "$file" .c).o"
 done
 programs=()
 for file in codec_c/fuzz/*.c; do
@@ -33,5 +34,14 @@ for file in codec_c/fuzz/*.c; do
         "$corpus/$target" "build/fuzz/seeds/$target" >"$build/$target.log" 2>&1
     programs+=(-object "$build/$target")
 done
-"$(tool llvm-profdata)" merge "$build"/*.profraw -o "$build/profile"
-"$(tool llvm-cov)" report "${programs[@]:1}" -instr-profile "$build/profile" codec_c/src
+report() {
+    "$(tool llvm-profdata)" merge "$build"/*.profraw -o "$build/profile"
+    "$(tool llvm-cov)" report "${programs[@]:1}" -instr-profile "$build/profile" codec_c/src
+}
+report | tail -n 1 | sed 's/^TOTAL /targets/'
+for test in test_codec test_attributes vectors; do
+    "$clang" "${flags[@]}" -Icodec_c/src "tests/c/$test.c" "$build"/*.o -o "$build/$test"
+    LLVM_PROFILE_FILE=$build/$test.profraw "$build/$test" >"$build/$test.log" 2>&1
+    programs+=(-object "$build/$test")
+done
+report

@@ -91,19 +91,29 @@ def matrix_seeds() -> Iterator[Seed]:
             yield "round_trip_fit", f"{name}_{kind.hex()}", data
         for level in ("fast", "default", "max"):
             yield from attribute_seeds(f"{name}_{level}", value, level)
+            yield from attribute_seeds(f"{name}_{level}_tables", value, level, 3000)
     seldom = (np.arange(2200) % 97 == 5).astype(np.int32)[:, None]  # in eight lanes
     yield next(attribute_seeds("long", seldom, "fast"))
 
 
-def attribute_seeds(name: str, value: np.ndarray, level: str) -> Iterator[Seed]:
-    """A chunk of the values, the values themselves, and these over and over as a long column."""
+def attribute_seeds(
+    name: str, value: np.ndarray, level: str, model_rows: int = 0
+) -> Iterator[Seed]:
+    """A chunk of the values, the values themselves, and these over and over as a long column.
+
+    Under the model of ``model_rows`` such rows: only more than these few are worth tables.
+    """
+    if value.shape[1] > 3:
+        value = np.resize(value, (len(value), 9))
     rows, channels = value.shape
-    model = attributes.fit(value, level, rows)
-    head = count(rows - 1, 256) + struct.pack("<BH", channels - 1, len(model.header))
+    channel_bits = {1: 0, 2: 1, 3: 2, 9: 3}[channels]
+    model_rows = max(rows, model_rows)
+    model = attributes.fit(np.resize(value, (model_rows, channels)), level, model_rows)
+    head = count(rows - 1, 256) + struct.pack("<BH", channel_bits, len(model.header))
     yield "attributes", name, head + model.header + model.encode(value)
     data = struct.pack("<H", len(model.header)) + model.header + value.astype("<i4").tobytes()
-    yield "round_trip_attributes", name, bytes([channels - 1 | 128]) + data
-    yield "round_trip_attributes", f"{name}_long", bytes([channels - 1 | 252]) + data
+    yield "round_trip_attributes", name, bytes([channel_bits | 128]) + data
+    yield "round_trip_attributes", f"{name}_long", bytes([channel_bits | 252]) + data
 
 
 def point_seeds() -> Iterator[Seed]:

@@ -11,7 +11,8 @@ static void decode(void *model, fuzz_input chunk, size_t rows, size_t channels)
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     fuzz_input input = {data, size};
-    size_t rows = fuzz_take_count(&input, 256, 4096) + 1, channels = fuzz_take(&input, 1) % 4 + 1;
+    size_t rows = fuzz_take_count(&input, 256, 4096) + 1;
+    size_t channels = fuzz_channels(fuzz_take(&input, 1));
     size_t length = fuzz_take(&input, 2);
     if (length > input.size)
         length = input.size;

@@ -47,6 +47,12 @@ static inline size_t fuzz_take_count(fuzz_input *input, uint32_t usual, uint32_t
     return number < 0xF000 ? number % usual : (number - 0xF000) % most;
 }
 
+/* Channels of a matrix: 1 to 3, or 9, of which blocks of 8 are transposed at once. */
+static inline size_t fuzz_channels(uint32_t bits)
+{
+    return bits % 4 < 3 ? bits % 4 + 1 : 9;
+}
+
 typedef enum fuzz_slot {
     FUZZ_WORKSPACE,
     FUZZ_MODEL,

@@ -32,7 +32,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     fuzz_input input = {data, size};
     uint32_t shape = fuzz_take(&input, 1);
-    size_t channels = shape % 4 + 1, length = fuzz_take(&input, 2), width = shape & 128 ? 4 : 1;
+    size_t channels = fuzz_channels(shape), length = fuzz_take(&input, 2),
+           width = shape & 128 ? 4 : 1;
     if (length > input.size)
         length = input.size;
     size_t given = (input.size - length) / (width * channels), rows = given;
