@@ -30,6 +30,9 @@ RADIUS_MARGIN = 1.1
 MIN_POINTS = 100
 """Fewer triangulated points count as a failure."""
 
+LEAST_POINTS = 4
+"""Training cannot start from fewer."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -108,9 +111,15 @@ def load_dataset(
     if make_points and photos.points is None and photos.kind != "blender":
         _triangulate(photos, cache, seed, on_stage)
     points, colors = _scene_points(photos, transform, radius)
-    if make_points and not len(points):
+    if make_points and len(points) < LEAST_POINTS:
+        if photos.points is not None:
+            _log.warning("%s: only %d usable points, starting from random ones", path, len(points))
         viewpoints = [viewpoint(view.camera, view.alpha) for view in train]
         points, colors = random_points(viewpoints, radius, photos.kind == "blender", seed), None
+        if len(points) < LEAST_POINTS:
+            raise DataError(
+                f"{path}: no two photos look at the same place; check the poses and their axes"
+            )
     scene = transform, radius, photos.kind, photos.skipped
     return Dataset(train, test, points, colors, *scene, downscale)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -131,11 +132,22 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
-def _orientation(picture: Image.Image) -> int:
-    """The EXIF orientation, 1 where there is none; Pillow's getexif would decode a whole PNG."""
+def read_exif(picture: Image.Image) -> Image.Exif:
+    """What the camera says beside the pixels, before them in the file; empty where it is damaged.
+
+    Pillow's getexif would decode a whole PNG.
+    """
     exif = Image.Exif()
-    exif.load(picture.info.get("exif", b""))
-    return int(exif.get(_ORIENTATION, 1))
+    try:
+        exif.load(picture.info.get("exif", b""))
+        int(exif.get(_ORIENTATION, 1))
+    except (*_FAILURES, struct.error, TypeError, LookupError, ArithmeticError):
+        return Image.Exif()
+    return exif
+
+
+def _orientation(picture: Image.Image) -> int:
+    return int(read_exif(picture).get(_ORIENTATION, 1))
 
 
 def _upright_size(picture: Image.Image) -> tuple[int, int]:

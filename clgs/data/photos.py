@@ -11,7 +11,7 @@ from typing import Any
 
 from PIL import Image
 
-from clgs.data.images import image_size, is_plain, list_images, read_image
+from clgs.data.images import image_size, is_plain, list_images, read_exif, read_image
 from clgs.data.pycolmap_lazy import quiet_pycolmap
 from clgs.errors import DataError
 from clgs.files import atomic_folder
@@ -122,7 +122,7 @@ def _copy_upright(path: Path, copy: Path) -> None:
         return
     pixels = read_image(path)
     with Image.open(path, formats=("JPEG", "PNG")) as original:
-        exif = original.getexif()
+        exif = read_exif(original)
     exif[0x0112] = 1
     picture = Image.fromarray(pixels.color)
     if copy.suffix.lower() == ".png":

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +23,8 @@ BLENDER_HALF_EDGE = 1.3
 """Half the edge of the cube around the origin that holds every Synthetic-NeRF object."""
 
 SEEN_SHARE = 0.5
-"""A random point must lie in the image of at least this share of the cameras."""
+"""A random point must lie in the image of at least this share of the cameras; where none does, as
+in a room photographed from its middle, of two cameras."""
 
 MASK_MARGIN = 2
 """Alpha masks are grown by so many pixels before points are carved with them."""
@@ -56,14 +59,18 @@ def random_points(
 ) -> npt.NDArray[np.float32]:
     """About RANDOM_POINTS points (P, 3) float32 in the volume that the cameras share.
 
-    A point is kept where at least SEEN_SHARE of the cameras have it in their image and none of
-    those shows background there. ``blender``: drawn in the cube of Synthetic-NeRF, unless no camera
-    sees it; else along random viewing rays at depths of 0.2 to 5 times ``radius``. Scene units.
+    A point is kept where at least SEEN_SHARE of the cameras, or else two of them, have it in their
+    image and none of those shows background there; P is 0 where there is none. ``blender``: drawn
+    in the cube of Synthetic-NeRF, unless no camera sees it; else along random viewing rays at
+    depths of 0.2 to 5 times ``radius``. Scene units.
     """
     rng = np.random.default_rng(seed)
-    points = _in_cube(rng, viewpoints) if blender else np.empty((0, 3))
-    if not len(points):
-        points = _collect(lambda: _on_rays(rng, viewpoints, radius), viewpoints)
+    most = math.ceil(SEEN_SHARE * len(viewpoints))
+    points = _in_cube(rng, viewpoints, most) if blender else np.empty((0, 3))
+    for needed in (most, min(2, most)):
+        if not len(points):
+            draw = partial(_on_rays, rng, viewpoints, radius)
+            points = _collect(draw, viewpoints, needed)
     return points[:RANDOM_POINTS].astype(np.float32)
 
 
@@ -81,29 +88,29 @@ def keep_near(points: Floats, centre: Floats, radius: float) -> Mask:
     return np.asarray(usable & (distance <= limit))
 
 
-def _collect(draw: Callable[[], Floats], viewpoints: list[Viewpoint]) -> Floats:
+def _collect(draw: Callable[[], Floats], viewpoints: list[Viewpoint], needed: int) -> Floats:
     """Batches of ``draw`` carved until RANDOM_POINTS are left, or none ever is."""
     kept: list[Floats] = []
     for _ in range(_MAX_BATCHES):
         points = draw()
-        kept.append(points[_shared(points, viewpoints)])
+        kept.append(points[_shared(points, viewpoints, needed)])
         found = sum(map(len, kept))
         if found == 0 or found >= RANDOM_POINTS:
             break
     return np.concatenate(kept)
 
 
-def _in_cube(rng: np.random.Generator, viewpoints: list[Viewpoint]) -> Floats:
+def _in_cube(rng: np.random.Generator, viewpoints: list[Viewpoint], needed: int) -> Floats:
     """Points of the cube of Synthetic-NeRF; after a first look only of the part that is full."""
     low, high = np.full(3, -BLENDER_HALF_EDGE), np.full(3, BLENDER_HALF_EDGE)
     first = rng.uniform(low, high, (_BATCH, 3))
-    first = first[_shared(first, viewpoints)]
+    first = first[_shared(first, viewpoints, needed)]
     if not len(first):
         return first
     margin = 0.05 * (first.max(axis=0) - first.min(axis=0)) + 0.01
     low = np.maximum(low, first.min(axis=0) - margin)
     high = np.minimum(high, first.max(axis=0) + margin)
-    return _collect(lambda: rng.uniform(low, high, (_BATCH, 3)), viewpoints)
+    return _collect(lambda: rng.uniform(low, high, (_BATCH, 3)), viewpoints, needed)
 
 
 def _on_rays(rng: np.random.Generator, viewpoints: list[Viewpoint], radius: float) -> Floats:
@@ -121,8 +128,8 @@ def _on_rays(rng: np.random.Generator, viewpoints: list[Viewpoint], radius: floa
     return points
 
 
-def _shared(points: Floats, viewpoints: list[Viewpoint]) -> Mask:
-    """Which points (P, 3) enough cameras see and none sees through."""
+def _shared(points: Floats, viewpoints: list[Viewpoint], needed: int) -> Mask:
+    """Which points (P, 3) ``needed`` cameras see and none sees through."""
     alive = np.arange(len(points))
     seen = np.zeros(len(points), np.int64)
     for viewpoint_ in viewpoints:
@@ -131,7 +138,7 @@ def _shared(points: Floats, viewpoints: list[Viewpoint]) -> Mask:
         if viewpoint_.mask is not None:
             alive = alive[~inside | viewpoint_.mask[row, column]]
     kept = np.zeros(len(points), bool)
-    kept[alive] = seen[alive] >= SEEN_SHARE * len(viewpoints)
+    kept[alive] = seen[alive] >= needed
     return kept
 
 

@@ -24,6 +24,7 @@ from clgs.data.images import read_image
 from clgs.data.lens import Lens
 from clgs.data.photo import Photo
 from clgs.data.pycolmap_lazy import quiet_pycolmap
+from clgs.errors import DataError
 from clgs.files import atomic_path
 
 Floats = npt.NDArray[np.float64]
@@ -78,8 +79,10 @@ def triangulate(
     contents and seed, and found again. ``on_stage`` is told before long work begins.
 
     Raises:
-        DataError: pycolmap is missing or fails.
+        DataError: there are fewer than two photos, or pycolmap is missing or fails.
     """
+    if len(photos) < 2:
+        raise DataError("a single photo tells no depth")
     file = None if cache is None else cache / f"points-{_key(photos, seed)}.npz"
     if file is not None and (cached := _read_cache(file)) is not None:
         return cached

@@ -120,6 +120,58 @@ def test_photos_that_do_not_match_start_from_random_points(tmp_path: Path):
     assert seen.min() >= len(data.train) / 2
 
 
+def turn_around(document: dict) -> None:
+    for frame in document["frames"]:
+        matrix = np.array(frame["transform_matrix"])
+        matrix[:3, :3] = matrix[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
+        frame["transform_matrix"] = matrix.tolist()
+
+
+def test_photos_from_the_middle_outwards_start_from_what_two_see(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr("clgs.data.triangulate.triangulate", no_points)
+    document = write_transforms(tmp_path, 40)
+    turn_around(document)
+    save_json(tmp_path, document)
+    data = load_dataset(tmp_path)
+    seen = sum(
+        np.all((project(v.camera, data.points) >= 0), axis=1).astype(int) for v in data.train
+    )
+    assert len(data.points) >= 1000
+    assert seen.min() >= 2
+
+
+def no_points(*arguments: object) -> None:
+    raise DataError("none")
+
+
+def test_cameras_that_share_no_sight_are_one_line(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr("clgs.data.triangulate.triangulate", no_points)
+    document = write_transforms(tmp_path, 5)
+    turn_around(document)
+    save_json(tmp_path, document)
+    with pytest.raises(DataError, match="no two photos look at the same place; check the poses"):
+        load_dataset(tmp_path)
+
+
+def test_a_single_training_photo_starts_from_random_points(tmp_path: Path, caplog):
+    write_transforms(tmp_path, 2)
+    assert len(load_dataset(tmp_path).points) >= 50_000
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert said.endswith("starting from random ones: a single photo tells no depth")
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_a_model_of_few_points_starts_from_random_ones(tmp_path: Path, caplog, count: int):
+    pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+    write_colmap(tmp_path, text=True)
+    points = "".join(f"{i} 0 0 {i} 1 2 3 0.1\n" for i in range(1, count + 1))
+    (tmp_path / "sparse" / "0" / "points3D.txt").write_text(points)
+    data = load_dataset(tmp_path)
+    assert len(data.points) >= 50_000
+    assert data.point_colors is None
+    assert f"only {count} usable points, starting from random ones" in caplog.text
+
+
 def test_composite():
     image = np.full((2, 3, 3), 200, np.uint8)
     alpha = np.array([[0, 255, 51], [0, 255, 102]], np.uint8)

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.data.images import Pixels, box_downscale, image_size, read_image, stored_size
+from clgs.data.images import (
+    Pixels,
+    box_downscale,
+    image_size,
+    is_plain,
+    read_image,
+    stored_size,
+)
 from clgs.errors import DataError
 from tests.data.folders import noise_image
 
@@ -58,6 +65,25 @@ def test_exif_rotation(tmp_path: Path, suffix: str):
     assert upright.color[-8:].mean() <= 5
     assert stored_size(path, (32, 16)) == (32, 16)
     assert read_image(path, (32, 16)).size == (32, 16)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png"])
+@pytest.mark.parametrize("exif", [b"garbage", b"Exif\0\0garbage", b"Exif\0\0II*\0\xff\xff\xff\xff"])
+def test_damaged_exif_does_not_spoil_the_pixels(tmp_path: Path, suffix: str, exif: bytes):
+    path = tmp_path / f"a.{suffix}"
+    Image.fromarray(noise_image(16, 8)).save(path, exif=exif)
+    assert image_size(path) == (16, 8)
+    assert is_plain(path)
+    with Image.open(path) as picture:
+        assert np.array_equal(read_image(path).color, np.asarray(picture))
+
+
+@pytest.mark.parametrize("orientation", [(1, 2), 0, 9])
+def test_an_orientation_that_there_is_not_is_none(tmp_path: Path, orientation: object):
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(noise_image(16, 8)).save(tmp_path / "a.png", exif=exif)
+    assert np.array_equal(read_image(tmp_path / "a.png").color, noise_image(16, 8))
 
 
 def test_truncated_image_names_the_file(tmp_path: Path):
