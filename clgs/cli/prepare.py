@@ -6,7 +6,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
-from clgs.cli.view_options import named_path
+from clgs.cli.view_options import named_path, seed
 
 if TYPE_CHECKING:
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -23,7 +23,7 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument(
         "-o", "--output", type=named_path, metavar="DATA", required=True, help="new folder"
     )
-    parser.add_argument("--seed", type=int, default=0, help="random seed (default: %(default)s)")
+    parser.add_argument("--seed", type=seed, default=0, help="random seed (default: %(default)s)")
     parser.set_defaults(run=run)
 
 

@@ -15,6 +15,9 @@ import PIL.Image  # noqa: F401 - imported for the order alone
 
 from clgs.errors import DataError
 
+SEEDS = 2**31
+"""Seeds that pycolmap takes: larger ones are reduced modulo this."""
+
 _FATAL_ONLY = 3
 """glog severity: information, warnings and errors are not printed."""
 

@@ -23,7 +23,7 @@ from PIL import Image
 from clgs.data.images import read_image
 from clgs.data.lens import Lens
 from clgs.data.photo import Photo
-from clgs.data.pycolmap_lazy import quiet_pycolmap
+from clgs.data.pycolmap_lazy import SEEDS, quiet_pycolmap
 from clgs.errors import DataError
 from clgs.files import atomic_path
 
@@ -102,8 +102,8 @@ def _triangulate(photos: list[Photo], folder: Path, seed: int) -> Points:
         database = _write_database(pycolmap, photos, features, folder)
         options = pycolmap.IncrementalPipelineOptions()
         options.num_threads = 1
-        options.random_seed = seed
-        options.triangulation.random_seed = seed
+        options.random_seed = seed % SEEDS
+        options.triangulation.random_seed = seed % SEEDS
         options.extract_colors = False
         options.triangulation.ignore_two_view_tracks = False
         scale = max(_shrink(photo.lens) for photo in photos)

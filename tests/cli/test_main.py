@@ -166,6 +166,7 @@ def test_wrong_usage_exits_2(arguments):
         ("train", "x", "--output", ""),
         ("render", "x", "--data", "y", "--output", ""),
         ("prepare", "x", "--output", " "),
+        ("prepare", "x", "-o", "y", "--seed", "-1"),
         ("train", "x", "-o", "y", "--smallest-anchor", "-1"),
         ("train", "x", "-o", "y", "--smallest-anchor", "nan"),
         ("train", "x", "-o", "y", "--smallest-anchor", "inf"),

@@ -74,6 +74,13 @@ def test_unrelated_photos_leave_nothing(tmp_path: Path):
 def test_bad_folders(tmp_path: Path):
     with pytest.raises(DataError, match="no such folder"):
         prepare(tmp_path / "none", tmp_path / "data")
+    (tmp_path / "file").touch()
+    for number in range(3):
+        Image.fromarray(noise_image(8, 8)).save(tmp_path / f"{number}.png")
+    with pytest.raises(DataError, match="file: is no folder; choose another name"):
+        prepare(tmp_path, tmp_path / "file" / "data")
+    for number in range(3):
+        (tmp_path / f"{number}.png").unlink()
     with pytest.raises(DataError, match="at least 3"):
         prepare(tmp_path, tmp_path / "data")
     for number in range(3):

@@ -57,6 +57,12 @@ def test_changed_images_are_not_answered_from_the_cache(tmp_path: Path):
     assert len(list(cache.iterdir())) == 3
 
 
+def test_seeds_may_be_larger_than_pycolmap_takes(tmp_path: Path):
+    write_room(tmp_path / "room", 3, (64, 48))
+    points = [room_points(tmp_path / "room", seed=seed).position for seed in (7, 2**40 + 7)]
+    assert np.array_equal(*points)
+
+
 def test_the_search_for_points_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     write_room(tmp_path / "room", 5, (64, 48))
     command = ["train", str(tmp_path / "room"), "-o", str(tmp_path / "run"), "--steps", "1"]

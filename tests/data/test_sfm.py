@@ -1,0 +1,114 @@
+"""The process of structure from motion ends with its parent, at once, and its crash is an error."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from tests.data.folders import noise_image
+
+PYCOLMAP = """
+import os, signal, time
+from types import SimpleNamespace
+class logging:
+    minloglevel = 0
+CameraMode = SimpleNamespace(SINGLE=0)
+Device = SimpleNamespace(cpu=0)
+def set_random_seed(seed):
+    print("a library says something")
+def options():
+    return SimpleNamespace(sift=SimpleNamespace())
+FeatureExtractionOptions = ImageReaderOptions = options
+def extract_features(*arguments, **keywords):
+    {act}
+"""
+DEAF = """
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
+    os.write(2, b"deaf\\n")
+    time.sleep(3600)
+"""
+"""As native code that looks for no signal."""
+
+HANG = 120
+"""Seconds after which a process that does not end is given up."""
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="no such signals")
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Start ``clgs prepare`` with a pycolmap that does something else."""
+    (tmp_path / "photos").mkdir()
+    for number in range(3):
+        Image.fromarray(noise_image(8, 8)).save(tmp_path / "photos" / f"{number}.png")
+    (tmp_path / "data").mkdir()
+
+    def start_with(act):
+        (tmp_path / "pycolmap.py").write_text(PYCOLMAP.format(act=act.strip()))
+        module = ["-m", "clgs.cli.main", "prepare", "photos", "-o", "data/new"]
+        return subprocess.Popen(
+            [sys.executable, *module],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            # a shell's background job starts with SIGINT ignored
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+
+    return start_with
+
+
+def until_deaf(process):
+    for line in process.stderr:
+        if line == "deaf\n":
+            return
+    raise AssertionError("the features were never searched")
+
+
+def ended(process):
+    """The rest of its output, once every process that could write to it is gone."""
+    try:
+        return process.communicate(timeout=HANG)
+    finally:
+        process.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, number: int):
+    process = start(DEAF)
+    until_deaf(process)
+    process.send_signal(number)
+    assert ended(process) == ("", "clgs: interrupted\n")
+    assert process.returncode == 130
+    assert list((tmp_path / "data").iterdir()) == []
+
+
+def test_a_killed_parent_leaves_no_process(start):
+    process = start(DEAF)
+    until_deaf(process)
+    process.kill()
+    assert ended(process) == ("", "")
+
+
+def test_a_crash_is_one_line(start, tmp_path: Path):
+    process = start("os._exit(77)")
+    out, err = ended(process)
+    assert (out, process.returncode) == ("", 3)
+    said = "clgs: error: structure from motion: pycolmap crashed (exit code 77); try other photos"
+    assert err.splitlines()[-1] == said
+    assert list((tmp_path / "data").iterdir()) == []
+
+
+def test_a_failure_keeps_its_words(start):
+    process = start("raise ValueError('no SIFT today')")
+    _, err = ended(process)
+    assert err.splitlines()[-1] == "clgs: error: structure from motion: no SIFT today"
+    assert process.returncode == 3
