@@ -86,10 +86,13 @@ def _read_text(reconstruction: Any, model: Path) -> None:
 
 def _photos(reconstruction: Any, folder: Path, model: Path) -> tuple[list[Photo], int]:
     posed = [image for image in reconstruction.images.values() if image.has_pose]
-    photos = []
+    photos, names = [], set()
     for image in posed:
         source = f"{model}: image {image.name[:80]!r}"
         check_name(image.name, str(model))
+        if image.name in names:
+            raise DataError(f"{source} has two poses; keep one of the two")
+        names.add(image.name)
         path = inside(folder, image.name, source)
         if path.is_file():
             photos.append(_photo(image, path, source))

@@ -222,6 +222,24 @@ def test_poses_of_rigs_in_text_are_checked(tmp_path: Path, name: str, text: str,
     assert str(caught.value).startswith(f"{tmp_path / name}.txt: {fault}")
 
 
+@pytest.mark.parametrize("text", [False, True])
+def test_a_photo_with_two_poses_is_refused(tmp_path: Path, text: bool):
+    write_colmap(tmp_path, text=text)
+    file = tmp_path / "sparse" / "0" / f"images.{'txt' if text else 'bin'}"
+    file.write_bytes(file.read_bytes().replace(b"002.png", b"001.png"))
+    with pytest.raises(DataError, match=r"sparse.0: image '001\.png' has two poses; keep one"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize("content", ["", "# nothing\n"])
+def test_a_model_without_images_is_one_line(tmp_path: Path, content: str):
+    write_colmap(tmp_path, text=True, rigs=False)
+    (tmp_path / "sparse" / "0" / "images.txt").write_text(content)
+    with pytest.raises(DataError, match="none of the 0 posed images") as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
 def test_images_of_no_camera_are_named(tmp_path: Path):
     write_colmap(tmp_path, text=True, rigs=False)
     (tmp_path / "sparse" / "0" / "cameras.txt").write_text("")
