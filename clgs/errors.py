@@ -15,6 +15,10 @@ class UsageError(ClgsError):
     exit_code = 2
 
 
+class OutputError(UsageError, OSError):
+    """A name that nothing can be written to; says why, and the remedy. Exit code 2."""
+
+
 class DataError(ClgsError):
     """Input data is missing, damaged or of an unknown kind. Exit code 3."""
 

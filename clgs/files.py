@@ -8,10 +8,10 @@ import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from errno import EACCES, EDQUOT, EEXIST, EINVAL, EISDIR, ENOENT, ENOSPC, ENOTDIR
+from errno import EACCES, EDQUOT, ENOSPC
 from pathlib import Path
 
-from clgs.errors import UsageError
+from clgs.errors import OutputError, UsageError
 
 STEM_KEPT = 48
 """Characters of a name that its temporary name keeps: it must not grow too long for a folder."""
@@ -21,8 +21,8 @@ def atomic_write(path: Path, data: bytes) -> None:
     """Write ``data`` to ``path``: readers see the old file or the whole new one.
 
     Raises:
-        OSError: ``path`` cannot be written (see :func:`check_target`), or the disk is full;
-            nothing is left.
+        OutputError: as of :func:`check_target`.
+        OSError: ``path`` cannot be written, or the disk is full; nothing is left.
     """
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
@@ -35,7 +35,7 @@ def atomic_write_all(contents: dict[Path, bytes]) -> None:
     last. Where one cannot, the others are again what they were.
 
     Raises:
-        OSError: as of :func:`atomic_write`.
+        OutputError, OSError: as of :func:`atomic_write`.
     """
     with ExitStack() as stack:
         for path in contents:
@@ -72,7 +72,7 @@ def check_output(path: Path, *sources: Path) -> None:
     """As :func:`check_target`; moreover ``path`` must be none of ``sources``, also through links.
 
     Raises:
-        OSError: as there.
+        OutputError, PermissionError: as there.
         UsageError: writing to ``path`` would destroy what is read.
     """
     check_target(path)
@@ -87,36 +87,46 @@ def check_target(path: Path) -> Path:
     Call it before long work whose result goes to ``path``.
 
     Raises:
-        OSError: the folder is missing or not writable, or ``path`` is a folder, a device or
-            another thing that is no regular file; names ``path`` and the remedy.
+        OutputError: the folder is missing, ``path`` is a folder, a device or another thing that is
+            no regular file, or the name is none (too long, links in a circle).
+        PermissionError: the folder is not writable.
     """
-    with suppress(FileNotFoundError):
-        mode = os.stat(path).st_mode
-        if stat.S_ISDIR(mode):
-            raise IsADirectoryError(EISDIR, "is a folder; name a file", str(path))
-        if not stat.S_ISREG(mode):
-            raise OSError(EINVAL, "is not a regular file; name another", str(path))
+    mode = _mode(path)
+    if stat.S_ISDIR(mode):
+        raise OutputError(f"{path}: is a folder; name a file")
+    if not stat.S_ISREG(mode):
+        raise OutputError(f"{path}: is not a regular file; name another")
     target = Path(os.path.realpath(path))
     _check_parent(path, target.parent)
     return target
 
 
+def _mode(path: Path) -> int:
+    """The mode of what ``path`` names, or would name."""
+    try:
+        return os.stat(path).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return stat.S_IFREG
+    except PermissionError:
+        raise
+    except OSError as error:
+        raise OutputError(f"{path}: {error.strerror}; choose another name") from None
+
+
 def check_folder(path: Path) -> None:
-    """Raise OSError, naming the remedy, where ``path`` is or lies in something that is no folder.
+    """Raise OutputError where ``path`` is, or lies in, something that is no folder.
 
     Folders that are missing can be made, and are no error.
     """
-    for folder in (path, *path.parents):
-        if folder.exists():
-            if not folder.is_dir():
-                raise NotADirectoryError(ENOTDIR, "is no folder; choose another name", str(folder))
-            return
+    nearest = next((folder for folder in (path, *path.parents) if folder.exists()), None)
+    if nearest and not nearest.is_dir():
+        raise OutputError(f"{nearest}: is no folder; choose another name")
 
 
 def _check_parent(path: Path, parent: Path) -> None:
     if not parent.is_dir():
-        problem = f"cannot be written: there is no folder {parent}; make it first"
-        raise FileNotFoundError(ENOENT, problem, str(path))
+        remedy = "choose another name" if parent.exists() else "make it first"
+        raise OutputError(f"{path}: cannot be written: there is no folder {parent}; {remedy}")
     if not os.access(parent, os.W_OK | os.X_OK):
         problem = f"cannot be written: no permission in {parent}; choose another folder"
         raise PermissionError(EACCES, problem, str(path))
@@ -131,7 +141,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     removed and ``path`` stays as it was.
 
     Raises:
-        OSError: as :func:`check_target`; errors of the temporary file name ``path`` instead.
+        OutputError, OSError: as :func:`atomic_write`; those of the temporary file name ``path``.
     """
     path = Path(path)
     target = check_target(path)
@@ -181,14 +191,13 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     On any failure it is removed with all that it holds.
 
     Raises:
-        FileExistsError: ``path`` is a file, or a folder that is not empty; nothing is overwritten.
-        OSError: its parent is missing or not writable; names ``path`` and the remedy.
+        OutputError: ``path`` is a file, or a folder that is not empty; nothing is overwritten. Or
+            its parent is missing.
+        PermissionError: its parent is not writable.
     """
     path = Path(path)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise FileExistsError(
-            EEXIST, "exists and is not an empty folder; choose another", str(path)
-        )
+        raise OutputError(f"{path}: exists and is not an empty folder; choose another")
     target = Path(os.path.realpath(path))
     _check_parent(path, target.parent)
     temporary = _temporary(path, target.parent)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import stat
 from pathlib import Path
 
 import pytest
 
-from clgs.errors import UsageError
+from clgs.errors import OutputError, UsageError
 from clgs.files import (
     append,
     atomic_folder,
@@ -73,7 +74,7 @@ def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch):
 
 
 def test_a_missing_folder_is_an_error(tmp_path):
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(OutputError, match="make it first"):
         atomic_write(tmp_path / "missing" / "x", b"data")
 
 
@@ -106,7 +107,7 @@ def test_a_full_folder_and_a_file_are_not_overwritten(tmp_path):
     (tmp_path / "run" / "mine").write_bytes(b"1")
     (tmp_path / "file").write_bytes(b"2")
     for name in ("run", "file"):
-        with pytest.raises(FileExistsError, match="not an empty folder"):
+        with pytest.raises(OutputError, match="not an empty folder"):
             atomic_folder(tmp_path / name).__enter__()
     assert names(tmp_path) == ["file", "run"]
 
@@ -128,22 +129,37 @@ def test_a_device_is_not_replaced(tmp_path, linked):
     path = tmp_path / "null" if linked else Path(os.devnull)
     if linked:
         path.symlink_to(os.devnull)
-    with pytest.raises(OSError, match="not a regular file"):
+    with pytest.raises(OutputError, match="not a regular file"):
         atomic_write(path, b"data")
     assert not Path(os.devnull).is_file()
 
 
 def test_errors_name_the_path_and_the_remedy(tmp_path):
     (tmp_path / "file").touch()
-    cases = [("missing/x", "make it first"), (".", "is a folder"), ("file/x", "Not a dir")]
+    (tmp_path / "ring").symlink_to("ring")
+    cases = [
+        *(("missing/x", "there is no folder .* make it first"), (".", "is a folder; name a file")),
+        *(("x" * 256, "choose another name"), ("ring", "choose another name")),
+        ("file/x", "there is no folder .*/file; choose another name"),
+    ]
     for name, remedy in cases:
-        with pytest.raises(OSError, match=remedy) as caught:
+        with pytest.raises(OutputError, match=f"^{re.escape(str(tmp_path / name))}: .*{remedy}$"):
             atomic_write(tmp_path / name, b"data")
-        assert caught.value.filename == str(tmp_path / name)
-    with pytest.raises(OSError, match="make it first") as caught:
+    with pytest.raises(OutputError, match=r"/missing/run: .* make it first$"):
         atomic_folder(tmp_path / "missing" / "run").__enter__()
-    assert caught.value.filename == str(tmp_path / "missing" / "run")
-    assert names(tmp_path) == ["file"]
+    assert names(tmp_path) == ["file", "ring"]
+
+
+def test_a_bad_name_is_wrong_usage_and_an_error_of_the_system():
+    assert OutputError.exit_code == UsageError.exit_code == 2
+    assert issubclass(OutputError, OSError)
+    assert str(OutputError("x: is a folder")) == "x: is a folder"
+
+
+def test_no_permission_is_no_matter_of_the_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(PermissionError, match=r"no permission in .*; choose another folder"):
+        atomic_write(tmp_path / "x", b"data")
 
 
 def test_errors_of_the_temporary_file_name_the_path(tmp_path):
@@ -165,7 +181,7 @@ def test_folders_are_checked_before_they_are_made(tmp_path):
     check_folder(tmp_path / "new" / "deeper")
     (tmp_path / "file").touch()
     for name in ("file", "file/deeper"):
-        with pytest.raises(NotADirectoryError, match="is no folder"):
+        with pytest.raises(OutputError, match="is no folder"):
             check_folder(tmp_path / name)
 
 
@@ -210,7 +226,7 @@ def test_an_output_is_no_input(tmp_path):
     for output in (source, other, tmp_path / "." / "a"):
         with pytest.raises(UsageError, match="is read by this command; choose another output"):
             check_output(output, tmp_path / "none", source)
-    with pytest.raises(OSError, match="is a folder"):
+    with pytest.raises(OutputError, match="is a folder"):
         check_output(tmp_path, source)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+
+from clgs.cli.view_options import named_path
 
 
 def add_files(parser: argparse.ArgumentParser, name: str, source: str, output: str) -> None:
@@ -11,8 +12,8 @@ def add_files(parser: argparse.ArgumentParser, name: str, source: str, output: s
 
     ``clgs.files.check_output`` must see both.
     """
-    parser.add_argument(name, type=Path, metavar=source)
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar=output)
+    parser.add_argument(name, type=named_path, metavar=source)
+    parser.add_argument("-o", "--output", type=named_path, required=True, metavar=output)
 
 
 def add_level(parser: argparse.ArgumentParser) -> None:

@@ -22,6 +22,8 @@ is replaced only where the PLY file of that name is replaced too.
 data. Of the file, only the header, the MLPs and the chunks that the box meets are read: see
 `clgs encode --chunk`."""
 
+LESS_MEMORY = "--threads 1 needs less, and --box decodes a part alone"
+
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command and its options."""

@@ -37,6 +37,8 @@ or from --mlps, an archive with the arrays of the torch file under their names t
 (opacity_mlp.0.weight ... color_mlp.2.bias), which its owner saves by np.savez, or with `mlps` of a
 decoded scene. nx ny nz, opacity and rot_* are not used."""
 
+LESS_MEMORY = "--threads 1 and --level fast need less"
+
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command and its options."""

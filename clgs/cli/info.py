@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
+
+from clgs.cli.view_options import named_path
+
+LESS_MEMORY = "end other programs, or use a machine that has more"
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -15,7 +18,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="show what a .clgs file holds",
         description="Show the header and the sections of a .clgs file, with their bytes.",
     )
-    parser.add_argument("scene", type=Path, metavar="scene.clgs", help="the file")
+    parser.add_argument("scene", type=named_path, metavar="scene.clgs", help="the file")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 

@@ -105,8 +105,24 @@ def _run(argv: Sequence[str] | None) -> int:
     import logging
 
     logging.basicConfig(format="clgs: warning: %(message)s", level=logging.WARNING)
-    code: int = importlib.import_module(f"clgs.cli.{args.command}").run(args)
+    module = importlib.import_module(f"clgs.cli.{args.command}")
+    try:
+        code: int = module.run(args)
+    except Exception as error:
+        if not _lacked_memory(error):
+            raise
+        less = getattr(module, "LESS_MEMORY", "try a larger --downscale")
+        raise ClgsError(f"out of memory; {less}") from error
     return code
+
+
+def _lacked_memory(error: BaseException | None) -> bool:
+    """Whether memory was short: clean-up that fails then, or a thread's start, may hide it."""
+    while error is not None and not isinstance(error, ClgsError | OSError):
+        if isinstance(error, MemoryError) or "can't start new thread" in str(error):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -132,7 +148,7 @@ def explain(error: Exception) -> tuple[str, int]:
         remedy = "; free space and run it again" if is_full(error) else ""
         return f"{name}{error.strerror or error}{remedy}", ClgsError.exit_code
     if isinstance(error, MemoryError):
-        return "out of memory; try a larger --downscale", ClgsError.exit_code
+        return "out of memory", ClgsError.exit_code
     if isinstance(error, ImportError):
         return _explain_import(error)
     if type(error).__module__.startswith("pyopencl"):

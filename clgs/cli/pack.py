@@ -23,6 +23,8 @@ they are of integer type and need --step where not. Quaternions are scaled to le
 rot_0 that is not negative, which is the same rotation. Splats come back in Morton order; all of
 them, also where several share a voxel. `clgs unpack` is the way back."""
 
+LESS_MEMORY = "--threads 1 and --level fast need less"
+
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command and its options."""

@@ -6,6 +6,8 @@ import argparse
 
 from clgs.cli.codec_options import add_files, add_threads
 
+LESS_MEMORY = "--threads 1 needs less"
+
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command and its options."""

@@ -12,7 +12,7 @@ from PIL import Image
 from clgs.data.images import image_size, is_plain, list_images, read_exif, read_image
 from clgs.data.pycolmap_lazy import SEEDS
 from clgs.data.sfm import JPEG_QUALITY, reconstruct
-from clgs.errors import DataError
+from clgs.errors import DataError, OutputError
 from clgs.files import atomic_folder, check_folder
 
 STAGES = ("read", "features", "matches", "poses", "undistort")
@@ -41,7 +41,8 @@ def prepare(
     complete or not at all. ``on_stage`` is called with each of STAGES.
 
     Raises:
-        DataError: too few or damaged photos, no reconstruction, ``output`` not empty, no pycolmap.
+        DataError: too few or damaged photos, no reconstruction, no pycolmap.
+        OutputError: ``output`` is not empty, or cannot be made.
     """
     source, output = _find_photos(Path(photos)), Path(output)
     try:
@@ -49,6 +50,8 @@ def prepare(
         output.parent.mkdir(parents=True, exist_ok=True)
         with atomic_folder(output) as target:
             return _prepare(source, target, seed, on_stage)
+    except OutputError:
+        raise
     except OSError as error:
         problem = error.strerror or str(error)
         raise DataError(f"{error.filename or output}: {problem}") from error

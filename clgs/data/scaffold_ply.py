@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict
-from errno import EEXIST
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ import numpy.typing as npt
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.data.mlps_archive import holds, load_mlps, mlps_path, pack_mlps
 from clgs.data.ply import Table, narrowest, pack_ply, read_ply
-from clgs.errors import DataError, UsageError
+from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.ranges import check_ranges
@@ -51,8 +50,8 @@ def save_scaffold(path: Path, scene: QuantizedScene) -> None:
     holds others is replaced together with ``path`` alone.
 
     Raises:
-        FileExistsError: other MLPs lie where those of ``path`` belong, but ``path`` does not exist.
-        OSError: as of ``atomic_write_all``.
+        OutputError: other MLPs lie where those of ``path`` belong, but ``path`` does not exist.
+        OutputError, OSError: as of ``atomic_write_all``.
     """
     beside = mlps_path(path)
     check_target(beside)
@@ -60,7 +59,7 @@ def save_scaffold(path: Path, scene: QuantizedScene) -> None:
     if not (beside.exists() and holds(beside, scene.mlps)):
         if beside.exists() and not path.exists():
             problem = "exists and holds other MLPs; remove it or choose another output"
-            raise FileExistsError(EEXIST, problem, str(beside))
+            raise OutputError(f"{beside}: {problem}")
         files[beside] = pack_mlps(scene.mlps)
     atomic_write_all(files)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import lzma
+import math
 import struct
 import tokenize
 import zipfile
@@ -42,6 +43,9 @@ DAMAGE = (
 )
 """What NumPy and zipfile raise on damaged archives; NotImplementedError is a RuntimeError."""
 
+MOST_FOR_A_BYTE = 1032
+"""Bytes that one byte of an archive expands to, at most, in the usual compression (deflate)."""
+
 
 def save_scene(path: Path, scene: QuantizedScene) -> None:
     """Write integers, float32 MLP weights and settings to ``path`` (.npz), atomically.
@@ -67,6 +71,7 @@ def load_scene(path: Path) -> QuantizedScene:
     Raises:
         DataError: the file is missing or damaged, lacks an array, or holds a number that makes no
             sense.
+        MemoryError: there is no room for the scene.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:
@@ -75,8 +80,16 @@ def load_scene(path: Path) -> QuantizedScene:
     except FileNotFoundError:
         raise DataError(f"{path}: no such file; train first or name a .clgs file") from None
     except DAMAGE as error:
+        if isinstance(error, MemoryError) and _can_hold(path, error):
+            raise
         problem = describe_damage(error)
         raise DataError(f"{path}: not a scene archive ({problem}); write the file again") from None
+
+
+def _can_hold(path: Path, error: MemoryError) -> bool:
+    """Whether the archive may hold the array that memory had no room for: no damage then."""
+    shape, dtype = getattr(error, "shape", ()), getattr(error, "dtype", np.dtype(np.int8))
+    return math.prod(shape) * dtype.itemsize <= MOST_FOR_A_BYTE * path.stat().st_size
 
 
 def describe_damage(error: BaseException) -> str:

@@ -167,6 +167,10 @@ def test_wrong_usage_exits_2(arguments):
         ("render", "x", "--data", "y", "--output", ""),
         ("prepare", "x", "--output", " "),
         ("prepare", "x", "-o", "y", "--seed", "-1"),
+        ("encode", "x", "--output", ""),
+        ("decode", "x", "--output", ""),
+        ("pack", "x", "--output", ""),
+        ("unpack", "x", "--output", " "),
         ("train", "x", "-o", "y", "--smallest-anchor", "-1"),
         ("train", "x", "-o", "y", "--smallest-anchor", "nan"),
         ("train", "x", "-o", "y", "--smallest-anchor", "inf"),
@@ -258,3 +262,50 @@ def test_a_reader_that_leaves_is_no_error():
     result = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, check=False)
     os.close(writing)
     assert (result.returncode, result.stderr) == (0, b"")
+
+
+def test_a_lack_of_memory_is_told_apart_from_a_bug(run_raising, monkeypatch, capsys):
+    """Clean-up may fail after it, as of zipfile; and threads are not started."""
+    closed = ValueError("I/O operation on closed file")
+    closed.__context__ = MemoryError()
+    for error in (closed, RuntimeError("can't start new thread"), MemoryError("Unable")):
+        assert run_raising(error) == 1
+        assert capsys.readouterr().err == "clgs: error: out of memory; try a larger --downscale\n"
+    assert run_raising(ValueError("I/O operation on closed file")) == 1
+    assert "this is a bug" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["encode", "decode", "pack", "unpack"])
+def test_commands_of_the_codec_say_what_needs_less_memory(command, monkeypatch, capsys):
+    def fail(args):
+        raise MemoryError
+
+    monkeypatch.setattr(f"clgs.cli.{command}.run", fail)
+    assert cli.main([command, "a", "-o", "b"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("clgs: error: out of memory; --threads 1 ")
+    assert said.count("\n") == 1
+    help_of_command = clgs(command, "--help").stdout
+    assert all(word in help_of_command for word in said.split() if word.startswith("--"))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no limits of memory")
+def test_a_process_short_of_memory(tmp_path):
+    """A limit between what an empty interpreter needs and what the command does."""
+    code = """
+import resource, sys
+from clgs.cli import main as cli
+import clgs.cli.info, clgs.cli.encode, clgs.codec.splats, clgs.cli.scene_argument
+size = 2**29
+open(sys.argv[1], "wb").truncate(size)
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + size // 2, resource.RLIM_INFINITY))
+sys.exit(cli.main(["info", sys.argv[1]]))
+"""
+    command = [sys.executable, "-c", code, str(tmp_path / "sparse.clgs")]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (
+        result.stderr
+        == "clgs: error: out of memory; end other programs, or use a machine that has more\n"
+    )
+    assert result.returncode == 1

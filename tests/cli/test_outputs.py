@@ -42,11 +42,18 @@ def work(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("command", "code", "said"),
     [
-        ("encode s.npz -o nodir/x.clgs", 1, "nodir/x.clgs: cannot be written: there is no folder"),
-        ("encode s.npz -o folder", 1, "folder: is a folder; name a file"),
-        (f"encode s.npz -o {os.devnull}", 1, f"{os.devnull}: is not a regular file"),
+        ("encode s.npz -o nodir/x.clgs", 2, "nodir/x.clgs: cannot be written: there is no folder"),
+        ("encode s.npz -o folder", 2, "folder: is a folder; name a file"),
+        (f"encode s.npz -o {os.devnull}", 2, f"{os.devnull}: is not a regular file"),
+        ("encode s.npz -o file/x.clgs", 2, "file/x.clgs: cannot be written: there is no folder"),
+        (f"encode s.npz -o {'x' * 256}", 2, f"{'x' * 256}: File name too long; choose another"),
+        ("pack s.ply -o nodir/x.clgs", 2, "nodir/x.clgs: cannot be written: there is no folder"),
+        ("pack s.ply -o folder", 2, "folder: is a folder; name a file"),
+        ("unpack s.clgs -o nodir/x.ply", 2, "nodir/x.ply: cannot be written: there is no folder"),
+        ("unpack s.clgs -o file/x.ply", 2, "file/x.ply: cannot be written: there is no folder"),
+        ("decode s.clgs -o file/x.npz", 2, "file/x.npz: cannot be written: there is no folder"),
         ("decode s.clgs -o x", 2, "x: the output must end in .npz"),
-        ("decode s.clgs -o nodir/x.npz", 1, "nodir/x.npz: cannot be written"),
+        ("decode s.clgs -o nodir/x.npz", 2, "nodir/x.npz: cannot be written"),
         ("decode folder -o x.npz", 3, "folder: is a folder; name a .clgs file"),
         ("decode folder -o x.npz --box 0,0,0,1,1,1", 3, "folder: is a folder; name a .clgs file"),
         ("decode s.clgs -o x.npz --box 0,0,0,1,1", 2, "--box 0,0,0,1,1: six numbers are needed"),
@@ -68,15 +75,15 @@ def work(tmp_path, monkeypatch):
         ("unpack s.clgs -o s.clgs", 2, "s.clgs: is read by this command"),
         ("decode s.npz -o s.npz", 2, "s.npz: is read by this command"),
         ("decode s.mlps.npz -o s.ply", 2, "s.mlps.npz: is read by this command"),
-        ("decode s.clgs -o nodir/x.ply", 1, "nodir/x.ply: cannot be written"),
+        ("decode s.clgs -o nodir/x.ply", 2, "nodir/x.ply: cannot be written"),
         ("encode s.quantized.ply -o x.clgs --q 100,1,1,8", 2, "s.quantized.ply: its integers"),
         ("encode s.npz -o x.clgs --q 100,1,1,8", 2, "s.npz: --mlps and --q are for a PLY file"),
         ("info folder", 3, "folder: is a folder; name a .clgs file"),
         (f"info {os.devnull}", 3, f"{os.devnull}: is neither a file nor a pipe"),
         ("eval s.clgs", 2, "nothing to do"),
-        ("eval none.clgs --data none --json nodir/x.json", 1, "nodir/x.json: cannot be written"),
-        ("bench step --json nodir/x.json", 1, "nodir/x.json: cannot be written"),
-        ("render s.clgs --data none -o file", 1, "file: is no folder"),
+        ("eval none.clgs --data none --json nodir/x.json", 2, "nodir/x.json: cannot be written"),
+        ("bench step --json nodir/x.json", 2, "nodir/x.json: cannot be written"),
+        ("render s.clgs --data none -o file", 2, "file: is no folder"),
         ("prepare folder -o new", 3, "folder: 0 JPEG or PNG photos"),
     ],
 )
@@ -111,13 +118,13 @@ def test_the_case_of_suffixes_does_not_matter(work, capsys):
 def test_decode_takes_no_name_that_it_was_not_given(work, capsys):
     (work / "x.mlps.npz").write_bytes(b"mine")
     before = {path: path.is_file() and path.read_bytes() for path in work.iterdir()}
-    assert cli.main(["decode", "s.clgs", "-o", "x.ply"]) == 1
+    assert cli.main(["decode", "s.clgs", "-o", "x.ply"]) == 2
     said = capsys.readouterr().err
     assert said.startswith("clgs: error: x.mlps.npz: exists and holds other MLPs; remove it")
     assert said.count("\n") == 1
     (work / "x.mlps.npz").unlink()
     (work / "x.mlps.npz").mkdir()
-    assert cli.main(["decode", "s.clgs", "-o", "x.ply"]) == 1
+    assert cli.main(["decode", "s.clgs", "-o", "x.ply"]) == 2
     assert capsys.readouterr().err.startswith("clgs: error: x.mlps.npz: is a folder")
     (work / "x.mlps.npz").rmdir()
     (work / "x.mlps.npz").write_bytes(b"mine")

@@ -12,7 +12,7 @@ from PIL import Image
 from clgs.cli import prepare as command
 from clgs.data.dataset import load_dataset
 from clgs.data.photos import STAGES, prepare
-from clgs.errors import DataError
+from clgs.errors import DataError, OutputError
 from tests.data.folders import noise_image, room_image, room_poses
 
 pycolmap = pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
@@ -55,7 +55,7 @@ def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str
     centres = np.array([view.camera.centre for view in views])
     assert similarity_error(centres, np.array([pose[:3, 3] for pose in poses])) <= 0.02
     assert data.train[0].camera.fx == pytest.approx(320.0, rel=0.03)
-    with pytest.raises(DataError, match="not an empty folder"):
+    with pytest.raises(OutputError, match="not an empty folder"):
         prepare(photos, output)
 
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from clgs.data.mlps_archive import mlps_path, pack_mlps
 from clgs.data.ply import Table, pack_ply, read_ply
 from clgs.data.scaffold_ply import NAMES, load_scaffold, save_scaffold
-from clgs.errors import DataError, UsageError
+from clgs.errors import DataError, OutputError, UsageError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
@@ -206,7 +206,7 @@ def test_both_files_are_written_or_none(
         for file in tmp_path.iterdir():
             file.unlink()
     mlps_path(path).mkdir()
-    with pytest.raises(OSError, match=r"is a folder"):
+    with pytest.raises(OutputError, match="is a folder"):
         save_scaffold(path, scene)
     assert list(tmp_path.iterdir()) == [mlps_path(path)]
 
@@ -215,7 +215,7 @@ def test_other_mlps_are_not_overwritten_unasked(scene: QuantizedScene, tmp_path:
     path = tmp_path / "s.ply"
     for content in (b"my own", pack_mlps(Mlps(scene.mlps.flat * 2))):
         mlps_path(path).write_bytes(content)
-        with pytest.raises(FileExistsError, match="holds other MLPs; remove it or choose another"):
+        with pytest.raises(OutputError, match="holds other MLPs; remove it or choose another"):
             save_scaffold(path, scene)
         assert mlps_path(path).read_bytes() == content
         assert not path.exists()

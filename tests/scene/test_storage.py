@@ -85,3 +85,22 @@ def test_no_damage_escapes(arrays, tmp_path):
     np.save(tmp_path / "y.npy", np.zeros(3))
     refusal(tmp_path / "y.npy")
     refusal(tmp_path)
+
+
+def test_no_room_is_no_damage(scene, tmp_path, monkeypatch):
+    """But an array that is larger than any in so small a file may be is."""
+    path = tmp_path / "scene.npz"
+    save_scene(path, scene)
+    data = path.read_bytes()
+    shape = b"(5, 10, 3), }                     "
+    assert shape in data
+    path.write_bytes(data.replace(shape, b"(5, 1000000000000000, 3), }".ljust(len(shape))))
+    assert "not a scene archive" in refusal(path)
+    save_scene(path, scene)
+
+    def fail(*_):
+        raise MemoryError
+
+    monkeypatch.setattr("clgs.scene.storage._scene", fail)
+    with pytest.raises(MemoryError):
+        load_scene(path)
