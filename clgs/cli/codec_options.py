@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 
 from clgs.cli.view_options import named_path
 
@@ -24,3 +25,16 @@ def add_level(parser: argparse.ArgumentParser) -> None:
 def add_threads(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--threads``."""
     parser.add_argument("--threads", type=int, metavar="N", help="default: one a processor")
+
+
+def in_range(text: str) -> float:
+    """An argument that must be a step, or a number of integers a unit, that a file may hold."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 2.0**-64 <= value <= 2.0**64:
+        raise argparse.ArgumentTypeError(
+            f"{text} is not a number from 2^-64 to 2^64 (5.5e-20 to 1.8e19)"
+        )
+    return value

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.codec_options import add_files, add_level, add_threads
+from clgs.cli.codec_options import add_files, add_level, add_threads, in_range
 from clgs.cli.encode_target import add_target_options
 
 if TYPE_CHECKING:
@@ -28,7 +30,8 @@ has rounded them; the same weights come back either way.
 --target-size and --target-psnr make a smaller file without training: anchors are left out, least
 useful for each bit first, and Q of offsets, features or scalings is made coarser where that costs
 less; Q of positions stays. With --data the training views (48 at most) say what is useful, and 12
-of them, or --all-views, what it costs in PSNR; without, an anchor's size says what is useful.
+of them, or --all-views, what it costs in PSNR; without, an anchor's size says what is useful. What
+a file without anchors exceeds in size, or reaches in PSNR, is no target.
 
 RUN is a run folder, the .npz or .clgs file of a scene, or a PLY file of anchors as the reference
 code writes it (f_offset_*, f_anchor_feat_*, scale_*): X.quantized.ply holds integers, any other
@@ -67,13 +70,10 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def scales(text: str) -> tuple[float, float, float, float]:
     """An argument of four positive numbers with commas between."""
     try:
-        position, offset, feature, scaling = map(float, text.split(","))
+        position, offset, feature, scaling = map(in_range, text.split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text} is not four numbers P,O,A,S") from None
-    values = position, offset, feature, scaling
-    if not all(2.0**-64 <= value <= 2.0**64 for value in values):
-        raise argparse.ArgumentTypeError(f"{text}: a number is not positive")
-    return values
+    return position, offset, feature, scaling
 
 
 def is_ply(path: Path) -> bool:
@@ -109,6 +109,24 @@ def read_source(args: argparse.Namespace) -> QuantizedScene:
     return read_scene(args.scene)[0]
 
 
+@contextmanager
+def in_words_of_options(path: Path) -> Iterator[None]:
+    """Let a CodecError name the scene, and say which option helps."""
+    from clgs.codec.octree import PositionsError
+    from clgs.data.scaffold_ply import is_quantized
+    from clgs.errors import CodecError
+
+    try:
+        yield
+    except PositionsError as error:
+        remedy = "crop the scene" if error.wide else "merge rows of the same cell"
+        if is_ply(path) and not is_quantized(path):
+            remedy += f", or give a {'smaller' if error.wide else 'larger'} P in --q P,O,A,S"
+        raise CodecError(f"{path}: {error.problem}; {remedy}") from error
+    except CodecError as error:
+        raise CodecError(f"{path}: {error}") from error
+
+
 def run(args: argparse.Namespace) -> int:
     """Encode; exit code 0."""
     from clgs.cli.encode_target import check_targets, reduce
@@ -121,7 +139,8 @@ def run(args: argparse.Namespace) -> int:
     scene = read_source(args)
 
     def pack(scene: QuantizedScene) -> bytes:
-        return encode(scene, args.level, args.chunk, args.threads, args.mlp)
+        with in_words_of_options(args.scene):
+            return encode(scene, args.level, args.chunk, args.threads, args.mlp)
 
     if args.target_size is None and args.target_psnr is None:
         data = pack(scene)

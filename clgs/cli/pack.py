@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import math
 from typing import TYPE_CHECKING
 
-from clgs.cli.codec_options import add_files, add_level, add_threads
+from clgs.cli.codec_options import add_files, add_level, add_threads, in_range
 
 if TYPE_CHECKING:
     from clgs.codec.splats import Splats
@@ -49,15 +48,11 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def named_step(text: str) -> tuple[str, float]:
-    """An argument NAME=STEP, the step positive."""
-    name, _, number = text.partition("=")
-    try:
-        step = float(number)
-    except ValueError:
-        step = math.nan
-    if not name or not 2.0**-64 <= step <= 2.0**64:
-        raise argparse.ArgumentTypeError(f"{text} is not NAME=STEP with a positive number")
-    return name, step
+    """An argument NAME=STEP."""
+    name, separator, number = text.partition("=")
+    if not name or not separator:
+        raise argparse.ArgumentTypeError(f"{text} is not NAME=STEP")
+    return name, in_range(number)
 
 
 def steps_by_group(splats: Splats) -> dict[str, str]:
@@ -77,13 +72,19 @@ def steps_by_group(splats: Splats) -> dict[str, str]:
 
 def run(args: argparse.Namespace) -> int:
     """Pack; exit code 0."""
+    from clgs.codec.octree import PositionsError
     from clgs.codec.splats import pack
     from clgs.data.splat_ply import read_splats
+    from clgs.errors import CodecError
     from clgs.files import atomic_write, check_output
 
     check_output(args.output, args.splats)
     splats, errors = read_splats(args.splats, dict(args.step))
-    data = pack(splats, args.level, args.threads)
+    try:
+        data = pack(splats, args.level, args.threads)
+    except PositionsError as error:
+        remedy = "crop distant ones, or give a larger --step position=STEP"
+        raise CodecError(f"{args.splats}: {error.problem}; {remedy}") from error
     atomic_write(args.output, data)
     for group, steps in steps_by_group(splats).items():
         print(f"{group}: step {steps}, rounded by at most {errors[group]:.2g}")

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec import attributes, container, octree
+from clgs.codec.arguments import check_choice, check_integer
 from clgs.codec.chunks import DEFAULT_CHUNK, MAX_CHUNK, MIN_CHUNK, TAGS, make_grid, pack_directory
 from clgs.codec.container import ANCH, CHNK, FEAT, MLPS, OFFS, SCAL
 from clgs.codec.content import array_hash, content_arrays, join_hashes
@@ -16,7 +17,7 @@ from clgs.codec.meta import LEVELS, Meta
 from clgs.codec.subtrees import batches, corners, cut
 from clgs.codec.weights import MODES
 from clgs.codec.weights import encode as encode_weights
-from clgs.codec.workers import check_integer, workers
+from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
@@ -45,7 +46,7 @@ def encode(
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
             number; the message names the field and the remedy.
         UsageError: no such level or mode, or a chunk or number of threads out of range.
-        TypeError: a chunk or number of threads that is no integer.
+        TypeError: a chunk or number of threads is no integer, or a level or mode no string.
     """
     check_options(level, chunk, mlp)
     _check_scene(scene)
@@ -132,12 +133,10 @@ def _encode_rows(
 
 def check_options(level: str, chunk: int, mlp: str = "auto") -> None:
     """Raise UsageError or TypeError where ``encode`` does not take them."""
-    if level not in LEVELS:
-        raise UsageError(f"level: {level!r}; known are {', '.join(LEVELS)}")
+    check_choice("level", level, LEVELS)
     if not MIN_CHUNK <= check_integer("chunk", chunk) <= MAX_CHUNK:
         raise UsageError(f"chunk: {chunk}; {MIN_CHUNK} to {MAX_CHUNK} anchors are possible")
-    if mlp not in MODES:
-        raise UsageError(f"mlp: {mlp!r}; known are {', '.join(MODES)}")
+    check_choice("mlp", mlp, MODES)
 
 
 def _check_scene(scene: QuantizedScene) -> None:

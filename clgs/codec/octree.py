@@ -19,11 +19,23 @@ MAX_POINTS_A_BYTE = 1 << 15
 """No octree stream holds more: a point costs a decision, a decision at least 1/22,711 byte."""
 
 
+class PositionsError(CodecError):
+    """Positions that no octree holds: ``wide``, too far apart, else alike.
+
+    ``problem`` says so without a remedy, which depends on where the integers come from.
+    """
+
+    def __init__(self, problem: str, remedy: str, wide: bool) -> None:
+        super().__init__(f"{problem}; {remedy}")
+        self.problem = problem
+        self.wide = wide
+
+
 def morton_codes(position: npt.NDArray[np.int32]) -> npt.NDArray[np.uint64]:
     """Morton codes (A,) of ``position`` (A, 3) int32 relative to its least corner, x highest.
 
     Raises:
-        CodecError: the extent reaches 2^21 on an axis.
+        PositionsError: the extent reaches 2^21 on an axis.
     """
     code = np.empty(len(position), np.uint64)
     if len(position) == 0:
@@ -32,10 +44,9 @@ def morton_codes(position: npt.NDArray[np.int32]) -> npt.NDArray[np.uint64]:
     extent = position.max(axis=0) - low + 1
     for axis in range(3):
         if extent[axis] > MAX_EXTENT:
-            raise CodecError(
-                f"position: {'xyz'[axis]} spans {extent[axis]} cells, at most {MAX_EXTENT} fit; "
-                "use a smaller Q_P or crop the scene"
-            )
+            problem = f"{'xyz'[axis]} spans {extent[axis]} integers, at most {MAX_EXTENT} fit"
+            remedy = "round to larger steps, or leave out distant rows"
+            raise PositionsError(f"position: {problem}", remedy, wide=True)
     _codec.morton_encode(np.ascontiguousarray(position, np.int32), code, *map(int, low))
     return code
 
@@ -44,7 +55,7 @@ def morton_order(position: npt.NDArray[np.int32]) -> npt.NDArray[np.intp]:
     """The permutation (A,) that sorts ``position`` (A, 3) int32 into Morton order.
 
     Raises:
-        CodecError: the extent reaches 2^21 on an axis, or rows are alike.
+        PositionsError: the extent reaches 2^21 on an axis, or rows are alike.
     """
     code = morton_codes(position)
     if ascends(code):
@@ -53,10 +64,10 @@ def morton_order(position: npt.NDArray[np.int32]) -> npt.NDArray[np.intp]:
     repeats = np.flatnonzero(code[order][1:] == code[order][:-1])
     if len(repeats):
         first, second = map(int, order[repeats[0] : repeats[0] + 2])
-        raise CodecError(
-            f"position: rows {first} and {second} share cell {position[first].tolist()}, "
-            f"{len(repeats)} rows repeat others; merge rows of the same cell"
-        )
+        problem = f"rows {first} and {second} share cell {position[first].tolist()}, "
+        problem += f"{len(repeats)} rows repeat others"
+        remedy = "merge rows of the same cell"
+        raise PositionsError(f"position: {problem}", remedy, wide=False)
     return order
 
 
@@ -69,7 +80,7 @@ def in_order(position: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """``position`` (A, 3) int32 in Morton order; itself where it is in order.
 
     Raises:
-        CodecError: as ``morton_order``.
+        PositionsError: as ``morton_order``.
     """
     order = morton_order(position)
     return position if (order[1:] > order[:-1]).all() else position[order]

@@ -102,9 +102,9 @@ class Reader:
         parts = {tag: self._read(tag, chunk.parts[tag]) for tag in CHANNELS}
         joined = b"".join(part.data for part in parts.values())
         if _codec.crc32c(joined) != chunk.rows_crc:
-            raise parts[OFFS].error(
-                f"chunk {chunk.number}: checksum of its attributes differs, of all three"
-            )
+            places = ", ".join(f"{tag} at byte {part.offset}" for tag, part in parts.items())
+            what = f"chunk {chunk.number}: the checksum that all of them share differs"
+            raise container.damage(f"sections {places}", what)
         return parts
 
     def codes(self, position: npt.NDArray[np.int32]) -> npt.NDArray[np.uint64]:

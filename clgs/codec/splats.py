@@ -16,13 +16,14 @@ import numpy.typing as npt
 from clgs import _codec
 from clgs.codec import container, streams
 from clgs.codec.container import SATR, SMUL, SPLT, SPOS, Section
-from clgs.codec.octree import MAX_EXTENT, morton_codes
+from clgs.codec.octree import MAX_EXTENT, PositionsError, morton_codes
 from clgs.codec.reader import guarded
 from clgs.codec.source import BytesSource
 from clgs.errors import CodecError
 
 Ints = npt.NDArray[np.int32]
 
+MIN_STEP, MAX_STEP = 2.0**-64, 2.0**64
 MAX_PROPERTIES = streams.MAX_CHANNELS + 3
 _HEAD = struct.Struct("<IIHHQ")
 _PROPERTY = struct.Struct("<dB")
@@ -44,7 +45,7 @@ class Splats:
         return len(self.values)
 
     def check(self) -> None:
-        """Raise ValueError where names, steps or shape are none that a file may hold."""
+        """Raise ValueError where names, steps or values are none that a file may hold."""
         if not 4 <= len(self.names) <= MAX_PROPERTIES:
             raise ValueError(f"{len(self.names)} properties, 4 to {MAX_PROPERTIES} are possible")
         if len(set(self.names)) < len(self.names):
@@ -54,8 +55,12 @@ class Splats:
                 name.isascii() and name.isprintable() and 0 < len(name) < 256 and " " not in name
             ):
                 raise ValueError(f"property {name[:60]!r}: a name is 1 to 255 letters")
-            if not 2.0**-64 <= step <= 2.0**64:
+            if not MIN_STEP <= step <= MAX_STEP:
                 raise ValueError(f"property {name}: the step is {step!r}")
+        if self.values.ndim != 2 or self.values.shape[1] != len(self.names):
+            raise ValueError(f"shape is {self.values.shape}, (N, {len(self.names)}) is needed")
+        if self.values.dtype != np.int32:
+            raise ValueError(f"dtype is {self.values.dtype}, int32 is needed")
 
 
 def pack(splats: Splats, level: str = "default", threads: int | None = None) -> bytes:
@@ -108,15 +113,13 @@ def unpack(data: bytes, threads: int | None = None) -> Splats:
 
 
 def _check_extent(splats: Splats) -> None:
-    """Raise CodecError where an axis has more steps than Morton codes have room for."""
+    """Raise PositionsError where an axis has more steps than Morton codes have room for."""
     for i, name in enumerate(splats.names[:3] if len(splats) else []):
         column = splats.values[:, i]
         cells = int(column.max()) - int(column.min()) + 1
         if cells > MAX_EXTENT:
-            raise CodecError(
-                f"splats: {name} spans {cells} steps, at most {MAX_EXTENT} fit; crop distant ones, "
-                f"or give a larger --step position=STEP"
-            )
+            problem = f"splats: {name} spans {cells} steps, at most {MAX_EXTENT} fit"
+            raise PositionsError(problem, "crop distant ones, or take a larger step", wide=True)
 
 
 def is_splats(data: bytes) -> bool:
@@ -156,12 +159,26 @@ def quantize(values: npt.NDArray[np.floating], step: float, name: str) -> Ints:
     """
     with np.errstate(over="ignore", invalid="ignore"):
         whole = np.rint(values.astype(np.float64) / step)
-        bad = np.flatnonzero(~((whole >= -(2.0**31)) & (whole < 2.0**31)))
-    if len(bad):
-        finite = np.isfinite(values[bad[0]])
-        problem = f"give a larger --step {name}=STEP" if finite else "correct the file"
-        raise CodecError(f"property {name}: {values[bad[0]]} in row {bad[0]}; {problem}")
+        fit = (whole >= -(2.0**31)) & (whole < 2.0**31)
+    if not fit.all():
+        row = int(np.argmax(abs(values)))  # NaN before all
+        value = float(values[row])
+        place = f"property {name}: {value:g} in row {row}"
+        if not np.isfinite(value):
+            raise CodecError(f"{place} is not finite; correct it")
+        raise CodecError(f"{place} is beyond int32 in steps of {step:g}; {_larger(name, values)}")
     return whole.astype(np.int32)
+
+
+def _larger(name: str, values: npt.NDArray[np.floating]) -> str:
+    """The remedy where a step is too small for finite ``values``."""
+    least = float(abs(values).max()) / (2**31 - 1)
+    if name in ("x", "y", "z"):
+        least = max(least, float(np.ptp(values)) / (MAX_EXTENT - 2))
+    least *= 1.1  # as it is shown with two digits
+    if least > MAX_STEP:
+        return "no step holds it; correct it or leave the splat out"
+    return f"a --step {name}=STEP of {least:.2g} or more holds it"
 
 
 def _sections(data: bytes) -> dict[str, Section]:

@@ -9,10 +9,11 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec import attributes, octree
+from clgs.codec.arguments import check_choice, check_integers
 from clgs.codec.meta import LEVELS
 from clgs.codec.subtrees import corners, runs
 from clgs.codec.workers import workers
-from clgs.errors import CodecError, UsageError
+from clgs.errors import CodecError
 
 POSITIONS, ATTRIBUTES = b"\x8bCP\x02", b"\x8bCA\x02"
 """Signatures; the last byte is the version."""
@@ -40,9 +41,9 @@ def encode_positions(positions: npt.ArrayLike, threads: int | None = None) -> by
 
     Raises:
         TypeError: not an array of integers.
-        CodecError: wrong shape, out of range, too far apart, or rows repeat (says how many).
+        CodecError: wrong shape, masked, out of range, too far apart, or rows repeat (how many).
     """
-    position = _integers("positions", positions)
+    position = check_integers("positions", positions)
     if position.shape[1] != 3:
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
     position = octree.in_order(position)
@@ -78,7 +79,11 @@ def decode_positions(
     with workers(threads) as pool:
         chunks = list(pool.map(decode_chunk, parts, streams))
     position = np.concatenate([np.empty((0, 3), np.int32), *chunks])
-    if not octree.ascends(octree.morton_codes(position)):
+    try:
+        ordered = octree.ascends(octree.morton_codes(position))
+    except octree.PositionsError as error:
+        raise _damage(_POSITIONS_HEAD.size, error.problem) from error
+    if not ordered:
         raise _damage(_POSITIONS_HEAD.size, "the chunks are not in Morton order")
     return position
 
@@ -108,13 +113,12 @@ def encode_attributes(
         threads: at most so many, by default one for each processor; no byte depends on it.
 
     Raises:
-        TypeError: not an array of integers.
-        CodecError: wrong shape, or out of range.
+        TypeError: not an array of integers, or a level that is no string.
+        CodecError: wrong shape, masked, or out of range.
         UsageError: no such level.
     """
-    if level not in LEVELS:
-        raise UsageError(f"level: {level!r}; known are {', '.join(LEVELS)}")
-    rows = _integers("values", values)
+    check_choice("level", level, LEVELS)
+    rows = check_integers("values", values)
     if not 1 <= rows.shape[1] <= MAX_CHANNELS:
         raise CodecError(f"values: {rows.shape[1]} channels, 1 to {MAX_CHANNELS} are possible")
     if rows.nbytes > MAX_OUTPUT:
@@ -167,24 +171,10 @@ def morton_order(positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
     Raises:
         TypeError, CodecError: as of ``encode_positions``.
     """
-    position = _integers("positions", positions)
+    position = check_integers("positions", positions)
     if position.shape[1] != 3:
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
     return octree.morton_order(position)
-
-
-def _integers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.int32]:
-    """``values`` (N, columns) as contiguous int32."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "iu":
-        raise TypeError(f"{name}: dtype is {array.dtype}, integers are needed; round floats first")
-    if array.ndim != 2:
-        raise CodecError(f"{name}: shape is {array.shape}, two axes are needed")
-    if array.size and not np.can_cast(array.dtype, np.int32):
-        low, high = int(array.min()), int(array.max())
-        if low < -(2**31) or high >= 2**31:
-            raise CodecError(f"{name}: {low} to {high} is outside of int32; use smaller steps")
-    return np.ascontiguousarray(array, np.int32)
 
 
 def _seal(head: bytes, header: bytes, streams: list[bytes]) -> bytes:

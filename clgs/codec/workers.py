@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import operator
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
+from clgs.codec.arguments import check_integer
 from clgs.errors import UsageError
 
 
@@ -30,14 +30,6 @@ def workers(threads: int | None = None) -> Iterator[ThreadPoolExecutor]:
         pool.shutdown(cancel_futures=True)
         raise
     pool.shutdown()
-
-
-def check_integer(name: str, value: object) -> int:
-    """``value`` as an int; TypeError where it is no integer, such as 2.0."""
-    try:
-        return operator.index(value)  # type: ignore[arg-type]  # what it is for
-    except TypeError:
-        raise TypeError(f"{name}: {value!r}; an integer is needed") from None
 
 
 def processors() -> int:

@@ -66,18 +66,30 @@ def read_ply(path: Path) -> Table:
     """The element "vertex" of a PLY file, which must be the first; elements behind it are skipped.
 
     Raises:
-        DataError: missing, no PLY file, cut, damaged, or with lists in the table; names the line.
+        DataError: missing, no PLY file, cut, damaged, compressed, or with lists in the table.
     """
     if path.exists() and not path.is_dir() and not path.is_file():
         raise DataError(f"{path}: not a regular file; name a PLY file")
     try:
-        return parse_ply(path.read_bytes())
+        data = path.read_bytes()
+        if _is_compressed(data):
+            raise DataError(
+                f"{path}: a compressed PLY file of SuperSplat / PlayCanvas; export it there as "
+                "PLY, not as compressed PLY"
+            )
+        return parse_ply(data)
     except FileNotFoundError:
         raise DataError(f"{path}: no such file") from None
     except IsADirectoryError:
         raise DataError(f"{path}: is a folder; name a PLY file") from None
     except ValueError as error:
         raise DataError(f"{path}: {error}; write the file again") from None
+
+
+def _is_compressed(data: bytes) -> bool:
+    """Whether the header is that of a PLY file of splats in chunks, each number a few bits."""
+    header = data[: max(data.find(b"end_header", 0, MAX_HEADER), 0)]
+    return b"\nelement chunk " in header and b" packed_position" in header
 
 
 def parse_ply(data: bytes) -> Table:

@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clgs.codec.octree import MAX_EXTENT
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.data.mlps_archive import holds, load_mlps, mlps_path, pack_mlps
 from clgs.data.ply import Table, narrowest, pack_ply, read_ply
 from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
-from clgs.scene.ranges import check_ranges
+from clgs.scene.ranges import MIN_Q, check_ranges
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
 
 POSITION, NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
@@ -111,35 +112,55 @@ def load_scaffold(
             raise UsageError(f"{path}: its integers have Q {numbers}; leave out other ones (--q)")
         scales = scales or found["scales"]
         check_ranges(scales, found["transform"], found["settings"])
-        anchors = _anchors(table, scales, quantized)
+        anchors = _anchors(path, table, scales)
     except (ValueError, TypeError) as error:
         raise DataError(f"{path}: {error}; write the file again") from None
     weights = load_mlps(mlps or mlps_path(path))
     return QuantizedScene(anchors, weights, scales, found["settings"], found["transform"])
 
 
-def _anchors(table: Table, scales: QuantizationScales, quantized: bool) -> QuantizedAnchors:
-    def integers(names: list[str], scale: float) -> npt.NDArray[np.int32]:
+def _anchors(path: Path, table: Table, scales: QuantizationScales) -> QuantizedAnchors:
+    quantized = is_quantized(path)
+
+    def integers(names: list[str], scale: float, letter: str) -> npt.NDArray[np.int32]:
         missing = [name for name in names if name not in table.columns]
         if missing:
-            raise ValueError(f"property {missing[0]} is missing; this is no file of anchors")
+            problem = f"{path}: property {missing[0]} is missing; this is no file of anchors"
+            raise DataError(f"{problem} (`clgs pack` takes ordinary splats)")
         values = np.stack([table.columns[name].astype(np.float64) for name in names], 1)
         whole = np.rint(values if quantized else values * scale)
         bad = ~((whole >= -(2.0**31)) & (whole < 2.0**31))
         if bad.any():
-            row, column = np.argwhere(bad)[0]
-            raise ValueError(f"{names[column]} of row {row} is {values[row, column]}")
+            row, column = np.unravel_index(np.argmax(abs(values)), bad.shape)  # NaN before all
+            value = float(values[row, column])
+            place = f"{path}: {names[column]} of row {row} is {value:g}"
+            span = float(np.ptp(values, axis=0).max()) if letter == "P" else 0.0
+            raise DataError(f"{place}{_unfit(value, None if quantized else scale, letter, span)}")
         if quantized and not (whole == values).all():
-            raise ValueError("the name says .quantized, but not all numbers are whole")
+            problem = f"{path}: the name says .quantized, but not all numbers are whole"
+            raise DataError(f"{problem}; give it another name, or round them")
         return whole.astype(np.int32)
 
-    offset = integers(OFFSET, scales.offset).reshape(-1, 3, K_OFFSETS)
+    offset = integers(OFFSET, scales.offset, "O").reshape(-1, 3, K_OFFSETS)
     return QuantizedAnchors(
-        position=integers(POSITION, scales.position),
+        position=integers(POSITION, scales.position, "P"),
         offset=np.ascontiguousarray(offset.transpose(0, 2, 1)),
-        feature=integers(FEATURE, scales.feature),
-        scaling=integers(SCALING, scales.scaling),
+        feature=integers(FEATURE, scales.feature, "A"),
+        scaling=integers(SCALING, scales.scaling, "S"),
     )
+
+
+def _unfit(value: float, scale: float | None, letter: str, span: float) -> str:
+    """Why ``value`` is not an int32 at Q ``scale`` (None: it is an integer), and the remedy."""
+    if not np.isfinite(value):
+        return "; correct it or leave the anchor out"
+    if scale is None:
+        return ", beyond int32; correct it or leave the anchor out"
+    least = max(abs(value) / (2**31 - 1), span / (MAX_EXTENT - 2))
+    problem, most = f", beyond int32 at Q {scale:g}", 0.9 / least  # it is shown with two digits
+    if most < MIN_Q:
+        return f"{problem} and any other; correct it or leave the anchor out"
+    return f"{problem}; correct it, or give {letter} of --q P,O,A,S as {most:.2g} or less"
 
 
 _GROUPS: dict[str, Any] = {

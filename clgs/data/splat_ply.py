@@ -14,7 +14,7 @@ import numpy.typing as npt
 from clgs.codec.splats import Splats, quantize
 from clgs.data.ply import Table, narrowest, pack_ply, read_ply
 from clgs.data.splat_steps import POSITION, choose_steps, group_of
-from clgs.errors import DataError
+from clgs.errors import ClgsError, DataError
 
 ROTATION = [f"rot_{i}" for i in range(4)]
 
@@ -42,8 +42,11 @@ def read_splats(path: Path, steps: dict[str, float]) -> tuple[Splats, dict[str, 
     if all(name in values for name in ROTATION):
         _normalise(values)
     kinds = {name: column.dtype for name, column in table.columns.items()}
-    chosen = choose_steps(values, kinds, steps)
-    integers = [quantize(values[name], chosen[name], name) for name in names]
+    try:
+        chosen = choose_steps(values, kinds, steps)
+        integers = [quantize(values[name], chosen[name], name) for name in names]
+    except ClgsError as problem:
+        raise type(problem)(f"{path}: {problem}") from None
     errors: dict[str, float] = {}
     for name, column in zip(names, integers, strict=True):
         error = float(np.abs(column * chosen[name] - values[name]).max(initial=0.0))

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec.octree import MAX_EXTENT
-from clgs.errors import UsageError
+from clgs.codec.splats import MAX_STEP
+from clgs.errors import DataError, UsageError
 
 POSITION = ["x", "y", "z"]
 SCALE = [f"scale_{i}" for i in range(3)]
@@ -50,6 +51,7 @@ def choose_steps(
 
     Raises:
         UsageError: a property without a step, or a step for none.
+        DataError: splats are too far apart for any step of positions.
     """
     known = {*values, *map(group_of, values)}
     if unknown := [name for name in named if name not in known]:
@@ -83,16 +85,23 @@ def position_steps(
     if not len(values["x"]):
         return dict.fromkeys(axes, 2.0**-16)
     wanted = _usual_step(values)
-    extents = {name: float(np.ptp(values[name])) for name in axes}
+    extents = {name: float(np.ptp(values[name])) for name in sorted(axes)}
     widest = max(extents, key=lambda name: extents[name])
     # One more for rounding at either end.
     cubic = _at_least(extents[widest] / (MAX_EXTENT - 2))
     steps, problems = {}, {}
-    for name in axes:
+    for name in extents:
         finest = max(wanted, resolution(values[name], kinds[name]))
         reach = float(np.abs(values[name]).max())
         held = _at_least(reach / (2.0**31 - 1))
-        steps[name] = min(max(finest, cubic, held), 2.0**64)
+        if max(cubic, held) > MAX_STEP:
+            far = (
+                f"{widest} spans {extents[widest]:g}"
+                if cubic > held
+                else f"{name} reaches {reach:g}"
+            )
+            raise DataError(f"{far}, more than any step holds; correct or crop distant splats")
+        steps[name] = min(max(finest, cubic, held), MAX_STEP)
         if cubic > finest:
             spans = f"{widest} spans {extents[widest]:g}, 2^21 steps at most: crop distant splats"
             problems[steps[name]] = finest, spans

@@ -8,6 +8,9 @@ from collections.abc import Iterator
 from clgs.scene.anchors import QuantizationScales
 from clgs.scene.scene import RenderSettings, SceneTransform
 
+MIN_Q = 2.0**-64
+"""Of Q and other scales; the greatest is its inverse."""
+
 
 def check_ranges(
     scales: QuantizationScales, transform: SceneTransform, settings: RenderSettings
@@ -39,4 +42,4 @@ def _rules(
 
 def _is_scale(value: float) -> bool:
     """Whether products and quotients with any int32 stay finite and normal in float32."""
-    return 2.0**-64 <= value <= 2.0**64
+    return MIN_Q <= value <= 1 / MIN_Q

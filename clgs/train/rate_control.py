@@ -131,17 +131,22 @@ def reduce_to_psnr(scene: QuantizedScene, target: float, encode: Encode, judge: 
     """The fewest anchors, most useful first, that keep ``target`` dB on the views.
 
     Raises:
-        UsageError: the whole scene is below ``target``.
+        UsageError: the whole scene is below ``target``, or one without anchors is not.
     """
-    before = judge.psnr(scene)
+    before, least = judge.psnr(scene), judge.psnr(take(scene, np.arange(0)))
     if before < target:
         raise UsageError(
             f"the whole scene has {before:.2f} dB on the training views, less than {target:g} dB; "
             "ask for less"
         )
+    if least >= target:
+        raise UsageError(
+            f"{target:g} dB is too little: {least:.2f} dB remain without anchors; ask for more"
+        )
     order, (low, high) = rank(scene, judge, lambda cut: judge.psnr(cut) < target)
-    best, after = take(scene, order[:high]), None
-    for _ in range(PSNR_STEPS):
+    best, after, steps = take(scene, order[:high]), None, PSNR_STEPS
+    while steps > 0 and high - low > 1:
+        steps -= low > 0  # all of them where so few anchors are needed that none are known too few
         count = (low + high) // 2
         trial = take(scene, order[:count])
         reached = judge.psnr(trial)

@@ -40,15 +40,19 @@ def main() -> int:
 def draw(rows: int, channels: int, bits: float) -> npt.NDArray[np.int32]:
     """Laplace integers (rows, channels) of so many bits of entropy each."""
     low, high = 0.05, 60.0
-    sizes = np.abs(np.arange(-3000, 3001))
     while high / low > 1.0001:
         spread = (low * high) ** 0.5
-        share = np.exp(-sizes / spread)
-        share /= share.sum()
-        entropy = -(share * np.log2(np.maximum(share, 1e-300))).sum()
-        low, high = (spread, high) if entropy < bits else (low, spread)
+        low, high = (spread, high) if rounded_entropy(spread) < bits else (low, spread)
     value = np.random.default_rng(channels).laplace(0, spread, (rows, channels))
     return np.rint(value).astype(np.int32)
+
+
+def rounded_entropy(spread: float) -> float:
+    """Bits of a Laplace number of this scale, rounded to an integer."""
+    size = np.arange(1, 3001)
+    zero, others = -np.expm1(-0.5 / spread), np.exp(-size / spread) * np.sinh(0.5 / spread)
+    share = np.maximum(np.concatenate([[zero], others, others]), 1e-300)
+    return float(-(share * np.log2(share)).sum())
 
 
 def run(arrays: list[npt.NDArray[np.int32]], level: str) -> list[float]:

@@ -11,8 +11,11 @@ import pytest
 
 from clgs.cli import bench, bench_scaling
 from clgs.cli.main import main
+from clgs.codec.encode import encode
 from clgs.errors import NoRoomError
 from clgs.testing.bench_scaling import Memory, Run, Scaling, growth
+from clgs.testing.codec_subjects import file_subjects
+from tests.codec.scenes import random_scene
 
 
 def test_a_single_gaussian_is_enough(tmp_path):
@@ -91,9 +94,23 @@ def test_codec_measures_a_seeded_scene_and_its_file(tmp_path):
     assert all(coder["bytes"] > 0 for s in subjects for coder in s["coders"])
 
 
+def test_the_case_of_suffixes_does_not_matter(tmp_path):
+    scene = random_scene(np.random.default_rng(3), 5)
+    (tmp_path / "scene.CLGS").write_bytes(encode(scene))
+    np.savez(tmp_path / "rows", values=np.arange(6).reshape(2, 3))
+    (tmp_path / "rows.npz").rename(tmp_path / "rows.NPZ")
+    names = [subject.name for subject in file_subjects([tmp_path])]
+    assert names[0] == "rows"
+    assert names[1:] == [s.name for s in file_subjects([tmp_path / "scene.CLGS"])]
+    assert len(names) == 6
+
+
 def test_codec_names_what_it_cannot_read(tmp_path, capsys):
     (tmp_path / "bad.npz").write_bytes(b"no archive")
-    for data in (tmp_path / "bad.npz", tmp_path / "none.npz", tmp_path / "empty"):
+    (tmp_path / "bad.clgs").write_bytes(b"no scene")
+    np.savez(tmp_path / "wide.npz", values=np.array([[2**31]]))
+    bad = [tmp_path / name for name in ("bad.npz", "none.npz", "empty", "bad.clgs", "wide.npz")]
+    for data in bad:
         (tmp_path / "empty").mkdir(exist_ok=True)
         assert main(["bench", "codec", str(data)]) == 3
         assert str(data) in capsys.readouterr().err

@@ -78,6 +78,13 @@ def work(tmp_path, monkeypatch):
         ("decode s.clgs -o nodir/x.ply", 2, "nodir/x.ply: cannot be written"),
         ("encode s.quantized.ply -o x.clgs --q 100,1,1,8", 2, "s.quantized.ply: its integers"),
         ("encode s.npz -o x.clgs --q 100,1,1,8", 2, "s.npz: --mlps and --q are for a PLY file"),
+        (
+            "encode s.ply -o x.clgs --q 1e15,1,1,8",
+            3,
+            "s.ply: z of row 0 is -0.045, beyond int32 at",
+        ),
+        ("encode s.ply -o x.clgs --q 1e8,1,1,8", 3, "s.ply: position: x spans "),
+        ("encode s.ply -o x.clgs --q 1e-9,1,1,8", 3, "s.ply: position: rows 0 and 1 share cell"),
         ("info folder", 3, "folder: is a folder; name a .clgs file"),
         (f"info {os.devnull}", 3, f"{os.devnull}: is neither a file nor a pipe"),
         ("eval s.clgs", 2, "nothing to do"),
@@ -222,3 +229,35 @@ def test_files_that_are_no_hashes_are_refused(work):
     for name in ("deep.json", "binary.json", "folder", "none.json"):
         with pytest.raises(DataError, match=name):
             read_fingerprint(work / name)
+
+
+def test_positions_are_refused_in_words_of_the_options(work, capsys):
+    """--q is for floats of a PLY file alone."""
+    scene = load_scene(work / "s.npz")
+    scene.anchors.position[0] += 2**21
+    save_scene(work / "wide.npz", scene)
+    save_scaffold(work / "wide.quantized.ply", scene)
+    for name in ("wide.npz", "wide.quantized.ply"):
+        assert cli.main(["encode", name, "-o", "x.clgs"]) == 3
+        said = capsys.readouterr().err
+        assert said.startswith(f"clgs: error: {name}: position: x spans ")
+        assert said.endswith(" integers, at most 2097152 fit; crop the scene\n")
+    assert cli.main(["encode", "s.ply", "-o", "x.clgs", "--q", "1e8,1,1,8"]) == 3
+    assert capsys.readouterr().err.endswith(
+        "; crop the scene, or give a smaller P in --q P,O,A,S\n"
+    )
+    assert cli.main(["encode", "s.ply", "-o", "x.clgs", "--q", "1e-9,1,1,8"]) == 3
+    assert capsys.readouterr().err.endswith(", or give a larger P in --q P,O,A,S\n")
+
+
+@pytest.mark.parametrize("number", ["1e30", "1e-30", "0", "-1", "nan", "inf", "x", ""])
+def test_steps_and_q_are_in_range(work, capsys, number):
+    for command, option in (
+        ("encode s.ply -o x.clgs --q", f"1,{number},1,1"),
+        ("pack s.ply -o x.clgs --step", f"x={number}"),
+    ):
+        with pytest.raises(SystemExit) as error:
+            cli.main([*command.split(), option])
+        assert error.value.code == 2
+        said = capsys.readouterr().err.split(": ", 3)[3]
+        assert said == f"{number} is not a number from 2^-64 to 2^64 (5.5e-20 to 1.8e19)\n"

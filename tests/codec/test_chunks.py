@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from clgs import _codec
-from clgs.codec import chunks, octree, subtrees
+from clgs.codec import chunks, container, octree, subtrees
+from clgs.codec.box import Box, decode_box
 from clgs.codec.decode import decode, describe
 from clgs.codec.encode import encode
+from clgs.codec.source import BytesSource
 from clgs.errors import CodecError
 from clgs.reference import xxh64
 from tests.codec.damage import checked, contents, directory, rebuilt, unpack_table
@@ -101,9 +103,27 @@ def test_chunks_have_checksums_of_their_own(at):
         assert len(crcs) == 8
         crcs[at] ^= 1
 
-    tag, what = ("ANCH", "checksum differs") if at < 4 else ("OFFS", "checksum of its attributes")
-    with pytest.raises(CodecError, match=rf"section {tag} at byte \d+: chunk {at % 4}: {what}"):
-        decode(changed(change))
+    places, what = "section ANCH", "checksum differs"
+    if at >= 4:
+        places = r"sections OFFS at byte \d+, FEAT at byte \d+, SCAL"
+        what = "the checksum that all of them share differs"
+    everything = Box((-np.inf,) * 3, (np.inf,) * 3)
+    for read in (decode, lambda data: decode_box(BytesSource(data), everything)):
+        with pytest.raises(CodecError, match=rf"^{places} at byte \d+: chunk {at % 4}: {what};"):
+            read(changed(change))
+
+
+@pytest.mark.parametrize("tag", ["OFFS", "FEAT", "SCAL"])
+def test_damage_is_told_by_the_section_or_by_all_that_share_a_checksum(tag):
+    """A whole decode verifies the sections first; a box reads no more than its chunks."""
+    data = bytearray(CHUNKED)
+    entry = container.read_table(BytesSource(CHUNKED)).entries[tag]
+    data[entry.offset + entry.length - 1] ^= 1
+    with pytest.raises(CodecError, match=rf"^section {tag} at byte \d+: checksum differs"):
+        decode(bytes(data))
+    everything = Box((-np.inf,) * 3, (np.inf,) * 3)
+    with pytest.raises(CodecError, match=r"^sections OFFS at .*, FEAT at .*, SCAL at .*: chunk \d"):
+        decode_box(BytesSource(bytes(data)), everything)
 
 
 @pytest.mark.parametrize("tag", chunks.TAGS)

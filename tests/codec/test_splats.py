@@ -97,16 +97,75 @@ def test_values_that_no_step_suits_are_refused() -> None:
     np.testing.assert_array_equal(quantize(least, 1.0, "x"), least)
 
 
-def test_too_wide_splats_are_refused_in_words_of_the_command() -> None:
+def test_too_wide_splats_are_refused(
+    rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the library in words of splats, by the command in words of options."""
     values = np.zeros((2, 5), np.int32)
     values[1, 1] = 2**21
-    message = r"splats: y spans 2097153 steps, at most 2097152 fit; .* --step position=STEP"
+    message = r"^splats: y spans 2097153 steps, at most 2097152 fit; [^-]*$"
     with pytest.raises(CodecError, match=message):
         pack(Splats(NAMES, [1.0] * 5, values))
     values[1, 1] -= 1
     np.testing.assert_array_equal(unpack(pack(Splats(NAMES, [1.0] * 5, values))).values, values)
-    with pytest.raises(CodecError, match=r"property x: .* in row 0; give a larger --step x=STEP"):
-        quantize(np.array([3e9]), 1.0, "x")
+    source = tmp_path / "s.ply"
+    splat_ply(rng, source)
+    assert main(["pack", str(source), "-o", str(tmp_path / "s.clgs"), "--step", "x=1e-6"]) == 3
+    said = capsys.readouterr().err
+    assert said.startswith(f"clgs: error: {source}: splats: x spans ")
+    assert said.endswith("give a larger --step position=STEP\n")
+
+
+@pytest.mark.parametrize("column", ["x", "opacity"])
+@pytest.mark.parametrize("value", [-4.5e6, 22.5, 1e25])
+def test_the_step_that_is_named_in_a_refusal_works(
+    rng: np.random.Generator,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    column: str,
+    value: float,
+) -> None:
+    source, packed = tmp_path / "s.ply", str(tmp_path / "s.clgs")
+    columns = splat_ply(rng, source).columns
+    columns[column][7] = value
+    source.write_bytes(pack_ply(Table(columns)))
+    command = ["pack", str(source), "-o", packed, "--step"]
+    assert main([*command, f"{column}=1e-12"]) == 3
+    said = capsys.readouterr().err
+    start = f"clgs: error: {source}: property {column}: {value:g} in row 7 is beyond int32 in steps"
+    assert said.startswith(f"{start} of 1e-12; a --step {column}=")
+    assert main([*command, f"{column}={said.split(' of ')[2].split()[0]}"]) == 0
+
+
+def test_values_that_no_step_holds(
+    rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, packed = tmp_path / "s.ply", str(tmp_path / "s.clgs")
+    columns = splat_ply(rng, source).columns
+    columns["x"][7] = 3e38
+    source.write_bytes(pack_ply(Table(columns)))
+    for options, problem in (
+        ([], f"x spans {np.ptp(columns['x']):g}, more than any step holds; correct or crop"),
+        (["--step", "position=1e19"], "property x: 3e+38 in row 7 is beyond int32 in steps of"),
+    ):
+        assert main(["pack", str(source), "-o", packed, *options]) == 3
+        said = capsys.readouterr().err
+        assert said.startswith(f"clgs: error: {source}: {problem}")
+        assert said.count("\n") == 1
+        assert "--step" not in said
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (np.zeros((2, 4), np.int32), r"shape is \(2, 4\), \(N, 5\) is needed"),
+        (np.zeros(5, np.int32), r"shape is \(5,\)"),
+        (np.zeros((2, 5)), "dtype is float64, int32 is needed"),
+    ],
+)
+def test_senseless_values_are_refused(values: np.ndarray, message: str) -> None:
+    with pytest.raises(CodecError, match=message):
+        pack(Splats(NAMES, [1.0] * 5, values))
 
 
 def splat_ply(rng: np.random.Generator, path: Path) -> Table:

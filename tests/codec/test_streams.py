@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from clgs import _codec, codec
-from clgs.codec import streams
+from clgs.codec import octree, streams
+from clgs.codec.encode import encode
 from clgs.errors import CodecError, UsageError
+from tests.codec.scenes import random_scene
 
 INTEGERS = ["i1", "u1", "<i2", ">i2", "<u2", "<i4", ">i4", "<u4", ">u4", "<i8", ">i8", "<u8", ">u8"]
 LEVELS = ("fast", "default", "max", "paper")
@@ -125,8 +127,54 @@ def test_extents(axis):
     positions[1, axis] = 2**21 - 1
     codec.encode_positions(positions)
     positions[1, axis] = 2**21
-    with pytest.raises(CodecError, match=f"{'xyz'[axis]} spans 2097153 cells"):
-        codec.encode_positions(positions)
+    said = f"^position: {'xyz'[axis]} spans 2097153 integers, at most 2097152 fit; round to larger"
+    for function in (codec.encode_positions, codec.morton_order):
+        with pytest.raises(CodecError, match=said):
+            function(positions)
+
+
+def test_chunks_that_lie_too_far_apart_are_damage(monkeypatch):
+    monkeypatch.setattr(streams, "POINTS", 1)
+    data = bytearray(codec.encode_positions([[0, 0, 0], [2**21 - 1, 0, 0]]))
+    far = octree.encode(np.array([[2**21, 0, 0]], np.int32))
+    start = len(data) - 4 - len(octree.encode(np.array([[2**21 - 1, 0, 0]], np.int32)))
+    body = data[:12] + struct.pack("<I", len(far)) + data[16:start] + far
+    with pytest.raises(CodecError, match=r"^stream at byte 8: position: x spans .*; it is damaged"):
+        codec.decode_positions(sealed(bytes(body)))
+
+
+def test_lists_of_rows_of_several_lengths_are_refused():
+    for function in (codec.encode_positions, codec.encode_attributes, codec.morton_order):
+        with pytest.raises(CodecError, match=r"^\w+: rows of several lengths; \(N, columns\) is"):
+            function([[1, 2, 3], [4, 5]])
+
+
+def test_masked_elements_are_refused():
+    """A mask that hides nothing is fine."""
+    values = cloud(20)
+    masked = np.ma.array(values, mask=np.zeros(values.shape, bool))
+    for function in (codec.encode_positions, codec.encode_attributes, codec.morton_order):
+        np.testing.assert_array_equal(
+            np.frombuffer(function(masked), np.uint8), np.frombuffer(function(values), np.uint8)
+        )
+        hidden = masked.copy()
+        hidden[3, 1:] = np.ma.masked
+        with pytest.raises(CodecError, match=r"^\w+: 2 elements are masked; fill them"):
+            function(hidden)
+
+
+@pytest.mark.parametrize(
+    "level", [np.array(["fast", "max"]), np.arange(99), ["fast"], None, 1, b"fast"]
+)
+def test_levels_are_strings(level):
+    with pytest.raises(TypeError, match=r"^level: .{1,60}; a string is needed$"):
+        codec.encode_attributes(np.zeros((2, 2), int), level)
+    for options in ({"level": level}, {"mlp": level}):
+        with pytest.raises(TypeError, match=r"^(level|mlp): .{1,60}; a string is needed$"):
+            encode(random_scene(np.random.default_rng(1), 2), **options)
+    for options in ({"chunk": np.arange(99.0)}, {"threads": np.arange(99.0)}):
+        with pytest.raises(TypeError, match=r"^(chunk|threads): .{1,60}; an integer is needed$"):
+            encode(random_scene(np.random.default_rng(1), 2), **options)
 
 
 @pytest.mark.parametrize("value", [2**31, -(2**31) - 1, 2**63 - 1, 2**64 - 1])

@@ -117,7 +117,8 @@ def change(path: Path, name: str, value: float | None) -> None:
         ("f_anchor_feat_3", np.nan, "f_anchor_feat_3 of row 0 is nan"),
         ("x", np.inf, "x of row 0 is inf"),
         ("scale_0", 3e9, "scale_0 of row 0"),
-        ("scale_0", 0.5, "not all numbers are whole"),
+        ("scale_0", 3e9, r"beyond int32; correct it or leave the anchor out$"),
+        ("scale_0", 0.5, r"not all numbers are whole; give it another name, or round them$"),
     ],
 )
 def test_damaged_anchors_are_refused(
@@ -128,6 +129,43 @@ def test_damaged_anchors_are_refused(
     change(path, name, value)
     with pytest.raises(DataError, match=message):
         load_scaffold(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "letter"),
+    [("x", "P"), ("f_offset_29", "O"), ("f_anchor_feat_3", "A"), ("scale_5", "S")],
+)
+@pytest.mark.parametrize("value", [-4.5e9, 1e25])
+def test_the_q_that_is_named_in_a_refusal_works(
+    scene: QuantizedScene, tmp_path: Path, name: str, letter: str, value: float
+) -> None:
+    path, field = tmp_path / "s.ply", dict(P="position", O="offset", A="feature", S="scaling")
+    save_scaffold(path, scene)
+    change(path, name, value)
+    with pytest.raises(DataError, match=rf"{name} of row 0 is \S+, beyond int32 at Q") as caught:
+        load_scaffold(path, scales=QuantizationScales(1e3, 1e3, 1e3, 1e3))
+    said = re.search(rf"or give {letter} of --q P,O,A,S as (\S+) or less$", str(caught.value))
+    assert said is not None
+    found = load_scaffold(path, scales=replace(scene.scales, **{field[letter]: float(said[1])}))
+    assert np.ptp(found.anchors.position, axis=0).max() < 2**21
+
+
+def test_a_number_that_no_q_holds(scene: QuantizedScene, tmp_path: Path) -> None:
+    save_scaffold(tmp_path / "s.ply", scene)
+    change(tmp_path / "s.ply", "x", 3e38)
+    with pytest.raises(
+        DataError, match=r"x of row 0 is 3e\+38, beyond int32 at Q .* leave the anch"
+    ):
+        load_scaffold(tmp_path / "s.ply")
+
+
+def test_ordinary_splats_are_for_another_command(tmp_path: Path) -> None:
+    column = np.zeros(2, np.float32)
+    (tmp_path / "s.ply").write_bytes(pack_ply(Table({"x": column, "y": column, "z": column})))
+    with pytest.raises(
+        DataError, match=r"f_offset_0 is missing; this is no file of anchors .`clgs pa"
+    ):
+        load_scaffold(tmp_path / "s.ply")
 
 
 @pytest.mark.parametrize(

@@ -187,7 +187,7 @@ def test_pack_says_the_steps_of_every_axis_and_warns_in_one_line(
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("position: step 0.5 of x, 0.03125 of y, 0.00195312 of z, rounded by")
     assert main(["pack", "s.ply", "-o", "t.clgs", "--step", "position=1e-6"]) == 3
-    assert capsys.readouterr().err.startswith("clgs: error: property x: ")
+    assert capsys.readouterr().err.startswith("clgs: error: s.ply: property x: ")
     columns["z"][0] = 1e6
     (tmp_path / "s.ply").write_bytes(pack_ply(Table(columns)))
     assert main(["pack", "s.ply", "-o", "t.clgs", "--step", "position=0.25"]) == 3

@@ -18,6 +18,7 @@ from clgs.testing.anchor_scene import anchor_scene
 from clgs.train.evaluate import to_8bit
 from clgs.train.importance import importance, importance_without_views
 from clgs.train.rate_control import Judge, reduce_to_psnr, reduce_to_size
+from tests.codec.scenes import random_scene
 
 
 def fast(scene: QuantizedScene) -> bytes:
@@ -175,3 +176,37 @@ def test_without_views_large_anchors_come_first(seen: tuple[QuantizedScene, View
     useful = importance_without_views(seen[0])
     shape = np.sort(seen[0].anchors.scaling[:, 3:], axis=1)[:, 1:].sum(axis=1)
     assert (np.diff(shape[np.argsort(useful, kind="stable")]) >= 0).all()
+
+
+class Counting(Judge):
+    """Every anchor is worth a decibel more than none has."""
+
+    def psnr(self, scene: QuantizedScene, count: int | None = None) -> float:
+        return 7.0 + len(scene.anchors)
+
+    def importance(self, scene: QuantizedScene) -> npt.NDArray[np.float64]:
+        return np.ones(len(scene.anchors))
+
+
+@pytest.mark.parametrize("anchors", [1, 2, 3, 53])
+def test_the_fewest_anchors_are_found_however_few(device: Device, anchors: int) -> None:
+    scene = random_scene(np.random.default_rng(2), 20_000)
+    judge = Counting(device, [], [])
+    found = reduce_to_psnr(scene, 7.0 + anchors, lambda _: b"", judge)
+    assert anchors <= len(found.scene.anchors) <= anchors + anchors // 32
+    assert found.psnr == (7.0 + len(scene.anchors), 7.0 + len(found.scene.anchors))
+
+
+def test_a_psnr_that_needs_no_anchor_is_refused(
+    device: Device, seen: tuple[QuantizedScene, View]
+) -> None:
+    """As a size that no file without anchors meets; both say what such a file has."""
+    scene, view = seen
+    judge = Judge(device, [view.camera], [view])
+    least = judge.psnr(take(scene, np.arange(0)))
+    said = rf"^1 dB is too little: {least:.2f} dB remain without anchors; ask for more$"
+    with pytest.raises(UsageError, match=said):
+        reduce_to_psnr(scene, 1.0, fast, judge)
+    found = reduce_to_psnr(scene, least + 0.1, fast, judge)
+    assert found.psnr is not None
+    assert found.psnr[1] >= least + 0.1
