@@ -77,7 +77,7 @@ def test_bad_folders(tmp_path: Path):
     (tmp_path / "file").touch()
     for number in range(3):
         Image.fromarray(noise_image(8, 8)).save(tmp_path / f"{number}.png")
-    with pytest.raises(DataError, match="file: is no folder; choose another name"):
+    with pytest.raises(OutputError, match="file: is no folder; choose another name"):
         prepare(tmp_path, tmp_path / "file" / "data")
     for number in range(3):
         (tmp_path / f"{number}.png").unlink()
