@@ -72,6 +72,8 @@ def read_ply(path: Path) -> Table:
         raise DataError(f"{path}: not a regular file; name a PLY file")
     try:
         data = path.read_bytes()
+        if not data.startswith(b"ply"):
+            raise DataError(f"{path}: not a PLY file; name one")
         if _is_compressed(data):
             raise DataError(
                 f"{path}: a compressed PLY file of SuperSplat / PlayCanvas; export it there as "
