@@ -12,6 +12,7 @@
  */
 #include "include/blend_observe.h"
 #include "include/blend_step.h"
+#include "include/prefetch.h"
 #include "include/tile.h"
 
 #ifndef USE_LOCAL
@@ -19,6 +20,7 @@
 #endif
 #define UNIT_INVERSE (1.0f / WHITENING_UNIT)
 #define BATCH 256 /* records staged at a time (GPU form) */
+#define SPLATS_AHEAD 16
 
 inline fv clamp_color(const fv value)
 {
@@ -90,6 +92,7 @@ __kernel void blend_gather(__global const float *splats, __global const int *gau
     for (int k = begin; k < end; k += step) {
         __global const float *splat = splats + RECORD_SIZE * (size_t)gaussian[k];
         __global float *record = records + RECORD_SIZE * (size_t)k;
+        PREFETCH(splats + RECORD_SIZE * (size_t)gaussian[min(k + SPLATS_AHEAD, end - 1)]);
         vstore8(vload8(0, splat), 0, record);
         vstore4(vload4(2, splat), 2, record);
     }

@@ -130,8 +130,10 @@ inline void write_output(const Drawn *drawn, const Shapes *shapes, __global cons
             covariance[(3 + i) * VEC] = shapes->quaternion[i][m];
         sample[j * VEC] = d_opacity[n];
     }
-    for (size_t row = 0; row < OUTPUT_ROWS; ++row)
+    for (size_t row = 0; row < OUTPUT_ROWS; ++row) {
+        PREFETCH_WRITE(d_output + row * stride + LINE);
         STORE_V(LOAD_V(row, rows), 0, d_output + row * stride);
+    }
 }
 
 /* d_offset of the drawn slots, and d_scaling of the anchors: sums over their slots. */

@@ -2,6 +2,7 @@
 #ifndef CLGS_ANCHORS_H
 #define CLGS_ANCHORS_H
 
+#include "include/prefetch.h"
 #include "include/real.h"
 
 #ifndef K_OFFSETS
@@ -36,8 +37,10 @@
 inline void copy_rows(__global const float *rows, const size_t stride, const size_t count,
                       float *copy)
 {
-    for (size_t row = 0; row < count; ++row)
+    for (size_t row = 0; row < count; ++row) {
+        PREFETCH(rows + row * stride + LINE);
         STORE_V(LOAD_V(0, rows + row * stride), row, copy);
+    }
 }
 
 /* Lanes without an anchor draw nothing. */

@@ -113,6 +113,14 @@ typedef struct {
     fv x, y;
 } RayUnit;
 
+/* Rows of neighbouring entries lie far apart: without this every write waits for its line. */
+#define ROWS_AHEAD 8
+inline void fetch_row(__global const float *rows, __global const float *records, const int entry)
+{
+    __global const float *record = records + RECORD_SIZE * (size_t)entry;
+    PREFETCH_WRITE(rows + ROW_SIZE * (size_t)as_int(record[RECORD_ROW]));
+}
+
 inline void store_moments(const Moments *m, __global float *row)
 {
     vstore4(sum_v4(m->y1, m->y2, m->y11, m->y12), 0, row);
@@ -158,6 +166,8 @@ __kernel void blend_backward(__global const float *records, __global const int *
     for (int k = end - 1; k >= first; --k) {
         __global const float *record = records + RECORD_SIZE * (size_t)k;
         const int number = k - first + 1;
+        fetch_row(rows, records, max(k - ROWS_AHEAD, first));
+        PREFETCH(record - 3 * ROWS_AHEAD * RECORD_SIZE);
         uint left = number <= tile_last ? as_uint(record[RECORD_UNITS]) : 0u;
         Paint paint;
         READ_PAINT(paint, record);

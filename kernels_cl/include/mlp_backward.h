@@ -28,6 +28,8 @@ inline void output_gradients(const Outputs *outputs, const int head, const size_
         for (int i = 0; i < each; ++i) {
             const size_t row =
                 (size_t)(first_output(head) + j * each + i) * outputs->stride + first;
+            PREFETCH(outputs->output + row + BLOCK);
+            PREFETCH(outputs->d_output + row + BLOCK);
             for (int s = 0; s < VECTORS; ++s) {
                 fv d = (fv)(0.0f);
                 if (slots >> j & 1) {

@@ -7,6 +7,7 @@
 #include "include/camera.h"
 #include "include/lanes.h"
 #include "include/mlp_layout.h"
+#include "include/prefetch.h"
 
 /* What all blocks read. */
 typedef struct {
@@ -55,11 +56,22 @@ inline fv view_directions(const Model *model, __global const float *position[VEC
     return make_directions(view);
 }
 
+/* The features of the block at `first` are read next. */
+inline void fetch_features(const Model *model, const size_t first)
+{
+    for (size_t lane = 0; lane < BLOCK; ++lane) {
+        const size_t row = (size_t)max(anchor_of(model, first + lane), 0);
+        for (size_t k = 0; k < FEATURE_DIM; k += LINE)
+            PREFETCH(model->feature + row * FEATURE_DIM + k);
+    }
+}
+
 /* Inputs of a block: feature, direction, and a row of ones that is zero where a sample does not
  * count, as are its inputs: where there is no anchor, or an input is not finite. */
 inline void gather(const Model *model, const size_t first, float x[(INPUT_DIM + 1) * BLOCK])
 {
     __global const float *feature[BLOCK], *position[BLOCK];
+    fetch_features(model, first + BLOCK);
     for (size_t lane = 0; lane < BLOCK; ++lane) {
         const int anchor = anchor_of(model, first + lane);
         const size_t row = (size_t)(anchor < 0 ? 0 : anchor);

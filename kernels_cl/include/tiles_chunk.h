@@ -6,8 +6,10 @@
 #define CLGS_TILES_CHUNK_H
 
 #include "include/chunk.h"
+#include "include/prefetch.h"
 
 #define BATCH 256 /* boxes fetched at a time, so that many reads are under way */
+#define RANKS_AHEAD 32
 
 /* Counters of a row of tiles: spans and tiles. */
 inline void count_span(const int tiles, __global int *counter)
@@ -52,7 +54,9 @@ __kernel void tiles_count(__global const float *mean2d, __global const float *wh
     for (int begin = own.begin; begin < own.end; begin += BATCH) {
         const int end = min(begin + BATCH, own.end);
         for (int rank = begin; rank < end; ++rank) {
-            const int i = order[rank];
+            const int i = order[rank], next = order[min(rank + RANKS_AHEAD, own.end - 1)];
+            PREFETCH(boxes + 4 * next);
+            PREFETCH(row_range + next);
             vstore4((int4)(vload4((size_t)i, boxes).xyz, row_range[i]), (size_t)rank, ranked);
         }
         for (int rank = begin; rank < end; ++rank)
