@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec import runlength
+from clgs.codec import octree, runlength
 from clgs.codec.container import ANCH, FEAT, OFFS, SCAL
 from clgs.codec.meta import Grid
 
@@ -286,6 +286,5 @@ def make_grid(position: npt.NDArray[np.int32], level: str) -> Grid:
     """The smallest grid that holds ``position`` (A, 3) int32."""
     if len(position) == 0:
         return Grid((0, 0, 0), 0, level)
-    x, y, z = map(int, position.min(axis=0))
-    extent = position.max(axis=0).astype(np.int64) - (x, y, z)
-    return Grid((x, y, z), int(extent.max()).bit_length(), level)
+    (x, y, z), high = octree.corners(position)
+    return Grid((x, y, z), max(high[0] - x, high[1] - y, high[2] - z).bit_length(), level)

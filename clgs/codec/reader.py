@@ -86,7 +86,7 @@ class Reader:
             raise part.error(f"chunk {chunk.number}: checksum differs")
         cell = subtrees.cell(chunk.least, chunk.greatest, self.grid.origin)
         position = _in_chunk(part, chunk, lambda data, count: octree.decode_in(data, count, *cell))
-        low, high = position.min(axis=0).tolist(), position.max(axis=0).tolist()
+        low, high = octree.corners(position)
         if tuple(low) != chunk.least:
             raise part.error(f"chunk {chunk.number}: least position is {low}")
         if tuple(high) != chunk.greatest:

@@ -90,7 +90,7 @@ def corners(position: npt.NDArray[np.int32], parts: list[slice]) -> list[Corner]
     first = [part.start for part in parts]
     least = np.minimum.reduceat(position, first).tolist()
     greatest = np.maximum.reduceat(position, first).tolist()
-    x, y, z = position.min(axis=0).tolist()
+    x, y, z = octree.corners(position)[0]
     return [cell(low, high, (x, y, z))[0] for low, high in zip(least, greatest, strict=True)]
 
 

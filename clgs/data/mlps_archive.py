@@ -52,7 +52,7 @@ def load_mlps(path: Path) -> Mlps:
         DataError: missing, damaged, or another network.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             flat = _flat_weights(archive)
     except FileNotFoundError:
         raise DataError(

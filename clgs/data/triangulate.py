@@ -314,7 +314,7 @@ def _key(photos: list[Photo], seed: int) -> str:
 def _read_cache(file: Path) -> Points | None:
     """The cached points, or None where there are none or the file is damaged."""
     try:
-        with np.load(file, allow_pickle=False) as arrays:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
             position, color = arrays["position"], arrays["color"]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None

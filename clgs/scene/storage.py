@@ -74,7 +74,7 @@ def load_scene(path: Path) -> QuantizedScene:
         MemoryError: there is no room for the scene.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in ARRAY_NAMES if name in archive.files}
         return _scene(arrays)
     except FileNotFoundError:

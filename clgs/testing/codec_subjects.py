@@ -98,7 +98,7 @@ def _read(file: Path) -> list[Subject]:
     try:
         if file.suffix.lower() == ".clgs":
             return scene_subjects(file.stem, decode(file.read_bytes()))
-        with np.load(file, allow_pickle=False) as arrays:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
             name = "positions" if "positions" in arrays else "values"
             rows = arrays[name]
     except (OSError, ValueError, KeyError, CodecError, zipfile.BadZipFile) as error:

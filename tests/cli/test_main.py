@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import types
 from itertools import takewhile
 from pathlib import Path
@@ -220,31 +219,18 @@ def test_a_closed_output_is_no_error():
     assert (found.returncode, found.stderr) == (0, "")
 
 
-def test_help_starts_quickly():
-    """In the time of ten starts of an empty interpreter, whatever the machine does beside."""
-    empty, helped = [], []
-    for _ in range(7):
-        start = time.perf_counter()
-        subprocess.run([sys.executable, "-c", ""], check=True)
-        middle = time.perf_counter()
-        clgs("--help")
-        empty.append(middle - start)
-        helped.append(time.perf_counter() - middle)
-    assert min(helped) <= 10 * min(empty)
-
-
 def test_help_imports_nothing_heavy():
     heavy = ["numpy", "pyopencl", "skimage", "pycolmap", "rich", "trimesh", "PIL", "asyncio"]
     code = f"""
 import sys
 from clgs.cli.main import build_parser
 build_parser().format_help()
-print([name for name in {heavy} if name in sys.modules])
+print([name for name in {heavy} if name in sys.modules], len(sys.modules) < 250)
 """
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
-    assert result.stdout.strip() == "[]"
+    assert result.stdout.strip() == "[] True"
 
 
 def test_no_device_is_one_line_and_exit_code_4(tmp_path):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import warnings
+
 import numpy as np
 import pytest
 
@@ -85,6 +88,18 @@ def test_no_damage_escapes(arrays, tmp_path):
     np.save(tmp_path / "y.npy", np.zeros(3))
     refusal(tmp_path / "y.npy")
     refusal(tmp_path)
+
+
+def test_a_damaged_archive_is_closed(arrays, tmp_path):
+    path = tmp_path / "x.npz"
+    np.savez(path, mlps=arrays["mlps"])
+    path.write_bytes(path.read_bytes()[:1000])
+    gc.collect()
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        refusal(path)
+        gc.collect()
+    assert not [one for one in said if one.category is ResourceWarning]
 
 
 def test_no_room_is_no_damage(scene, tmp_path, monkeypatch):
