@@ -55,7 +55,7 @@ PyObject *attributes_header(PyObject *module, PyObject *args)
             clgs_attributes_header_write(model.buf, channels_of(&model), out, capacity, workspace);
         Py_END_ALLOW_THREADS result = bytes_of(out, size);
     }
-    workspace_free(workspace);
+    PyMem_Free(workspace);
     PyMem_Free(out);
     PyBuffer_Release(&model);
     return result;
@@ -78,7 +78,7 @@ PyObject *attributes_read(PyObject *module, PyObject *args)
             data.buf, (size_t)data.len, model.buf, channels_of(&model), workspace);
         Py_END_ALLOW_THREADS result = result_of(error);
     }
-    workspace_free(workspace);
+    PyMem_Free(workspace);
     PyBuffer_Release(&model);
     PyBuffer_Release(&data);
     return result;
@@ -100,7 +100,7 @@ static PyObject *run_encode(const Py_buffer *model, const Py_buffer *value)
             clgs_attributes_encode(model->buf, value->buf, rows, channels, out, bound, workspace);
         Py_END_ALLOW_THREADS result = bytes_of(out, size);
     }
-    workspace_free(workspace);
+    PyMem_Free(workspace);
     PyMem_Free(out);
     return result;
 }
@@ -129,7 +129,7 @@ static PyObject *run_decode(const Py_buffer *model, const Py_buffer *data, const
         return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS error = clgs_attributes_decode(model->buf, data->buf, (size_t)data->len,
                                                           value->buf, rows, channels, workspace);
-    Py_END_ALLOW_THREADS workspace_free(workspace);
+    Py_END_ALLOW_THREADS PyMem_Free(workspace);
     return result_of(error);
 }
 
@@ -160,7 +160,7 @@ static PyObject *run_count(const Py_buffer *model, const Py_buffer *value, const
         return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS error =
         clgs_attributes_count(model->buf, value->buf, rows, channels, count->buf, workspace);
-    Py_END_ALLOW_THREADS workspace_free(workspace);
+    Py_END_ALLOW_THREADS PyMem_Free(workspace);
     return result_of(error);
 }
 
@@ -196,7 +196,7 @@ static PyObject *run_measure(const Py_buffer *model, const Py_buffer *value, con
             model->buf, value->buf, rows, channels, bytes->buf, out, workspace);
         Py_END_ALLOW_THREADS result = result_of(error);
     }
-    workspace_free(workspace);
+    PyMem_Free(workspace);
     PyMem_Free(out);
     return result;
 }
@@ -236,7 +236,7 @@ PyObject *attributes_choose(PyObject *module, PyObject *args)
             clgs_attributes_choose(model.buf, channels, count.buf, scale, cost.buf, workspace);
         Py_END_ALLOW_THREADS result = result_of(error);
     }
-    workspace_free(workspace);
+    PyMem_Free(workspace);
     PyBuffer_Release(&cost);
     PyBuffer_Release(&count);
     PyBuffer_Release(&model);

@@ -8,10 +8,9 @@
 
 #include "clgs_codec.h"
 
-/* Memory that a call works in, or NULL. Large ones are of huge pages where the system has some: to
- * touch thousands of small ones costs a tenth of an octree's time. */
+/* Memory that a call works in, for PyMem_Free, or NULL. Large blocks are of huge pages where the
+ * system has some: to touch thousands of small ones costs a tenth of an octree's time. */
 void *workspace_new(size_t size);
-void workspace_free(void *memory);
 
 PyObject *attributes_header(PyObject *module, PyObject *args);
 PyObject *attributes_read(PyObject *module, PyObject *args);

@@ -107,7 +107,7 @@ static PyObject *run_encode(codec_job *job)
             PyBytes_FromStringAndSize((const char *)out, (Py_ssize_t)size);
         else PyErr_SetString(PyExc_ValueError, "the array cannot be encoded");
     }
-    workspace_free(workspace);
+    PyMem_Free(workspace);
     PyMem_Free(out);
     return result;
 }
@@ -121,7 +121,7 @@ static PyObject *run_decode(codec_job *job)
     if (!workspace)
         return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS error = decode(job, workspace);
-    Py_END_ALLOW_THREADS workspace_free(workspace);
+    Py_END_ALLOW_THREADS PyMem_Free(workspace);
     if (error == CLGS_OK)
         return Py_NewRef(Py_None);
     PyErr_SetString(PyExc_ValueError, clgs_error_text(error));

@@ -32,7 +32,7 @@ static PyObject *run_encode(weights_job *job)
         Py_END_ALLOW_THREADS result =
             PyBytes_FromStringAndSize((const char *)out, (Py_ssize_t)size);
     }
-    workspace_free(workspace);
+    PyMem_Free(workspace);
     PyMem_Free(out);
     return result;
 }
@@ -46,7 +46,7 @@ static PyObject *run_decode(weights_job *job)
     Py_BEGIN_ALLOW_THREADS error =
         clgs_weights_decode(job->data.buf, (size_t)job->data.len, job->word.buf, job->layer.buf,
                             job->layers, workspace);
-    Py_END_ALLOW_THREADS workspace_free(workspace);
+    Py_END_ALLOW_THREADS PyMem_Free(workspace);
     if (error == CLGS_OK)
         return Py_NewRef(Py_None);
     PyErr_SetString(PyExc_ValueError, clgs_error_text(error));
