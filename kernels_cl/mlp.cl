@@ -24,7 +24,7 @@ __kernel void mlp_opacity(__global const float *feature, __global const float *p
     if (first >= stride)
         return;
     const Model model = {feature, position, visible, (size_t)count, weights, camera};
-    if (anchor_of(&model, first) < 0) { /* nor has any sample behind it */
+    if (!any_anchor(&model, first)) { /* padding */
         for (size_t j = 0; j < K_OFFSETS; ++j)
             for (size_t s = 0; s < VECTORS; ++s)
                 STORE_ALIGNED((fv)(0.0f), s, opacity + j * stride + first);

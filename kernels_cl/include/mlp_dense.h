@@ -48,6 +48,15 @@ inline int anchor_of(const Model *model, const size_t sample)
     return sample < model->count ? model->visible[sample] : -1;
 }
 
+/* Whether a sample of the block at `first` counts: the first one, mostly. */
+inline bool any_anchor(const Model *model, const size_t first)
+{
+    for (size_t lane = 0; lane < BLOCK; ++lane)
+        if (anchor_of(model, first + lane) >= 0)
+            return true;
+    return false;
+}
+
 /* Unit vectors from the camera to the positions of VEC anchors, and their lengths. */
 inline fv view_directions(const Model *model, __global const float *position[VEC], fv view[3])
 {

@@ -229,6 +229,16 @@ def test_padding_does_not_change_a_bit(device, rng, padding):
         assert np.array_equal(array, expected[name]), name
 
 
+def test_samples_without_anchor_may_lie_anywhere(device, rng):
+    """As the first of a block, too."""
+    values, visible = anchors(rng, 200), some(rng, 200, 200)
+    gaps = visible.copy()
+    gaps[::8] = -1
+    expected, found = (outputs_by_anchor(device, values, each) for each in (visible, gaps))
+    for one in gaps[gaps >= 0]:
+        assert np.array_equal(found[one], expected[one])
+
+
 @pytest.mark.parametrize("slot", ["feature", "position"])
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf, 1e38, 2e15])
 def test_poison_stays_in_its_anchor(device, rng, slot, poison):
