@@ -34,6 +34,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.files import check_target
     from clgs.opencl.device import Device
     from clgs.testing.bench_step import bench_step
+    from clgs.testing.facts import command_line, machine_facts
     from clgs.train.session import write_json
 
     if args.json:
@@ -53,5 +54,6 @@ def run(args: argparse.Namespace) -> int:
     table.add_row("render only", f"{times.render:.2f}")
     Console().print(table)
     if args.json:
-        write_json(args.json, {"device": device.name, **asdict(times)})
+        facts = {"command": command_line(), **machine_facts(device)}
+        write_json(args.json, facts | asdict(times))
     return 0

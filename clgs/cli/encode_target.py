@@ -71,6 +71,8 @@ def check_targets(args: argparse.Namespace) -> None:
         raise UsageError("--target-psnr is measured on the training views: name them with --data")
     if args.data is not None and args.target_psnr is None and args.target_size is None:
         raise UsageError("--data serves --target-size and --target-psnr; give one of them")
+    if args.all_views and args.data is None:
+        raise UsageError("--all-views are those of a dataset: name it with --data")
 
 
 def reduce(

@@ -35,7 +35,8 @@ def read_splats(path: Path, steps: dict[str, float]) -> tuple[Splats, dict[str, 
     if missing or len(table.columns) < 4:
         raise DataError(f"{path}: property {(missing or ['after z'])[0]} is missing; no splats")
     names = [*POSITION, *(name for name in table.columns if name not in POSITION)]
-    values = {name: table.columns[name].astype(np.float64) for name in names}
+    with np.errstate(invalid="ignore"):  # NaNs are refused by name
+        values = {name: table.columns[name].astype(np.float64) for name in names}
     for name in names:
         if not np.isfinite(values[name]).all():
             raise DataError(f"{path}: property {name}: a number is not finite; correct the file")

@@ -36,6 +36,7 @@ def test_options_must_fit_each_other(
         ["--data", "."],
         ["--target-size", "10"],
         ["--mlps", "x.npz"],
+        ["--all-views"],
     ):
         assert main(["encode", scene, "-o", target, *options]) == 2
         assert capsys.readouterr().err.count("\n") == 1

@@ -202,3 +202,16 @@ def test_steps_that_are_missing_or_name_nothing(rng: np.random.Generator, tmp_pa
         steps_of(tmp_path, cloud(rng), weight=1.0)
     with pytest.raises(UsageError, match="property odd has no default step; give --step odd=STEP"):
         steps_of(tmp_path, cloud(rng) | {"odd": np.zeros(1000)})
+
+
+@pytest.mark.filterwarnings("error")
+def test_signalling_nans_are_one_line(tmp_path, rng, capsys):
+    """Casting them is invalid to the processor, of which NumPy warns."""
+    columns = {name: column.astype(">f4") for name, column in cloud(rng).items()}
+    path = tmp_path / "s.ply"
+    path.write_bytes(pack_ply(Table(columns)))
+    data = bytearray(path.read_bytes())
+    data[-4:] = np.array(0x7FA00000, "<u4").tobytes()
+    path.write_bytes(data)
+    assert main(["pack", str(path), "-o", str(tmp_path / "s.clgs")]) == 3
+    assert capsys.readouterr().err.count("\n") == 1
