@@ -225,7 +225,7 @@ def test_help_imports_nothing_heavy():
 import sys
 from clgs.cli.main import build_parser
 build_parser().format_help()
-print([name for name in {heavy} if name in sys.modules], len(sys.modules) < 250)
+print([name for name in {heavy} if name in sys.modules], len(sys.modules) < 200)
 """
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
