@@ -23,22 +23,22 @@ typedef struct neighbour {
 } neighbour;
 
 /* Bits of masks are cells of the 4 x 4 x 4 children's cells in and around a node. */
-typedef struct circle {
+typedef struct neighbourhood {
     uint64_t cells; /* those of children */
     uint64_t known; /* ... that are coded */
     neighbour node[CLGS_DIRECTIONS];
-} circle;
+} neighbourhood;
 
 typedef struct site {
     clgs_octree_model *model;
     clgs_wide *coder;
-    uint32_t height;   /* levels to the leaves */
-    uint32_t class;    /* ... in classes */
-    uint32_t parent;   /* class of nodes around the parent */
-    uint32_t family;   /* mirrored occupancy of the parent */
-    uint32_t children; /* of the parent */
-    uint32_t known;    /* mask of the family: a root has none */
-    circle circle;     /* around the parent */
+    uint32_t height;      /* levels to the leaves */
+    uint32_t class;       /* ... in classes */
+    uint32_t parent;      /* class of nodes around the parent */
+    uint32_t family;      /* mirrored occupancy of the parent */
+    uint32_t children;    /* of the parent */
+    uint32_t known;       /* mask of the family: a root has none */
+    neighbourhood circle; /* around the parent */
     surroundings around;
 } site;
 
@@ -88,7 +88,7 @@ static uint32_t cells_of(const surroundings *around, uint32_t child)
 }
 
 /* The nodes around `parent`, and their children that may touch its own. */
-static void circle_begin(circle *circle, const clgs_levels *levels, size_t parent)
+static void circle_begin(neighbourhood *circle, const clgs_levels *levels, size_t parent)
 {
     const clgs_touch *touch = &levels->touch;
     const clgs_level *above = &levels->above;
@@ -108,7 +108,8 @@ static void circle_begin(circle *circle, const clgs_levels *levels, size_t paren
 /* The nodes around child `own` of a node, which is node i: what is known of them, and their list.
  * Those before it are coded. */
 CLGS_INLINE void look_around(const clgs_octree_model *model, clgs_levels *levels,
-                             const circle *circle, uint32_t own, size_t i, surroundings *around)
+                             const neighbourhood *circle, uint32_t own, size_t i,
+                             surroundings *around)
 {
     const clgs_touch *touch = &levels->touch;
     const uint8_t *coded = levels->now.occupancy;
