@@ -12,6 +12,7 @@
 #include "include/mlp_layout.h"
 #include "include/mlp_output.h"
 #include "include/mlp_backward.h"
+#include "include/mlp_weights.h"
 
 /* One work-item a block of samples: opacity (K, padded), in the order of visible. Zero where there
  * is no anchor, NaN where an input is not finite. */

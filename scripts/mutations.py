@@ -222,7 +222,7 @@ MUTATIONS = (
         "mlp",
         "gradient through an inactive unit",
         "kernels_cl/include/mlp_backward.h",
-        "STORE_V(active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f), s,",
-        "STORE_V(active >= (fv)(0.0f) ? sum[o][s] : (fv)(0.0f), s,",
+        "const fv d = active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
+        "const fv d = active >= (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
     ),
 )

@@ -4,7 +4,7 @@ For a visible anchor with feature f at position P, seen from the camera centre c
     x = [f, d / |d|],  d = P - c;   h = relu(W1 x + b1);   y = act(W2 h + b2)
 for each head, where act is tanh for opacity, sigmoid for color and nothing for covariance.
 Backward: dL/dz2 = dL/dy act'(y), dL/dz1 = (W2^T dL/dz2) [h > 0], dL/dx = W1^T dL/dz1, and
-dL/dW = dL/dz x^T summed over the samples chunk by chunk in a fixed order, without atomics. Hidden
+dL/dW = dL/dz x^T summed over the samples batch by batch in a fixed order, without atomics. Hidden
 values are computed again in the backward pass instead of being kept.
 
 A slot whose opacity is not positive is not drawn: its color and covariance are never read, and
@@ -34,16 +34,19 @@ from clgs.scene.mlps import MLP_SIZE
 from clgs.shapes import Shapes
 
 CHUNK = 512
-"""Samples that are sorted, and of which the weight gradient is summed, together."""
+"""Samples that are sorted together."""
 
-CHUNK_SIZE = (INPUT_DIM + 1 + 2 * len(HEAD_DIMS) * HIDDEN_DIM + OUTPUT_DIM) * (CHUNK + 16)
-"""Floats of the values and gradients of one chunk, of which its weight gradient is made."""
+BATCH = 512
+"""Samples of which the weight gradient is computed together; divides CHUNK."""
+
+PARTS = 64
+"""Sums of which the weight gradient is made, every PARTS-th batch in each."""
 
 SLAB = 64
-"""Chunks that a GPU works on at once."""
+"""Batches that a GPU works on at once, at most PARTS."""
 
 SHARES = 8
-"""Parts, a compute unit of a CPU, that the chunks are dealt out to."""
+"""Work-items, a compute unit of a CPU, that the parts are dealt out to."""
 
 GROUP_SIZE = 64
 """Work-items of a group on a GPU."""
@@ -51,6 +54,13 @@ GROUP_SIZE = 64
 TILE = {"cpu": 5, "gpu": 10}
 VECTORS = {"cpu": 2, "gpu": 1}
 """Register tile of ``kernels_cl/include/mlp_layout.h``: rows, and vectors of samples."""
+
+
+COLUMNS = 2
+"""Inputs of the weight gradient's register tile."""
+
+PAIRS = -(-(INPUT_DIM + 1) // COLUMNS)
+"""Such tiles beside each other, at most."""
 
 
 @dataclass(frozen=True)
@@ -195,27 +205,44 @@ def backward(
         d_position=device.zeros(position.shape) if want_position else None,
     )
     padded = np.int32(activations.output.shape[1])
-    chunks = len(activations.active)
-    partial = device.empty((chunks, MLP_SIZE))
+    batches = -(-int(padded) // BATCH)
+    parts = min(batches, PARTS)
+    partial = device.zeros((parts, _part_size(device)))
     model = (feature, position, activations.visible, np.int32(len(activations.visible)))
     inputs = (*model, weights, camera, padded, activations.output, d_output, activations.active)
     unused = result.d_feature
     outputs = (result.d_feature, unused if result.d_position is None else result.d_position)
     macros = {**defines(device, activations.options), "WANT_POSITION": int(want_position)}
     if device.specialisation == "cpu":
-        shares = min(SHARES * int(device.cl_device.max_compute_units), chunks)
-        values = device.empty((shares, CHUNK_SIZE))
+        shares = min(SHARES * int(device.cl_device.max_compute_units), parts)
+        values = device.empty((shares, _batch_size(device)))
         kernel = device.kernel("mlp", "mlp_backward", **macros)
         device.run(kernel, (shares,), (1,), *inputs, values, partial, *outputs)
     else:
         _backward_in_groups(device, inputs, outputs, partial, macros)
     device.run(
         device.kernel("mlp", "mlp_backward_sum", **macros),
-        (round_up(MLP_SIZE, GROUP_SIZE),),
-        (GROUP_SIZE,),
-        *(partial, np.int32(chunks), result.d_weights),
+        (_row_tiles(device), PAIRS),
+        None,
+        *(partial, np.int32(parts), result.d_weights),
     )
     return result
+
+
+def _batch_size(device: Device) -> int:
+    """Floats of the rows of one batch."""
+    rows = INPUT_DIM + 1 + FEATURE_DIM + TILE[device.specialisation] + 2 * HIDDEN_DIM
+    return (rows + max(HEAD_DIMS.values())) * (BATCH + 16)
+
+
+def _row_tiles(device: Device) -> int:
+    """Register tiles of rows in both layers of all heads."""
+    return (len(HEAD_DIMS) * HIDDEN_DIM + OUTPUT_DIM) // TILE[device.specialisation]
+
+
+def _part_size(device: Device) -> int:
+    """Floats of a part of the weight gradient: some more than there are weights."""
+    return _row_tiles(device) * PAIRS * COLUMNS * TILE[device.specialisation]
 
 
 def _backward_in_groups(
@@ -225,24 +252,23 @@ def _backward_in_groups(
     partial: DeviceArray,
     macros: dict[str, int | float],
 ) -> None:
-    """Fill ``partial`` and ``outputs``, SLAB chunks at a time."""
+    """Fill ``partial`` and ``outputs``, SLAB batches at a time, one head after the other."""
     padded, active = inputs[6], inputs[-1]
-    values = device.empty((min(SLAB, len(active)), CHUNK_SIZE))
-    tiles = (len(HEAD_DIMS) * HIDDEN_DIM + OUTPUT_DIM) // TILE["gpu"]
-    for first in range(0, len(active), SLAB):
-        size = min(SLAB, len(active) - first)
-        device.run(
-            device.kernel("mlp", "mlp_backward_layers", **macros),
-            (size * CHUNK,),
-            (GROUP_SIZE,),
-            *(*inputs, np.int32(first), values, *outputs),
-        )
-        device.run(
-            device.kernel("mlp", "mlp_backward_weights", **macros),
-            (tiles * GROUP_SIZE, size),
-            (GROUP_SIZE, 1),
-            *(padded, active, np.int32(first), values, partial),
-        )
+    batches = -(-int(padded) // BATCH)
+    values = device.empty((min(SLAB, batches), _batch_size(device)))
+    layers = device.kernel("mlp", "mlp_backward_layers", **macros)
+    weights = device.kernel("mlp", "mlp_backward_weights", **macros)
+    for first in range(0, batches, SLAB):
+        size = min(SLAB, batches - first)
+        for head, rows in enumerate(HEAD_DIMS.values()):
+            place = (np.int32(first), np.int32(head), values)
+            device.run(layers, (size * BATCH,), (GROUP_SIZE,), *inputs, *place, *outputs)
+            device.run(
+                weights,
+                ((HIDDEN_DIM + rows) // TILE["gpu"] * GROUP_SIZE, size),
+                (GROUP_SIZE, 1),
+                *(padded, active, *place, partial),
+            )
 
 
 def drawn_rows(output: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
@@ -301,7 +327,8 @@ def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
     """
     native = int(device.cl_device.native_vector_width_float)
     lanes = min(device.vec, max(native, 4))
-    return {"CHUNK": CHUNK, "VEC": lanes, **options.skips.defines("opacity_first", "slots")}
+    sizes = {"CHUNK": CHUNK, "BATCH": BATCH, "PARTS": PARTS, "VEC": lanes}
+    return {**sizes, **options.skips.defines("opacity_first", "slots")}
 
 
 def blocks(device: Device, samples: int) -> tuple[tuple[int], tuple[int]]:

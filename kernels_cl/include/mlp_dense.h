@@ -151,28 +151,33 @@ inline void add_columns(fv sum[TILE][VECTORS], __global const float *weight, con
     }
 }
 
-/* Hidden layer of one head; a NaN stays one. */
-inline void hidden_layer(__global const float *weight, const float *x, float *hidden)
+/* TILE units, from `unit` on, of one head's hidden layer; a NaN stays one. */
+inline void hidden_units(__global const float *weight, const int unit, const float *x,
+                         float *hidden)
 {
     __global const float *bias = weight + HIDDEN_DIM * INPUT_DIM;
-    for (int row = 0; row < HIDDEN_DIM; row += TILE) {
-        __global const float *weights[TILE];
-        fv sum[TILE][VECTORS];
+    __global const float *weights[TILE];
+    fv sum[TILE][VECTORS];
 #pragma unroll
-        for (int o = 0; o < TILE; ++o) {
-            weights[o] = weight + (row + o) * INPUT_DIM;
+    for (int o = 0; o < TILE; ++o) {
+        weights[o] = weight + (unit + o) * INPUT_DIM;
 #pragma unroll
-            for (int s = 0; s < VECTORS; ++s)
-                sum[o][s] = (fv)(bias[row + o]);
-        }
-        add_rows(sum, weights, INPUT_DIM, x);
-#pragma unroll
-        for (int o = 0; o < TILE; ++o)
-#pragma unroll
-            for (int s = 0; s < VECTORS; ++s)
-                STORE_V(sum[o][s] < (fv)(0.0f) ? (fv)(0.0f) : sum[o][s], s,
-                        hidden + (row + o) * BLOCK);
+        for (int s = 0; s < VECTORS; ++s)
+            sum[o][s] = (fv)(bias[unit + o]);
     }
+    add_rows(sum, weights, INPUT_DIM, x);
+#pragma unroll
+    for (int o = 0; o < TILE; ++o)
+#pragma unroll
+        for (int s = 0; s < VECTORS; ++s)
+            STORE_V(sum[o][s] < (fv)(0.0f) ? (fv)(0.0f) : sum[o][s], s,
+                    hidden + (unit + o) * BLOCK);
+}
+
+inline void hidden_layer(__global const float *weight, const float *x, float *hidden)
+{
+    for (int unit = 0; unit < HIDDEN_DIM; unit += TILE)
+        hidden_units(weight, unit, x, hidden);
 }
 
 /* The slots, one a bit, with a positive opacity in some sample of a block; NaN is not positive. */

@@ -27,13 +27,20 @@
 #ifndef SKIP_SLOTS
 #define SKIP_SLOTS 1
 #endif
-/* Samples of a chunk: the unit of their order and of the sum over them, whatever the device. */
+/* Samples that are ordered together, a multiple of BATCH; samples of which the weight gradient is
+ * computed together; sums of these, every PARTS-th batch in each. Whatever the device. */
 #ifndef CHUNK
 #define CHUNK 512
 #endif
+#ifndef BATCH
+#define BATCH 256
+#endif
+#ifndef PARTS
+#define PARTS 64
+#endif
 
 /* Register tile: TILE rows, which divides every layer's, by VECTORS vectors: 10 accumulators.
- * GROUP_SIZE work-items share a chunk where they share local memory. */
+ * GROUP_SIZE work-items share a batch where they share local memory. */
 #if USE_LOCAL
 #define TILE 10
 #define VECTORS 1
@@ -50,7 +57,6 @@
 
 #define INPUT_DIM (FEATURE_DIM + 3)
 #define HEADS 3
-#define HIDDEN_ROWS (HEADS * HIDDEN_DIM)
 #define OUTPUT_ROWS (11 * K_OFFSETS)
 #define HIDDEN_SIZE (HIDDEN_DIM * (INPUT_DIM + 1))
 #define MLP_SIZE (HEADS * HIDDEN_SIZE + OUTPUT_ROWS * (HIDDEN_DIM + 1))
@@ -62,16 +68,19 @@
 #define COLOR 1
 #define COVARIANCE 2
 
-/* The numbers of one chunk that its weight gradient needs, as rows of samples: inputs and a row
- * of ones (zero where a sample does not count), hidden values, gradients by the sums of the hidden
- * and of the output layers. The stride spreads the rows over the sets of a cache. */
+/* The numbers of one batch and one head that the weight gradient needs, as rows of samples: inputs
+ * and a row of ones (zero where a sample does not count), the gradients by the inputs (by features,
+ * then by the last TILE inputs), hidden values, gradients by the sums of the hidden and of the
+ * output layer. One head after the other, they stay in a CPU's cache. The stride spreads the rows
+ * over the sets of that cache. */
 #define ONES_ROW INPUT_DIM
-#define VALUE_ROW (INPUT_DIM + 1)
-#define D_HIDDEN_ROW (VALUE_ROW + HIDDEN_ROWS)
-#define D_OUTPUT_ROW (D_HIDDEN_ROW + HIDDEN_ROWS)
-#define CHUNK_ROWS (D_OUTPUT_ROW + OUTPUT_ROWS)
-#define CHUNK_STRIDE (CHUNK + 16)
-#define CHUNK_SIZE ((size_t)CHUNK_ROWS * CHUNK_STRIDE)
+#define D_INPUT_ROW (INPUT_DIM + 1)
+#define HIDDEN_ROW (D_INPUT_ROW + FEATURE_DIM + TILE)
+#define D_HIDDEN_ROW (HIDDEN_ROW + HIDDEN_DIM)
+#define D_OUTPUT_ROW (D_HIDDEN_ROW + HIDDEN_DIM)
+#define BATCH_ROWS (D_OUTPUT_ROW + 7 * K_OFFSETS)
+#define BATCH_STRIDE (BATCH + 16)
+#define BATCH_SIZE ((size_t)BATCH_ROWS * BATCH_STRIDE)
 
 /* First output row of a head, in units of K_OFFSETS; the last entry is the end. */
 __constant int head_rows[HEADS + 1] = {0, 1, 4, 11};
@@ -92,5 +101,11 @@ inline int head_start(const int head)
 {
     return head * HIDDEN_SIZE + first_output(head) * (HIDDEN_DIM + 1);
 }
+
+/* A part of the weight gradient is kept as it is summed: for each TILE rows of a head's layers and
+ * each COLUMNS of their inputs and bias, TILE sums a column. */
+#define PAIRS ((INPUT_DIM + COLUMNS) / COLUMNS)
+#define TILE_SUMS (PAIRS * TILE * COLUMNS)
+#define PART_SIZE ((size_t)(HEADS * HIDDEN_DIM + OUTPUT_ROWS) / TILE * TILE_SUMS)
 
 #endif
