@@ -49,7 +49,7 @@ __kernel void neural_forward(__global const float *output, __global const int *v
         return;
     const Parameters parameters = {visible, (size_t)count, position, offset, scaling};
     const Gaussians gaussians = {mean, scale, rotation, color, opacity, slot};
-    STAGE(rows, output, stride, v, 0, OUTPUT_ROWS);
+    STAGE(rows, output, stride, v, drawn.slots, 0);
     write_gaussians(&parameters, &drawn, v, rows, rows_stride, &gaussians);
 }
 
@@ -108,14 +108,16 @@ inline void shapes_backward(const Drawn *drawn, __global const float *d_scale,
     }
 }
 
-/* Columns of d_output: the gradients of the drawn slots, zeros elsewhere. */
+/* Columns of d_output, of the slots that some anchor draws: gradients of the drawn slots, zeros of
+ * the others. */
 inline void write_output(const Drawn *drawn, const Shapes *shapes, __global const float *d_color,
                          __global const float *d_opacity, const size_t stride,
                          __global float *d_output)
 {
     float rows[OUTPUT_ROWS * VEC];
-    for (size_t row = 0; row < OUTPUT_ROWS; ++row)
-        STORE_V((fv)(0.0f), row, rows);
+    for (size_t j = 0; j < K_OFFSETS; ++j)
+        for (size_t i = 0; (drawn->slots >> j & 1) && i < SLOT_ROWS; ++i)
+            STORE_V((fv)(0.0f), slot_row(j, i), rows);
     for (size_t m = 0; m < drawn->count; ++m) {
         const size_t n = drawn->first + m, j = drawn->offset[m];
         float *sample = rows + drawn->lane[m];
@@ -130,9 +132,12 @@ inline void write_output(const Drawn *drawn, const Shapes *shapes, __global cons
             covariance[(3 + i) * VEC] = shapes->quaternion[i][m];
         sample[j * VEC] = d_opacity[n];
     }
-    for (size_t row = 0; row < OUTPUT_ROWS; ++row) {
-        PREFETCH_WRITE(d_output + row * stride + LINE);
-        STORE_V(LOAD_V(row, rows), 0, d_output + row * stride);
+    for (size_t j = 0; j < K_OFFSETS; ++j) {
+        for (size_t i = 0; (drawn->slots >> j & 1) && i < SLOT_ROWS; ++i) {
+            const size_t row = slot_row(j, i);
+            PREFETCH_WRITE(d_output + row * stride + LINE);
+            STORE_V(LOAD_V(row, rows), 0, d_output + row * stride);
+        }
     }
 }
 
@@ -163,8 +168,24 @@ inline void write_anchors(const Anchors *a, const Drawn *drawn, const Shapes *sh
                 unclamped(sum[i][lane], a->log_scale[i][lane]);
 }
 
-/* One work-item VEC columns of d_output, which are written whole: zeros for slots without Gaussian
- * and for padding. d_offset and d_scaling are dense and zero before. */
+/* What write_anchors reads and writes of the VEC anchors from v on. */
+inline void fetch_anchors(__global const int *visible, const size_t v, const size_t count,
+                          __global const float *offset, __global const float *scaling,
+                          __global float *d_offset, __global float *d_scaling)
+{
+    for (size_t lane = 0; lane < VEC && v + lane < count; ++lane) {
+        const size_t anchor = (size_t)max(visible[v + lane], 0);
+        PREFETCH(scaling + 6 * anchor);
+        PREFETCH_WRITE(d_scaling + 6 * anchor);
+        for (size_t i = 0; i < 3 * K_OFFSETS; i += LINE) {
+            PREFETCH(offset + 3 * K_OFFSETS * anchor + i);
+            PREFETCH_WRITE(d_offset + 3 * K_OFFSETS * anchor + i);
+        }
+    }
+}
+
+/* One work-item VEC columns of d_output: where a slot is not drawn it may stay as it was.
+ * d_offset and d_scaling are dense and zero before. */
 __kernel void neural_backward(__global const float *output, __global const int *visible,
                               __global const int *first, __global const int *bits, const int count,
                               const int padded, const int capacity, __global const float *offset,
@@ -175,13 +196,12 @@ __kernel void neural_backward(__global const float *output, __global const int *
                               __global float *d_scaling)
 {
     const size_t v = get_global_id(0) * VEC, stride = (size_t)padded;
-    if (v >= stride)
-        return;
     const Drawn drawn = list_drawn(bits, first, v, (size_t)count, (size_t)capacity);
     Shapes shapes;
+    fetch_anchors(visible, v + VEC, (size_t)count, offset, scaling, d_offset, d_scaling);
     if (drawn.count != 0) {
         const Anchors a = load_anchors(visible, scaling, v, (size_t)count);
-        STAGE(covariance, output, stride, v, COVARIANCE_ROW, 7 * K_OFFSETS);
+        STAGE(covariance, output, stride, v, drawn.slots, COVARIANCE_ROW);
         gather_shapes(&a, &drawn, covariance, covariance_stride, &shapes);
         shapes_backward(&drawn, d_scale, d_rotation, &shapes);
         write_anchors(&a, &drawn, &shapes, d_mean, offset, d_offset, d_scaling);

@@ -66,8 +66,8 @@ class GaussianGradients:
 class NeuralGradients:
     """Gradients of the loss, float32, dense: zero where nothing was drawn.
 
-    d_output (110, Vp) by the MLPs' outputs; d_offset (A, K, 3); d_scaling (A, 6);
-    d_position (A, 3), None where not wanted.
+    d_output (110, Vp) by the MLPs' outputs, where a slot is not drawn it may be anything;
+    d_offset (A, K, 3); d_scaling (A, 6); d_position (A, 3), None where not wanted.
     """
 
     d_output: DeviceArray

@@ -14,32 +14,44 @@
 #define COVARIANCE_ROW (4 * K_OFFSETS)
 #define OUTPUT_ROWS (11 * K_OFFSETS)
 
+/* Row number i of a slot: opacity, color, covariance. */
+#define SLOT_ROWS 11
+inline size_t slot_row(const size_t j, const size_t i)
+{
+    return i == 0 ? j : i < 4 ? COLOR_ROW + 3 * j + i - 1 : COVARIANCE_ROW + 7 * j + i - 4;
+}
+
 /* Slots of VEC anchors. */
 #define SLOTS (VEC * K_OFFSETS)
 
-/* `rows` rows of the output, VEC columns from v on, as a pointer and a stride. On a CPU they are
- * copied, all at once: so many rows are more than its prefetchers follow, and the misses overlap.
- */
+/* Rows of the output from `first_row` on, where a head starts, VEC columns from v on, as a pointer
+ * and a stride. On a CPU the rows of the given slots are copied, all at once: so many are more than
+ * its prefetchers follow, and the misses overlap. */
 #if VEC == 1
 #define ROWS __global const float
-#define STAGE(name, output, stride, v, first_row, rows)                                            \
+#define STAGE(name, output, stride, v, slots, first_row)                                           \
     ROWS *name = (output) + (first_row) * (stride) + (v);                                          \
     const size_t name##_stride = stride
 #else
 #define ROWS __private const float
-#define STAGE(name, output, stride, v, first_row, rows)                                            \
-    float name##_copy[(rows) * VEC];                                                               \
-    copy_rows((output) + (first_row) * (stride) + (v), stride, rows, name##_copy);                 \
-    ROWS *name = name##_copy;                                                                      \
+#define STAGE(name, output, stride, v, slots, first_row)                                           \
+    float name##_copy[OUTPUT_ROWS * VEC];                                                          \
+    copy_slots((output) + (v), stride, slots, first_row, name##_copy);                             \
+    ROWS *name = name##_copy + (first_row) * VEC;                                                  \
     const size_t name##_stride = VEC
 #endif
 
-inline void copy_rows(__global const float *rows, const size_t stride, const size_t count,
-                      float *copy)
+inline void copy_slots(__global const float *output, const size_t stride, const int slots,
+                       const size_t first_row, float *copy)
 {
-    for (size_t row = 0; row < count; ++row) {
-        PREFETCH(rows + row * stride + LINE);
-        STORE_V(LOAD_V(0, rows + row * stride), row, copy);
+    for (size_t j = 0; j < K_OFFSETS; ++j) {
+        for (size_t i = 0; (slots >> j & 1) && i < SLOT_ROWS; ++i) {
+            const size_t row = slot_row(j, i);
+            if (row < first_row)
+                continue;
+            PREFETCH(output + row * stride + LINE);
+            STORE_V(LOAD_V(0, output + row * stride), row, copy);
+        }
     }
 }
 
@@ -67,6 +79,7 @@ inline Anchors load_anchors(__global const int *visible, __global const float *s
 typedef struct {
     size_t first;
     size_t count;
+    int slots; /* that some anchor draws, also beyond the capacity */
     uchar lane[SLOTS];
     uchar offset[SLOTS];
 } Drawn;
@@ -79,7 +92,9 @@ inline Drawn list_drawn(__global const int *bits, __global const int *first, con
     Drawn d;
     d.first = v < count ? (size_t)first[v] : 0;
     d.count = 0;
+    d.slots = 0;
     for (size_t lane = 0; lane < VEC && v + lane < count; ++lane) {
+        d.slots |= bits[v + lane];
         for (int left = bits[v + lane]; left != 0; left &= left - 1) {
             d.lane[d.count] = (uchar)lane;
             d.offset[d.count] = (uchar)(31 - (int)clz(left & -left)); /* the lowest bit set */

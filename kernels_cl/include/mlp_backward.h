@@ -33,17 +33,20 @@ inline fv sum_gradient(const Outputs *outputs, const int head, const int j, cons
     return opacity > (fv)(0.0f) ? d : (fv)(0.0f);
 }
 
-/* ... of the block at `first`, to the batch as well; the next block's are fetched. */
+/* ... of the block at `first`, to the batch as well; those of the slots `next` of the next block
+ * are fetched. */
 inline void output_gradients(const Outputs *outputs, const int head, const size_t first,
-                             const int slots, float *d_sum, __global float *column)
+                             const int slots, const int next, float *d_sum, __global float *column)
 {
     const int each = slot_rows(head);
     for (int k = 0; k < K_OFFSETS * each; ++k) {
-        const size_t row = (size_t)(first_output(head) + k);
-        PREFETCH(outputs->d_output + row * outputs->stride + first + BLOCK);
-        if (head != COVARIANCE)
-            PREFETCH(outputs->output + row * outputs->stride + first + BLOCK);
         const int j = k / each;
+        const size_t row = (size_t)(first_output(head) + k);
+        if (next >> j & 1) {
+            PREFETCH(outputs->d_output + row * outputs->stride + first + BLOCK);
+            if (head != COVARIANCE)
+                PREFETCH(outputs->output + row * outputs->stride + first + BLOCK);
+        }
         for (int s = 0; s < VECTORS; ++s) {
             const fv d =
                 slots >> j & 1 ? sum_gradient(outputs, head, j, row, first + s * VEC) : (fv)(0.0f);
@@ -160,11 +163,11 @@ inline void anchors_backward(const Model *model, const size_t first, __global co
 }
 
 /* Both layers of one head for the block at sample `first`, whose columns of the batch get what the
- * weight gradient needs. Heads come in order: the first one gathers the inputs, the last one writes
- * the gradients by them. */
+ * weight gradient needs; `next`: the slots of the next block. Heads come in order: the first one
+ * gathers the inputs, the last one writes the gradients by them. */
 inline void block_backward(const Model *model, const Outputs *outputs, const int head,
-                           const size_t first, const int slots, __global float *column,
-                           const AnchorGradients *d)
+                           const size_t first, const int slots, const int next,
+                           __global float *column, const AnchorGradients *d)
 {
     __global const float *weight = model->weights + head_start(head);
     float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK], d_hidden[HIDDEN_DIM * BLOCK];
@@ -179,7 +182,7 @@ inline void block_backward(const Model *model, const Outputs *outputs, const int
         hidden_units(weight, unit, x, hidden);
         store_rows(hidden + unit * BLOCK, TILE, column + (HIDDEN_ROW + unit) * BATCH_STRIDE);
     }
-    output_gradients(outputs, head, first, slots, d_sum, column);
+    output_gradients(outputs, head, first, slots, next, d_sum, column);
     hidden_backward(weight, head, slots, hidden, d_sum, d_hidden, column);
     input_backward(weight, head, d_hidden, column);
     if (head == HEADS - 1)

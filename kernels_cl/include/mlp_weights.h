@@ -162,7 +162,7 @@ __kernel void mlp_backward_layers(__global const float *feature, __global const 
     const Model model = {feature, position, visible, (size_t)count, weights, camera};
     const Outputs outputs = {output, d_output, (size_t)padded};
     const AnchorGradients d = {d_feature, d_position};
-    block_backward(&model, &outputs, head, first, computed_slots(output + first, outputs.stride),
+    block_backward(&model, &outputs, head, first, computed_slots(output + first, outputs.stride), 0,
                    values + (size_t)(sample / BATCH) * BATCH_SIZE + sample % BATCH, &d);
 }
 
@@ -236,14 +236,14 @@ inline void batch_backward(const Model *model, const Outputs *outputs, const int
                            const AnchorGradients *d)
 {
     const int blocks = (samples + BLOCK - 1) / BLOCK;
-    int slots[BATCH / BLOCK];
+    int slots[BATCH / BLOCK + 1] = {0};
+    for (int block = 0; block < blocks; ++block)
+        slots[block] =
+            computed_slots(outputs->output + batch * BATCH + block * BLOCK, outputs->stride);
     for (int head = 0; head < HEADS && blocks > 0; ++head) {
-        for (int block = 0; block < blocks; ++block) {
-            const size_t first = (size_t)(batch * BATCH + block * BLOCK);
-            if (head == 0)
-                slots[block] = computed_slots(outputs->output + first, outputs->stride);
-            block_backward(model, outputs, head, first, slots[block], values + block * BLOCK, d);
-        }
+        for (int block = 0; block < blocks; ++block)
+            block_backward(model, outputs, head, (size_t)(batch * BATCH + block * BLOCK),
+                           slots[block], slots[block + 1], values + block * BLOCK, d);
         add_weights(values, head, slots, blocks, part);
     }
 }
