@@ -44,6 +44,7 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print; exit code 0."""
     from rich.console import Console
 
+    from clgs.cli.progress import bar
     from clgs.files import check_target
     from clgs.testing import codec_subjects
     from clgs.testing.bench_codec import bench_subject
@@ -67,10 +68,11 @@ def run(args: argparse.Namespace) -> int:
             print(f"clgs: {line}", file=sys.stderr)
         said.add(line)
 
-    for subject in subjects:
-        figures = bench_subject(subject, args.repeats, args.levels_only, note)
-        _add_rows(table, subject, figures)
-        records.append(_record(subject, figures))
+    with bar(None, "runs") as advance:
+        for subject in subjects:
+            figures = bench_subject(subject, args.repeats, args.levels_only, note, advance)
+            _add_rows(table, subject, figures)
+            records.append(_record(subject, figures))
     Console().print(table)
     if args.json:
         write_json(args.json, {"command": command_line(), **host_facts(), "subjects": records})

@@ -61,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
         scene, count, size = read_box(args.scene, box, args.threads)
         read = f" in the box, {count:,} of {size:,} bytes read"
     save(args.output, scene)
-    print(f"{args.output}: {len(scene.anchors):,} anchors{read}")
+    beside = f"; MLPs in {mlps_path(args.output)}" if suffix == ".ply" else ""
+    print(f"{args.output}: {len(scene.anchors):,} anchors{read}{beside}")
     return 0
 
 

@@ -13,17 +13,18 @@ _NUMBERS = re.compile(r"-(\d|\.\d|inf)")
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that itself refuses what it does not know, so that its own usage is shown.
+    """A parser that itself refuses what it does not know, in one line without the usage.
 
-    The standard one of a command hands such arguments back to that of ``clgs``. A wrong value of an
-    option is one line, without the usage.
+    The standard one of a command hands such arguments back to that of ``clgs``.
     """
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
         if message.startswith("argument -"):
-            self.exit(2, f"clgs: error: {message.removeprefix('argument ')}\n")
-        super().error(message)
+            message = message.removeprefix("argument ")
+        else:
+            message += f"; see {self.prog} --help"
+        self.exit(2, f"clgs: error: {message}\n")
 
     def parse_known_args(  # type: ignore[override]  # one form of its four
         self, args: Sequence[str] | None = None, namespace: Any = None

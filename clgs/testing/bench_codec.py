@@ -72,7 +72,9 @@ class Figures:
     repeats: int
 
 
-def bench_subject(subject: Subject, repeats: int, levels_only: bool, note: Note) -> list[Figures]:
+def bench_subject(
+    subject: Subject, repeats: int, levels_only: bool, note: Note, advance: Callable[[], None]
+) -> list[Figures]:
     """Time every coder of the subject's kind; runs of all coders alternate.
 
     Raises:
@@ -86,6 +88,7 @@ def bench_subject(subject: Subject, repeats: int, levels_only: bool, note: Note)
         for coder in coders:
             if repeat == 0 or not coder.once:
                 runs[coder.name].append(_run(coder, subject))
+                advance()
     return [
         Figures(name, of[0][0], median(r[1] for r in of), median(r[2] for r in of), len(of))
         for name, of in runs.items()

@@ -118,6 +118,8 @@ def test_the_case_of_suffixes_does_not_matter(work, capsys):
         assert cli.main(["encode", name, "-o", f"{name}.CLGS"]) == 0
         assert (work / f"{name}.CLGS").read_bytes() == whole
     assert (work / "T.mlps.npz").is_file()
+    said = capsys.readouterr().out.splitlines()
+    assert [line.partition("; ")[2] for line in said[::2]] == ["MLPs in T.mlps.npz"] * 2 + [""]
     assert cli.main(["decode", "T.PLY.CLGS", "-o", "v.npz"]) == 0
     assert (work / "v.npz").read_bytes() == (work / "U.NPZ").read_bytes()
 

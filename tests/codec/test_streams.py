@@ -194,6 +194,8 @@ def test_other_types_and_shapes_are_refused():
         for shape in ((), (3,), (2, 3, 1)):
             with pytest.raises(CodecError, match="two axes"):
                 function(np.zeros(shape, int))
+        with pytest.raises(CodecError, match="no rows and no columns"):
+            function([])
     for columns in (0, 2, 4):
         for function in (codec.encode_positions, codec.morton_order):
             with pytest.raises(CodecError, match=r"\(N, 3\) is needed"):
