@@ -130,6 +130,8 @@ def run(args: argparse.Namespace) -> int:
     config = make_config(args)
     if args.output.exists() and not args.output.is_dir():
         raise UsageError(f"{args.output}: is not a folder; name another with -o")
+    if (args.output / "checkpoint").is_file():
+        raise UsageError(f"{args.output / 'checkpoint'}: is not a folder; remove it")
     if args.output.exists() and args.data.exists() and args.output.samefile(args.data):
         raise UsageError(f"{args.output}: is the folder of the photos; name another with -o")
     if not args.resume and (args.output / "config.toml").exists():

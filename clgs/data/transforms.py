@@ -31,6 +31,9 @@ CAMERA_MODELS = {
 }
 """Distortion coefficients that each ``camera_model`` reads; missing ones are zero."""
 
+FOCAL_LENGTHS = 1e-3, 1e9
+"""Least and greatest, in pixels: what lies outside is no lens, and overflows in float32."""
+
 MAX_BYTES = 256 * 2**20
 """A larger transforms.json is refused before it is parsed."""
 
@@ -228,8 +231,10 @@ def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, flo
     fx = known.get("x", known.get("y", 0.0))
     # A given fl_x without fl_y means square pixels, whatever a rounded camera_angle_y says.
     fy = known.get("y", fx) if fields.has("fl_y") or not fields.has("fl_x") else fx
-    if not (fx > 0 and fy > 0):
-        fields.fail("fl_x, fl_y", "are not positive; correct them")
+    least, most = FOCAL_LENGTHS
+    if not (least <= fx <= most and least <= fy <= most):
+        found = f"are {fx:g} and {fy:g}, not {least:g} to {most:g} pixels"
+        fields.fail("fl_x, fl_y", f"{found}; correct them")
     return fx, fy
 
 

@@ -88,7 +88,7 @@ def triangulate(
         return cached
     on_stage(f"finding points in {len(photos)} photos")
     with tempfile.TemporaryDirectory(prefix="clgs-") as folder:
-        points = _triangulate(photos, Path(folder), seed)
+        points = _triangulate(photos, Path(folder), seed, on_stage)
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(file) as temporary:
@@ -96,9 +96,12 @@ def triangulate(
     return points
 
 
-def _triangulate(photos: list[Photo], folder: Path, seed: int) -> Points:
+def _triangulate(
+    photos: list[Photo], folder: Path, seed: int, on_stage: Callable[[str], None]
+) -> Points:
     with quiet_pycolmap("triangulation") as pycolmap:
         features = _extract(pycolmap, photos, folder)
+        on_stage("matching their features")
         database = _write_database(pycolmap, photos, features, folder)
         options = pycolmap.IncrementalPipelineOptions()
         options.num_threads = 1
@@ -110,6 +113,7 @@ def _triangulate(photos: list[Photo], folder: Path, seed: int) -> Points:
         options.mapper.filter_max_reproj_error = 2 * MAX_REPROJECTION_ERROR * scale
         reconstruction = _posed_reconstruction(pycolmap, photos, features)
         (folder / "out").mkdir()
+        on_stage("triangulating the matches")
         result = pycolmap.triangulate_points(
             reconstruction, database, folder, folder / "out", options=options
         )

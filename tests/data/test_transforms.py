@@ -128,6 +128,8 @@ BAD = {
     "model type": (lambda d: d.update(camera_model=3), "camera_model"),
     "focal text": (lambda d: d.update(fl_x="50"), "fl_x"),
     "focal zero": (lambda d: d.update(fl_x=0), "fl_x"),
+    "focal tiny": (lambda d: d.update(fl_x=1e-300), "fl_x"),
+    "focal huge": (lambda d: d.update(fl_y=1e300), "fl_y"),
     "no focal": (lambda d: (d.pop("fl_x"), d.pop("fl_y")), "camera_angle_x"),
     "angle": (lambda d: (d.pop("fl_x"), d.update(camera_angle_x=4)), "camera_angle_x"),
     "size": (lambda d: d.update(w=-1), "w, h"),

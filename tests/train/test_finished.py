@@ -191,6 +191,13 @@ def test_the_smallest_anchor_is_that_of_the_run_unless_another_is_named(
     assert result.summary["psnr"] > 0
 
 
+def test_a_file_where_checkpoints_go_is_named(data, tmp_path, capsys):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "checkpoint").touch()
+    assert cli.main(["train", str(data), "-o", str(tmp_path / "run"), "--steps", "3"]) == 2
+    assert "checkpoint: is not a folder; remove it\n" in capsys.readouterr().err
+
+
 def test_the_photos_folder_is_no_run_folder(data, tmp_path, monkeypatch, capsys):
     before = files(data)
     (tmp_path / "link").symlink_to(data)
