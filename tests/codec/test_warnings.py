@@ -1,0 +1,32 @@
+"""The compiler warns of nothing in the codec's sources."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+CMAKE = ROOT / "CMakeLists.txt"
+
+
+@pytest.mark.skipif(not CMAKE.is_file(), reason="needs the checkout: CMakeLists.txt is not there")
+def test_no_source_of_the_codec_makes_a_warning(tmp_path):
+    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
+    if not compiler:
+        pytest.skip("needs a C compiler: cc is not on the path")
+    options = re.search(
+        r"target_compile_options\(clgs_options INTERFACE (-Wall[^)]*)\)", CMAKE.read_text()
+    )
+    assert options, "CMakeLists.txt names its warnings elsewhere"
+    sources = sorted((ROOT / "codec_c" / "src").glob("*.c"))
+    assert len(sources) > 10
+    # optimised, as some warnings come from there alone
+    command = [*compiler.split(), "-std=c11", "-O2", *options[1].split(), "-Werror"]
+    command += [f"-I{ROOT / 'codec_c' / 'include'}", "-c", *map(str, sources)]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
