@@ -82,16 +82,17 @@ __kernel void decode_forward(__global const float *feature, __global const float
             lanes[j * VECTORS + s] = LOAD_ALIGNED(s, output + j * stride + first);
 #endif
     const Model model = {feature, position, visible, (size_t)count, weights, camera};
+    const Parameters parameters = {visible, (size_t)count, position, offset, scaling};
     float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK];
     size_t listed[OUTPUT_ROWS];
     gather(&model, first, x);
+    fetch_parameters(&parameters, first, BLOCK);
     for (int head = COLOR; head < HEADS; ++head) {
         __global const float *weight = weights + head_start(head);
         hidden_layer(weight, x, hidden);
         output_layer(weight + HIDDEN_SIZE, head, hidden, listed, rows_of(slots, head, listed),
                      rows + first_output(head) * rows_stride, rows_stride);
     }
-    const Parameters parameters = {visible, (size_t)count, position, offset, scaling};
     const Splats splats = {{mean2d, whitening, depth, extent}, color, opacity};
     for (size_t s = 0; s < VECTORS; ++s) {
         const size_t v = first + s * VEC;

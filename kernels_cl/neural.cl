@@ -49,6 +49,7 @@ __kernel void neural_forward(__global const float *output, __global const int *v
         return;
     const Parameters parameters = {visible, (size_t)count, position, offset, scaling};
     const Gaussians gaussians = {mean, scale, rotation, color, opacity, slot};
+    fetch_parameters(&parameters, v, VEC);
     STAGE(rows, output, stride, v, drawn.slots, 0);
     write_gaussians(&parameters, &drawn, v, rows, rows_stride, &gaussians);
 }

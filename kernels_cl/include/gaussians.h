@@ -135,6 +135,17 @@ typedef struct {
     __global const float *scaling;
 } Parameters;
 
+/* What will be read of the `lanes` visible anchors from v on. */
+inline void fetch_parameters(const Parameters *p, const size_t v, const size_t lanes)
+{
+    for (size_t lane = 0; lane < lanes && v + lane < p->count; ++lane) {
+        const size_t anchor = (size_t)max(p->visible[v + lane], 0);
+        PREFETCH(p->scaling + 6 * anchor);
+        for (size_t i = 0; i < 3 * K_OFFSETS; i += LINE)
+            PREFETCH(p->offset + 3 * K_OFFSETS * anchor + i);
+    }
+}
+
 /* All that there is of every Gaussian. */
 typedef struct {
     __global float *mean;
