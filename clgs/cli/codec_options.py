@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 
 from clgs.cli.view_options import named_path
 
@@ -25,6 +26,18 @@ def add_level(parser: argparse.ArgumentParser) -> None:
 def add_threads(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--threads``."""
     parser.add_argument("--threads", type=int, metavar="N", help="default: one a processor")
+
+
+def check_suffix(output: Path) -> None:
+    """Refuse to write a .clgs file under the name of another kind of file.
+
+    Raises:
+        UsageError: the name ends in .npz or .ply.
+    """
+    from clgs.errors import UsageError
+
+    if output.suffix.lower() in (".npz", ".ply"):
+        raise UsageError(f"{output}: the output is a .clgs file; name it so")
 
 
 def in_range(text: str) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from clgs.cli.codec_options import add_files, add_level, add_threads, in_range
+from clgs.cli.codec_options import add_files, add_level, add_threads, check_suffix, in_range
 
 if TYPE_CHECKING:
     from clgs.codec.splats import Splats
@@ -75,10 +75,14 @@ def run(args: argparse.Namespace) -> int:
     from clgs.codec.octree import PositionsError
     from clgs.codec.splats import pack
     from clgs.data.splat_ply import read_splats
-    from clgs.errors import CodecError
+    from clgs.errors import CodecError, UsageError
     from clgs.files import atomic_write, check_output
 
     check_output(args.output, args.splats)
+    check_suffix(args.output)
+    names = [name for name, _ in args.step]
+    for name in {name for name in names if names.count(name) > 1}:
+        raise UsageError(f"--step {name}: is given more than once; leave one")
     splats, errors = read_splats(args.splats, dict(args.step))
     try:
         data = pack(splats, args.level, args.threads)

@@ -92,7 +92,7 @@ def _mode(path: Path) -> int:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise DataError(f"{path}: no such file; `clgs encode` makes one from a run") from None
+        raise DataError(f"{path}: no such file; `clgs encode` and `clgs pack` make some") from None
     if stat.S_ISDIR(mode):
         raise DataError(f"{path}: is a folder; name a .clgs file, such as {path / 'scene.clgs'}")
     if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):

@@ -41,8 +41,8 @@ def check_integers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.int32]:
         array = np.asarray(values)
     except ValueError:
         raise CodecError(f"{name}: rows of several lengths; (N, columns) is needed") from None
-    if array.shape == (0,):
-        raise CodecError(f"{name}: no rows and no columns; np.empty((0, 3), int) has columns")
+    if array.size == 0 and isinstance(values, list):
+        raise CodecError(f"{name}: an empty list has no columns; np.empty((0, 3), int) has three")
     if array.dtype.kind not in "iu":
         raise TypeError(f"{name}: dtype is {array.dtype}, integers are needed; round floats first")
     if array.ndim != 2:

@@ -186,7 +186,8 @@ def _seal(head: bytes, header: bytes, streams: list[bytes]) -> bytes:
 
 def _unseal(data: bytes | bytearray | memoryview, signature: bytes, least: int) -> memoryview:
     """All but the checksum, which is verified."""
-    view = memoryview(data).cast("B")
+    view = memoryview(data)
+    view = view.cast("B") if view.c_contiguous else memoryview(view.tobytes())
     kind = "positions" if signature == POSITIONS else "attributes"
     if view[:4] != signature:
         raise CodecError(f"stream at byte 0: no {kind} of a known version; encode them again")

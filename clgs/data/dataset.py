@@ -102,6 +102,11 @@ def load_dataset(
     photos = _read_photos(Path(path))
     if not photos.train:
         raise DataError(f"{path}: no photo is left to train on; at least two are needed")
+    least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)
+    if downscale > least:
+        raise DataError(
+            f"downscale is {downscale}; the photos are {least} pixels, give at most that"
+        )
     transform, radius = _normalise(photos, preset_units)
     to_view = partial(_view, transform=transform, downscale=downscale, load_images=load_images)
     with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -81,7 +81,7 @@ def read_ply(path: Path) -> Table:
             )
         return parse_ply(data)
     except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
+        raise DataError(f"{path}: no such file; name a .ply file") from None
     except IsADirectoryError:
         raise DataError(f"{path}: is a folder; name a PLY file") from None
     except ValueError as error:

@@ -101,8 +101,13 @@ def _read(file: Path) -> list[Subject]:
         with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
             name = "positions" if "positions" in arrays else "values"
             rows = arrays[name]
-    except (OSError, ValueError, KeyError, CodecError, zipfile.BadZipFile) as error:
-        raise DataError(f"{file}: cannot be read ({error}); .npz or .clgs is needed") from error
+    except OSError as error:
+        raise DataError(f"{file}: {error.strerror or error}; name a .npz or .clgs file") from error
+    except CodecError as error:
+        raise DataError(f"{file}: {error}") from error
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        problem = "is no .npz archive with `values` or `positions`, and no .clgs file"
+        raise DataError(f"{file}: {problem}; name another") from error
     if rows.ndim != 2 or rows.dtype.kind not in "iu":
         raise DataError(f"{file}: {name} is {rows.dtype} {rows.shape}; (N, channels) integers")
     try:

@@ -84,6 +84,8 @@ def test_downscaled_intrinsics(tmp_path: Path, size: tuple[int, int], downscale:
     full = load_dataset(tmp_path, load_images=False, downscale=1).train[0].camera
     small = load_dataset(tmp_path, load_images=False, downscale=downscale).train[0].camera
     assert (small.width, small.height) == tuple(round(s / downscale) for s in size)
+    with pytest.raises(DataError, match=f"the photos are {min(size)} pixels, give at most that"):
+        load_dataset(tmp_path, load_images=False, downscale=min(size) + 1)
     points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
     ratio = np.array([small.width / full.width, small.height / full.height])
     expected = project(full, points) * ratio
