@@ -8,15 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec import attributes, octree
+from clgs.codec import attributes, lattice, octree
 from clgs.codec.arguments import check_choice, check_integers
 from clgs.codec.meta import LEVELS
 from clgs.codec.subtrees import corners, runs
 from clgs.codec.workers import workers
 from clgs.errors import CodecError
 
-POSITIONS, ATTRIBUTES = b"\x8bCP\x02", b"\x8bCA\x02"
-"""Signatures; the last byte is the version."""
+POSITIONS, LATTICE, ATTRIBUTES = b"\x8bCP\x02", b"\x8bCP\x03", b"\x8bCA\x02"
+"""Signatures; the last byte is the version: 3 for positions whose factors follow."""
 
 POINTS, ROWS = 131_072, 65_536
 """Of a chunk of positions, of attributes."""
@@ -26,7 +26,9 @@ MAX_OUTPUT = 1 << 32
 """Bytes that one stream may decode to."""
 
 _POSITIONS_HEAD = struct.Struct("<4sI")
+_LATTICE_HEAD = struct.Struct("<4sIIII")
 _ATTRIBUTES_HEAD = struct.Struct("<4sIHI")
+_HEADS = {POSITIONS: _POSITIONS_HEAD, LATTICE: _LATTICE_HEAD, ATTRIBUTES: _ATTRIBUTES_HEAD}
 _CRC = struct.Struct("<I")
 
 
@@ -47,11 +49,20 @@ def encode_positions(positions: npt.ArrayLike, threads: int | None = None) -> by
     if position.shape[1] != 3:
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
     position = octree.in_order(position)
+    plain = _encode_octrees(_POSITIONS_HEAD.pack(POSITIONS, len(position)), position, threads)
+    factors = lattice.common_factors(position) if len(position) else (1, 1, 1)
+    if max(factors) == 1:
+        return plain
+    head = _LATTICE_HEAD.pack(LATTICE, len(position), *factors)
+    return min(plain, _encode_octrees(head, lattice.shrink(position, factors), threads), key=len)
+
+
+def _encode_octrees(head: bytes, position: npt.NDArray[np.int32], threads: int | None) -> bytes:
     with workers(threads) as pool:
         parts = runs(len(position), POINTS)
         clouds = [position[part] for part in parts]
         streams = list(pool.map(octree.encode, clouds, corners(position, parts)))
-    return _seal(_POSITIONS_HEAD.pack(POSITIONS, len(position)), b"", streams)
+    return _seal(head, b"", streams)
 
 
 def decode_positions(
@@ -62,13 +73,31 @@ def decode_positions(
     Raises:
         CodecError: the bytes are damaged, or of another kind.
     """
-    body = _unseal(data, POSITIONS, _POSITIONS_HEAD.size)
-    _, count = _POSITIONS_HEAD.unpack_from(body)
+    body = _unseal(data, POSITIONS, LATTICE)
+    head = _HEADS[bytes(body[:4])]
+    _, count, *factors = head.unpack_from(body)
+    if factors and not (count > 0 and 1 <= min(factors) <= max(factors) <= octree.MAX_EXTENT):
+        raise _damage(_POSITIONS_HEAD.size, f"factors {factors} of {count} points")
+    position = _decode_octrees(body, head.size, count, threads)
+    try:
+        if not octree.ascends(octree.morton_codes(position)):
+            raise ValueError("the chunks are not in Morton order")
+        return lattice.grow(position, factors) if factors else position
+    except octree.PositionsError as error:
+        raise _damage(head.size, error.problem) from error
+    except ValueError as error:
+        raise _damage(head.size, str(error)) from error
+
+
+def _decode_octrees(
+    body: memoryview, at: int, count: int, threads: int | None
+) -> npt.NDArray[np.int32]:
+    """``count`` positions (count, 3) int32, chunk after chunk; their lengths are at ``at``."""
     parts = runs(count, POINTS)
-    _, streams = _split(body, _POSITIONS_HEAD.size, 0, len(parts))
-    for part, (at, stream) in zip(parts, streams, strict=True):
+    _, streams = _split(body, at, 0, len(parts))
+    for part, (start, stream) in zip(parts, streams, strict=True):
         if part.stop - part.start > len(stream) * octree.MAX_POINTS_A_BYTE:
-            raise _damage(at, f"{len(stream)} bytes cannot hold {part.stop - part.start} points")
+            raise _damage(start, f"{len(stream)} bytes cannot hold {part.stop - part.start} points")
 
     def decode_chunk(part: slice, stream: tuple[int, memoryview]) -> npt.NDArray[np.int32]:
         try:
@@ -78,14 +107,7 @@ def decode_positions(
 
     with workers(threads) as pool:
         chunks = list(pool.map(decode_chunk, parts, streams))
-    position = np.concatenate([np.empty((0, 3), np.int32), *chunks])
-    try:
-        ordered = octree.ascends(octree.morton_codes(position))
-    except octree.PositionsError as error:
-        raise _damage(_POSITIONS_HEAD.size, error.problem) from error
-    if not ordered:
-        raise _damage(_POSITIONS_HEAD.size, "the chunks are not in Morton order")
-    return position
+    return np.concatenate([np.empty((0, 3), np.int32), *chunks])
 
 
 def declared_shape(data: bytes | bytearray | memoryview) -> tuple[int, int]:
@@ -94,7 +116,7 @@ def declared_shape(data: bytes | bytearray | memoryview) -> tuple[int, int]:
     To be compared with what is expected before anything is decoded. (-1, -1) for other bytes.
     """
     head = bytes(data[: _ATTRIBUTES_HEAD.size])
-    if head[:4] == POSITIONS and len(head) >= _POSITIONS_HEAD.size:
+    if head[:4] in (POSITIONS, LATTICE) and len(head) >= _POSITIONS_HEAD.size:
         return _POSITIONS_HEAD.unpack_from(head)[1], 3
     if head[:4] == ATTRIBUTES and len(head) == _ATTRIBUTES_HEAD.size:
         return _ATTRIBUTES_HEAD.unpack(head)[1:3]
@@ -138,7 +160,7 @@ def decode_attributes(
     Raises:
         CodecError: the bytes are damaged, or of another kind.
     """
-    body = _unseal(data, ATTRIBUTES, _ATTRIBUTES_HEAD.size)
+    body = _unseal(data, ATTRIBUTES)
     _, count, channels, shared = _ATTRIBUTES_HEAD.unpack_from(body)
     if not 1 <= channels <= MAX_CHANNELS or 4 * count * channels > MAX_OUTPUT:
         raise _damage(4, f"{count} rows of {channels} channels are out of range")
@@ -184,14 +206,15 @@ def _seal(head: bytes, header: bytes, streams: list[bytes]) -> bytes:
     return body + _CRC.pack(_codec.crc32c(body))
 
 
-def _unseal(data: bytes | bytearray | memoryview, signature: bytes, least: int) -> memoryview:
-    """All but the checksum, which is verified."""
+def _unseal(data: bytes | bytearray | memoryview, *signatures: bytes) -> memoryview:
+    """All but the checksum, which is verified; at least a head of one of these signatures."""
     view = memoryview(data)
     view = view.cast("B") if view.c_contiguous else memoryview(view.tobytes())
-    kind = "positions" if signature == POSITIONS else "attributes"
-    if view[:4] != signature:
+    signature = bytes(view[:4])
+    if signature not in signatures:
+        kind = "attributes" if ATTRIBUTES in signatures else "positions"
         raise CodecError(f"stream at byte 0: no {kind} of a known version; encode them again")
-    if len(view) < least + _CRC.size:
+    if len(view) < _HEADS[signature].size + _CRC.size:
         raise _damage(0, f"{len(view)} bytes are too few")
     body = view[: -_CRC.size]
     if _codec.crc32c(body) != _CRC.unpack(view[-_CRC.size :])[0]:

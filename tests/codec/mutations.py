@@ -101,8 +101,8 @@ def _streams() -> list[Case]:
             data = encode_attributes(value[:60], level, 1)
             found.append((lambda data: decode_attributes(data, 1), data))
     rng = np.random.default_rng(2)
-    for count, extent in ((1, 9), (40, 2**20), (300, 9), (60, 60)):
-        cloud = np.unique(rng.integers(0, extent, (count, 3)), axis=0)
+    for count, extent, factor in ((1, 9, 1), (40, 2**20, 1), (300, 9, 1), (60, 60, 1), (90, 60, 6)):
+        cloud = np.unique(rng.integers(0, extent, (count, 3)), axis=0) * factor
         found.append((lambda data: decode_positions(data, 1), encode_positions(cloud, 1)))
     return found
 

@@ -115,7 +115,7 @@ def test_example_of_no_positions():
 
 
 def test_signatures_and_hashes_of_the_document():
-    for signature in (container.MAGIC, streams.POSITIONS, streams.ATTRIBUTES):
+    for signature in (container.MAGIC, streams.POSITIONS, streams.LATTICE, streams.ATTRIBUTES):
         assert signature.hex(" ").upper() in TEXT
     for data in (b"", b"abc"):
         assert f"{_codec.xxh64(data):016X}" in TEXT
