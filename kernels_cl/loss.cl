@@ -8,7 +8,9 @@
  * window's coverage of the image (1 inside, less at the rim).
  * With V = 2 A1/(B1 B2), W = V var(x - y)/B2 and P = dS/dmu_x at fixed variances,
  *     dS/dx_j = sum_p w_pj [P + V ((y - x)_j - (mu_y - mu_x)) + W (x_j - mu_x)]
- * holds no difference of large terms where x is close to y.
+ * holds no difference of large terms where x is close to y. Where all x' and y' that a tile sees
+ * are zero, as in a background, so are their sums, and x' and y' are all that v and w are
+ * multiplied with.
  */
 #include "include/group.h"
 #include "include/lanes.h"
@@ -28,6 +30,10 @@
 #ifndef SSIM_C1
 #define SSIM_C1 9.99999975e-05f
 #define SSIM_C2 8.99999985e-04f
+#endif
+
+#ifndef SKIP_FLAT
+#define SKIP_FLAT 1 /* no sums of zeros */
 #endif
 
 #define RADIUS 5
@@ -120,10 +126,18 @@ inline float2 stage_images(Tile tile, __global const float *image, __global cons
     return rint(128.0f * (range.xz - range.yw)) / 256.0f;
 }
 
-/* Staged x, y become x', y', (x' - y')^2, x' y', zero outside of the image. */
-inline void stage_products(Tile tile, float2 shift, SPACE float *stage)
+/* Whether the numbers of all work-items, none of them negative, are zero; NaN is not. */
+inline bool all_zero(const fv sizes, SPACE float4 *scratch)
+{
+    return SKIP_FLAT && group_sum((float4)(lane_sum(sizes), 0.0f, 0.0f, 0.0f), scratch).x == 0.0f;
+}
+
+/* Staged x, y become x', y', (x' - y')^2, x' y', zero outside of the image. Returns whether all are
+ * zero. */
+inline bool stage_products(Tile tile, float2 shift, SPACE float *stage, SPACE float4 *scratch)
 {
     const int columns = STRIDE / VEC;
+    fv sizes = (fv)(0.0f);
     for (int unit = ITEM; unit < STAGE_ROWS * columns; unit += ITEMS) {
         const int row = unit / columns, column = unit % columns * VEC;
         SPACE float *at = stage + row * STRIDE + column;
@@ -134,8 +148,10 @@ inline void stage_products(Tile tile, float2 shift, SPACE float *stage)
         STORE_V(y, 0, at + STAGE_SIZE);
         STORE_V((x - y) * (x - y), 0, at + 2 * STAGE_SIZE);
         STORE_V(x * y, 0, at + 3 * STAGE_SIZE);
+        sizes += fabs(x) + fabs(y);
     }
     SYNC();
+    return all_zero(sizes, scratch);
 }
 
 typedef struct {
@@ -190,8 +206,9 @@ GROUP_SIZED __kernel void loss_forward(__global const float *image, __global con
     SPACE float4 scratch[ITEMS];
     const Tile tile = make_tile(width, height);
     const float2 shift = stage_images(tile, image, target, stage, scratch);
-    stage_products(tile, shift, stage);
-    blur_rows(stage, blurred, 4);
+    const bool flat = stage_products(tile, shift, stage, scratch);
+    if (!flat)
+        blur_rows(stage, blurred, 4);
 
     const int columns = TILE_COLUMNS / VEC;
     fv l1 = (fv)(0.0f), ssim = (fv)(0.0f);
@@ -202,9 +219,10 @@ GROUP_SIZED __kernel void loss_forward(__global const float *image, __global con
             continue;
         const fv covered = coverage(py, height) * column_coverage(px, width);
         SPACE const float *top = blurred + row * TILE_COLUMNS + column;
-        const Ssim s = ssim_terms(blur(top, TILE_COLUMNS), blur(top + BLURRED_SIZE, TILE_COLUMNS),
-                                  blur(top + 2 * BLURRED_SIZE, TILE_COLUMNS),
-                                  blur(top + 3 * BLURRED_SIZE, TILE_COLUMNS), covered, shift);
+        fv moments[4] = {(fv)(0.0f), (fv)(0.0f), (fv)(0.0f), (fv)(0.0f)};
+        for (int plane = 0; plane < 4 && !flat; ++plane)
+            moments[plane] = blur(top + plane * BLURRED_SIZE, TILE_COLUMNS);
+        const Ssim s = ssim_terms(moments[0], moments[1], moments[2], moments[3], covered, shift);
         store_pixels(tile, s.r, r_map, px, py);
         store_pixels(tile, s.v, v_map, px, py);
         store_pixels(tile, s.w, w_map, px, py);
@@ -240,11 +258,28 @@ inline void stage_shifts(__global const float *shifts, SPACE float *offsets)
     SYNC();
 }
 
-/* Stage r, v, w with a rim of RADIUS; r is brought to the shift of this tile. */
-inline void stage_maps(Tile tile, __global const float *r_map, __global const float *v_map,
-                       __global const float *w_map, SPACE const float *offsets, SPACE float *stage)
+/* Whether image and target are at the tile's shift in all of its own pixels. */
+inline bool is_flat(Tile tile, __global const float *image, __global const uchar *target,
+                    float2 shift, SPACE float4 *scratch)
+{
+    const int columns = TILE_COLUMNS / VEC;
+    fv sizes = (fv)(0.0f);
+    for (int unit = ITEM; unit < TILE_ROWS * columns; unit += ITEMS) {
+        const int px = tile.x + unit % columns * VEC, py = tile.y + unit / columns;
+        const fv x = load_pixels(tile, image, px, py), y = load_levels(tile, target, px, py);
+        sizes += (fabs(x - shift.x) + fabs(y - shift.y)) * image_mask(tile, px, py);
+    }
+    return all_zero(sizes, scratch);
+}
+
+/* Stage r, v, w with a rim of RADIUS; r is brought to the shift of this tile. Returns whether it is
+ * zero everywhere. */
+inline bool stage_maps(Tile tile, __global const float *r_map, __global const float *v_map,
+                       __global const float *w_map, SPACE const float *offsets, SPACE float *stage,
+                       SPACE float4 *scratch)
 {
     const int columns = STRIDE / VEC;
+    fv sizes = (fv)(0.0f);
     for (int unit = ITEM; unit < STAGE_ROWS * columns; unit += ITEMS) {
         const int row = unit / columns, column = unit % columns * VEC;
         const int px = tile.x + column - RADIUS, py = tile.y + row - RADIUS;
@@ -256,8 +291,10 @@ inline void stage_maps(Tile tile, __global const float *r_map, __global const fl
         STORE_V(r, 0, stage + row * STRIDE + column);
         STORE_V(v, 0, stage + STAGE_SIZE + row * STRIDE + column);
         STORE_V(w, 0, stage + 2 * STAGE_SIZE + row * STRIDE + column);
+        sizes += fabs(r);
     }
     SYNC();
+    return all_zero(sizes, scratch);
 }
 
 /* d_image = l1_scale sign(x - y) + ssim_scale dS/dx; sign(0) is 0. */
@@ -271,12 +308,15 @@ GROUP_SIZED __kernel void loss_backward(__global const float *image, __global co
     SPACE float stage[3 * STAGE_SIZE];
     SPACE float blurred[3 * BLURRED_SIZE];
     SPACE float offsets[6 * STRIDE];
+    SPACE float4 scratch[ITEMS];
     const Tile tile = make_tile(width, height);
-    stage_shifts(shifts, offsets);
-    stage_maps(tile, r_map, v_map, w_map, offsets, stage);
-    blur_rows(stage, blurred, 3);
-
     const float2 shift = vload2(tile_index((int)get_group_id(0), (int)get_group_id(1)), shifts);
+    const bool flat = is_flat(tile, image, target, shift, scratch);
+    stage_shifts(shifts, offsets);
+    const bool quiet = stage_maps(tile, r_map, v_map, w_map, offsets, stage, scratch);
+    if (!(flat && quiet))
+        blur_rows(stage, blurred, flat ? 1 : 3);
+
     const int columns = TILE_COLUMNS / VEC;
     for (int unit = ITEM; unit < TILE_ROWS * columns; unit += ITEMS) {
         const int row = unit / columns, column = unit % columns * VEC;
@@ -285,9 +325,14 @@ GROUP_SIZED __kernel void loss_backward(__global const float *image, __global co
             continue;
         const fv x = load_pixels(tile, image, px, py), y = load_levels(tile, target, px, py);
         SPACE const float *top = blurred + row * TILE_COLUMNS + column;
-        const fv r = blur(top, TILE_COLUMNS), v = blur(top + BLURRED_SIZE, TILE_COLUMNS);
-        const fv w = blur(top + 2 * BLURRED_SIZE, TILE_COLUMNS);
-        const fv d_ssim = fma((y - x) - (shift.y - shift.x), v, fma(x - shift.x, w, r));
+        fv d_ssim = (fv)(0.0f);
+        if (!(flat && quiet))
+            d_ssim = blur(top, TILE_COLUMNS);
+        if (!flat) {
+            const fv v = blur(top + BLURRED_SIZE, TILE_COLUMNS);
+            const fv w = blur(top + 2 * BLURRED_SIZE, TILE_COLUMNS);
+            d_ssim = fma((y - x) - (shift.y - shift.x), v, fma(x - shift.x, w, d_ssim));
+        }
         const fv sign = x > y ? (fv)(l1_scale) : x < y ? (fv)(-l1_scale) : (fv)(0.0f);
         store_pixels(tile, fma((fv)(ssim_scale), d_ssim, sign), d_image, px, py);
     }

@@ -132,6 +132,37 @@ def test_repeats_to_the_bit(device, rng):
     assert np.array_equal(first[1], again[1])
 
 
+def flat_pairs(rng):
+    """Pictures and photos that are flat in most tiles."""
+    y, x = np.mgrid[:150, :170]
+    disc = (x - 85.0) ** 2 + (y - 75.0) ** 2 < 900
+    for level, shown in ((0, 0.0), (255, 1.0), (0, 1.0), (128, 128 / 255), (0, 0.1), (0, -0.0)):
+        target = np.where(disc, photo(rng, 150, 170), level).astype(np.uint8)
+        image = np.full((3, 150, 170), shown, np.float32)
+        image[:, 40:60, 30:90] = rng.random((3, 20, 60))
+        yield image, target
+    lone = np.zeros((3, 150, 170), np.float32)
+    lone[:, 75, 85] = 1e-30
+    yield lone, np.zeros(lone.shape, np.uint8)
+    lone[1, 75, 85] = np.nan
+    yield lone.copy(), np.zeros(lone.shape, np.uint8)
+
+
+def test_flat_tiles_give_the_same_bits_as_sums_of_zeros(device, rng, monkeypatch):
+    defines = loss._defines
+    for image, target in flat_pairs(rng):
+        result, d_image = run(device, image, target)
+        with monkeypatch.context() as patch:
+            patch.setattr(loss, "_defines", lambda device: {**defines(device), "SKIP_FLAT": 0})
+            plain, d_plain = run(device, image, target)
+        assert device.download(result.shift).tobytes() == device.download(plain.shift).tobytes()
+        for mine, other in zip(
+            (*result.maps, result.sums.partials), (*plain.maps, plain.sums.partials), strict=True
+        ):
+            assert np.array_equal(device.download(mine), device.download(other), equal_nan=True)
+        assert np.array_equal(d_image, d_plain, equal_nan=True)
+
+
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])
 def test_poison_reaches_the_value(device, rng, poison):
     target = photo(rng, 40, 50)
