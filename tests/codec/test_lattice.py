@@ -64,6 +64,14 @@ def test_no_factor_and_no_gain_are_version_2():
         assert codec.encode_positions(np.array(position))[:4] == streams.POSITIONS
 
 
+def test_streams_of_version_2_on_a_lattice_decode(monkeypatch):
+    position = cloud(6, 2000, 200) * (3, 1, 8)
+    monkeypatch.setattr(streams.lattice, "common_factors", lambda position: [1, 1, 1])
+    data = codec.encode_positions(position)
+    assert data[:4] == streams.POSITIONS
+    assert np.array_equal(codec.decode_positions(data), in_order(position))
+
+
 def resealed(data, count, factors):
     body = HEAD.pack(streams.LATTICE, count, *factors) + data[HEAD.size : -4]
     return body + struct.pack("<I", _codec.crc32c(body))
