@@ -20,6 +20,7 @@ Source: Scaffold-GS (Lu et al. 2024), without its optional inputs.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,11 +57,9 @@ VECTORS = {"cpu": 2, "gpu": 1}
 """Register tile of ``kernels_cl/include/mlp_layout.h``: rows, and vectors of samples."""
 
 
-COLUMNS = 2
-"""Inputs of the weight gradient's register tile."""
-
-PAIRS = -(-(INPUT_DIM + 1) // COLUMNS)
-"""Such tiles beside each other, at most."""
+WEIGHT_ROWS = {"cpu": 4, "gpu": 10}
+COLUMNS = {"cpu": 3, "gpu": 2}
+"""That of the weight gradient: rows, and inputs."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +221,7 @@ def backward(
         _backward_in_groups(device, inputs, outputs, partial, macros)
     device.run(
         device.kernel("mlp", "mlp_backward_sum", **macros),
-        (_row_tiles(device), PAIRS),
+        (_row_tiles(device), _column_tiles(device)),
         None,
         *(partial, np.int32(parts), result.d_weights),
     )
@@ -235,14 +234,21 @@ def _batch_size(device: Device) -> int:
     return (rows + max(HEAD_DIMS.values())) * (BATCH + 16)
 
 
-def _row_tiles(device: Device) -> int:
-    """Register tiles of rows in both layers of all heads."""
-    return (len(HEAD_DIMS) * HIDDEN_DIM + OUTPUT_DIM) // TILE[device.specialisation]
+def _row_tiles(device: Device, heads: Iterable[int] = HEAD_DIMS.values()) -> int:
+    """Register tiles of rows in both layers of heads with so many outputs."""
+    rows = WEIGHT_ROWS[device.specialisation]
+    return sum(-(-HIDDEN_DIM // rows) + -(-outputs // rows) for outputs in heads)
+
+
+def _column_tiles(device: Device) -> int:
+    """Such tiles beside each other, at most."""
+    return -(-(INPUT_DIM + 1) // COLUMNS[device.specialisation])
 
 
 def _part_size(device: Device) -> int:
     """Floats of a part of the weight gradient: some more than there are weights."""
-    return _row_tiles(device) * PAIRS * COLUMNS * TILE[device.specialisation]
+    sums = WEIGHT_ROWS[device.specialisation] * COLUMNS[device.specialisation]
+    return _row_tiles(device) * _column_tiles(device) * sums
 
 
 def _backward_in_groups(
@@ -260,12 +266,12 @@ def _backward_in_groups(
     weights = device.kernel("mlp", "mlp_backward_weights", **macros)
     for first in range(0, batches, SLAB):
         size = min(SLAB, batches - first)
-        for head, rows in enumerate(HEAD_DIMS.values()):
+        for head, size_of_head in enumerate(HEAD_DIMS.values()):
             place = (np.int32(first), np.int32(head), values)
             device.run(layers, (size * BATCH,), (GROUP_SIZE,), *inputs, *place, *outputs)
             device.run(
                 weights,
-                ((HIDDEN_DIM + rows) // TILE["gpu"] * GROUP_SIZE, size),
+                (_row_tiles(device, [size_of_head]) * GROUP_SIZE, size),
                 (GROUP_SIZE, 1),
                 *(padded, active, *place, partial),
             )

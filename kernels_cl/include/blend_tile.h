@@ -2,6 +2,8 @@
 #ifndef CLGS_BLEND_TILE_H
 #define CLGS_BLEND_TILE_H
 
+#include "include/lanes.h"
+
 inline iv inside_image(int x, int y, int width, int height)
 {
     return ((LANE_X + (float)x) < (fv)((float)width)) & ((LANE_Y + (float)y) < (fv)((float)height));
@@ -123,9 +125,9 @@ inline void fetch_row(__global const float *rows, __global const float *records,
 
 inline void store_moments(const Moments *m, __global float *row)
 {
-    vstore4(sum_v4(m->y1, m->y2, m->y11, m->y12), 0, row);
-    vstore4(sum_v4(m->y22, m->red, m->green, m->blue), 1, row);
-    row[8] = sum_v(m->alpha);
+    vstore4(lane_sums(m->y1, m->y2, m->y11, m->y12), 0, row);
+    vstore4(lane_sums(m->y22, m->red, m->green, m->blue), 1, row);
+    row[8] = lane_sum(m->alpha);
 }
 
 __kernel void blend_backward(__global const float *records, __global const int *tile_range,

@@ -52,12 +52,33 @@ inline void store_lanes(fv value, size_t vector, __global float *values, size_t 
         values[vector * VEC + lane] = lanes[lane];
 }
 
+#if VEC == 1
+inline float lane_sum(fv value)
+{
+    return value;
+}
+
+inline float4 lane_sums(fv a, fv b, fv c, fv d)
+{
+    return (float4)(a, b, c, d);
+}
+#else
+/* The first steps of the sums of the lanes of a and of b: four numbers each. */
+inline float8 halves(const fv a, const fv b)
+{
+#if VEC == 16
+    const float8 c = a.lo + a.hi, d = b.lo + b.hi;
+    return (float8)(c.lo, d.lo) + (float8)(c.hi, d.hi);
+#elif VEC == 8
+    return (float8)(a.lo, b.lo) + (float8)(a.hi, b.hi);
+#else
+    return (float8)(a, b);
+#endif
+}
+
 /* Sum of the lanes, by halves. */
 inline float lane_sum(fv value)
 {
-#if VEC == 1
-    return value;
-#else
 #if VEC == 16
     const float8 eight = value.lo + value.hi;
     const float4 four = eight.lo + eight.hi;
@@ -68,8 +89,17 @@ inline float lane_sum(fv value)
 #endif
     const float2 two = four.lo + four.hi;
     return two.x + two.y;
-#endif
 }
+
+/* The same of four vectors at once. */
+inline float4 lane_sums(fv a, fv b, fv c, fv d)
+{
+    const float8 ac = halves(a, c), bd = halves(b, d);
+    const float8 two =
+        (float8)(ac.s01, bd.s01, ac.s45, bd.s45) + (float8)(ac.s23, bd.s23, ac.s67, bd.s67);
+    return two.even + two.odd;
+}
+#endif
 
 /* Smallest lane that is not NaN, by halves. */
 inline float lane_min(fv value)

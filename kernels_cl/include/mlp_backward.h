@@ -19,6 +19,28 @@ typedef struct {
     __global float *d_position;
 } AnchorGradients;
 
+/* Numbers in order, as runs [begin, end) that do not touch. */
+#if USE_LOCAL
+#define MAX_RUNS (K_OFFSETS / 2 + 1)
+#else
+#define MAX_RUNS (BATCH / BLOCK / 2 + K_OFFSETS / 2 + 1)
+#endif
+typedef struct {
+    int count;
+    int begin[MAX_RUNS], end[MAX_RUNS];
+} Runs;
+
+/* Adds numbers behind all others. */
+inline void add_run(Runs *runs, const int begin, const int end)
+{
+    if (runs->count > 0 && runs->end[runs->count - 1] == begin) {
+        runs->end[runs->count - 1] = end;
+    } else {
+        runs->begin[runs->count] = begin;
+        runs->end[runs->count++] = end;
+    }
+}
+
 /* dL/d(sums of the output layer) of slot j of VEC samples, from y and dL/dy; zero where the slot
  * is not drawn. */
 inline fv sum_gradient(const Outputs *outputs, const int head, const int j, const size_t row,
@@ -77,11 +99,17 @@ inline void hidden_backward(__global const float *weight, const int head, const 
                             const float *hidden, const float *d_sum, float *d_hidden,
                             __global float *column)
 {
-    size_t rows[OUTPUT_ROWS];
-    const size_t count = rows_of(slots, head, rows);
+    const int each = slot_rows(head);
+    Runs rows;
+    rows.count = 0;
+    for (int j = 0; j < K_OFFSETS; ++j)
+        if (slots >> j & 1)
+            add_run(&rows, j * each, (j + 1) * each);
     for (int unit = 0; unit < HIDDEN_DIM; unit += TILE) {
         fv sum[TILE][VECTORS] = {{(fv)(0.0f)}};
-        add_columns(sum, weight + HIDDEN_SIZE + unit, HIDDEN_DIM, rows, count, d_sum);
+        for (int run = 0; run < rows.count; ++run)
+            add_columns(sum, weight + HIDDEN_SIZE + unit, HIDDEN_DIM, (size_t)rows.begin[run],
+                        (size_t)rows.end[run], d_sum);
 #pragma unroll
         for (int o = 0; o < TILE; ++o)
 #pragma unroll
@@ -98,9 +126,6 @@ inline void hidden_backward(__global const float *weight, const int head, const 
 inline void input_backward(__global const float *weight, const int head, const float *d_hidden,
                            __global float *column)
 {
-    size_t units[HIDDEN_DIM];
-    for (size_t unit = 0; unit < HIDDEN_DIM; ++unit)
-        units[unit] = unit;
     for (int k = 0; k < FEATURE_DIM + (WANT_POSITION ? TILE : 0); k += TILE) {
         __global float *d_input = column + (D_INPUT_ROW + k) * BATCH_STRIDE;
         fv sum[TILE][VECTORS];
@@ -109,7 +134,7 @@ inline void input_backward(__global const float *weight, const int head, const f
 #pragma unroll
             for (int s = 0; s < VECTORS; ++s)
                 sum[o][s] = head == 0 ? (fv)(0.0f) : LOAD_ALIGNED(s, d_input + o * BATCH_STRIDE);
-        add_columns(sum, weight + (k < FEATURE_DIM ? k : INPUT_DIM - TILE), INPUT_DIM, units,
+        add_columns(sum, weight + (k < FEATURE_DIM ? k : INPUT_DIM - TILE), INPUT_DIM, 0,
                     HIDDEN_DIM, d_hidden);
 #pragma unroll
         for (int o = 0; o < TILE; ++o)

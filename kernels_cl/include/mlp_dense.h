@@ -130,13 +130,12 @@ inline void add_rows(fv sum[TILE][VECTORS], __global const float *weight[TILE], 
     }
 }
 
-/* The transpose: sum[o][s] += weight[row * inputs + o] * row of d, over the listed rows. */
+/* The transpose: sum[o][s] += weight[row * inputs + o] * row of d, over rows [begin, end). */
 inline void add_columns(fv sum[TILE][VECTORS], __global const float *weight, const size_t inputs,
-                        const size_t *rows, const size_t count, const float *d)
+                        const size_t begin, const size_t end, const float *d)
 {
 #pragma unroll 2
-    for (size_t i = 0; i < count; ++i) {
-        const size_t row = rows[i];
+    for (size_t row = begin; row < end; ++row) {
         fv lanes[VECTORS];
 #pragma unroll
         for (int s = 0; s < VECTORS; ++s)

@@ -39,21 +39,24 @@
 #define PARTS 64
 #endif
 
-/* Register tile: TILE rows, which divides every layer's, by VECTORS vectors: 10 accumulators.
+/* Register tile of the layers: TILE rows, which divides every layer's, by VECTORS vectors. That of
+ * the weight gradient: WEIGHT_ROWS rows, no more than a layer has, by COLUMNS inputs: as many
+ * accumulators as leave a CPU's registers room for a row of operands.
  * GROUP_SIZE work-items share a batch where they share local memory. */
 #if USE_LOCAL
 #define TILE 10
 #define VECTORS 1
+#define WEIGHT_ROWS 10
+#define COLUMNS 2
 #define GROUP_SIZE 64
 #else
 #define TILE 5
 #define VECTORS 2
+#define WEIGHT_ROWS 4
+#define COLUMNS 3
 #define GROUP_SIZE 1
 #endif
 #define BLOCK (VEC * VECTORS)
-
-/* Inputs of the weight gradient's register tile. */
-#define COLUMNS 2
 
 #define INPUT_DIM (FEATURE_DIM + 3)
 #define HEADS 3
@@ -102,10 +105,32 @@ inline int head_start(const int head)
     return head * HIDDEN_SIZE + first_output(head) * (HIDDEN_DIM + 1);
 }
 
-/* A part of the weight gradient is kept as it is summed: for each TILE rows of a head's layers and
- * each COLUMNS of their inputs and bias, TILE sums a column. */
-#define PAIRS ((INPUT_DIM + COLUMNS) / COLUMNS)
-#define TILE_SUMS (PAIRS * TILE * COLUMNS)
-#define PART_SIZE ((size_t)(HEADS * HIDDEN_DIM + OUTPUT_ROWS) / TILE * TILE_SUMS)
+/* A part of the weight gradient is kept as it is summed: tile by tile of a head's layers, COLUMNS
+ * by COLUMNS of their inputs and bias, WEIGHT_ROWS sums a column. The last tile of a layer may
+ * repeat rows of the one before. */
+#define TILES_OF(rows) (((rows) + WEIGHT_ROWS - 1) / WEIGHT_ROWS)
+#define COLUMN_TILES ((INPUT_DIM + COLUMNS) / COLUMNS)
+#define SUMS (WEIGHT_ROWS * COLUMNS)
+#define TILE_SUMS (COLUMN_TILES * SUMS)
+
+/* Tiles of both layers of a head. */
+inline int head_tiles(const int head)
+{
+    return TILES_OF(HIDDEN_DIM) + TILES_OF(K_OFFSETS * slot_rows(head));
+}
+
+/* Tiles of the heads before one; of all heads for HEADS. */
+inline int tiles_before(const int head)
+{
+    int tiles = 0;
+    for (int before = 0; before < head; ++before)
+        tiles += head_tiles(before);
+    return tiles;
+}
+
+inline size_t part_size(void)
+{
+    return (size_t)tiles_before(HEADS) * TILE_SUMS;
+}
 
 #endif

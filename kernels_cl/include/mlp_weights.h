@@ -6,126 +6,101 @@
 #include "include/mlp_backward.h"
 #include "include/mlp_layout.h"
 
-/* Where TILE neighbouring rows of a head's weight gradient come from, among the rows of a batch,
- * and where they go to: in a part, and in the packed vector. */
+/* Where WEIGHT_ROWS neighbouring rows of a head's weight gradient come from, among the rows of a
+ * batch, and where they go to: in a part, and in the packed vector. */
 typedef struct {
     int row;    /* of the gradients by sums */
     int column; /* first row of the layer's inputs */
     int inputs;
-    int slots; /* that the rows belong to */
+    int slots;    /* that the rows belong to */
+    int repeated; /* rows that the tile before has as well */
     int sums;
     int weight;
     int bias;
 } Layer;
 
-/* Rows of both layers of a head. */
-inline int layer_rows(const int head)
+/* Tile number `tile` of a head's layers. */
+inline Layer layer_of(const int head, const int tile)
 {
-    return HIDDEN_DIM + K_OFFSETS * slot_rows(head);
-}
-
-inline Layer layer_of(const int head, const int row)
-{
+    const bool inner = tile < TILES_OF(HIDDEN_DIM);
+    const int rows = inner ? HIDDEN_DIM : K_OFFSETS * slot_rows(head);
+    const int next = (inner ? tile : tile - TILES_OF(HIDDEN_DIM)) * WEIGHT_ROWS;
+    const int first = min(next, rows - WEIGHT_ROWS);
+    const int start = head_start(head) + (inner ? 0 : HIDDEN_SIZE);
     Layer layer;
-    layer.sums = (head * HIDDEN_DIM + first_output(head) + row) / TILE * TILE_SUMS;
-    if (row < HIDDEN_DIM) {
-        layer.row = D_HIDDEN_ROW + row;
-        layer.column = 0;
-        layer.inputs = INPUT_DIM;
-        layer.slots = (1 << K_OFFSETS) - 1;
-        layer.weight = head_start(head) + row * INPUT_DIM;
-        layer.bias = head_start(head) + HIDDEN_DIM * INPUT_DIM + row;
-    } else {
-        const int start = head_start(head) + HIDDEN_SIZE, outer = row - HIDDEN_DIM;
-        layer.row = D_OUTPUT_ROW + outer;
-        layer.column = HIDDEN_ROW;
-        layer.inputs = HIDDEN_DIM;
-        layer.slots = 0;
-        for (int o = 0; o < TILE; ++o)
-            layer.slots |= 1 << (outer + o) / slot_rows(head);
-        layer.weight = start + outer * HIDDEN_DIM;
-        layer.bias = start + K_OFFSETS * slot_rows(head) * HIDDEN_DIM + outer;
-    }
+    layer.row = (inner ? D_HIDDEN_ROW : D_OUTPUT_ROW) + first;
+    layer.column = inner ? 0 : HIDDEN_ROW;
+    layer.inputs = inner ? INPUT_DIM : HIDDEN_DIM;
+    layer.slots = inner ? (1 << K_OFFSETS) - 1 : 0;
+    for (int o = 0; o < WEIGHT_ROWS && !inner; ++o)
+        layer.slots |= 1 << (first + o) / slot_rows(head);
+    layer.repeated = next - first;
+    layer.sums = (tiles_before(head) + tile) * TILE_SUMS;
+    layer.weight = start + first * layer.inputs;
+    layer.bias = start + rows * layer.inputs + first;
     return layer;
 }
 
 /* COLUMNS of a layer's inputs and bias, how often. */
-inline int pairs_of(const Layer *layer)
+inline int column_tiles(const Layer *layer)
 {
     return (layer->inputs + COLUMNS) / COLUMNS;
 }
 
-/* The vectors of a batch that a work-item sums over, in order. */
-typedef struct {
-    size_t count;
-    size_t vector[BATCH / VEC];
-} Steps;
-
-#if VEC > 1
-/* The first step of the sums of the lanes of a and of b: four numbers each. */
-inline float8 halves(const fv a, const fv b)
-{
-#if VEC == 16
-    const float8 c = a.lo + a.hi, d = b.lo + b.hi;
-    return (float8)(c.lo, d.lo) + (float8)(c.hi, d.hi);
-#elif VEC == 8
-    return (float8)(a.lo, b.lo) + (float8)(a.hi, b.hi);
+/* A CPU's compiler keeps all the sums in registers in a function of its own only. */
+#if USE_LOCAL
+#define APART inline
 #else
-    return (float8)(a, b);
-#endif
-}
-
-/* Sums over the lanes of TILE by COLUMNS vectors, as lane_sum makes them, but of four rows at
- * once. */
-inline void lane_sums(fv sum[TILE][COLUMNS], float sums[TILE * COLUMNS])
-{
-    int o = 0;
-    for (; o + 4 <= TILE; o += 4) {
-        const float8 a = halves(sum[o][0], sum[o][1]), b = halves(sum[o + 1][0], sum[o + 1][1]);
-        const float8 c = halves(sum[o + 2][0], sum[o + 2][1]);
-        const float8 d = halves(sum[o + 3][0], sum[o + 3][1]);
-        const float8 e =
-            (float8)(a.s01, b.s01, a.s45, b.s45) + (float8)(a.s23, b.s23, a.s67, b.s67);
-        const float8 f =
-            (float8)(c.s01, d.s01, c.s45, d.s45) + (float8)(c.s23, d.s23, c.s67, d.s67);
-        const float8 four =
-            (float8)(e.s02, f.s02, e.s46, f.s46) + (float8)(e.s13, f.s13, e.s57, f.s57);
-        vstore4(four.lo, 0, sums + o);
-        vstore4(four.hi, 0, sums + TILE + o);
-    }
-    for (; o < TILE; ++o)
-        for (int c = 0; c < COLUMNS; ++c)
-            sums[c * TILE + o] = lane_sum(sum[o][c]);
-}
-#else
-inline void lane_sums(fv sum[TILE][COLUMNS], float sums[TILE * COLUMNS])
-{
-    for (int o = 0; o < TILE; ++o)
-        for (int c = 0; c < COLUMNS; ++c)
-            sums[c * TILE + o] = sum[o][c];
-}
+#define APART __attribute__((noinline))
 #endif
 
-/* sums[c * TILE + o] = sum over the steps of row o times column c. */
-inline void dot_products(__global const float *rows, __global const float *columns[COLUMNS],
-                         const Steps *steps, float sums[TILE * COLUMNS])
+/* sum[o][c] += row o times column c, of every GROUP_SIZE-th vector of [begin, end). */
+APART void add_products(__global const float *rows, __global const float *columns[COLUMNS],
+                        const size_t begin, const size_t end, fv sum[WEIGHT_ROWS][COLUMNS])
 {
-    fv sum[TILE][COLUMNS] = {{(fv)(0.0f)}};
-    for (size_t i = 0; i < steps->count; ++i) {
-        const size_t v = steps->vector[i];
+    fv own[WEIGHT_ROWS][COLUMNS];
+#pragma unroll
+    for (int o = 0; o < WEIGHT_ROWS; ++o)
+#pragma unroll
+        for (int c = 0; c < COLUMNS; ++c)
+            own[o][c] = sum[o][c];
+    for (size_t v = begin; v < end; v += GROUP_SIZE) {
         fv lanes[COLUMNS];
 #pragma unroll
         for (int c = 0; c < COLUMNS; ++c)
             lanes[c] = LOAD_ALIGNED(v, columns[c]);
 #pragma unroll
-        for (int o = 0; o < TILE; ++o) {
+        for (int o = 0; o < WEIGHT_ROWS; ++o) {
             const fv row = LOAD_ALIGNED(v, rows + o * BATCH_STRIDE);
 #pragma unroll
             for (int c = 0; c < COLUMNS; ++c)
-                sum[o][c] = fma(row, lanes[c], sum[o][c]);
+                own[o][c] = fma(row, lanes[c], own[o][c]);
         }
     }
-    lane_sums(sum, sums);
+#pragma unroll
+    for (int o = 0; o < WEIGHT_ROWS; ++o)
+#pragma unroll
+        for (int c = 0; c < COLUMNS; ++c)
+            sum[o][c] = own[o][c];
+}
+
+/* sums[c * WEIGHT_ROWS + o] = sum over row o times column c, of every GROUP_SIZE-th vector of the
+ * runs. */
+inline void dot_products(__global const float *rows, __global const float *columns[COLUMNS],
+                         const Runs *runs, float sums[SUMS])
+{
+    fv sum[WEIGHT_ROWS][COLUMNS] = {{(fv)(0.0f)}};
+    for (int run = 0; run < runs->count; ++run)
+        add_products(rows, columns, (size_t)runs->begin[run], (size_t)runs->end[run], sum);
+    for (int c = 0; c < COLUMNS; ++c) {
+        float *column = sums + c * WEIGHT_ROWS;
+        int o = 0;
+        for (; o + 4 <= WEIGHT_ROWS; o += 4)
+            vstore4(lane_sums(sum[o][c], sum[o + 1][c], sum[o + 2][c], sum[o + 3][c]), 0,
+                    column + o);
+        for (; o < WEIGHT_ROWS; ++o)
+            column[o] = lane_sum(sum[o][c]);
+    }
 }
 
 /* Rows of the batch that COLUMNS columns of a layer's weights multiply; the bias' is ones. */
@@ -167,7 +142,8 @@ __kernel void mlp_backward_layers(__global const float *feature, __global const 
 }
 
 /* GROUP_SIZE work-items by TILE rows (dimension 0) by batch (dimension 1), PARTS batches at most:
- * each adds its weight gradient to its part, summed in a fixed order. partial: (PARTS, PART_SIZE).
+ * each adds its weight gradient to its part, summed in a fixed order. partial: (PARTS,
+ * part_size()).
  */
 __kernel void mlp_backward_weights(const int padded, __global const int *active,
                                    const int first_batch, const int head,
@@ -175,57 +151,56 @@ __kernel void mlp_backward_weights(const int padded, __global const int *active,
 {
     const int item = (int)get_local_id(0), batch = first_batch + (int)get_group_id(1);
     const int samples = drawing_samples(batch, padded, active);
-    const Layer layer = layer_of(head, (int)get_group_id(0) * TILE);
+    const Layer layer = layer_of(head, (int)get_group_id(0));
     __global const float *rows = values + get_group_id(1) * BATCH_SIZE;
-    Steps steps = {0, {0}};
-    for (int v = item; v * VEC < samples; v += GROUP_SIZE)
-        steps.vector[steps.count++] = (size_t)v;
-    __local float shared[GROUP_SIZE * TILE * COLUMNS];
-    __global float *part = partial + (size_t)(batch % PARTS) * PART_SIZE + layer.sums;
-    for (int pair = 0; pair < pairs_of(&layer); ++pair) {
+    const Runs vectors = {1, {item}, {(samples + VEC - 1) / VEC}};
+    __local float shared[GROUP_SIZE * SUMS];
+    __global float *part = partial + (size_t)(batch % PARTS) * part_size() + layer.sums;
+    for (int tile = 0; tile < column_tiles(&layer); ++tile) {
         __global const float *columns[COLUMNS];
-        layer_columns(&layer, pair * COLUMNS, rows, columns);
-        float sums[TILE * COLUMNS];
-        dot_products(rows + layer.row * BATCH_STRIDE, columns, &steps, sums);
-        for (int i = 0; i < TILE * COLUMNS; ++i)
-            shared[item * TILE * COLUMNS + i] = sums[i];
+        layer_columns(&layer, tile * COLUMNS, rows, columns);
+        float sums[SUMS];
+        dot_products(rows + layer.row * BATCH_STRIDE, columns, &vectors, sums);
+        for (int i = 0; i < SUMS; ++i)
+            shared[item * SUMS + i] = sums[i];
         barrier(CLK_LOCAL_MEM_FENCE);
-        for (int sum = item; sum < TILE * COLUMNS; sum += GROUP_SIZE) {
+        for (int sum = item; sum < SUMS; sum += GROUP_SIZE) {
             float total = 0.0f;
             for (int i = 0; i < GROUP_SIZE; ++i)
-                total += shared[i * TILE * COLUMNS + sum];
-            part[pair * TILE * COLUMNS + sum] += total;
+                total += shared[i * SUMS + sum];
+            part[tile * SUMS + sum] += total;
         }
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 }
 
 /* Vectors of the blocks in which one of a layer's slots is drawn. */
-inline void list_steps(const Layer *layer, const int *slots, const int blocks, Steps *steps)
+inline Runs drawing_vectors(const Layer *layer, const int *slots, const int blocks)
 {
     const bool all = !SKIP_SLOTS || layer->inputs == INPUT_DIM;
-    steps->count = 0;
+    Runs vectors;
+    vectors.count = 0;
     for (int block = 0; block < blocks; ++block)
-        for (int s = 0; s < VECTORS && (all || (slots[block] & layer->slots)); ++s)
-            steps->vector[steps->count++] = (size_t)(block * VECTORS + s);
+        if (all || (slots[block] & layer->slots))
+            add_run(&vectors, block * VECTORS, (block + 1) * VECTORS);
+    return vectors;
 }
 
 /* Adds the weight gradient of one batch and one head. */
 inline void add_weights(__global const float *values, const int head, const int *slots,
                         const int blocks, __global float *part)
 {
-    for (int row = 0; row < layer_rows(head); row += TILE) {
-        const Layer layer = layer_of(head, row);
-        Steps steps;
-        list_steps(&layer, slots, blocks, &steps);
-        for (int pair = 0; pair < pairs_of(&layer); ++pair) {
+    for (int row_tile = 0; row_tile < head_tiles(head); ++row_tile) {
+        const Layer layer = layer_of(head, row_tile);
+        const Runs vectors = drawing_vectors(&layer, slots, blocks);
+        for (int tile = 0; tile < column_tiles(&layer); ++tile) {
             __global const float *columns[COLUMNS];
-            layer_columns(&layer, pair * COLUMNS, values, columns);
-            float sums[TILE * COLUMNS];
-            dot_products(values + layer.row * BATCH_STRIDE, columns, &steps, sums);
+            layer_columns(&layer, tile * COLUMNS, values, columns);
+            float sums[SUMS];
+            dot_products(values + layer.row * BATCH_STRIDE, columns, &vectors, sums);
 #pragma unroll
-            for (int i = 0; i < TILE * COLUMNS; ++i)
-                part[layer.sums + pair * TILE * COLUMNS + i] += sums[i];
+            for (int i = 0; i < SUMS; ++i)
+                part[layer.sums + tile * SUMS + i] += sums[i];
         }
     }
 }
@@ -249,7 +224,7 @@ inline void batch_backward(const Model *model, const Outputs *outputs, const int
 }
 
 /* One work-item every global-size-th part, with a BATCH_SIZE of its own, which stays in the cache.
- * partial: (PARTS, PART_SIZE), zero before. */
+ * partial: (PARTS, part_size()), zero before. */
 __kernel void mlp_backward(__global const float *feature, __global const float *position,
                            __global const int *visible, const int count,
                            __global const float *weights, __global const float *camera,
@@ -264,33 +239,34 @@ __kernel void mlp_backward(__global const float *feature, __global const float *
     for (size_t part = get_global_id(0); part < PARTS; part += get_global_size(0))
         for (int batch = (int)part; batch * BATCH < padded; batch += PARTS)
             batch_backward(&model, &outputs, batch, drawing_samples(batch, padded, active),
-                           values + get_global_id(0) * BATCH_SIZE, partial + part * PART_SIZE, &d);
+                           values + get_global_id(0) * BATCH_SIZE, partial + part * part_size(),
+                           &d);
 }
 
-/* One work-item TILE rows of a head (dimension 0: of all heads, one behind the other) by COLUMNS
- * columns (dimension 1): their sums over the parts, in order, to their places. */
+/* One work-item a tile of rows (dimension 0: of all heads, one behind the other) by COLUMNS columns
+ * (dimension 1): their sums over the parts, in order, to their places. */
 __kernel void mlp_backward_sum(__global const float *partial, const int parts,
                                __global float *d_weights)
 {
-    int row = (int)get_global_id(0) * TILE, head = 0;
-    for (; head < HEADS - 1 && row >= layer_rows(head); ++head)
-        row -= layer_rows(head);
-    const Layer layer = layer_of(head, row);
-    const int pair = (int)get_global_id(1);
-    if (pair >= pairs_of(&layer))
+    int row_tile = (int)get_global_id(0), head = 0;
+    for (; head < HEADS - 1 && row_tile >= head_tiles(head); ++head)
+        row_tile -= head_tiles(head);
+    const Layer layer = layer_of(head, row_tile);
+    const int tile = (int)get_global_id(1);
+    if (tile >= column_tiles(&layer))
         return;
-    float sums[TILE * COLUMNS] = {0.0f};
+    float sums[SUMS] = {0.0f};
     for (int part = 0; part < parts; ++part)
 #pragma unroll
-        for (int i = 0; i < TILE * COLUMNS; ++i)
-            sums[i] += partial[(size_t)part * PART_SIZE + layer.sums + pair * TILE * COLUMNS + i];
+        for (int i = 0; i < SUMS; ++i)
+            sums[i] += partial[(size_t)part * part_size() + layer.sums + tile * SUMS + i];
     for (int c = 0; c < COLUMNS; ++c)
-        for (int o = 0; o < TILE; ++o) {
-            const int column = pair * COLUMNS + c;
+        for (int o = layer.repeated; o < WEIGHT_ROWS; ++o) {
+            const int column = tile * COLUMNS + c;
             if (column < layer.inputs)
-                d_weights[layer.weight + o * layer.inputs + column] = sums[c * TILE + o];
+                d_weights[layer.weight + o * layer.inputs + column] = sums[c * WEIGHT_ROWS + o];
             else if (column == layer.inputs)
-                d_weights[layer.bias + o] = sums[c * TILE + o];
+                d_weights[layer.bias + o] = sums[c * WEIGHT_ROWS + o];
         }
 }
 

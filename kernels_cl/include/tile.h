@@ -12,14 +12,7 @@
 #endif
 #define TILE_PIXELS (TILE_SIZE * TILE_SIZE)
 
-#if VEC == 1
-
-inline float sum_v(float x)
-{
-    return x;
-}
-
-#else
+#if VEC > 1
 
 #define UNIT_WIDTH 4
 #define UNIT_HEIGHT (VEC / UNIT_WIDTH)
@@ -112,38 +105,6 @@ inline int take_unit(uint *units)
     const int unit = (int)clz(*units);
     *units ^= unit_bit(unit);
     return unit;
-}
-
-inline float sum8(float8 x)
-{
-    const float4 four = x.lo + x.hi;
-    const float2 pair = four.lo + four.hi;
-    return pair.x + pair.y;
-}
-
-/* (sum of a, b, c, d), as a tree over the lanes. */
-inline float4 sum8x4(float8 a, float8 b, float8 c, float8 d)
-{
-    const float4 p = a.lo + a.hi, q = b.lo + b.hi, r = c.lo + c.hi, s = d.lo + d.hi;
-    const float4 even = (float4)(p.x, q.x, r.x, s.x) + (float4)(p.z, q.z, r.z, s.z);
-    const float4 odd = (float4)(p.y, q.y, r.y, s.y) + (float4)(p.w, q.w, r.w, s.w);
-    return even + odd;
-}
-
-#if VEC == 8
-#define FOLD_TO_8(x) (x)
-#else
-#define FOLD_TO_8(x) ((x).lo + (x).hi)
-#endif
-
-inline float sum_v(fv x)
-{
-    return sum8(FOLD_TO_8(x));
-}
-
-inline float4 sum_v4(fv a, fv b, fv c, fv d)
-{
-    return sum8x4(FOLD_TO_8(a), FOLD_TO_8(b), FOLD_TO_8(c), FOLD_TO_8(d));
 }
 
 /* The pixels of a unit at (x, y) of an image; those outside of it read as zero.
