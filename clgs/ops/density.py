@@ -18,6 +18,9 @@ from clgs.shapes import Shapes
 
 GROUP_SIZE = 64
 
+SHARE = {"cpu": 32, "gpu": 1}
+"""Gaussians of a work-item."""
+
 
 @dataclass(frozen=True)
 class Statistics:
@@ -94,9 +97,10 @@ def accumulate(
         statistics.opacity_sum,
         statistics.visits,
     )
+    share = SHARE[device.specialisation]
     device.run(
-        device.kernel("density", "density_gradient"),
-        (round_up(count, GROUP_SIZE),),
+        device.kernel("density", "density_gradient", VEC=device.lanes, SHARE=share),
+        (round_up(-(-count // share), GROUP_SIZE),),
         (GROUP_SIZE,),
         visible,
         gradients.slot,
