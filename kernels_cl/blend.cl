@@ -12,6 +12,7 @@
  */
 #include "include/blend_observe.h"
 #include "include/blend_step.h"
+#include "include/items.h"
 #include "include/prefetch.h"
 #include "include/tile.h"
 
@@ -33,7 +34,7 @@ __kernel void blend_prepare(__global const float *mean2d, __global const float *
                             __global const float *color, __global const float *opacity,
                             const int count, __global float *splats)
 {
-    const int first = (int)get_global_id(0) * VEC;
+    const int first = (int)item_from_middle() * VEC;
     if (first >= count)
         return;
     const size_t used = (size_t)min(VEC, count - first);
@@ -135,7 +136,7 @@ inline Sums add_rows(Sums s, __global const float *rows, int begin, int end)
 __kernel void blend_accumulate(__global const float *rows, __global const int *row_range,
                                const int count, __global float *sums)
 {
-    const int i = (int)get_global_id(0);
+    const int i = (int)item_from_middle();
     if (i >= count)
         return;
     __global float *own = sums + ROW_USED * (size_t)i;
@@ -174,7 +175,7 @@ __kernel void blend_sum(__global const float *rows, __global const int *row_rang
                         __global const float *whitening, __global const float *color,
                         __global const float *opacity, GRADIENTS)
 {
-    const int i = (int)get_global_id(0);
+    const int i = (int)item_from_middle();
     if (i >= count)
         return;
     const Sums zero = {(float8)(0.0f), 0.0f};
@@ -187,7 +188,7 @@ __kernel void blend_finish(__global const float *sums, const int count,
                            __global const float *whitening, __global const float *color,
                            __global const float *opacity, GRADIENTS)
 {
-    const int i = (int)get_global_id(0);
+    const int i = (int)item_from_middle();
     if (i >= count)
         return;
     store_gradients(load_sums(sums + ROW_USED * (size_t)i), i, whitening, color, opacity, d_mean2d,

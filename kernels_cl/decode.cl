@@ -11,6 +11,7 @@
 #define OUTPUT_SPACE __private
 #endif
 #include "include/gaussians.h"
+#include "include/items.h"
 #include "include/mlp_dense.h"
 #include "include/mlp_layout.h"
 #include "include/mlp_output.h"
@@ -64,7 +65,7 @@ __kernel void decode_forward(__global const float *feature, __global const float
                              __global float *depth, __global float *extent, __global float *color,
                              __global float *opacity)
 {
-    const size_t first = get_global_id(0) * BLOCK, stride = (size_t)padded;
+    const size_t first = item_from_middle() * BLOCK, stride = (size_t)padded;
     if (first >= (size_t)count)
         return;
     const int slots = computed_slots(output + first, stride);

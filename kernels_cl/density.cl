@@ -1,6 +1,7 @@
 /* Statistics that decide where anchors grow and which are pruned. Every anchor and every slot
  * appears at most once in a view: plain additions, no atomics. Nothing happens unless *stop is 0.
  */
+#include "include/items.h"
 #include "include/prefetch.h"
 #include "include/real.h"
 
@@ -47,7 +48,7 @@ __kernel void density_gradient(__global const int *visible, __global const int *
                                const int count, const float2 half_size, __global const int *stop,
                                __global float *gradient_sum, __global int *gradient_count)
 {
-    const size_t first = get_global_id(0) * SHARE;
+    const size_t first = item_from_middle() * SHARE;
     if (first >= (size_t)count || *stop != 0)
         return;
     int place[SHARE];

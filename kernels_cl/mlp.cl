@@ -7,6 +7,7 @@
  * computes the hidden values again, which costs less than moving them through memory.
  */
 #include "include/real.h"
+#include "include/items.h"
 #include "include/lanes.h"
 #include "include/mlp_dense.h"
 #include "include/mlp_layout.h"
@@ -21,7 +22,7 @@ __kernel void mlp_opacity(__global const float *feature, __global const float *p
                           __global const float *weights, __global const float *camera,
                           const int padded, __global float *opacity)
 {
-    const size_t first = get_global_id(0) * BLOCK, stride = (size_t)padded;
+    const size_t first = item_from_middle() * BLOCK, stride = (size_t)padded;
     if (first >= stride)
         return;
     const Model model = {feature, position, visible, (size_t)count, weights, camera};
@@ -125,7 +126,7 @@ __kernel void mlp_heads(__global const float *feature, __global const float *pos
                         __global const int *visible, const int count, __global const float *weights,
                         __global const float *camera, const int padded, __global float *output)
 {
-    const size_t first = get_global_id(0) * BLOCK, stride = (size_t)padded;
+    const size_t first = item_from_middle() * BLOCK, stride = (size_t)padded;
     if (first >= stride)
         return;
     const Model model = {feature, position, visible, (size_t)count, weights, camera};

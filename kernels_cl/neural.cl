@@ -9,6 +9,7 @@
  */
 #include "include/anchors.h"
 #include "include/gaussians.h"
+#include "include/items.h"
 #include "include/real.h"
 #include "include/rows.h"
 
@@ -18,7 +19,7 @@ __kernel void neural_count(__global const float *output, __global const int *vis
                            const int count, const int padded, __global int *drawn,
                            __global int *counts)
 {
-    const size_t v = get_global_id(0) * VEC;
+    const size_t v = item_from_middle() * VEC;
     if (v >= (size_t)count)
         return;
     iv bits = (iv)(0);
@@ -43,7 +44,7 @@ __kernel void neural_forward(__global const float *output, __global const int *v
                              __global float *mean, __global float *scale, __global float *rotation,
                              __global float *color, __global float *opacity, __global int *slot)
 {
-    const size_t v = get_global_id(0) * VEC, stride = (size_t)padded;
+    const size_t v = item_from_middle() * VEC, stride = (size_t)padded;
     const Drawn drawn = list_drawn(bits, first, v, (size_t)count, (size_t)capacity);
     if (drawn.count == 0)
         return;
@@ -196,7 +197,7 @@ __kernel void neural_backward(__global const float *output, __global const int *
                               __global float *d_output, __global float *d_offset,
                               __global float *d_scaling)
 {
-    const size_t v = get_global_id(0) * VEC, stride = (size_t)padded;
+    const size_t v = item_from_middle() * VEC, stride = (size_t)padded;
     const Drawn drawn = list_drawn(bits, first, v, (size_t)count, (size_t)capacity);
     Shapes shapes;
     fetch_anchors(visible, v + VEC, (size_t)count, offset, scaling, d_offset, d_scaling);

@@ -6,6 +6,7 @@
  * that are 1e5 times longer than wide, where the conic form loses all digits.
  */
 #include "include/camera.h"
+#include "include/items.h"
 #include "include/lanes.h"
 #include "include/projection.h"
 #include "include/real.h"
@@ -29,7 +30,7 @@ __kernel void project_forward(__global const float *mean, __global const float *
                               __global float *whitening, __global float *depth,
                               __global float *extent)
 {
-    const size_t first = get_global_id(0) * VEC;
+    const size_t first = item_from_middle() * VEC;
     if (first >= (size_t)count)
         return;
     const size_t used = min((size_t)VEC, (size_t)count - first);
@@ -129,7 +130,7 @@ __kernel void project_backward(__global const float *mean, __global const float 
                                __global const float *d_whitening, __global float *d_mean,
                                __global float *d_scale, __global float *d_rotation)
 {
-    const size_t item = get_global_id(0) * VEC;
+    const size_t item = item_from_middle() * VEC;
     if (item >= (size_t)count)
         return;
     const size_t used = min((size_t)VEC, (size_t)count - item);

@@ -6,6 +6,7 @@
  * of the Gaussians: there the backward pass of blend leaves its gradients.
  */
 #include "include/footprint.h"
+#include "include/items.h"
 
 /* Number of tiles that Gaussian i, whose box is large, reaches. */
 inline int count_large(const Geometry *g, const int i, const Window w)
@@ -51,7 +52,7 @@ __kernel void tiles_footprint(__global const float *mean2d, __global const float
                               const int end_row, const int count, __global float *boxes,
                               __global int *counts)
 {
-    const int first = (int)get_global_id(0) * VEC;
+    const int first = (int)item_from_middle() * VEC;
     if (first >= count)
         return;
     const int used = min(VEC, count - first);

@@ -46,8 +46,8 @@ PARTS = 64
 SLAB = 64
 """Batches that a GPU works on at once, at most PARTS."""
 
-SHARES = 8
-"""Work-items, a compute unit of a CPU, that the parts are dealt out to."""
+WORKERS = 1
+"""Work-items, a compute unit of a CPU, that take parts until none is left."""
 
 GROUP_SIZE = 64
 """Work-items of a group on a GPU."""
@@ -213,10 +213,10 @@ def backward(
     outputs = (result.d_feature, unused if result.d_position is None else result.d_position)
     macros = {**defines(device, activations.options), "WANT_POSITION": int(want_position)}
     if device.specialisation == "cpu":
-        shares = min(SHARES * int(device.cl_device.max_compute_units), parts)
-        values = device.empty((shares, _batch_size(device)))
+        workers = min(WORKERS * int(device.cl_device.max_compute_units), parts)
+        values, taken = device.empty((workers, _batch_size(device))), device.zeros((1,), np.int32)
         kernel = device.kernel("mlp", "mlp_backward", **macros)
-        device.run(kernel, (shares,), (1,), *inputs, values, partial, *outputs)
+        device.run(kernel, (workers,), (1,), *inputs, taken, values, partial, *outputs)
     else:
         _backward_in_groups(device, inputs, outputs, partial, macros)
     device.run(

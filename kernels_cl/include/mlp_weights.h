@@ -223,24 +223,25 @@ inline void batch_backward(const Model *model, const Outputs *outputs, const int
     }
 }
 
-/* One work-item every global-size-th part, with a BATCH_SIZE of its own, which stays in the cache.
- * partial: (PARTS, part_size()), zero before. */
+/* Work-items take part after part until none is left, each with a BATCH_SIZE of its own, which
+ * stays in the cache: whoever is faster takes more, and a part is the same whoever takes it. next:
+ * how many are taken; partial: (PARTS, part_size()); both zero before. */
 __kernel void mlp_backward(__global const float *feature, __global const float *position,
                            __global const int *visible, const int count,
                            __global const float *weights, __global const float *camera,
                            const int padded, __global const float *output,
                            __global const float *d_output, __global const int *active,
-                           __global float *values, __global float *partial,
+                           __global int *next, __global float *values, __global float *partial,
                            __global float *d_feature, __global float *d_position)
 {
     const Model model = {feature, position, visible, (size_t)count, weights, camera};
     const Outputs outputs = {output, d_output, (size_t)padded};
     const AnchorGradients d = {d_feature, d_position};
-    for (size_t part = get_global_id(0); part < PARTS; part += get_global_size(0))
-        for (int batch = (int)part; batch * BATCH < padded; batch += PARTS)
+    for (int part = atomic_inc(next); part < PARTS; part = atomic_inc(next))
+        for (int batch = part; batch * BATCH < padded; batch += PARTS)
             batch_backward(&model, &outputs, batch, drawing_samples(batch, padded, active),
-                           values + get_global_id(0) * BATCH_SIZE, partial + part * part_size(),
-                           &d);
+                           values + get_global_id(0) * BATCH_SIZE,
+                           partial + (size_t)part * part_size(), &d);
 }
 
 /* One work-item a tile of rows (dimension 0: of all heads, one behind the other) by COLUMNS columns

@@ -151,7 +151,7 @@ def test_dealing_out_does_not_change_a_bit(device, rng, monkeypatch):
     d_of_anchor = random_gradients(rng, 6000)
     whole = run_backward(device, values, visible, d_of_anchor)
     monkeypatch.setattr(mlp, "SLAB", 3)
-    monkeypatch.setattr(mlp, "SHARES", 1)
+    monkeypatch.setattr(mlp, "WORKERS", 5)
     parts = run_backward(device, values, visible, d_of_anchor)
     for name, array in whole.items():
         assert np.array_equal(array, parts[name]), name
