@@ -118,6 +118,7 @@ def check_folder(path: Path) -> None:
 
     Folders that are missing can be made, and are no error.
     """
+    _mode(path)
     nearest = next((folder for folder in (path, *path.parents) if folder.exists()), None)
     if nearest and not nearest.is_dir():
         raise OutputError(f"{nearest}: is no folder; choose another name")

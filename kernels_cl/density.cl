@@ -55,8 +55,8 @@ __kernel void density_gradient(__global const int *visible, __global const int *
     const size_t size = min((size_t)count - first, (size_t)SHARE);
     for (size_t i = 0; i < size; ++i) {
         place[i] = place_of(visible, slot, extent, first + i);
-        PREFETCH_WRITE(gradient_sum + place[i]);
-        PREFETCH_WRITE(gradient_count + place[i]);
+        PREFETCH_WRITE(gradient_sum + max(place[i], 0));
+        PREFETCH_WRITE(gradient_count + max(place[i], 0));
     }
     for (size_t i = 0; i < size; ++i) {
         if (place[i] < 0)

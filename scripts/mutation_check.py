@@ -35,6 +35,9 @@ SUITES = {
     "quantize": ["tests/ops/test_quantize.py"],
     "neural": ["tests/ops/test_neural.py", f"{STRESS}poison.py"],
     "mlp": ["tests/ops/test_mlp.py", f"{STRESS}tiers.py"],
+    "density": ["tests/ops/test_density.py"],
+    "cull": ["tests/ops/test_cull.py"],
+    "decode": ["tests/ops/test_decode.py"],
 }
 """Tests of every stage: all of its own, and all stress tests of its theme."""
 

@@ -90,7 +90,7 @@ def test_a_file_of_another_kind_is_refused_before_the_work(tmp_path, capsys, mon
     monkeypatch.setattr("clgs.testing.conformance.fingerprints", None)
     path = tmp_path / "bad.json"
     path.write_text(text)
-    for wrong in (path, tmp_path):
+    for wrong in (path, tmp_path, path / "x", tmp_path / ("x" * 300), Path("/dev/zero")):
         assert main(["conformance", "--check", str(wrong)]) == 3
         said = capsys.readouterr().err
         assert str(wrong) in said
@@ -100,6 +100,16 @@ def test_a_file_of_another_kind_is_refused_before_the_work(tmp_path, capsys, mon
 def test_another_set_of_tensors_is_refused(found):
     with pytest.raises(DataError, match="another version"):
         differences(found, found[1:])
+
+
+def test_a_hash_that_is_no_text_is_refused_before_the_work(found, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("clgs.testing.conformance.fingerprints", None)
+    record = to_record(found, {})
+    record["tensors"][0]["sha256"] = None
+    path = tmp_path / "null.json"
+    path.write_text(json.dumps(record))
+    assert main(["conformance", "--check", str(path)]) == 3
+    assert str(path) in capsys.readouterr().err
 
 
 def test_a_tensor_listed_twice_is_refused_before_the_work(found, tmp_path, capsys, monkeypatch):

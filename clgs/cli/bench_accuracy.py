@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.view_options import positive_int, seed
+from clgs.cli.workload_options import add_figure_options, check_figure_options
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
@@ -51,25 +52,19 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     add("--repeats", type=positive_int, default=20, help="rounds of times (default: 20)")
     add("--seed", type=seed, default=0, help="of the synthetic scenes (default: 0)")
     add("--device", help="number or part of the name, see `clgs devices`")
-    add("-o", "--output", type=Path, metavar="F", help="write all figures to F (JSON)")
-    add("--plot", type=Path, metavar="F", help="draw them to F (SVG; needs matplotlib)")
+    add_figure_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; exit code 0."""
-    from clgs.files import check_target
     from clgs.opencl.device import Device
     from clgs.testing.accuracy_settings import accuracy_settings
     from clgs.testing.bench_accuracy import bench_accuracy
-    from clgs.testing.plots import plot_accuracy, require_pyplot
+    from clgs.testing.plots import plot_accuracy
     from clgs.train.session import write_json
 
     settings = accuracy_settings(args.sweeps)
-    for path in (args.output, args.plot):
-        if path:
-            check_target(path)
-    if args.plot:
-        require_pyplot()
+    check_figure_options(args)
     subjects = _subjects(args)
     device = Device(args.device)
     found = []

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from clgs.cli.device_option import add_device_option, open_devices
 from clgs.cli.view_options import positive_int, seed
+from clgs.cli.workload_options import edge_length, element_count, gaussian_count
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
@@ -29,9 +30,9 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("--gaussians", type=positive_int, help="with positive opacity (default: 200000)")
-    add("--size", type=positive_int, help="width and height of the image, pixels (default: 400)")
-    add("--elements", type=positive_int, help="for stages timed alone (default: 1000000)")
+    add("--gaussians", type=gaussian_count, help="with positive opacity (default: 200000)")
+    add("--size", type=edge_length, help="width and height of the image, pixels (default: 400)")
+    add("--elements", type=element_count, help="for stages timed alone (default: 1000000)")
     add("--repeats", type=positive_int, help="runs to take the median of (default: 15)")
     add("--seed", type=seed, help="of the scene (default: 0)")
     add_device_option(parser)

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.view_options import positive_int
+from clgs.cli.workload_options import (
+    add_figure_options,
+    check_figure_options,
+    edge_length,
+    gaussian_count,
+)
 
 if TYPE_CHECKING:
     from clgs.testing.bench_scaling import Growth, Run, Scaling
@@ -27,32 +32,24 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("--gaussians", type=positive_int, nargs="+", help="other numbers; two give an exponent")
-    add(
-        "--sizes", type=positive_int, nargs="+", help="other edges of the picture, pixels; as above"
-    )
+    add("--gaussians", type=gaussian_count, nargs="+", help="other numbers; two give an exponent")
+    add("--sizes", type=edge_length, nargs="+", help="other edges of the picture, pixels; as above")
     add("--repeats", type=positive_int, default=15, help="steps of a size, at most (default: 15)")
     add("--device", help="number or part of the name, see `clgs devices`")
-    add("-o", "--output", type=Path, metavar="F", help="write all figures to F (JSON)")
-    add("--plot", type=Path, metavar="F", help="draw them to F (SVG; needs matplotlib)")
+    add_figure_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; exit code 0."""
     from dataclasses import asdict
 
-    from clgs.files import check_target
     from clgs.opencl.device import Device
     from clgs.testing.bench_scaling import GAUSSIANS, SIZES, bench_scaling
     from clgs.testing.facts import command_line, machine_facts
-    from clgs.testing.plots import plot_scaling, require_pyplot
+    from clgs.testing.plots import plot_scaling
     from clgs.train.session import write_json
 
-    for path in (args.output, args.plot):
-        if path:
-            check_target(path)
-    if args.plot:
-        require_pyplot()
+    check_figure_options(args)
     device = Device(args.device)
     found = bench_scaling(
         lambda: Device(args.device),

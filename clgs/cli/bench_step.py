@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from clgs.cli.view_options import positive_int, seed
+from clgs.cli.workload_options import edge_length, gaussian_count
 
 
 def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -16,8 +17,8 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     add = step.add_argument
-    add("--gaussians", type=positive_int, default=200_000, help="with positive opacity")
-    add("--size", type=positive_int, default=400, help="width and height of the image, pixels")
+    add("--gaussians", type=gaussian_count, default=200_000, help="with positive opacity")
+    add("--size", type=edge_length, default=400, help="width and height of the image, pixels")
     add("--repeats", type=positive_int, default=15, help="steps to take the median of")
     add("--seed", type=seed, default=0, help="of the scene")
     add("--device", help="number or part of the name, see `clgs devices`")

@@ -7,6 +7,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clgs.cli.view_options import named_path
+
 if TYPE_CHECKING:
     from clgs.testing.conformance import Fingerprint
 
@@ -14,6 +16,10 @@ DESCRIPTION = """\
 SHA-256 of every tensor that the kernels compute for fixed scenes: renders, gradients and all stages
 between. With --check: whether another device made the same bits; names the first stage that did
 not. Exit code 1 where any tensor differs."""
+
+
+LARGEST_RECORD = 1 << 24
+"""Bytes; one of today has 20 thousand."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -25,8 +31,8 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("-o", "--output", type=Path, metavar="FILE", help="write the hashes to FILE (JSON)")
-    add("--check", type=Path, metavar="FILE", help="compare with the hashes in FILE")
+    add("-o", "--output", type=named_path, metavar="FILE", help="write the hashes to FILE (JSON)")
+    add("--check", type=named_path, metavar="FILE", help="compare with the hashes in FILE")
     add("--device", help="number or part of the name, see `clgs devices`")
 
 
@@ -64,11 +70,19 @@ def _read(path: Path) -> Any:
     from clgs.errors import DataError
 
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file; `clgs conformance -o` makes one") from None
+        with path.open("rb") as file:
+            text = file.read(LARGEST_RECORD + 1)
     except IsADirectoryError:
         raise DataError(f"{path}: is a folder; name the JSON file in it") from None
+    except PermissionError:
+        raise
+    except OSError as error:
+        remedy = "`clgs conformance -o` makes one"
+        raise DataError(f"{path}: {error.strerror}; {remedy}") from None
+    if len(text) > LARGEST_RECORD:
+        raise DataError(f"{path}: is no file of `clgs conformance -o`")
+    try:
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: is no JSON file") from error
 

@@ -123,13 +123,13 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.progress import TrainingDisplay, print_summary
     from clgs.data.dataset import load_dataset
     from clgs.errors import DataError, UsageError
+    from clgs.files import check_folder
     from clgs.opencl.device import Device
     from clgs.train.finished import finished_run
     from clgs.train.session import Session
 
     config = make_config(args)
-    if args.output.exists() and not args.output.is_dir():
-        raise UsageError(f"{args.output}: is not a folder; name another with -o")
+    check_folder(args.output)
     if (args.output / "checkpoint").is_file():
         raise UsageError(f"{args.output / 'checkpoint'}: is not a folder; remove it")
     if args.output.exists() and args.data.exists() and args.output.samefile(args.data):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
     from clgs.options import RenderOptions
     from clgs.scene.scene import QuantizedScene
     from clgs.train.config import TrainConfig
+
+
+MOST_PIXELS = 65536
+"""The largest --smallest-anchor."""
 
 
 def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> None:
@@ -129,12 +134,21 @@ def trained_downscale(scene: Path) -> int:
     return 1
 
 
-def positive_int(text: str) -> int:
-    """An argument that must be a whole number of at least 1."""
-    value = int(text) if text.isdecimal() else 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least 1")
-    return value
+def whole_number(largest: int) -> Callable[[str], int]:
+    """The type of arguments that must be whole numbers from 1 to ``largest``."""
+
+    def parse(text: str) -> int:
+        digits = text if text.isdecimal() else "0"
+        value = int(digits) if len(digits) <= len(str(largest)) else largest + 1
+        if not 1 <= value <= largest:
+            named = text if len(text) <= 20 else f"{text[:17]}..."
+            raise argparse.ArgumentTypeError(f"{named} is not a whole number from 1 to {largest}")
+        return value
+
+    return parse
+
+
+positive_int = whole_number(2**31 - 1)
 
 
 def named_path(text: str) -> Path:
@@ -145,13 +159,13 @@ def named_path(text: str) -> Path:
 
 
 def pixels(text: str) -> float:
-    """An argument that must be a finite number of at least 0."""
+    """An argument that must be a number of pixels that a picture can have."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not a finite number of at least 0")
+    if not 0 <= value <= MOST_PIXELS:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 0 to {MOST_PIXELS}")
     return value
 
 

@@ -182,7 +182,8 @@ def from_record(record: object) -> list[Fingerprint]:
         assert isinstance(record, dict)
         if record["format"] != FORMAT:
             raise DataError(f"made in the form {record['format']!r}, expected {FORMAT!r}")
-        found = [Fingerprint(**{k: str(v) for k, v in one.items()}) for one in record["tensors"]]
+        found = [Fingerprint(**one) for one in record["tensors"]]
+        assert all(isinstance(v, str) for one in found for v in vars(one).values())
     except (AssertionError, KeyError, TypeError, AttributeError) as error:
         raise DataError("is no file of `clgs conformance -o`") from error
     place, times = Counter(one.place for one in found).most_common(1)[0] if found else ("", 0)

@@ -141,10 +141,9 @@ __kernel void mlp_backward_layers(__global const float *feature, __global const 
                    values + (size_t)(sample / BATCH) * BATCH_SIZE + sample % BATCH, &d);
 }
 
-/* GROUP_SIZE work-items by TILE rows (dimension 0) by batch (dimension 1), PARTS batches at most:
- * each adds its weight gradient to its part, summed in a fixed order. partial: (PARTS,
- * part_size()).
- */
+/* GROUP_SIZE work-items by WEIGHT_ROWS rows (dimension 0) by batch (dimension 1), PARTS batches at
+ * most: each adds its weight gradient to its part, summed in a fixed order. partial: (parts,
+ * part_size()). */
 __kernel void mlp_backward_weights(const int padded, __global const int *active,
                                    const int first_batch, const int head,
                                    __global const float *values, __global float *partial)
@@ -225,7 +224,7 @@ inline void batch_backward(const Model *model, const Outputs *outputs, const int
 
 /* Work-items take part after part until none is left, each with a BATCH_SIZE of its own, which
  * stays in the cache: whoever is faster takes more, and a part is the same whoever takes it. next:
- * how many are taken; partial: (PARTS, part_size()); both zero before. */
+ * how many are taken; partial: (parts, part_size()); both zero before. */
 __kernel void mlp_backward(__global const float *feature, __global const float *position,
                            __global const int *visible, const int count,
                            __global const float *weights, __global const float *camera,

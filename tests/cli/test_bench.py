@@ -25,6 +25,33 @@ def test_a_single_gaussian_is_enough(tmp_path):
     assert json.loads(file.read_text())["anchors"] == 1
 
 
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["step", "--size", "9" * 30], "--size"),
+        (["step", "--gaussians", "3000000000"], "--gaussians"),
+        (["ops", "--elements", "3000000000"], "--elements"),
+        (["scaling", "--sizes", "40", "16385"], "--sizes"),
+    ],
+)
+def test_more_than_a_device_can_hold_is_refused(capsys, arguments, named):
+    with pytest.raises(SystemExit) as refused:
+        main(["bench", *arguments])
+    assert refused.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"clgs: error: {named}: ")
+    assert len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize("kind", ["scaling", "accuracy"])
+@pytest.mark.parametrize(("plot", "said"), [("x.svg", "same file"), ("x.png", "are SVG")])
+def test_figures_need_a_file_of_their_own(tmp_path, monkeypatch, capsys, kind, plot, said):
+    monkeypatch.chdir(tmp_path)
+    assert main(["bench", kind, "-o", "x.svg", "--plot", f"./{plot}"]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("kind", bench.KINDS)
 @pytest.mark.parametrize(
     ("error", "code"), [(MemoryError("1 TiB"), 1), (NoRoomError("no room for 1 TiB"), 4)]

@@ -270,3 +270,10 @@ def test_steps_and_q_are_in_range(work, capsys, number):
         assert error.value.code == 2
         said = capsys.readouterr().err.split(": ", 3)[3]
         assert said == f"{number} is not a number from 2^-64 to 2^64 (5.5e-20 to 1.8e19)\n"
+
+
+@pytest.mark.parametrize("folder", ["file", "file/x", "x" * 300])
+def test_a_run_needs_a_folder(work, capsys, folder):
+    assert cli.main(["train", str(work), "-o", folder]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not (work / "config.toml").exists()
