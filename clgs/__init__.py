@@ -26,17 +26,17 @@ _HOMES = {
     "Device": "clgs.opencl.device",
     "Renderer": "clgs.render.renderer",
     "TrainConfig": "clgs.train.config",
-    "decode": "clgs.codec.decode",
-    "encode": "clgs.codec.encode",
-    "evaluate_views": "clgs.train.evaluation",
+    "decode": "clgs.codec.scene_decoder",
+    "encode": "clgs.codec.scene_encoder",
+    "evaluate_views": "clgs.train.quality.score_views",
     "load_dataset": "clgs.data.dataset",
     "load_scene": "clgs.scene.storage",
-    "prepare": "clgs.data.photos",
+    "prepare": "clgs.data.sfm.prepare",
     "preset": "clgs.train.config",
     "render_options": "clgs.options",
     "render_view": "clgs.render.renderer",
     "save_scene": "clgs.scene.storage",
-    "train_scene": "clgs.train.session",
+    "train_scene": "clgs.train.run.session",
 }
 
 __all__ = sorted(_HOMES)  # the list is made from the table above

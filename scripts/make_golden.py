@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from clgs.codec.encode import encode
+from clgs.codec.scene_encoder import encode
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps

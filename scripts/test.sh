@@ -32,10 +32,10 @@ lint() {
     "$bin/ruff" check .
     "$bin/mypy"
     source_files kernels_cl codec_c tests/c | xargs -0 "$bin/clang-format" --dry-run --Werror
-    if [ -n "$ci" ] && on_debian_as_root && ! scripts/lint_kernels.sh --find >/dev/null; then
+    if [ -n "$ci" ] && on_debian_as_root && ! scripts/checks/lint_kernels.sh --find >/dev/null; then
         apt_install clang || true # lint_kernels.sh says what is missing
     fi
-    scripts/lint_kernels.sh
+    scripts/checks/lint_kernels.sh
 }
 
 test_c() {
@@ -48,12 +48,12 @@ test_c() {
 
 fuzz() {
     step "fuzz targets of the codec"
-    if on_debian_as_root && ! scripts/fuzz.sh --find >/dev/null; then
+    if on_debian_as_root && ! scripts/fuzz/fuzz.sh --find >/dev/null; then
         apt_install clang libclang-rt-dev || true # fuzz.sh says what is missing
     fi
-    PYTHON=$python scripts/fuzz.sh 30
+    PYTHON=$python scripts/fuzz/fuzz.sh 30
     step "fuzz targets under the memory sanitizer"
-    PYTHON=$python CHECK=memory scripts/fuzz.sh 10
+    PYTHON=$python CHECK=memory scripts/fuzz/fuzz.sh 10
 }
 
 # The wheel in its own environment: $work/venv, with the tests but not the package in $work/tree.
@@ -61,7 +61,7 @@ build_wheel() {
     step "wheel"
     "$python" -m pip wheel --quiet --no-deps --wheel-dir "$work/dist" . </dev/null
     wheel=$(echo "$work"/dist/clgs-*.whl)
-    "$python" scripts/check_wheel.py "$wheel"
+    "$python" scripts/checks/check_wheel.py "$wheel"
     "$python" -m venv "$work/venv" </dev/null
     "$work/venv/bin/python" -m pip install --quiet "$wheel[dev]" </dev/null
     mkdir "$work/tree"
@@ -81,9 +81,9 @@ smoke() {
             "$work/venv/bin/clgs" conformance --check "$work/$form.json"
     done
     step "race check"
-    "$root/scripts/race_check.sh" "$work/venv/bin/python"
+    "$root/scripts/checks/race_check.sh" "$work/venv/bin/python"
     step "a training run of 50 steps, and its file"
-    "$root/scripts/smoke.sh" "$work/venv/bin" "$work/smoke"
+    "$root/scripts/checks/smoke.sh" "$work/venv/bin" "$work/smoke"
 }
 
 # A file's tests stay in one process: they share kernels built once.
@@ -98,7 +98,7 @@ fi
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 step "tests of the checkout"
-"$python" -m pytest -q tests/test_architecture.py tests/test_packaging.py tests/test_rules.py
+"$python" -m pytest -q tests/house/test_architecture.py tests/house/test_packaging.py tests/house/test_rules.py
 test_c
 fuzz
 build_wheel

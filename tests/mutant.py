@@ -1,4 +1,4 @@
-"""Run the tests on a changed copy of the kernels and ops, for ``scripts/mutation_check.py``.
+"""Run the tests on a changed copy of the kernels and ops, for ``scripts/checks/mutation_check.py``.
 
 CLGS_TEST_MUTANT names a folder with ``kernels_cl`` whole and, below ``clgs``, changed modules only.
 """

@@ -59,7 +59,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"clgs {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in COMMANDS:
-        importlib.import_module(f"clgs.cli.{command}").register(subparsers)
+        importlib.import_module(f"clgs.cli.commands.{command}").register(subparsers)
     return parser
 
 
@@ -105,7 +105,7 @@ def _run(argv: Sequence[str] | None) -> int:
     import logging
 
     logging.basicConfig(format="clgs: warning: %(message)s", level=logging.WARNING)
-    module = importlib.import_module(f"clgs.cli.{args.command}")
+    module = importlib.import_module(f"clgs.cli.commands.{args.command}")
     try:
         code: int = module.run(args)
     except Exception as error:

@@ -20,9 +20,9 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from clgs.train.finished import RunResult
-from clgs.train.savings import Saving
-from clgs.train.session import Progress as TrainingProgress
+from clgs.train.quality.savings import Saving
+from clgs.train.run.finished_run import RunResult
+from clgs.train.run.session import Progress as TrainingProgress
 
 Item = TypeVar("Item")
 PLAIN_SECONDS = 15.0

@@ -3,7 +3,7 @@
 - ``encode_positions(positions)`` / ``decode_positions(data)``: unique voxels (N, 3)
 - ``encode_attributes(values, level)`` / ``decode_attributes(data)``: rows (N, channels)
 - ``morton_order(positions)``: the order in which positions come back
-- ``clgs.codec.encode.encode(scene)`` / ``clgs.codec.decode.decode(data)``: whole scenes
+- ``scene_encoder.encode(scene)`` / ``scene_decoder.decode(data)``: whole scenes
 """
 
 from clgs.codec.streams import (

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec import container, version1
-from clgs.codec.decode import decode_chunks, decode_positions
-from clgs.codec.meta import Meta
-from clgs.codec.reader import Reader
-from clgs.codec.source import Source
+from clgs.codec.container import section_table, version1
+from clgs.codec.container.meta import Meta
+from clgs.codec.container.reader import Reader
+from clgs.codec.container.source import Source
+from clgs.codec.scene_decoder import decode_chunks, decode_positions
 from clgs.codec.workers import workers
 from clgs.errors import UsageError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
@@ -57,10 +57,10 @@ def decode_box(source: Source, box: Box, threads: int | None = None) -> Quantize
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged in what is read.
     """
-    table = container.read_table(source)
+    table = section_table.read_table(source)
     if table.major == 1:
-        tags = container.VERSIONS[1]
-        sections = {tag: container.read_section(source, table.entries[tag]) for tag in tags}
+        tags = section_table.VERSIONS[1]
+        sections = {tag: section_table.read_section(source, table.entries[tag]) for tag in tags}
         scene = version1.decode_sections(sections)
         world = _to_world(scene.anchors.position, scene.scales, scene.transform)
         scene.anchors = _select(scene.anchors, box.holds(world))

@@ -14,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec import container, streams
-from clgs.codec.container import SATR, SMUL, SPLT, SPOS, Section
-from clgs.codec.octree import MAX_EXTENT, PositionsError, morton_codes
-from clgs.codec.reader import guarded
-from clgs.codec.source import BytesSource
+from clgs.codec import streams
+from clgs.codec.container import section_table
+from clgs.codec.container.reader import guarded
+from clgs.codec.container.section_table import SATR, SMUL, SPLT, SPOS, Section
+from clgs.codec.container.source import BytesSource
+from clgs.codec.octree.position_coder import MAX_EXTENT, PositionsError, morton_codes
 from clgs.errors import CodecError
 
 Ints = npt.NDArray[np.int32]
@@ -86,7 +87,7 @@ def pack(splats: Splats, level: str = "default", threads: int | None = None) -> 
         SMUL: streams.encode_attributes(count[:, None] - 1, "default", threads),
         SATR: streams.encode_attributes(values[:, 3:], level, threads),
     }
-    return container.write_container(sections)
+    return section_table.write_container(sections)
 
 
 def unpack(data: bytes, threads: int | None = None) -> Splats:
@@ -183,8 +184,10 @@ def _larger(name: str, values: npt.NDArray[np.floating]) -> str:
 
 def _sections(data: bytes) -> dict[str, Section]:
     source = BytesSource(data)
-    table = container.read_table(source, splats=True)
-    return {tag: container.read_section(source, table.entries[tag]) for tag in container.SPLATS}
+    table = section_table.read_table(source, splats=True)
+    return {
+        tag: section_table.read_section(source, table.entries[tag]) for tag in section_table.SPLATS
+    }
 
 
 def _decode(

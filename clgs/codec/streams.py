@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec import attributes, lattice, octree
 from clgs.codec.arguments import check_choice, check_integers
-from clgs.codec.meta import LEVELS
-from clgs.codec.subtrees import corners, runs
+from clgs.codec.attributes import row_coder
+from clgs.codec.container.meta import LEVELS
+from clgs.codec.octree import lattice, position_coder
+from clgs.codec.octree.subtrees import corners, runs
 from clgs.codec.workers import workers
 from clgs.errors import CodecError
 
@@ -48,7 +49,7 @@ def encode_positions(positions: npt.ArrayLike, threads: int | None = None) -> by
     position = check_integers("positions", positions)
     if position.shape[1] != 3:
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
-    position = octree.in_order(position)
+    position = position_coder.in_order(position)
     plain = _encode_octrees(_POSITIONS_HEAD.pack(POSITIONS, len(position)), position, threads)
     factors = lattice.common_factors(position) if len(position) else (1, 1, 1)
     if max(factors) == 1:
@@ -61,7 +62,7 @@ def _encode_octrees(head: bytes, position: npt.NDArray[np.int32], threads: int |
     with workers(threads) as pool:
         parts = runs(len(position), POINTS)
         clouds = [position[part] for part in parts]
-        streams = list(pool.map(octree.encode, clouds, corners(position, parts)))
+        streams = list(pool.map(position_coder.encode, clouds, corners(position, parts)))
     return _seal(head, b"", streams)
 
 
@@ -76,14 +77,16 @@ def decode_positions(
     body = _unseal(data, POSITIONS, LATTICE)
     head = _HEADS[bytes(body[:4])]
     _, count, *factors = head.unpack_from(body)
-    if factors and not (count > 0 and 1 <= min(factors) <= max(factors) <= octree.MAX_EXTENT):
+    if factors and not (
+        count > 0 and 1 <= min(factors) <= max(factors) <= position_coder.MAX_EXTENT
+    ):
         raise _damage(_POSITIONS_HEAD.size, f"factors {factors} of {count} points")
     position = _decode_octrees(body, head.size, count, threads)
     try:
-        if not octree.ascends(octree.morton_codes(position)):
+        if not position_coder.ascends(position_coder.morton_codes(position)):
             raise ValueError("the chunks are not in Morton order")
         return lattice.grow(position, factors) if factors else position
-    except octree.PositionsError as error:
+    except position_coder.PositionsError as error:
         raise _damage(head.size, error.problem) from error
     except ValueError as error:
         raise _damage(head.size, str(error)) from error
@@ -96,12 +99,12 @@ def _decode_octrees(
     parts = runs(count, POINTS)
     _, streams = _split(body, at, 0, len(parts))
     for part, (start, stream) in zip(parts, streams, strict=True):
-        if part.stop - part.start > len(stream) * octree.MAX_POINTS_A_BYTE:
+        if part.stop - part.start > len(stream) * position_coder.MAX_POINTS_A_BYTE:
             raise _damage(start, f"{len(stream)} bytes cannot hold {part.stop - part.start} points")
 
     def decode_chunk(part: slice, stream: tuple[int, memoryview]) -> npt.NDArray[np.int32]:
         try:
-            return octree.decode(stream[1], part.stop - part.start)
+            return position_coder.decode(stream[1], part.stop - part.start)
         except ValueError as error:
             raise _damage(stream[0], str(error)) from error
 
@@ -145,7 +148,7 @@ def encode_attributes(
         raise CodecError(f"values: {rows.shape[1]} channels, 1 to {MAX_CHANNELS} are possible")
     if rows.nbytes > MAX_OUTPUT:
         raise CodecError(f"values: {rows.nbytes} bytes as int32, at most {MAX_OUTPUT} fit")
-    model = attributes.fit(rows, level, ROWS)
+    model = row_coder.fit(rows, level, ROWS)
     with workers(threads) as pool:
         streams = list(pool.map(model.encode, (rows[part] for part in runs(len(rows), ROWS))))
     head = _ATTRIBUTES_HEAD.pack(ATTRIBUTES, *rows.shape, len(model.header))
@@ -167,7 +170,7 @@ def decode_attributes(
     parts = runs(count, ROWS)
     header, streams = _split(body, _ATTRIBUTES_HEAD.size, shared, len(parts))
     try:
-        model = attributes.read(header, channels)
+        model = row_coder.read(header, channels)
     except ValueError as error:
         raise _damage(_ATTRIBUTES_HEAD.size + 4 * len(parts), str(error)) from error
     rows = np.empty((count, channels), np.int32)
@@ -196,7 +199,7 @@ def morton_order(positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
     position = check_integers("positions", positions)
     if position.shape[1] != 3:
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
-    return octree.morton_order(position)
+    return position_coder.morton_order(position)
 
 
 def _seal(head: bytes, header: bytes, streams: list[bytes]) -> bytes:

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from clgs.data.images import Pixels, box_downscale, list_images, read_image
 from clgs.data.lens import Lens, undistort_lens, undistort_pixels
-from clgs.data.photo import Photo, PhotoSet
 from clgs.data.points import keep_near, random_points, viewpoint
+from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.errors import DataError
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
@@ -141,7 +141,7 @@ def composite(view: View, background: npt.ArrayLike) -> npt.NDArray[np.uint8]:
 
 def _read_photos(root: Path) -> PhotoSet:
     """Dispatch on the files that are there."""
-    from clgs.data.colmap import find_model, read_colmap
+    from clgs.data.colmap.model import find_model, read_colmap
     from clgs.data.transforms import read_blender, read_transforms
 
     if not root.is_dir():
@@ -216,7 +216,7 @@ def _triangulate(
     photos: PhotoSet, cache: Path | None, seed: int, on_stage: Callable[[str], None]
 ) -> None:
     """Fill in the points from the training photos; on failure they stay None."""
-    from clgs.data.triangulate import triangulate
+    from clgs.data.sfm.triangulate import triangulate
 
     try:
         points = triangulate(photos.train, cache, seed, on_stage)

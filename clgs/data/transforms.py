@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from clgs.data.images import SUFFIXES, image_size, stored_size
 from clgs.data.lens import Lens
-from clgs.data.photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
+from clgs.data.posed_photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
 from clgs.errors import DataError
 
 CAMERA_MODELS = {

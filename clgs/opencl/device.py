@@ -25,7 +25,7 @@ from clgs.opencl.transfer import Download, Transfers
 
 SPECIALISATIONS = ("cpu", "gpu")
 BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
-"""Subnormals cost CPUs dearly; warnings are for scripts/lint_kernels.sh, not for the terminal."""
+"""Subnormals cost CPUs dearly; warnings are the lint's (scripts/checks/lint_kernels.sh)."""
 
 
 class Device:

@@ -7,8 +7,8 @@ Dense: every element of a tensor is updated in every step. By rows: only rows th
 gradient are, and the others keep parameter and moments (gsplat calls that selective; t still counts
 all steps). The factors that depend on t are computed in double on the host. Moments too small to
 matter become zero, so that those of rows that get no gradient do not decay into subnormals.
-``clgs.train.adam`` is the same update in NumPy, equal to the bit where division and roots are
-correctly rounded.
+``clgs.train.step.numpy_adam`` is the same update in NumPy, equal to the bit if division and roots
+are correctly rounded.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from dataclasses import astuple
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import blend, cull, decode, loss, mlp, neural, project, scan, tiles
+from clgs.ops import blend, cull, loss, mlp, neural, project, project_anchors, scan, tiles
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import tile_groups
 from clgs.render.frame import (
@@ -88,11 +88,13 @@ def draw(
 ) -> Picture:
     """The picture of :func:`view_forward`, bit by bit, in less time."""
     visible = _cull(device, scene, view, options, capacity)
-    with device.stage("decode"):
-        anchors = decode.Anchors(scene.position, scene.offset, scene.feature, scene.scaling)
+    with device.stage("project anchors"):
+        anchors = project_anchors.Anchors(
+            scene.position, scene.offset, scene.feature, scene.scaling
+        )
         room = capacity.gaussians if capacity else None
         model = scene.weights, view.camera
-        splats = decode.forward(device, anchors, visible.anchor, *model, options, room)
+        splats = project_anchors.forward(device, anchors, visible.anchor, *model, options, room)
     room = capacity.entries if capacity else None
     lists, blended, _ = _rasterise(device, splats, splats.projected, view, options, room)
     return Picture(blended.image, (visible.total, splats.total, lists.total))
@@ -119,7 +121,7 @@ def check_capacity(device: Device, frame: Frame, capacity: Capacity, stop: Devic
 
 def _rasterise(
     device: Device,
-    gaussians: neural.NeuralGaussians | decode.Splats,
+    gaussians: neural.NeuralGaussians | project_anchors.Splats,
     projected: project.Projected,
     view: DeviceView,
     options: RenderOptions,

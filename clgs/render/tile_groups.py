@@ -17,9 +17,9 @@ from clgs.errors import BudgetError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, scan, tiles
-from clgs.ops.decode import Splats
 from clgs.ops.neural import NeuralGaussians
 from clgs.ops.project import Projected
+from clgs.ops.project_anchors import Splats
 from clgs.options import RenderOptions
 from clgs.render.frame import DeviceView, Groups
 

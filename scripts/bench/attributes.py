@@ -13,7 +13,7 @@ import time
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec import attributes
+from clgs.codec.attributes import row_coder
 
 ROWS, LEVELS, REPEATS = 312_238, ["fast", "default"], 3
 GROUPS = {"offset": (30, 1.68), "feature": (50, 2.35), "scale": (6, 5.05)}
@@ -58,15 +58,15 @@ def rounded_entropy(spread: float) -> float:
 def run(arrays: list[npt.NDArray[np.int32]], level: str) -> list[float]:
     """Seconds to fit, to encode the chunks, and to decode."""
     times = [0.0] * 3
-    chunk = attributes.CHUNK
+    chunk = row_coder.CHUNK
     for array in arrays:
         parts = [array[first : first + chunk] for first in range(0, len(array), chunk)]
         start = time.process_time()
-        model = attributes.fit(array, level, chunk)
+        model = row_coder.fit(array, level, chunk)
         fitted = time.process_time()
         data = [model.encode(part) for part in parts]
         encoded = time.process_time()
-        reader = attributes.read(model.header, model.channels)
+        reader = row_coder.read(model.header, model.channels)
         decoded = [reader.decode(d, len(p)) for d, p in zip(data, parts, strict=True)]
         end = time.process_time()
         for i, seconds in enumerate((fitted - start, encoded - fitted, end - encoded)):

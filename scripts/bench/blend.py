@@ -28,9 +28,9 @@ from clgs.opencl.device import Device
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
 from clgs.options import PRESETS, RenderOptions
-from clgs.testing.blend_scenes import BLEND_SCENES
-from clgs.testing.errors import relative_l2
-from clgs.testing.scenes import ProjectedScene
+from clgs.selftest.errors import relative_l2
+from clgs.synthetic.blend_scenes import BLEND_SCENES
+from clgs.synthetic.gaussians import ProjectedScene
 
 GEOMETRY = ("mean2d", "whitening", "depth", "extent")
 BACKGROUND = np.array([0.2, 0.5, 0.9], np.float32)

@@ -26,7 +26,7 @@ from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.scene.camera import Camera
 from clgs.scene.mlps import init_mlps, unpack_head
-from clgs.testing.anchor_scene import square_camera
+from clgs.synthetic.anchor_scene import square_camera
 
 Array = npt.NDArray[np.float32]
 FORWARD_FLOP = 2 * (len(HEAD_DIMS) * INPUT_DIM * HIDDEN_DIM + OUTPUT_DIM * HIDDEN_DIM)

@@ -14,16 +14,16 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import mean, median
 
-from clgs.cli.scene_argument import read_run
+from clgs.bench.step import STILL
+from clgs.cli.options.scene import read_run
 from clgs.data.dataset import load_dataset
 from clgs.data.repose import repose
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
-from clgs.testing.bench_step import STILL
 from clgs.train.config import from_toml
-from clgs.train.densify import Densifier
-from clgs.train.loop import Trainer
-from clgs.train.parameters import new_parameters
+from clgs.train.density.densifier import Densifier
+from clgs.train.run.trainer import Trainer
+from clgs.train.state.parameters import new_parameters
 
 ROUNDS = 2
 

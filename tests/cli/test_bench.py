@@ -9,12 +9,13 @@ import sys
 import numpy as np
 import pytest
 
-from clgs.cli import bench, bench_scaling
+from clgs.bench.codec_subjects import file_subjects
+from clgs.bench.scaling import Memory, Run, Scaling, growth
+from clgs.cli.bench import scaling
+from clgs.cli.commands import bench
 from clgs.cli.main import main
-from clgs.codec.encode import encode
+from clgs.codec.scene_encoder import encode
 from clgs.errors import NoRoomError
-from clgs.testing.bench_scaling import Memory, Run, Scaling, growth
-from clgs.testing.codec_subjects import file_subjects
 from tests.codec.scenes import random_scene
 
 
@@ -60,7 +61,7 @@ def test_remedies_are_options_of_the_benchmark(monkeypatch, capsys, kind, error,
     def fail(args):
         raise error
 
-    monkeypatch.setattr(importlib.import_module(f"clgs.cli.bench_{kind}"), "run", fail)
+    monkeypatch.setattr(importlib.import_module(f"clgs.cli.bench.{kind}"), "run", fail)
     assert main(["bench", kind]) == code
     said = capsys.readouterr().err
     assert main_help(capsys, kind)
@@ -80,7 +81,7 @@ def test_one_size_has_no_exponent(capsys):
     assert growth([(5.0, 1.0), (5.0, 2.0)]).exponent is None
     run = Run(1000, 2000, 3000, 4.0, 5000)
     one = growth([(1000, 4.0)])
-    bench_scaling._show(Scaling([run], [run], [run], one, one, Memory(None, 2.0, None)))
+    scaling._show(Scaling([run], [run], [run], one, one, Memory(None, 2.0, None)))
     said = capsys.readouterr().out
     assert "nan" not in said
     assert "time ~ count^- " in said

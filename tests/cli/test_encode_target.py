@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.cli.encode_target import size
+from clgs.cli.commands.encode_target import size
 from clgs.cli.main import main
-from clgs.codec.encode import encode
+from clgs.codec.scene_encoder import encode
 from clgs.opencl.device import Device
 from clgs.scene.storage import save_scene
 from tests.codec.scenes import random_scene
@@ -106,7 +106,7 @@ def test_an_interrupted_run_leaves_nothing(
             raise KeyboardInterrupt
         return encode(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("clgs.codec.encode.encode", interrupted)
+    monkeypatch.setattr("clgs.codec.scene_encoder.encode", interrupted)
     assert main(["encode", str(scene), "-o", str(target), "--target-size", "60k"]) == 130
     assert len(trials) == 3
     assert target.read_bytes() == b"before"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from clgs.cli.info import flatten
+from clgs.cli.commands.info import flatten
 from clgs.cli.main import main
 
 

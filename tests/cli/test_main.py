@@ -35,7 +35,7 @@ def run_raising(monkeypatch):
             raise error
 
         module = types.SimpleNamespace(register=register, run=fail)
-        monkeypatch.setitem(sys.modules, "clgs.cli.fail", module)
+        monkeypatch.setitem(sys.modules, "clgs.cli.commands.fail", module)
         monkeypatch.setattr(cli, "COMMANDS", ("fail",))
         return cli.main(["fail"])
 
@@ -99,7 +99,7 @@ def run(args):
     logging.getLogger("clgs.data").warning("3 photos are missing")
     return 0
 module = types.SimpleNamespace(run=run, register=lambda subparsers: subparsers.add_parser("warn"))
-sys.modules["clgs.cli.warn"], cli.COMMANDS = module, ("warn",)
+sys.modules["clgs.cli.commands.warn"], cli.COMMANDS = module, ("warn",)
 sys.exit(cli.main(["warn"]))
 """
     result = subprocess.run(
@@ -266,7 +266,7 @@ def test_commands_of_the_codec_say_what_needs_less_memory(command, monkeypatch, 
     def fail(args):
         raise MemoryError
 
-    monkeypatch.setattr(f"clgs.cli.{command}.run", fail)
+    monkeypatch.setattr(f"clgs.cli.commands.{command}.run", fail)
     assert cli.main([command, "a", "-o", "b"]) == 1
     said = capsys.readouterr().err
     assert said.startswith("clgs: error: out of memory; --threads 1 ")
@@ -281,7 +281,7 @@ def test_a_process_short_of_memory(tmp_path):
     code = """
 import resource, sys
 from clgs.cli import main as cli
-import clgs.cli.info, clgs.cli.encode, clgs.codec.splats, clgs.cli.scene_argument
+import clgs.cli.commands.info, clgs.cli.commands.encode, clgs.codec.splats, clgs.cli.options.scene
 size = 2**29
 open(sys.argv[1], "wb").truncate(size)
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()

@@ -7,11 +7,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from clgs.cli import selftest as command
+from clgs.bench import facts
+from clgs.cli.commands import selftest as command
 from clgs.cli.main import main
 from clgs.opencl import choose
-from clgs.testing import facts, selftest
-from clgs.testing.selftest import Check
+from clgs.selftest import render_checks
+from clgs.selftest.render_checks import Check
 
 
 @pytest.fixture
@@ -30,7 +31,7 @@ def devices(monkeypatch):
                     raise one
                 yield one
 
-        monkeypatch.setattr(selftest, "selftest", run)
+        monkeypatch.setattr(render_checks, "selftest", run)
         monkeypatch.setattr(facts, "machine_facts", lambda device: {"device": device.name})
 
     return install
@@ -64,7 +65,7 @@ def test_a_failure_is_named_and_others_go_on(devices, capsys, tmp_path, bad):
 
 
 def test_emulators_and_unusable_platforms_are_left_out_aloud(monkeypatch, capsys):
-    from clgs.cli import device_option
+    from clgs.cli.options import device
     from clgs.opencl import device as device_module
 
     monkeypatch.delenv("PYOPENCL_CTX", raising=False)
@@ -73,9 +74,9 @@ def test_emulators_and_unusable_platforms_are_left_out_aloud(monkeypatch, capsys
     monkeypatch.setattr(choose, "survey", lambda: ([emulator, real], ["platform Clover: none"]))
     monkeypatch.setattr(choose, "choose_device", lambda name: real)
     monkeypatch.setattr(device_module, "Device", lambda name: name)
-    assert list(device_option.open_devices(None)) == [("1", "1")]
+    assert list(device.open_devices(None)) == [("1", "1")]
     assert capsys.readouterr().err.splitlines() == [
         "clgs: skipped: platform Clover: none",
         "clgs: skipped: sim: an emulator; name it with --device 0",
     ]
-    assert list(device_option.open_devices("cpu")) == [("1", "cpu")]
+    assert list(device.open_devices("cpu")) == [("1", "cpu")]

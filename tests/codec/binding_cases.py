@@ -15,8 +15,8 @@ from clgs.codec import (
     encode_positions,
     morton_order,
 )
-from clgs.codec.attributes_model import CHANNEL
-from clgs.codec.meta import LEVELS
+from clgs.codec.attributes.model import CHANNEL
+from clgs.codec.container.meta import LEVELS
 from clgs.errors import CodecError
 
 Stream = tuple[Callable[[bytes], object], bytes]

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from clgs.codec import decode_attributes, decode_positions, encode_attributes, encode_positions
-from clgs.codec.meta import LEVELS
-from clgs.codec.octree import morton_order
+from clgs.codec.container.meta import LEVELS
+from clgs.codec.octree.position_coder import morton_order
 
 FILE = Path(__file__).with_name("conformance.txt")
 Vector = tuple[Callable[[], bytes], Callable[[bytes], np.ndarray], np.ndarray]

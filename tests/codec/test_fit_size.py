@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.decode import decode
-from clgs.codec.encode import encode
 from clgs.codec.fit_size import anchor_bits, coarsen, fit_size, most_useful_first, take
+from clgs.codec.scene_decoder import decode
+from clgs.codec.scene_encoder import encode
 from clgs.errors import UsageError
 from clgs.scene.anchors import QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, Mlps

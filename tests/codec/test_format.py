@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 
 from clgs import _codec, codec
-from clgs.codec import attributes, chunks, container, octree, paper, runlength, streams, weights
-from clgs.reference import attributes as attributes_reference
-from clgs.reference import octree as octree_reference
-from clgs.reference import paper as paper_reference
-from clgs.reference import planes as planes_reference
-from clgs.reference import runlength as runlength_reference
-from clgs.reference import weights as weights_reference
+from clgs.codec import streams, weights
+from clgs.codec.attributes import paper, row_coder, runlength
+from clgs.codec.container import chunks, section_table
+from clgs.codec.octree import position_coder
+from clgs.reference.codec import attributes as attributes_reference
+from clgs.reference.codec import octree as octree_reference
+from clgs.reference.codec import paper as paper_reference
+from clgs.reference.codec import planes as planes_reference
+from clgs.reference.codec import runlength as runlength_reference
+from clgs.reference.codec import weights as weights_reference
 from tests.codec.scenes import ROOT
 
 TEXT = (ROOT / "codec_c" / "FORMAT.md").read_text(encoding="utf-8")
@@ -50,10 +53,10 @@ def modules_of(number: int) -> tuple[ModuleType, ModuleType]:
 def test_example_of_octrees(number):
     position, data = OCTREES[number], documented(number)
     assert octree_reference.encode(position, mode=data[0]) == data
-    for module in (octree, octree_reference):
+    for module in (position_coder, octree_reference):
         np.testing.assert_array_equal(module.decode(data, len(position)), position)
     if data[0] == 2:
-        assert octree.encode(position) == data
+        assert position_coder.encode(position) == data
 
 
 @pytest.mark.parametrize("number", EXAMPLES)
@@ -80,7 +83,7 @@ def test_example_of_attributes_in_chunks():
         ],
     )
     rows = np.array([[0, 0, 1, 0, -1, 0, 0, 200, 0, 0]], np.int32).T
-    model = attributes.read(header, 1)
+    model = row_coder.read(header, 1)
     assert model.encode(rows) == chunk
     np.testing.assert_array_equal(model.decode(chunk, 10), rows)
     channels = attributes_reference.read_header(header, 1)
@@ -115,7 +118,7 @@ def test_example_of_no_positions():
 
 
 def test_signatures_and_hashes_of_the_document():
-    for signature in (container.MAGIC, streams.POSITIONS, streams.LATTICE, streams.ATTRIBUTES):
+    for signature in (section_table.MAGIC, streams.POSITIONS, streams.LATTICE, streams.ATTRIBUTES):
         assert signature.hex(" ").upper() in TEXT
     for data in (b"", b"abc"):
         assert f"{_codec.xxh64(data):016X}" in TEXT

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from clgs.cli.main import main
-from clgs.codec.decode import decode, describe
-from clgs.codec.encode import encode
+from clgs.codec.scene_decoder import decode, describe
+from clgs.codec.scene_encoder import encode
 from clgs.codec.splats import Splats, pack, quantize, sort_splats, unpack
-from clgs.data.ply import Table, pack_ply, read_ply
+from clgs.data.ply.table import Table, pack_ply, read_ply
 from clgs.errors import CodecError
 from tests.codec.scenes import random_scene
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.data.photo import Photo
+from clgs.data.posed_photo import Photo
 from clgs.data.transforms import read_blender, read_transforms
 from clgs.errors import DataError
 from tests.data.folders import noise_image, opengl, ring, save_json, write_blender, write_transforms

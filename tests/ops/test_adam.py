@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from clgs.ops import adam
-from clgs.reference import adam as reference
-from clgs.train.adam import Adam
+from clgs.reference.stages import adam as reference
+from clgs.train.step.numpy_adam import Adam
 from tests.compare import assert_close
 
 

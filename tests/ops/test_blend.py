@@ -9,11 +9,11 @@ import pytest
 
 from clgs.ops import blend
 from clgs.options import DEFAULT, PRESETS, RenderOptions, Skips
-from clgs.reference import blend as reference
-from clgs.reference.tiles import TileLists
-from clgs.testing.scenes import ProjectedScene, projected_scene
+from clgs.reference.stages import blend as reference
+from clgs.reference.stages.tiles import TileLists
+from clgs.synthetic.gaussians import ProjectedScene, projected_scene
 from tests.compare import assert_close, relative_l2
-from tests.ops.blend_cases import (
+from tests.ops.cases.blend import (
     BACKGROUND,
     GRADIENTS,
     decisions,

@@ -8,9 +8,9 @@ import pytest
 from clgs.constants import BLUR, NEAR_PLANE
 from clgs.ops import cull
 from clgs.options import RenderOptions, Skips
-from clgs.reference import cull as reference
+from clgs.reference.stages import cull as reference
 from clgs.scene.camera import Camera
-from tests.ops.project_cases import camera_at
+from tests.ops.cases.project import camera_at
 
 EPSILON = 2.0**-24
 

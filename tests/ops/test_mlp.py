@@ -11,9 +11,9 @@ import pytest
 
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
-from clgs.reference import mlp as reference
+from clgs.reference.stages import mlp as reference
 from tests.compare import assert_close, relative_l2
-from tests.ops.mlp_cases import anchors, decided, packed_camera, some, with_opacity_bias
+from tests.ops.cases.mlp import anchors, decided, packed_camera, some, with_opacity_bias
 
 EPSILON = 2.0**-24
 COUNTS = [0, 1, 31, 33, 1025, 2500]
@@ -301,7 +301,7 @@ HASH_SCRIPT = """
 import hashlib
 import numpy as np
 from clgs.opencl.device import Device
-from tests.ops.mlp_cases import anchors, some
+from tests.ops.cases.mlp import anchors, some
 from tests.ops.test_mlp import run_backward
 rng = np.random.default_rng(5)
 values, visible = anchors(rng, 4000), some(rng, 3333, 4000)

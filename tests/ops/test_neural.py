@@ -7,9 +7,9 @@ import pytest
 
 from clgs.ops import neural
 from clgs.ops.mlp import drawn_rows, padded_size
-from clgs.reference import neural as reference
+from clgs.reference.stages import neural as reference
 from tests.compare import assert_close, relative_l2
-from tests.ops.neural_cases import case, gradients, widen
+from tests.ops.cases.neural import case, gradients, widen
 
 EPSILON = 2.0**-24
 FIELDS = ("mean", "scale", "rotation", "color", "opacity", "slot")

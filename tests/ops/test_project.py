@@ -10,9 +10,9 @@ import pytest
 from clgs.constants import NEAR_PLANE
 from clgs.ops import project
 from clgs.options import PARITY, RenderOptions
-from clgs.reference import project as reference
+from clgs.reference.stages import project as reference
 from tests.compare import assert_close, relative_l2
-from tests.ops.project_cases import camera_at, gaussians, widen
+from tests.ops.cases.project import camera_at, gaussians, widen
 
 EPSILON = 2.0**-24
 

@@ -11,10 +11,10 @@ from clgs.constants import ALPHA_CUT, TILE_SIZE
 from clgs.errors import ClgsError
 from clgs.ops import scan, tiles
 from clgs.options import RenderOptions, Skips
-from clgs.reference import project as reference_project
-from clgs.reference import tiles as reference
-from clgs.testing.scenes import ProjectedScene, projected_scene
-from tests.ops.blend_cases import GEOMETRY, lists_of, render, upload
+from clgs.reference.stages import project as reference_project
+from clgs.reference.stages import tiles as reference
+from clgs.synthetic.gaussians import ProjectedScene, projected_scene
+from tests.ops.cases.blend import GEOMETRY, lists_of, render, upload
 
 FIELDS = ("gaussian", "row", "tile_range", "row_range")
 
@@ -165,7 +165,7 @@ def test_capacity_gives_the_same_lists(device, rng, sigma):
 
 @pytest.mark.parametrize("sigma", [1.1, 90.0])
 def test_too_small_a_capacity_tells_the_total(device, rng, sigma):
-    """The lists are empty then, and nothing is written out of bounds (scripts/race_check.sh)."""
+    """The lists are empty then, and nothing is written out of bounds (race_check.sh)."""
     size = (150, 90)
     scene = projected_scene(rng, 500, *size, sigma)
     total = len(lists_of(device, scene, size).row)

@@ -11,7 +11,7 @@ from clgs.errors import UsageError
 from clgs.options import PRESETS, RenderOptions, render_options
 from clgs.render.enlarge import enlarge
 from clgs.render.renderer import Renderer, render_view
-from clgs.testing.anchor_scene import anchor_scene
+from clgs.synthetic.anchor_scene import anchor_scene
 
 LEVEL = 1 / 255
 

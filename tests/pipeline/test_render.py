@@ -9,12 +9,12 @@ import pytest
 
 from clgs.ops import loss
 from clgs.options import DEFAULT, RenderOptions, Skips
-from clgs.reference import loss as loss_reference
+from clgs.reference.stages import loss as loss_reference
 from clgs.render.frame import Capacity, upload_scene, upload_view
 from clgs.render.pipeline import draw, render_backward, render_forward, view_forward
 from clgs.scene.scene import RenderSettings
-from clgs.testing.anchor_scene import anchor_scene
-from clgs.testing.reference_render import backward_reference, render_reference
+from clgs.selftest.reference_render import backward_reference, render_reference
+from clgs.synthetic.anchor_scene import anchor_scene
 from tests.compare import relative_l2
 
 LEVEL = 1 / 255

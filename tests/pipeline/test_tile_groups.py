@@ -14,7 +14,7 @@ from clgs.render import tile_groups
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.scene import RenderSettings
-from clgs.testing.anchor_scene import anchor_scene
+from clgs.synthetic.anchor_scene import anchor_scene
 
 MIB = 2**20
 

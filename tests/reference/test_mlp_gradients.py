@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.reference import mlp
+from clgs.reference.stages import mlp
 from tests.compare import assert_close, central_difference
-from tests.ops.mlp_cases import anchors, packed_camera
+from tests.ops.cases.mlp import anchors, packed_camera
 
 NAMES = ("weights", "feature", "position")
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from clgs.constants import LOG_SCALE_LIMIT
-from clgs.reference import neural
+from clgs.reference.stages import neural
 from tests.compare import assert_close, central_difference
-from tests.ops.neural_cases import case, gradients, widen
+from tests.ops.cases.neural import case, gradients, widen
 
 NAMES = ("output", "offset", "scaling", "position")
 

@@ -10,13 +10,13 @@ import numpy as np
 from clgs.constants import NEAR_PLANE
 from clgs.ops import blend as blend_op
 from clgs.ops import project, tiles
-from clgs.reference import blend as blend_reference
-from clgs.reference import project as project_reference
-from clgs.reference.tiles import TileLists
+from clgs.reference.stages import blend as blend_reference
+from clgs.reference.stages import project as project_reference
+from clgs.reference.stages.tiles import TileLists
 from clgs.scene.camera import Camera
-from clgs.testing.scenes import SIGMA_SPREAD, GaussianScene
+from clgs.synthetic.gaussians import SIGMA_SPREAD, GaussianScene
 from tests.compare import relative_l2
-from tests.ops.blend_cases import BACKGROUND, Rendered, decisions
+from tests.ops.cases.blend import BACKGROUND, Rendered, decisions
 
 LEVEL = 1 / 255
 PARTS = tuple(field.name for field in fields(GaussianScene))

@@ -24,9 +24,9 @@ from clgs.ops import loss
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.scene import RenderSettings
-from clgs.testing.anchor_scene import anchor_scene
+from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.config import preset
-from clgs.train.loop import Trainer
+from clgs.train.run.trainer import Trainer
 
 PARAMETERS = ("position", "offset", "feature", "scaling", "weights")
 NORMAL_GROUP = 64

@@ -12,9 +12,9 @@ from clgs.ops import blend
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.scene import RenderSettings
-from clgs.testing.anchor_scene import anchor_scene
-from clgs.testing.scenes import projected_scene
-from tests.ops.blend_cases import BACKGROUND, render
+from clgs.synthetic.anchor_scene import anchor_scene
+from clgs.synthetic.gaussians import projected_scene
+from tests.ops.cases.blend import BACKGROUND, render
 from tests.stress.cases import (
     GRADIENTS,
     assert_matches,

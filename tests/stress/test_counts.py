@@ -11,8 +11,8 @@ import pytest
 from clgs.constants import NEAR_PLANE
 from clgs.errors import ClgsError
 from clgs.ops import blend, project, scan, tiles
-from clgs.testing.scenes import projected_scene
-from tests.ops.blend_cases import BACKGROUND, GRADIENTS, render, upload
+from clgs.synthetic.gaussians import projected_scene
+from tests.ops.cases.blend import BACKGROUND, GRADIENTS, render, upload
 from tests.stress.cases import SHAPE, space_scene, straight_camera
 
 TOTALS = [2**31 - 2, 2**31 - 1, 2**31, 2**31 + 1, 2**32 - 1, 2**32, 2**32 + 1, 2**40 + 7]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.data.dataset import load_dataset
-from clgs.testing.scenes import gaussian_scene
+from clgs.synthetic.gaussians import gaussian_scene
 from tests.data.folders import opengl, ring, save_json, write_transforms
 from tests.stress.cases import LEVEL, draw
 

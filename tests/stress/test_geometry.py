@@ -9,10 +9,10 @@ import pytest
 
 from clgs.constants import BLUR, NEAR_PLANE
 from clgs.ops import project
-from clgs.reference import blend as blend_reference
-from clgs.reference import project as reference
+from clgs.reference.stages import blend as blend_reference
+from clgs.reference.stages import project as reference
 from clgs.scene.camera import Camera
-from clgs.testing.scenes import GaussianScene
+from clgs.synthetic.gaussians import GaussianScene
 from tests.compare import relative_l2
 from tests.stress.cases import (
     LEVEL,

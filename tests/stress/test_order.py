@@ -11,8 +11,8 @@ import pytest
 from clgs.constants import ALPHA_CUT, TILE_SIZE
 from clgs.ops import tiles
 from clgs.options import RenderOptions, Skips
-from clgs.testing.scenes import ProjectedScene, projected_scene
-from tests.ops.blend_cases import GRADIENTS, every_tile_lists, lists_of, render
+from clgs.synthetic.gaussians import ProjectedScene, projected_scene
+from tests.ops.cases.blend import GRADIENTS, every_tile_lists, lists_of, render
 from tests.stress.cases import (
     LEVEL,
     assert_matches,

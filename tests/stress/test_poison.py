@@ -9,7 +9,7 @@ from clgs.constants import LOG_SCALE_LIMIT
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.scene import RenderSettings
-from clgs.testing.anchor_scene import anchor_scene
+from clgs.synthetic.anchor_scene import anchor_scene
 from tests.stress.cases import (
     GRADIENTS,
     LEVEL,

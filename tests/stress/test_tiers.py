@@ -13,10 +13,10 @@ from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import RenderSettings, Scene
-from clgs.testing.reference_render import backward_reference, render_reference
+from clgs.selftest.reference_render import backward_reference, render_reference
 from clgs.train.config import preset
-from clgs.train.loop import Trainer
-from clgs.train.parameters import download_anchors
+from clgs.train.run.trainer import Trainer
+from clgs.train.state.parameters import download_anchors
 from tests.small_scene import write_scene
 from tests.stress.cases import LEVEL, draw, image_gradient
 from tests.stress.tiers import KINDS, SIZES, gradient_errors, limits_of, scene_of, tier1, tier2

@@ -9,7 +9,7 @@ import pytest
 
 from clgs.data.dataset import load_dataset
 from clgs.train.config import preset
-from clgs.train.loop import Trainer
+from clgs.train.run.trainer import Trainer
 from tests.small_scene import write_scene
 from tests.stress.hash_worker import PARAMETERS
 

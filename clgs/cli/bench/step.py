@@ -1,0 +1,60 @@
+"""`clgs bench step`: how long a training step takes on this device, stage by stage."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from clgs.cli.options.view import positive_int, seed
+from clgs.cli.options.workload import edge_length, gaussian_count
+
+
+def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the kind and its options."""
+    step = kinds.add_parser(
+        "step",
+        help="one training step on a seeded synthetic scene",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    add = step.add_argument
+    add("--gaussians", type=gaussian_count, default=200_000, help="with positive opacity")
+    add("--size", type=edge_length, default=400, help="width and height of the image, pixels")
+    add("--repeats", type=positive_int, default=15, help="steps to take the median of")
+    add("--seed", type=seed, default=0, help="of the scene")
+    add("--device", help="number or part of the name, see `clgs devices`")
+    add("--json", type=Path, metavar="F", help="write the times to F")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print; exit code 0."""
+    from dataclasses import asdict
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from clgs.bench.facts import command_line, machine_facts
+    from clgs.bench.step import bench_step
+    from clgs.files import check_target
+    from clgs.opencl.device import Device
+    from clgs.train.run.session import write_json
+
+    if args.json:
+        check_target(args.json)
+    device = Device(args.device)
+    times = bench_step(device, args.gaussians, args.size, args.repeats, args.seed)
+    title = (
+        f"{device.name} ({device.specialisation}): {times.anchors:,} anchors, "
+        f"{times.gaussians:,} Gaussians, {times.intersections:,} intersections, {args.size} px"
+    )
+    table = Table("stage", title=title)
+    table.add_column("median ms", justify="right")
+    for name, milliseconds in times.stages.items():
+        table.add_row(name, f"{milliseconds:.2f}")
+    table.add_section()
+    table.add_row("whole step", f"{times.step:.2f}")
+    table.add_row("render only", f"{times.render:.2f}")
+    Console().print(table)
+    if args.json:
+        facts = {"command": command_line(), **machine_facts(device)}
+        write_json(args.json, facts | asdict(times))
+    return 0

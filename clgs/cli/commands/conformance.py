@@ -1,0 +1,113 @@
+"""`clgs conformance`: hashes of renders and gradients of fixed scenes, to compare devices by."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clgs.cli.options.view import named_path
+
+if TYPE_CHECKING:
+    from clgs.selftest.conformance import Fingerprint
+
+DESCRIPTION = """\
+SHA-256 of every tensor that the kernels compute for fixed scenes: renders, gradients and all stages
+between. With --check: whether another device made the same bits; names the first stage that did
+not. Exit code 1 where any tensor differs."""
+
+
+LARGEST_RECORD = 1 << 24
+"""Bytes; one of today has 20 thousand."""
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "conformance",
+        help="compare the bits of devices",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("-o", "--output", type=named_path, metavar="FILE", help="write the hashes to FILE (JSON)")
+    add("--check", type=named_path, metavar="FILE", help="compare with the hashes in FILE")
+    add("--device", help="number or part of the name, see `clgs devices`")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compute, write and compare; exit code 0, or 1 where a tensor differs."""
+    from clgs.bench.facts import machine_facts
+    from clgs.errors import DataError
+    from clgs.files import check_target
+    from clgs.opencl.device import Device
+    from clgs.selftest import conformance
+    from clgs.train.run.session import write_json
+
+    if args.output:
+        check_target(args.output)
+    other = _read(args.check) if args.check else {}
+    wanted = _tensors(args.check, other) if args.check else []
+    device = Device(args.device)
+    found, facts = conformance.fingerprints(device), machine_facts(device)
+    print(f"{device.name} ({device.specialisation}): {len(found)} tensors, together {_all(found)}")
+    if args.output:
+        write_json(args.output, conformance.to_record(found, facts))
+    if args.check is None:
+        return 0
+    try:
+        different = conformance.differences(found, wanted)
+    except DataError as error:
+        raise DataError(f"{args.check}: {error}") from error
+    _report(different, len(found))
+    for line in conformance.other_order(other, facts) if different else []:
+        print(f"note: gradients are summed in another order: {line}")
+    return 1 if different else 0
+
+
+def _read(path: Path) -> Any:
+    from clgs.errors import DataError
+
+    try:
+        with path.open("rb") as file:
+            text = file.read(LARGEST_RECORD + 1)
+    except IsADirectoryError:
+        raise DataError(f"{path}: is a folder; name the JSON file in it") from None
+    except PermissionError:
+        raise
+    except OSError as error:
+        remedy = "`clgs conformance -o` makes one"
+        raise DataError(f"{path}: {error.strerror}; {remedy}") from None
+    if len(text) > LARGEST_RECORD:
+        raise DataError(f"{path}: is no file of `clgs conformance -o`")
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: is no JSON file") from error
+
+
+def _tensors(path: Path, record: object) -> list[Fingerprint]:
+    from clgs.errors import DataError
+    from clgs.selftest.conformance import from_record
+
+    try:
+        return from_record(record)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def _all(found: list[Fingerprint]) -> str:
+    """One hash of all."""
+    import hashlib
+
+    return hashlib.sha256("".join(one.sha256 for one in found).encode()).hexdigest()[:16]
+
+
+def _report(different: list[Fingerprint], count: int) -> None:
+    if not different:
+        print(f"check: all {count} tensors are bit-identical")
+        return
+    print(f"check: DIFFERENT, first in {different[0].place}; {len(different)} of {count} tensors:")
+    for one in different:
+        print(f"  {one.place}")

@@ -1,0 +1,82 @@
+"""`clgs decode scene.clgs -o scene.npz`: a compressed file back to arrays, bit for bit."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from clgs.cli.options.codec import add_files, add_threads
+
+if TYPE_CHECKING:
+    from clgs.codec.box import Box
+
+DESCRIPTION = """\
+Decompress a .clgs file into a NumPy archive, or into a PLY file as the reference code writes it.
+
+X.ply receives the anchors as numbers, X.quantized.ply as integers, and X.mlps.npz beside it the
+MLPs; all in the scene's own units, with scales, transform and settings as comments. Properties are
+float32, or float64 where float32 would not give every integer back. An X.mlps.npz with other MLPs
+is replaced only where the PLY file of that name is replaced too.
+
+--box: only the anchors with x0 <= x < x1, y0 <= y < y1 and z0 <= z < z1, in the units of the input
+data. Of the file, only the header, the MLPs and the chunks that the box meets are read: see
+`clgs encode --chunk`."""
+
+LESS_MEMORY = "--threads 1 needs less, and --box decodes a part alone"
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "decode",
+        help="decompress a .clgs file into a NumPy archive",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_files(parser, "scene", "FILE.clgs", "FILE.npz|FILE.ply")
+    parser.add_argument("--box", metavar="x0,y0,z0,x1,y1,z1", help="the part in this box alone")
+    add_threads(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Decode; exit code 0."""
+    from clgs.cli.options.scene import read_bitstream, read_box
+    from clgs.data.ply.anchors import save_scaffold
+    from clgs.data.ply.mlps_archive import mlps_path
+    from clgs.errors import UsageError
+    from clgs.files import check_output
+    from clgs.scene.storage import save_scene
+
+    suffix = args.output.suffix.lower()
+    save = {".npz": save_scene, ".ply": save_scaffold}.get(suffix)
+    if save is None:
+        raise UsageError(f"{args.output}: the output must end in .npz or .ply; name it so")
+    box = None if args.box is None else parse_box(args.box)
+    for output in [args.output] + [mlps_path(args.output)] * (suffix == ".ply"):
+        check_output(output, args.scene)
+    if box is None:
+        scene, _ = read_bitstream(args.scene, args.threads)
+        read = ""
+    else:
+        scene, count, size = read_box(args.scene, box, args.threads)
+        read = f" in the box, {count:,} of {size:,} bytes read"
+    save(args.output, scene)
+    beside = f"; MLPs in {mlps_path(args.output)}" if suffix == ".ply" else ""
+    print(f"{args.output}: {len(scene.anchors):,} anchors{read}{beside}")
+    return 0
+
+
+def parse_box(text: str) -> Box:
+    """Six numbers with commas between.
+
+    Raises:
+        UsageError: the text is something else, or the box is empty.
+    """
+    from clgs.codec.box import Box
+    from clgs.errors import UsageError
+
+    try:
+        x0, y0, z0, x1, y1, z1 = map(float, text.split(","))
+    except ValueError:
+        raise UsageError(f"--box {text}: six numbers are needed, x0,y0,z0,x1,y1,z1") from None
+    return Box((x0, y0, z0), (x1, y1, z1))

@@ -1,0 +1,65 @@
+"""``clgs info``: what a .clgs file holds, section by section."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import Any
+
+from clgs.cli.options.view import named_path
+
+LESS_MEMORY = "end other programs, or use a machine that has more"
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command's arguments."""
+    parser = subparsers.add_parser(
+        "info",
+        help="show what a .clgs file holds",
+        description="Show the header and the sections of a .clgs file, with their bytes.",
+    )
+    parser.add_argument("scene", type=named_path, metavar="scene.clgs", help="the file")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the description of a file; exit code 0.
+
+    Raises:
+        DataError: the file is missing, or a folder.
+        CodecError: it is no .clgs file, or is damaged.
+    """
+    import json
+
+    from clgs.cli.options.scene import read_bytes
+    from clgs.codec import scene_decoder, splats
+    from clgs.errors import CodecError
+
+    data = read_bytes(args.scene)
+    try:
+        reader = splats if splats.is_splats(data) else scene_decoder
+        description: dict[str, Any] = reader.describe(data)
+    except CodecError as error:
+        raise CodecError(f"{args.scene}: {error}") from error
+    if args.json:
+        print(json.dumps(description, indent=2))
+        return 0
+    rows = list(flatten(description))
+    width = max(len(name) for name, _ in rows)
+    for name, value in rows:
+        print(f"{name.ljust(width)}  {value}")
+    return 0
+
+
+def flatten(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """(dotted name, text) of every leaf; a list of plain values is one leaf."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from flatten(inner, f"{name}.{key}" if name else str(key))
+    elif isinstance(value, list | tuple) and any(isinstance(x, dict) for x in value):
+        for index, inner in enumerate(value):
+            yield from flatten(inner, f"{name}.{index}")
+    elif isinstance(value, list | tuple):
+        yield name, " ".join(map(str, value))
+    else:
+        yield name, f"{value:,}" if isinstance(value, int) else str(value)

@@ -1,0 +1,100 @@
+"""`clgs pack splat.ply -o splat.clgs`: ordinary Gaussian splats to one compressed file."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from clgs.cli.options.codec import add_files, add_level, add_threads, check_suffix, in_range
+
+if TYPE_CHECKING:
+    from clgs.codec.splats import Splats
+
+DESCRIPTION = """\
+Compress an ordinary 3DGS file (PLY: x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*, ...).
+
+Every property is rounded to a multiple of its step, which the file states; what is packed is then
+lossless. Default steps: f_dc 1/64, f_rest 1/32, opacity 1/32, scale 1/16, rot 1/256, normal 1/64;
+position an eighth of the median scale (a power of two), or 1/65536 of the extent without scales,
+but no finer than float32 is on an axis that lies far from 0. Positions fit 2^21 steps an axis:
+where a distant splat forces a coarser step, a warning says so. Other properties have step 1 where
+they are of integer type and need --step where not. Quaternions are scaled to length 1 and to a
+rot_0 that is not negative, which is the same rotation. Splats come back in Morton order; all of
+them, also where several share a voxel. `clgs unpack` is the way back."""
+
+LESS_MEMORY = "--threads 1 and --level fast need less"
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "pack",
+        help="compress an ordinary 3DGS PLY file",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_files(parser, "splats", "FILE.ply", "FILE.clgs")
+    parser.add_argument(
+        "--step",
+        type=named_step,
+        action="append",
+        default=[],
+        metavar="NAME=STEP",
+        help="of a group (position, scale, f_rest, ...) or a property, such as scale=0.03; again "
+        "for each",
+    )
+    add_level(parser)
+    add_threads(parser)
+
+
+def named_step(text: str) -> tuple[str, float]:
+    """An argument NAME=STEP."""
+    name, separator, number = text.partition("=")
+    if not name or not separator:
+        raise argparse.ArgumentTypeError(f"{text} is not NAME=STEP")
+    return name, in_range(number)
+
+
+def steps_by_group(splats: Splats) -> dict[str, str]:
+    """The steps of every group in words: one, or where its properties differ all."""
+    from clgs.data.ply.splat_steps import group_of
+
+    groups: dict[str, dict[str, float]] = {}
+    for name, step in zip(splats.names, splats.steps, strict=True):
+        groups.setdefault(group_of(name), {})[name] = step
+    return {
+        group: f"{min(steps.values()):g}"
+        if len({*steps.values()}) == 1
+        else ", ".join(f"{step:g} of {name}" for name, step in steps.items())
+        for group, steps in groups.items()
+    }
+
+
+def run(args: argparse.Namespace) -> int:
+    """Pack; exit code 0."""
+    from clgs.codec.octree.position_coder import PositionsError
+    from clgs.codec.splats import pack
+    from clgs.data.ply.splats import read_splats
+    from clgs.errors import CodecError, UsageError
+    from clgs.files import atomic_write, check_output
+
+    check_output(args.output, args.splats)
+    check_suffix(args.output)
+    names = [name for name, _ in args.step]
+    for name in {name for name in names if names.count(name) > 1}:
+        raise UsageError(f"--step {name}: is given more than once; leave one")
+    splats, errors = read_splats(args.splats, dict(args.step))
+    try:
+        data = pack(splats, args.level, args.threads)
+    except PositionsError as error:
+        remedy = "crop distant ones, or give a larger --step position=STEP"
+        raise CodecError(f"{args.splats}: {error.problem}; {remedy}") from error
+    atomic_write(args.output, data)
+    for group, steps in steps_by_group(splats).items():
+        print(f"{group}: step {steps}, rounded by at most {errors[group]:.2g}")
+    size = args.splats.stat().st_size
+    print(
+        f"{args.output}: {len(data):,} bytes, {len(splats):,} splats, "
+        f"{len(data) / size:.3f} of {args.splats.name}"
+    )
+    return 0

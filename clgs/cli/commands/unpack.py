@@ -1,0 +1,38 @@
+"""`clgs unpack splat.clgs -o splat.ply`: packed splats back to a PLY file."""
+
+from __future__ import annotations
+
+import argparse
+
+from clgs.cli.options.codec import add_files, add_threads
+
+LESS_MEMORY = "--threads 1 needs less"
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "unpack",
+        help="decompress what `clgs pack` made into a PLY file",
+        description="Decompress what `clgs pack` made: a little-endian PLY file of float32, or "
+        "float64 where float32 would lose a step, with the same properties and splats, rounded to "
+        "the steps, in Morton order.",
+    )
+    add_files(parser, "splats", "FILE.clgs", "FILE.ply")
+    add_threads(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Unpack; exit code 0."""
+    from clgs.cli.options.scene import naming, read_bytes
+    from clgs.codec.splats import unpack
+    from clgs.data.ply.splats import write_splats
+    from clgs.files import atomic_write, check_output
+
+    check_output(args.output, args.splats)
+    data = read_bytes(args.splats)
+    with naming(args.splats):
+        splats = unpack(data, args.threads)
+    atomic_write(args.output, write_splats(splats))
+    print(f"{args.output}: {len(splats):,} splats, {len(splats.names)} properties")
+    return 0

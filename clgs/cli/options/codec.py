@@ -1,0 +1,53 @@
+"""Options that the commands of the codec share."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from clgs.cli.options.view import named_path
+
+
+def add_files(parser: argparse.ArgumentParser, name: str, source: str, output: str) -> None:
+    """Add the argument ``name`` and the option ``--output``, shown as ``source`` and ``output``.
+
+    ``clgs.files.check_output`` must see both.
+    """
+    parser.add_argument(name, type=named_path, metavar=source)
+    parser.add_argument("-o", "--output", type=named_path, required=True, metavar=output)
+
+
+def add_level(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--level``, which the encoder checks."""
+    parser.add_argument("--level", default="default", help="fast, default, max or paper")
+
+
+def add_threads(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--threads``."""
+    parser.add_argument("--threads", type=int, metavar="N", help="default: one a processor")
+
+
+def check_suffix(output: Path) -> None:
+    """Refuse to write a .clgs file under the name of another kind of file.
+
+    Raises:
+        UsageError: the name ends in .npz or .ply.
+    """
+    from clgs.errors import UsageError
+
+    if output.suffix.lower() in (".npz", ".ply"):
+        raise UsageError(f"{output}: the output is a .clgs file; name it so")
+
+
+def in_range(text: str) -> float:
+    """An argument that must be a step, or a number of integers a unit, that a file may hold."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 2.0**-64 <= value <= 2.0**64:
+        raise argparse.ArgumentTypeError(
+            f"{text} is not a number from 2^-64 to 2^64 (5.5e-20 to 1.8e19)"
+        )
+    return value

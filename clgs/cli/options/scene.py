@@ -1,0 +1,100 @@
+"""The SCENE argument of commands: a run folder, a .clgs file or a decoded .npz."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from clgs.codec.box import Box, decode_box
+from clgs.codec.container.source import BytesSource, FileSource
+from clgs.codec.scene_decoder import decode
+from clgs.errors import CodecError, DataError
+from clgs.scene.scene import QuantizedScene
+from clgs.scene.storage import load_scene
+
+
+def read_scene(path: Path) -> tuple[QuantizedScene, int | None]:
+    """The scene and, where it is a bitstream, its size in bytes.
+
+    Raises:
+        DataError: there is no scene at ``path``, or it is damaged.
+    """
+    if path.is_dir():
+        return read_run(path)
+    if not path.exists():
+        raise DataError(f"{path}: no such file or folder; name a run folder or a .clgs file")
+    if path.suffix.lower() == ".npz":
+        return load_scene(path), None
+    return read_bitstream(path)
+
+
+def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:
+    """The scene of a finished run and the size of its bitstream."""
+    if not (folder / "scene.npz").exists():
+        raise DataError(f"{folder}: holds no scene.npz; let `clgs train` finish (--resume)")
+    bitstream = folder / "scene.clgs"
+    size = bitstream.stat().st_size if bitstream.exists() else None
+    return load_scene(folder / "scene.npz"), size
+
+
+def read_bitstream(path: Path, threads: int | None = None) -> tuple[QuantizedScene, int]:
+    """The scene in a .clgs file, and the file's size.
+
+    Raises:
+        DataError: there is no file, or a folder.
+        CodecError: it is no .clgs file, or is damaged.
+    """
+    data = read_bytes(path)
+    with naming(path):
+        return decode(data, threads), len(data)
+
+
+def read_box(path: Path, box: Box, threads: int | None) -> tuple[QuantizedScene, int, int]:
+    """The scene in a box of a .clgs file, the bytes that were read, and the file's size.
+
+    Raises:
+        DataError: there is no file, or a folder.
+        CodecError: it is no .clgs file, or what was read is damaged.
+    """
+    if stat.S_ISFIFO(_mode(path)):
+        data = path.read_bytes()
+        with naming(path):
+            return decode_box(BytesSource(data), box, threads), len(data), len(data)
+    with path.open("rb", buffering=0) as file, naming(path):
+        source = FileSource(file)
+        scene = decode_box(source, box, threads)
+        return scene, source.bytes_read, source.size
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let a CodecError name the file."""
+    try:
+        yield
+    except CodecError as error:
+        raise CodecError(f"{path}: {error}") from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a .clgs file; it may come through a pipe.
+
+    Raises:
+        DataError: there is no file, or something else than a file or pipe.
+    """
+    _mode(path)
+    return path.read_bytes()
+
+
+def _mode(path: Path) -> int:
+    """The mode of a file or pipe."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file; `clgs encode` and `clgs pack` make some") from None
+    if stat.S_ISDIR(mode):
+        raise DataError(f"{path}: is a folder; name a .clgs file, such as {path / 'scene.clgs'}")
+    if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
+        raise DataError(f"{path}: is neither a file nor a pipe; name a .clgs file")
+    return mode

@@ -1,0 +1,43 @@
+"""Options of the benchmarks that make scenes of their own, and of those that draw figures."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from clgs.cli.options.view import whole_number
+
+gaussian_count = whole_number(20_000_000)
+"""As many as the method has anchors for on any device of today."""
+
+edge_length = whole_number(16_384)
+"""Pixels; a picture of more would not fit into an array of a device."""
+
+element_count = whole_number(100_000_000)
+
+
+def add_figure_options(parser: argparse.ArgumentParser) -> None:
+    """Add --output and --plot."""
+    add = parser.add_argument
+    add("-o", "--output", type=Path, metavar="F", help="write all figures to F (JSON)")
+    add("--plot", type=Path, metavar="F.svg", help="draw them to F.svg (needs matplotlib)")
+
+
+def check_figure_options(args: argparse.Namespace) -> None:
+    """Refuse, before anything is measured, what could not be written.
+
+    Raises:
+        UsageError: the plot is no .svg file, or matplotlib is missing.
+        OutputError, PermissionError: as of ``clgs.files.check_target``.
+    """
+    from clgs.bench.plots import require_pyplot
+    from clgs.errors import UsageError
+    from clgs.files import check_target
+
+    if args.plot and args.plot.suffix.lower() != ".svg":
+        raise UsageError(f"{args.plot}: plots are SVG; name a file that ends in .svg")
+    targets = [check_target(path) for path in (args.output, args.plot) if path]
+    if len(set(targets)) < len(targets):
+        raise UsageError(f"{args.plot}: --output and --plot name the same file; choose two")
+    if args.plot:
+        require_pyplot()

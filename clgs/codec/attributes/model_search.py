@@ -1,0 +1,232 @@
+"""The encoder's search for the model of attribute channels (FORMAT.md, part 8).
+
+Choices are made on a sample of rows by exact cost, tables from all rows. All decisions rest on
+integers, or on floating-point operations that IEEE 754 defines to the bit, so that every machine
+writes the same bytes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs import _codec
+from clgs.codec.attributes.model import (
+    CELLS,
+    MAX_GAIN,
+    MAX_WEIGHT,
+    TABLE,
+    Ints,
+    Models,
+    empty_model,
+)
+from clgs.codec.attributes.taps import find_taps
+
+SAMPLE_BLOCKS, SAMPLE_ROWS = 8, 2048
+LONG_ROWS = 2048
+"""Chunks from so many rows on have eight lanes, shorter ones have one."""
+
+TAP_COST = 24 << 16
+"""Bits of a term in the header, in 2^-16 bits."""
+
+TRIAL_GAIN = 64
+"""Gain while predictions are tried: levels of the own column only."""
+
+MAGNITUDE = 256
+"""Gains make the mean magnitude of a channel a 16th of this."""
+
+WEIGHT_OF_OWN, WEIGHT_OF_ROW, WEIGHT_BESIDE = 1365, 4096, 2048
+"""Weights that make the mean of weighted activity 64 x 1024, for one channel before."""
+
+MIXED_HEADER = 8
+"""Bytes of a mixed channel in the header, about."""
+
+MIXED_SHARE = (0.4, 0.3, 0.3)
+SAMPLE_MARGIN = 1.005
+"""How much longer a mixed channel may be on the sample, to be tried on all rows."""
+
+SHARES = [
+    (1.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0),
+    (0.0, 0.6, 0.4),
+    (0.5, 0.5, 0.0),
+    (0.4, 0.3, 0.3),
+    (0.7, 0.15, 0.15),
+]
+"""Shares of the own column, of the row and of the rows beside it that are tried."""
+
+
+def fit(values: Ints, chunks: list[slice], search: bool) -> tuple[Models, int]:
+    """The model of ``values`` (n, channels) and the bytes of all chunks, about."""
+    rows, channels = values.shape
+    sample = take_sample(values)
+    scale = rows * 256 // len(sample)
+    model = empty_model(channels)
+    model["centre"] = find_centres(sample)
+    if search:
+        choose_taps(model, sample, scale)
+        choose_activity(model, sample, scale)
+    cost = count_and_choose(model, values, chunks, 256)
+    drop_unused(model)
+    return model, int(cost.sum()) // (8 << 16) + sum(map(overhead, chunks))
+
+
+def overhead(chunk: slice) -> int:
+    """Bytes of a chunk besides its symbols, about."""
+    return 20 if chunk.stop - chunk.start >= LONG_ROWS else 2
+
+
+def take_sample(values: Ints) -> Ints:
+    """All rows, or blocks of neighbouring rows that lie evenly apart."""
+    if len(values) <= SAMPLE_BLOCKS * SAMPLE_ROWS:
+        return values
+    first = [(len(values) - SAMPLE_ROWS) * b // (SAMPLE_BLOCKS - 1) for b in range(SAMPLE_BLOCKS)]
+    return np.concatenate([values[f : f + SAMPLE_ROWS] for f in first])
+
+
+def find_centres(sample: Ints) -> Ints:
+    """0 where a quarter of a column is 0, otherwise its mean, halves rounded up."""
+    sums = 2 * sample.sum(axis=0, dtype=np.int64) + len(sample)
+    centres = sums // (2 * len(sample))
+    return np.where(4 * (sample == 0).sum(axis=0) >= len(sample), 0, centres).astype(np.int32)
+
+
+def count_and_choose(
+    model: Models, values: Ints, chunks: list[slice], scale: int
+) -> npt.NDArray[np.uint64]:
+    """Set classes and tables of ``model`` from ``values``; costs (channels,) in 2^-16 bits."""
+    count = np.zeros((len(model), CELLS, TABLE), np.uint32)
+    for chunk in chunks:
+        _codec.attributes_count(model, values[chunk], count)
+    return choose(model, count, scale)
+
+
+def choose(model: Models, count: npt.NDArray[np.uint32], scale: int) -> npt.NDArray[np.uint64]:
+    """Set classes and tables of ``model`` by counts; costs (channels,) in 2^-16 bits."""
+    cost = np.zeros(len(model), np.uint64)
+    _codec.attributes_choose(model, count, min(scale, 2**32 - 1), cost)
+    return cost
+
+
+def choose_taps(model: Models, sample: Ints, scale: int) -> None:
+    """Set the terms of predictions where these save more bits than they take."""
+    trial = model.copy()
+    find_taps(trial, sample)
+    if not trial["taps"].any():
+        return
+    trial["gain"] = model["gain"] = TRIAL_GAIN
+    trial["weight"][:, 0] = model["weight"][:, 0] = WEIGHT_OF_OWN
+    cost = count_and_choose(model, sample, [slice(len(sample))], scale)
+    trial_cost = count_and_choose(trial, sample, [slice(len(sample))], scale)
+    trial_cost += (TAP_COST * trial["taps"]).astype(np.uint64)
+    better = trial_cost < cost
+    for field in ("taps", "tap"):
+        model[field][better] = trial[field][better]
+    model["weight"] = 0
+
+
+def choose_activity(model: Models, sample: Ints, scale: int) -> None:
+    """Set gains, weights and spans of ``model`` by what costs least on the sample."""
+    plain = model.copy()
+    count = np.zeros((len(model), CELLS, TABLE), np.uint32)
+    _codec.attributes_count(plain, sample, count)
+    best_cost = choose(plain, count, scale)
+    model["gain"] = find_gains(count)
+    best = model.copy()
+    for share in SHARES:
+        trial = model.copy()
+        trial["weight"] = weights_of(share, len(model))
+        keep_better(best, best_cost, trial, sample, scale)
+    for span in (1, 2):
+        for weight in (np.zeros_like(best["weight"]), best["weight"].copy()):
+            trial = model.copy()
+            trial["weight"] = weight
+            trial["span"] = np.minimum(span, np.arange(len(model)))
+            keep_better(best, best_cost, trial, sample, scale)
+    model[:] = best
+
+
+def find_gains(count: npt.NDArray[np.uint32]) -> Ints:
+    """Gains that make the mean magnitude of every channel about 16."""
+    sizes = (np.arange(TABLE, dtype=np.int64) + 1) // 2
+    symbols = count.sum(axis=1, dtype=np.int64)
+    total = np.maximum((symbols * sizes).sum(axis=1), 1)
+    gains = np.clip(MAGNITUDE * symbols.sum(axis=1) // total, 1, MAX_GAIN)
+    return np.asarray(gains, np.int32)
+
+
+def weights_of(share: tuple[float, float, float], channels: int) -> Ints:
+    """Weights (channels, 3) that give each source its share of the activity."""
+    before = np.maximum(np.arange(channels), 1)
+    full = np.stack(
+        [np.full(channels, WEIGHT_OF_OWN), WEIGHT_OF_ROW // before, WEIGHT_BESIDE // before], 1
+    )
+    weights = np.minimum(np.rint(full * np.array(share)), MAX_WEIGHT)
+    return np.asarray(weights, np.int32)
+
+
+def keep_better(
+    best: Models, best_cost: npt.NDArray[np.uint64], trial: Models, sample: Ints, scale: int
+) -> None:
+    """Replace the channels of ``best`` that ``trial`` codes in fewer bits."""
+    cost = count_and_choose(trial, sample, [slice(len(sample))], scale)
+    better = cost < best_cost
+    best[better] = trial[better]
+    best_cost[better] = cost[better]
+
+
+def drop_unused(model: Models) -> None:
+    """Clear what no class depends on, so that it costs no bits of the header."""
+    idle = model["classes"] == 1
+    model["weight"][idle] = 0
+    model["span"][idle] = 0
+    looks = np.flatnonzero(model["weight"][:, 1:].any(axis=1))
+    needed = np.arange(len(model)) < (looks[-1] if len(looks) else 0)
+    model["gain"][~(needed | (model["weight"][:, 0] > 0))] = 0
+
+
+def choose_mixed(model: Models, values: Ints, chunks: list[slice]) -> Models:
+    """``model`` with those channels mixed where that takes fewer bytes than tables.
+
+    Channels that gain nothing on the sample, where contexts have learnt less, are not tried on
+    all rows.
+    """
+    sample = take_sample(values)
+    size = count_and_choose(model.copy(), values, chunks, 256) // (8 << 16)
+    mixed = all_mixed(model, sample)
+    trial_size = measure(mixed, sample, [slice(len(sample))])
+    promising = trial_size * len(values) < size * len(sample) * SAMPLE_MARGIN
+    if not promising.any():
+        return model
+    trial = np.where(promising, mixed, model)
+    trial["gain"] = mixed["gain"]
+    better = promising & (measure(trial, values, chunks) + MIXED_HEADER < size)
+    result = np.where(better, mixed, model)
+    last = np.flatnonzero(better)[-1] if better.any() else -1
+    result["gain"][: last + 1] = mixed["gain"][: last + 1]
+    return result
+
+
+def all_mixed(model: Models, sample: Ints) -> Models:
+    """``model`` with every channel mixed, and with activity where it had none.
+
+    Gains are 0 only behind the last channel whose classes depend on them, so no class changes.
+    """
+    count = np.zeros((len(model), CELLS, TABLE), np.uint32)
+    _codec.attributes_count(model, sample, count)
+    mixed = model.copy()
+    mixed["coder"], mixed["classes"], mixed["class_of"], mixed["frequency"] = 1, 1, 0, 0
+    mixed["gain"] = np.where(model["gain"] == 0, find_gains(count), model["gain"])
+    weight = weights_of(MIXED_SHARE, len(model))
+    weight[0] = WEIGHT_OF_OWN, 0, 0
+    idle = ~model["weight"].any(axis=1)
+    mixed["weight"][idle] = weight[idle]
+    return mixed
+
+
+def measure(model: Models, values: Ints, chunks: list[slice]) -> npt.NDArray[np.uint64]:
+    """Bytes (channels,) of the channels that are mixed."""
+    size = np.zeros(len(model), np.uint64)
+    for chunk in chunks:
+        _codec.attributes_measure(model, values[chunk], size)
+    return size

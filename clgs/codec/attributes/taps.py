@@ -1,0 +1,114 @@
+"""Linear predictions of attribute channels from earlier rows and earlier channels.
+
+Terms are chosen one by one: each time the one that explains most of what is left (orthogonal
+matching pursuit). Sums of products are integers below 2^53 and so exact in any order; all other
+arithmetic is a fixed sequence of IEEE 754 operations, so every machine finds the same terms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.codec.attributes.model import MAX_FACTOR, TAP_CLAMP, TAPS, Ints, Models
+
+Floats = npt.NDArray[np.float64]
+
+ROWS = (0, -1, 1, -2)
+"""Rows of earlier channels, and (where negative) of the channel itself, that are tried."""
+
+LEAST_GAIN = 0.01
+"""A term must explain this part of what is left of a channel's variance."""
+
+LEAST_LEFT = 1e-6
+"""Terms are added while more than this part of the variance is left."""
+
+TILE, TILE_ROWS = 32, 256
+"""Columns and rows of a tile of products: OpenBLAS takes up to 2^18 of them in one thread."""
+
+FACTOR = 256
+"""Factors are stored in units of 1/256."""
+
+
+def find_taps(model: Models, sample: Ints) -> None:
+    """Set the terms of every channel of ``model``, for values ``sample`` (n, channels)."""
+    channels = len(model)
+    products = _products(sample.astype(np.int64) - model["centre"])
+    for j in range(channels):
+        allowed = np.zeros((len(ROWS), channels), bool)
+        allowed[:, :j] = True
+        allowed[:, j] = np.array(ROWS) < 0
+        chosen = _pursue(products, np.flatnonzero(allowed), j)
+        factors = _solve(products, chosen, j)
+        taps = [(int(c), f) for c, f in zip(chosen, factors, strict=True) if f != 0]
+        model["taps"][j] = len(taps)
+        for t, (c, factor) in enumerate(taps):
+            model["tap"][j, t] = c % channels, ROWS[c // channels], factor
+
+
+def _products(value: npt.NDArray[np.int64]) -> Floats:
+    """Sums of products of all columns, shifted by ROWS: candidate row * channels + column."""
+    clamped = np.clip(value, -TAP_CLAMP, TAP_CLAMP).astype(np.float64)
+    inner = clamped[2:-1] if len(clamped) > 3 else clamped[:0]
+    shifted = [clamped[2 + row : 2 + row + len(inner)] for row in ROWS]
+    stacked = np.concatenate(shifted, axis=1)
+    return _gram(stacked)
+
+
+def _gram(stacked: Floats) -> Floats:
+    """``stacked.T @ stacked`` in tiles that BLAS does not share out among threads of its own.
+
+    Attributes are fitted in several threads already, and those of BLAS wait by spinning.
+    """
+    columns = stacked.shape[1]
+    products = np.zeros((columns, columns))
+    for first in range(0, len(stacked), TILE_ROWS):
+        rows = stacked[first : first + TILE_ROWS]
+        for i in range(0, columns, TILE):
+            for j in range(i, columns, TILE):
+                tile = rows[:, i : i + TILE].T @ rows[:, j : j + TILE]
+                products[i : i + TILE, j : j + TILE] += tile
+    return np.asarray(np.triu(products) + np.triu(products, 1).T)
+
+
+def _pursue(products: Floats, candidates: npt.NDArray[np.intp], j: int) -> list[int]:
+    """The candidates that explain column j, best first."""
+    chosen: list[int] = []
+    square = products[candidates, candidates]
+    with_target = products[candidates, j]
+    target = products[j, j]
+    if len(candidates) == 0 or target == 0:
+        return chosen
+    directions: list[Floats] = []
+    lengths: list[float] = []
+    while len(chosen) < TAPS:
+        usable = square > 1e-9 * products[candidates, candidates]
+        explained = np.where(usable, with_target, 0.0) ** 2 / np.where(usable, square, 1.0)
+        best = int(np.argmax(explained))
+        if explained[best] < LEAST_GAIN * target or target < LEAST_LEFT * products[j, j]:
+            break
+        row = products[candidates, candidates[best]].copy()
+        for direction, length in zip(directions, lengths, strict=True):
+            row -= direction * (direction[best] / length)
+        directions.append(row)
+        lengths.append(float(row[best]))
+        target -= float(explained[best])
+        with_target = with_target - row * (with_target[best] / row[best])
+        square = square - row * row / row[best]
+        chosen.append(int(candidates[best]))
+    return chosen
+
+
+def _solve(products: Floats, chosen: list[int], j: int) -> list[int]:
+    """Factors in 1/256 that leave the least squares: normal equations, by elimination."""
+    size = len(chosen)
+    rows = [[float(products[a, b]) for b in chosen] + [float(products[a, j])] for a in chosen]
+    for p in range(size):
+        for r in range(p + 1, size):
+            ratio = rows[r][p] / rows[p][p]
+            rows[r] = [x - ratio * y for x, y in zip(rows[r], rows[p], strict=True)]
+    factors = [0.0] * size
+    for p in reversed(range(size)):
+        rest = sum(rows[p][q] * factors[q] for q in range(p + 1, size))
+        factors[p] = (rows[p][size] - rest) / rows[p][p]
+    return [min(max(round(f * FACTOR), -MAX_FACTOR), MAX_FACTOR) for f in factors]

@@ -1,0 +1,148 @@
+"""COLMAP models (sparse/0, binary or text, with or without rigs) to posed photos and points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.colmap.binary_check import check_binary_model, check_name
+from clgs.data.colmap.text_check import check_text_poses, explain_text_model
+from clgs.data.images import stored_size
+from clgs.data.lens import Lens
+from clgs.data.posed_photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
+from clgs.data.pycolmap_lazy import quiet_pycolmap
+from clgs.errors import DataError
+
+CAMERA_MODELS = {
+    "SIMPLE_PINHOLE": "f cx cy",
+    "PINHOLE": "fx fy cx cy",
+    "SIMPLE_RADIAL": "f cx cy k1",
+    "RADIAL": "f cx cy k1 k2",
+    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
+    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
+    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
+    "RADIAL_FISHEYE": "f cx cy k1 k2",
+    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
+}
+"""Parameters of the models that can be undistorted, in COLMAP's order."""
+
+_FILES = ("cameras", "images", "points3D")
+
+
+def find_model(root: Path) -> Path | None:
+    """The folder below ``root`` that holds a COLMAP model: sparse/0, else sparse."""
+    for folder in (root / "sparse" / "0", root / "sparse"):
+        if any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt")):
+            return folder
+    return None
+
+
+def read_colmap(root: Path, model: Path) -> PhotoSet:
+    """Photos of ``root``/images posed by ``model``; every 8th by name is held out.
+
+    Raises:
+        DataError: naming file, field and remedy.
+    """
+    photos, skipped, points, colors = _read_model(root, model)
+    train, test = hold_out(photos)
+    return PhotoSet("colmap", train, test, skipped, points, colors)
+
+
+def _read_model(
+    root: Path, model: Path
+) -> tuple[list[Photo], int, npt.NDArray[np.float64], npt.NDArray[np.uint8]]:
+    """Photos that exist, the number of missing ones, points (P, 3) and colors (P, 3)."""
+    suffix = ".bin" if (model / "cameras.bin").is_file() else ".txt"
+    for name in _FILES:
+        file = model / f"{name}{suffix}"
+        if not file.is_file():
+            raise DataError(f"{file}: missing; export the model again")
+    if suffix == ".bin":
+        check_binary_model(model)
+    with quiet_pycolmap(f"{model}: unreadable COLMAP model") as pycolmap:
+        reconstruction = pycolmap.Reconstruction()
+        if suffix == ".bin":
+            reconstruction.read_binary(str(model))
+        else:
+            _read_text(reconstruction, model)
+        folder = root / "images" if (root / "images").is_dir() else root
+        photos, skipped = _photos(reconstruction, folder, model)
+        points, colors = _points(reconstruction)
+    return photos, skipped, points, colors
+
+
+def _read_text(reconstruction: Any, model: Path) -> None:
+    """Fill ``reconstruction``; a fault has its file, line and field where that can be found."""
+    check_text_poses(model)
+    try:
+        reconstruction.read_text(str(model))
+    except Exception:
+        explain_text_model(model)
+        raise
+
+
+def _photos(reconstruction: Any, folder: Path, model: Path) -> tuple[list[Photo], int]:
+    posed = [image for image in reconstruction.images.values() if image.has_pose]
+    photos, names = [], set()
+    for image in posed:
+        source = f"{model}: image {image.name[:80]!r}"
+        check_name(image.name, str(model))
+        if image.name in names:
+            raise DataError(f"{source} has two poses; keep one of the two")
+        names.add(image.name)
+        path = inside(folder, image.name, source)
+        if path.is_file():
+            photos.append(_photo(image, path, source))
+    if not photos:
+        raise DataError(f"{folder}: none of the {len(posed)} posed images of {model} is there")
+    return photos, len(posed) - len(photos)
+
+
+def _photo(image: Any, path: Path, source: str) -> Photo:
+    pose = np.asarray(image.cam_from_world().matrix(), np.float64)
+    rotation = rigid(pose[:, :3], f"{source}: rotation")
+    if not np.all(np.abs(pose[:, 3]) < 1e12):
+        raise DataError(f"{source}: translation is not finite; export the model again")
+    lens = _lens(image.camera, source)
+    lens = fit_lens(lens, stored_size(path, (lens.width, lens.height)), path)
+    return Photo(image.name, path, lens, rotation, pose[:, 3])
+
+
+def _lens(camera: Any, source: str) -> Lens:
+    model = camera.model_name
+    if model not in CAMERA_MODELS:
+        raise DataError(
+            f"{source}: camera model {model} cannot be undistorted here; run COLMAP's "
+            "image_undistorter first"
+        )
+    values = dict(zip(CAMERA_MODELS[model].split(), map(float, camera.params), strict=True))
+    fx, fy = values.get("fx", values.get("f", 0.0)), values.get("fy", values.get("f", 0.0))
+    if not (np.all(np.isfinite(list(values.values()))) and fx > 0 and fy > 0):
+        raise DataError(f"{source}: camera parameters are not finite and positive; export again")
+    if not (1 <= camera.width <= 1e6 and 1 <= camera.height <= 1e6):
+        raise DataError(f"{source}: camera size {camera.width}x{camera.height} is impossible")
+    full = model == "FULL_OPENCV"
+    return Lens(
+        camera.width,
+        camera.height,
+        fx,
+        fy,
+        values["cx"],
+        values["cy"],
+        tuple(values.get(f"k{i}", 0.0) for i in ((1, 2, 3) if full else (1, 2, 3, 4))),
+        tuple(values[f"k{i}"] for i in (4, 5, 6)) if full else (),
+        (values.get("p1", 0.0), values.get("p2", 0.0)),
+        "FISHEYE" in model,
+    )
+
+
+def _points(reconstruction: Any) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint8]]:
+    """Finite points (P, 3) in id order, and their colors (P, 3)."""
+    ordered = [point for _, point in sorted(reconstruction.points3D.items())]
+    points = np.array([point.xyz for point in ordered], np.float64).reshape(-1, 3)
+    colors = np.array([point.color for point in ordered], np.uint8).reshape(-1, 3)
+    finite = np.all(np.abs(points) < 1e12, axis=1)
+    return points[finite], colors[finite]

@@ -1,0 +1,146 @@
+"""The steps in which the properties of an ordinary 3DGS file are kept."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.codec.octree.position_coder import MAX_EXTENT
+from clgs.codec.splats import MAX_STEP
+from clgs.errors import DataError, UsageError
+
+POSITION = ["x", "y", "z"]
+SCALE = [f"scale_{i}" for i in range(3)]
+
+STEPS = {
+    "f_dc": 1 / 64,
+    "f_rest": 1 / 32,
+    "opacity": 1 / 32,
+    "scale": 1 / 16,
+    "rot": 1 / 256,
+    "normal": 1 / 64,
+}
+"""Default steps by group: a color moves by half of 1 / 226, an opacity by at most 1 / 256, a size
+by 3 %, a rotation by a quarter of a degree. The steps of ``position`` depend on the splats."""
+
+GROUPS = dict.fromkeys(POSITION, "position") | dict.fromkeys(("nx", "ny", "nz"), "normal")
+
+Columns = Mapping[str, npt.NDArray[np.float64]]
+"""Finite numbers (N,) by name of the property."""
+
+_log = logging.getLogger(__name__)
+
+
+def group_of(name: str) -> str:
+    """The group of a property: "position", "normal", "f_rest" of "f_rest_7", or its own name."""
+    return GROUPS.get(name) or (name.rstrip("0123456789").rstrip("_") or name)
+
+
+def choose_steps(
+    values: Columns, kinds: Mapping[str, np.dtype[np.generic]], named: dict[str, float]
+) -> dict[str, float]:
+    """The step of every property.
+
+    Args:
+        values: of all properties, those of POSITION among them.
+        kinds: types that the file has for them; integers need no step.
+        named: steps that the user names, by group or by property.
+
+    Raises:
+        UsageError: a property without a step, or a step for none.
+        DataError: splats are too far apart for any step of positions.
+    """
+    known = {*values, *map(group_of, values)}
+    if unknown := [name for name in named if name not in known]:
+        raise UsageError(f"--step {unknown[0]}: the file has no such property or group")
+    chosen = {}
+    for name in values:
+        group = group_of(name)
+        step = named.get(name, named.get(group, STEPS.get(group)))
+        if step is None and kinds[name].kind != "f":
+            step = 1.0
+        if step is not None:
+            chosen[name] = step
+        elif group != "position":
+            raise UsageError(f"property {name} has no default step; give --step {name}=STEP")
+    open_axes = {name for name in POSITION if name not in chosen}
+    if open_axes:
+        steps = position_steps(values, {name: kinds[name] for name in POSITION}, open_axes)
+        chosen.update(steps)
+    return chosen
+
+
+def position_steps(
+    values: Columns, kinds: Mapping[str, np.dtype[np.generic]], axes: set[str]
+) -> dict[str, float]:
+    """The default steps of ``axes``, powers of two; warns where they are coarser than they should.
+
+    They should be the largest that is at most an eighth of the median scale, or without scales
+    1 / 65536 of the extent (see ``usual_extent``); but on an axis where float32 is coarser, its
+    resolution. They must let positions span less than 2^21 steps, and lie within 2^31 of them.
+    """
+    if not len(values["x"]):
+        return dict.fromkeys(axes, 2.0**-16)
+    wanted = _usual_step(values)
+    extents = {name: float(np.ptp(values[name])) for name in sorted(axes)}
+    widest = max(extents, key=lambda name: extents[name])
+    # One more for rounding at either end.
+    cubic = _at_least(extents[widest] / (MAX_EXTENT - 2))
+    steps, problems = {}, {}
+    for name in extents:
+        finest = max(wanted, resolution(values[name], kinds[name]))
+        reach = float(np.abs(values[name]).max())
+        held = _at_least(reach / (2.0**31 - 1))
+        if max(cubic, held) > MAX_STEP:
+            far = (
+                f"{widest} spans {extents[widest]:g}"
+                if cubic > held
+                else f"{name} reaches {reach:g}"
+            )
+            raise DataError(f"{far}, more than any step holds; correct or crop distant splats")
+        steps[name] = min(max(finest, cubic, held), MAX_STEP)
+        if cubic > finest:
+            spans = f"{widest} spans {extents[widest]:g}, 2^21 steps at most: crop distant splats"
+            problems[steps[name]] = finest, spans
+        elif held > finest:
+            far = f"{name} reaches {reach:g}, 2^31 steps at most: move the splats to the origin"
+            problems[steps[name]] = finest, far
+    for step, (finest, problem) in problems.items():
+        _log.warning(
+            "the step of positions is %g in place of %g, because %s, or accept it by "
+            "--step position=%g", step, finest, problem, step,
+        )  # fmt: skip
+    return steps
+
+
+def usual_extent(column: npt.NDArray[np.float64]) -> float:
+    """The extent of ``column`` (N,) but for a few floaters: 4 times that of the middle 90 %.
+
+    It is never more than the true one, and is that where no few are far away.
+    """
+    low, high = np.percentile(column, [5, 95])
+    true = float(np.ptp(column))
+    return min(true, 4 * float(high - low)) or true
+
+
+def resolution(column: npt.NDArray[np.float64], kind: np.dtype[np.generic]) -> float:
+    """How far apart numbers of type ``kind`` are, at all of ``column`` (N,) but the least 1 %."""
+    if kind != np.float32:
+        return 0.0
+    return float(np.spacing(np.float32(np.percentile(np.abs(column), 1))))
+
+
+def _usual_step(values: Columns) -> float:
+    if all(name in values for name in SCALE):
+        size = np.exp(np.clip(np.median([values[name] for name in SCALE]), -30, 30)) / 8
+    else:
+        size = max(usual_extent(values[name]) for name in POSITION) / 65536
+    return float(2.0 ** np.clip(np.floor(np.log2(size)), -64, 64)) if size > 0 else 2.0**-16
+
+
+def _at_least(step: float) -> float:
+    """The smallest power of two that is not below ``step``."""
+    return float(2.0 ** np.ceil(np.log2(step))) if step > 0 else 0.0

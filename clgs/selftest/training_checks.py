@@ -1,0 +1,142 @@
+"""The stages outside of a render: scan, sort, quantize, rate, adam, density."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from statistics import median
+
+import numpy as np
+
+from clgs.constants import K_OFFSETS, OUTPUT_DIM
+from clgs.opencl.device import Device
+from clgs.ops import adam, density, quantize, rate, scan, sort
+from clgs.reference.stages import adam as adam_reference
+from clgs.reference.stages import density as density_reference
+from clgs.reference.stages import quantize as quantize_reference
+from clgs.reference.stages import rate as rate_reference
+from clgs.reference.stages import scan as scan_reference
+from clgs.reference.stages import sort as sort_reference
+from clgs.selftest.errors import largest, relative_l2
+
+COUNT, SEED, REPEATS = 20_000, 5, 3
+Found = tuple[str, str, float, float, float]
+
+
+def training_checks(device: Device, count: int = COUNT) -> Iterator[Found]:
+    """(stage, quantity, error, limit, milliseconds) of every check, on ``count`` numbers."""
+    rng = np.random.default_rng(SEED)
+    for check in (_scan, _sort, _quantize, _rate, _adam, _density):
+        yield from check(device, rng, count)
+
+
+def _milliseconds(device: Device, work: Callable[[], object]) -> float:
+    times = []
+    for _ in range(REPEATS + 1):
+        start = time.perf_counter()
+        work()
+        device.finish()
+        times.append(1e3 * (time.perf_counter() - start))
+    return median(times[1:])
+
+
+def _scan(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    counts = rng.integers(0, 50, count).astype(np.int32)
+    uploaded = device.upload(counts)
+    offsets, total = scan.exclusive(device, uploaded)
+    wanted, wanted_total = scan_reference.exclusive(counts)
+    milliseconds = _milliseconds(device, lambda: scan.exclusive(device, uploaded))
+    error = largest(device.download(offsets), wanted) + abs(total - wanted_total)
+    yield "scan", "offsets and total", error, 0.0, milliseconds
+
+
+def _sort(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    keys = rng.integers(0, 2**32, count).astype(np.uint32)
+    keys[::3] = keys[0]
+    values = np.arange(count, dtype=np.int32)
+    uploaded = device.upload(keys), device.upload(values)
+    _, sorted_values = sort.by_key(device, *uploaded, 32)
+    milliseconds = _milliseconds(device, lambda: sort.by_key(device, *uploaded, 32))
+    wanted = sort_reference.by_key(keys, values, 32)[1]
+    yield "sort", "order", largest(device.download(sorted_values), wanted), 0.0, milliseconds
+
+
+def _quantize(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    x = (rng.normal(0, 4, count)).astype(np.float32)
+    uploaded = device.upload(x)
+    rounded = device.download(quantize.forward(device, uploaded, 8.0))
+    integers = device.download(quantize.integers(device, uploaded, 8.0))
+    milliseconds = _milliseconds(device, lambda: quantize.forward(device, uploaded, 8.0))
+    error = largest(rounded, quantize_reference.forward(x, 8.0))
+    error += largest(integers, quantize_reference.integers(x, 8.0))
+    q = (2.0 ** rng.integers(0, 12, count)).astype(np.float32)
+    each = device.download(quantize.elements(device, uploaded, device.upload(q)))
+    error += largest(each, quantize_reference.elements(x, q))
+    yield "quantize", "values and integers", error, 0.0, milliseconds
+
+
+def _rate(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    x = rng.laplace(0.3, np.arange(1, 7), (count // 6, 6)).astype(np.float32)
+    uploaded = device.upload(x)
+    forms: tuple[rate.Form, ...] = ("channel", "pooled")
+    for form in forms:
+        d_x = device.zeros(x.shape)
+        result = rate.forward(device, uploaded, 1.0, form)
+        rate.backward(device, result, uploaded, 1.0, d_x)
+        symbols = rate_reference.symbols(x, 1.0)
+        bits = rate_reference.forward(symbols, form)
+        gradient = rate_reference.backward(symbols, form)
+        milliseconds = _milliseconds(device, partial(rate.forward, device, uploaded, 1.0, form))
+        error = relative_l2(np.array([result.bits]), np.array([bits]))
+        yield "rate", f"bits ({form})", error, 1e-6, milliseconds
+        error = relative_l2(device.download(d_x), gradient)
+        yield "rate", f"d_x ({form})", error, 1e-5, milliseconds
+
+
+def _adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    parameter, gradient = rng.normal(size=(2, count)).astype(np.float32)
+    uploaded = device.upload(parameter)
+    d_parameter = device.upload(gradient)
+    moments, stop = adam.zero_moments(device, uploaded), adam.stop_flag(device)
+    wanted = parameter.astype(np.float64)
+    state = np.zeros(count), np.zeros(count)
+
+    def step(number: int) -> None:
+        adam.step(device, uploaded, d_parameter, moments, adam.factors(0.01, number), stop)
+
+    for number in range(1, 11):
+        step(number)
+        d_wanted = gradient.astype(np.float64)
+        wanted, state = adam_reference.step(wanted, d_wanted, state, 0.01, number)
+    error = largest(device.download(uploaded), wanted)
+    # ten roundings of values up to 8
+    limit = 10 * 8 * 2.0**-24
+    yield "adam", "parameter after 10 steps", error, limit, _milliseconds(device, lambda: step(11))
+
+
+def _density(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    anchors = count // K_OFFSETS
+    output = rng.uniform(-1, 1, (OUTPUT_DIM, anchors)).astype(np.float32)
+    visible = np.sort(rng.permutation(2 * anchors)[:anchors]).astype(np.int32)
+    slot = np.flatnonzero(output[:K_OFFSETS].T.ravel() > 0).astype(np.int32)
+    extent = rng.uniform(-1, 1, (len(slot), 2)).astype(np.float32)
+    d_mean2d = rng.normal(size=(len(slot), 2)).astype(np.float32)
+    statistics = density.zeros(device, 2 * anchors)
+    seen = density.ScreenGradients(
+        device.upload(slot), device.upload(extent), device.upload(d_mean2d), 320, 200
+    )
+    decoded = device.upload(output), device.upload(visible)
+    density.accumulate(device, statistics, *decoded, seen)
+    wanted = density_reference.zeros(2 * anchors)
+    gaussians = slot, extent.astype(np.float64), d_mean2d.astype(np.float64)
+    density_reference.accumulate(wanted, output.astype(np.float64), visible, gaussians, (320, 200))
+    names = ("opacity_sum", "visits", "gradient_sum", "gradient_count")
+    errors = [
+        relative_l2(device.download(getattr(statistics, name)), getattr(wanted, name))
+        for name in names
+    ]
+    milliseconds = _milliseconds(
+        device, partial(density.accumulate, device, statistics, *decoded, seen)
+    )
+    yield "density", "sums and counts", max(errors), 1e-6, milliseconds

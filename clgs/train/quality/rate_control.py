@@ -1,0 +1,201 @@
+"""A trained scene in a given number of bytes, or with a given PSNR, without training.
+
+Anchors are dropped, least useful for each bit first; Q_O, Q_A or Q_S may be made coarser before it.
+Q_P stays: a coarser grid would move all Gaussians of an anchor, and positions are a small share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.codec.fit_size import (
+    Factors,
+    anchor_bits,
+    coarsen,
+    fit_size,
+    least_size,
+    most_useful_first,
+    take,
+)
+from clgs.data.dataset import View
+from clgs.errors import UsageError
+from clgs.opencl.device import Device
+from clgs.options import DEFAULT, RenderOptions
+from clgs.render.renderer import Renderer
+from clgs.scene.camera import Camera
+from clgs.scene.scene import QuantizedScene
+from clgs.train.quality.importance import importance, importance_without_views
+from clgs.train.quality.metrics import psnr_8bit, to_8bit
+from clgs.train.step.targets import planar
+
+Encode = Callable[[QuantizedScene], bytes]
+
+COARSER = ("offset", "feature", "scaling")
+"""Attributes whose Q may be multiplied by STEP, again and again, while that costs least."""
+
+STEP = 0.75
+
+SPARE = 1.1
+"""A coarser Q is tried where all anchors would take this many times the room."""
+
+MAX_CAMERAS = 48
+"""Views that say what is useful, at most. Each shows anchors that few others do."""
+
+MEASURED, COMPARED = 12, 6
+"""Views that PSNR is measured on, unless all are asked for; and to compare different Q."""
+
+PIXELS = 2.0
+"""Usefulness is judged at half the resolution where so many pixels an anchor remain."""
+
+ROUND = 0.15
+"""Share of all anchors that is dropped before the others are judged again."""
+
+PSNR_STEPS = 6
+
+
+@dataclass(frozen=True)
+class Judge:
+    """The cameras that say what is useful, and the photos that PSNR is measured on.
+
+    on_render: called after each picture.
+    """
+
+    device: Device
+    cameras: Sequence[Camera]
+    views: Sequence[View]
+    options: RenderOptions = DEFAULT
+    on_render: Callable[[], None] = lambda: None
+
+    def psnr(self, scene: QuantizedScene, count: int | None = None) -> float:
+        """Mean over the views, or ``count`` of them, in dB, as ``clgs eval`` measures it."""
+        renderer = Renderer(self.device, scene.dequantize(), self.options)
+        scores = []
+        for view in self.views[:: max(1, len(self.views) // count) if count else 1]:
+            photo = planar(view, scene.settings.background).transpose(1, 2, 0)
+            scores.append(psnr_8bit(to_8bit(renderer.render(view.camera)), photo))
+            self.on_render()
+        return float(np.mean(scores))
+
+    def importance(self, scene: QuantizedScene) -> npt.NDArray[np.float64]:
+        """Of each anchor, (A,)."""
+        room = PIXELS * len(scene.anchors)
+        cameras = [
+            camera.reduced(2 if camera.width * camera.height >= 4 * room else 1)
+            for camera in self.cameras
+        ]
+        return importance(self.device, scene, cameras, self.options, self.on_render)
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The scene that was found, its file, what Q was multiplied by, and PSNR before and after.
+
+    psnr: None where there were no views to measure by.
+    """
+
+    scene: QuantizedScene
+    data: bytes
+    factors: Factors
+    psnr: tuple[float, float] | None
+
+
+def reduce_to_size(
+    scene: QuantizedScene, target: int, encode: Encode, judge: Judge | None
+) -> Reduced:
+    """At most ``target`` bytes, at least 99 % of them where anchors suffice.
+
+    Raises:
+        UsageError: the file is larger even without anchors.
+    """
+    whole = len(data := encode(scene))
+    before = judge.psnr(scene) if judge and whole <= target else None
+    if whole <= target:
+        return Reduced(scene, data, {}, (before, before) if before is not None else None)
+    least = least_size(scene, target, encode)
+    if judge is None:
+        order = most_useful_first(scene, importance_without_views(scene))
+        return Reduced(*fit_size(scene, order, target, encode, whole), {}, None)
+    before = judge.psnr(scene)
+    room = (target - least) / (whole - least) * float(anchor_bits(scene.anchors).sum())
+    order, _ = rank(scene, judge, lambda cut: anchor_bits(cut.anchors).sum() < room)
+    factors = _best_factors(scene, order, room, judge)
+    found, data = fit_size(coarsen(scene, factors), order, target, encode, whole)
+    return Reduced(found, data, factors, (before, judge.psnr(found)))
+
+
+def reduce_to_psnr(scene: QuantizedScene, target: float, encode: Encode, judge: Judge) -> Reduced:
+    """The fewest anchors, most useful first, that keep ``target`` dB on the views.
+
+    Raises:
+        UsageError: the whole scene is below ``target``, or one without anchors is not.
+    """
+    before, least = judge.psnr(scene), judge.psnr(take(scene, np.arange(0)))
+    if before < target:
+        raise UsageError(
+            f"the whole scene has {before:.2f} dB on the training views, less than {target:g} dB; "
+            "ask for less"
+        )
+    if least >= target:
+        raise UsageError(
+            f"{target:g} dB is too little: {least:.2f} dB remain without anchors; ask for more"
+        )
+    order, (low, high) = rank(scene, judge, lambda cut: judge.psnr(cut) < target)
+    best, after, steps = take(scene, order[:high]), None, PSNR_STEPS
+    while steps > 0 and high - low > 1:
+        steps -= low > 0  # all of them where so few anchors are needed that none are known too few
+        count = (low + high) // 2
+        trial = take(scene, order[:count])
+        reached = judge.psnr(trial)
+        if reached >= target:
+            high, best, after = count, trial, reached
+        else:
+            low = count
+    return Reduced(best, encode(best), {}, (before, judge.psnr(best) if after is None else after))
+
+
+def rank(
+    scene: QuantizedScene, judge: Judge, too_few: Callable[[QuantizedScene], bool]
+) -> tuple[npt.NDArray[np.intp], tuple[int, int]]:
+    """The anchors (A,), most useful first; what is left is judged again after every ROUND.
+
+    Anchors gain importance as others go. Rounds end where ``too_few`` says that a cut goes too far.
+    With them, two numbers of anchors, first ones first: one that is too few (or 0), and one that
+    is not.
+    """
+    rows, dropped = np.arange(len(scene.anchors)), np.empty(0, np.intp)
+    while True:
+        left = take(scene, rows)
+        ranked = rows[most_useful_first(left, judge.importance(left))]
+        count = min(int(np.ceil(len(ranked) - ROUND * len(scene.anchors))), len(ranked) - 1)
+        if count <= 0 or too_few(take(scene, ranked[:count])):
+            return np.concatenate([ranked, dropped]), (max(count, 0), len(ranked))
+        rows, dropped = np.sort(ranked[:count]), np.concatenate([ranked[count:], dropped])
+
+
+def _best_factors(
+    scene: QuantizedScene, order: npt.NDArray[np.intp], room: float, judge: Judge
+) -> Factors:
+    """What Q is multiplied by for the best PSNR in about ``room`` bits of anchors.
+
+    First ones of ``order`` first. One STEP of one attribute at a time, while that is a gain.
+    """
+
+    def reached(factors: Factors) -> float:
+        coarse = coarsen(scene, factors)
+        cost = np.cumsum(anchor_bits(coarse.anchors)[order])
+        if factors and cost[-1] < SPARE * room:
+            return -np.inf
+        return judge.psnr(take(coarse, order[: int(np.searchsorted(cost, room))]), COMPARED)
+
+    factors: Factors = {}
+    best = reached(factors)
+    while True:
+        trials = [{**factors, name: factors.get(name, 1.0) * STEP} for name in COARSER]
+        scores = [reached(trial) for trial in trials]
+        if not max(scores) > best:
+            return factors
+        best, factors = max(scores), trials[int(np.argmax(scores))]

@@ -1,0 +1,78 @@
+"""A run folder whose run is over: what it holds, and whether it is the run that is meant."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from clgs.codec.scene_decoder import decode
+from clgs.data.dataset import Dataset
+from clgs.errors import DataError
+from clgs.scene.scene import QuantizedScene
+from clgs.scene.storage import load_scene
+from clgs.train.config import TrainConfig
+from clgs.train.state.hashes import read_fingerprint, scene_hash
+from clgs.train.state.resume import run_digest
+
+RESULTS = "results.json"
+"""The last file of a run: a folder that has it is finished."""
+
+SHOWN = {"split", "psnr", "ssim", "bytes", "anchors", "train_seconds", "digest"}
+"""What of it is read again."""
+
+
+@dataclass
+class RunResult:
+    """A finished run: its folder, the quantised scene, the bitstream and the summary."""
+
+    folder: Path
+    scene: QuantizedScene
+    bitstream: bytes
+    summary: dict[str, Any] = field(default_factory=dict)
+
+
+def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResult | None:
+    """What the run in ``folder`` gave; None where there is none, or it is not finished.
+
+    Args:
+        folder: run folder, may be missing.
+        dataset: what the run must have been trained on.
+        config: the settings that it must have had, resolved for ``dataset``.
+
+    Raises:
+        DataError: it is finished and had other settings or photos, or its files are damaged.
+    """
+    if not (folder / RESULTS).exists():
+        return None
+    try:
+        result = _read(folder)
+        digest = result.summary["digest"]
+    except (DataError, ValueError, TypeError, KeyError, RecursionError, FileNotFoundError) as error:
+        raise DataError(
+            f"{folder}: a finished run, but damaged ({error}); remove {RESULTS} and resume again "
+            "to make its files anew, or name another run folder"
+        ) from error
+    if digest != run_digest(dataset, replace(config, downscale=dataset.downscale)):
+        raise DataError(
+            f"{folder}: holds a finished run with other settings or photos; give the same options "
+            "(config.toml lists them) or choose another run folder"
+        )
+    return result
+
+
+def _read(folder: Path) -> RunResult:
+    """The files of a finished run; raises where one is missing, damaged, or not of this run."""
+    summary = json.loads((folder / RESULTS).read_text(encoding="utf-8"))
+    if lacking := SHOWN - set(summary):
+        raise ValueError(f"{RESULTS} lacks {', '.join(sorted(lacking))}")
+    bitstream = (folder / "scene.clgs").read_bytes()
+    if len(bitstream) != summary["bytes"]:
+        raise ValueError(f"scene.clgs has {len(bitstream)} bytes, not {summary['bytes']}")
+    expected = read_fingerprint(folder / "hashes.json")["scene"]
+    scene = load_scene(folder / "scene.npz")
+    for name, found in (("scene.clgs", decode(bitstream)), ("scene.npz", scene)):
+        if scene_hash(found) != expected:
+            raise ValueError(f"{name} and hashes.json differ")
+    return RunResult(folder, scene, bitstream, summary)

@@ -1,0 +1,244 @@
+"""A whole training run in a run folder: log, checkpoints, results. Resumes where it stopped."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clgs.codec.scene_encoder import encode
+from clgs.data.dataset import Dataset, View
+from clgs.errors import DataError
+from clgs.export.image import comparison, picture_names, save_png
+from clgs.files import atomic_write
+from clgs.opencl.device import Device
+from clgs.scene.storage import save_scene
+from clgs.train.config import TrainConfig
+from clgs.train.quality.score_views import ViewScore, evaluate_views, summarize
+from clgs.train.run.finished_run import RESULTS, RunResult, finished_run
+from clgs.train.run.full_disk import Keeper
+from clgs.train.run.interrupt import interruptions
+from clgs.train.run.progress_log import ProgressLog
+from clgs.train.run.trainer import StepResult, Trainer
+from clgs.train.state.checkpoint import checkpoints
+from clgs.train.state.hashes import fingerprint
+from clgs.train.state.resume import load_checkpoint, run_digest
+
+HASHED_VIEWS = 3
+MLP_BYTES = {"quantized": 12_000, "float32": 46_000}
+POSITION_BITS = 12.0
+"""Bits that an anchor's position takes, for the size estimate shown while training."""
+
+
+@dataclass
+class Progress:
+    """What a progress display shows: the last step, PSNR on fixed views, estimated bytes."""
+
+    result: StepResult
+    psnr: float | None = None
+    estimated_bytes: int | None = None
+
+
+class Session:
+    """Trains in ``folder``; call :meth:`run` once."""
+
+    def __init__(
+        self, dataset: Dataset, folder: Path, config: TrainConfig, device: Device, resume: bool
+    ) -> None:
+        """Prepare a new run or the continuation of an interrupted one.
+
+        Raises:
+            DataError: there is nothing to train on, or the checkpoints are of another run.
+            BudgetError: the memory budget is too small for some view; nothing is written then.
+        """
+        if not dataset.train:
+            raise DataError("the dataset has no training views; check the folder of images")
+        config = replace(config, downscale=dataset.downscale)
+        self.folder, self.config, self.device = folder, config, device
+        self.dataset = dataset
+        self.trainer = Trainer(device, dataset, config)
+        if resume and checkpoints(folder / "checkpoint"):
+            load_checkpoint(folder / "checkpoint", self.trainer)
+        self.keeper = Keeper(folder, self.trainer)
+        self.trainer.check_budget()
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / RESULTS).unlink(missing_ok=True)
+        atomic_write(folder / "config.toml", config.to_toml().encode())
+        self.log = ProgressLog(folder / "progress.csv", self.trainer.steps_done)
+
+    def run(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
+        """Train to the end, then quantise, encode, render and score the held-out views.
+
+        Ctrl-C and SIGTERM let the step finish, leave a checkpoint behind and raise
+        KeyboardInterrupt; a second Ctrl-C does not wait. On a full disk training goes on; at the
+        end it waits for room where otherwise steps would be lost.
+
+        Raises:
+            FullDiskError: there is no room; the newest checkpoint is whole.
+        """
+        try:
+            with interruptions() as interrupted:
+                while self.trainer.steps_done < self.config.steps:
+                    for progress in self._advance(interrupted):
+                        if on_progress is not None:
+                            on_progress(progress)
+                    if interrupted():
+                        self.keeper.save()
+                        raise KeyboardInterrupt
+                if self.config.checkpoint_interval:
+                    self.keeper.try_save()
+                if interrupted():
+                    raise KeyboardInterrupt
+        finally:
+            self.log.close()
+        return self.keeper.with_room(self._finish)
+
+    def _advance(self, stop: Callable[[], bool]) -> Iterator[Progress]:
+        """Train up to the next step after which the state is looked at; fewer once ``stop()``."""
+        trainer, done = self.trainer, self.trainer.steps_done
+        if done == self.config.switch_step:
+            self._log_psnr("before quantisation")
+        pause = self._next_pause(done)
+        for result in trainer.steps(pause - done, stop):
+            yield self._look(result) if result.step == pause else Progress(result)
+
+    def _next_pause(self, done: int) -> int:
+        """The first step after ``done`` at which something is logged or saved."""
+        config = self.config
+        switch = config.switch_step
+        intervals = [config.log_interval, self.keeper.interval or config.steps]
+        moments = [switch, switch + 1, switch + 500, config.steps]
+        moments += [(done // interval + 1) * interval for interval in intervals]
+        return min(moment for moment in moments if moment > done)
+
+    def _look(self, result: StepResult) -> Progress:
+        """Log and save what is due after a step that nothing is under way behind."""
+        config = self.config
+        progress = Progress(result)
+        marks = {config.switch_step + 1: "just after", config.switch_step + 500: "500 steps after"}
+        if result.step in marks and result.step > config.switch_step:
+            progress.psnr = self._log_psnr(f"{marks[result.step]} the switch")
+        if result.step % config.log_interval == 0 or result.step == config.steps:
+            progress.psnr = self.fixed_view_psnr()
+            progress.estimated_bytes = self._estimated_bytes()
+            self.log.write(result, progress.psnr, progress.estimated_bytes)
+        if self.keeper.interval and result.step % self.keeper.interval == 0:
+            self.keeper.try_save()
+        return progress
+
+    def _log_psnr(self, moment: str) -> float:
+        psnr = self.fixed_view_psnr()
+        self.log.event(self.trainer.steps_done, f"psnr {moment}", psnr)
+        return psnr
+
+    def fixed_views(self) -> list[View]:
+        """The training views on which progress is measured, evenly spread."""
+        views = self.dataset.train
+        count = min(self.config.fixed_views, len(views))
+        return [views[int(i)] for i in np.linspace(0, len(views) - 1, count).round()]
+
+    def fixed_view_psnr(self) -> float:
+        """PSNR on the fixed training views, of the rounded scene while quantising."""
+        return self.trainer.psnr(self.fixed_views())
+
+    def _estimated_bytes(self) -> int:
+        bits = self.trainer.estimated_bits() + POSITION_BITS
+        return int(self.trainer.parameters.count * bits / 8) + MLP_BYTES[self.config.mlp]
+
+    def _finish(self) -> RunResult:
+        self.log.flush()
+        scene = self.trainer.quantized_scene()
+        save_scene(self.folder / "scene.npz", scene)
+        views = (self.dataset.test or self.dataset.train)[:HASHED_VIEWS]
+        cameras = [view.camera for view in views]
+        hashes = fingerprint(self.device, scene, cameras, self.config.accuracy)
+        write_json(self.folder / "hashes.json", hashes)
+        bitstream = encode(scene)
+        atomic_write(self.folder / "scene.clgs", bitstream)
+        views = self.dataset.test or self.dataset.train
+        scores = evaluate_views(self.device, scene, views, options=self.trainer.options)
+        summary = summarize(scene, scores, len(bitstream))
+        summary |= {
+            "accuracy": self.config.accuracy,
+            "split": "test" if self.dataset.test else "train",
+            "steps": self.config.steps,
+            "train_seconds": self.log.seconds,
+            "seconds_per_step": self.log.seconds / max(1, self.config.steps),
+            "peak_memory_bytes": peak_memory(),
+            "device": self.device.name,
+            "skipped_images": self.dataset.skipped,
+            "digest": run_digest(self.dataset, self.config),
+            "merged_anchors": self.trainer.merged,
+            "switch_psnr": self.log.events,
+        }
+        self._write_results(summary, scores)
+        return RunResult(self.folder, scene, bitstream, summary)
+
+    def _write_results(self, summary: dict[str, Any], scores: list[ViewScore]) -> None:
+        write_json(self.folder / "per_view.json", [score.record() for score in scores])
+        write_pictures(self.folder / "test" / f"ours_{self.config.steps}", scores)
+        if scores:
+            save_png(self.folder / "preview.png", comparison(scores[0].photo, scores[0].render))
+        write_json(self.folder / RESULTS, summary)
+
+
+def peak_memory() -> int | None:
+    """Largest resident size of this process so far, bytes; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as indented JSON, atomically."""
+    atomic_write(path, (json.dumps(value, indent=1) + "\n").encode())
+
+
+def write_pictures(folder: Path, scores: list[ViewScore]) -> None:
+    """Renders and photos as PNG in the layout that the 3DGS family's tools read."""
+    names = picture_names([score.name for score in scores])
+    for kind, attribute in (("renders", "render"), ("gt", "photo")):
+        (folder / kind).mkdir(parents=True, exist_ok=True)
+        for name, score in zip(names, scores, strict=True):
+            save_png(folder / kind / name, getattr(score, attribute))
+
+
+def train_scene(
+    dataset: Dataset,
+    folder: str | Path,
+    config: TrainConfig | None = None,
+    *,
+    device: Device | None = None,
+    resume: bool = False,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> RunResult:
+    """Train a scene; the run folder receives everything, ``scene.clgs`` included.
+
+    Args:
+        dataset: from :func:`clgs.load_dataset`.
+        folder: run folder, made where it is missing.
+        config: default ``TrainConfig()`` resolved for the dataset.
+        device: default: chosen as ``clgs devices`` shows.
+        resume: continue from the folder's checkpoint where it has one; a run that is finished is
+            read, and nothing is changed.
+        on_progress: called after every step; the device may be a step ahead.
+
+    Raises:
+        DataError: nothing to train on, or the folder holds another run.
+        BudgetError: the memory budget is too small for some view.
+        NonFiniteLossError: the loss is not finite; names step and view.
+    """
+    resolved = (config or TrainConfig()).for_dataset(dataset.kind)
+    finished = finished_run(Path(folder), dataset, resolved) if resume else None
+    if finished is not None:
+        return finished
+    session = Session(dataset, Path(folder), resolved, device or Device(), resume)
+    return session.run(on_progress)

@@ -1,0 +1,65 @@
+"""Adam over all trained tensors with the method's learning-rate schedule."""
+
+from __future__ import annotations
+
+from clgs.constants import HEAD_DIMS
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.ops import adam
+from clgs.render.frame import SceneGradients
+from clgs.scene.mlps import head_slice
+from clgs.train.config import TrainConfig
+from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
+from clgs.train.step.schedule import learning_rates
+
+
+class Optimizer:
+    """Updates parameters in place; leaves all of them untouched where a gradient is not finite."""
+
+    def __init__(self, device: Device, config: TrainConfig, radius: float) -> None:
+        """``radius`` in scene units scales the learning rate of offsets."""
+        self._device, self._config, self._radius = device, config, radius
+
+    def step(
+        self,
+        parameters: Parameters,
+        gradients: SceneGradients,
+        step: int,
+        anchors: bool,
+        stop: DeviceArray,
+    ) -> None:
+        """One Adam step number ``step`` (from 1).
+
+        ``anchors`` is False on steps that replace the anchors: only the MLPs learn then. ``stop``
+        (1,) int32 is set where a gradient is not finite; unless it holds 0 nothing changes.
+        """
+        rates = learning_rates(self._config, step, self._radius)
+        names = (*ANCHOR_GROUPS, "weights") if anchors else ("weights",)
+        by_name = {name: getattr(gradients, f"d_{name}") for name in names}
+        marks = self._check(by_name, stop)
+        for name in names:
+            state = getattr(parameters.scene, name), by_name[name], parameters.moments[name]
+            for part, rate in _parts(name, by_name[name].size, rates):
+                now = adam.factors(rate, step)
+                if name in marks:
+                    adam.step_rows(self._device, *state, now, stop, marks[name])
+                else:
+                    adam.step(self._device, *state, now, stop, part)
+
+    def _check(
+        self, gradients: dict[str, DeviceArray], stop: DeviceArray
+    ) -> dict[str, DeviceArray]:
+        """Set ``stop`` where needed; the rows to update of groups of which not all are."""
+        by_rows = [
+            name for name in gradients if self._config.adam == "visible" and name != "weights"
+        ]
+        whole = [array for name, array in gradients.items() if name not in by_rows]
+        adam.check_finite(self._device, whole, stop)
+        return {name: adam.mark_rows(self._device, gradients[name], stop) for name in by_rows}
+
+
+def _parts(name: str, size: int, rates: dict[str, float]) -> list[tuple[slice, float]]:
+    """Elements of a tensor with one learning rate, and that rate; the MLPs have one a head."""
+    if name == "weights":
+        return [(head_slice(head), rates[f"mlp_{head}"]) for head in HEAD_DIMS]
+    return [(slice(0, size), rates[name])]

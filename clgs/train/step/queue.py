@@ -1,0 +1,187 @@
+"""One training step: all of its work is put in the device's queue, and waited for later."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clgs.data.dataset import Dataset
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.opencl.transfer import Download
+from clgs.ops import adam, loss, quantize, rate, scan
+from clgs.render.frame import Capacity, DeviceScene, Frame, SceneGradients
+from clgs.render.pipeline import check_capacity, render_backward, view_forward
+from clgs.scene.anchors import QuantizationScales
+from clgs.train.config import TrainConfig
+from clgs.train.density.densifier import Densifier
+from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters, quantized_view
+from clgs.train.step.optimizer import Optimizer
+from clgs.train.step.rounding import weight_scales
+from clgs.train.step.schedule import reduction
+from clgs.train.step.targets import Color, Targets
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a step was dealt, enough to do it again: its number, view and background."""
+
+    step: int
+    index: int
+    background: Color
+
+
+@dataclass(frozen=True)
+class Enqueued:
+    """A step in the device's queue, and what of it is on its way to the host.
+
+    stop (1,) int32: not 0 where the step, or one before it, changed nothing because it lacked room
+    or met a number that is not finite; totals: numbers of visible anchors, Gaussians and tile
+    entries, (1,) int64 each; capacity: the room there was for them, None where arrays were made to
+    measure; rate_bits: a row, where the rate proxy ran; frame: where the host still needs it to
+    change the anchors.
+    """
+
+    plan: Plan
+    loss: loss.LaterValue
+    stop: Download
+    totals: tuple[Download, ...]
+    capacity: Capacity | None
+    rate_bits: float | None
+    frame: Frame | None
+
+    @property
+    def done(self) -> bool:
+        """Whether the step, and all before it, changed the parameters; waits for it."""
+        return int(self.stop.get()[0]) == 0
+
+    def needed(self) -> Capacity:
+        """How many visible anchors, Gaussians and entries there were; waits for the step."""
+        return Capacity(*(int(total.get()[0]) for total in self.totals))
+
+    def lacked_room(self) -> bool:
+        """Whether more was needed than there was room for; waits for the step."""
+        return bool(int(self.stop.get()[0]) & scan.LACKS_ROOM)
+
+
+class StepQueue:
+    """Enqueues steps. Once its stop flag is set they change nothing.
+
+    ``capacity`` None makes every array to measure, which waits for the device three times a step.
+    """
+
+    def __init__(self, device: Device, dataset: Dataset, config: TrainConfig) -> None:
+        """As for :class:`clgs.train.run.trainer.Trainer`."""
+        self._device, self._config = device, config
+        self._optimizer = Optimizer(device, config, dataset.radius)
+        self._targets = Targets(device, dataset.train, config.background, config.near)
+        self._stop = adam.stop_flag(device)
+        self.options = config.render_options()
+        self.scales = QuantizationScales(
+            config.position_q, config.offset_q, config.feature_q, config.scaling_q
+        )
+        quantized = config.mlp == "quantized"
+        self._weight_scales = device.upload(weight_scales()) if quantized else None
+        self.capacity: Capacity | None = None
+
+    def color(self, rng: np.random.Generator) -> Color:
+        """The background of the next step."""
+        return self._targets.color(rng)
+
+    def clear(self) -> None:
+        """Let the steps enqueued from now on change the parameters again."""
+        self._device.fill_zero(self._stop)
+
+    def enqueue(self, plan: Plan, parameters: Parameters, densifier: Densifier) -> Enqueued:
+        """Enqueue a step; anchors that are about to be replaced are not updated."""
+        device, capacity = self._device, self.capacity
+        scene, frame, photo = self._render(plan, parameters, capacity)
+        value, d_image = self._compare(frame, photo)
+        weight = self._config.volume_weight or 0.0
+        gradients = render_backward(device, scene, frame, d_image, weight)
+        bits = self._add_rate(parameters, gradients, plan.step)
+        replaces = densifier.replaces_anchors(plan.step)
+        with device.stage("adam"):
+            self._optimizer.step(parameters, gradients, plan.step, not replaces, self._stop)
+        with device.stage("density"):
+            densifier.observe(frame, gradients, plan.step, self._stop)
+        enqueued = Enqueued(
+            plan=plan,
+            loss=value,
+            stop=device.download_later(self._stop),
+            totals=tuple(device.download_later(total) for total in frame.totals),
+            capacity=capacity,
+            rate_bits=bits,
+            frame=frame if replaces else None,
+        )
+        device.flush()
+        return enqueued
+
+    def render(self, plan: Plan, parameters: Parameters) -> Frame:
+        """What a step compares with its photo, made to measure."""
+        return self._render(plan, parameters, None)[1]
+
+    def _render(
+        self, plan: Plan, parameters: Parameters, capacity: Capacity | None
+    ) -> tuple[DeviceScene, Frame, DeviceArray]:
+        """The rendered scene, the frame and the photo."""
+        device, factor = self._device, reduction(self._config, plan.step)
+        target = self._targets.get(plan.index, plan.background, factor)
+        scene = self.seen(parameters, plan.step)
+        frame = view_forward(device, scene, target.view, self.options, capacity)
+        if capacity is not None:
+            check_capacity(device, frame, capacity, self._stop)
+        return scene, frame, target.photo
+
+    def seen(self, parameters: Parameters, step: int) -> DeviceScene:
+        """The parameters as step number ``step`` renders them: rounded after the switch steps."""
+        scene = parameters.scene
+        with self._device.stage("quantize"):
+            if step > self._config.switch_step:
+                scene = quantized_view(self._device, scene, self.scales)
+            if step > self._config.mlp_switch_step:
+                scene = replace(scene, weights=self.final_weights(parameters))
+        return scene
+
+    def final_weights(self, parameters: Parameters) -> DeviceArray:
+        """The weights of the MLPs as they are stored: rounded, unless float32 is asked for."""
+        if self._weight_scales is None:
+            return parameters.scene.weights
+        return quantize.elements(self._device, parameters.scene.weights, self._weight_scales)
+
+    def _compare(self, frame: Frame, photo: DeviceArray) -> tuple[loss.LaterValue, DeviceArray]:
+        """The value of the loss and its gradient by the picture."""
+        device = self._device
+        weights = loss.Weights(self._config.l1_weight, self._config.ssim_weight)
+        with device.stage("loss forward"):
+            compared = loss.forward(device, frame.image, photo, weights)
+            adam.check_finite(device, [compared.sums.partials], self._stop)
+            value = compared.value_later(device)
+        with device.stage("loss backward"):
+            return value, loss.backward(device, frame.image, photo, compared)
+
+    def _add_rate(
+        self, parameters: Parameters, gradients: SceneGradients, step: int
+    ) -> float | None:
+        """Add the rate proxy's gradient in place where it is due; returns bits per anchor."""
+        config = self._config
+        if step <= config.switch_step or step % config.rate_interval:
+            return None
+        total = 0.0
+        with self._device.stage("rate"):
+            for name in ANCHOR_GROUPS:
+                x, d_x = getattr(parameters.scene, name), getattr(gradients, f"d_{name}")
+                result = self._rate(parameters, name)
+                rate.backward(self._device, result, x, config.rate_weight, d_x)
+                total += result.bits
+        return total
+
+    def _rate(self, parameters: Parameters, name: str) -> rate.Rate:
+        x, q = getattr(parameters.scene, name), getattr(self.scales, name)
+        form: rate.Form = "pooled" if self._config.proxy == "pooled" else "channel"
+        return rate.forward(self._device, x, q, form)
+
+    def estimated_bits(self, parameters: Parameters) -> float:
+        """Bits per anchor of the rounded attributes under the proxy's model."""
+        return sum(self._rate(parameters, name).bits for name in ANCHOR_GROUPS)

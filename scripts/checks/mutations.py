@@ -1,0 +1,270 @@
+"""The seeded bugs of ``mutation_check.py``: one textual change each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """``old`` becomes ``new`` wherever it is in ``file``, which must be ``times`` times.
+
+    stage: whose tests have to notice; what: the bug.
+    """
+
+    stage: str
+    what: str
+    file: str
+    old: str
+    new: str
+    times: int = 1
+
+
+PROJECT = "kernels_cl/project.cl"
+PROJECTION = "kernels_cl/include/projection.h"
+SPLAT = "kernels_cl/include/splat.h"
+STEP = "kernels_cl/include/blend_step.h"
+LOSS = "kernels_cl/loss.cl"
+
+MUTATIONS = (
+    Mutation(
+        "project",
+        "gradient through the clamped slope of the Jacobian",
+        PROJECT,
+        "s->clamped[axis] == s->slope[axis] ? d_clamped[axis] : (fv)(0.0f)",
+        "d_clamped[axis]",
+    ),
+    Mutation(
+        "project",
+        "factor 2 of the off-diagonal moment",
+        PROJECT,
+        "m12 = d_factor[1] * factor[0] / factor[2]",
+        "m12 = 2.0f * d_factor[1] * factor[0] / factor[2]",
+    ),
+    Mutation(
+        "project",
+        "no blur in the determinant",
+        PROJECTION,
+        "fma(s->blur, xx + yy + s->blur, dot3(s->minor, s->minor))",
+        "dot3(s->minor, s->minor)",
+    ),
+    Mutation(
+        "project",
+        "determinant by subtraction",
+        PROJECTION,
+        "fma(s->blur, xx + yy + s->blur, dot3(s->minor, s->minor))",
+        "s->cov_xx * s->cov_yy - s->cov_xy * s->cov_xy",
+    ),
+    Mutation(
+        "project",
+        "box of three sigma",
+        PROJECTION,
+        "sqrt(2.0f * log_v(opacity / ALPHA_CUT))",
+        "3.0f",
+    ),
+    Mutation(
+        "project",
+        "the near plane itself is drawn",
+        PROJECTION,
+        "(s->z > (fv)(camera[CAMERA_NEAR]))",
+        "(s->z >= (fv)(camera[CAMERA_NEAR]))",
+    ),
+    Mutation(
+        "blend",
+        "a cut that NaN passes",
+        SPLAT,
+        "t.touched = exponent >= c->cut;",
+        "t.touched = !(exponent < c->cut);",
+    ),
+    Mutation(
+        "blend",
+        "transmittance not divided on the way back",
+        STEP,
+        "p->transmittance = p->transmittance / (1.0f - alpha)",
+        "p->transmittance = p->transmittance * (1.0f - alpha)",
+    ),
+    Mutation(
+        "blend",
+        "suffix with the rounding of a difference of whole sums",
+        STEP,
+        "const fv change = color - p->behind",
+        "const fv change = color - ((p->behind * p->transmittance + 4.0f) - 4.0f) / "
+        "p->transmittance",
+    ),
+    Mutation(
+        "blend",
+        "no gradient by way of the background",
+        "kernels_cl/include/blend_tile.h",
+        "fma(rays->d_red, (fv)(background[0]),",
+        "0.0f * fma(rays->d_red, (fv)(background[0]),",
+    ),
+    Mutation(
+        "blend",
+        "splat that crosses the transmittance stop is blended",
+        STEP,
+        "weight = stops ? (fv)(0.0f) : weight;",
+        "",
+    ),
+    Mutation(
+        "blend",
+        "backward pass beyond the last contributor",
+        STEP,
+        "t->touched & ((iv)(number) <= p->last)",
+        "t->touched",
+    ),
+    Mutation(
+        "blend",
+        "gradient of a saturated alpha",
+        STEP,
+        "t->saturated ? (fv)(0.0f) : weight * change",
+        "weight * change",
+    ),
+    Mutation(
+        "sort",
+        "keys of 16 bits",
+        "kernels_cl/sort.cl",
+        "chosen[i] > 0 ? keys[i] : KEY_LAST",
+        "chosen[i] > 0 ? keys[i] & 0xffff0000u : KEY_LAST",
+    ),
+    Mutation(
+        "tiles",
+        "three sigma in the test of tiles",
+        SPLAT,
+        "e.reach = sqrt(fma(limit, (fv)(1.00001f), (fv)(1e-5f))) + error;",
+        "e.reach = (fv)(3.0f * WHITENING_UNIT);",
+    ),
+    Mutation(
+        "tiles",
+        "first column of a span on the row of the last one",
+        "kernels_cl/include/footprint.h",
+        "clamp_lanes(-f->tip, top, bottom)",
+        "clamp_lanes(f->tip, top, bottom)",
+    ),
+    Mutation(
+        "tiles",
+        "tiles of a row where their first spans end",
+        "kernels_cl/include/tiles_chunk.h",
+        "--next[span.x + span.y];",
+        "--next[span.x + 1];",
+    ),
+    Mutation(
+        "blend",
+        "three sigma in the test of units",
+        SPLAT,
+        "e.squared = e.reach * e.reach * 1.00001f * inverse;",
+        "e.squared = 9.0f * WHITENING_UNIT * WHITENING_UNIT * inverse;",
+    ),
+    Mutation(
+        "sort",
+        "highest bit of the keys left out",
+        "kernels_cl/sort.cl",
+        "(bits + plan[PLAN_PASSES] - 1) / plan[PLAN_PASSES]",
+        "bits / plan[PLAN_PASSES]",
+    ),
+    Mutation(
+        "scan",
+        "total of 32 bits",
+        "kernels_cl/scan.cl",
+        "total[0] = carry",
+        "total[0] = (int)carry",
+        2,
+    ),
+    Mutation(
+        "scan",
+        "offsets one item late",
+        "kernels_cl/scan.cl",
+        "offsets[i] = fits ? (int)carry : 0;",
+        "offsets[i] = fits ? (int)(carry + counts[i]) : 0;",
+    ),
+    Mutation(
+        "adam",
+        "no bias correction",
+        "clgs/ops/adam.py",
+        "step=learning_rate / (1.0 - BETA1**count)",
+        "step=learning_rate",
+    ),
+    Mutation(
+        "loss",
+        "variances about zero",
+        LOSS,
+        "return rint(128.0f * (range.xz - range.yw)) / 256.0f;",
+        "return (float2)(0.0f);",
+    ),
+    Mutation(
+        "loss",
+        "window not restored at the rim",
+        LOSS,
+        "const fv missing = 1.0f - covered;",
+        "const fv missing = 0.0f * covered;",
+    ),
+    Mutation(
+        "rate",
+        "standard deviation taken as the scale of the Laplace law",
+        "clgs/ops/rate.py",
+        "b = np.sqrt(0.5 * (sums.square",
+        "b = np.sqrt(1.0 * (sums.square",
+    ),
+    Mutation(
+        "quantize",
+        "halves away from zero",
+        "kernels_cl/quantize.cl",
+        "rint(load_lanes(x, vector, total) * q);",
+        "round(load_lanes(x, vector, total) * q);",
+    ),
+    Mutation(
+        "neural",
+        "gradient of a clamped log scale",
+        "kernels_cl/neural.cl",
+        "return fabs(log_scale) <= LOG_SCALE_LIMIT ? d : 0.0f;",
+        "return d;",
+    ),
+    Mutation(
+        "mlp",
+        "gradient through an inactive unit",
+        "kernels_cl/include/mlp_backward.h",
+        "const fv d = active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
+        "const fv d = active >= (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
+    ),
+    Mutation(
+        "mlp",
+        "weight gradient without the first block of a run",
+        "kernels_cl/include/mlp_weights.h",
+        "add_run(&vectors, block * VECTORS, (block + 1) * VECTORS)",
+        "add_run(&vectors, block * VECTORS + 1, (block + 1) * VECTORS)",
+    ),
+    Mutation(
+        "mlp",
+        "a tile of the weight gradient that asks for the slot of its first row alone",
+        "kernels_cl/include/mlp_weights.h",
+        "layer.slots |= 1 << (first + o) / slot_rows(head);",
+        "layer.slots |= 1 << first / slot_rows(head);",
+    ),
+    Mutation(
+        "density",
+        "gradient norm in pixels",
+        "kernels_cl/density.cl",
+        "vload2(first + i, d_mean2d) * half_size",
+        "vload2(first + i, d_mean2d) * 1.0f",
+    ),
+    Mutation(
+        "density",
+        "anchors counted in the order of the view",
+        "kernels_cl/density.cl",
+        "visible[slot[n] / K_OFFSETS] * K_OFFSETS",
+        "(slot[n] / K_OFFSETS) * K_OFFSETS",
+    ),
+    Mutation(
+        "cull",
+        "the extent that counts towards the smallest anchor has the blur in it",
+        "kernels_cl/cull.cl",
+        "36.0f * (largest - (fv)(BLUR))",
+        "36.0f * largest",
+    ),
+    Mutation(
+        "decode",
+        "the opacity of the first slot for all",
+        "kernels_cl/project_anchors.cl",
+        "opaque[m] = sample[j * stride]",
+        "opaque[m] = sample[0]",
+    ),
+)

@@ -1,0 +1,105 @@
+"""Train a tiny scene for one step: race_scene.py DEVICE SPECIALISATION.
+
+Every kernel that training and rendering launch runs, those of rounding and rate proxy after the
+step: no step has both them and the statistics for growing, and a step takes up to a minute. Then
+the other builds of the rasteriser, which presets of accuracy ask for, forward and backward; and
+lists that lack room.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pyopencl as cl
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.ops import cull, rate, tiles
+from clgs.options import RenderOptions, render_options
+from clgs.render import tile_groups
+from clgs.render.pipeline import render_backward, render_forward
+from clgs.scene.camera import Camera
+from clgs.synthetic.anchor_scene import anchor_scene, photo_dataset
+from clgs.train.config import TrainConfig
+from clgs.train.density.densifier import Densifier
+from clgs.train.run.trainer import Trainer
+from clgs.train.state.parameters import ANCHOR_GROUPS, new_parameters, quantized_view
+
+GAUSSIANS = 70
+"""About; from 18 anchors, one full lane vector and one that is not."""
+SIZE = 24
+"""Four tiles, three of which reach beyond the image."""
+
+
+class ExactDevice(Device):
+    """Gives every array a buffer of just its size; the pool rounds up and hides overruns."""
+
+    def empty(self, shape: Sequence[int], dtype: npt.DTypeLike = np.float32) -> DeviceArray:
+        """Uninitialised array."""
+        dtype = np.dtype(dtype)
+        nbytes = max(int(np.prod(shape)), 1) * dtype.itemsize
+        buffer = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, nbytes)
+        return DeviceArray(buffer, tuple(shape), dtype)
+
+
+def main(name: str, specialisation: str) -> int:
+    """Exit code 1 where the loss or the rate is not a number."""
+    scene, camera = anchor_scene(GAUSSIANS, SIZE, seed=1)
+    config = replace(TrainConfig(), statistics_start=0).for_dataset("photos")
+    device = ExactDevice(name, specialisation)
+    trainer = Trainer(device, photo_dataset(camera, scene.anchors.position), config)
+    trainer.parameters = new_parameters(device, scene.anchors, scene.mlps)
+    trainer.densifier = Densifier(device, config, trainer.parameters.count)
+    result = trainer.step()
+    bits = rate_of_rounded(trainer)
+    print(f"race_scene: {specialisation}: {result}, {bits} bits an anchor")
+    largest = max(gradient_by_preset(trainer, camera, name) for name in ("exact", "fast"))
+    without_room(trainer, camera)
+    return 0 if np.isfinite(result.loss + bits + largest) else 1
+
+
+def gradient_by_preset(trainer: Trainer, camera: Camera, preset: str) -> float:
+    """Render with another truncation, and go back; largest gradient of the features."""
+    device, scene = trainer.device, trainer.parameters.scene
+    options = render_options(preset)
+    frame = render_forward(device, scene, camera, trainer.settings, options)
+    d_image = device.upload(np.ones(frame.image.shape, np.float32))
+    gradients = render_backward(device, scene, frame, d_image)
+    return float(np.abs(device.download(gradients.d_feature)).max())
+
+
+def without_room(trainer: Trainer, camera: Camera) -> None:
+    """Too little room for anchors and for entries; then groups of a row of tiles each."""
+    device, scene = trainer.device, trainer.parameters.scene
+    frame = render_forward(device, scene, camera, trainer.settings)
+    cull.forward(device, scene.position, scene.scaling, frame.camera, capacity=1)
+    drawn = frame.projected, frame.gaussians.opacity
+    entries = len(frame.tiles.gaussian)
+    for capacity in (0, entries - 1, entries + 1):
+        tiles.forward(device, *drawn, SIZE, SIZE, capacity=capacity)
+    by_row = tiles.count_by_row(device, *drawn, SIZE, SIZE)
+    entry = tile_groups.LIST_BYTES[device.specialisation] + tile_groups.BYTES_BY_ENTRY
+    options = RenderOptions(max_memory=int(by_row.max()) * entry)
+    grouped = render_forward(device, scene, camera, trainer.settings, options)
+    render_backward(device, scene, grouped, device.zeros(frame.image.shape))
+    device.finish()
+
+
+def rate_of_rounded(trainer: Trainer) -> float:
+    """Round the parameters and run the rate proxy on them, forward and backward; bits an anchor."""
+    rounded = quantized_view(trainer.device, trainer.parameters.scene, trainer.queue.scales)
+    bits = 0.0
+    for name in ANCHOR_GROUPS:
+        x = getattr(rounded, name)
+        result = rate.forward(trainer.device, x, getattr(trainer.queue.scales, name))
+        rate.backward(trainer.device, result, x, 1.0, trainer.device.zeros(x.shape))
+        bits += result.bits
+    return bits
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

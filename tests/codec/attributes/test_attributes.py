@@ -1,0 +1,300 @@
+"""Attributes in chunks: round trips over all of int32, the reference's bytes, damage, sizes."""
+
+from __future__ import annotations
+
+import re
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from clgs import _codec
+from clgs.codec.attributes import model_search, row_coder
+from clgs.codec.octree.subtrees import runs
+from clgs.reference.codec import attributes as reference
+
+INT32 = st.integers(-(2**31), 2**31 - 1)
+LEVEL = st.sampled_from(row_coder.LEVELS)
+
+
+def laplace(spread: float, rows: int = 300, channels: int = 4, seed: int = 0) -> np.ndarray:
+    value = np.rint(np.random.default_rng(seed).laplace(spread / 3, spread, (rows, channels)))
+    return np.clip(value, -(2**31), 2**31 - 1).astype(np.int32)
+
+
+def triplets(rows: int = 1500) -> np.ndarray:
+    """Offsets whose triplets are off, wholly, at nearly half of the rows."""
+    on = np.random.default_rng(1).random((rows, 2)) < 0.55
+    return laplace(2, rows, 6) * np.repeat(on, 3, axis=1)
+
+
+def busy(rows: int = 2000) -> np.ndarray:
+    """Channels that are quiet and busy together, in stretches of rows."""
+    spread = np.exp2(np.random.default_rng(2).integers(-1, 4, rows // 50)).repeat(50)
+    return np.rint(laplace(1000, rows, 5) * spread[:, None] / 1000).astype(np.int32)
+
+
+def mixture(rows: int = 800) -> np.ndarray:
+    """Channels that follow each other and their own past."""
+    walk = np.cumsum(laplace(3, rows, 3), axis=0)
+    return np.column_stack([walk, walk.sum(axis=1) + laplace(1, rows, 1)[:, 0], -walk[:, 1]])
+
+
+def matrices() -> dict[str, np.ndarray]:
+    extremes = np.tile(np.array([[-(2**31)], [2**31 - 1], [0], [1]], np.int32), (5, 3))
+    return {
+        **{f"laplace {spread}": laplace(spread) for spread in (0.1, 1, 20, 1e3, 1e6, 5e8)},
+        "triplets": triplets(),
+        "busy": busy(),
+        "mixture": mixture().astype(np.int32),
+        "extremes": extremes,
+        "wide walk": np.cumsum(laplace(1e6, 400, 3), axis=0, dtype=np.int32),
+        "shifted": laplace(2) + 2**30,
+        "constant": np.full((300, 2), -77, np.int32),
+        "one value": np.array([[-(2**31)]], np.int32),
+        "few rows": laplace(2, 5, 3),
+        "no rows": np.empty((0, 5), np.int32),
+    }
+
+
+def encode(value: np.ndarray, level: str, chunk: int) -> tuple[bytes, list[bytes]]:
+    model = row_coder.fit(value, level, chunk)
+    return model.header, [model.encode(value[i : i + chunk]) for i in range(0, len(value), chunk)]
+
+
+def decode(header: bytes, chunks: list[bytes], rows: int, channels: int, chunk: int) -> np.ndarray:
+    model = row_coder.read(header, channels)
+    parts = [model.decode(c, min(chunk, rows - i * chunk)) for i, c in enumerate(chunks)]
+    return np.concatenate([np.empty((0, channels), np.int32), *parts])
+
+
+def assert_round_trip(value: np.ndarray, level: str, chunk: int) -> int:
+    """Decodes to the same, and takes so many bytes."""
+    header, chunks = encode(value, level, chunk)
+    np.testing.assert_array_equal(decode(header, chunks, *value.shape, chunk), value)
+    return len(header) + sum(map(len, chunks))
+
+
+@pytest.mark.parametrize("level", row_coder.LEVELS)
+@pytest.mark.parametrize("chunk", [256, 1000, row_coder.CHUNK])
+@pytest.mark.parametrize("name", matrices())
+def test_round_trip(name, chunk, level):
+    value = matrices()[name]
+    size = assert_round_trip(value, level, chunk)
+    assert size <= 1 + 4 * value.size + (-(-len(value) // chunk) if level == "paper" else 0)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    npst.arrays(
+        np.int32,
+        st.tuples(st.integers(0, 70), st.integers(1, 6)),
+        elements=st.one_of(st.just(0), st.integers(-3, 3), st.integers(-200, 200), INT32),
+    ),
+    LEVEL,
+    st.integers(1, 40),
+)
+def test_round_trip_of_anything(value, level, chunk):
+    assert_round_trip(value, level, chunk)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 64, 255, 256])
+def test_channel_counts(channels):
+    assert_round_trip(laplace(3, 700, channels), "default", 512)
+
+
+def test_channel_counts_out_of_range_are_refused():
+    for channels in (0, 257):
+        with pytest.raises(ValueError, match="channels"):
+            row_coder.fit(np.zeros((4, channels), np.int32))
+
+
+def test_unknown_levels_are_refused():
+    with pytest.raises(ValueError, match="level 'best'"):
+        row_coder.fit(laplace(1), "best")
+
+
+def tables(value: np.ndarray, chunk: int = row_coder.CHUNK) -> row_coder.TableModel:
+    """The model of level ``default``, where no other coder is shorter."""
+    model, _ = model_search.fit(value, runs(len(value), chunk), search=True)
+    return row_coder.TableModel(_codec.attributes_header(model), model)
+
+
+def mixed_model(value: np.ndarray) -> row_coder.TableModel:
+    """The model of level ``max``, with every channel but the first mixed."""
+    model = tables(value).model.copy()
+    mixed = model_search.all_mixed(model, value)
+    mixed[:1] = model[:1]
+    return row_coder.TableModel(_codec.attributes_header(mixed), mixed)
+
+
+@pytest.mark.parametrize("kind", ["tables", "mixed"])
+@pytest.mark.parametrize("name", sorted(set(matrices()) - {"no rows", "one value"}))
+def test_same_bytes_as_the_reference_in_both_directions(name, kind):
+    value, chunk = matrices()[name][:900], 700
+    model = tables(value, chunk)
+    if kind == "mixed":
+        value = value[:250]
+        model = mixed_model(value)
+    channels = reference.read_header(model.header, value.shape[1])
+    assert reference.write_header(channels) == model.header
+    for first in range(0, len(value), chunk):
+        rows = value[first : first + chunk]
+        data = model.encode(rows)
+        assert reference.encode(channels, rows) == data
+        np.testing.assert_array_equal(reference.decode(channels, data, len(rows)), rows)
+
+
+def test_every_feature_of_the_model_is_used():
+    """What the test above compares: terms, own and other columns' activity, spans, literals."""
+    models = [tables(matrices()[n]).model for n in ("triplets", "busy", "mixture")]
+    assert models[0]["span"].any()
+    assert models[1]["weight"][:, 0].any()
+    assert models[1]["weight"][:, 1].any()
+    assert models[2]["taps"].max() > 1
+    assert models[2]["tap"][..., 1].min() < 0
+    assert tables(laplace(1e3)).model["frequency"][..., 128:].any()
+
+
+def test_mixing_pays_where_channels_follow_others_loosely():
+    value = mixture(8000).astype(np.int32)
+    model = row_coder.fit(value, "max").model
+    assert model["coder"].any()
+    assert not model["coder"].all() or len(model) > 1
+    assert assert_round_trip(value, "max", 3000) < assert_round_trip(value, "default", 3000)
+
+
+@pytest.mark.parametrize("chunk", [256, 65536])
+@pytest.mark.parametrize("name", matrices())
+def test_max_is_never_longer_than_default(name, chunk):
+    value = matrices()[name]
+    assert assert_round_trip(value, "max", chunk) <= assert_round_trip(value, "default", chunk)
+
+
+@pytest.mark.parametrize("level", ["fast", "default", "max"])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 256), (20, 50), (200, 6), (1000, 30)])
+def test_small_matrices_are_no_longer_than_the_plain_coder_makes_them(shape, level):
+    value = laplace(3, *shape)
+    plain = assert_round_trip(value, "paper", 65536)
+    assert assert_round_trip(value, level, 65536) <= min(plain, 1 + 4 * value.size)
+
+
+def test_short_chunks_are_not_mixed():
+    value = mixture(8000).astype(np.int32)
+    model = row_coder.fit(value, "max", 255)
+    assert not isinstance(model, row_coder.TableModel) or not model.model["coder"].any()
+    assert row_coder.fit(value, "max", 3000).model["coder"].any()
+
+
+@pytest.mark.parametrize("name", ["extremes", "laplace 1000000.0", "mixture", "shifted"])
+def test_mixed_channels_take_any_values(name):
+    value = matrices()[name]
+    model = mixed_model(np.concatenate([value, laplace(1, 300, value.shape[1])]))
+    rows = np.concatenate([value, laplace(1, 300, value.shape[1])])
+    np.testing.assert_array_equal(model.decode(model.encode(rows), len(rows)), rows)
+
+
+def test_constant_rows_cost_next_to_nothing():
+    assert assert_round_trip(np.full((200_000, 30), 7, np.int32), "default", 65536) <= 300
+
+
+def test_read_only_and_strided_arrays_are_taken_as_they_are():
+    value = laplace(2, 400, 8)
+    wide = np.repeat(value, 2, axis=1)[:, ::2]
+    wide.setflags(write=False)
+    assert encode(wide, "default", 128) == encode(value, "default", 128)
+    assert encode(np.asfortranarray(value), "default", 128) == encode(value, "default", 128)
+
+
+def test_one_model_serves_many_threads():
+    value = busy(8000)
+    model = row_coder.fit(value, "default", 500)
+    parts = [value[i : i + 500] for i in range(0, 8000, 500)]
+    with ThreadPoolExecutor(4) as pool:
+        data = list(pool.map(model.encode, parts))
+        decoded = list(pool.map(model.decode, data, [500] * 16))
+    assert data == [model.encode(part) for part in parts]
+    np.testing.assert_array_equal(np.concatenate(decoded), value)
+
+
+def outcome(call, *arguments):
+    """What the call returns, or the message of its ValueError, which must name the stream."""
+    try:
+        return call(*arguments)
+    except ValueError as error:
+        return re.search("stream", str(error)).string
+
+
+def damaged(data: bytes):
+    """Every truncation, extensions, and every flip of a single bit."""
+    yield from (data[:size] for size in range(len(data)))
+    yield data + b"\0"
+    yield data + b"\0\0"
+    for bit in range(8 * len(data)):
+        copy = bytearray(data)
+        copy[bit // 8] ^= 1 << bit % 8
+        yield bytes(copy)
+
+
+@pytest.mark.parametrize("name", ["triplets", "busy", "mixture", "laplace 1000.0"])
+def test_damaged_headers_are_refused_or_other_models(name):
+    value = matrices()[name]
+    model = tables(value, 256)
+    header, first = model.header, model.encode(value[:256])
+    for bad in damaged(header):
+        model = outcome(row_coder.read, bad, value.shape[1])
+        if not isinstance(model, str):
+            assert model.header == bad
+            outcome(model.decode, first, 256)
+
+
+@pytest.mark.parametrize("kind", ["tables", "mixed"])
+@pytest.mark.parametrize("name", ["triplets", "busy", "mixture", "laplace 1000.0"])
+def test_damaged_chunks_are_refused_or_other_rows(name, kind):
+    value = matrices()[name][:200]
+    model = tables(value)
+    if kind == "mixed":
+        model = mixed_model(value)
+    data = model.encode(value)
+    for bad in damaged(data):
+        rows = outcome(model.decode, bad, 200)
+        if kind == "tables" or bad[:-1] != data[:-1]:  # several last bytes name the same interval
+            assert isinstance(rows, str) or (rows != value).any()
+
+
+@pytest.mark.parametrize("level", row_coder.LEVELS)
+def test_wrong_row_counts_are_refused(level):
+    value = laplace(2)
+    model = row_coder.fit(value, level)
+    data = model.encode(value)
+    for rows in (0, 1, 299, 301, 3000):
+        with pytest.raises(ValueError, match="stream"):
+            model.decode(data, rows)
+
+
+@pytest.mark.parametrize("header", [b"", b"\0\0", b"\1", b"\3", b"\1" + b"\xff" * 30, bytes(9)])
+def test_hostile_headers_are_refused(header):
+    with pytest.raises(ValueError, match="stream"):
+        row_coder.read(header, 3)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        bytes(39),
+        bytes(40),
+        b"\xff" * 60,
+        b"\xff\xff\xff\xff\0\0\0\0" + bytes(32),
+        b"\0\0\0\0\xff\xff\xff\x7f" + b"\0\0\1\0" * 8,
+        bytes(8) + b"\0\0\1\0" * 7 + b"\xff\xff\0\0",
+        b"\1\0\0\0\0\0\0\0\1" + b"\0\0\1\0" * 8,
+    ],
+)
+def test_hostile_chunks_are_refused(data):
+    model = row_coder.fit(laplace(1e3, 3000, 2), "fast")
+    with pytest.raises(ValueError, match="stream"):
+        model.decode(data, 100)

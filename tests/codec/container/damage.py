@@ -1,0 +1,103 @@
+"""Files with some of their bytes changed and every checksum made right."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import numpy as np
+
+from clgs import _codec
+from clgs.codec.container import chunks, section_table
+from clgs.codec.container.source import BytesSource
+
+ENTRY, HEAD = 32, 16
+
+
+def contents(data: bytes) -> dict[str, bytes]:
+    """The known sections of a file of a scene or of splats."""
+    source = BytesSource(data)
+    splats = data[HEAD : HEAD + 4] == b"SPLT"
+    entries = section_table.read_table(source, splats).entries
+    tags = section_table.SPLATS if splats else section_table.VERSIONS[major(data)]
+    return {tag: bytes(section_table.read_section(source, entries[tag]).data) for tag in tags}
+
+
+def major(data: bytes) -> int:
+    return int.from_bytes(data[8:10], "little")
+
+
+def rebuilt(data: bytes, **changed: bytes) -> bytes:
+    """The file with sections replaced, and every checksum made right, those of chunks too."""
+    sections = {**contents(data), **changed}
+    if "CHNK" in sections and "CHNK" not in changed:
+        sections["CHNK"] = checked(sections)
+    return section_table.write_container(sections, major(data))
+
+
+def checked(sections: dict[str, bytes]) -> bytes:
+    """CHNK with the checksums of what lies at its chunks' places now."""
+    chunk, shared, _, table = unpack_table(sections["CHNK"])
+    streams = {}
+    for column, tag in enumerate(chunks.TAGS):
+        at = shared[2 * column]
+        shared[2 * column + 1] = _codec.crc32c(sections[tag][:at])
+        streams[tag] = []
+        for length in table[:, 7 + column].tolist():
+            streams[tag].append(sections[tag][at : at + length])
+            at += length
+    crcs = [_codec.crc32c(stream) for stream in streams["ANCH"]]
+    rows = zip(*(streams[tag] for tag in chunks.TAGS[1:]), strict=True)
+    crcs += [_codec.crc32c(b"".join(row)) for row in rows]
+    return chunks.pack_table(chunk, shared, crcs, table)
+
+
+def unpack_table(section: bytes) -> tuple[int, list[int], list[int], chunks.Table]:
+    """What ``chunks.pack_table`` was given to make a CHNK that is not damaged."""
+    head = chunks.unpack_head(section[: chunks.head_size(section)])
+    listed: list[chunks.Chunk] = []
+    for index, (place, _) in enumerate(head.places):
+        data = section[place.offset : place.offset + place.length]
+        listed += chunks.unpack_group(data, head, index)
+    shared = [number for part, crc in head.headers.values() for number in (part.length, crc)]
+    crcs = [chunk.position_crc for chunk in listed] + [chunk.rows_crc for chunk in listed]
+    rows = [
+        (c.span.stop - c.span.start, *c.least, *c.greatest, *(p.length for p in c.parts.values()))
+        for c in listed
+    ]
+    return head.chunk, shared, crcs, np.array(rows, np.int32).reshape(-1, chunks.COLUMNS)
+
+
+def directory(data: bytes, change: Callable[..., None], fix: bool = False) -> bytes:
+    """CHNK of the file after ``change(shared, crcs, table)``; with ``fix`` its checksums right."""
+    chunk, shared, crcs, table = unpack_table(contents(data)["CHNK"])
+    change(shared, crcs, table)
+    section = chunks.pack_table(chunk, shared, crcs, table)
+    return checked({**contents(data), "CHNK": section}) if fix else section
+
+
+def sealed_directory(section: bytes) -> bytes:
+    """A changed CHNK with the checksums of its groups and of its head right, if it has any."""
+    out = bytearray(section)
+    if len(out) < chunks.HEAD_SIZE or chunks.head_size(section) > len(out):
+        return section
+    end = at = chunks.head_size(section)
+    count = int.from_bytes(out[4:8], "little")
+    for entry in range(chunks.HEAD_SIZE, chunks.HEAD_SIZE + 8 * -(-count // chunks.GROUP), 8):
+        length = int.from_bytes(out[entry : entry + 4], "little")
+        crc = _codec.crc32c(bytes(out[at : at + length]))
+        out[entry + 4 : entry + 8] = struct.pack("<I", crc)
+        at += length
+    own = chunks.HEAD_SIZE - 4
+    head = bytes(out[:own] + out[chunks.HEAD_SIZE : end])
+    out[own : chunks.HEAD_SIZE] = struct.pack("<I", _codec.crc32c(head))
+    return bytes(out)
+
+
+def patched(data: bytes, at: int, new: bytes) -> bytes:
+    """The file with bytes of its header replaced and the header's checksum made right."""
+    file = bytearray(data)
+    file[at : at + len(new)] = new
+    end = HEAD + ENTRY * int.from_bytes(data[12:16], "little")
+    file[end : end + 4] = struct.pack("<I", _codec.crc32c(bytes(file[:end])))
+    return bytes(file)

@@ -1,0 +1,141 @@
+"""Damage that checksums do not show, memory that damage may ask for, and memory that runs out."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from clgs import _codec
+from clgs.codec import decode_attributes, decode_positions, encode_attributes, encode_positions
+from clgs.codec.scene_decoder import decode
+from clgs.errors import CodecError
+from tests.codec.container import damage
+from tests.codec.container.mutations import ROOM, attempt, cases
+from tests.codec.scenes import GOLDEN, ROOT
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_seeded_damage_with_right_checksums_is_an_error_or_decodes(seed):
+    outcomes = [
+        attempt(case)[0]
+        for _, case in zip(range(500), cases(np.random.default_rng(seed)), strict=False)
+    ]
+    assert set(outcomes) == {"refused", "decoded"}  # both happen: the parsers are reached
+
+
+@pytest.mark.slow
+def test_much_seeded_damage_takes_little_time_and_memory():
+    """Another process, so that memory held before does not hide what is taken."""
+    command = [sys.executable, "-m", "tests.codec.container.mutations", "20000", "77"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=3600, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("20000 inputs of seed 77")
+
+
+def sealed(body: bytes) -> bytes:
+    return body + struct.pack("<I", _codec.crc32c(body))
+
+
+def hostile_inputs() -> dict[str, tuple]:
+    """Inputs that declare much and hold little, with right checksums, and bytes they may decode to.
+
+    A header that declares more than the format allows is refused before any output.
+    """
+    rows = encode_attributes(np.zeros((10, 2), np.int32))[:-4]
+    points = encode_positions(np.array([[1, 2, 3]]))[:-4]
+    file = (GOLDEN / "surface.clgs").read_bytes()
+    meta = damage.contents(file)["META"]
+    found = {}
+    for count in (2**31, 2**32 - 1):
+        number = struct.pack("<I", count)
+        found[f"rows {count}"] = decode_attributes, sealed(rows[:4] + number + rows[8:])
+        found[f"points {count}"] = decode_positions, sealed(points[:4] + number + points[8:])
+        found[f"anchors {count}"] = decode, damage.rebuilt(file, META=number + meta[4:])
+    for channels in (0, 257, 65535):
+        wide = rows[:8] + struct.pack("<H", channels) + rows[10:]
+        found[f"channels {channels}"] = decode_attributes, sealed(wide)
+    return found
+
+
+@pytest.mark.parametrize("name", hostile_inputs())
+def test_declared_counts_take_no_memory(name):
+    function, data = hostile_inputs()[name]
+    tracemalloc.start()
+    try:
+        with pytest.raises(CodecError):
+            function(data)
+        assert tracemalloc.get_traced_memory()[1] <= ROOM
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("level", ["fast", "default", "max", "paper"])
+def test_memory_of_decoding_is_bounded_by_the_output(level):
+    """Also of what is coded in next to no bytes: 200,000 equal rows."""
+    rng = np.random.default_rng(1)
+    for value in (np.zeros((200_000, 30), np.int32), rng.integers(-9, 9, (70_000, 50))):
+        data = encode_attributes(value, level)
+        tracemalloc.start()
+        decode_attributes(data, 1)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak <= ROOM + 2 * 4 * value.size
+
+
+def test_memory_of_decoding_positions_is_bounded_by_the_output():
+    cloud = np.argwhere(np.ones((70, 70, 70), bool))
+    data = encode_positions(cloud)
+    tracemalloc.start()
+    decode_positions(data, 1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak <= ROOM + 2 * 12 * len(cloud)
+
+
+def calls() -> dict[str, tuple]:
+    """Functions of the binding with arguments for which they succeed."""
+    value = np.arange(12, dtype=np.int32).reshape(4, 3)
+    points = np.array([[0, 0, 0], [1, 2, 3]], np.int32)
+    word = np.zeros(20, np.uint32)
+    matrix = np.array([[4, 5]], np.uint32)
+    return {
+        "octree_encode": (points, 0, 0, 0),
+        "octree_decode": (_codec.octree_encode(points, 0, 0, 0), points.copy()),
+        "runlength_encode": (value, 3),
+        "runlength_decode": (_codec.runlength_encode(value, 3), value.copy(), 3),
+        "paper_encode": (value, 3),
+        "paper_decode": (_codec.paper_encode(value, 3), value.copy(), 3),
+        "planes_encode": (word,),
+        "planes_decode": (_codec.planes_encode(word), word.copy()),
+        "weights_encode": (word, matrix),
+        "weights_decode": (_codec.weights_encode(word, matrix), word.copy(), matrix),
+    }
+
+
+@pytest.mark.parametrize("name", calls())
+def test_every_allocation_that_fails_is_a_memory_error(name):
+    """The n-th allocation fails, for all n until the call succeeds.
+
+    Python hides it behind a TypeError where it was NumPy that could not describe its buffer.
+    """
+    failing = pytest.importorskip("_testcapi", reason="this Python has no _testcapi")
+    function, arguments = getattr(_codec, name), calls()[name]
+    function(*arguments)
+    for n in range(50):
+        failed = False
+        failing.set_nomemory(n, n + 1)
+        try:
+            function(*arguments)
+        except (MemoryError, TypeError):
+            failed = True
+        finally:
+            failing.remove_mem_hooks()
+        if not failed:
+            break
+    assert 1 <= n < 50
+    function(*arguments)

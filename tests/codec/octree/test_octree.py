@@ -1,0 +1,194 @@
+"""Positions: round trips, agreement with the reference, refusal of what is not a point set."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from clgs.codec.octree import position_coder
+from clgs.errors import CodecError
+from clgs.reference.codec import octree as reference
+
+
+def sorted_unique(position: np.ndarray) -> np.ndarray:
+    position = np.unique(position, axis=0).astype(np.int32)
+    return position[position_coder.morton_order(position)]
+
+
+def clouds() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(1)
+    grid = np.argwhere(np.ones((5, 6, 7), bool))
+    return {
+        "point": np.array([[-(2**31), 0, 2**31 - 1]]),
+        "pair": np.array([[0, 0, 0], [2**21 - 1, 2**21 - 1, 2**21 - 1]]) - 77,
+        "line": np.stack([np.arange(300), np.zeros(300), np.zeros(300)], 1).astype(int),
+        "full": grid,
+        "dense": grid[rng.random(len(grid)) < 0.7],
+        "surface": np.stack([*(i := np.indices((20, 20))), (i[0] ** 2 + i[1]) // 9], -1).reshape(
+            -1, 3
+        ),
+        "sparse": rng.integers(-(2**20), 2**20, (60, 3)),
+        "diagonal": np.arange(0, 2**21, 2**21 // 60)[:, None] * [1, 1, 1],
+        "chain": np.array([[0, 0, 0], [0, 0, 1], [2**20, 5, 9], [2**20 + 1, 5, 9]]),
+        "thinned": 3 * np.argwhere(rng.random((6, 6, 6)) < 0.8),
+        "clusters": rng.integers(0, 4, (200, 3)) + 5000 * rng.integers(0, 3, (200, 1)),
+    }
+
+
+@pytest.mark.parametrize("name", clouds())
+def test_same_bytes_as_the_reference_in_both_directions(name):
+    position = sorted_unique(clouds()[name])
+    data = position_coder.encode(position)
+    assert data == reference.encode(position)
+    np.testing.assert_array_equal(position_coder.decode(data, len(position)), position)
+    np.testing.assert_array_equal(reference.decode(data, len(position)), position)
+
+
+@pytest.mark.parametrize("name", clouds())
+def test_mode_1_of_older_files_decodes(name):
+    position = sorted_unique(clouds()[name])
+    data = reference.encode(position, mode=1)
+    np.testing.assert_array_equal(position_coder.decode(data, len(position)), position)
+    np.testing.assert_array_equal(reference.decode(data, len(position)), position)
+
+
+@pytest.mark.parametrize("depth", range(22))
+def test_every_depth(depth):
+    rng = np.random.default_rng(depth)
+    corners = [[0, 0, 0], [2**depth - 1] * 3]
+    position = sorted_unique(np.concatenate([corners, rng.integers(0, 2**depth, (40, 3))]))
+    data = position_coder.encode(position)
+    assert data[:2] == bytes([2, depth])
+    assert data == reference.encode(position)
+    np.testing.assert_array_equal(position_coder.decode(data, len(position)), position)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    npst.arrays(np.int32, st.tuples(st.integers(1, 60), st.just(3)), elements=st.integers(0, 40)),
+    st.integers(0, 15),
+    st.integers(-(2**31), 2**30),
+)
+def test_round_trip(position, shift, origin):
+    position = sorted_unique((position.astype(np.int64) << shift) + origin)
+    data = position_coder.encode(position)
+    np.testing.assert_array_equal(position_coder.decode(data, len(position)), position)
+
+
+def test_large_scattered_cloud_round_trips():
+    position = sorted_unique(np.random.default_rng(2).integers(0, 2**21, (20_000, 3)))
+    data = position_coder.encode(position)
+    np.testing.assert_array_equal(position_coder.decode(data, len(position)), position)
+    assert len(data) < 8 * len(position)
+
+
+def test_raw_codes_stand_in_for_a_stream_that_grows():
+    position = np.array([[3, 1, 2], [4, 1, 2]], np.int32)
+    raw = bytes([0, 1]) + np.array([3, 1, 2], "<i4").tobytes() + np.array([0, 4], "<u8").tobytes()
+    np.testing.assert_array_equal(position_coder.decode(raw, 2), position)
+    np.testing.assert_array_equal(reference.decode(raw, 2), position)
+
+
+def test_morton_order_has_x_highest_and_sorts_negative_cells():
+    position = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, 0, 0]], np.int32)
+    order = position_coder.morton_order(position)
+    assert position[order].tolist() == [[-1, 0, 0], [0, 0, 0], [0, 0, 1], [0, 1, 0], [1, 0, 0]]
+
+
+def test_empty_cloud_is_an_empty_stream():
+    assert position_coder.encode(np.empty((0, 3), np.int32)) == b""
+    assert position_coder.decode(b"", 0).shape == (0, 3)
+    with pytest.raises(ValueError, match="follow"):
+        position_coder.decode(b"\0", 0)
+
+
+def test_twins_and_wide_extents_are_refused_by_name():
+    with pytest.raises(CodecError, match=r"rows 0 and 2 share cell \[1, 2, 3\]"):
+        position_coder.morton_order(np.array([[1, 2, 3], [4, 5, 6], [1, 2, 3]], np.int32))
+    with pytest.raises(CodecError, match="y spans 2097153 integers"):
+        position_coder.morton_order(np.array([[0, -1, 0], [0, 2**21 - 1, 0]], np.int32))
+    with pytest.raises(CodecError, match="z spans 4294967296 integers"):
+        position_coder.morton_order(np.array([[0, 0, -(2**31)], [0, 0, 2**31 - 1]], np.int32))
+
+
+@pytest.mark.parametrize("rows", [[[0, 0, 1], [0, 0, 0]], [[0, 0, 0], [0, 0, 0]]])
+def test_the_coder_itself_refuses_wrong_order(rows):
+    with pytest.raises(ValueError, match="cannot be encoded"):
+        position_coder.encode(np.array(rows, np.int32))
+
+
+def test_wrong_counts_are_refused():
+    position = sorted_unique(clouds()["surface"])
+    data = position_coder.encode(position)
+    for count in (1, len(position) - 1, len(position) + 1, 2 * len(position)):
+        with pytest.raises(ValueError, match="stream"):
+            position_coder.decode(data, count)
+    with pytest.raises(ValueError, match="cannot hold"):
+        position_coder.decode(data, len(data) * position_coder.MAX_POINTS_A_BYTE + 1)
+
+
+@pytest.mark.parametrize("mode", [0, 1])
+def test_positions_past_int32_are_refused(mode):
+    payload = (8).to_bytes(8, "little") if mode == 0 else b"\0" * 4
+    data = bytes([mode, 2]) + np.array([2**31 - 1] * 3, "<i4").tobytes() + payload
+    with pytest.raises(ValueError, match="stream"):
+        position_coder.decode(data, 1)
+
+
+def test_positions_past_int32_are_refused_in_mode_2():
+    data = position_coder.encode(np.array([[0, 0, 0], [0, 0, 1]], np.int32))
+    assert data[2:5] == bytes(3)
+    far = data[:4] + bytes([0xFE, 0xFF, 0xFF, 0xFF, 0x0F]) + data[5:]
+    with pytest.raises(ValueError, match="no encoder"):
+        position_coder.decode(far, 2)
+
+
+@pytest.mark.parametrize(
+    "head", ["02", "0200", "0216000000", "0201800000", "020180000000", "0201808080808000", "03"]
+)
+def test_headers_that_no_encoder_writes(head):
+    data = bytes.fromhex(head)
+    for more in (b"", bytes(20), b"\xff" * 20):
+        with pytest.raises(ValueError, match="stream"):
+            position_coder.decode(data + more, 2)
+
+
+@pytest.mark.parametrize("name", ["surface", "thinned", "sparse", "chain", "clusters"])
+@pytest.mark.parametrize("mode", [1, 2])
+def test_every_cut_and_every_longer_stream_is_refused(name, mode):
+    position = sorted_unique(clouds()[name])
+    data = reference.encode(position, mode=mode)
+    for size in range(len(data)):
+        with pytest.raises(ValueError, match=r"stream|cannot hold"):
+            position_coder.decode(data[:size], len(position))
+    for more in (1, 2, 9):
+        with pytest.raises(ValueError, match="stream"):
+            position_coder.decode(data + bytes(more), len(position))
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(min_size=1, max_size=200), st.integers(0, 21), st.integers(1, 300))
+@example(b"\xfc\xef", 2, 2)  # points none of which touches the origin's faces
+def test_noise_ends_with_an_error_or_with_points_in_order(payload, depth, count):
+    data = bytes([2, depth, 0, 0, 0]) + payload
+    try:
+        position = position_coder.decode(data, count)
+    except ValueError:
+        return
+    with_origin = np.concatenate([np.zeros((1, 3), np.int32), position])  # the stream's, not theirs
+    assert position_coder.ascends(position_coder.morton_codes(with_origin)[1:])
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 7))
+def test_flipped_bits_do_no_harm(place, bit):
+    position = sorted_unique(clouds()["surface"])
+    data = bytearray(position_coder.encode(position))
+    data[place % len(data)] ^= 1 << bit
+    with contextlib.suppress(ValueError):
+        assert position_coder.decode(bytes(data), len(position)).shape == position.shape

@@ -1,0 +1,257 @@
+"""COLMAP models written by pycolmap, whole and damaged."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clgs.data.colmap.binary_check import PARAMETERS, check_binary_model
+from clgs.data.colmap.model import find_model, read_colmap
+from clgs.data.colmap.text_check import MODELS, check_text_poses
+from clgs.data.posed_photo import PhotoSet
+from clgs.errors import DataError
+from tests.data.folders import ring, write_colmap
+
+pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+
+
+def load(root: Path) -> PhotoSet:
+    model = find_model(root)
+    assert model is not None
+    return read_colmap(root, model)
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("rigs", [True, False])
+@pytest.mark.parametrize("shared", [True, False])
+def test_forms_of_a_model(tmp_path: Path, text: bool, rigs: bool, shared: bool):
+    write_colmap(tmp_path, text=text, rigs=rigs, shared=shared)
+    photos = load(tmp_path)
+    assert [p.name for p in photos.test] == ["001.png", "009.png"]
+    assert len(photos.train) == 8
+    assert photos.train[0].centre == pytest.approx(ring(10)[1][:3, 3])
+    assert (photos.train[0].lens.width, photos.train[0].lens.cx) == (41, 20.5)
+    assert photos.points is not None
+    assert photos.points.shape == (20, 3)
+    assert photos.point_colors is not None
+    assert photos.point_colors[0].tolist() == [10, 20, 30]
+
+
+@pytest.mark.parametrize("model", ["SIMPLE_PINHOLE", "RADIAL", "OPENCV", "FULL_OPENCV"])
+def test_camera_models(tmp_path: Path, model: str):
+    write_colmap(tmp_path, model=model)
+    lens = load(tmp_path).train[0].lens
+    assert lens.fx == pytest.approx(50.0)
+    assert lens.distorted == (model != "SIMPLE_PINHOLE")
+
+
+def test_model_without_undistortion_here(tmp_path: Path):
+    write_colmap(tmp_path, model="THIN_PRISM_FISHEYE")
+    with pytest.raises(DataError, match="image_undistorter"):
+        load(tmp_path)
+
+
+def test_missing_images_are_counted_before_the_split(tmp_path: Path):
+    write_colmap(tmp_path)
+    (tmp_path / "images" / "001.png").unlink()
+    photos = load(tmp_path)
+    assert photos.skipped == 1
+    assert [p.name for p in photos.test] == ["002.png", "010.png"]
+
+
+def test_sparse_without_number_and_missing_file(tmp_path: Path):
+    write_colmap(tmp_path)
+    for file in (tmp_path / "sparse" / "0").iterdir():
+        file.rename(tmp_path / "sparse" / file.name)
+    assert len(load(tmp_path).train) == 8
+    (tmp_path / "sparse" / "points3D.bin").unlink()
+    with pytest.raises(DataError, match=r"points3D\.bin"):
+        load(tmp_path)
+
+
+def patch(path: Path, at: int, data: bytes) -> None:
+    content = bytearray(path.read_bytes())
+    content[at : at + len(data)] = data
+    path.write_bytes(content)
+
+
+NAN = struct.pack("<d", float("nan"))
+IMAGE_NAME = 8 + 4 + 56 + 4
+DAMAGE = {
+    "huge width": ("cameras", 16, struct.pack("<Q", 2**63)),
+    "zero width": ("cameras", 16, struct.pack("<Q", 0)),
+    "NaN focal": ("cameras", 32, NAN),
+    "negative focal": ("cameras", 32, struct.pack("<d", -1.0)),
+    "unknown model": ("cameras", 12, struct.pack("<i", 99)),
+    "camera count": ("cameras", 0, struct.pack("<Q", 2**60)),
+    "NaN pose": ("images", 12, NAN),
+    "zero quaternion": ("images", 12, bytes(32)),
+    "parent name": ("images", IMAGE_NAME, b"../../a"),
+    "absolute name": ("images", IMAGE_NAME, b"/etc/aa"),
+    "not UTF-8": ("images", IMAGE_NAME, b"\xff\xfe"),
+    "no terminator": ("images", IMAGE_NAME, b"a" * 1200),
+    "image count": ("images", 0, struct.pack("<Q", 2**40)),
+    "observations": ("images", IMAGE_NAME + 8, struct.pack("<Q", 2**40)),
+    "point count": ("points3D", 0, struct.pack("<Q", 2**32)),
+    "NaN point": ("points3D", 16, NAN),
+    "track length": ("points3D", 8 + 8 + 24 + 3 + 8, struct.pack("<Q", 2**40)),
+    "frame NaN": ("frames", 16, NAN),
+    "frame zero quaternion": ("frames", 16, bytes(32)),
+    "scaled quaternion": ("images", 12, struct.pack("<4d", 2.0, 0.0, 0.0, 0.0)),
+    "infinite translation": ("images", 44, struct.pack("<d", float("inf"))),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damage_is_found_before_pycolmap_reads(tmp_path: Path, name: str):
+    write_colmap(tmp_path)
+    file, at, data = DAMAGE[name]
+    patch(tmp_path / "sparse" / "0" / f"{file}.bin", at, data)
+    with pytest.raises(DataError, match=rf"{file}\.bin") as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D", "rigs", "frames"])
+def test_truncations_are_found(tmp_path: Path, name: str):
+    write_colmap(tmp_path)
+    file = tmp_path / "sparse" / "0" / f"{name}.bin"
+    whole = file.read_bytes()
+    # Every length near the front, where all kinds of fields are, and a sample of the rest.
+    for length in [*range(min(200, len(whole))), *range(200, len(whole), 7), len(whole) - 1]:
+        file.write_bytes(whole[:length])
+        with pytest.raises(DataError, match=rf"{name}\.bin"):
+            check_binary_model(file.parent)
+
+
+def test_bit_flips_are_refused_or_harmless(tmp_path: Path, rng: np.random.Generator):
+    """Whatever is not refused with a DataError has finite poses and points."""
+    write_colmap(tmp_path)
+    for name in ("cameras", "images", "points3D", "rigs", "frames"):
+        file = tmp_path / "sparse" / "0" / f"{name}.bin"
+        whole = file.read_bytes()
+        for bit in rng.choice(8 * len(whole), 40, replace=False).tolist():
+            damaged = bytearray(whole)
+            damaged[bit // 8] ^= 1 << bit % 8
+            file.write_bytes(damaged)
+            photos = None
+            with contextlib.suppress(DataError):
+                photos = load(tmp_path)
+            if photos is not None:
+                assert np.isfinite([p.centre for p in photos.train + photos.test]).all()
+                assert photos.points is not None
+                assert np.isfinite(photos.points).all()
+        file.write_bytes(whole)
+
+
+IMAGE = "1 1 0 0 0 0 0 0 1 001.png\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "fault"),
+    [
+        ("cameras", "1 PINHOLE x\n", "line 1: WIDTH is 'x', not a whole number"),
+        ("cameras", "# a comment\n\n1 PINHOLE 41\n", "line 3: HEIGHT is missing"),
+        ("cameras", "1 NOSUCH 41 31 1 2 3 4\n", "line 1: MODEL 'NOSUCH' is unknown"),
+        ("cameras", "1 PINHOLE 41 31 50 50 20\n", "line 1: PARAMS are 3 numbers, PINHOLE has 4"),
+        ("cameras", "1 PINHOLE 41 31 50 nan 20 9\n", "line 1: PARAMS is 'nan', not a finite"),
+        ("cameras", f"1 PINHOLE {'9' * 20} 31 50 50 20 9\n", "line 1: WIDTH is '9"),
+        ("images", IMAGE.replace("001.png", ""), "line 1: NAME is missing"),
+        ("images", IMAGE.replace("1 1 0", "1 ? 0"), "line 1: QW is '?', not a finite number"),
+        (
+            "images",
+            IMAGE.replace("1 0 0 0 0", "0 0 0 0 0"),
+            "line 1: QW, QX, QY, QZ are not of length 1",
+        ),
+        (
+            "images",
+            f"\n{IMAGE.replace('1 1 0', '1 2 0')}",
+            "line 2: QW, QX, QY, QZ are not of length 1",
+        ),
+        ("images", IMAGE.replace("1 1 0", "1 nan 0"), "line 1: QW is 'nan', not a finite number"),
+        ("images", IMAGE.replace("0 1 001", "inf 1 001"), "line 1: TZ is 'inf', not a finite"),
+        ("images", IMAGE.replace("0 1 001", "1e13 1 001"), "line 1: TX, TY, TZ are larger"),
+        ("images", "1 1 0 0\n", "line 1: QZ is missing"),
+        ("images", f"{IMAGE}1 2\n", "line 2: POINTS2D are not of three numbers each"),
+        ("images", f"{IMAGE}1 2 x\n", "line 2: POINT3D_ID is 'x', not a whole number"),
+        ("points3D", "7 2\n", "line 1: Y is missing"),
+        ("points3D", "7 2 3 nan 1 2 3 0.1\n", "line 1: Z is 'nan', not a finite number"),
+        ("points3D", "7 2 3 4 1 2 3 0.1 99 0\n", "line 1: TRACK: images.txt has no point 0 of"),
+        ("points3D", "7 2 3 4 1 2 3 0.1 1 99\n", "line 1: TRACK: images.txt has no point 99 of"),
+    ],
+)
+def test_damaged_text_is_one_line_with_file_and_field(
+    tmp_path: Path, name: str, text: str, fault: str
+):
+    write_colmap(tmp_path, text=True, rigs=False)
+    file = tmp_path / "sparse" / "0" / f"{name}.txt"
+    file.write_text(text)
+    with pytest.raises(DataError) as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(f"{file}: {fault}")
+    assert str(caught.value).endswith("export the model again")
+
+
+FRAME = "1 1 1 0 0 0 0 0 4 1 CAMERA 1 1\n"
+RIG = "1 3 CAMERA 1 CAMERA 2 0 CAMERA 3 1 1 0 0 0 0.1 0 0\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "fault"),
+    [
+        ("frames", FRAME.replace("1 1 1", "1 1 0"), "line 1: QW, QX, QY, QZ are not of length 1"),
+        ("frames", FRAME.replace("0 4 1", "0 nan 1"), "line 1: TZ is 'nan', not a finite number"),
+        ("rigs", RIG.replace("1 1 0", "1 0 0"), "line 1: QW, QX, QY, QZ are not of length 1"),
+        ("rigs", RIG.replace("0.1", "inf"), "line 1: TX is 'inf', not a finite number"),
+        ("rigs", RIG.removesuffix(" 0\n"), "line 1: TZ is missing"),
+    ],
+)
+def test_poses_of_rigs_in_text_are_checked(tmp_path: Path, name: str, text: str, fault: str):
+    (tmp_path / "images.txt").write_text(IMAGE)
+    (tmp_path / "frames.txt").write_text(FRAME)
+    (tmp_path / "rigs.txt").write_text(RIG)
+    check_text_poses(tmp_path)
+    (tmp_path / f"{name}.txt").write_text(text)
+    with pytest.raises(DataError) as caught:
+        check_text_poses(tmp_path)
+    assert str(caught.value).startswith(f"{tmp_path / name}.txt: {fault}")
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_a_photo_with_two_poses_is_refused(tmp_path: Path, text: bool):
+    write_colmap(tmp_path, text=text)
+    file = tmp_path / "sparse" / "0" / f"images.{'txt' if text else 'bin'}"
+    file.write_bytes(file.read_bytes().replace(b"002.png", b"001.png"))
+    with pytest.raises(DataError, match=r"sparse.0: image '001\.png' has two poses; keep one"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize("content", ["", "# nothing\n"])
+def test_a_model_without_images_is_one_line(tmp_path: Path, content: str):
+    write_colmap(tmp_path, text=True, rigs=False)
+    (tmp_path / "sparse" / "0" / "images.txt").write_text(content)
+    with pytest.raises(DataError, match="none of the 0 posed images") as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_images_of_no_camera_are_named(tmp_path: Path):
+    write_colmap(tmp_path, text=True, rigs=False)
+    (tmp_path / "sparse" / "0" / "cameras.txt").write_text("")
+    with pytest.raises(DataError, match=r"images\.txt: line \d+: CAMERA_ID 1 is not in cameras\.t"):
+        load(tmp_path)
+
+
+def test_names_and_numbers_of_camera_models_are_those_of_pycolmap():
+    import pycolmap
+
+    assert len(MODELS) == len(PARAMETERS)
+    for number, name in enumerate(MODELS):
+        camera = pycolmap.Camera.create_from_model_name(1, name, 50.0, 41, 31)
+        assert int(camera.model) == number
+        assert len(camera.params) == PARAMETERS[number]

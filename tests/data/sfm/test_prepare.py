@@ -1,0 +1,101 @@
+"""Structure from motion: a ray-cast room, real photos, input that cannot work."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from clgs.cli.commands import prepare as command
+from clgs.data.dataset import load_dataset
+from clgs.data.sfm.prepare import STAGES, prepare
+from clgs.errors import DataError, OutputError
+from tests.data.folders import noise_image, room_image, room_poses
+
+pycolmap = pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+
+
+def similarity_error(found: np.ndarray, true: np.ndarray) -> float:
+    """Largest distance after the best similarity, relative to the spread of the true centres."""
+    a, b = found - found.mean(axis=0), true - true.mean(axis=0)
+    left, values, right = np.linalg.svd(b.T @ a)
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    scale = (values * np.diag(flip)).sum() / (a**2).sum()
+    error = np.linalg.norm(scale * a @ (left @ flip @ right).T - b, axis=1).max()
+    return float(error / np.linalg.norm(b, axis=1).max())
+
+
+def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    photos, output = tmp_path / "photos", tmp_path / "data"
+    photos.mkdir()
+    poses = room_poses(9)
+    for number, pose in enumerate(poses):
+        image = Image.fromarray(room_image(pose, (320, 240), 320.0))
+        if number == 4:
+            exif = Image.Exif()
+            exif[0x0112] = 3
+            image = image.transpose(Image.Transpose.ROTATE_180)
+            image.save(photos / f"{number}.png", exif=exif)
+        else:
+            image.save(photos / f"{number}.png")
+    parser = argparse.ArgumentParser()
+    command.register(parser.add_subparsers())
+    args = parser.parse_args(["prepare", str(photos), "-o", str(output)])
+    assert args.run(args) == 0
+    line = capsys.readouterr().out.splitlines()
+    assert len(line) == 1
+    assert "registered 9 of 9 photos" in line[0]
+    assert sorted(path.name for path in output.iterdir()) == ["images", "sparse"]
+    data = load_dataset(output)
+    assert (len(data.train), len(data.test), data.skipped) == (7, 2, 0)
+    views = sorted(data.train + data.test, key=lambda view: view.name)
+    centres = np.array([view.camera.centre for view in views])
+    assert similarity_error(centres, np.array([pose[:3, 3] for pose in poses])) <= 0.02
+    assert data.train[0].camera.fx == pytest.approx(320.0, rel=0.03)
+    with pytest.raises(OutputError, match="not an empty folder"):
+        prepare(photos, output)
+
+
+def test_unrelated_photos_leave_nothing(tmp_path: Path):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for number in range(3):
+        Image.fromarray(noise_image(64, 48, number)).save(photos / f"{number}.png")
+    stages: list[str] = []
+    with pytest.raises(DataError, match="overlapping"):
+        prepare(photos, tmp_path / "data", on_stage=stages.append)
+    assert stages == list(STAGES[:4])
+    assert [path.name for path in tmp_path.iterdir()] == ["photos"]
+
+
+def test_bad_folders(tmp_path: Path):
+    with pytest.raises(DataError, match="no such folder"):
+        prepare(tmp_path / "none", tmp_path / "data")
+    (tmp_path / "file").touch()
+    for number in range(3):
+        Image.fromarray(noise_image(8, 8)).save(tmp_path / f"{number}.png")
+    with pytest.raises(OutputError, match="file: is no folder; choose another name"):
+        prepare(tmp_path, tmp_path / "file" / "data")
+    for number in range(3):
+        (tmp_path / f"{number}.png").unlink()
+    with pytest.raises(DataError, match="at least 3"):
+        prepare(tmp_path, tmp_path / "data")
+    for number in range(3):
+        (tmp_path / f"{number}.jpg").write_bytes(b"no image")
+    with pytest.raises(DataError, match=r"0\.jpg"):
+        prepare(tmp_path, tmp_path / "data")
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.slow
+def test_sceaux_castle_registers_completely(shared_data: Path, tmp_path: Path):
+    source = shared_data / "sceaux_castle"
+    if not source.is_dir():
+        pytest.skip(f"no shared data: {source} is missing")
+    summary = prepare(source, tmp_path / "data")
+    assert (summary.registered, summary.total) == (11, 11)
+    assert summary.points >= 2000
+    assert summary.error <= 1.5

@@ -1,0 +1,213 @@
+"""The rules of ARCHITECTURE.md that a machine can check, as functions from text to complaints."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+
+LAYERS = [  # a package may import from its own row and the rows above it
+    {"constants", "errors", "shapes", "files", "options", "reference"},
+    {"opencl", "scene"},
+    {"ops", "codec", "data"},
+    {"render", "export"},
+    {"synthetic", "selftest", "train"},
+    {"bench"},
+    {"cli"},
+]
+LEVEL = {name: level for level, row in enumerate(LAYERS) for name in row}
+
+MAX_FILE_LINES = 400
+MAX_FUNCTION_LINES = 60
+
+ONLY_HERE = {"pyopencl": "clgs.opencl"}
+"""Libraries that a single package may import."""
+
+OPS_NEVER = ("clgs.scene.scene", "clgs.scene.anchors")
+"""Ops know arrays, cameras and devices, never a scene."""
+
+REFERENCE_ONLY = ("numpy", "clgs.constants", "clgs.shapes", "clgs.reference")
+"""Besides the standard library, references import nothing else."""
+
+UNSAFE_MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}
+UNSAFE_CALLS = {"eval", "exec", "__import__", "os.system", "os.popen", "yaml.load"}
+UNSAFE_KEYWORDS = {"shell", "allow_pickle"}
+
+
+def imported_names(text: str) -> Iterator[tuple[int, str]]:
+    """(line, dotted name) of every import, lazy ones too; a relative import starts with a dot."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = "." * node.level + (node.module or "")
+            yield from ((node.lineno, f"{base}.{alias.name}") for alias in node.names)
+
+
+def package_of(module: str) -> str | None:
+    """The part of clgs that has a layer, for example "ops" of "clgs.ops.mlp"; else None."""
+    parts = module.split(".")
+    return parts[1] if parts[0] == "clgs" and len(parts) > 1 and parts[1] in LEVEL else None
+
+
+def import_complaints(module: str, text: str) -> list[str]:
+    """Imports of ``module`` (dotted name) that break a layer or belong to another package."""
+    return [
+        f"{module}:{line}: {complaint}"
+        for line, name in imported_names(text)
+        if (complaint := _import_complaint(module, name))
+    ]
+
+
+def _import_complaint(module: str, name: str) -> str | None:
+    own, other, top = package_of(module), package_of(name), name.split(".")[0]
+    if name.startswith("."):
+        return "write the import in full"
+    if own and other and LEVEL[other] > LEVEL[own]:
+        return f"{own} imports {other}, a layer above it"
+    if top in ONLY_HERE and not module.startswith(ONLY_HERE[top]):
+        return f"only {ONLY_HERE[top]} imports {top}"
+    if own == "ops" and _within(name, OPS_NEVER):
+        return f"ops never know {name}"
+    if own == "reference" and top in {"numpy", "scipy", "clgs"}:
+        return None if _within(name, REFERENCE_ONLY) else f"references never import {name}"
+    return None
+
+
+def _within(name: str, packages: tuple[str, ...]) -> bool:
+    return any(name == package or name.startswith(f"{package}.") for package in packages)
+
+
+def length_complaints(name: str, text: str) -> list[str]:
+    """The file or a function in it is too long; the kind of source follows from the suffix."""
+    complaints = []
+    lines = text.count("\n")
+    if lines > MAX_FILE_LINES:
+        complaints.append(f"{name}: {lines} lines, at most {MAX_FILE_LINES}")
+    functions: list[tuple[str, int, int]] = []
+    if name.endswith(".py"):
+        functions = list(python_functions(text))
+    elif name.endswith((".cl", ".c", ".h")):
+        functions = list(c_functions(text))
+    for function, line, length in functions:
+        if length > MAX_FUNCTION_LINES:
+            complaints.append(
+                f"{name}:{line}: {function} has {length} lines, at most {MAX_FUNCTION_LINES}"
+            )
+    return complaints
+
+
+def python_functions(text: str) -> Iterator[tuple[str, int, int]]:
+    """(name, first line, lines) of every function, docstring included."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            assert node.end_lineno is not None
+            yield node.name, node.lineno, node.end_lineno - node.lineno + 1
+
+
+def c_functions(text: str) -> Iterator[tuple[str, int, int]]:
+    """(name, first line, lines) of every function of C or OpenCL C, by counting braces.
+
+    Raises:
+        ValueError: braces do not balance, as when both branches of an #if open one.
+    """
+    plain = plain_c(text)
+    depth, head_start, name, first = 0, 0, "", 0
+    for match in re.finditer(r"[{};]", plain):
+        if match[0] == "{" and depth == 0:
+            head = plain[head_start : match.start()]
+            name = _function_name(head)
+            first = _line(plain, head_start + len(head) - len(head.lstrip()))
+        depth += {"{": 1, "}": -1, ";": 0}[match[0]]
+        if depth < 0:
+            raise ValueError(f"line {_line(plain, match.start())}: one brace too many")
+        if depth == 0:
+            head_start = match.end()
+            if match[0] == "}" and name:
+                yield name, first, _line(plain, match.start()) - first + 1
+    if depth:
+        raise ValueError("a brace is not closed")
+
+
+def _line(text: str, position: int) -> int:
+    return text.count("\n", 0, position) + 1
+
+
+def _function_name(head: str) -> str:
+    """The name that ``head``, the text before an opening brace, declares; "" for no function."""
+    match = re.search(r"(\w+)\s*\([^{}]*\)\s*$", _without_attributes(head))
+    return match[1] if match else ""
+
+
+def _without_attributes(text: str) -> str:
+    return re.sub(r"__attribute__\s*\(\((?:[^()]|\([^()]*\))*\)\)", "", text)
+
+
+_COMMENT_OR_STRING = re.compile(
+    r"""/\*.*?\*/ | //[^\n]* | "(?:\\.|[^"\\\n])*" | '(?:\\.|[^'\\\n])+' """, re.S | re.X
+)
+_DIRECTIVE = re.compile(r"^[ \t]*#(?:[^\n]*\\\n)*[^\n]*", re.M)
+
+
+def plain_c(text: str) -> str:
+    """C text with blanks for comments, strings and preprocessor lines; positions stay."""
+    for pattern in (_COMMENT_OR_STRING, _DIRECTIVE):
+        text = pattern.sub(lambda match: re.sub(r"[^\n]", " ", match[0]), text)
+    return text
+
+
+def kernels_in(text: str) -> list[str]:
+    """Names of the kernels that an OpenCL source defines, each once, in order.
+
+    ``__kernel`` may be part of a macro whose name ends in KERNEL.
+    """
+    plain = _without_attributes(plain_c(text))
+    found = re.findall(r"\b(?:__kernel|kernel|\w*KERNEL)\s+void\s+(\w+)\s*\(", plain)
+    return list(dict.fromkeys(found))
+
+
+def kernel_name_complaints(stage: str, text: str) -> list[str]:
+    """Kernels of ``kernels_cl/<stage>.cl`` that are not named ``<stage>_<verb>``."""
+    return [
+        f"kernels_cl/{stage}.cl: kernel {name} is not named {stage}_<verb>"
+        for name in kernels_in(text)
+        if not name.startswith(f"{stage}_")
+    ]
+
+
+def fetch_complaints(path: str, text: str, kernels: dict[str, str]) -> list[str]:
+    """Kernel names (``kernels``: name -> stage) that ``path`` uses without being their op."""
+    return [
+        f"{path}:{node.lineno}: {node.value} belongs to clgs/ops/{kernels[node.value]}.py"
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and node.value in kernels
+        and path != f"clgs/ops/{kernels[node.value]}.py"
+    ]
+
+
+def safety_complaints(path: str, text: str) -> list[str]:
+    """Uses of pickle and its kin, eval, exec and shells."""
+    complaints = [
+        f"{path}:{line}: imports {name}"
+        for line, name in imported_names(text)
+        if name.split(".")[0] in UNSAFE_MODULES
+    ]
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Call):
+            continue
+        if (called := ast.unparse(node.func)) in UNSAFE_CALLS:
+            complaints.append(f"{path}:{node.lineno}: calls {called}")
+        complaints += [
+            f"{path}:{node.lineno}: {keyword.arg}={ast.unparse(keyword.value)}"
+            for keyword in node.keywords
+            if keyword.arg in UNSAFE_KEYWORDS and ast.unparse(keyword.value) != "False"
+        ]
+    return complaints
+
+
+def listed_folders(document: str) -> set[str]:
+    """Folders that the table of ARCHITECTURE.md's section "Folders" names."""
+    section = document.split("## Folders", 1)[-1].split("\n## ", 1)[0]
+    return set(re.findall(r"^\| `([^`]+)/` \|", section, flags=re.M))

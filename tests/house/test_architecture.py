@@ -1,0 +1,118 @@
+"""The checkout obeys the rules of ARCHITECTURE.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.house import rules
+
+ROOT = Path(__file__).resolve().parents[2]
+if not (ROOT / "clgs").is_dir():
+    pytest.skip("needs a checkout", allow_module_level=True)
+
+STAGES = sorted(path.stem for path in (ROOT / "kernels_cl").glob("*.cl"))
+TOPS = ("clgs", "kernels_cl", "codec_c", "scripts", "tests")
+SUFFIXES = {".py", ".cl", ".c", ".h", ".sh"}
+
+
+def sources(*tops: str, suffixes: set[str] = frozenset({".py"})) -> dict[str, str]:
+    """Text of every source below ``tops`` by its path from the root; links are not followed."""
+    found = {}
+    for top in tops:
+        for path in sorted((ROOT / top).rglob("*")):
+            name = path.relative_to(ROOT).as_posix()
+            if (
+                path.suffix in suffixes
+                and path.is_file()
+                and not name.startswith("clgs/kernels_cl")
+            ):
+                found[name] = path.read_text(encoding="utf-8")
+    return found
+
+
+def dotted(path: str) -> str:
+    """Module name of a path such as "clgs/ops/mlp.py"."""
+    return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def flat(complaints: list[list[str]]) -> str:
+    return "\n".join("\n".join(some) for some in complaints if some)
+
+
+def test_imports_point_down():
+    found = [rules.import_complaints(dotted(p), text) for p, text in sources("clgs").items()]
+    assert not flat(found)
+
+
+def test_every_module_has_a_layer():
+    names = {p.split("/")[1].removesuffix(".py") for p in sources("clgs")} - {"__init__"}
+    assert names == set(rules.LEVEL)
+
+
+def test_files_and_functions_stay_small():
+    found = sources(*TOPS, suffixes=SUFFIXES)
+    assert not flat([rules.length_complaints(p, text) for p, text in found.items()])
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_every_kernel_has_its_op_reference_and_test(stage):
+    partners = (
+        f"clgs/ops/{stage}.py",
+        f"clgs/reference/stages/{stage}.py",
+        f"tests/ops/test_{stage}.py",
+    )
+    missing = [partner for partner in partners if not (ROOT / partner).is_file()]
+    assert not missing, f"kernels_cl/{stage}.cl lacks them"
+
+
+def test_every_op_has_its_kernels():
+    ops = {path.stem for path in (ROOT / "clgs" / "ops").glob("*.py")} - {"__init__"}
+    assert sorted(ops) == STAGES
+
+
+def test_kernels_are_named_and_fetched_by_their_stage():
+    # A header such as include/blend_tile.h may hold kernels of the stage that its name begins with.
+    files = sources("kernels_cl", suffixes={".cl", ".h"}).items()
+    stages = {path: stage_of(Path(path).stem) for path, _ in files}
+    kernels = {name: stages[path] for path, text in files for name in rules.kernels_in(text)}
+    named = [rules.kernel_name_complaints(stages[path], text) for path, text in files]
+    code = sources("clgs")
+    fetched = [rules.fetch_complaints(p, text, kernels) for p, text in code.items()]
+    assert not flat([*named, *fetched])
+    ops = "".join(text for p, text in code.items() if p.startswith("clgs/ops/"))
+    orphans = [name for name in kernels if f'"{name}"' not in ops]
+    assert not orphans, "no op fetches these kernels"
+
+
+def stage_of(stem: str) -> str:
+    """The longest stage that the name of a kernel file begins with."""
+    return max((s for s in STAGES if f"{stem}_".startswith(f"{s}_")), key=len, default=stem)
+
+
+def test_shipped_code_runs_no_foreign_code():
+    code = sources("clgs", "scripts")
+    assert not flat([rules.safety_complaints(p, text) for p, text in code.items()])
+
+
+def test_architecture_lists_the_folders_that_exist():
+    listed = rules.listed_folders((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"))
+    assert listed == existing_folders()
+
+
+def existing_folders() -> set[str]:
+    """Folders two levels deep with a file in or below them, but for those that git ignores."""
+    lines = (ROOT / ".gitignore").read_text(encoding="utf-8").splitlines()
+    ignored = {line.strip().strip("/") for line in lines}
+    folders = set()
+    for folder in [*ROOT.iterdir(), *ROOT.glob("*/*")]:
+        parts = folder.relative_to(ROOT).parts
+        private = parts[0].startswith(".") and parts[0] != ".ci"
+        if private or folder.is_symlink() or not folder.is_dir():
+            continue
+        if ignored & {*parts, "/".join(parts)} or (ROOT / parts[0] / "pyvenv.cfg").exists():
+            continue
+        if any(p.is_file() for p in folder.rglob("*") if "__pycache__" not in p.parts):
+            folders.add("/".join(parts))
+    return folders

@@ -1,0 +1,144 @@
+"""Every rule of the architecture must be able to fail."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.house import rules
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "complaint"),
+    [
+        ("clgs.ops.mlp", "from clgs.render import pipeline", "ops imports render"),
+        ("clgs.scene.camera", "import clgs.train.run.trainer", "scene imports train"),
+        ("clgs.files", "from clgs import opencl", "files imports opencl"),
+        (
+            "clgs.cli.commands.train",
+            "def run():\n    from . import main",
+            "write the import in full",
+        ),
+        ("clgs.train.run.trainer", "import pyopencl as cl", "only clgs.opencl imports pyopencl"),
+        ("clgs.ops.mlp", "from clgs.scene.scene import Scene", "ops never know"),
+        (
+            "clgs.reference.stages.mlp",
+            "from clgs.errors import DataError",
+            "references never import",
+        ),
+        ("clgs.reference.stages.mlp", "import scipy.ndimage", "references never import scipy"),
+    ],
+)
+def test_bad_imports_are_found(module, line, complaint):
+    (found,) = rules.import_complaints(module, line)
+    assert complaint in found
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("clgs.ops.mlp", "from clgs.scene.camera import Camera\nimport numpy as np"),
+        ("clgs.cli.commands.train", "from clgs.train.run import trainer"),
+        ("clgs.opencl.device", "import pyopencl as cl"),
+        (
+            "clgs.reference.stages.mlp",
+            "import math\nimport numpy as np\nfrom clgs.constants import BLUR",
+        ),
+        ("clgs", "from clgs.train.run import trainer"),
+    ],
+)
+def test_good_imports_pass(module, line):
+    assert rules.import_complaints(module, line) == []
+
+
+def test_long_files_are_found():
+    assert rules.length_complaints("x.sh", "a\n" * 400) == []
+    (found,) = rules.length_complaints("x.sh", "a\n" * 401)
+    assert "401 lines" in found
+
+
+def test_long_python_functions_are_found():
+    body = "    pass\n"
+    assert rules.length_complaints("x.py", "def f():\n" + 59 * body) == []
+    (found,) = rules.length_complaints("x.py", "\nclass C:\n  def f(self):\n" + 60 * body)
+    assert found == "x.py:3: f has 61 lines, at most 60"
+
+
+def test_long_c_functions_are_found():
+    text = """/* { */
+#define OPEN {  \\
+    {
+typedef struct {
+    int x;
+} point;
+static const int table[] = {1, 2};
+__kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
+mlp_forward(__global const float *x,
+            __global float *y) { // {
+    if (x[0] > '{') {
+        y[0] = 1.0f;
+    }
+}
+static int one(void) { return 1; }
+"""
+    assert list(rules.c_functions(text)) == [("mlp_forward", 8, 7), ("one", 15, 1)]
+    long = "void f(void) {\n" + "    ;\n" * 59 + "}\n"
+    (found,) = rules.length_complaints("x.cl", long)
+    assert found == "x.cl:1: f has 61 lines, at most 60"
+
+
+@pytest.mark.parametrize("text", ["void f(void) {\n", "void f(void) { } }"])
+def test_unbalanced_braces_are_an_error(text):
+    with pytest.raises(ValueError, match="brace"):
+        list(rules.c_functions(text))
+
+
+def test_kernels_are_found_by_name():
+    text = """// __kernel void not_this(int x)
+__kernel void mlp_forward(__global float *x) {}
+__kernel __attribute__((reqd_work_group_size(16, 16, 1))) void mlp_backward(
+    __global float *x) {}
+__attribute__((reqd_work_group_size(1, 1, 1)))
+__kernel void blend_rows(__global float *x) {}
+__kernel void blend_rows(__global float *x, int of_another_branch) {}
+GROUP_KERNEL void mlp_group(__global float *x) {}
+void helper(int x) {}
+"""
+    assert rules.kernels_in(text) == ["mlp_forward", "mlp_backward", "blend_rows", "mlp_group"]
+    (found,) = rules.kernel_name_complaints("mlp", text)
+    assert "blend_rows" in found
+
+
+def test_fetching_the_kernel_of_another_stage_is_found():
+    text = 'kernel = device.kernel("mlp", "mlp_forward")\n'
+    kernels = {"mlp_forward": "mlp"}
+    assert rules.fetch_complaints("clgs/ops/mlp.py", text, kernels) == []
+    (found,) = rules.fetch_complaints("clgs/ops/blend.py", text, kernels)
+    assert found == "clgs/ops/blend.py:1: mlp_forward belongs to clgs/ops/mlp.py"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import pickle",
+        "from marshal import loads",
+        "eval(text)",
+        "exec(text)",
+        "import os\nos.system('ls')",
+        "subprocess.run(command, shell=True)",
+        "yaml.load(text)",
+        "np.load(path, allow_pickle=True)",
+        "np.load(path, allow_pickle=trusted)",
+    ],
+)
+def test_unsafe_code_is_found(line):
+    assert len(rules.safety_complaints("x.py", line)) == 1
+
+
+def test_safe_code_passes():
+    text = "subprocess.run([x], shell=False)\nnp.load(p, allow_pickle=False)\nyaml.safe_load(t)\n"
+    assert rules.safety_complaints("x.py", text) == []
+
+
+def test_folders_are_read_from_their_section_only():
+    text = "| `a/` |\n## Folders\n| `clgs/` | x |\n| `clgs/ops/` | y |\n## Glossary\n| `b/` |\n"
+    assert rules.listed_folders(text) == {"clgs", "clgs/ops"}

@@ -1,0 +1,146 @@
+"""Scenes on the screen, on the device and in float64, for the tests of tiles and blend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from clgs.ops import blend, tiles
+from clgs.ops.project import Projected
+from clgs.options import DEFAULT, RenderOptions
+from clgs.reference.stages import blend as reference
+from clgs.reference.stages import project as reference_project
+from clgs.reference.stages.tiles import TileLists
+from clgs.synthetic.gaussians import ProjectedScene
+
+GEOMETRY = ("mean2d", "whitening", "depth", "extent")
+GRADIENTS = ("d_mean2d", "d_whitening", "d_color", "d_opacity")
+BACKGROUND = np.array([0.2, 0.5, 0.9], np.float32)
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A scene after the kernels, all that the backward pass needs."""
+
+    device: Any
+    inputs: dict[str, Any]
+    blended: blend.Blended
+
+    def host(self, name: str) -> np.ndarray:
+        return self.device.download(getattr(self.blended, name))
+
+    def backward(self, d_image: np.ndarray) -> dict[str, np.ndarray]:
+        result = blend.backward(
+            self.device,
+            **self.inputs,
+            blended=self.blended,
+            d_image=self.device.upload(d_image),
+        )
+        return {name: self.device.download(getattr(result, name)) for name in GRADIENTS}
+
+
+def upload(device: Any, scene: ProjectedScene) -> Projected:
+    return Projected(**{name: device.upload(getattr(scene, name)) for name in GEOMETRY})
+
+
+def lists_of(
+    device: Any, scene: ProjectedScene, size: tuple[int, int], options: RenderOptions = DEFAULT
+) -> tiles.TileLists:
+    opacity = device.upload(scene.opacity)
+    return tiles.forward(device, upload(device, scene), opacity, *size, options)
+
+
+def render(
+    device: Any,
+    scene: ProjectedScene,
+    size: tuple[int, int],
+    lists: tiles.TileLists | None = None,
+    background: np.ndarray = BACKGROUND,
+    options: RenderOptions = DEFAULT,
+) -> Rendered:
+    inputs = {
+        "projected": upload(device, scene),
+        "color": device.upload(scene.color),
+        "opacity": device.upload(scene.opacity),
+        "tiles": lists or lists_of(device, scene, size, options),
+        "background": device.upload(background),
+    }
+    return Rendered(device, inputs, blend.forward(device, **inputs, size=size, options=options))
+
+
+def in_float64(rendered: Rendered, scene: ProjectedScene) -> dict[str, Any]:
+    """The reference's arguments: the same float32 inputs and the kernels' own lists."""
+    lists = rendered.inputs["tiles"]
+    names = (field.name for field in fields(TileLists))
+    host = {name: rendered.device.download(getattr(lists, name)) for name in names}
+    return {
+        "projected": reference_project.Projected(
+            **{name: getattr(scene, name).astype(np.float64) for name in GEOMETRY}
+        ),
+        "color": scene.color.astype(np.float64),
+        "opacity": scene.opacity.astype(np.float64),
+        "tiles": TileLists(**host),
+        "background": rendered.device.download(rendered.inputs["background"]).astype(np.float64),
+    }
+
+
+def decisions(rendered: Rendered, d_image: np.ndarray) -> tuple[Any, Any]:
+    """What forward and backward decide, as the reference takes it."""
+    pair = blend.decisions(
+        rendered.device,
+        rendered.inputs["tiles"],
+        rendered.inputs["background"],
+        rendered.blended,
+        rendered.device.upload(d_image),
+    )
+    return tuple(reference.Decisions(**vars(one)) for one in pair)
+
+
+def every_tile_lists(device: Any, scene: ProjectedScene, size: tuple[int, int]) -> tiles.TileLists:
+    """Lists that hold every drawn Gaussian in every tile."""
+    count, number = len(scene.depth), tiles.tile_count(*size)
+    drawn = np.flatnonzero(scene.extent[:, 0] > 0)
+    order = drawn[np.argsort(scene.depth[drawn], kind="stable")]
+    counts = np.zeros(count, np.int64)
+    counts[drawn] = number
+    row_range = np.concatenate([[0], np.cumsum(counts)])
+    arrays = {
+        "gaussian": np.tile(order, number),
+        "row": (row_range[order][None, :] + np.arange(number)[:, None]).ravel(),
+        "tile_range": np.arange(number + 1) * len(order),
+        "row_range": row_range,
+    }
+    return lists_on_device(device, arrays)
+
+
+def part_of_lists(
+    device: Any, lists: dict[str, np.ndarray], first: int, last: int
+) -> tiles.TileLists:
+    """The lists of tiles [first, last), all others empty; rows are numbered anew."""
+    count = len(lists["row_range"]) - 1
+    starts = np.clip(lists["tile_range"], *lists["tile_range"][[first, last]])
+    own = slice(starts[0], starts[-1])
+    gaussian, row = lists["gaussian"][own], lists["row"][own]
+    arrays = {
+        "gaussian": gaussian,
+        "row": np.argsort(np.argsort(row)),
+        "tile_range": starts - starts[0],
+        "row_range": np.concatenate([[0], np.cumsum(np.bincount(gaussian, minlength=count))]),
+    }
+    return lists_on_device(device, arrays)
+
+
+def lists_on_device(device: Any, arrays: dict[str, np.ndarray]) -> tiles.TileLists:
+    total = device.upload(np.array([len(arrays["row"])], np.int64))
+    uploaded = {name: device.upload(array.astype(np.int32)) for name, array in arrays.items()}
+    return tiles.TileLists(**uploaded, total=total)
+
+
+def truncation(options: RenderOptions) -> reference.Truncation:
+    """The accuracy of ``options``, as the reference takes it."""
+    accuracy = options.accuracy
+    return reference.Truncation(
+        accuracy.alpha_cut, accuracy.transmittance_stop, accuracy.inclusive_stop
+    )

@@ -1,0 +1,119 @@
+"""Decoding in one against the stages mlp, neural and project, and the float64 reference."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.ops import mlp, neural, project, project_anchors
+from clgs.options import DEFAULT, Skips
+from clgs.reference.stages import project_anchors as reference
+from tests.compare import assert_close, relative_l2
+from tests.ops.cases.mlp import anchors, decided, packed_camera, some
+
+ANCHORS = ("position", "offset", "feature", "scaling")
+PROJECTED = ("mean2d", "whitening", "depth", "extent")
+
+
+def case(rng, count):
+    """Arrays of ``count`` anchors, and weights."""
+    return anchors(rng, count) | {
+        "offset": rng.normal(size=(count, 10, 3)).astype(np.float32),
+        "scaling": rng.uniform(-6, -1, (count, 6)).astype(np.float32),
+    }
+
+
+def in_one(device, values, visible, options=DEFAULT, capacity=None):
+    arrays = {name: device.upload(value) for name, value in values.items()}
+    rest = device.upload(visible), arrays["weights"], device.upload(packed_camera())
+    whole = project_anchors.Anchors(*(arrays[name] for name in ANCHORS))
+    return project_anchors.forward(device, whole, *rest, options, capacity)
+
+
+def by_stages(device, values, visible, capacity=None):
+    """What the three stages make, and the anchor of each Gaussian."""
+    arrays = {name: device.upload(value) for name, value in values.items()}
+    inputs, camera = (arrays["feature"], arrays["position"]), device.upload(packed_camera())
+    decoded = mlp.forward(device, *inputs, device.upload(visible), arrays["weights"], camera)
+    placed = (arrays[name] for name in ("position", "offset", "scaling"))
+    drawn = neural.forward(device, decoded.output, decoded.visible, *placed, capacity)
+    shape = (drawn.mean, drawn.scale, drawn.rotation, drawn.opacity)
+    projected = project.forward(device, *shape, camera)
+    splats = project_anchors.Splats(projected, drawn.color, drawn.opacity, drawn.total)
+    return splats, device.download(decoded.visible)[device.download(drawn.slot) // 10]
+
+
+def host(device, splats):
+    """All that there is of the Gaussians, by name."""
+    found = {name: device.download(getattr(splats.projected, name)) for name in PROJECTED}
+    return found | {n: device.download(getattr(splats, n)) for n in ("color", "opacity", "total")}
+
+
+def assert_same(device, found, expected):
+    pair = host(device, found), host(device, expected)
+    for name in pair[0]:
+        assert pair[0][name].tobytes() == pair[1][name].tobytes(), name
+
+
+@pytest.mark.parametrize("counts", [(0, 5), (1, 1), (33, 100), (700, 900), (1500, 1600)])
+def test_the_bits_are_those_of_the_stages(device, rng, counts):
+    values, visible = case(rng, counts[1]), some(rng, *counts)
+    found = in_one(device, values, visible)
+    assert len(found.opacity) > 0 or counts[0] == 0
+    assert_same(device, found, by_stages(device, values, visible)[0])
+
+
+@pytest.mark.parametrize("capacity", [0, 100, 5000])
+def test_the_bits_are_those_of_the_stages_with_a_capacity(device, rng, capacity):
+    values = case(rng, 400)
+    visible = np.append(some(rng, 300, 400), np.full(37, -1, np.int32))
+    found = in_one(device, values, visible, capacity=capacity)
+    assert len(found.opacity) == capacity
+    assert_same(device, found, by_stages(device, values, visible, capacity)[0])
+
+
+@pytest.mark.parametrize("skipped", ["opacity_first", "slots"])
+def test_the_bits_are_those_of_all_skips(device, rng, skipped):
+    values, visible = case(rng, 400), some(rng, 300, 400)
+    options = replace(DEFAULT, skips=replace(Skips(), **{skipped: False}))
+    found = in_one(device, values, visible, options)
+    assert_same(device, found, in_one(device, values, visible))
+
+
+def test_anchors_that_are_not_finite_draw_nothing(device, rng):
+    values, every = case(rng, 60), np.arange(60, dtype=np.int32)
+    values["feature"][7, 3], values["position"][9, 1] = np.nan, np.inf
+    expected, anchor = by_stages(device, values, every)
+    assert not np.isin([7, 9], anchor).any()
+    assert_same(device, in_one(device, values, every), expected)
+
+
+def test_forward_agrees_with_reference(device, rng):
+    values = case(rng, 500)
+    visible = decided({name: values[name] for name in ("feature", "position", "weights")})
+    found = host(device, in_one(device, values, visible))
+    anchor = by_stages(device, values, visible)[1]
+    wide = {name: value.astype(np.float64) for name, value in values.items()}
+    given = tuple(wide[name] for name in ANCHORS)
+    expected = reference.forward(given, visible, wide["weights"], packed_camera())
+    # slots ascend within an anchor, and anchors in `visible`
+    order = np.argsort(anchor, kind="stable")
+    assert len(order) == len(expected.opacity) > 500
+    drawn = expected.projected.extent[:, 0] > 0
+    assert np.mean((found["extent"][order, 0] > 0) == drawn) > 0.99
+    drawn &= found["extent"][order, 0] > 0
+    assert drawn.sum() > 100
+    for name in ("color", "opacity"):
+        assert_close(found[name][order], getattr(expected, name), 1e-5, name)
+    for name in PROJECTED:
+        actual, wanted = found[name][order][drawn], getattr(expected.projected, name)[drawn]
+        # 54 products of order one are summed twice before anything is projected
+        assert relative_l2(actual, wanted) <= 1e-5, name
+
+
+def test_wrong_shapes_are_refused(device, rng):
+    values = case(rng, 5) | {"scaling": np.zeros((5, 5), np.float32)}
+    with pytest.raises(ValueError, match="scaling"):
+        in_one(device, values, some(rng, 2, 5))

@@ -1,0 +1,122 @@
+"""Fingerprints of devices: repeatable, complete, and they name the first difference."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clgs.bench.facts import machine_facts
+from clgs.cli.main import main
+from clgs.errors import DataError
+from clgs.selftest.conformance import differences, fingerprints, from_record, to_record
+from clgs.selftest.exact_random import ExactRandom
+
+
+@pytest.fixture(scope="module")
+def found(open_device):
+    return fingerprints(open_device("cpu"))
+
+
+def test_splitmix_as_published():
+    # of Vigna's reference program for the seed 1234567
+    wanted = [6457827717110365317, 3203168211198807973, 9817491932198370423]
+    assert ExactRandom(1234567).integers(3).tolist() == wanted
+
+
+def test_floats_are_exact_and_go_on_where_they_stopped():
+    random = ExactRandom(7)
+    first, second = random.floats((3,), 0.0, 1.0), random.floats((2, 2), 0.0, 1.0)
+    together = ExactRandom(7).floats((7,), 0.0, 1.0)
+    assert np.array_equal(np.concatenate([first, second.ravel()]), together)
+    assert np.array_equal(together * 2.0**24, np.rint(together * 2.0**24))
+    assert together.min() >= 0
+    assert together.max() < 1
+
+
+def test_two_runs_agree(open_device, found):
+    assert differences(fingerprints(open_device("cpu")), found) == []
+
+
+def test_the_committed_hashes_are_those_of_today(open_device, found):
+    """On the driver that they name: a change of any bit comes with a new file."""
+    committed = Path(__file__).parents[2] / "docs/benchmarks/conformance_pocl.json"
+    if not committed.is_file():
+        pytest.skip("no docs beside the tests")
+    record = json.loads(committed.read_text())
+    facts = machine_facts(open_device("cpu"))
+    for fact in ("version", "driver", "native_vector_width"):
+        if facts["device"][fact] != record["device"][fact]:
+            pytest.skip(f"another device: {fact} is {facts['device'][fact]}")
+    assert differences(found, from_record(record)) == []
+
+
+def test_every_tensor_is_its_own(found):
+    assert len({one.place for one in found}) == len(found)
+    assert {one.scene for one in found} == {"small", "large", "needles", "numbers"}
+
+
+def test_forms_of_the_kernels_agree_on_renders(open_device, found):
+    """A render has the same operations in both; the loss and gradients sum in another order."""
+    other = differences(fingerprints(open_device("gpu")), found)
+    assert other
+    for one in other:
+        assert one.stage.startswith("loss") or one.stage.endswith("backward"), one.place
+
+
+def test_the_first_difference_is_named(found, tmp_path, capsys):
+    record = to_record(found, {"device": "made up"})
+    changed = [replace(one, sha256="0" * 64) if "d_" in one.tensor else one for one in found]
+    assert from_record(json.loads(json.dumps(record))) == found
+    made_elsewhere = {"device": {"specialisation": "cpu", "native_vector_width": 3}}
+    (tmp_path / "other.json").write_text(json.dumps(to_record(changed, made_elsewhere)))
+    assert main(["conformance", "--check", str(tmp_path / "other.json")]) == 1
+    out = capsys.readouterr().out
+    assert "DIFFERENT, first in scene small, loss backward, d_image" in out
+    assert "native_vector_width 3 there" in out
+    assert main(["conformance", "-o", str(tmp_path / "mine.json")]) == 0
+    assert main(["conformance", "--check", str(tmp_path / "mine.json")]) == 0
+    assert "bit-identical" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["no JSON", "[]", "{}", '{"format": "x"}', '{"format": "clgs conformance 1"}', "[" * 100_000],
+)
+def test_a_file_of_another_kind_is_refused_before_the_work(tmp_path, capsys, monkeypatch, text):
+    monkeypatch.setattr("clgs.selftest.conformance.fingerprints", None)
+    path = tmp_path / "bad.json"
+    path.write_text(text)
+    for wrong in (path, tmp_path, path / "x", tmp_path / ("x" * 300), Path("/dev/zero")):
+        assert main(["conformance", "--check", str(wrong)]) == 3
+        said = capsys.readouterr().err
+        assert str(wrong) in said
+        assert said.count("\n") == 1
+
+
+def test_another_set_of_tensors_is_refused(found):
+    with pytest.raises(DataError, match="another version"):
+        differences(found, found[1:])
+
+
+def test_a_hash_that_is_no_text_is_refused_before_the_work(found, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("clgs.selftest.conformance.fingerprints", None)
+    record = to_record(found, {})
+    record["tensors"][0]["sha256"] = None
+    path = tmp_path / "null.json"
+    path.write_text(json.dumps(record))
+    assert main(["conformance", "--check", str(path)]) == 3
+    assert str(path) in capsys.readouterr().err
+
+
+def test_a_tensor_listed_twice_is_refused_before_the_work(found, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("clgs.selftest.conformance.fingerprints", None)
+    path = tmp_path / "twice.json"
+    path.write_text(json.dumps(to_record([*found, replace(found[0], sha256="0" * 64)], {})))
+    assert main(["conformance", "--check", str(path)]) == 3
+    said = capsys.readouterr().err
+    assert f"{path}: lists a tensor 2 times: {found[0].place}" in said
+    assert said.count("\n") == 1

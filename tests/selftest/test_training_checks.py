@@ -1,0 +1,16 @@
+"""The checks of the stages outside of a render, on any count of numbers."""
+
+from __future__ import annotations
+
+import pytest
+
+from clgs.selftest.training_checks import training_checks
+
+
+@pytest.mark.parametrize("count", [1, 4, 5, 6, 11, 12, 100])
+@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+def test_few_numbers_are_enough(open_device, specialisation, count):
+    found = list(training_checks(open_device(specialisation), count))
+    assert {stage for stage, *_ in found} == {"scan", "sort", "quantize", "rate", "adam", "density"}
+    for stage, quantity, error, limit, _ in found:
+        assert error <= limit, (stage, quantity)

@@ -1,0 +1,107 @@
+"""Small training states whose rows can be followed through growing, pruning and merging."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.scene.anchors import AnchorSet
+from clgs.train.config import TrainConfig
+from clgs.train.density.grow_and_prune import Statistics, TrainState, position_integers
+
+VOXEL = 0.5
+CONFIG = TrainConfig(voxel=VOXEL, growth_threshold=0.25)
+GROUPS = ("offset", "feature", "scaling")
+
+
+class Draws:
+    """Stands in for a generator: hands out given arrays, or 0.99 for every draw."""
+
+    def __init__(self, *arrays: list[float]) -> None:
+        self.arrays = list(arrays)
+        self.sizes: list[int] = []
+
+    def random(self, size: int) -> npt.NDArray[np.float64]:
+        self.sizes.append(size)
+        return np.array(self.arrays.pop(0)) if self.arrays else np.full(size, 0.99)
+
+
+def state_at(integers: Any) -> TrainState:
+    """Anchors in the given voxels; every row of every array holds its row number plus 1."""
+    position = (np.array(integers, np.float64) * VOXEL).astype(np.float32)
+    count = len(position)
+    number = np.arange(1, count + 1)
+
+    def numbered(*shape: int, dtype: npt.DTypeLike = np.float32) -> npt.NDArray[Any]:
+        return np.broadcast_to(number.reshape(-1, *[1] * len(shape)), (count, *shape)).astype(dtype)
+
+    anchors = AnchorSet(
+        position,
+        np.zeros((count, K_OFFSETS, 3), np.float32),
+        numbered(FEATURE_DIM),
+        np.zeros((count, 6), np.float32),
+    )
+    statistics = Statistics(
+        numbered(),
+        np.zeros(count, np.int32),
+        np.zeros((count, K_OFFSETS), np.float32),
+        np.zeros((count, K_OFFSETS), np.int32),
+    )
+    shapes = {"offset": (K_OFFSETS, 3), "feature": (FEATURE_DIM,), "scaling": (6,)}
+    moments = {name: (numbered(*shape), 10 * numbered(*shape)) for name, shape in shapes.items()}
+    return TrainState(anchors, statistics, moments)
+
+
+def ask(state: TrainState, row: int, slot: int, voxels: tuple[float, ...], mean: float) -> None:
+    """Put a slot so many voxels beside its anchor and let it have seen a mean gradient."""
+    state.anchors.offset[row, slot] = np.array(voxels) * VOXEL
+    state.statistics.gradient_count[row, slot] = 64
+    state.statistics.gradient_sum[row, slot] = 64 * mean
+
+
+def integers_of(state: TrainState) -> list[tuple[int, ...]]:
+    return [tuple(row) for row in position_integers(state.anchors.position, 1 / VOXEL).tolist()]
+
+
+def arrays_of(state: TrainState) -> dict[str, npt.NDArray[Any]]:
+    found = {item.name: getattr(state.anchors, item.name) for item in fields(AnchorSet)}
+    found |= {item.name: getattr(state.statistics, item.name) for item in fields(Statistics)}
+    for name in GROUPS:
+        found[f"first {name}"], found[f"second {name}"] = state.moments[name]
+    return found
+
+
+def assert_same(first: TrainState, second: TrainState) -> None:
+    for (name, one), other in zip(
+        arrays_of(first).items(), arrays_of(second).values(), strict=True
+    ):
+        np.testing.assert_array_equal(one, other, err_msg=name)
+
+
+def assert_rows(state: TrainState, numbers: list[int]) -> None:
+    """The rows are those that :func:`state_at` numbered so, in every array; 0 is a new row."""
+    for name in GROUPS:
+        for moment, factor in zip(state.moments[name], (1, 10), strict=True):
+            flat = moment.reshape(len(moment), -1)
+            assert (flat == factor * np.array(numbers)[:, None]).all(), name
+    for array in arrays_of(state).values():
+        assert len(array) == len(numbers)
+
+
+def random_state(seed: int, count: int = 30, spread: int = 25) -> TrainState:
+    rng = np.random.default_rng(seed)
+    integers = np.unique(rng.integers(-spread, spread, (count, 3)), axis=0)
+    state = state_at(integers)
+    count = len(integers)
+    state.anchors.offset[:] = rng.normal(0, 4, state.anchors.offset.shape)
+    state.anchors.feature[:] = rng.normal(0, 1, state.anchors.feature.shape)
+    state.anchors.scaling[:] = rng.normal(0, 0.4, state.anchors.scaling.shape)
+    state.statistics.gradient_count[:] = rng.integers(0, 90, (count, K_OFFSETS))
+    state.statistics.gradient_sum[:] = rng.uniform(0, 30, (count, K_OFFSETS))
+    state.statistics.visits[:] = rng.integers(0, 160, count)
+    state.statistics.opacity_sum[:] = rng.uniform(0, 1, count)
+    return state

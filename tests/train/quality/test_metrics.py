@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+
+from clgs.errors import ClgsError
+from clgs.train.quality.metrics import psnr_8bit, psnr_channel_mean, ssim, ssim_map, to_8bit
+
+
+def pictures(
+    height: int = 40, width: int = 50, seed: int = 0
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+    """A smooth picture and a noisy copy, (H, W, 3) uint8."""
+    rng = np.random.default_rng(seed)
+    y, x = np.arange(height)[:, None, None], np.arange(width)[:, None]
+    smooth = 127 + 90 * np.sin(0.2 * x + np.arange(3)) * np.cos(0.15 * y)
+    noisy = smooth + rng.normal(0, 12, (height, width, 3))
+    return smooth.astype(np.uint8), np.clip(noisy, 0, 255).astype(np.uint8)
+
+
+def test_psnr_is_one_mse_over_all_channels() -> None:
+    render, photo = np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2, 3), np.uint8)
+    render[0, 0] = [51, 0, 0]  # 0.2 of white in one of 12 values
+    assert psnr_8bit(render, photo) == pytest.approx(-10 * math.log10(0.04 / 12))
+    render, photo = pictures()
+    assert psnr_8bit(render, photo) == pytest.approx(peak_signal_noise_ratio(photo, render))
+
+
+def test_equal_pictures_have_infinite_psnr_and_ssim_one() -> None:
+    render, _ = pictures()
+    assert psnr_8bit(render, render.copy()) == math.inf
+    assert ssim(render, render.copy()) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_channel_mean_by_hand_and_unclamped() -> None:
+    photo = np.zeros((2, 2, 3), np.uint8)
+    photo[...] = [0, 255, 255]
+    render = np.zeros((3, 2, 2), np.float32)
+    render[0], render[1], render[2] = 0.1, 1.5, 0.9  # errors 0.1, 0.5 (beyond white), 0.1
+    expected = (20 + -20 * math.log10(0.5) + 20) / 3
+    assert psnr_channel_mean(render, photo) == pytest.approx(expected, rel=1e-6)
+
+
+def test_channel_mean_is_never_below_the_pooled_psnr() -> None:
+    render, photo = pictures()
+    planar = (render / 255.0).transpose(2, 0, 1)
+    assert psnr_channel_mean(planar, photo) >= psnr_8bit(render, photo) - 1e-9
+    grey = np.repeat(render[..., :1], 3, axis=2), np.repeat(photo[..., :1], 3, axis=2)
+    pooled = psnr_8bit(*grey)
+    assert psnr_channel_mean((grey[0] / 255.0).transpose(2, 0, 1), grey[1]) == pytest.approx(pooled)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ssim_map_agrees_with_scikit_image_away_from_the_border(seed: int) -> None:
+    render, photo = pictures(seed=seed)
+    _, expected = structural_similarity(
+        render / 255.0,
+        photo / 255.0,
+        win_size=11,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        data_range=1.0,
+        channel_axis=2,
+        full=True,
+    )
+    inner = (slice(5, -5), slice(5, -5))
+    np.testing.assert_allclose(ssim_map(render, photo)[inner], expected[inner], atol=1e-10)
+
+
+def test_ssim_pads_with_zeros_and_averages_over_all_pixels() -> None:
+    render, photo = pictures(16, 20)
+    ring = ((5, 5), (5, 5), (0, 0))
+    padded = ssim_map(np.pad(render, ring), np.pad(photo, ring))[5:-5, 5:-5]
+    np.testing.assert_allclose(ssim_map(render, photo), padded, atol=1e-12)
+    assert ssim(render, photo) == pytest.approx(float(padded.mean()))
+
+
+def test_ssim_against_direct_sums_at_one_pixel() -> None:
+    render, photo = pictures(11, 11)
+    distance = np.arange(11) - 5
+    window = np.exp(-(distance[:, None] ** 2 + distance[None] ** 2) / (2 * 1.5**2))
+    window /= window.sum()
+    x, y = render[..., 1] / 255.0, photo[..., 1] / 255.0
+    mx, my = (window * x).sum(), (window * y).sum()
+    vx, vy = (window * (x - mx) ** 2).sum(), (window * (y - my) ** 2).sum()
+    cov = (window * (x - mx) * (y - my)).sum()
+    expected = ((2 * mx * my + 1e-4) * (2 * cov + 9e-4)) / (
+        (mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4)
+    )
+    assert ssim_map(render, photo)[5, 5, 1] == pytest.approx(expected, abs=1e-12)
+
+
+def test_ssim_is_symmetric_and_falls_with_noise() -> None:
+    render, photo = pictures()
+    assert ssim(render, photo) == pytest.approx(ssim(photo, render), abs=1e-14)
+    assert ssim(render, photo) < 0.9
+    assert ssim(render, np.clip(render.astype(int) + 1, 0, 255).astype(np.uint8)) > 0.99
+
+
+def test_to_8bit_rounds_to_nearest_and_clamps() -> None:
+    values = np.array([-1.0, 0.0, 0.49 / 255, 0.51 / 255, 1.0, 7.0], np.float32)
+    image = np.stack([values, values[::-1], np.zeros(6, np.float32)])[:, None, :]
+    picture = to_8bit(image)
+    assert picture.shape == (1, 6, 3)
+    assert picture.dtype == np.uint8
+    assert picture[0, :, 0].tolist() == [0, 0, 0, 1, 255, 255]
+    assert picture[0, :, 1].tolist() == [255, 255, 1, 0, 0, 0]
+    assert picture[0, :, 2].tolist() == [0] * 6
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_to_8bit_returns_every_level(dtype: type) -> None:
+    levels = np.arange(256)
+    image = np.broadcast_to((levels / 255.0).astype(dtype), (3, 1, 256))
+    assert (to_8bit(image)[0] == levels[:, None]).all()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_to_8bit_refuses_broken_pixels(bad: float) -> None:
+    image = np.zeros((3, 4, 4), np.float32)
+    image[1, 2, 3] = bad
+    with pytest.raises(ClgsError, match="not finite"):
+        to_8bit(image)
+
+
+def test_other_sizes_and_types_are_errors() -> None:
+    render, photo = pictures()
+    for score in (psnr_8bit, ssim):
+        with pytest.raises(ValueError, match="photo: shape"):
+            score(render, photo[:, :1])
+        with pytest.raises(TypeError, match="render: dtype"):
+            score(render / 255.0, photo)
+    with pytest.raises(ValueError, match="render: shape"):
+        psnr_channel_mean(render / 255.0, photo)

@@ -1,0 +1,212 @@
+"""Smaller files without training: importance against leaving anchors out, sizes, PSNR."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from clgs.codec.fit_size import take
+from clgs.codec.scene_encoder import encode, sort_anchors
+from clgs.data.dataset import View
+from clgs.errors import UsageError
+from clgs.opencl.device import Device
+from clgs.render.renderer import Renderer
+from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.scene import QuantizedScene
+from clgs.synthetic.anchor_scene import anchor_scene
+from clgs.train.quality.importance import importance, importance_without_views
+from clgs.train.quality.metrics import to_8bit
+from clgs.train.quality.rate_control import Judge, reduce_to_psnr, reduce_to_size
+from tests.codec.scenes import random_scene
+
+
+def fast(scene: QuantizedScene) -> bytes:
+    return encode(scene, "fast", threads=1)
+
+
+@pytest.fixture
+def seen(device: Device) -> tuple[QuantizedScene, View]:
+    """A scene of integers, and a noisy photo of it: about 42 dB."""
+    scene, camera = anchor_scene(1200, 64)
+    scales = QuantizationScales(position=2000.0, offset=16.0, feature=16.0, scaling=16.0)
+    integers = (
+        np.rint(getattr(scene.anchors, name) * scale).astype(np.int32)
+        for name, scale in vars(scales).items()
+    )
+    anchors = sort_anchors(QuantizedAnchors(*integers))
+    quantized = QuantizedScene(anchors, scene.mlps, scales, scene.settings, scene.transform)
+    image = to_8bit(Renderer(device, quantized.dequantize()).render(camera))
+    noise = np.random.default_rng(1).integers(-4, 5, image.shape)
+    image = np.clip(image + noise, 0, 255).astype(np.uint8)
+    return quantized, View("front", camera, image, None)
+
+
+def without(
+    device: Device, scene: QuantizedScene, view: View, anchor: int
+) -> npt.NDArray[np.float32]:
+    """The picture without one anchor."""
+    left = take(scene, np.delete(np.arange(len(scene.anchors)), anchor))
+    return Renderer(device, left.dequantize()).render(view.camera)
+
+
+def test_importance_is_what_leaving_out_costs(
+    device: Device, seen: tuple[QuantizedScene, View], rng: np.random.Generator
+) -> None:
+    scene, view = seen
+    repeats = 24
+    estimate = importance(device, scene, [view.camera] * repeats) / repeats
+    whole = Renderer(device, scene.dequantize()).render(view.camera)
+    some = rng.permutation(len(scene.anchors))[:40]
+    exact = [float(np.square(without(device, scene, view, i) - whole).sum()) for i in some]
+    # 24 draws have a standard error of sqrt(2 / 24) = 0.29; single removals are exact but for the
+    # clamp of alpha, the cuts and the overlap of an anchor's own Gaussians.
+    matters = np.array(exact) > 1e-3
+    assert matters.sum() >= 10
+    ratio = estimate[some][matters] / np.array(exact)[matters]
+    assert 0.7 < np.median(ratio) < 1.4
+    assert (np.abs(np.log(ratio)) < np.log(4)).all()
+
+
+def test_importance_is_the_same_every_time(
+    device: Device, seen: tuple[QuantizedScene, View]
+) -> None:
+    scene, view = seen
+    first, second = (importance(device, scene, [view.camera]) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert (first >= 0).all()
+
+
+@pytest.mark.parametrize("share", [0.95, 0.75])
+def test_a_size_is_met_and_the_useful_kept(
+    device: Device, seen: tuple[QuantizedScene, View], share: float
+) -> None:
+    scene, view = seen
+    judge = Judge(device, [view.camera] * 4, [view])
+    target = int(share * len(fast(scene)))
+    found = reduce_to_size(scene, target, fast, judge)
+    assert 0.98 * target <= len(found.data) <= target
+    assert found.data == fast(found.scene)
+    assert found.psnr is not None
+    before, after = found.psnr
+    assert after == judge.psnr(found.scene)
+    blind = reduce_to_size(scene, target, fast, None)
+    assert blind.psnr is None
+    assert 0.98 * target <= len(blind.data) <= target
+    assert before > after > judge.psnr(blind.scene)
+
+
+def test_a_scene_that_fits_is_left_alone(device: Device, seen: tuple[QuantizedScene, View]) -> None:
+    scene, view = seen
+    found = reduce_to_size(scene, len(fast(scene)), fast, Judge(device, [view.camera], [view]))
+    assert found.scene is scene
+    assert found.psnr is not None
+    assert found.psnr[0] == found.psnr[1]
+
+
+def test_a_psnr_is_kept_with_fewer_anchors(
+    device: Device, seen: tuple[QuantizedScene, View]
+) -> None:
+    scene, view = seen
+    judge = Judge(device, [view.camera], [view])
+    whole = judge.psnr(scene)
+    found = reduce_to_psnr(scene, whole - 6.0, fast, judge)
+    assert found.psnr == (whole, judge.psnr(found.scene))
+    assert found.psnr[1] >= whole - 6.0
+    assert len(found.scene.anchors) < len(scene.anchors)
+    smaller = reduce_to_psnr(scene, whole - 14.0, fast, judge)
+    assert len(smaller.data) < len(found.data) < len(fast(scene))
+    with pytest.raises(UsageError, match="the whole scene has"):
+        reduce_to_psnr(scene, whole + 0.1, fast, judge)
+
+
+def test_the_same_bytes_every_time(device: Device, seen: tuple[QuantizedScene, View]) -> None:
+    scene, view = seen
+    target = int(0.8 * len(fast(scene)))
+    judge = Judge(device, [view.camera] * 2, [view])
+    first, second = (reduce_to_size(scene, target, fast, judge) for _ in range(2))
+    assert first.data == second.data
+    assert first.psnr == second.psnr
+
+
+@pytest.mark.parametrize("tight", [1, 2])
+def test_nearly_the_whole_file_is_met(
+    device: Device, seen: tuple[QuantizedScene, View], tight: int
+) -> None:
+    scene, view = seen
+    target = len(fast(scene)) - tight
+    found = reduce_to_size(scene, target, fast, Judge(device, [view.camera], [view]))
+    assert 0.98 * target <= len(found.data) <= target
+
+
+def test_what_cannot_be_reached_is_refused_before_rendering(
+    device: Device, seen: tuple[QuantizedScene, View]
+) -> None:
+    scene, view = seen
+    renders: list[None] = []
+    judge = Judge(device, [view.camera], [view], on_render=lambda: renders.append(None))
+    with pytest.raises(UsageError, match="a file of 100 bytes is too small"):
+        reduce_to_size(scene, 100, fast, judge)
+    assert not renders
+    reduce_to_size(scene, int(0.9 * len(fast(scene))), fast, judge)
+    assert renders
+
+
+def test_pictures_with_room_are_judged_at_half_the_resolution(
+    device: Device, seen: tuple[QuantizedScene, View], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, view = seen
+    widths: list[int] = []
+
+    def note(*arguments: object) -> npt.NDArray[np.float64]:
+        cameras = arguments[2]
+        assert isinstance(cameras, list)
+        widths.extend(camera.width for camera in cameras)
+        return np.zeros(len(scene.anchors))
+
+    monkeypatch.setattr("clgs.train.quality.rate_control.importance", note)
+    # Two pixels an anchor remain of the larger one.
+    side = int(np.ceil(np.sqrt(8 * len(scene.anchors))))
+    cameras = [view.camera.resized(size, size) for size in (side - 1, side)]
+    Judge(device, cameras, [view]).importance(scene)
+    assert widths == [side - 1, round(side / 2)]
+
+
+def test_without_views_large_anchors_come_first(seen: tuple[QuantizedScene, View]) -> None:
+    useful = importance_without_views(seen[0])
+    shape = np.sort(seen[0].anchors.scaling[:, 3:], axis=1)[:, 1:].sum(axis=1)
+    assert (np.diff(shape[np.argsort(useful, kind="stable")]) >= 0).all()
+
+
+class Counting(Judge):
+    """Every anchor is worth a decibel more than none has."""
+
+    def psnr(self, scene: QuantizedScene, count: int | None = None) -> float:
+        return 7.0 + len(scene.anchors)
+
+    def importance(self, scene: QuantizedScene) -> npt.NDArray[np.float64]:
+        return np.ones(len(scene.anchors))
+
+
+@pytest.mark.parametrize("anchors", [1, 2, 3, 53])
+def test_the_fewest_anchors_are_found_however_few(device: Device, anchors: int) -> None:
+    scene = random_scene(np.random.default_rng(2), 20_000)
+    judge = Counting(device, [], [])
+    found = reduce_to_psnr(scene, 7.0 + anchors, lambda _: b"", judge)
+    assert anchors <= len(found.scene.anchors) <= anchors + anchors // 32
+    assert found.psnr == (7.0 + len(scene.anchors), 7.0 + len(found.scene.anchors))
+
+
+def test_a_psnr_that_needs_no_anchor_is_refused(
+    device: Device, seen: tuple[QuantizedScene, View]
+) -> None:
+    """As a size that no file without anchors meets; both say what such a file has."""
+    scene, view = seen
+    judge = Judge(device, [view.camera], [view])
+    least = judge.psnr(take(scene, np.arange(0)))
+    said = rf"^1 dB is too little: {least:.2f} dB remain without anchors; ask for more$"
+    with pytest.raises(UsageError, match=said):
+        reduce_to_psnr(scene, 1.0, fast, judge)
+    found = reduce_to_psnr(scene, least + 0.1, fast, judge)
+    assert found.psnr is not None
+    assert found.psnr[1] >= least + 0.1

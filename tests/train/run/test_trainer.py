@@ -1,0 +1,159 @@
+"""Whole training steps: they learn, stop on bad numbers, repeat and resume to the bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.train.config import MAX_WEIGHT, preset
+from clgs.train.quality.savings import savings
+from clgs.train.run.trainer import NonFiniteLossError, Trainer
+from clgs.train.state.resume import load_checkpoint, save_checkpoint
+
+STEPS = 240
+
+
+def config(dataset, **changes):
+    settings = replace(preset("default").scaled(STEPS), voxel=0.02, **changes)
+    return settings.for_dataset(dataset.kind)
+
+
+def parameters(trainer):
+    scene, device = trainer.parameters.scene, trainer.device
+    names = ("position", "offset", "feature", "scaling", "weights")
+    return {name: device.download(getattr(scene, name)) for name in names}
+
+
+@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+def test_learns_grows_and_quantises(dataset, open_device, specialisation):
+    steps = STEPS if specialisation == "cpu" else 40
+    trainer = Trainer(open_device(specialisation), dataset, config(dataset))
+    start = trainer.psnr(dataset.test)
+    results = [trainer.step() for _ in range(steps)]
+    assert trainer.psnr(dataset.test) > start + 3
+    if steps < STEPS:
+        return
+    assert len({result.anchors for result in results}) > 1  # anchors came or went
+    assert any(result.rate_bits is not None for result in results)
+    assert all(result.rate_bits is None for result in results[: STEPS // 2])
+    scene = trainer.quantized_scene()
+    assert len(scene.anchors) == trainer.parameters.count
+
+
+def test_same_seed_same_bits(dataset, cpu):
+    first, second = (Trainer(cpu, dataset, config(dataset)) for _ in range(2))
+    for _ in range(130):
+        assert first.step() == second.step()
+    mine, theirs = parameters(first), parameters(second)
+    assert all(np.array_equal(mine[name], theirs[name]) for name in mine)
+    other = Trainer(cpu, dataset, config(dataset, seed=1))
+    assert other.step() != Trainer(cpu, dataset, config(dataset)).step()
+
+
+@pytest.mark.parametrize("interrupted", [37, 119, 121, 150])
+def test_resumes_to_the_bit(dataset, cpu, tmp_path, interrupted):
+    whole = Trainer(cpu, dataset, config(dataset))
+    for _ in range(interrupted):
+        whole.step()
+    save_checkpoint(tmp_path, whole)
+    resumed = Trainer(cpu, dataset, config(dataset))
+    load_checkpoint(tmp_path, resumed)
+    for _ in range(25):
+        assert whole.step() == resumed.step()
+    mine, theirs = parameters(whole), parameters(resumed)
+    assert all(np.array_equal(mine[name], theirs[name]) for name in mine)
+
+
+def test_non_finite_loss_leaves_parameters_alone(dataset, cpu):
+    trainer = Trainer(cpu, dataset, config(dataset))
+    trainer.step()
+    weights = cpu.download(trainer.parameters.scene.weights)
+    weights[4000] = np.nan  # a weight of the colour MLP
+    cpu.write(trainer.parameters.scene.weights, weights)
+    before = parameters(trainer)
+    with pytest.raises(NonFiniteLossError, match=r"step 2, view \S*r_\d+"):
+        trainer.step()
+    after = parameters(trainer)
+    assert all(np.array_equal(before[name], after[name], equal_nan=True) for name in before)
+    assert trainer.steps_done == 1
+
+
+def test_coarser_position_grid_merges_at_the_switch(dataset, cpu):
+    trainer = Trainer(cpu, dataset, config(dataset, position_q=10.0))
+    counts = [trainer.step().anchors for _ in range(STEPS // 2 + 1)]
+    assert counts[-1] < counts[-2]
+    assert trainer.merged == counts[-2] - counts[-1]
+    position = cpu.download(trainer.parameters.scene.position)
+    assert np.array_equal(position, (np.rint(position * 10) / 10).astype(np.float32))
+
+
+def test_visible_adam_leaves_unseen_rows_alone(dataset, cpu):
+    one, dense = (
+        Trainer(cpu, dataset, config(dataset, adam=kind)) for kind in ("visible", "dense")
+    )
+    for trainer in (one, dense):
+        list(trainer.steps(40))
+    assert one.psnr(dataset.test) > dense.psnr(dataset.test) - 1
+    seen = cpu.download(one.render_next().activations.visible)
+    before, dense_before = (parameters(trainer)["feature"] for trainer in (one, dense))
+    # hide all but some rows by moving the others behind every camera
+    position = cpu.download(one.parameters.scene.position)
+    hidden = np.setdiff1d(np.arange(len(position)), seen[:50])
+    position[hidden] += 1e4
+    for trainer in (one, dense):
+        cpu.write(trainer.parameters.scene.position, position)
+        trainer.step()
+    after, dense_after = (parameters(trainer)["feature"] for trainer in (one, dense))
+    assert np.array_equal(after[hidden], before[hidden])
+    assert not np.array_equal(dense_after[hidden], dense_before[hidden])  # momentum moves them
+    assert not np.array_equal(after[seen[:50]], before[seen[:50]])
+
+
+def test_savings_count_no_more_than_all(dataset, cpu):
+    trainer = Trainer(cpu, dataset, config(dataset))
+    list(trainer.steps(30))
+    found = {(one.skip, one.unit): one for one in savings(trainer)}
+    assert all(0 <= one.done <= one.without for one in found.values())
+    assert found["slots", "rows of color and shape"].share > 0
+    assert found["units", "pairs visited, forward"].share > 0
+    assert found["exact_tiles", "tile entries"].share > 0
+    frame = trainer.render_next()
+    entries = found["exact_tiles", "tile entries"]
+    assert entries.done == len(frame.tiles.gaussian)
+    assert found["(bound)", "pairs blended of visited"].done > 0
+    rate = found["rate interval", "steps with the rate proxy"]
+    assert (rate.done, rate.without) == (STEPS // 20, STEPS // 2)
+
+
+def test_the_largest_weights_train(dataset, cpu):
+    most = MAX_WEIGHT
+    trainer = Trainer(cpu, dataset, config(dataset, l1_weight=most, ssim_weight=most))
+    start = trainer.psnr(dataset.test)
+    for _ in trainer.steps(60):
+        pass
+    assert trainer.psnr(dataset.test) > start + 1
+
+
+@pytest.mark.parametrize(("steps", "said"), [(9, 0), (10, 1), (25, 1)])
+def test_a_run_that_draws_nothing_is_warned_of_once(dataset, cpu, caplog, steps, said):
+    trainer = Trainer(cpu, dataset, config(dataset, smallest_anchor=1e30))
+    for _ in trainer.steps(steps):
+        pass
+    assert [record.levelname for record in caplog.records] == ["WARNING"] * said
+    assert all("nothing was drawn in the first 10 steps" in one.message for one in caplog.records)
+
+
+def test_a_shorter_run_that_draws_nothing_is_warned_of_at_its_end(dataset, cpu, caplog):
+    trainer = Trainer(cpu, dataset, replace(config(dataset).scaled(4), smallest_anchor=1e30))
+    for _ in trainer.steps(4):
+        pass
+    assert "nothing was drawn in the first 4 steps" in caplog.text
+
+
+def test_a_run_that_draws_is_not_warned_of(dataset, cpu, caplog):
+    trainer = Trainer(cpu, dataset, config(dataset))
+    for _ in trainer.steps(12):
+        pass
+    assert not caplog.records

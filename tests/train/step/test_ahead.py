@@ -1,0 +1,100 @@
+"""A trainer that runs ahead of its results ends where one that waits does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.render.frame import Capacity
+from clgs.train.config import preset
+from clgs.train.run.trainer import NonFiniteLossError, Trainer
+from clgs.train.step import queue
+
+STEPS = 240
+
+
+def trainer(device, dataset, ahead):
+    config = replace(preset("default").scaled(STEPS), voxel=0.02, background="random")
+    return Trainer(device, dataset, config.for_dataset(dataset.kind), ahead)
+
+
+def state(one):
+    scene, device = one.parameters.scene, one.device
+    arrays = [getattr(scene, name) for name in ("position", "offset", "feature", "scaling")]
+    arrays += [scene.weights, one.densifier.statistics.gradient_sum]
+    arrays += [moments.second for moments in one.parameters.moments.values()]
+    return [device.download(array) for array in arrays]
+
+
+def assert_same_state(first, second):
+    for mine, theirs in zip(state(first), state(second), strict=True):
+        assert np.array_equal(mine, theirs, equal_nan=True)
+
+
+@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+def test_steps_that_lack_room_are_repeated(dataset, open_device, specialisation):
+    device, count = open_device(specialisation), 200
+    if specialisation == "gpu":  # slow where the device is a CPU
+        count, dataset = 30, replace(dataset, points=dataset.points[::8])
+    waiting, ahead = (trainer(device, dataset, mode) for mode in (False, True))
+    wanted = list(waiting.steps(count))
+    repeats, repeat = [], ahead._repeat
+    ahead._repeat = lambda: (repeats.append(ahead.steps_done), repeat())
+    results = []
+    for result in ahead.steps(count):
+        results.append(result)
+        if result.step % 23 == 0:
+            ahead.queue.capacity = Capacity(8, 8, 8)
+    assert len(repeats) >= count // 23
+    assert results == wanted
+    assert_same_state(ahead, waiting)
+    assert ahead.rng.bit_generator.state == waiting.rng.bit_generator.state
+
+
+def test_stopping_finishes_what_began(dataset, cpu):
+    waiting, ahead = (trainer(cpu, dataset, mode) for mode in (False, True))
+    seen = []
+    for result in ahead.steps(50, stop=lambda: len(seen) >= 20):
+        seen.append(result.step)
+    assert seen == list(range(1, ahead.steps_done + 1))
+    assert 20 <= len(seen) <= 22
+    assert [result.step for result in waiting.steps(len(seen))] == seen
+    assert_same_state(ahead, waiting)
+
+
+def test_numbers_that_are_not_finite_stop_the_right_step(dataset, cpu):
+    runs = []
+    for mode in (False, True):
+        one = trainer(cpu, dataset, mode)
+        list(one.steps(6))
+        weights = cpu.download(one.parameters.scene.weights)
+        weights[4000] = np.nan  # a weight of the colour MLP
+        cpu.write(one.parameters.scene.weights, weights)
+        before = state(one)
+        with pytest.raises(NonFiniteLossError, match=r"at step 7, view \S*r_\d+"):
+            list(one.steps(10))
+        assert one.steps_done == 6
+        for mine, theirs in zip(state(one), before, strict=True):
+            assert np.array_equal(mine, theirs, equal_nan=True)
+        runs.append(one)
+    assert_same_state(*runs)
+
+
+def test_a_gradient_that_is_not_finite_is_named(dataset, cpu, monkeypatch):
+    one = trainer(cpu, dataset, True)
+    list(one.steps(3))
+    before = state(one)
+    backward = queue.render_backward
+
+    def broken(*arguments):
+        gradients = backward(*arguments)
+        cpu.write(gradients.d_scaling, np.full(gradients.d_scaling.shape, np.inf, np.float32))
+        return gradients
+
+    monkeypatch.setattr(queue, "render_backward", broken)
+    with pytest.raises(NonFiniteLossError, match="a gradient is not finite at step 4, view"):
+        list(one.steps(5))
+    for mine, theirs in zip(state(one), before, strict=True):
+        assert np.array_equal(mine, theirs)

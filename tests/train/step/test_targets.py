@@ -1,0 +1,72 @@
+"""Photos and cameras as training steps see them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.data.dataset import View
+from clgs.synthetic.anchor_scene import square_camera
+from clgs.train.config import preset
+from clgs.train.step.schedule import reduction
+from clgs.train.step.targets import Targets
+
+
+@pytest.fixture
+def cpu(open_device):
+    return open_device("cpu")
+
+
+@pytest.fixture
+def view(rng):
+    image = rng.integers(0, 256, (16, 16, 3)).astype(np.uint8)
+    return View("photo", square_camera(16), image, rng.integers(0, 256, (16, 16)).astype(np.uint8))
+
+
+def test_fixed_backgrounds_are_uploaded_once(cpu, view, rng):
+    targets = Targets(cpu, [view], "white", 0.2)
+    color = targets.color(rng)
+    assert color == (1.0, 1.0, 1.0)
+    first = targets.get(0, color)
+    assert targets.get(0, color) is first
+    share = view.alpha[..., None] / np.float32(255)
+    composited = np.rint(view.image * share + np.float32(255) * (1 - share)).astype(np.uint8)
+    assert np.array_equal(cpu.download(first.photo), composited.transpose(2, 0, 1))
+    assert np.array_equal(cpu.download(first.view.background), [1, 1, 1])
+
+
+def test_random_backgrounds_change_photo_and_render_alike(cpu, view, rng):
+    targets = Targets(cpu, [view], "random", 0.2)
+    colors = [targets.color(rng) for _ in range(2)]
+    assert colors[0] != colors[1]
+    got = [targets.get(0, color) for color in colors]
+    photos = [cpu.download(target.photo) for target in got]
+    assert not np.array_equal(*photos)
+    for target, color in zip(got, colors, strict=True):
+        assert np.array_equal(cpu.download(target.view.background), np.float32(color))
+    assert got[0].view.camera is got[1].view.camera
+
+
+def test_reduced_targets_are_box_means(cpu, view, rng):
+    targets = Targets(cpu, [View("photo", view.camera, view.image, None)], "black", 0.2)
+    whole, quarter = targets.get(0, (0, 0, 0)), targets.get(0, (0, 0, 0), 4)
+    assert quarter.view.size == (4, 4)
+    means = view.image.reshape(4, 4, 4, 4, 3).mean(axis=(1, 3)).transpose(2, 0, 1)
+    assert np.abs(cpu.download(quarter.photo) - means).max() <= 0.5
+    assert np.array_equal(cpu.download(quarter.view.camera), view.camera.resized(4, 4).pack(0.2))
+    assert targets.get(0, (0, 0, 0)).view.size == whole.view.size == (16, 16)
+
+
+def test_reduction_follows_the_schedule():
+    config = preset("default").scaled(1000)
+    assert {reduction(config, step) for step in range(1, 1001)} == {1}
+
+    coarse = replace(config, coarse_to_fine=True)
+    factors = [reduction(coarse, step) for step in range(1, 1001)]
+    assert factors[:100] == [4] * 100
+    assert factors[100:300] == [2] * 200
+    assert factors[300:] == [1] * 700
+    small = replace(coarse, accuracy="preview")
+    assert [reduction(small, step) for step in (100, 101, 1000)] == [4, 2, 2]
