@@ -6,7 +6,7 @@
 
 with moments under an 11 x 11 Gaussian window of sigma 1.5 and zero padding (Wang et al. 2004). The
 kernel takes the moments of centred pixels, tile by tile, and writes the maps that the backward pass
-blurs once more; kernels_cl/loss.cl has the equations. The derivative of |x| at 0 is 0.
+blurs once more; kernels_cl/loss/loss.cl has the equations. The derivative of |x| at 0 is 0.
 
 The volume term is the mean over Gaussians of the product of their scales (Scaffold-GS).
 """
@@ -55,7 +55,7 @@ class Loss:
     """What the forward pass leaves on the device, float32.
 
     sums: per tile the sums of |x - y| and of 1 - SSIM; shift (tiles, 2): the level about which the
-    moments of image and target were taken; maps: three of (3, H, W), see kernels_cl/loss.cl.
+    moments of image and target were taken; maps: three of (3, H, W), see kernels_cl/loss/loss.cl.
     """
 
     sums: BlockSums
@@ -106,7 +106,7 @@ def forward(
     maps = (device.empty(image.shape), device.empty(image.shape), device.empty(image.shape))
     group = GROUP_SIZE[device.specialisation]
     device.run(
-        device.kernel("loss", "loss_forward", **_defines(device)),
+        device.kernel("loss/loss", "loss_forward", **_defines(device)),
         (across * group, down, 3),
         (group, 1, 1),
         image,
@@ -138,7 +138,7 @@ def backward(device: Device, image: DeviceArray, target: DeviceArray, loss: Loss
     count = max(3 * height * width, 1)
     group = GROUP_SIZE[device.specialisation]
     device.run(
-        device.kernel("loss", "loss_backward", **_defines(device)),
+        device.kernel("loss/loss", "loss_backward", **_defines(device)),
         (across * group, down, 3),
         (group, 1, 1),
         image,
@@ -186,7 +186,7 @@ def volume(
     sums = device.empty((blocks, 1))
     group = GROUP_SIZE[device.specialisation]
     device.run(
-        device.kernel("loss", "loss_volume", **_defines(device)),
+        device.kernel("loss/loss", "loss_volume", **_defines(device)),
         (blocks * group,),
         (group,),
         scale,

@@ -20,11 +20,11 @@ class Mutation:
     times: int = 1
 
 
-PROJECT = "kernels_cl/project.cl"
-PROJECTION = "kernels_cl/include/projection.h"
-SPLAT = "kernels_cl/include/splat.h"
-STEP = "kernels_cl/include/blend_step.h"
-LOSS = "kernels_cl/loss.cl"
+PROJECT = "kernels_cl/gaussian/project.cl"
+PROJECTION = "kernels_cl/gaussian/projection.h"
+SPLAT = "kernels_cl/blend/splat.h"
+STEP = "kernels_cl/blend/blend_step.h"
+LOSS = "kernels_cl/loss/loss.cl"
 
 MUTATIONS = (
     Mutation(
@@ -94,7 +94,7 @@ MUTATIONS = (
     Mutation(
         "blend",
         "no gradient by way of the background",
-        "kernels_cl/include/blend_tile.h",
+        "kernels_cl/blend/blend_tile.h",
         "fma(rays->d_red, (fv)(background[0]),",
         "0.0f * fma(rays->d_red, (fv)(background[0]),",
     ),
@@ -122,7 +122,7 @@ MUTATIONS = (
     Mutation(
         "sort",
         "keys of 16 bits",
-        "kernels_cl/sort.cl",
+        "kernels_cl/sort/sort.cl",
         "chosen[i] > 0 ? keys[i] : KEY_LAST",
         "chosen[i] > 0 ? keys[i] & 0xffff0000u : KEY_LAST",
     ),
@@ -136,14 +136,14 @@ MUTATIONS = (
     Mutation(
         "tiles",
         "first column of a span on the row of the last one",
-        "kernels_cl/include/footprint.h",
+        "kernels_cl/tiles/footprint.h",
         "clamp_lanes(-f->tip, top, bottom)",
         "clamp_lanes(f->tip, top, bottom)",
     ),
     Mutation(
         "tiles",
         "tiles of a row where their first spans end",
-        "kernels_cl/include/tiles_chunk.h",
+        "kernels_cl/tiles/tiles_chunk.h",
         "--next[span.x + span.y];",
         "--next[span.x + 1];",
     ),
@@ -157,14 +157,14 @@ MUTATIONS = (
     Mutation(
         "sort",
         "highest bit of the keys left out",
-        "kernels_cl/sort.cl",
+        "kernels_cl/sort/sort.cl",
         "(bits + plan[PLAN_PASSES] - 1) / plan[PLAN_PASSES]",
         "bits / plan[PLAN_PASSES]",
     ),
     Mutation(
         "scan",
         "total of 32 bits",
-        "kernels_cl/scan.cl",
+        "kernels_cl/scan/scan.cl",
         "total[0] = carry",
         "total[0] = (int)carry",
         2,
@@ -172,7 +172,7 @@ MUTATIONS = (
     Mutation(
         "scan",
         "offsets one item late",
-        "kernels_cl/scan.cl",
+        "kernels_cl/scan/scan.cl",
         "offsets[i] = fits ? (int)carry : 0;",
         "offsets[i] = fits ? (int)(carry + counts[i]) : 0;",
     ),
@@ -207,63 +207,63 @@ MUTATIONS = (
     Mutation(
         "quantize",
         "halves away from zero",
-        "kernels_cl/quantize.cl",
+        "kernels_cl/anchors/quantize.cl",
         "rint(load_lanes(x, vector, total) * q);",
         "round(load_lanes(x, vector, total) * q);",
     ),
     Mutation(
         "neural",
         "gradient of a clamped log scale",
-        "kernels_cl/neural.cl",
+        "kernels_cl/gaussian/neural.cl",
         "return fabs(log_scale) <= LOG_SCALE_LIMIT ? d : 0.0f;",
         "return d;",
     ),
     Mutation(
         "mlp",
         "gradient through an inactive unit",
-        "kernels_cl/include/mlp_backward.h",
+        "kernels_cl/mlp/mlp_backward.h",
         "const fv d = active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
         "const fv d = active >= (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
     ),
     Mutation(
         "mlp",
         "weight gradient without the first block of a run",
-        "kernels_cl/include/mlp_weights.h",
+        "kernels_cl/mlp/mlp_weights.h",
         "add_run(&vectors, block * VECTORS, (block + 1) * VECTORS)",
         "add_run(&vectors, block * VECTORS + 1, (block + 1) * VECTORS)",
     ),
     Mutation(
         "mlp",
         "a tile of the weight gradient that asks for the slot of its first row alone",
-        "kernels_cl/include/mlp_weights.h",
+        "kernels_cl/mlp/mlp_weights.h",
         "layer.slots |= 1 << (first + o) / slot_rows(head);",
         "layer.slots |= 1 << first / slot_rows(head);",
     ),
     Mutation(
         "density",
         "gradient norm in pixels",
-        "kernels_cl/density.cl",
+        "kernels_cl/anchors/density.cl",
         "vload2(first + i, d_mean2d) * half_size",
         "vload2(first + i, d_mean2d) * 1.0f",
     ),
     Mutation(
         "density",
         "anchors counted in the order of the view",
-        "kernels_cl/density.cl",
+        "kernels_cl/anchors/density.cl",
         "visible[slot[n] / K_OFFSETS] * K_OFFSETS",
         "(slot[n] / K_OFFSETS) * K_OFFSETS",
     ),
     Mutation(
         "cull",
         "the extent that counts towards the smallest anchor has the blur in it",
-        "kernels_cl/cull.cl",
+        "kernels_cl/anchors/cull.cl",
         "36.0f * (largest - (fv)(BLUR))",
         "36.0f * largest",
     ),
     Mutation(
         "decode",
         "the opacity of the first slot for all",
-        "kernels_cl/project_anchors.cl",
+        "kernels_cl/gaussian/project_anchors.cl",
         "opaque[m] = sample[j * stride]",
         "opaque[m] = sample[0]",
     ),

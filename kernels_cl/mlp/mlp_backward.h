@@ -1,0 +1,217 @@
+/* The backward pass of the MLPs through the layers of one block of samples. */
+#ifndef CLGS_MLP_BACKWARD_H
+#define CLGS_MLP_BACKWARD_H
+
+#include "common/lanes.h"
+#include "mlp/mlp_dense.h"
+#include "mlp/mlp_layout.h"
+
+/* What the forward pass left, and the gradient by it: rows of stride samples. */
+typedef struct {
+    __global const float *output;
+    __global const float *d_output;
+    size_t stride;
+} Outputs;
+
+/* Dense gradients, zero before; an anchor is visible at most once. */
+typedef struct {
+    __global float *d_feature;
+    __global float *d_position;
+} AnchorGradients;
+
+/* Numbers in order, as runs [begin, end) that do not touch. */
+#if USE_LOCAL
+#define MAX_RUNS (K_OFFSETS / 2 + 1)
+#else
+#define MAX_RUNS (BATCH / BLOCK / 2 + K_OFFSETS / 2 + 1)
+#endif
+typedef struct {
+    int count;
+    int begin[MAX_RUNS], end[MAX_RUNS];
+} Runs;
+
+/* Adds numbers behind all others. */
+inline void add_run(Runs *runs, const int begin, const int end)
+{
+    if (runs->count > 0 && runs->end[runs->count - 1] == begin) {
+        runs->end[runs->count - 1] = end;
+    } else {
+        runs->begin[runs->count] = begin;
+        runs->end[runs->count++] = end;
+    }
+}
+
+/* dL/d(sums of the output layer) of slot j of VEC samples, from y and dL/dy; zero where the slot
+ * is not drawn. */
+inline fv sum_gradient(const Outputs *outputs, const int head, const int j, const size_t row,
+                       const size_t first)
+{
+    const fv opacity = LOAD_ALIGNED(0, outputs->output + j * outputs->stride + first);
+    fv d = LOAD_ALIGNED(0, outputs->d_output + row * outputs->stride + first);
+    if (head != COVARIANCE) {
+        const fv y = LOAD_ALIGNED(0, outputs->output + row * outputs->stride + first);
+        d *= head == OPACITY ? fma(-y, y, (fv)(1.0f)) : fma(-y, y, y);
+    }
+    return opacity > (fv)(0.0f) ? d : (fv)(0.0f);
+}
+
+/* ... of the block at `first`, to the batch as well; those of the slots `next` of the next block
+ * are fetched. */
+inline void output_gradients(const Outputs *outputs, const int head, const size_t first,
+                             const int slots, const int next, float *d_sum, __global float *column)
+{
+    const int each = slot_rows(head);
+    for (int k = 0; k < K_OFFSETS * each; ++k) {
+        const int j = k / each;
+        const size_t row = (size_t)(first_output(head) + k);
+        if (next >> j & 1) {
+            PREFETCH(outputs->d_output + row * outputs->stride + first + BLOCK);
+            if (head != COVARIANCE)
+                PREFETCH(outputs->output + row * outputs->stride + first + BLOCK);
+        }
+        for (int s = 0; s < VECTORS; ++s) {
+            const fv d =
+                slots >> j & 1 ? sum_gradient(outputs, head, j, row, first + s * VEC) : (fv)(0.0f);
+            STORE_V(d, s, d_sum + k * BLOCK);
+            STORE_ALIGNED(d, s, column + (D_OUTPUT_ROW + k) * BATCH_STRIDE);
+        }
+    }
+}
+
+/* Rows of a block from or to its columns of the batch. */
+inline void load_rows(__global const float *column, const int count, float *rows)
+{
+    for (int row = 0; row < count; ++row)
+        for (int s = 0; s < VECTORS; ++s)
+            STORE_V(LOAD_ALIGNED(s, column + row * BATCH_STRIDE), s, rows + row * BLOCK);
+}
+
+inline void store_rows(const float *rows, const int count, __global float *column)
+{
+    for (int row = 0; row < count; ++row)
+        for (int s = 0; s < VECTORS; ++s)
+            STORE_ALIGNED(LOAD_V(s, rows + row * BLOCK), s, column + row * BATCH_STRIDE);
+}
+
+/* dL/d(sums of the hidden layer) of a block, from those of the output layer; to the batch as well.
+ */
+inline void hidden_backward(__global const float *weight, const int head, const int slots,
+                            const float *hidden, const float *d_sum, float *d_hidden,
+                            __global float *column)
+{
+    const int each = slot_rows(head);
+    Runs rows;
+    rows.count = 0;
+    for (int j = 0; j < K_OFFSETS; ++j)
+        if (slots >> j & 1)
+            add_run(&rows, j * each, (j + 1) * each);
+    for (int unit = 0; unit < HIDDEN_DIM; unit += TILE) {
+        fv sum[TILE][VECTORS] = {{(fv)(0.0f)}};
+        for (int run = 0; run < rows.count; ++run)
+            add_columns(sum, weight + HIDDEN_SIZE + unit, HIDDEN_DIM, (size_t)rows.begin[run],
+                        (size_t)rows.end[run], d_sum);
+#pragma unroll
+        for (int o = 0; o < TILE; ++o)
+#pragma unroll
+            for (int s = 0; s < VECTORS; ++s) {
+                const fv active = LOAD_V(s, hidden + (unit + o) * BLOCK);
+                const fv d = active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);
+                STORE_V(d, s, d_hidden + (unit + o) * BLOCK);
+                STORE_ALIGNED(d, s, column + (D_HIDDEN_ROW + unit + o) * BATCH_STRIDE);
+            }
+    }
+}
+
+/* Adds one head's dL/d(input) to the block's columns of the batch; the first head sets them. */
+inline void input_backward(__global const float *weight, const int head, const float *d_hidden,
+                           __global float *column)
+{
+    for (int k = 0; k < FEATURE_DIM + (WANT_POSITION ? TILE : 0); k += TILE) {
+        __global float *d_input = column + (D_INPUT_ROW + k) * BATCH_STRIDE;
+        fv sum[TILE][VECTORS];
+#pragma unroll
+        for (int o = 0; o < TILE; ++o)
+#pragma unroll
+            for (int s = 0; s < VECTORS; ++s)
+                sum[o][s] = head == 0 ? (fv)(0.0f) : LOAD_ALIGNED(s, d_input + o * BATCH_STRIDE);
+        add_columns(sum, weight + (k < FEATURE_DIM ? k : INPUT_DIM - TILE), INPUT_DIM, 0,
+                    HIDDEN_DIM, d_hidden);
+#pragma unroll
+        for (int o = 0; o < TILE; ++o)
+#pragma unroll
+            for (int s = 0; s < VECTORS; ++s)
+                STORE_ALIGNED(sum[o][s], s, d_input + o * BATCH_STRIDE);
+    }
+}
+
+/* dL/d(position) through the unit direction, from rows dL/d(direction) of the batch. */
+inline void position_backward(const Model *model, __global const float *d_direction,
+                              const size_t first, __global float *d_position)
+{
+    for (int s = 0; s < VECTORS; ++s) {
+        int anchor[VEC];
+        __global const float *position[VEC];
+        for (size_t lane = 0; lane < VEC; ++lane) {
+            anchor[lane] = anchor_of(model, first + s * VEC + lane);
+            position[lane] = model->position + 3 * (size_t)max(anchor[lane], 0);
+        }
+        fv view[3], d[3];
+        const fv distance = view_directions(model, position, view);
+        for (int i = 0; i < 3; ++i)
+            d[i] = LOAD_ALIGNED(s, d_direction + i * BATCH_STRIDE);
+        const fv along = fma(d[2], view[2], fma(d[1], view[1], d[0] * view[0]));
+        for (int i = 0; i < 3; ++i) {
+            float across[VEC];
+            STORE_V(distance > (fv)(0.0f) ? (d[i] - along * view[i]) / distance : (fv)(0.0f), 0,
+                    across);
+            for (size_t lane = 0; lane < VEC; ++lane)
+                if (anchor[lane] >= 0)
+                    d_position[3 * (size_t)anchor[lane] + i] = across[lane];
+        }
+    }
+}
+
+/* The gradients by the block's anchors, from its columns of the batch. */
+inline void anchors_backward(const Model *model, const size_t first, __global const float *column,
+                             const AnchorGradients *d)
+{
+    __global const float *d_input = column + D_INPUT_ROW * BATCH_STRIDE;
+    for (size_t lane = 0; lane < BLOCK; ++lane) {
+        const int anchor = anchor_of(model, first + lane);
+        for (size_t k = 0; anchor >= 0 && k < FEATURE_DIM; ++k)
+            d->d_feature[(size_t)anchor * FEATURE_DIM + k] = d_input[k * BATCH_STRIDE + lane];
+    }
+#if WANT_POSITION
+    position_backward(model, d_input + (FEATURE_DIM + TILE - 3) * BATCH_STRIDE, first,
+                      d->d_position);
+#endif
+}
+
+/* Both layers of one head for the block at sample `first`, whose columns of the batch get what the
+ * weight gradient needs; `next`: the slots of the next block. Heads come in order: the first one
+ * gathers the inputs, the last one writes the gradients by them. */
+inline void block_backward(const Model *model, const Outputs *outputs, const int head,
+                           const size_t first, const int slots, const int next,
+                           __global float *column, const AnchorGradients *d)
+{
+    __global const float *weight = model->weights + head_start(head);
+    float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK], d_hidden[HIDDEN_DIM * BLOCK];
+    float d_sum[7 * K_OFFSETS * BLOCK];
+    if (head == 0) {
+        gather(model, first, x);
+        store_rows(x, INPUT_DIM + 1, column);
+    } else {
+        load_rows(column, INPUT_DIM, x);
+    }
+    for (int unit = 0; unit < HIDDEN_DIM; unit += TILE) {
+        hidden_units(weight, unit, x, hidden);
+        store_rows(hidden + unit * BLOCK, TILE, column + (HIDDEN_ROW + unit) * BATCH_STRIDE);
+    }
+    output_gradients(outputs, head, first, slots, next, d_sum, column);
+    hidden_backward(weight, head, slots, hidden, d_sum, d_hidden, column);
+    input_backward(weight, head, d_hidden, column);
+    if (head == HEADS - 1)
+        anchors_backward(model, first, column, d);
+}
+
+#endif

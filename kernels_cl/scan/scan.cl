@@ -1,0 +1,126 @@
+/* Exclusive prefix sum with a 64-bit total, in three passes over chunks: sum every chunk, scan the
+ * sums, scan every chunk from its start. A chunk belongs to one work-item on a CPU and to one
+ * work-group on a GPU. Integer sums: the result does not depend on the chunks. Sums above a limit
+ * are of no use: all offsets are 0 then. */
+#include "common/group_scan.h"
+
+#ifndef USE_LOCAL
+#define USE_LOCAL 0
+#endif
+
+inline int chunk_end(int first, int chunk, int count)
+{
+    return count - first < chunk ? count : first + chunk;
+}
+
+#if USE_LOCAL
+
+__kernel void scan_reduce(__global const int *counts, const int count, const int chunk,
+                          __global long *sums)
+{
+    __local long scratch[GROUP_SIZE];
+    const int group = (int)get_group_id(0);
+    const int first = group * chunk;
+    const int end = chunk_end(first, chunk, count);
+    long sum = 0, total;
+    for (int i = first + (int)get_local_id(0); i < end; i += GROUP_SIZE)
+        sum += counts[i];
+    group_exclusive_scan(sum, scratch, &total);
+    if (get_local_id(0) == 0)
+        sums[group] = total;
+}
+
+/* One work-group; the sums become starts. */
+__kernel void scan_spine(__global long *sums, const int chunks, __global long *total)
+{
+    __local long scratch[GROUP_SIZE];
+    long carry = 0;
+    for (int first = 0; first < chunks; first += GROUP_SIZE) {
+        const int i = first + (int)get_local_id(0);
+        long sum;
+        const long own = i < chunks ? sums[i] : 0L;
+        const long before = group_exclusive_scan(own, scratch, &sum);
+        if (i < chunks)
+            sums[i] = carry + before;
+        carry += sum;
+    }
+    if (get_local_id(0) == 0)
+        total[0] = carry;
+}
+
+__kernel void scan_apply(__global const int *counts, const int count, const int chunk,
+                         __global const long *starts, __global const long *total, const long limit,
+                         __global int *offsets)
+{
+    __local long scratch[GROUP_SIZE];
+    const int group = (int)get_group_id(0);
+    const int begin = group * chunk;
+    const int end = chunk_end(begin, chunk, count);
+    const bool fits = total[0] <= limit;
+    long carry = starts[group];
+    for (int first = begin; first < end; first += GROUP_SIZE) {
+        const int i = first + (int)get_local_id(0);
+        long sum;
+        const long own = i < end ? (long)counts[i] : 0L;
+        const long before = group_exclusive_scan(own, scratch, &sum);
+        if (i < end)
+            offsets[i] = fits ? (int)(carry + before) : 0;
+        carry += sum;
+    }
+    if (group == 0 && get_local_id(0) == 0)
+        offsets[count] = fits ? (int)total[0] : 0;
+}
+
+#else
+
+__kernel void scan_reduce(__global const int *counts, const int count, const int chunk,
+                          __global long *sums)
+{
+    const int first = (int)get_global_id(0) * chunk;
+    const int end = chunk_end(first, chunk, count);
+    long sum = 0;
+    for (int i = first; i < end; ++i)
+        sum += counts[i];
+    sums[get_global_id(0)] = sum;
+}
+
+/* One work-item; the sums become starts. */
+__kernel void scan_spine(__global long *sums, const int chunks, __global long *total)
+{
+    long carry = 0;
+    for (int i = 0; i < chunks; ++i) {
+        const long own = sums[i];
+        sums[i] = carry;
+        carry += own;
+    }
+    total[0] = carry;
+}
+
+__kernel void scan_apply(__global const int *counts, const int count, const int chunk,
+                         __global const long *starts, __global const long *total, const long limit,
+                         __global int *offsets)
+{
+    const int first = (int)get_global_id(0) * chunk;
+    const int end = chunk_end(first, chunk, count);
+    const bool fits = total[0] <= limit;
+    long carry = starts[get_global_id(0)];
+    for (int i = first; i < end; ++i) {
+        offsets[i] = fits ? (int)carry : 0;
+        carry += counts[i];
+    }
+    if (first == 0)
+        offsets[count] = fits ? (int)total[0] : 0;
+}
+
+#endif
+
+#ifndef LACKS_ROOM
+#define LACKS_ROOM 2
+#endif
+
+/* Sets LACKS_ROOM in *stop where more are needed than there is room for. */
+__kernel void scan_fits(__global const long *total, const long capacity, __global int *stop)
+{
+    if (*total > capacity)
+        atomic_or(stop, LACKS_ROOM);
+}

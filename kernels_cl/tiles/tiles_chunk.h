@@ -1,0 +1,199 @@
+/* Lists without a sort by tile, CPU form. First every row of tiles collects its spans in depth
+ * order: a work-item owns a chunk of the depth ranks and a counter of every row. Then a work-item
+ * owns a row, and a counter of every column: few enough lists to write to that all stay in the
+ * cache. */
+#ifndef CLGS_TILES_CHUNK_H
+#define CLGS_TILES_CHUNK_H
+
+#include "common/chunk.h"
+#include "common/prefetch.h"
+
+#define BATCH 256 /* boxes fetched at a time, so that many reads are under way */
+#define RANKS_AHEAD 32
+
+/* Counters of a row of tiles: spans and tiles. */
+inline void count_span(const int tiles, __global int *counter)
+{
+    counter[0] += tiles > 0;
+    counter[1] += tiles;
+}
+
+inline void count_box(const Geometry *g, const Window w, const int4 box, const int i,
+                      __global int *counter)
+{
+    ulong bytes = bytes_of(box);
+    if (bytes == 0) {
+        const Large f = load_large(g, i, w);
+        for (int row = f.top; row <= f.bottom; row += VEC) {
+            const Rows r = rows_of(&f, row, w);
+            for (int lane = 0; lane < VEC && row + lane <= f.bottom; ++lane)
+                count_span(r.tiles[lane], counter + 2 * (row + lane));
+        }
+    }
+    for (int row = top_of(box); bytes; row += 2, bytes >>= 16) {
+        count_span((int)(bytes >> 4 & 15ul), counter + 2 * row);
+        count_span((int)(bytes >> 12 & 15ul), counter + 2 * row + 2);
+    }
+}
+
+/* Spans and tiles in every row for every chunk, (chunks, pitch, 2), at least 1 more row than there
+ * is; and the boxes of every rank with their first row of gradients. */
+__kernel void tiles_count(__global const float *mean2d, __global const float *whitening,
+                          __global const float *opacity, __global const float *extent,
+                          const int width, const int height, const int first_row, const int end_row,
+                          __global const int *order, __global const int *ordered,
+                          __global const int *boxes, __global const int *row_range, const int pitch,
+                          __global int *ranked, __global int *counters)
+{
+    const Geometry g = {mean2d, whitening, opacity, extent};
+    const Window w = {width, height, first_row, end_row};
+    const Chunk own = own_chunk(ordered[0]);
+    __global int *counter = counters + 2 * get_global_id(0) * (size_t)pitch;
+    for (int k = 0; k < 2 * pitch; ++k)
+        counter[k] = 0;
+    for (int begin = own.begin; begin < own.end; begin += BATCH) {
+        const int end = min(begin + BATCH, own.end);
+        for (int rank = begin; rank < end; ++rank) {
+            const int i = order[rank], next = order[min(rank + RANKS_AHEAD, own.end - 1)];
+            PREFETCH(boxes + 4 * next);
+            PREFETCH(row_range + next);
+            vstore4((int4)(vload4((size_t)i, boxes).xyz, row_range[i]), (size_t)rank, ranked);
+        }
+        for (int rank = begin; rank < end; ++rank)
+            count_box(&g, w, vload4((size_t)rank, ranked), order[rank], counter);
+    }
+}
+
+/* Counters of spans become places; and where the spans and the entries of every row start, (rows +
+ * 1, 2); one work-item. Lists that do not fit stay empty. */
+__kernel void tiles_starts(__global int *counters, const int chunks, const int pitch,
+                           const int rows, __global const long *total, const int capacity,
+                           __global int *starts)
+{
+    const bool fits = total[0] <= (long)capacity;
+    int2 place = (int2)(0);
+    for (int row = 0; row < rows; ++row) {
+        vstore2(place, (size_t)row, starts);
+        for (int chunk = 0; chunk < chunks; ++chunk) {
+            const size_t at = (size_t)chunk * (size_t)pitch + (size_t)row;
+            const int2 own = fits ? vload2(at, counters) : (int2)(0);
+            vstore2(place, at, counters);
+            place += own;
+        }
+    }
+    vstore2(place, (size_t)rows, starts);
+}
+
+typedef struct {
+    __global int *next; /* place of the next span of every row, 2 words each */
+    __global int *spans;
+    int unused; /* a place that is none */
+} Spans;
+
+/* Adds a span of Gaussian i to a row, where it has tiles, without a branch; returns the row of
+ * gradients after it. */
+inline int place_span(const int row, const int4 span, const Spans s)
+{
+    const int to = span.w ? s.next[2 * row] : s.unused;
+    vstore4(span, (size_t)to, s.spans);
+    s.next[2 * row] += span.w > 0;
+    return span.y + span.w;
+}
+
+inline void place_box(const Geometry *g, const Window w, const int4 box, const int i, const Spans s)
+{
+    ulong bytes = bytes_of(box);
+    int at = box.w;
+    if (bytes == 0) {
+        const Large f = load_large(g, i, w);
+        for (int row = f.top; row <= f.bottom; row += VEC) {
+            const Rows r = rows_of(&f, row, w);
+            for (int lane = 0; lane < VEC && row + lane <= f.bottom; ++lane)
+                at = place_span(row + lane, (int4)(i, at, r.first[lane], r.tiles[lane]), s);
+        }
+    }
+    const int left = left_of(box);
+    for (int row = top_of(box); bytes; row += 2, bytes >>= 16) {
+        const int4 bits = (int4)((int)bytes) >> (int4)(0, 4, 8, 12) & 15;
+        at = place_span(row, (int4)(i, at, left + bits.x, bits.y), s);
+        at = place_span(row + 1, (int4)(i, at, left + bits.z, bits.w), s);
+    }
+}
+
+/* The spans of every row: Gaussian, its first row of gradients there, first column, tiles. The
+ * array has UNUSED more places a chunk. */
+#define UNUSED 4
+__kernel void tiles_place(__global const float *mean2d, __global const float *whitening,
+                          __global const float *opacity, __global const float *extent,
+                          const int width, const int height, const int first_row, const int end_row,
+                          __global const int *order, __global const int *ordered,
+                          __global const int *ranked, const int pitch, __global const long *total,
+                          const int capacity, __global int *places, __global int *spans)
+{
+    if (total[0] > (long)capacity)
+        return;
+    const Geometry g = {mean2d, whitening, opacity, extent};
+    const Window w = {width, height, first_row, end_row};
+    const Chunk own = own_chunk(ordered[0]);
+    const Spans s = {places + 2 * get_global_id(0) * (size_t)pitch, spans,
+                     capacity + (int)get_global_id(0) * UNUSED};
+    for (int rank = own.begin; rank < own.end; ++rank)
+        place_box(&g, w, vload4((size_t)rank, ranked), order[rank], s);
+}
+
+/* Places of the first entries of the tiles of a row, from how many spans start and end there. */
+inline void start_tiles(__global const int *spans, const int2 range, int place, const int columns,
+                        __global int *next)
+{
+    for (int column = 0; column <= columns; ++column)
+        next[column] = 0;
+    for (int k = range.x; k < range.y; ++k) {
+        const int2 span = vload4((size_t)k, spans).zw;
+        ++next[span.x];
+        --next[span.x + span.y];
+    }
+    int tiles = 0;
+    for (int column = 0; column < columns; ++column) {
+        tiles += next[column];
+        next[column] = place;
+        place += tiles;
+    }
+}
+
+/* The lists of a row of tiles, one work-item each: those of even number first, as halves of a
+ * picture may differ. */
+__kernel void tiles_enter(__global const int *spans, __global const int *starts, const int columns,
+                          const int rows, const int pitch, __global int *places,
+                          __global int *tile_range, __global int *gaussian, __global int *row)
+{
+    const int item = (int)get_global_id(0), even = (rows + 1) / 2;
+    const int own = item < even ? 2 * item : 2 * (item - even) + 1;
+    const int4 range = vload4(0, starts + 2 * own);
+    __global int *next = places + (size_t)own * (size_t)pitch;
+    start_tiles(spans, range.xz, range.y, columns, next);
+    for (int column = 0; column < columns; ++column)
+        tile_range[own * columns + column] = next[column];
+    if (own == rows - 1)
+        tile_range[rows * columns] = range.w;
+    for (int k = range.x; k < range.z; ++k) {
+        const int4 span = vload4((size_t)k, spans);
+        for (int tile = 0; tile < span.w; ++tile) {
+            const int to = next[span.z + tile]++;
+            gaussian[to] = span.x;
+            row[to] = span.y + tile;
+        }
+    }
+}
+
+/* Entries from total to capacity: of no Gaussian, each with a row of its own. */
+__kernel void tiles_pad_lists(__global const long *total, const int capacity,
+                              __global int *gaussian, __global int *row)
+{
+    const int first = total[0] <= (long)capacity ? (int)total[0] : 0;
+    for (int k = first + (int)get_global_id(0); k < capacity; k += (int)get_global_size(0)) {
+        gaussian[k] = 0;
+        row[k] = k;
+    }
+}
+
+#endif
