@@ -285,11 +285,17 @@ class TrainConfig:
         unit="log of scene units",
     )
 
+    optimizer: str = option(
+        "device",
+        "where Adam runs; numpy: on the host, slower, with the same bits if the device rounds "
+        "division and roots correctly",
+        ("device", "numpy"),
+        group="optimizer",
+    )
     adam: str = option(
         "dense",
         "dense: every anchor moves at every step; visible: those that got a gradient",
         ("dense", "visible"),
-        group="optimizer",
     )
     learning_rate_steps: int = option(
         30_000,
