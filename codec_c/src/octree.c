@@ -2,14 +2,14 @@
 
 #include "bytes.h"
 #include "morton.h"
-#include "octree_occupancy.h"
 #include "octree_sparse.h"
 
-#define MODE_RAW 0
-#define MODE_OCCUPANCY 1
-#define MODE_SPARSE 2
-#define HEADER 14                             /* mode, depth, origin; modes 0 and 1 */
-#define HEADER_MOST (2 + 3 * CLGS_MAX_VARINT) /* the same of mode 2 */
+/* The first byte of a stream. A chunk of a scene has 3 for an octree without depth and origin,
+ * which its caller knows and puts back. */
+#define MODE_RAW 0                              /* Morton codes as they are */
+#define MODE_OCTREE 2                           /* coded level by level */
+#define RAW_HEADER 14                           /* mode, depth, origin as words */
+#define OCTREE_HEADER (2 + 3 * CLGS_MAX_VARINT) /* mode, depth, origin as varints, at most */
 
 typedef struct header {
     uint32_t mode, depth;
@@ -24,15 +24,14 @@ static size_t align(size_t size)
 
 size_t clgs_octree_bound(size_t count)
 {
-    return count > CLGS_MAX_POINTS ? 0 : HEADER_MOST + 8 * count;
+    return count > CLGS_MAX_POINTS ? 0 : OCTREE_HEADER + 8 * count;
 }
 
 size_t clgs_octree_workspace(size_t count)
 {
     if (count > CLGS_MAX_POINTS || count > SIZE_MAX / 512)
         return 0;
-    size_t occupancy = clgs_occupancy_size(count), sparse = clgs_sparse_size(count);
-    return align(8 * count) + (occupancy > sparse ? occupancy : sparse);
+    return align(8 * count) + clgs_sparse_size(count);
 }
 
 /* Levels below the root that hold every code; codes must ascend. Returns 0 where they do not. */
@@ -61,8 +60,8 @@ static size_t encode_raw(const header *head, const uint64_t *code, size_t count,
     for (int axis = 0; axis < 3; axis++)
         clgs_store32(out + 2 + 4 * axis, (uint32_t)head->origin[axis]);
     for (size_t i = 0; i < 2 * count; i++)
-        clgs_store32(out + HEADER + 4 * i, (uint32_t)(code[i / 2] >> 32 * (i & 1)));
-    return HEADER + 8 * count;
+        clgs_store32(out + RAW_HEADER + 4 * i, (uint32_t)(code[i / 2] >> 32 * (i & 1)));
+    return RAW_HEADER + 8 * count;
 }
 
 size_t clgs_octree_encode(const int32_t *position, size_t count, const int32_t origin[3],
@@ -77,11 +76,11 @@ size_t clgs_octree_encode(const int32_t *position, size_t count, const int32_t o
         return 0;
     if (!find_depth(code, count, &head.depth))
         return 0;
-    begin_header(out, MODE_SPARSE, head.depth);
+    begin_header(out, MODE_OCTREE, head.depth);
     for (int axis = 0; axis < 3; axis++)
         at = clgs_store_varint(at, origin[axis]);
     size_t first = (size_t)(at - out);
-    size_t size = clgs_sparse_encode(code, count, head.depth, at, HEADER + 8 * count - first,
+    size_t size = clgs_sparse_encode(code, count, head.depth, at, RAW_HEADER + 8 * count - first,
                                      (uint8_t *)workspace + align(8 * count));
     return size > 0 ? first + size : encode_raw(&head, code, count, out);
 }
@@ -111,28 +110,39 @@ static clgs_error store_positions(const uint64_t *code, size_t count, const int3
     return most > INT32_MAX ? CLGS_ERROR_CORRUPT : CLGS_OK;
 }
 
-static clgs_error read_header(const uint8_t *data, size_t size, header *head)
+static clgs_error read_raw_header(const uint8_t *data, size_t size, header *head)
+{
+    if (size < RAW_HEADER)
+        return CLGS_ERROR_TRUNCATED;
+    for (int axis = 0; axis < 3; axis++)
+        head->origin[axis] = clgs_signed(clgs_load32(data + 2 + 4 * axis));
+    head->size = RAW_HEADER;
+    return CLGS_OK;
+}
+
+static clgs_error read_octree_header(const uint8_t *data, size_t size, header *head)
 {
     const uint8_t *at = data + 2, *end = data + size;
-    if (size < 2)
-        return CLGS_ERROR_TRUNCATED;
-    *head = (header){.mode = data[0], .depth = data[1], .size = HEADER};
-    if (head->mode > MODE_SPARSE || head->depth > CLGS_MAX_DEPTH)
-        return CLGS_ERROR_CORRUPT;
-    if (head->mode != MODE_SPARSE && size < HEADER)
-        return CLGS_ERROR_TRUNCATED;
     for (int axis = 0; axis < 3; axis++) {
         const uint8_t *start = at;
-        if (head->mode != MODE_SPARSE)
-            head->origin[axis] = clgs_signed(clgs_load32(at + 4 * axis));
-        else if (!(at = clgs_load_varint(at, end, head->origin + axis)))
-            return CLGS_ERROR_CORRUPT;
-        else if (at > start + 1 && at[-1] == 0) /* longer than an encoder writes it */
+        at = clgs_load_varint(at, end, head->origin + axis);
+        if (!at || (at > start + 1 && at[-1] == 0)) /* cut, or longer than an encoder writes it */
             return CLGS_ERROR_CORRUPT;
     }
-    if (head->mode == MODE_SPARSE)
-        head->size = (size_t)(at - data);
+    head->size = (size_t)(at - data);
     return CLGS_OK;
+}
+
+static clgs_error read_header(const uint8_t *data, size_t size, header *head)
+{
+    if (size < 2)
+        return CLGS_ERROR_TRUNCATED;
+    *head = (header){.mode = data[0], .depth = data[1]};
+    if (head->depth > CLGS_MAX_DEPTH)
+        return CLGS_ERROR_CORRUPT;
+    if (head->mode == MODE_RAW)
+        return read_raw_header(data, size, head);
+    return head->mode == MODE_OCTREE ? read_octree_header(data, size, head) : CLGS_ERROR_CORRUPT;
 }
 
 clgs_error clgs_octree_decode(const uint8_t *data, size_t size, int32_t *position, size_t count,
@@ -150,8 +160,6 @@ clgs_error clgs_octree_decode(const uint8_t *data, size_t size, int32_t *positio
     size -= head.size;
     if (head.mode == MODE_RAW)
         error = decode_raw(data, size, code, count);
-    else if (head.mode == MODE_OCCUPANCY)
-        error = clgs_occupancy_decode(data, size, code, count, head.depth, memory);
     else
         error = clgs_sparse_decode(data, size, code, count, head.depth, memory);
     return error ? error : store_positions(code, count, head.origin, position);
