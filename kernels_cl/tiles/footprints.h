@@ -20,7 +20,7 @@ typedef struct {
 /* Size of the image in pixels, and the rows of tiles that are wanted, [first, end). */
 typedef struct {
     int width, height, first, end;
-} Window;
+} Frame;
 
 /* VEC Gaussians: what is needed of their Ellipses, and the tiles of their boxes. The last column of
  * an ellipse is on the row `tip` below its centre, its first on the row -tip. */
@@ -56,21 +56,23 @@ static inline iv last_pixel(const fv centre, const fv half_size, const int size)
 
 /* Tiles of the boxes; phrased so that a NaN has none. */
 static inline Footprints add_boxes(Footprints f, const fv half_x, const fv half_y, const iv drawn,
-                                   const Window w)
+                                   const Frame frame)
 {
-    const iv left = first_pixel(f.x, half_x, w.width), right = last_pixel(f.x, half_x, w.width);
-    const iv top = first_pixel(f.y, half_y, w.height), bottom = last_pixel(f.y, half_y, w.height);
+    const iv left = first_pixel(f.x, half_x, frame.width),
+             right = last_pixel(f.x, half_x, frame.width);
+    const iv top = first_pixel(f.y, half_y, frame.height),
+             bottom = last_pixel(f.y, half_y, frame.height);
     const iv some = drawn & (left <= right) & (top <= bottom);
     f.left = some ? left / TILE_SIZE : (iv)(1);
     f.right = some ? right / TILE_SIZE : (iv)(0);
-    f.top = some ? max(top / TILE_SIZE, (iv)(w.first)) : (iv)(1);
-    f.bottom = some ? min(bottom / TILE_SIZE, (iv)(w.end - 1)) : (iv)(0);
+    f.top = some ? max(top / TILE_SIZE, (iv)(frame.first)) : (iv)(1);
+    f.bottom = some ? min(bottom / TILE_SIZE, (iv)(frame.end - 1)) : (iv)(0);
     return f;
 }
 
 /* Footprints of Gaussians first to first + used - 1, at most VEC; the other lanes have no tiles. */
 static inline Footprints load_footprints(const Geometry *g, const int first, const int used,
-                                         const Window w)
+                                         const Frame frame)
 {
     const Ellipses e =
         load_ellipses(g->mean2d, g->whitening, g->opacity, (size_t)first, (size_t)used);
@@ -86,7 +88,7 @@ static inline Footprints load_footprints(const Geometry *g, const int first, con
     f.tip = e.lean * e.reach;
     f.margin = fma((fv)(1e-6f), fabs(f.x) + half_x, (fv)(1e-3f));
     const iv drawn = (extent[0] > (fv)(0.0f)) & (e.reach >= (fv)(0.0f));
-    return add_boxes(f, half_x + f.margin, fma(e.reach, e.sigma_y, (fv)(1e-3f)), drawn, w);
+    return add_boxes(f, half_x + f.margin, fma(e.reach, e.sigma_y, (fv)(1e-3f)), drawn, frame);
 }
 
 /* Spans of tiles in VEC rows: the first column, and how many. */
@@ -104,22 +106,22 @@ static inline fv half_width(const Footprints *f, const fv dy)
  * rows of pixels is convex: it covers all between its first and its last column. A NaN leaves out
  * nothing. */
 static inline Spans reached_spans(const Footprints *f, const iv row, const iv left, const iv right,
-                                  const Window w)
+                                  const Frame frame)
 {
     iv first = left, last = right;
 #if SKIP_EXACT_TILES
     const iv y = row * TILE_SIZE;
     const fv top = TO_FV(y) + 0.5f - f->y;
-    const fv bottom = TO_FV(min(y + TILE_SIZE, (iv)(w.height)) - 1) + 0.5f - f->y;
+    const fv bottom = TO_FV(min(y + TILE_SIZE, (iv)(frame.height)) - 1) + 0.5f - f->y;
     const fv low = clamp_lanes(-f->tip, top, bottom), high = clamp_lanes(f->tip, top, bottom);
     const fv before = fma(-f->slope, low, half_width(f, low)) + f->margin;
     const fv after = fma(f->slope, high, half_width(f, high)) + f->margin;
-    const iv first_x = first_pixel(f->x, before, w.width);
-    const iv last_x = last_pixel(f->x, after, w.width);
+    const iv first_x = first_pixel(f->x, before, frame.width);
+    const iv last_x = last_pixel(f->x, after, frame.width);
     first = max(first, first_x / TILE_SIZE);
     last = first_x <= last_x ? min(last, last_x / TILE_SIZE) : (iv)(-1);
 #else
-    (void)f, (void)row, (void)w;
+    (void)f, (void)row, (void)frame;
 #endif
     const Spans found = {first, max(last - first + 1, (iv)(0))};
     return found;

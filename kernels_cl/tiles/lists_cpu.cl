@@ -25,14 +25,14 @@ static inline void count_span(const int tiles, __global int *counter)
     counter[1] += tiles;
 }
 
-static inline void count_box(const Geometry *g, const Window w, const int4 box, const int i,
+static inline void count_box(const Geometry *g, const Frame frame, const int4 box, const int i,
                              __global int *counter)
 {
     ulong bytes = bytes_of(box);
     if (bytes == 0) {
-        const LargeFootprint f = load_large_footprint(g, i, w);
+        const LargeFootprint f = load_large_footprint(g, i, frame);
         for (int row = f.top; row <= f.bottom; row += VEC) {
-            const RowSpans r = row_spans(&f, row, w);
+            const RowSpans r = row_spans(&f, row, frame);
             for (int lane = 0; lane < VEC && row + lane <= f.bottom; ++lane)
                 count_span(r.tiles[lane], counter + 2 * (row + lane));
         }
@@ -54,7 +54,7 @@ __kernel void tiles_count(__global const float *mean2d, __global const float *wh
                           __global int *ranked, __global int *counters)
 {
     const Geometry g = {mean2d, whitening, opacity, extent};
-    const Window w = {width, height, first_row, end_row};
+    const Frame frame = {width, height, first_row, end_row};
     const Chunk own = own_chunk(ordered[0]);
     __global int *counter = counters + 2 * get_global_id(0) * (size_t)pitch;
     for (int k = 0; k < 2 * pitch; ++k)
@@ -68,7 +68,7 @@ __kernel void tiles_count(__global const float *mean2d, __global const float *wh
             vstore4((int4)(vload4((size_t)i, boxes).xyz, row_range[i]), (size_t)rank, ranked);
         }
         for (int rank = begin; rank < end; ++rank)
-            count_box(&g, w, vload4((size_t)rank, ranked), order[rank], counter);
+            count_box(&g, frame, vload4((size_t)rank, ranked), order[rank], counter);
     }
 }
 
@@ -109,15 +109,15 @@ static inline int place_span(const int row, const int4 span, const SpanLists s)
     return span.y + span.w;
 }
 
-static inline void place_box(const Geometry *g, const Window w, const int4 box, const int i,
+static inline void place_box(const Geometry *g, const Frame frame, const int4 box, const int i,
                              const SpanLists s)
 {
     ulong bytes = bytes_of(box);
     int at = box.w;
     if (bytes == 0) {
-        const LargeFootprint f = load_large_footprint(g, i, w);
+        const LargeFootprint f = load_large_footprint(g, i, frame);
         for (int row = f.top; row <= f.bottom; row += VEC) {
-            const RowSpans r = row_spans(&f, row, w);
+            const RowSpans r = row_spans(&f, row, frame);
             for (int lane = 0; lane < VEC && row + lane <= f.bottom; ++lane)
                 at = place_span(row + lane, (int4)(i, at, r.first[lane], r.tiles[lane]), s);
         }
@@ -143,12 +143,12 @@ __kernel void tiles_place(__global const float *mean2d, __global const float *wh
     if (total[0] > (long)capacity)
         return;
     const Geometry g = {mean2d, whitening, opacity, extent};
-    const Window w = {width, height, first_row, end_row};
+    const Frame frame = {width, height, first_row, end_row};
     const Chunk own = own_chunk(ordered[0]);
     const SpanLists s = {places + 2 * get_global_id(0) * (size_t)pitch, spans,
                          capacity + (int)get_global_id(0) * SPARE};
     for (int rank = own.begin; rank < own.end; ++rank)
-        place_box(&g, w, vload4((size_t)rank, ranked), order[rank], s);
+        place_box(&g, frame, vload4((size_t)rank, ranked), order[rank], s);
 }
 
 /* Places of the first entries of the tiles of a row, from how many spans start and end there. */

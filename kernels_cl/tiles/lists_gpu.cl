@@ -53,7 +53,7 @@ __kernel void tiles_emit(__global const float *mean2d, __global const float *whi
     if (rank >= ordered[0] || total[0] > (long)capacity)
         return;
     const Geometry g = {mean2d, whitening, opacity, extent};
-    const Window w = {width, height, first_row, end_row};
+    const Frame frame = {width, height, first_row, end_row};
     const Entries entries = {tile, row, gaussian_of_row};
     const int i = order[rank], columns = tiles_across(width);
     const int4 box = vload4((size_t)i, boxes);
@@ -63,9 +63,9 @@ __kernel void tiles_emit(__global const float *mean2d, __global const float *whi
         to = emit_tiles(first + (int)(bytes & 15ul), (int)(bytes >> 4 & 15ul), i, to, entries);
     if (bytes_of(box))
         return;
-    const LargeFootprint f = load_large_footprint(&g, i, w);
+    const LargeFootprint f = load_large_footprint(&g, i, frame);
     for (int y = f.top; y <= f.bottom; y += VEC) {
-        const RowSpans r = row_spans(&f, y, w);
+        const RowSpans r = row_spans(&f, y, frame);
         for (int lane = 0; lane < VEC; ++lane)
             to = emit_tiles((y + lane) * columns + r.first[lane], r.tiles[lane], i, to, entries);
     }
