@@ -16,7 +16,7 @@
 
 /* Row number i of a slot: opacity, color, covariance. */
 #define SLOT_ROWS 11
-inline size_t slot_row(const size_t j, const size_t i)
+static inline size_t slot_row(const size_t j, const size_t i)
 {
     return i == 0 ? j : i < 4 ? COLOR_ROW + 3 * j + i - 1 : COVARIANCE_ROW + 7 * j + i - 4;
 }
@@ -41,8 +41,8 @@ inline size_t slot_row(const size_t j, const size_t i)
     const size_t name##_stride = VEC
 #endif
 
-inline void copy_slots(__global const float *output, const size_t stride, const int slots,
-                       const size_t first_row, float *copy)
+static inline void copy_slots(__global const float *output, const size_t stride, const int slots,
+                              const size_t first_row, float *copy)
 {
     for (size_t j = 0; j < K_OFFSETS; ++j) {
         for (size_t i = 0; (slots >> j & 1) && i < SLOT_ROWS; ++i) {
@@ -61,8 +61,8 @@ typedef struct {
     float log_scale[6][VEC];
 } Anchors;
 
-inline Anchors load_anchors(__global const int *visible, __global const float *scaling,
-                            const size_t v, const size_t count)
+static inline Anchors load_anchors(__global const int *visible, __global const float *scaling,
+                                   const size_t v, const size_t count)
 {
     Anchors a;
     for (size_t lane = 0; lane < VEC; ++lane) {
@@ -86,8 +86,8 @@ typedef struct {
 
 /* `bits`: bit j of bits[v] says whether slot j of the v-th visible anchor is drawn; Gaussians from
  * number `capacity` on are left out. */
-inline Drawn list_drawn(__global const int *bits, __global const int *first, const size_t v,
-                        const size_t count, const size_t capacity)
+static inline Drawn list_drawn(__global const int *bits, __global const int *first, const size_t v,
+                               const size_t count, const size_t capacity)
 {
     Drawn d;
     d.first = v < count ? (size_t)first[v] : 0;

@@ -15,21 +15,21 @@
 #define QUATERNION_MAX 1e37f
 
 /* e^x of VEC log scales, clamped; NaN stays NaN. */
-inline fv bounded_exp(const float *log_scale)
+static inline fv bounded_exp(const float *log_scale)
 {
     const fv x = LOAD_V(0, log_scale);
     const fv raised = x < (fv)(-LOG_SCALE_LIMIT) ? (fv)(-LOG_SCALE_LIMIT) : x;
     return exp_v(raised > (fv)(LOG_SCALE_LIMIT) ? (fv)(LOG_SCALE_LIMIT) : raised);
 }
 
-inline fv larger(const fv a, const fv b)
+static inline fv larger(const fv a, const fv b)
 {
     return a > b ? a : b;
 }
 
 /* Makes unit quaternions, zero where there is no direction, and returns the reciprocals of their
  * lengths. Scaling by the largest component first keeps squares from overflow and underflow. */
-inline fv make_unit(fv unit[4])
+static inline fv make_unit(fv unit[4])
 {
     const fv largest =
         larger(larger(fabs(unit[0]), fabs(unit[1])), larger(fabs(unit[2]), fabs(unit[3])));
@@ -55,8 +55,8 @@ typedef struct {
     float quaternion[4][SLOTS];
 } Shapes;
 
-inline void gather_shapes(const Anchors *a, const Drawn *drawn, ROWS *covariance,
-                          const size_t stride, Shapes *shapes)
+static inline void gather_shapes(const Anchors *a, const Drawn *drawn, ROWS *covariance,
+                                 const size_t stride, Shapes *shapes)
 {
     float size[3][VEC];
     for (int i = 0; i < 3; ++i)
@@ -76,7 +76,7 @@ inline void gather_shapes(const Anchors *a, const Drawn *drawn, ROWS *covariance
 }
 
 /* Scales and rotations of VEC drawn slots from number m on. */
-inline void shape_lanes(const Shapes *shapes, const size_t m, fv scale[3], fv rotation[4])
+static inline void shape_lanes(const Shapes *shapes, const size_t m, fv scale[3], fv rotation[4])
 {
     for (int i = 0; i < 3; ++i)
         scale[i] = LOAD_V(0, shapes->size[i] + m) * sigmoid_v(LOAD_V(0, shapes->logit[i] + m));
@@ -97,7 +97,7 @@ inline void shape_lanes(const Shapes *shapes, const size_t m, fv scale[3], fv ro
     copy_steps(a, offset, name)
 #endif
 
-inline void copy_steps(const Anchors *a, __global const float *offset, float *copy)
+static inline void copy_steps(const Anchors *a, __global const float *offset, float *copy)
 {
     for (size_t lane = 0; lane < VEC; ++lane) {
         __global const float *steps = offset + 3 * K_OFFSETS * (size_t)max(a->anchor[lane], 0);
@@ -107,8 +107,9 @@ inline void copy_steps(const Anchors *a, __global const float *offset, float *co
 }
 
 /* Means of the drawn slots, which are a step away from their anchors. */
-inline void gather_means(const Anchors *a, const Drawn *drawn, __global const float *position,
-                         __global const float *offset, float mean[3][SLOTS])
+static inline void gather_means(const Anchors *a, const Drawn *drawn,
+                                __global const float *position, __global const float *offset,
+                                float mean[3][SLOTS])
 {
     float reach[3][VEC], centre[3][VEC];
     STAGE_STEPS(steps, a, offset);
@@ -136,7 +137,7 @@ typedef struct {
 } Parameters;
 
 /* What will be read of the `lanes` visible anchors from v on. */
-inline void fetch_parameters(const Parameters *p, const size_t v, const size_t lanes)
+static inline void fetch_parameters(const Parameters *p, const size_t v, const size_t lanes)
 {
     for (size_t lane = 0; lane < lanes && v + lane < p->count; ++lane) {
         const size_t anchor = (size_t)max(p->visible[v + lane], 0);
@@ -157,8 +158,8 @@ typedef struct {
 } Gaussians;
 
 /* The drawn slots, at least one, of the visible anchors from v on; rows: their outputs. */
-inline void write_gaussians(const Parameters *p, const Drawn *drawn, const size_t v, ROWS *rows,
-                            const size_t stride, const Gaussians *out)
+static inline void write_gaussians(const Parameters *p, const Drawn *drawn, const size_t v,
+                                   ROWS *rows, const size_t stride, const Gaussians *out)
 {
     const Anchors a = load_anchors(p->visible, p->scaling, v, p->count);
     Shapes shapes;

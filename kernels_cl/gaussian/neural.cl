@@ -72,21 +72,21 @@ __kernel void neural_pad(__global const long *total, const int capacity, __globa
 }
 
 /* d * x, but zero where d is zero, even if x is not finite. */
-inline fv times(const fv d, const fv x)
+static inline fv times(const fv d, const fv x)
 {
     return d == (fv)(0.0f) ? (fv)(0.0f) : d * x;
 }
 
 /* Zero where a log scale was clamped. */
-inline float unclamped(const float d, const float log_scale)
+static inline float unclamped(const float d, const float log_scale)
 {
     return fabs(log_scale) <= LOG_SCALE_LIMIT ? d : 0.0f;
 }
 
 /* Gradients of the drawn slots in place of what they are gradients by: by log size, by scale logit
  * and by quaternion. */
-inline void shapes_backward(const Drawn *drawn, __global const float *d_scale,
-                            __global const float *d_rotation, Shapes *shapes)
+static inline void shapes_backward(const Drawn *drawn, __global const float *d_scale,
+                                   __global const float *d_rotation, Shapes *shapes)
 {
     for (size_t m = 0; m < drawn->count; m += VEC) {
         const size_t used = min((size_t)VEC, drawn->count - m);
@@ -112,9 +112,9 @@ inline void shapes_backward(const Drawn *drawn, __global const float *d_scale,
 
 /* Columns of d_output, of the slots that some anchor draws: gradients of the drawn slots, zeros of
  * the others. */
-inline void write_output(const Drawn *drawn, const Shapes *shapes, __global const float *d_color,
-                         __global const float *d_opacity, const size_t stride,
-                         __global float *d_output)
+static inline void write_output(const Drawn *drawn, const Shapes *shapes,
+                                __global const float *d_color, __global const float *d_opacity,
+                                const size_t stride, __global float *d_output)
 {
     float rows[OUTPUT_ROWS * VEC];
     for (size_t j = 0; j < K_OFFSETS; ++j)
@@ -144,9 +144,9 @@ inline void write_output(const Drawn *drawn, const Shapes *shapes, __global cons
 }
 
 /* d_offset of the drawn slots, and d_scaling of the anchors: sums over their slots. */
-inline void write_anchors(const Anchors *a, const Drawn *drawn, const Shapes *shapes,
-                          __global const float *d_mean, __global const float *offset,
-                          __global float *d_offset, __global float *d_scaling)
+static inline void write_anchors(const Anchors *a, const Drawn *drawn, const Shapes *shapes,
+                                 __global const float *d_mean, __global const float *offset,
+                                 __global float *d_offset, __global float *d_scaling)
 {
     float reach[3][VEC], sum[6][VEC];
     for (int i = 0; i < 3; ++i)
@@ -171,9 +171,9 @@ inline void write_anchors(const Anchors *a, const Drawn *drawn, const Shapes *sh
 }
 
 /* What write_anchors reads and writes of the VEC anchors from v on. */
-inline void fetch_anchors(__global const int *visible, const size_t v, const size_t count,
-                          __global const float *offset, __global const float *scaling,
-                          __global float *d_offset, __global float *d_scaling)
+static inline void fetch_anchors(__global const int *visible, const size_t v, const size_t count,
+                                 __global const float *offset, __global const float *scaling,
+                                 __global float *d_offset, __global float *d_scaling)
 {
     for (size_t lane = 0; lane < VEC && v + lane < count; ++lane) {
         const size_t anchor = (size_t)max(visible[v + lane], 0);

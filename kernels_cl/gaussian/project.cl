@@ -13,9 +13,9 @@
 #include "common/rows.h"
 
 /* Gaussians from number `first` on. */
-inline Splat load_splat(__global const float *mean, __global const float *scale,
-                        const fv quaternion[4], __global const float *camera, const size_t first,
-                        const size_t used)
+static inline Splat load_splat(__global const float *mean, __global const float *scale,
+                               const fv quaternion[4], __global const float *camera,
+                               const size_t first, const size_t used)
 {
     fv position[3], size[3];
     load_rows3(scale, first, used, size);
@@ -45,7 +45,7 @@ __kernel void project_forward(__global const float *mean, __global const float *
 
 /* Columns of the whitened factor: (r1 a_k, r2 (b_k - l a_k)). The difference is a sum of minors,
  * which keeps its digits where the two terms almost cancel. */
-inline void whitened_columns(const Splat *s, const fv factor[3], fv first[3], fv second[3])
+static inline void whitened_columns(const Splat *s, const fv factor[3], fv first[3], fv second[3])
 {
     const fv r1 = factor[0] * s->unit, r2 = factor[2] * s->unit / s->cov_xx;
     for (int k = 0; k < 3; ++k) {
@@ -57,7 +57,7 @@ inline void whitened_columns(const Splat *s, const fv factor[3], fv first[3], fv
 }
 
 /* dL/dq for q = (w, x, y, z), from dL/dR given by rows. */
-inline void quaternion_gradient(const fv q[4], const fv d[3][3], fv d_q[4])
+static inline void quaternion_gradient(const fv q[4], const fv d[3][3], fv d_q[4])
 {
     const fv turn_x = d[2][1] - d[1][2], turn_y = d[0][2] - d[2][0], turn_z = d[1][0] - d[0][1];
     const fv xy = d[0][1] + d[1][0], xz = d[0][2] + d[2][0], yz = d[1][2] + d[2][1];
@@ -68,8 +68,8 @@ inline void quaternion_gradient(const fv q[4], const fv d[3][3], fv d_q[4])
 }
 
 /* dL/d(factor) by rows, and dL/d(log scale). */
-inline void factor_gradient(const Splat *s, const fv factor[3], const fv d_factor[3], fv d_a[3],
-                            fv d_b[3], fv d_log_scale[3])
+static inline void factor_gradient(const Splat *s, const fv factor[3], const fv d_factor[3],
+                                   fv d_a[3], fv d_b[3], fv d_log_scale[3])
 {
     /* sums of alpha dL/d(alpha) y y^T over the pixels */
     const fv m11 = -d_factor[0] * factor[0];
@@ -88,8 +88,9 @@ inline void factor_gradient(const Splat *s, const fv factor[3], const fv d_facto
 }
 
 /* dL/d(quaternion) from the factor. */
-inline void rotation_gradient(const Splat *s, const fv quaternion[4], const fv d_a[3],
-                              const fv d_b[3], __global const float *camera, fv d_quaternion[4])
+static inline void rotation_gradient(const Splat *s, const fv quaternion[4], const fv d_a[3],
+                                     const fv d_b[3], __global const float *camera,
+                                     fv d_quaternion[4])
 {
     fv d_matrix[3][3];
     for (int k = 0; k < 3; ++k) {
@@ -103,8 +104,9 @@ inline void rotation_gradient(const Splat *s, const fv quaternion[4], const fv d
 }
 
 /* dL/d(mean) from the screen position and from the factor (a, b). */
-inline void mean_gradient(const Splat *s, const fv d_mean2d[2], const fv d_a[3], const fv d_b[3],
-                          const fv d_log_size, __global const float *camera, fv d_mean[3])
+static inline void mean_gradient(const Splat *s, const fv d_mean2d[2], const fv d_a[3],
+                                 const fv d_b[3], const fv d_log_size, __global const float *camera,
+                                 fv d_mean[3])
 {
     fv deep[3], d_point[3];
     for (int k = 0; k < 3; ++k)

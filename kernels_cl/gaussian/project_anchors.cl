@@ -25,8 +25,9 @@ typedef struct {
 } Splats;
 
 /* The drawn slots, at least one, of the visible anchors from v on; rows: their outputs. */
-inline void write_splats(const Parameters *p, const Drawn *drawn, const size_t v, ROWS *rows,
-                         const size_t stride, __global const float *camera, const Splats *out)
+static inline void write_splats(const Parameters *p, const Drawn *drawn, const size_t v, ROWS *rows,
+                                const size_t stride, __global const float *camera,
+                                const Splats *out)
 {
     const Anchors a = load_anchors(p->visible, p->scaling, v, p->count);
     Shapes shapes;

@@ -42,20 +42,20 @@ typedef struct {
     fv blur; /* BLUR by unit^2 */
 } Splat;
 
-inline fv dot3(const fv p[3], const fv q[3])
+static inline fv dot3(const fv p[3], const fv q[3])
 {
     return fma(p[2], q[2], fma(p[1], q[1], p[0] * q[0]));
 }
 
 /* Column `column` of the camera's rotation along p: sum of p[row] times its rows. */
-inline fv along_camera(__global const float *camera, const int column, const fv p[3])
+static inline fv along_camera(__global const float *camera, const int column, const fv p[3])
 {
     __global const float *entry = camera + CAMERA_ROTATION + column;
     return p[0] * entry[0] + p[1] * entry[3] + p[2] * entry[6];
 }
 
 /* The rotation matrix of unit quaternions q = (w, x, y, z). */
-inline void quaternion_matrix(const fv q[4], fv matrix[3][3])
+static inline void quaternion_matrix(const fv q[4], fv matrix[3][3])
 {
     matrix[0][0] = 1.0f - 2.0f * fma(q[2], q[2], q[3] * q[3]);
     matrix[0][1] = 2.0f * fma(q[1], q[2], -q[0] * q[3]);
@@ -68,7 +68,7 @@ inline void quaternion_matrix(const fv q[4], fv matrix[3][3])
     matrix[2][2] = 1.0f - 2.0f * fma(q[1], q[1], q[2] * q[2]);
 }
 
-inline void place(Splat *s, const fv mean[3], __global const float *camera)
+static inline void place(Splat *s, const fv mean[3], __global const float *camera)
 {
     fv point[3];
     for (int row = 0; row < 3; ++row) {
@@ -87,7 +87,7 @@ inline void place(Splat *s, const fv mean[3], __global const float *camera)
     }
 }
 
-inline void orient(Splat *s, const fv quaternion[4], __global const float *camera)
+static inline void orient(Splat *s, const fv quaternion[4], __global const float *camera)
 {
     fv matrix[3][3];
     quaternion_matrix(quaternion, matrix);
@@ -99,7 +99,7 @@ inline void orient(Splat *s, const fv quaternion[4], __global const float *camer
 }
 
 /* The largest power of two up to the largest entry of a and b, at least 1; and its reciprocal. */
-inline void measure(Splat *s)
+static inline void measure(Splat *s)
 {
     fv largest = (fv)(1.0f);
     for (int k = 0; k < 3; ++k) {
@@ -113,7 +113,7 @@ inline void measure(Splat *s)
 }
 
 /* The 2x3 factor, the covariance and its determinant. */
-inline void spread(Splat *s)
+static inline void spread(Splat *s)
 {
     fv stretch_x[3], stretch_y[3], ray[3]; /* ray: (u, v, 1) in the splat's axes */
     for (int k = 0; k < 3; ++k) {
@@ -142,8 +142,8 @@ inline void spread(Splat *s)
 }
 
 /* Of Gaussians given by lanes. */
-inline Splat make_splat(const fv mean[3], const fv scale[3], const fv quaternion[4],
-                        __global const float *camera)
+static inline Splat make_splat(const fv mean[3], const fv scale[3], const fv quaternion[4],
+                               __global const float *camera)
 {
     Splat s;
     for (int i = 0; i < 3; ++i)
@@ -155,7 +155,7 @@ inline Splat make_splat(const fv mean[3], const fv scale[3], const fv quaternion
 }
 
 /* r1, l, r2 */
-inline void whiten(const Splat *s, fv factor[3])
+static inline void whiten(const Splat *s, fv factor[3])
 {
     factor[0] = 1.0f / sqrt(s->cov_xx) * s->on_unit;
     factor[1] = s->cov_xy / s->cov_xx;
@@ -163,7 +163,7 @@ inline void whiten(const Splat *s, fv factor[3])
 }
 
 /* Half-widths of the box outside of which alpha < ALPHA_CUT, pixels. */
-inline void half_widths(const Splat *s, const fv opacity, fv extent[2])
+static inline void half_widths(const Splat *s, const fv opacity, fv extent[2])
 {
     const fv reach = sqrt(2.0f * log_v(opacity / ALPHA_CUT)) * s->unit;
     extent[0] = reach * sqrt(s->cov_xx);
@@ -171,7 +171,8 @@ inline void half_widths(const Splat *s, const fv opacity, fv extent[2])
 }
 
 /* Of the box around `centre`, which has to be finite. */
-inline iv overlaps_image(const fv centre[2], const fv extent[2], __global const float *camera)
+static inline iv overlaps_image(const fv centre[2], const fv extent[2],
+                                __global const float *camera)
 {
     iv overlaps = (fabs(centre[0]) < (fv)(FINITE_LIMIT)) & (fabs(centre[1]) < (fv)(FINITE_LIMIT));
     for (int axis = 0; axis < 2; ++axis)
@@ -181,13 +182,13 @@ inline iv overlaps_image(const fv centre[2], const fv extent[2], __global const 
 }
 
 /* Close enough to a unit quaternion to be one; NaN is not. */
-inline iv is_rotation(const fv q[4])
+static inline iv is_rotation(const fv q[4])
 {
     const fv square = fma(q[0], q[0], fma(q[3], q[3], fma(q[2], q[2], q[1] * q[1])));
     return (square > (fv)(0.99f)) & (square < (fv)(1.01f));
 }
 
-inline iv is_whitening(const fv factor[3])
+static inline iv is_whitening(const fv factor[3])
 {
     const fv limit = (fv)(FINITE_LIMIT);
     return (factor[0] > (fv)(0.0f)) & (factor[0] < limit) & (fabs(factor[1]) < limit) &
@@ -195,7 +196,7 @@ inline iv is_whitening(const fv factor[3])
 }
 
 /* `count` rows of zeros where the mask is not set. */
-inline void blank(const iv keep, const int count, fv *columns)
+static inline void blank(const iv keep, const int count, fv *columns)
 {
     for (int k = 0; k < count; ++k)
         columns[k] = keep ? columns[k] : (fv)(0.0f);
@@ -209,8 +210,8 @@ typedef struct {
     fv extent[2];
 } Projection;
 
-inline Projection project_splat(const Splat *s, const fv quaternion[4], const fv opaque,
-                                __global const float *camera)
+static inline Projection project_splat(const Splat *s, const fv quaternion[4], const fv opaque,
+                                       __global const float *camera)
 {
     Projection p;
     p.depth = s->z;
@@ -238,8 +239,8 @@ typedef struct {
     __global float *extent;
 } Screen;
 
-inline void store_projection(const Projection *p, const Screen *out, const size_t first,
-                             const size_t used)
+static inline void store_projection(const Projection *p, const Screen *out, const size_t first,
+                                    const size_t used)
 {
     store_rows2(p->centre, out->mean2d, first, used);
     store_rows3(p->factor, out->whitening, first, used);

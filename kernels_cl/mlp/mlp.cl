@@ -53,7 +53,7 @@ __kernel void mlp_opacity(__global const float *feature, __global const float *p
 #define KEY_NO_ANCHOR (KEYS - 1)
 
 /* Keys of VEC samples, but for those without anchor. */
-inline iv sort_keys(__global const float *opacity, const size_t stride)
+static inline iv sort_keys(__global const float *opacity, const size_t stride)
 {
     iv slots = (iv)(0);
     for (int j = 0; j < K_OFFSETS; ++j)
@@ -63,9 +63,10 @@ inline iv sort_keys(__global const float *opacity, const size_t stride)
     return (iv)(KEY_NONE)-slots;
 }
 
-inline void move_sample(const size_t from, const size_t to, const size_t count, const size_t stride,
-                        __global const float *opacity, __global const int *visible,
-                        __global float *output, __global int *sorted)
+static inline void move_sample(const size_t from, const size_t to, const size_t count,
+                               const size_t stride, __global const float *opacity,
+                               __global const int *visible, __global float *output,
+                               __global int *sorted)
 {
     for (int j = 0; j < K_OFFSETS; ++j)
         output[j * stride + to] = opacity[j * stride + from];

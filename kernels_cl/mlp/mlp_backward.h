@@ -31,7 +31,7 @@ typedef struct {
 } Runs;
 
 /* Adds numbers behind all others. */
-inline void add_run(Runs *runs, const int begin, const int end)
+static inline void add_run(Runs *runs, const int begin, const int end)
 {
     if (runs->count > 0 && runs->end[runs->count - 1] == begin) {
         runs->end[runs->count - 1] = end;
@@ -43,8 +43,8 @@ inline void add_run(Runs *runs, const int begin, const int end)
 
 /* dL/d(sums of the output layer) of slot j of VEC samples, from y and dL/dy; zero where the slot
  * is not drawn. */
-inline fv sum_gradient(const Outputs *outputs, const int head, const int j, const size_t row,
-                       const size_t first)
+static inline fv sum_gradient(const Outputs *outputs, const int head, const int j, const size_t row,
+                              const size_t first)
 {
     const fv opacity = LOAD_ALIGNED(0, outputs->output + j * outputs->stride + first);
     fv d = LOAD_ALIGNED(0, outputs->d_output + row * outputs->stride + first);
@@ -57,8 +57,9 @@ inline fv sum_gradient(const Outputs *outputs, const int head, const int j, cons
 
 /* ... of the block at `first`, to the batch as well; those of the slots `next` of the next block
  * are fetched. */
-inline void output_gradients(const Outputs *outputs, const int head, const size_t first,
-                             const int slots, const int next, float *d_sum, __global float *column)
+static inline void output_gradients(const Outputs *outputs, const int head, const size_t first,
+                                    const int slots, const int next, float *d_sum,
+                                    __global float *column)
 {
     const int each = slot_rows(head);
     for (int k = 0; k < K_OFFSETS * each; ++k) {
@@ -79,14 +80,14 @@ inline void output_gradients(const Outputs *outputs, const int head, const size_
 }
 
 /* Rows of a block from or to its columns of the batch. */
-inline void load_rows(__global const float *column, const int count, float *rows)
+static inline void load_rows(__global const float *column, const int count, float *rows)
 {
     for (int row = 0; row < count; ++row)
         for (int s = 0; s < VECTORS; ++s)
             STORE_V(LOAD_ALIGNED(s, column + row * BATCH_STRIDE), s, rows + row * BLOCK);
 }
 
-inline void store_rows(const float *rows, const int count, __global float *column)
+static inline void store_rows(const float *rows, const int count, __global float *column)
 {
     for (int row = 0; row < count; ++row)
         for (int s = 0; s < VECTORS; ++s)
@@ -95,9 +96,9 @@ inline void store_rows(const float *rows, const int count, __global float *colum
 
 /* dL/d(sums of the hidden layer) of a block, from those of the output layer; to the batch as well.
  */
-inline void hidden_backward(__global const float *weight, const int head, const int slots,
-                            const float *hidden, const float *d_sum, float *d_hidden,
-                            __global float *column)
+static inline void hidden_backward(__global const float *weight, const int head, const int slots,
+                                   const float *hidden, const float *d_sum, float *d_hidden,
+                                   __global float *column)
 {
     const int each = slot_rows(head);
     Runs rows;
@@ -123,8 +124,8 @@ inline void hidden_backward(__global const float *weight, const int head, const 
 }
 
 /* Adds one head's dL/d(input) to the block's columns of the batch; the first head sets them. */
-inline void input_backward(__global const float *weight, const int head, const float *d_hidden,
-                           __global float *column)
+static inline void input_backward(__global const float *weight, const int head,
+                                  const float *d_hidden, __global float *column)
 {
     for (int k = 0; k < FEATURE_DIM + (WANT_POSITION ? TILE : 0); k += TILE) {
         __global float *d_input = column + (D_INPUT_ROW + k) * BATCH_STRIDE;
@@ -145,8 +146,8 @@ inline void input_backward(__global const float *weight, const int head, const f
 }
 
 /* dL/d(position) through the unit direction, from rows dL/d(direction) of the batch. */
-inline void position_backward(const Model *model, __global const float *d_direction,
-                              const size_t first, __global float *d_position)
+static inline void position_backward(const Model *model, __global const float *d_direction,
+                                     const size_t first, __global float *d_position)
 {
     for (int s = 0; s < VECTORS; ++s) {
         int anchor[VEC];
@@ -172,8 +173,8 @@ inline void position_backward(const Model *model, __global const float *d_direct
 }
 
 /* The gradients by the block's anchors, from its columns of the batch. */
-inline void anchors_backward(const Model *model, const size_t first, __global const float *column,
-                             const AnchorGradients *d)
+static inline void anchors_backward(const Model *model, const size_t first,
+                                    __global const float *column, const AnchorGradients *d)
 {
     __global const float *d_input = column + D_INPUT_ROW * BATCH_STRIDE;
     for (size_t lane = 0; lane < BLOCK; ++lane) {
@@ -190,9 +191,9 @@ inline void anchors_backward(const Model *model, const size_t first, __global co
 /* Both layers of one head for the block at sample `first`, whose columns of the batch get what the
  * weight gradient needs; `next`: the slots of the next block. Heads come in order: the first one
  * gathers the inputs, the last one writes the gradients by them. */
-inline void block_backward(const Model *model, const Outputs *outputs, const int head,
-                           const size_t first, const int slots, const int next,
-                           __global float *column, const AnchorGradients *d)
+static inline void block_backward(const Model *model, const Outputs *outputs, const int head,
+                                  const size_t first, const int slots, const int next,
+                                  __global float *column, const AnchorGradients *d)
 {
     __global const float *weight = model->weights + head_start(head);
     float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK], d_hidden[HIDDEN_DIM * BLOCK];

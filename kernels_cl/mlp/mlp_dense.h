@@ -20,7 +20,7 @@ typedef struct {
 } Model;
 
 /* Makes unit vectors, without overflow, zero for zero; returns their lengths. */
-inline fv make_directions(fv v[3])
+static inline fv make_directions(fv v[3])
 {
     fv largest = fabs(v[0]);
     for (int i = 1; i < 3; ++i)
@@ -33,7 +33,7 @@ inline fv make_directions(fv v[3])
     return largest * root;
 }
 
-inline bool any_positive(const fv x)
+static inline bool any_positive(const fv x)
 {
 #if VEC == 1
     return x > 0.0f;
@@ -43,13 +43,13 @@ inline bool any_positive(const fv x)
 }
 
 /* Anchor of a sample; -1 for one that does not count. */
-inline int anchor_of(const Model *model, const size_t sample)
+static inline int anchor_of(const Model *model, const size_t sample)
 {
     return sample < model->count ? model->visible[sample] : -1;
 }
 
 /* Whether a sample of the block at `first` counts: the first one, mostly. */
-inline bool any_anchor(const Model *model, const size_t first)
+static inline bool any_anchor(const Model *model, const size_t first)
 {
     for (size_t lane = 0; lane < BLOCK; ++lane)
         if (anchor_of(model, first + lane) >= 0)
@@ -58,7 +58,8 @@ inline bool any_anchor(const Model *model, const size_t first)
 }
 
 /* Unit vectors from the camera to the positions of VEC anchors, and their lengths. */
-inline fv view_directions(const Model *model, __global const float *position[VEC], fv view[3])
+static inline fv view_directions(const Model *model, __global const float *position[VEC],
+                                 fv view[3])
 {
     for (int i = 0; i < 3; ++i)
         view[i] = GATHER_V(position, i) - model->camera[CAMERA_CENTRE + i];
@@ -66,7 +67,7 @@ inline fv view_directions(const Model *model, __global const float *position[VEC
 }
 
 /* The features of the block at `first` are read next. */
-inline void fetch_features(const Model *model, const size_t first)
+static inline void fetch_features(const Model *model, const size_t first)
 {
     for (size_t lane = 0; lane < BLOCK; ++lane) {
         const size_t row = (size_t)max(anchor_of(model, first + lane), 0);
@@ -77,7 +78,7 @@ inline void fetch_features(const Model *model, const size_t first)
 
 /* Inputs of a block: feature, direction, and a row of ones that is zero where a sample does not
  * count, as are its inputs: where there is no anchor, or an input is not finite. */
-inline void gather(const Model *model, const size_t first, float x[(INPUT_DIM + 1) * BLOCK])
+static inline void gather(const Model *model, const size_t first, float x[(INPUT_DIM + 1) * BLOCK])
 {
     __global const float *feature[BLOCK], *position[BLOCK];
     fetch_features(model, first + BLOCK);
@@ -111,8 +112,8 @@ inline void gather(const Model *model, const size_t first, float x[(INPUT_DIM + 
 }
 
 /* sum[o][s] += weight[o][k] * row k of x, over count rows. */
-inline void add_rows(fv sum[TILE][VECTORS], __global const float *weight[TILE], const size_t count,
-                     const float *x)
+static inline void add_rows(fv sum[TILE][VECTORS], __global const float *weight[TILE],
+                            const size_t count, const float *x)
 {
 #pragma unroll 2
     for (size_t k = 0; k < count; ++k) {
@@ -131,8 +132,9 @@ inline void add_rows(fv sum[TILE][VECTORS], __global const float *weight[TILE], 
 }
 
 /* The transpose: sum[o][s] += weight[row * inputs + o] * row of d, over rows [begin, end). */
-inline void add_columns(fv sum[TILE][VECTORS], __global const float *weight, const size_t inputs,
-                        const size_t begin, const size_t end, const float *d)
+static inline void add_columns(fv sum[TILE][VECTORS], __global const float *weight,
+                               const size_t inputs, const size_t begin, const size_t end,
+                               const float *d)
 {
 #pragma unroll 2
     for (size_t row = begin; row < end; ++row) {
@@ -151,8 +153,8 @@ inline void add_columns(fv sum[TILE][VECTORS], __global const float *weight, con
 }
 
 /* TILE units, from `unit` on, of one head's hidden layer; a NaN stays one. */
-inline void hidden_units(__global const float *weight, const int unit, const float *x,
-                         float *hidden)
+static inline void hidden_units(__global const float *weight, const int unit, const float *x,
+                                float *hidden)
 {
     __global const float *bias = weight + HIDDEN_DIM * INPUT_DIM;
     __global const float *weights[TILE];
@@ -173,14 +175,14 @@ inline void hidden_units(__global const float *weight, const int unit, const flo
                     hidden + (unit + o) * BLOCK);
 }
 
-inline void hidden_layer(__global const float *weight, const float *x, float *hidden)
+static inline void hidden_layer(__global const float *weight, const float *x, float *hidden)
 {
     for (int unit = 0; unit < HIDDEN_DIM; unit += TILE)
         hidden_units(weight, unit, x, hidden);
 }
 
 /* The slots, one a bit, with a positive opacity in some sample of a block; NaN is not positive. */
-inline int drawn_slots(__global const float *opacity, const size_t stride)
+static inline int drawn_slots(__global const float *opacity, const size_t stride)
 {
     int slots = 0;
     for (int j = 0; j < K_OFFSETS; ++j)
@@ -190,7 +192,7 @@ inline int drawn_slots(__global const float *opacity, const size_t stride)
 }
 
 /* Those that are computed. */
-inline int computed_slots(__global const float *opacity, const size_t stride)
+static inline int computed_slots(__global const float *opacity, const size_t stride)
 {
     const int drawn = drawn_slots(opacity, stride), all = (1 << K_OFFSETS) - 1;
     if (SKIP_SLOTS)
@@ -199,7 +201,7 @@ inline int computed_slots(__global const float *opacity, const size_t stride)
 }
 
 /* Rows of one head that belong to the given slots, ascending; returns how many. */
-inline size_t rows_of(const int slots, const int head, size_t rows[OUTPUT_ROWS])
+static inline size_t rows_of(const int slots, const int head, size_t rows[OUTPUT_ROWS])
 {
     const size_t each = (size_t)slot_rows(head);
     size_t count = 0;

@@ -89,18 +89,18 @@
 __constant int head_rows[HEADS + 1] = {0, 1, 4, 11};
 
 /* Output rows of one slot. */
-inline int slot_rows(const int head)
+static inline int slot_rows(const int head)
 {
     return head_rows[head + 1] - head_rows[head];
 }
 
-inline int first_output(const int head)
+static inline int first_output(const int head)
 {
     return K_OFFSETS * head_rows[head];
 }
 
 /* Where the weights of a head start. */
-inline int head_start(const int head)
+static inline int head_start(const int head)
 {
     return head * HIDDEN_SIZE + first_output(head) * (HIDDEN_DIM + 1);
 }
@@ -114,13 +114,13 @@ inline int head_start(const int head)
 #define TILE_SUMS (COLUMN_TILES * SUMS)
 
 /* Tiles of both layers of a head. */
-inline int head_tiles(const int head)
+static inline int head_tiles(const int head)
 {
     return TILES_OF(HIDDEN_DIM) + TILES_OF(K_OFFSETS * slot_rows(head));
 }
 
 /* Tiles of the heads before one; of all heads for HEADS. */
-inline int tiles_before(const int head)
+static inline int tiles_before(const int head)
 {
     int tiles = 0;
     for (int before = 0; before < head; ++before)
@@ -128,7 +128,7 @@ inline int tiles_before(const int head)
     return tiles;
 }
 
-inline size_t part_size(void)
+static inline size_t part_size(void)
 {
     return (size_t)tiles_before(HEADS) * TILE_SUMS;
 }

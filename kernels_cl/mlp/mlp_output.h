@@ -10,15 +10,15 @@
 #define OUTPUT_SPACE __global
 #endif
 
-inline fv activate(const fv z, const int head)
+static inline fv activate(const fv z, const int head)
 {
     return head == OPACITY ? tanh_v(z) : head == COLOR ? sigmoid_v(z) : z;
 }
 
 /* The listed rows of one head's output layer. */
-inline void output_layer(__global const float *weight, const int head, const float *hidden,
-                         const size_t *rows, const size_t count, OUTPUT_SPACE float *output,
-                         const size_t stride)
+static inline void output_layer(__global const float *weight, const int head, const float *hidden,
+                                const size_t *rows, const size_t count, OUTPUT_SPACE float *output,
+                                const size_t stride)
 {
     __global const float *bias = weight + K_OFFSETS * slot_rows(head) * HIDDEN_DIM;
     for (size_t first = 0; first < count; first += TILE) {

@@ -20,7 +20,7 @@ typedef struct {
 } Layer;
 
 /* Tile number `tile` of a head's layers. */
-inline Layer layer_of(const int head, const int tile)
+static inline Layer layer_of(const int head, const int tile)
 {
     const bool inner = tile < TILES_OF(HIDDEN_DIM);
     const int rows = inner ? HIDDEN_DIM : K_OFFSETS * slot_rows(head);
@@ -42,16 +42,16 @@ inline Layer layer_of(const int head, const int tile)
 }
 
 /* COLUMNS of a layer's inputs and bias, how often. */
-inline int column_tiles(const Layer *layer)
+static inline int column_tiles(const Layer *layer)
 {
     return (layer->inputs + COLUMNS) / COLUMNS;
 }
 
 /* A CPU's compiler keeps all the sums in registers in a function of its own only. */
 #if USE_LOCAL
-#define APART inline
+#define APART static inline
 #else
-#define APART __attribute__((noinline))
+#define APART static __attribute__((noinline))
 #endif
 
 /* sum[o][c] += row o times column c, of every GROUP_SIZE-th vector of [begin, end). */
@@ -86,8 +86,8 @@ APART void add_products(__global const float *rows, __global const float *column
 
 /* sums[c * WEIGHT_ROWS + o] = sum over row o times column c, of every GROUP_SIZE-th vector of the
  * runs. */
-inline void dot_products(__global const float *rows, __global const float *columns[COLUMNS],
-                         const Runs *runs, float sums[SUMS])
+static inline void dot_products(__global const float *rows, __global const float *columns[COLUMNS],
+                                const Runs *runs, float sums[SUMS])
 {
     fv sum[WEIGHT_ROWS][COLUMNS] = {{(fv)(0.0f)}};
     for (int run = 0; run < runs->count; ++run)
@@ -104,8 +104,8 @@ inline void dot_products(__global const float *rows, __global const float *colum
 }
 
 /* Rows of the batch that COLUMNS columns of a layer's weights multiply; the bias' is ones. */
-inline void layer_columns(const Layer *layer, const int column, __global const float *values,
-                          __global const float *columns[COLUMNS])
+static inline void layer_columns(const Layer *layer, const int column, __global const float *values,
+                                 __global const float *columns[COLUMNS])
 {
     for (int c = 0; c < COLUMNS; ++c)
         columns[c] = values + (column + c < layer->inputs ? layer->column + column + c : ONES_ROW) *
@@ -113,7 +113,7 @@ inline void layer_columns(const Layer *layer, const int column, __global const f
 }
 
 /* Samples of a batch whose gradients may differ from zero; they are its first ones. */
-inline int drawing_samples(const int batch, const int padded, __global const int *active)
+static inline int drawing_samples(const int batch, const int padded, __global const int *active)
 {
     const int first = batch * BATCH;
     const int end = SKIP_OPACITY_FIRST ? active[first / CHUNK] + first / CHUNK * CHUNK : padded;
@@ -174,7 +174,7 @@ __kernel void mlp_backward_weights(const int padded, __global const int *active,
 }
 
 /* Vectors of the blocks in which one of a layer's slots is drawn. */
-inline Runs drawing_vectors(const Layer *layer, const int *slots, const int blocks)
+static inline Runs drawing_vectors(const Layer *layer, const int *slots, const int blocks)
 {
     const bool all = !SKIP_SLOTS || layer->inputs == INPUT_DIM;
     Runs vectors;
@@ -186,8 +186,8 @@ inline Runs drawing_vectors(const Layer *layer, const int *slots, const int bloc
 }
 
 /* Adds the weight gradient of one batch and one head. */
-inline void add_weights(__global const float *values, const int head, const int *slots,
-                        const int blocks, __global float *part)
+static inline void add_weights(__global const float *values, const int head, const int *slots,
+                               const int blocks, __global float *part)
 {
     for (int row_tile = 0; row_tile < head_tiles(head); ++row_tile) {
         const Layer layer = layer_of(head, row_tile);
@@ -205,9 +205,9 @@ inline void add_weights(__global const float *values, const int head, const int 
 }
 
 /* One batch, in rows of its own. */
-inline void batch_backward(const Model *model, const Outputs *outputs, const int batch,
-                           const int samples, __global float *values, __global float *part,
-                           const AnchorGradients *d)
+static inline void batch_backward(const Model *model, const Outputs *outputs, const int batch,
+                                  const int samples, __global float *values, __global float *part,
+                                  const AnchorGradients *d)
 {
     const int blocks = (samples + BLOCK - 1) / BLOCK;
     int slots[BATCH / BLOCK + 1] = {0};
