@@ -12,9 +12,10 @@
 #endif
 #include "gaussian/gaussians.h"
 #include "common/items.h"
-#include "mlp/mlp_dense.h"
-#include "mlp/mlp_layout.h"
-#include "mlp/mlp_output.h"
+#include "mlp/dense.h"
+#include "mlp/inputs.h"
+#include "mlp/layout.h"
+#include "mlp/slots.h"
 #include "gaussian/projection.h"
 
 /* Gaussians on the screen. */
@@ -81,11 +82,11 @@ __kernel void project_anchors_forward(
         for (int s = 0; s < VECTORS; ++s)
             lanes[j * VECTORS + s] = LOAD_ALIGNED(s, output + j * stride + first);
 #endif
-    const Model model = {feature, position, visible, (size_t)count, weights, camera};
+    const Inputs inputs = {feature, position, visible, (size_t)count, camera};
     const Parameters parameters = {visible, (size_t)count, position, offset, scaling};
     float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK];
     size_t listed[OUTPUT_ROWS];
-    gather(&model, first, x);
+    gather_inputs(&inputs, first, x);
     fetch_parameters(&parameters, first, BLOCK);
     for (int head = COLOR; head < HEADS; ++head) {
         __global const float *weight = weights + head_start(head);

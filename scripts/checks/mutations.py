@@ -221,23 +221,23 @@ MUTATIONS = (
     Mutation(
         "mlp",
         "gradient through an inactive unit",
-        "kernels_cl/mlp/mlp_backward.h",
+        "kernels_cl/mlp/block_backward.h",
         "const fv d = active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
         "const fv d = active >= (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
     ),
     Mutation(
         "mlp",
         "weight gradient without the first block of a run",
-        "kernels_cl/mlp/mlp_weights.h",
+        "kernels_cl/mlp/backward_cpu.cl",
         "add_run(&vectors, block * VECTORS, (block + 1) * VECTORS)",
         "add_run(&vectors, block * VECTORS + 1, (block + 1) * VECTORS)",
     ),
     Mutation(
         "mlp",
         "a tile of the weight gradient that asks for the slot of its first row alone",
-        "kernels_cl/mlp/mlp_weights.h",
-        "layer.slots |= 1 << (first + o) / slot_rows(head);",
-        "layer.slots |= 1 << first / slot_rows(head);",
+        "kernels_cl/mlp/weight_tile.h",
+        "tile.slots |= 1 << (first + o) / slot_rows(head);",
+        "tile.slots |= 1 << first / slot_rows(head);",
     ),
     Mutation(
         "density",
