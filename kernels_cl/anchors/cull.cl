@@ -15,7 +15,7 @@
 
 /* Numbers of a row of scaling: three for the offsets, which count here, three for the shape. */
 #define SCALING_DIM 6
-DEFINE_ROWS(6)
+DEFINE_LOAD_ROWS(load_rows6, 6)
 
 /* Row `row` of the world-to-camera rotation times (x, y, z). */
 static inline fv rotate(__global const float *camera, const int row, const fv x, const fv y,

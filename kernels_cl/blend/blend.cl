@@ -14,6 +14,7 @@
 #include "blend/blend_step.h"
 #include "common/items.h"
 #include "common/prefetch.h"
+#include "common/rows.h"
 #include "blend/tile.h"
 
 #ifndef USE_LOCAL
@@ -22,6 +23,8 @@
 #define UNIT_INVERSE (1.0f / WHITENING_UNIT)
 #define BATCH 256 /* records staged at a time (GPU form) */
 #define SPLATS_AHEAD 16
+
+DEFINE_STORE_ROWS(store_rows16, 16)
 
 inline fv clamp_color(const fv value)
 {

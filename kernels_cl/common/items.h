@@ -1,15 +1,14 @@
-/* Numbers of work-items. */
+/* Which work-item does which work. */
 #ifndef CLGS_ITEMS_H
 #define CLGS_ITEMS_H
 
-#ifndef USE_LOCAL
-#define USE_LOCAL 0
-#endif
+#include "common/form.h"
 
-/* The number of this work-item, work-groups counted from the middle one on, and from the first one
- * on after the last. A CPU's driver deals out large pieces first and small ones last, to even its
- * threads out; arrays end in padding, which costs nothing: the last pieces must not be those. */
-inline size_t item_from_middle(void)
+/* The number of this work-item, with work-groups counted from the middle one on, and from the first
+ * one on after the last. A CPU's driver hands out large pieces first and small ones last, to
+ * balance its threads; arrays end in padding, which costs nothing, so padding must not be the last
+ * piece. */
+static inline size_t item_from_middle(void)
 {
 #if USE_LOCAL
     return get_global_id(0);

@@ -4,12 +4,12 @@
 
 #include "common/real.h"
 
-/* Vector number `vector` from an address that is a multiple of a vector's size: without knowing
- * this, compilers for CPUs take two halves. */
+/* Vector number `vector` of an array whose address is a multiple of a vector's size: compilers for
+ * CPUs that do not know this load two halves. */
 #define LOAD_ALIGNED(vector, pointer) (((__global const fv *)(pointer))[vector])
 #define STORE_ALIGNED(value, vector, pointer) (((__global fv *)(pointer))[vector] = (value))
 
-/* Number k of VEC rows, one a lane. */
+/* Number k of each of VEC rows, one row per lane. */
 #if VEC == 1
 #define GATHER_V(rows, k) ((rows)[0][k])
 #elif VEC == 16
@@ -23,13 +23,13 @@
 #define GATHER_4(rows, k) ((float4)((rows)[0][k], (rows)[1][k], (rows)[2][k], (rows)[3][k]))
 
 /* Vectors that hold an array of `total` floats. */
-inline size_t vectors_in(size_t total)
+static inline size_t vectors_in(size_t total)
 {
     return (total + VEC - 1) / VEC;
 }
 
 /* Vector number `vector` of `values`; lanes at or past `total` are zero. */
-inline fv load_lanes(__global const float *values, size_t vector, size_t total)
+static inline fv load_lanes(__global const float *values, size_t vector, size_t total)
 {
     if ((vector + 1) * VEC <= total)
         return LOAD_V(vector, values);
@@ -39,8 +39,8 @@ inline fv load_lanes(__global const float *values, size_t vector, size_t total)
     return LOAD_V(0, lanes);
 }
 
-/* The mirror of load_lanes: lanes at or past `total` are not written. */
-inline void store_lanes(fv value, size_t vector, __global float *values, size_t total)
+/* The mirror of load_lanes; lanes at or past `total` are not written. */
+static inline void store_lanes(fv value, size_t vector, __global float *values, size_t total)
 {
     if ((vector + 1) * VEC <= total) {
         STORE_V(value, vector, values);
@@ -53,18 +53,18 @@ inline void store_lanes(fv value, size_t vector, __global float *values, size_t 
 }
 
 #if VEC == 1
-inline float lane_sum(fv value)
+static inline float lane_sum(fv value)
 {
     return value;
 }
 
-inline float4 lane_sums(fv a, fv b, fv c, fv d)
+static inline float4 lane_sums(fv a, fv b, fv c, fv d)
 {
     return (float4)(a, b, c, d);
 }
 #else
 /* The first steps of the sums of the lanes of a and of b: four numbers each. */
-inline float8 halves(const fv a, const fv b)
+static inline float8 halves(const fv a, const fv b)
 {
 #if VEC == 16
     const float8 c = a.lo + a.hi, d = b.lo + b.hi;
@@ -77,7 +77,7 @@ inline float8 halves(const fv a, const fv b)
 }
 
 /* Sum of the lanes, by halves. */
-inline float lane_sum(fv value)
+static inline float lane_sum(fv value)
 {
 #if VEC == 16
     const float8 eight = value.lo + value.hi;
@@ -91,8 +91,8 @@ inline float lane_sum(fv value)
     return two.x + two.y;
 }
 
-/* The same of four vectors at once. */
-inline float4 lane_sums(fv a, fv b, fv c, fv d)
+/* Sums of the lanes of four vectors. */
+static inline float4 lane_sums(fv a, fv b, fv c, fv d)
 {
     const float8 ac = halves(a, c), bd = halves(b, d);
     const float8 two =
@@ -102,7 +102,7 @@ inline float4 lane_sums(fv a, fv b, fv c, fv d)
 #endif
 
 /* Smallest lane that is not NaN, by halves. */
-inline float lane_min(fv value)
+static inline float lane_min(fv value)
 {
     float lanes[VEC];
     STORE_V(value, 0, lanes);

@@ -1,7 +1,8 @@
-/* Bring the line at an address nearer before it is read or written: scattered places, and more rows
- * side by side than a CPU's own prefetchers follow. GPUs hide these waits by other work-items. Any
- * address will do, one behind an array, too. OpenCL's own function does nothing in PoCL, and the
- * simulator Oclgrind, which compiles to SPIR, does not know what the compiler's makes. */
+/* Bring the cache line at an address nearer before it is read or written: for scattered addresses,
+ * and for more rows side by side than a CPU's own prefetchers follow. GPUs hide these waits by
+ * running other work-items. The address may be any, even past the end of an array. OpenCL's own
+ * prefetch() does nothing in PoCL, and the simulator Oclgrind, which compiles to SPIR, does not
+ * know what the compiler's builtin turns into. */
 #ifndef CLGS_PREFETCH_H
 #define CLGS_PREFETCH_H
 
@@ -18,6 +19,6 @@
 #define PREFETCH_WRITE(pointer) ((void)(pointer))
 #endif
 
-#define LINE 16 /* floats of a line */
+#define LINE 16 /* floats of a cache line */
 
 #endif

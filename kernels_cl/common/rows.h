@@ -4,12 +4,12 @@
 
 #include "common/real.h"
 
-/* load_rowsW: rows `first` and on of `values`; only `used` of them are read, at least one, and the
- * other lanes are zero. store_rowsW is its mirror. Private arrays with constant indices: compilers
- * make shuffles of them. */
-#define DEFINE_ROWS(WIDTH)                                                                         \
-    inline void CLGS_CAT(load_rows, WIDTH)(__global const float *values, const size_t first,       \
-                                           const size_t used, fv columns[WIDTH])                   \
+/* Compilers make shuffles of private arrays with constant indices, as these functions have them.
+ * The first reads rows `first` to `first + used - 1` of `values`, used > 0; the other lanes are
+ * zero. */
+#define DEFINE_LOAD_ROWS(name, WIDTH)                                                              \
+    static inline void name(__global const float *values, const size_t first, const size_t used,   \
+                            fv columns[WIDTH])                                                     \
     {                                                                                              \
         float rows[WIDTH * VEC];                                                                   \
         values += WIDTH * first;                                                                   \
@@ -30,9 +30,12 @@
                 rows[WIDTH * lane + k];                                                            \
             columns[k] = LOAD_V(0, lanes);                                                         \
         }                                                                                          \
-    }                                                                                              \
-    inline void CLGS_CAT(store_rows, WIDTH)(const fv columns[WIDTH], __global float *values,       \
-                                            const size_t first, const size_t used)                 \
+    }
+
+/* The mirror of DEFINE_LOAD_ROWS. */
+#define DEFINE_STORE_ROWS(name, WIDTH)                                                             \
+    static inline void name(const fv columns[WIDTH], __global float *values, const size_t first,   \
+                            const size_t used)                                                     \
     {                                                                                              \
         float rows[WIDTH * VEC];                                                                   \
         values += WIDTH * first;                                                                   \
@@ -55,10 +58,13 @@
         }                                                                                          \
     }
 
-DEFINE_ROWS(1)
-DEFINE_ROWS(2)
-DEFINE_ROWS(3)
-DEFINE_ROWS(4)
-DEFINE_ROWS(16)
+DEFINE_LOAD_ROWS(load_rows1, 1)
+DEFINE_LOAD_ROWS(load_rows2, 2)
+DEFINE_LOAD_ROWS(load_rows3, 3)
+DEFINE_LOAD_ROWS(load_rows4, 4)
+DEFINE_STORE_ROWS(store_rows1, 1)
+DEFINE_STORE_ROWS(store_rows2, 2)
+DEFINE_STORE_ROWS(store_rows3, 3)
+DEFINE_STORE_ROWS(store_rows4, 4)
 
 #endif

@@ -12,7 +12,7 @@
  * are zero, as in a background, so are their sums, and x' and y' are all that v and w are
  * multiplied with.
  */
-#include "common/group.h"
+#include "loss/group.h"
 #include "common/lanes.h"
 #include "loss/pixels.h"
 #include "common/real.h"

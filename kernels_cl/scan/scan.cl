@@ -2,7 +2,7 @@
  * sums, scan every chunk from its start. A chunk belongs to one work-item on a CPU and to one
  * work-group on a GPU. Integer sums: the result does not depend on the chunks. Sums above a limit
  * are of no use: all offsets are 0 then. */
-#include "common/group_scan.h"
+#include "scan/group_scan.h"
 
 #ifndef USE_LOCAL
 #define USE_LOCAL 0

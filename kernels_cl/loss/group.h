@@ -5,9 +5,7 @@
 #ifndef CLGS_GROUP_H
 #define CLGS_GROUP_H
 
-#ifndef USE_LOCAL
-#define USE_LOCAL 0
-#endif
+#include "common/form.h"
 
 #if USE_LOCAL
 #define SPACE __local
