@@ -2,6 +2,7 @@
 #ifndef CLGS_MLP_BLOCK_BACKWARD_H
 #define CLGS_MLP_BLOCK_BACKWARD_H
 
+#include "common/lane_math.h"
 #include "common/lanes.h"
 #include "common/method.h"
 #include "common/prefetch.h"
@@ -150,7 +151,7 @@ static inline void position_backward(const Inputs *inputs, __global const float 
         const fv distance = view_directions(inputs, position, view);
         for (int i = 0; i < 3; ++i)
             d[i] = LOAD_ALIGNED(s, d_direction + i * BATCH_STRIDE);
-        const fv along = fma(d[2], view[2], fma(d[1], view[1], d[0] * view[0]));
+        const fv along = dot3(d, view);
         for (int i = 0; i < 3; ++i) {
             float across[VEC];
             STORE_V(distance > (fv)(0.0f) ? (d[i] - along * view[i]) / distance : (fv)(0.0f), 0,

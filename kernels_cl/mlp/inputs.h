@@ -3,6 +3,7 @@
 #define CLGS_MLP_INPUTS_H
 
 #include "common/camera.h"
+#include "common/lane_math.h"
 #include "common/lanes.h"
 #include "common/prefetch.h"
 #include "common/real.h"
@@ -29,7 +30,7 @@ static inline fv make_directions(fv v[3])
         largest = fabs(v[i]) > largest ? fabs(v[i]) : largest;
     for (int i = 0; i < 3; ++i)
         v[i] /= largest;
-    const fv root = sqrt(fma(v[2], v[2], fma(v[1], v[1], v[0] * v[0])));
+    const fv root = sqrt(dot3(v, v));
     for (int i = 0; i < 3; ++i)
         v[i] = largest == (fv)(0.0f) ? (fv)(0.0f) : v[i] / root;
     return largest * root;

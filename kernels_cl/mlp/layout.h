@@ -7,12 +7,10 @@
 #ifndef CLGS_MLP_LAYOUT_H
 #define CLGS_MLP_LAYOUT_H
 
+#include "common/form.h"
 #include "common/method.h"
 #include "common/real.h"
 
-#ifndef USE_LOCAL
-#define USE_LOCAL 0
-#endif
 #ifndef FEATURE_DIM
 #define FEATURE_DIM 50
 #endif
@@ -40,7 +38,6 @@
 #define GROUP_SIZE 64
 
 #define INPUT_DIM (FEATURE_DIM + 3)
-#define OUTPUT_ROWS (11 * K_OFFSETS)
 #define HIDDEN_SIZE (HIDDEN_DIM * (INPUT_DIM + 1))
 
 #define OPACITY 0

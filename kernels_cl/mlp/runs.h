@@ -2,6 +2,7 @@
 #ifndef CLGS_MLP_RUNS_H
 #define CLGS_MLP_RUNS_H
 
+#include "common/form.h"
 #include "common/method.h"
 #include "mlp/batch.h"
 #include "mlp/layout.h"

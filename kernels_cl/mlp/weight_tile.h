@@ -8,6 +8,7 @@
 #ifndef CLGS_MLP_WEIGHT_TILE_H
 #define CLGS_MLP_WEIGHT_TILE_H
 
+#include "common/form.h"
 #include "common/lanes.h"
 #include "common/method.h"
 #include "common/real.h"
