@@ -36,8 +36,9 @@ typedef struct {
     fv second;
 } State;
 
-inline State load_state(__global const float *parameter, __global const float *first,
-                        __global const float *second, const size_t vector, const size_t total)
+static inline State load_state(__global const float *parameter, __global const float *first,
+                               __global const float *second, const size_t vector,
+                               const size_t total)
 {
     State s;
     s.parameter = load_lanes(parameter, vector, total);
@@ -46,15 +47,15 @@ inline State load_state(__global const float *parameter, __global const float *f
     return s;
 }
 
-inline void store_state(const State *s, __global float *parameter, __global float *first,
-                        __global float *second, const size_t vector, const size_t total)
+static inline void store_state(const State *s, __global float *parameter, __global float *first,
+                               __global float *second, const size_t vector, const size_t total)
 {
     store_lanes(s->parameter, vector, parameter, total);
     store_lanes(s->first, vector, first, total);
     store_lanes(s->second, vector, second, total);
 }
 
-inline void update(State *s, const fv gradient, const Factors by)
+static inline void update(State *s, const fv gradient, const Factors by)
 {
     const fv m = s->first * by.betas.x + gradient * by.betas.y;
     const fv v = s->second * by.betas.z + gradient * gradient * by.betas.w;
@@ -84,7 +85,7 @@ __kernel void adam_step(__global float *parameter, __global const float *gradien
 }
 
 /* Lanes of the vector from `element` to `last` that lie in marked rows of WIDTH elements. */
-inline iv marked_lanes(__global const int *marks, const uint element, const uint last)
+static inline iv marked_lanes(__global const int *marks, const uint element, const uint last)
 {
     int numbers[VEC];
     for (int lane = 0; lane < VEC; ++lane)

@@ -18,21 +18,22 @@
 DEFINE_LOAD_ROWS(load_rows6, 6)
 
 /* Row `row` of the world-to-camera rotation times (x, y, z). */
-inline fv rotate(__global const float *camera, const int row, const fv x, const fv y, const fv z)
+static inline fv rotate(__global const float *camera, const int row, const fv x, const fv y,
+                        const fv z)
 {
     __global const float *r = camera + CAMERA_ROTATION + 3 * row;
     return fma((fv)(r[2]), z, fma((fv)(r[1]), y, (fv)(r[0]) * x));
 }
 
-inline fv bound(const fv x, const float low, const float high)
+static inline fv bound(const fv x, const float low, const float high)
 {
     const fv raised = x < (fv)(low) ? (fv)(low) : x;
     return raised > (fv)(high) ? (fv)(high) : raised;
 }
 
 /* The three entries of one row of the 2x3 factor J W S: focal/z (W_axis - slope W_z) scale. */
-inline void factor_row(__global const float *camera, const int axis, const fv focal_on_z,
-                       const fv slope, const fv scale[3], fv factor[3])
+static inline void factor_row(__global const float *camera, const int axis, const fv focal_on_z,
+                              const fv slope, const fv scale[3], fv factor[3])
 {
     __global const float *along = camera + CAMERA_ROTATION + 3 * axis;
     __global const float *depth = camera + CAMERA_ROTATION + 6;
@@ -40,13 +41,13 @@ inline void factor_row(__global const float *camera, const int axis, const fv fo
         factor[i] = focal_on_z * scale[i] * fma(-slope, (fv)(depth[i]), (fv)(along[i]));
 }
 
-inline fv dot_lanes(const fv a[3], const fv b[3])
+static inline fv dot_lanes(const fv a[3], const fv b[3])
 {
     return fma(a[2], b[2], fma(a[1], b[1], a[0] * b[0]));
 }
 
 /* Largest variance on the screen, blurred, square pixels. */
-inline fv largest_variance(const fv a[3], const fv b[3])
+static inline fv largest_variance(const fv a[3], const fv b[3])
 {
     const fv xx = dot_lanes(a, a) + (fv)(BLUR), yy = dot_lanes(b, b) + (fv)(BLUR);
     const fv xy = dot_lanes(a, b), half_difference = 0.5f * (xx - yy);
@@ -54,7 +55,7 @@ inline fv largest_variance(const fv a[3], const fv b[3])
 }
 
 /* Whether [centre - radius, centre + radius] touches the tiles of `size` pixels. */
-inline iv touches(const fv centre, const fv radius, const float size)
+static inline iv touches(const fv centre, const fv radius, const float size)
 {
     const float tiled = ceil(size / TILE_SIZE) * TILE_SIZE;
     return (centre + radius > (fv)(0.0f)) & (centre - radius < (fv)(tiled));

@@ -33,8 +33,8 @@ __kernel void density_visit(__global const float *output, __global const int *vi
 }
 
 /* Where the sums of Gaussian n are; -1 where it is not drawn. Padding, of slot -1, never is. */
-inline int place_of(__global const int *visible, __global const int *slot,
-                    __global const float *extent, const size_t n)
+static inline int place_of(__global const int *visible, __global const int *slot,
+                           __global const float *extent, const size_t n)
 {
     if (!(extent[2 * n] > 0.0f))
         return -1;

@@ -9,7 +9,7 @@
 #endif
 
 /* n / q, correctly rounded also where a device's own division is not. */
-inline fv divided(const fv n, const fv q)
+static inline fv divided(const fv n, const fv q)
 {
     const fv quotient = n / q;
     const fv rest = fma(-quotient, q, n);

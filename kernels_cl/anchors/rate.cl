@@ -12,13 +12,13 @@
 
 #define VECTORS_PER_BLOCK 256
 
-inline fv symbols(__global const float *x, size_t vector, size_t total, float q)
+static inline fv symbols(__global const float *x, size_t vector, size_t total, float q)
 {
     return rint(load_lanes(x, vector, total) * q);
 }
 
 /* 1 for lanes before `total`, else 0. */
-inline fv valid_lanes(size_t vector, size_t total)
+static inline fv valid_lanes(size_t vector, size_t total)
 {
     if ((vector + 1) * VEC <= total)
         return (fv)(1.0f);
