@@ -74,7 +74,7 @@ static void fit(clgs_channel *model, const int32_t *value, size_t rows, size_t c
 
 static void check_header(clgs_channel *model, size_t channels)
 {
-    size_t size = channels * sizeof *model, bound = 8 * size;
+    size_t size = channels * sizeof *model, bound = clgs_attributes_header_bound(channels);
     clgs_channel *again = fuzz_block(FUZZ_DECODED, size);
     uint8_t *out = fuzz_block(FUZZ_OUTPUT, bound);
     void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_header_workspace());

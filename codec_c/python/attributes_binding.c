@@ -45,7 +45,7 @@ PyObject *attributes_header(PyObject *module, PyObject *args)
     (void)module;
     if (!PyArg_ParseTuple(args, "w*", &model))
         return NULL;
-    size_t capacity = (size_t)model.len + 64, size = 0;
+    size_t capacity = clgs_attributes_header_bound(channels_of(&model)), size = 0;
     uint8_t *out = PyMem_Malloc(capacity);
     void *workspace = workspace_new(clgs_attributes_header_workspace());
     if (!out || !workspace) {

@@ -120,14 +120,15 @@ static clgs_error decode(const stream *s, const void *model, const uint8_t *data
 static void test_round_trip(stream *s)
 {
     void *workspace = allocate(clgs_attributes_header_workspace());
-    size_t capacity = clgs_attributes_model_size(s->channels);
-    clgs_channel *again = allocate(capacity);
+    size_t size = clgs_attributes_model_size(s->channels);
+    size_t capacity = clgs_attributes_header_bound(s->channels);
+    clgs_channel *again = allocate(size);
     s->header = allocate(capacity);
     s->header_size =
         clgs_attributes_header_write(s->model, s->channels, s->header, capacity, workspace);
     CHECK(s->header_size > 0);
     CHECK(read_header(s, s->header, s->header_size, again) == CLGS_OK);
-    CHECK(memcmp(again, s->model, capacity) == 0);
+    CHECK(memcmp(again, s->model, size) == 0);
     capacity = clgs_attributes_bound(s->model, s->rows, s->channels);
     s->data = allocate(capacity);
     s->size = clgs_attributes_encode(s->model, s->value, s->rows, s->channels, s->data, capacity,
@@ -202,8 +203,44 @@ static void test_stream(size_t rows, size_t channels, uint32_t shift, int mixed)
     free(s.value);
 }
 
+/* As many classes as there can be, with tables in which nothing can be expected. */
+static void fill_tables(clgs_channel *c)
+{
+    *c = (clgs_channel){.centre = INT32_MIN, .gain = CLGS_MAX_GAIN, .classes = CLGS_CLASSES};
+    c->weight[0] = c->weight[1] = c->weight[2] = CLGS_MAX_WEIGHT;
+    for (uint8_t cell = 0; cell < CLGS_LEVELS; cell++)
+        c->class_of[cell] = cell / 2;
+    for (int k = 0; k < CLGS_CLASSES; k++)
+        for (uint32_t left = CLGS_SCALE, n; left > 0; left -= n) {
+            n = random_u32() % (left < 40 ? left : 40) + 1;
+            c->frequency[k][random_u32() % CLGS_ALPHABET] += (uint16_t)n;
+        }
+}
+
+static void test_largest_header(void)
+{
+    size_t bound = clgs_attributes_header_bound(2), model_size = clgs_attributes_model_size(2);
+    clgs_channel *model = allocate(model_size), *again = allocate(model_size);
+    uint8_t *out = allocate(bound);
+    void *workspace = allocate(clgs_attributes_header_workspace());
+    fill_tables(model);
+    fill_tables(model + 1);
+    size_t size = clgs_attributes_header_write(model, 2, out, bound, workspace);
+    CHECK(size > 2048 && size <= bound);
+    CHECK(clgs_attributes_header_read(out, size, again, 2, workspace) == CLGS_OK);
+    CHECK(memcmp(again, model, model_size) == 0);
+    CHECK(clgs_attributes_header_write(model, 2, out, size, workspace) == size);
+    CHECK(clgs_attributes_header_write(model, 2, out, size - 1, workspace) == 0);
+    CHECK(clgs_attributes_header_bound(0) == 0 && clgs_attributes_header_bound(257) == 0);
+    free(workspace);
+    free(out);
+    free(again);
+    free(model);
+}
+
 int main(void)
 {
+    test_largest_header();
     for (int mixed = 0; mixed < 2; mixed++) {
         test_stream(1, 1, 27, mixed);
         test_stream(7, 5, 20, mixed);

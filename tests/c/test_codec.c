@@ -272,6 +272,7 @@ static void test_rows(stream_part part)
     test_stream(part, 300, 2, value);
     CHECK(clgs_runlength_bound(1, 0) == 0 && clgs_runlength_bound(1, 257) == 0);
     CHECK(clgs_runlength_bound(CLGS_MAX_POINTS + 1, 1) == 0);
+    CHECK(clgs_runlength_workspace(0) == 0 && clgs_runlength_workspace(257) == 0);
     CHECK(clgs_paper_bound(1, 0) == 0 && clgs_paper_bound(1, 257) == 0);
     CHECK(clgs_paper_bound(CLGS_MAX_POINTS + 1, 1) == 0);
 }
@@ -310,6 +311,7 @@ static void test_weights(void)
     test_stream(WEIGHTS, 10, 20, word);
     CHECK(clgs_weights_bound(&wide, 1) == 0 && clgs_weights_bound(&long_one, 1) == 0);
     CHECK(clgs_weights_bound(&wide, CLGS_MAX_LAYERS + 1) == 0);
+    CHECK(clgs_weights_workspace(&wide, 1) == 0);
 }
 
 static void test_checksums(void)

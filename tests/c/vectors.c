@@ -170,7 +170,7 @@ static void make_model(clgs_channel *model, const int32_t *value, size_t count, 
 static void attributes(const char *name, const int32_t *value, size_t count, size_t channels)
 {
     size_t model_size = clgs_attributes_model_size(channels);
-    size_t room = model_size + 64;
+    size_t room = clgs_attributes_header_bound(channels);
     clgs_channel *model = allocate(model_size), *read = allocate(model_size);
     uint8_t *header = allocate(room);
     int32_t *decoded = allocate(4 * count * channels);

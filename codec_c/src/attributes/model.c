@@ -7,6 +7,12 @@
 #define MODE_MODEL 1
 #define LIMIT 250 /* states of the header */
 
+/* Bytes at most: a decision costs 12 bits. A number of 32 bits has 36 of them and 28 plain bits, a
+ * frequency 18 and 9. Before its tables a channel has 32 numbers, then a decision per cell. */
+#define NUMBER_MOST 62
+#define FREQUENCY_MOST 29
+#define TABLES_MOST (2 * CLGS_CELLS + FREQUENCY_MOST * CLGS_CLASSES * CLGS_ALPHABET)
+
 /* What a number of the header is; each kind has states of its own. */
 enum {
     FIELD_PLAIN,
@@ -179,6 +185,12 @@ static int code_channels(header *h, clgs_channel *channel, size_t channels)
 size_t clgs_attributes_model_size(size_t channels)
 {
     return channels >= 1 && channels <= CLGS_MAX_CHANNELS ? channels * sizeof(clgs_channel) : 0;
+}
+
+size_t clgs_attributes_header_bound(size_t channels)
+{
+    int fits = channels >= 1 && channels <= CLGS_MAX_CHANNELS;
+    return fits ? 8 + channels * (32 * NUMBER_MOST + TABLES_MOST) : 0;
 }
 
 size_t clgs_attributes_header_workspace(void)

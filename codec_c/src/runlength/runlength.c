@@ -157,7 +157,8 @@ static void model_init(model *m, size_t channels)
 
 size_t clgs_runlength_workspace(size_t channels)
 {
-    return channels > CLGS_MAX_CHANNELS ? 0 : sizeof(model) + channels * sizeof(channel);
+    int fits = channels >= 1 && channels <= CLGS_MAX_CHANNELS;
+    return fits ? sizeof(model) + channels * sizeof(channel) : 0;
 }
 
 size_t clgs_runlength_bound(size_t rows, size_t channels)

@@ -219,7 +219,8 @@ size_t clgs_weights_bound(const clgs_layer *layer, size_t layers)
 size_t clgs_weights_workspace(const clgs_layer *layer, size_t layers)
 {
     size_t planes = clgs_planes_workspace(), own = sizeof(model);
-    return (own > planes ? own : planes) + clgs_weights_bound(layer, layers);
+    size_t bound = clgs_weights_bound(layer, layers);
+    return bound > 0 ? (own > planes ? own : planes) + bound : 0;
 }
 
 /* Bytes written as multiples; 0 where the weights are none or `capacity` is too small. */
