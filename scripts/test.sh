@@ -26,14 +26,22 @@ source_files() {
     find "$@" -type f \( -name '*.cl' -o -name '*.c' -o -name '*.h' \) -print0
 }
 
+install_kernel_lint() {
+    local missing
+    for _ in 1 2; do # clang first, then what fits its version
+        mapfile -t missing < <(scripts/checks/lint_kernels.sh --missing)
+        [ "${#missing[@]}" = 0 ] || apt_install "${missing[@]}" || true # the check says what it lacks
+    done
+}
+
 lint() {
     step "lint"
     "$bin/ruff" format --check .
     "$bin/ruff" check .
     "$bin/mypy"
     source_files kernels_cl codec_c tests/c | xargs -0 "$bin/clang-format" --dry-run --Werror
-    if [ -n "$ci" ] && on_debian_as_root && ! scripts/checks/lint_kernels.sh --find >/dev/null; then
-        apt_install clang || true # lint_kernels.sh says what is missing
+    if [ -n "$ci" ] && on_debian_as_root; then
+        install_kernel_lint
     fi
     scripts/checks/lint_kernels.sh
 }

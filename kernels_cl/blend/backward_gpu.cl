@@ -11,6 +11,7 @@
 #include "blend/rays.h"
 #include "blend/record.h"
 #include "blend/touch.h"
+#include "common/real.h"
 #include "common/tile_size.h"
 
 #define TILE_PIXELS (TILE_SIZE * TILE_SIZE)

@@ -6,7 +6,6 @@
  * counters of its own. Work-groups of one work-item; launch size: the number of chunks. No local
  * memory. */
 #include "common/chunk.h"
-#include "sort/digit.h"
 
 #define PLAN_CHOSEN 0 /* number of chosen items, known after the first pass */
 #define PLAN_LOW 1    /* smallest key */

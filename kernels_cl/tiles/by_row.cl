@@ -3,6 +3,7 @@
  *
  * A work-item owns every get_global_size-th Gaussian and counts on its own; the host adds the
  * counts. Work-groups of one work-item; launch size: any. No local memory. */
+#include "common/real.h"
 #include "tiles/box.h"
 #include "tiles/footprints.h"
 #include "tiles/large_footprint.h"

@@ -23,9 +23,11 @@ class Mutation:
 PROJECT = "kernels_cl/gaussian/project.cl"
 PROJECTION = "kernels_cl/gaussian/projection.h"
 PROJECTED = "kernels_cl/gaussian/projected_gaussians.h"
-SPLAT = "kernels_cl/blend/splat.h"
-STEP = "kernels_cl/blend/blend_step.h"
-LOSS = "kernels_cl/loss/loss.cl"
+ELLIPSES = "kernels_cl/common/ellipses.h"
+TOUCH = "kernels_cl/blend/touch.h"
+PIXELS = "kernels_cl/blend/pixels.h"
+RAYS = "kernels_cl/blend/rays.h"
+LOSS = "kernels_cl/loss/forward.cl"
 
 MUTATIONS = (
     Mutation(
@@ -73,21 +75,21 @@ MUTATIONS = (
     Mutation(
         "blend",
         "a cut that NaN passes",
-        SPLAT,
+        TOUCH,
         "t.touched = exponent >= c->cut;",
         "t.touched = !(exponent < c->cut);",
     ),
     Mutation(
         "blend",
         "transmittance not divided on the way back",
-        STEP,
+        RAYS,
         "p->transmittance = p->transmittance / (1.0f - alpha)",
         "p->transmittance = p->transmittance * (1.0f - alpha)",
     ),
     Mutation(
         "blend",
         "suffix with the rounding of a difference of whole sums",
-        STEP,
+        RAYS,
         "const fv change = color - p->behind",
         "const fv change = color - ((p->behind * p->transmittance + 4.0f) - 4.0f) / "
         "p->transmittance",
@@ -95,85 +97,91 @@ MUTATIONS = (
     Mutation(
         "blend",
         "no gradient by way of the background",
-        "kernels_cl/blend/blend_tile.h",
+        "kernels_cl/blend/backward_cpu.cl",
         "fma(rays->d_red, (fv)(background[0]),",
         "0.0f * fma(rays->d_red, (fv)(background[0]),",
     ),
     Mutation(
         "blend",
-        "splat that crosses the transmittance stop is blended",
-        STEP,
+        "record that crosses the transmittance stop is blended",
+        PIXELS,
         "weight = stops ? (fv)(0.0f) : weight;",
         "",
     ),
     Mutation(
         "blend",
         "backward pass beyond the last contributor",
-        STEP,
+        RAYS,
         "t->touched & ((iv)(number) <= p->last)",
         "t->touched",
     ),
     Mutation(
         "blend",
         "gradient of a saturated alpha",
-        STEP,
+        RAYS,
         "t->saturated ? (fv)(0.0f) : weight * change",
         "weight * change",
     ),
     Mutation(
         "sort",
         "keys of 16 bits",
-        "kernels_cl/sort/sort.cl",
+        "kernels_cl/sort/chosen_gpu.cl",
         "chosen[i] > 0 ? keys[i] : KEY_LAST",
         "chosen[i] > 0 ? keys[i] & 0xffff0000u : KEY_LAST",
     ),
     Mutation(
         "tiles",
         "three sigma in the test of tiles",
-        SPLAT,
+        ELLIPSES,
         "e.reach = sqrt(fma(limit, (fv)(1.00001f), (fv)(1e-5f))) + error;",
         "e.reach = (fv)(3.0f * WHITENING_UNIT);",
     ),
     Mutation(
         "tiles",
         "first column of a span on the row of the last one",
-        "kernels_cl/tiles/footprint.h",
+        "kernels_cl/tiles/footprints.h",
         "clamp_lanes(-f->tip, top, bottom)",
         "clamp_lanes(f->tip, top, bottom)",
     ),
     Mutation(
         "tiles",
         "tiles of a row where their first spans end",
-        "kernels_cl/tiles/tiles_chunk.h",
+        "kernels_cl/tiles/lists_cpu.cl",
         "--next[span.x + span.y];",
         "--next[span.x + 1];",
     ),
     Mutation(
         "blend",
         "three sigma in the test of units",
-        SPLAT,
+        ELLIPSES,
         "e.squared = e.reach * e.reach * 1.00001f * inverse;",
         "e.squared = 9.0f * WHITENING_UNIT * WHITENING_UNIT * inverse;",
     ),
     Mutation(
         "sort",
         "highest bit of the keys left out",
-        "kernels_cl/sort/sort.cl",
+        "kernels_cl/sort/chosen_cpu.cl",
         "(bits + plan[PLAN_PASSES] - 1) / plan[PLAN_PASSES]",
         "bits / plan[PLAN_PASSES]",
     ),
     Mutation(
         "scan",
         "total of 32 bits",
-        "kernels_cl/scan/scan.cl",
+        "kernels_cl/scan/offsets_cpu.cl",
         "total[0] = carry",
         "total[0] = (int)carry",
-        2,
+    ),
+    Mutation(
+        "scan",
+        "total of 32 bits, GPU form",
+        "kernels_cl/scan/offsets_gpu.cl",
+        "total[0] = carry",
+        "total[0] = (int)carry",
     ),
     Mutation(
         "scan",
         "offsets one item late",
-        "kernels_cl/scan/scan.cl",
+        "kernels_cl/scan/offsets_cpu.cl",
         "offsets[i] = fits ? (int)carry : 0;",
         "offsets[i] = fits ? (int)(carry + counts[i]) : 0;",
     ),
