@@ -43,7 +43,7 @@ static inline iv touches(const fv centre, const fv radius, const float size)
     return (centre + radius > (fv)(0.0f)) & (centre - radius < (fv)(tiled));
 }
 
-/* keep[i] = 1 if anchor i may be seen, else 0. One with a NaN is not seen, nor one that is less than
+/* keep[i] = 1 if anchor i may be seen, else 0. A NaN is not seen, nor is an anchor less than
  * `smallest` pixels wide (6 sigma, without the blur). */
 __kernel void cull_test(__global const float *position, __global const float *scaling,
                         __global const float *camera, const int count, const float smallest,

@@ -8,7 +8,6 @@
 #include "common/items.h"
 #include "common/method.h"
 #include "common/prefetch.h"
-#include "common/real.h" /* as everywhere, no contraction */
 
 /* Gaussians of a work-item: a CPU prefetches their sums together. */
 #ifndef SHARE
