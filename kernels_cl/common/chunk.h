@@ -1,4 +1,4 @@
-/* The share of a work-item if every work-item takes a run of neighbouring items. */
+/* Chunks: runs of neighbouring items, one per work-item or work-group. */
 #ifndef CLGS_CHUNK_H
 #define CLGS_CHUNK_H
 
@@ -14,6 +14,12 @@ static inline Chunk own_chunk(const int count)
     const int begin = min((int)get_global_id(0) * length, count);
     const Chunk c = {begin, min(begin + length, count)};
     return c;
+}
+
+/* End of a chunk of given length that starts at `first`, among `count` items. */
+static inline int chunk_end(const int first, const int length, const int count)
+{
+    return count - first < length ? count : first + length;
 }
 
 #endif

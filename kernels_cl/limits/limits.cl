@@ -1,7 +1,11 @@
-/* What a device can do at most: bytes copied and float32 operations a second. */
+/* What a device can do at most: bytes copied and float32 operations per second.
+ *
+ * limits_copy: a work-item copies VEC numbers; launch size: at least total / VEC, in work-groups of
+ * any size. limits_fma: a work-item computes on VEC lanes; launch size: any. No local memory. */
 #include "common/lanes.h"
+#include "common/real.h"
 
-/* target = source; one work-item a vector of lanes. */
+/* target = source. */
 __kernel void limits_copy(__global const float *source, const uint total, __global float *target)
 {
     const size_t vector = get_global_id(0);

@@ -1,5 +1,6 @@
-/* A tile or block shared by a work-group: 256 items with local memory and barriers (USE_LOCAL 1),
- * or one item with private memory and none (USE_LOCAL 0). Loops over shared work are written
+/* A patch or block shared by a work-group: 256 work-items with local memory and barriers
+ * (USE_LOCAL 1), or one work-item with private memory and no barriers (USE_LOCAL 0). Loops over
+ * shared work are written
  *     for (int unit = ITEM; unit < count; unit += ITEMS)
  * and reductions have a fixed order, so that a device always gives the same bits. */
 #ifndef CLGS_GROUP_H
@@ -21,11 +22,11 @@
 #define GROUP_SIZED
 #endif
 
-/* Reduction of one float4 an item over the group; every item gets the result.
- * scratch holds ITEMS values and may be used again after the call. */
+/* Reduction of one float4 per work-item over the group; every work-item gets the result. scratch
+ * holds ITEMS values and may be used again after the call. */
 #if USE_LOCAL
 #define DEFINE_GROUP_REDUCTION(name, COMBINE)                                                      \
-    inline float4 name(float4 value, __local float4 *scratch)                                      \
+    static inline float4 name(float4 value, __local float4 *scratch)                               \
     {                                                                                              \
         scratch[ITEM] = value;                                                                     \
         SYNC();                                                                                    \
@@ -40,7 +41,7 @@
     }
 #else
 #define DEFINE_GROUP_REDUCTION(name, COMBINE)                                                      \
-    inline float4 name(float4 value, __private float4 *scratch)                                    \
+    static inline float4 name(float4 value, __private float4 *scratch)                             \
     {                                                                                              \
         (void)scratch;                                                                             \
         return value;                                                                              \

@@ -2,13 +2,11 @@
 #ifndef CLGS_GROUP_SCAN_H
 #define CLGS_GROUP_SCAN_H
 
-#ifndef GROUP_SIZE
-#define GROUP_SIZE 256
-#endif
+#define GROUP_SIZE 256 /* work-items of a work-group */
 
 /* Sum of the values of the work-items before this one; *total is the sum of all. Every work-item of
- * the group must call it; scratch holds GROUP_SIZE entries and is free again on return. */
-inline long group_exclusive_scan(long value, __local long *scratch, long *total)
+ * the group must call it; scratch holds GROUP_SIZE numbers and is free again on return. */
+static inline long group_exclusive_scan(long value, __local long *scratch, long *total)
 {
     const int item = (int)get_local_id(0);
     scratch[item] = value;

@@ -135,11 +135,12 @@ def _line(text: str, position: int) -> int:
 
 def _function_name(head: str) -> str:
     """The name that ``head``, the text before an opening brace, declares; "" for no function."""
-    match = re.search(r"(\w+)\s*\([^{}]*\)\s*$", _without_attributes(head))
+    match = re.search(r"(\w+)\s*\([^{}]*\)\s*$", without_attributes(head))
     return match[1] if match else ""
 
 
-def _without_attributes(text: str) -> str:
+def without_attributes(text: str) -> str:
+    """C text without its __attribute__((...))."""
     return re.sub(r"__attribute__\s*\(\((?:[^()]|\([^()]*\))*\)\)", "", text)
 
 
@@ -149,11 +150,24 @@ _COMMENT_OR_STRING = re.compile(
 _DIRECTIVE = re.compile(r"^[ \t]*#(?:[^\n]*\\\n)*[^\n]*", re.M)
 
 
+def without_comments(text: str) -> str:
+    """C text with blanks for comments and strings, but for those of includes; positions stay."""
+    return _COMMENT_OR_STRING.sub(
+        lambda match: match[0] if _is_included(text, match.start()) else _blank(match[0]), text
+    )
+
+
+def _is_included(text: str, start: int) -> bool:
+    return re.fullmatch(r"[ \t]*#[ \t]*include[ \t]*", text[:start].rpartition("\n")[2]) is not None
+
+
+def _blank(text: str) -> str:
+    return re.sub(r"[^\n]", " ", text)
+
+
 def plain_c(text: str) -> str:
     """C text with blanks for comments, strings and preprocessor lines; positions stay."""
-    for pattern in (_COMMENT_OR_STRING, _DIRECTIVE):
-        text = pattern.sub(lambda match: re.sub(r"[^\n]", " ", match[0]), text)
-    return text
+    return _DIRECTIVE.sub(lambda match: _blank(match[0]), without_comments(text))
 
 
 def kernels_in(text: str) -> list[str]:
@@ -161,7 +175,7 @@ def kernels_in(text: str) -> list[str]:
 
     ``__kernel`` may be part of a macro whose name ends in KERNEL.
     """
-    plain = _without_attributes(plain_c(text))
+    plain = without_attributes(plain_c(text))
     found = re.findall(r"\b(?:__kernel|kernel|\w*KERNEL)\s+void\s+(\w+)\s*\(", plain)
     return list(dict.fromkeys(found))
 
@@ -179,7 +193,7 @@ def kernel_file_complaints(path: str, text: str, stages: Iterable[str]) -> list[
     """
     kernels = kernels_in(text)
     if path.endswith(".h"):
-        return []
+        return [f"{path}: a header holds a kernel"] if kernels else []
     if not kernels:
         return [f"{path}: holds no kernel"]
     found = {name: stage_of(name, stages) for name in kernels}

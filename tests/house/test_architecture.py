@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.house import rules
+from tests.house import kernel_rules, rules
 
 ROOT = Path(__file__).resolve().parents[2]
 if not (ROOT / "clgs").is_dir():
@@ -79,6 +79,28 @@ def test_every_reference_has_its_op():
 def test_kernels_are_named_by_their_stage():
     files = sources("kernels_cl", suffixes={".cl", ".h"}).items()
     assert not flat([rules.kernel_file_complaints(path, text, STAGES) for path, text in files])
+
+
+def kernel_files() -> dict[str, str]:
+    """Text of every kernel file by its path from kernels_cl."""
+    found = sources("kernels_cl", suffixes={".cl", ".h"})
+    return {path.removeprefix("kernels_cl/"): text for path, text in found.items()}
+
+
+def test_kernel_helpers_are_static_inline():
+    assert not flat([kernel_rules.inline_complaints(*item) for item in kernel_files().items()])
+
+
+def test_kernel_files_of_a_form_are_pairs():
+    assert not kernel_rules.form_complaints(kernel_files())
+
+
+def test_kernel_files_include_what_they_use():
+    assert not kernel_rules.include_complaints(kernel_files())
+
+
+def test_kernel_types_and_headers_have_one_home():
+    assert not kernel_rules.name_complaints(kernel_files())
 
 
 def test_kernels_are_fetched_by_their_stage():

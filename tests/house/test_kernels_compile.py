@@ -1,4 +1,4 @@
-"""Every kernel file builds: alone with its defaults, and in both specialisations."""
+"""Every kernel file builds: alone with its form's defaults, and in both specialisations."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ NOT_PORTABLE = re.compile(
 )
 
 
-def build(device, text):
-    return cl.Program(device.context, text).build(options=["-cl-std=CL1.2"])
+def build(device, name, text):
+    form = ["-DVEC=1", "-DUSE_LOCAL=1"] if name.endswith("_gpu.cl") else []
+    return cl.Program(device.context, text).build(options=["-cl-std=CL1.2", *form])
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_builds_alone_with_its_defaults(open_device, name):
     text = read_program(name)
-    built = build(open_device("cpu"), text)
+    built = build(open_device("cpu"), name, text)
     assert set(built.kernel_names.split(";")) <= set(kernels_in(text))
 
 
@@ -50,7 +51,7 @@ def test_errors_name_file_and_line(open_device, name):
         len(kernel_root().joinpath(*name.split("/")).read_text(encoding="utf-8").splitlines()) + 1
     )
     with pytest.raises(cl.RuntimeError, match=rf"{name}:{line}"):
-        build(open_device("cpu"), text)
+        build(open_device("cpu"), name, text)
 
 
 @pytest.mark.parametrize("name", PROGRAMS)

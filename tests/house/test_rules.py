@@ -111,6 +111,8 @@ void helper(int x) {}
     kernel = "__kernel void blend_rows(__global float *x) {}"
     assert rules.kernel_file_complaints("kernels_cl/mlp/forward.cl", kernel, stages)
     assert not rules.kernel_file_complaints("kernels_cl/blend/forward.cl", kernel, stages)
+    (found,) = rules.kernel_file_complaints("kernels_cl/blend/forward.h", kernel, stages)
+    assert "a header holds a kernel" in found
 
 
 def test_fetching_the_kernel_of_another_stage_is_found():

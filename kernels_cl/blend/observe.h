@@ -1,15 +1,14 @@
-/* What tests and counters learn from the kernels of blend: builds of the very
- * same source, in which OBSERVE_PARAMETERS adds arguments to the kernels and
- * OBSERVE looks at one splat over VEC pixels.
+/* What tests and counters learn from the blending: builds of the very same source in which
+ * OBSERVE_PARAMETERS adds arguments to the kernels and OBSERVE looks at one record over VEC pixels.
  *
- * EXPORT_DECISIONS: 256 bits an entry, bit x + 16 y of the tile: took part; was
- * clamped to ALPHA_MAX. COUNT_PAIRS: visited and blended pairs of a pixel and a
- * splat, one pair of totals a work-item.
- */
-#ifndef CLGS_BLEND_OBSERVE_H
-#define CLGS_BLEND_OBSERVE_H
+ * EXPORT_DECISIONS: 256 bits per entry, bit x + 16 y of the tile: took part; was clamped to
+ * ALPHA_MAX. COUNT_PAIRS: visited and blended pairs of a pixel and a record, two totals per
+ * work-item. */
+#ifndef CLGS_OBSERVE_H
+#define CLGS_OBSERVE_H
 
-#include "blend/tile.h"
+#include "common/real.h"
+#include "common/tile_size.h"
 
 #ifdef EXPORT_DECISIONS
 #define OBSERVE_PARAMETERS , __global uint *blended, __global uint *clamped
@@ -17,13 +16,13 @@
 #define OBSERVE(entry, x, y, taken, saturated)                                                     \
     export_decisions(blended, clamped, entry, x, y, taken, saturated)
 
-inline void export_bit(__global uint *words, int entry, int pixel)
+static inline void export_bit(__global uint *words, int entry, int pixel)
 {
     atomic_or(&words[8 * (size_t)entry + (size_t)(pixel / 32)], 1u << (pixel % 32));
 }
 
-inline void export_decisions(__global uint *blended, __global uint *clamped, int entry, int x,
-                             int y, iv taken, iv saturated)
+static inline void export_decisions(__global uint *blended, __global uint *clamped, int entry,
+                                    int x, int y, iv taken, iv saturated)
 {
     int is_taken[VEC], is_saturated[VEC];
     STORE_V(taken, 0, is_taken);
@@ -41,7 +40,7 @@ inline void export_decisions(__global uint *blended, __global uint *clamped, int
 #define OBSERVE_ARGUMENTS , pairs
 #define OBSERVE(entry, x, y, taken, saturated) (void)(entry), count_pairs(pairs, taken)
 
-inline void count_pairs(__global ulong *pairs, iv taken)
+static inline void count_pairs(__global ulong *pairs, iv taken)
 {
     int is_taken[VEC];
     STORE_V(taken, 0, is_taken);

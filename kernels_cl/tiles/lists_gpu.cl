@@ -1,9 +1,17 @@
-/* Entries in depth order, for a sort by tile: the GPU form, one work-item a Gaussian or an entry.
- */
-#ifndef CLGS_TILES_SORTED_H
-#define CLGS_TILES_SORTED_H
+/* Lists of the Gaussians that may touch each tile, in ascending depth, GPU form: the entries are
+ * written in depth order, sorted by tile (sort/by_key_gpu.cl), and the ends of the lists found from
+ * the sorted tiles. Every entry also has a row of gradients, contiguous for every Gaussian and in
+ * the order of the Gaussians: there the backward pass of the blending leaves its moments.
+ *
+ * A work-item owns a Gaussian or an entry; launch size: at least their number, in work-groups of
+ * any size. No local memory. */
+#include "common/real.h"
+#include "common/tile_size.h"
+#include "tiles/box.h"
+#include "tiles/footprints.h"
+#include "tiles/large_footprint.h"
 
-/* Numbers of tiles in depth order; 0 past the drawn ones. */
+/* Numbers of tiles in depth order; 0 after the drawn Gaussians. One work-item per rank. */
 __kernel void tiles_rank(__global const int *order, __global const int *ordered,
                          __global const int *counts, const int count, __global int *ranked_counts)
 {
@@ -13,14 +21,15 @@ __kernel void tiles_rank(__global const int *order, __global const int *ordered,
     ranked_counts[rank] = rank < ordered[0] ? counts[order[rank]] : 0;
 }
 
+/* The arrays of entries: tile and row in depth order, Gaussian by row of gradients. */
 typedef struct {
     __global uint *tile;
     __global int *row, *gaussian_of_row;
 } Entries;
 
 /* Writes the entries of `tiles` tiles of Gaussian i, from place to.x and row to.y on. */
-inline int2 emit_tiles(const int first, const int tiles, const int i, int2 to,
-                       const Entries entries)
+static inline int2 emit_tiles(const int first, const int tiles, const int i, int2 to,
+                              const Entries entries)
 {
     for (int tile = first; tile < first + tiles; ++tile, to += 1) {
         entries.tile[to.x] = (uint)tile;
@@ -30,7 +39,7 @@ inline int2 emit_tiles(const int first, const int tiles, const int i, int2 to,
     return to;
 }
 
-/* Entries of the Gaussian of every depth rank, from place[rank] on. */
+/* Entries of the Gaussian of every depth rank, from place[rank] on. One work-item per rank. */
 __kernel void tiles_emit(__global const float *mean2d, __global const float *whitening,
                          __global const float *opacity, __global const float *extent,
                          const int width, const int height, const int first_row, const int end_row,
@@ -44,9 +53,9 @@ __kernel void tiles_emit(__global const float *mean2d, __global const float *whi
     if (rank >= ordered[0] || total[0] > (long)capacity)
         return;
     const Geometry g = {mean2d, whitening, opacity, extent};
-    const Window w = {width, height, first_row, end_row};
+    const Frame frame = {width, height, first_row, end_row};
     const Entries entries = {tile, row, gaussian_of_row};
-    const int i = order[rank], columns = columns_of(w);
+    const int i = order[rank], columns = tiles_across(width);
     const int4 box = vload4((size_t)i, boxes);
     int2 to = (int2)(place[rank], row_range[i]);
     ulong bytes = bytes_of(box);
@@ -54,16 +63,16 @@ __kernel void tiles_emit(__global const float *mean2d, __global const float *whi
         to = emit_tiles(first + (int)(bytes & 15ul), (int)(bytes >> 4 & 15ul), i, to, entries);
     if (bytes_of(box))
         return;
-    const Large f = load_large(&g, i, w);
+    const LargeFootprint f = load_large_footprint(&g, i, frame);
     for (int y = f.top; y <= f.bottom; y += VEC) {
-        const Rows r = rows_of(&f, y, w);
+        const RowSpans r = row_spans(&f, y, frame);
         for (int lane = 0; lane < VEC; ++lane)
             to = emit_tiles((y + lane) * columns + r.first[lane], r.tiles[lane], i, to, entries);
     }
 }
 
-/* Entries from total to capacity, and all where they do not fit: after the last tile, of no
- * Gaussian, each with a row of its own. */
+/* Entries from total to capacity, and all if they do not fit: padding after the last tile, each
+ * with a row of gradients of its own. One work-item per entry. */
 __kernel void tiles_pad_entries(__global const long *total, const int capacity, const int tiles,
                                 __global uint *tile, __global int *row,
                                 __global int *gaussian_of_row)
@@ -77,7 +86,8 @@ __kernel void tiles_pad_entries(__global const long *total, const int capacity, 
 }
 
 /* From entries sorted by tile: where the list of every tile starts, and the Gaussian of every
- * entry. Work-item i handles the boundary before entry i; the one after the last entry exists. */
+ * entry. Work-item i handles the boundary before entry i, work-item `entries` that after the last.
+ */
 __kernel void tiles_ranges(__global const uint *tile, __global const int *row, const int entries,
                            const int tiles, __global const int *gaussian_of_row,
                            __global int *tile_range, __global int *gaussian)
@@ -92,5 +102,3 @@ __kernel void tiles_ranges(__global const uint *tile, __global const int *row, c
     if (i < entries)
         gaussian[i] = gaussian_of_row[row[i]];
 }
-
-#endif

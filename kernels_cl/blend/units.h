@@ -1,16 +1,15 @@
-/* How the pixels of a tile are cut into units of VEC lanes: 4 pixels wide,
- * VEC/4 high on a CPU (small Gaussians touch fewer such blocks than rows), one
- * pixel on a GPU. A tile has at most 32 units, so that a set of them is the
- * bits of a uint. */
-#ifndef CLGS_TILE_H
-#define CLGS_TILE_H
+/* CPU form: the pixels of a tile are cut into units of VEC lanes, 4 pixels wide and VEC/4 high:
+ * small Gaussians touch fewer such blocks than rows. A tile has at most 32 units, so that a set of
+ * them is the bits of a uint. */
+#ifndef CLGS_UNITS_H
+#define CLGS_UNITS_H
 
 #include "common/real.h"
+#include "common/tile_size.h"
 
-#ifndef TILE_SIZE
-#define TILE_SIZE 16
+#ifndef SKIP_EMPTY_TILES
+#define SKIP_EMPTY_TILES 1 /* see Skips in clgs/options.py */
 #endif
-#define TILE_PIXELS (TILE_SIZE * TILE_SIZE)
 
 #if VEC > 1
 
@@ -43,7 +42,7 @@
 #define ROW_SHIFT ((int4)(28, 24, 20, 16))
 #endif
 
-inline uint or_rows(ROW_I rows)
+static inline uint or_rows(ROW_I rows)
 {
 #if VEC == 8
     const int4 four = rows.lo | rows.hi;
@@ -54,20 +53,19 @@ inline uint or_rows(ROW_I rows)
     return (uint)(pair.x | pair.y);
 }
 
-inline int unit_x(int unit)
+static inline int unit_x(int unit)
 {
     return (int)((uint)unit % UNIT_COLUMNS * UNIT_WIDTH);
 }
 
-inline int unit_y(int unit)
+static inline int unit_y(int unit)
 {
     return (int)((uint)unit / UNIT_COLUMNS * UNIT_HEIGHT);
 }
 
-/* Units that an ellipse touches, its centre relative to the tile; see Ellipses
- * in splat.h. All are kept where a number is not finite. A little too large, so
- * that rounding never loses a pixel. */
-inline uint units_of(float2 centre, float slope, float squared, float shrink)
+/* Units that an ellipse touches, its centre relative to the tile; see Ellipses. Of a number that is
+ * not finite, all. A little too large, so that rounding never loses a pixel. */
+static inline uint units_of(float2 centre, float slope, float squared, float shrink)
 {
     const ROW_F width = (ROW_F)((float)TILE_SIZE);
     ROW_F low = width, high = (ROW_F)(0.0f);
@@ -94,22 +92,21 @@ inline uint units_of(float2 centre, float slope, float squared, float shrink)
 }
 
 /* Sets of units: unit 0 is the highest bit of a uint. */
-inline uint unit_bit(int unit)
+static inline uint unit_bit(int unit)
 {
     return 0x80000000u >> unit;
 }
 
 /* Removes the first unit of a non-empty set and returns it. */
-inline int take_unit(uint *units)
+static inline int take_unit(uint *units)
 {
     const int unit = (int)clz(*units);
     *units ^= unit_bit(unit);
     return unit;
 }
 
-/* The pixels of a unit at (x, y) of an image; those outside of it read as zero.
- */
-inline fv load_unit(__global const float *plane, int x, int y, int width, int height)
+/* The pixels of the unit at (x, y) of an image; those outside of it read as zero. */
+static inline fv load_unit(__global const float *plane, int x, int y, int width, int height)
 {
     float lane[VEC];
     for (int i = 0; i < VEC; ++i) {
@@ -120,7 +117,7 @@ inline fv load_unit(__global const float *plane, int x, int y, int width, int he
     return LOAD_V(0, lane);
 }
 
-inline void store_unit(fv value, __global float *plane, int x, int y, int width, int height)
+static inline void store_unit(fv value, __global float *plane, int x, int y, int width, int height)
 {
     float lane[VEC];
     STORE_V(value, 0, lane);

@@ -1,76 +1,29 @@
-/* The GPU form of blend: one work-group of TILE_PIXELS work-items a tile, one
- * pixel each. */
-#ifndef CLGS_BLEND_GROUP_H
-#define CLGS_BLEND_GROUP_H
+/* Gradients of the blending, GPU form: back to front with T / (1 - alpha) and one scalar per pixel,
+ * the colour behind the record dotted with d_image. Every entry of a list writes one row of moments
+ * to a place of its own, and sums.cl adds the rows of each Gaussian: no floating-point atomics, the
+ * same bits in every run.
+ *
+ * A work-group owns a tile, each of its TILE_SIZE^2 work-items a pixel. Local memory holds
+ * BACKWARD_BATCH records, which the work-items load together, and the moments of all pixels for
+ * ROUND entries, which they then add up together. Launch size: tiles * TILE_SIZE^2. */
+#include "blend/moments.h"
+#include "blend/observe.h"
+#include "blend/rays.h"
+#include "blend/record.h"
+#include "blend/touch.h"
+#include "common/real.h"
+#include "common/tile_size.h"
 
-/* Copies the records [begin, begin + BATCH) of the list that ends at end; one a
- * work-item. */
-inline void stage_record(__local float *staged, __global const float *records, int k, int end)
-{
-    const int item = (int)get_local_id(0);
-    if (k < end)
-        for (int j = 0; j < RECORD_USED; ++j)
-            staged[RECORD_USED * item + j] = records[RECORD_SIZE * (size_t)k + (size_t)j];
-}
+#define TILE_PIXELS (TILE_SIZE * TILE_SIZE)
 
-__kernel void blend_forward(__global const float *records, __global const int *tile_range,
-                            __global const float *background, const int width, const int height,
-                            __global float *image, __global float *transmittance,
-                            __global int *last_contributor OBSERVE_PARAMETERS)
-{
-    __local float staged[RECORD_USED * BATCH];
-    __local int open;
-    const int tile = (int)get_group_id(0), item = (int)get_local_id(0);
-    const int columns = (width + TILE_SIZE - 1) / TILE_SIZE;
-    const int x = tile % columns * TILE_SIZE + item % TILE_SIZE;
-    const int y = tile / columns * TILE_SIZE + item / TILE_SIZE;
-    const bool inside = x < width && y < height;
-    const TouchConstants constants = touch_constants(0);
-    Pixels p;
-    Ends e;
-    start_pixels(&p, &e, inside);
-    const int first = tile_range[tile], end = tile_range[tile + 1];
-    for (int begin = first; begin < end; begin += BATCH) {
-        if (item == 0)
-            open = 0;
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (p.stop > 0.0f)
-            atomic_or(&open, 1);
-        stage_record(staged, records, begin + item, end);
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (SKIP_FINISHED && !open) /* the same for all work-items */
-            break;
-        const int stop = end - begin < BATCH ? end : begin + BATCH;
-        for (int k = begin; k < stop; ++k) {
-            Paint paint;
-            READ_PAINT(paint, staged + RECORD_USED * (k - begin));
-            const Touch t = touch(&paint.splat, (float)x + 0.5f, (float)y + 0.5f, &constants);
-            OBSERVE(k, item % TILE_SIZE, item / TILE_SIZE, blended_over(&p, &t), t.saturated);
-            blend_over(&p, &e, &paint, &t, k - first + 1);
-        }
-        barrier(CLK_LOCAL_MEM_FENCE);
-    }
-    if (inside) {
-        const size_t at = (size_t)y * (size_t)width + (size_t)x;
-        const size_t plane = (size_t)width * (size_t)height;
-        const bool open_to_the_end = e.transmittance < 0.0f;
-        const float rest = open_to_the_end ? p.transmittance : e.transmittance;
-        image[at] = fma(rest, background[0], p.red);
-        image[at + plane] = fma(rest, background[1], p.green);
-        image[at + 2 * plane] = fma(rest, background[2], p.blue);
-        transmittance[at] = rest;
-        last_contributor[at] = open_to_the_end ? end - first : e.last;
-    }
-}
-
-/* Sums over the work-group of ROUND entries at a time, in two steps with a fixed order: PARTS
- * partial sums of every moment, then these. */
+/* Sums over the work-group, of ROUND entries at a time, in two steps of a fixed order: PARTS
+ * partial sums of every moment, then the sums of these. */
 #define ROUND 3
 #define PARTS 8
 #define ROUND_MOMENTS (ROUND * ROW_USED)
 #define BACKWARD_BATCH (16 * ROUND) /* records staged at a time */
 
-inline void store_moments(const Moments *m, int slot, __local float *values)
+static inline void store_moments(const Moments *m, int slot, __local float *values)
 {
     const float own[ROW_USED] = {m->y1,  m->y2,    m->y11,  m->y12,  m->y22,
                                  m->red, m->green, m->blue, m->alpha};
@@ -78,9 +31,10 @@ inline void store_moments(const Moments *m, int slot, __local float *values)
         values[TILE_PIXELS * (ROW_USED * slot + j) + (int)get_local_id(0)] = own[j];
 }
 
-/* Contains barriers; afterwards values may be written again. */
-inline void reduce_moments(__local const float *values, __local float *parts,
-                           __local const float *staged, int entries, __global float *rows)
+/* Writes the rows of `entries` entries. Contains barriers; `values` may be written again after
+ * it. */
+static inline void reduce_moments(__local const float *values, __local float *parts,
+                                  __local const float *staged, int entries, __global float *rows)
 {
     const int item = (int)get_local_id(0);
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -100,9 +54,9 @@ inline void reduce_moments(__local const float *values, __local float *parts,
     }
 }
 
-inline Rays load_ray(__global const float *background, __global const float *transmittance,
-                     __global const int *last_contributor, __global const float *d_image, size_t at,
-                     size_t plane)
+static inline Rays load_ray(__global const float *background, __global const float *transmittance,
+                            __global const int *last_contributor, __global const float *d_image,
+                            size_t at, size_t plane)
 {
     Rays p;
     p.transmittance = transmittance[at];
@@ -114,9 +68,9 @@ inline Rays load_ray(__global const float *background, __global const float *tra
     return p;
 }
 
-/* Copies `count` records from the one before stop on, backwards; one a work-item. */
-inline void stage_backwards(__local float *staged, __global const float *records, int stop,
-                            int count)
+/* Copies `count` records, the one before `stop` first, then those before it; one per work-item. */
+static inline void stage_backwards(__local float *staged, __global const float *records, int stop,
+                                   int count)
 {
     const int item = (int)get_local_id(0);
     if (item < count)
@@ -136,7 +90,7 @@ __kernel void blend_backward(__global const float *records, __global const int *
     __local float parts[ROUND_MOMENTS * PARTS];
     __local int tile_last;
     const int tile = (int)get_group_id(0), item = (int)get_local_id(0);
-    const int columns = (width + TILE_SIZE - 1) / TILE_SIZE;
+    const int columns = tiles_across(width);
     const int x = tile % columns * TILE_SIZE + item % TILE_SIZE;
     const int y = tile / columns * TILE_SIZE + item / TILE_SIZE;
     const TouchConstants constants = touch_constants(0);
@@ -166,11 +120,11 @@ __kernel void blend_backward(__global const float *records, __global const int *
             const int entries = min(batch - i, ROUND);
             for (int slot = 0; slot < entries; ++slot) {
                 const int k = stop - 1 - i - slot;
-                Paint paint;
-                READ_PAINT(paint, staged + RECORD_USED * (i + slot));
+                Record record;
+                READ_RECORD(record, staged + RECORD_USED * (i + slot));
                 Moments m = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-                const Touch t = touch(&paint.splat, (float)x + 0.5f, (float)y + 0.5f, &constants);
-                const iv taken = blend_back(&p, &paint, &t, k - first + 1, &m);
+                const Touch t = touch(&record, (float)x + 0.5f, (float)y + 0.5f, &constants);
+                const iv taken = blend_back(&p, &record, &t, k - first + 1, &m);
                 OBSERVE(k, item % TILE_SIZE, item / TILE_SIZE, taken, t.saturated);
                 store_moments(&m, slot, values);
             }
@@ -178,5 +132,3 @@ __kernel void blend_backward(__global const float *records, __global const int *
         }
     }
 }
-
-#endif

@@ -1,31 +1,38 @@
-/* Lists without a sort by tile, CPU form. First every row of tiles collects its spans in depth
- * order: a work-item owns a chunk of the depth ranks and a counter of every row. Then a work-item
- * owns a row, and a counter of every column: few enough lists to write to that all stay in the
- * cache. */
-#ifndef CLGS_TILES_CHUNK_H
-#define CLGS_TILES_CHUNK_H
-
+/* Lists of the Gaussians that may touch each tile, in ascending depth, CPU form: two stable passes
+ * that count and place, so that nothing is sorted by tile. First every row of tiles collects its
+ * spans in depth order; then every row hands them out to its tiles. Every entry also has a row of
+ * gradients, contiguous for every Gaussian and in the order of the Gaussians: there the backward
+ * pass of the blending leaves its moments.
+ *
+ * tiles_count, tiles_place: a work-item owns a chunk of the depth ranks and a counter per row of
+ * tiles. tiles_enter: a work-item owns a row of tiles and a counter per column. So few lists are
+ * written to at a time that all of them stay in the cache. tiles_starts: one work-item. Work-groups
+ * of one work-item; launch size: the number of chunks or of rows. No local memory. */
 #include "common/chunk.h"
 #include "common/prefetch.h"
+#include "common/real.h"
+#include "tiles/box.h"
+#include "tiles/footprints.h"
+#include "tiles/large_footprint.h"
 
 #define BATCH 256 /* boxes fetched at a time, so that many reads are under way */
 #define RANKS_AHEAD 32
 
-/* Counters of a row of tiles: spans and tiles. */
-inline void count_span(const int tiles, __global int *counter)
+/* Adds a span to the counters of its row of tiles: spans and tiles. */
+static inline void count_span(const int tiles, __global int *counter)
 {
     counter[0] += tiles > 0;
     counter[1] += tiles;
 }
 
-inline void count_box(const Geometry *g, const Window w, const int4 box, const int i,
-                      __global int *counter)
+static inline void count_box(const Geometry *g, const Frame frame, const int4 box, const int i,
+                             __global int *counter)
 {
     ulong bytes = bytes_of(box);
     if (bytes == 0) {
-        const Large f = load_large(g, i, w);
+        const LargeFootprint f = load_large_footprint(g, i, frame);
         for (int row = f.top; row <= f.bottom; row += VEC) {
-            const Rows r = rows_of(&f, row, w);
+            const RowSpans r = row_spans(&f, row, frame);
             for (int lane = 0; lane < VEC && row + lane <= f.bottom; ++lane)
                 count_span(r.tiles[lane], counter + 2 * (row + lane));
         }
@@ -36,8 +43,9 @@ inline void count_box(const Geometry *g, const Window w, const int4 box, const i
     }
 }
 
-/* Spans and tiles in every row for every chunk, (chunks, pitch, 2), at least 1 more row than there
- * is; and the boxes of every rank with their first row of gradients. */
+/* For every chunk, the spans and the tiles in every row of tiles: counters (chunks, pitch, 2), with
+ * pitch above the number of rows. And for every rank its box, with its first row of gradients in
+ * the fourth word. One work-item per chunk. */
 __kernel void tiles_count(__global const float *mean2d, __global const float *whitening,
                           __global const float *opacity, __global const float *extent,
                           const int width, const int height, const int first_row, const int end_row,
@@ -46,7 +54,7 @@ __kernel void tiles_count(__global const float *mean2d, __global const float *wh
                           __global int *ranked, __global int *counters)
 {
     const Geometry g = {mean2d, whitening, opacity, extent};
-    const Window w = {width, height, first_row, end_row};
+    const Frame frame = {width, height, first_row, end_row};
     const Chunk own = own_chunk(ordered[0]);
     __global int *counter = counters + 2 * get_global_id(0) * (size_t)pitch;
     for (int k = 0; k < 2 * pitch; ++k)
@@ -60,12 +68,12 @@ __kernel void tiles_count(__global const float *mean2d, __global const float *wh
             vstore4((int4)(vload4((size_t)i, boxes).xyz, row_range[i]), (size_t)rank, ranked);
         }
         for (int rank = begin; rank < end; ++rank)
-            count_box(&g, w, vload4((size_t)rank, ranked), order[rank], counter);
+            count_box(&g, frame, vload4((size_t)rank, ranked), order[rank], counter);
     }
 }
 
-/* Counters of spans become places; and where the spans and the entries of every row start, (rows +
- * 1, 2); one work-item. Lists that do not fit stay empty. */
+/* Counters of spans become places; starts (rows + 1, 2): where the spans and the entries of every
+ * row start. Lists that do not fit stay empty. One work-item. */
 __kernel void tiles_starts(__global int *counters, const int chunks, const int pitch,
                            const int rows, __global const long *total, const int capacity,
                            __global int *starts)
@@ -84,30 +92,32 @@ __kernel void tiles_starts(__global int *counters, const int chunks, const int p
     vstore2(place, (size_t)rows, starts);
 }
 
+/* The lists of spans that a chunk adds to. */
 typedef struct {
     __global int *next; /* place of the next span of every row, 2 words each */
     __global int *spans;
-    int unused; /* a place that is none */
-} Spans;
+    int spare; /* a place that no list uses */
+} SpanLists;
 
-/* Adds a span of Gaussian i to a row, where it has tiles, without a branch; returns the row of
- * gradients after it. */
-inline int place_span(const int row, const int4 span, const Spans s)
+/* Adds a span to a row if it has tiles, without a branch; returns the row of gradients after
+ * it. */
+static inline int place_span(const int row, const int4 span, const SpanLists s)
 {
-    const int to = span.w ? s.next[2 * row] : s.unused;
+    const int to = span.w ? s.next[2 * row] : s.spare;
     vstore4(span, (size_t)to, s.spans);
     s.next[2 * row] += span.w > 0;
     return span.y + span.w;
 }
 
-inline void place_box(const Geometry *g, const Window w, const int4 box, const int i, const Spans s)
+static inline void place_box(const Geometry *g, const Frame frame, const int4 box, const int i,
+                             const SpanLists s)
 {
     ulong bytes = bytes_of(box);
     int at = box.w;
     if (bytes == 0) {
-        const Large f = load_large(g, i, w);
+        const LargeFootprint f = load_large_footprint(g, i, frame);
         for (int row = f.top; row <= f.bottom; row += VEC) {
-            const Rows r = rows_of(&f, row, w);
+            const RowSpans r = row_spans(&f, row, frame);
             for (int lane = 0; lane < VEC && row + lane <= f.bottom; ++lane)
                 at = place_span(row + lane, (int4)(i, at, r.first[lane], r.tiles[lane]), s);
         }
@@ -121,8 +131,8 @@ inline void place_box(const Geometry *g, const Window w, const int4 box, const i
 }
 
 /* The spans of every row: Gaussian, its first row of gradients there, first column, tiles. The
- * array has UNUSED more places a chunk. */
-#define UNUSED 4
+ * array has SPARE more places per chunk. One work-item per chunk. */
+#define SPARE 4
 __kernel void tiles_place(__global const float *mean2d, __global const float *whitening,
                           __global const float *opacity, __global const float *extent,
                           const int width, const int height, const int first_row, const int end_row,
@@ -133,17 +143,17 @@ __kernel void tiles_place(__global const float *mean2d, __global const float *wh
     if (total[0] > (long)capacity)
         return;
     const Geometry g = {mean2d, whitening, opacity, extent};
-    const Window w = {width, height, first_row, end_row};
+    const Frame frame = {width, height, first_row, end_row};
     const Chunk own = own_chunk(ordered[0]);
-    const Spans s = {places + 2 * get_global_id(0) * (size_t)pitch, spans,
-                     capacity + (int)get_global_id(0) * UNUSED};
+    const SpanLists s = {places + 2 * get_global_id(0) * (size_t)pitch, spans,
+                         capacity + (int)get_global_id(0) * SPARE};
     for (int rank = own.begin; rank < own.end; ++rank)
-        place_box(&g, w, vload4((size_t)rank, ranked), order[rank], s);
+        place_box(&g, frame, vload4((size_t)rank, ranked), order[rank], s);
 }
 
 /* Places of the first entries of the tiles of a row, from how many spans start and end there. */
-inline void start_tiles(__global const int *spans, const int2 range, int place, const int columns,
-                        __global int *next)
+static inline void start_tiles(__global const int *spans, const int2 range, int place,
+                               const int columns, __global int *next)
 {
     for (int column = 0; column <= columns; ++column)
         next[column] = 0;
@@ -160,8 +170,8 @@ inline void start_tiles(__global const int *spans, const int2 range, int place, 
     }
 }
 
-/* The lists of a row of tiles, one work-item each: those of even number first, as halves of a
- * picture may differ. */
+/* The lists of every row of tiles. One work-item per row: rows of even number first, as the halves
+ * of a picture may differ. */
 __kernel void tiles_enter(__global const int *spans, __global const int *starts, const int columns,
                           const int rows, const int pitch, __global int *places,
                           __global int *tile_range, __global int *gaussian, __global int *row)
@@ -185,7 +195,8 @@ __kernel void tiles_enter(__global const int *spans, __global const int *starts,
     }
 }
 
-/* Entries from total to capacity: of no Gaussian, each with a row of its own. */
+/* Entries from total to capacity: padding, each with a row of gradients of its own. Any number of
+ * work-items. */
 __kernel void tiles_pad_lists(__global const long *total, const int capacity,
                               __global int *gaussian, __global int *row)
 {
@@ -195,5 +206,3 @@ __kernel void tiles_pad_lists(__global const long *total, const int capacity,
         row[k] = k;
     }
 }
-
-#endif
