@@ -3,6 +3,7 @@
 #define CLGS_PROJECTION_H
 
 #include "common/camera.h"
+#include "common/camera_space.h"
 #include "common/lane_math.h"
 #include "common/method.h"
 #include "common/real.h"
@@ -53,11 +54,8 @@ static inline void quaternion_matrix(const fv q[4], fv matrix[3][3])
 static inline void project_mean(Projection *p, const fv mean[3], __global const float *camera)
 {
     fv point[3];
-    for (int row = 0; row < 3; ++row) {
-        __global const float *w = camera + CAMERA_ROTATION + 3 * row;
-        const fv turned = fma((fv)(w[2]), mean[2], fma((fv)(w[1]), mean[1], w[0] * mean[0]));
-        point[row] = turned + camera[CAMERA_TRANSLATION + row];
-    }
+    for (int row = 0; row < 3; ++row)
+        point[row] = camera_coordinate(camera, row, mean);
     p->z = point[2];
     for (int axis = 0; axis < 2; ++axis) {
         __global const float *limits = camera + CAMERA_SLOPE_LIMITS + 2 * axis;

@@ -107,15 +107,17 @@ static inline void multiplied_rows(const WeightTile *tile, const int column,
  * registers only if add_products is a function of its own. */
 #if USE_LOCAL
 #define VECTOR_STEP GROUP_SIZE
-#define OWN_FUNCTION static inline
+#define OWN_FUNCTION
 #else
 #define VECTOR_STEP 1
-#define OWN_FUNCTION static __attribute__((noinline))
+#define OWN_FUNCTION __attribute__((noinline))
 #endif
 
 /* sum[o][c] += row o times column c, over every VECTOR_STEP-th vector of [begin, end). */
-OWN_FUNCTION void add_products(__global const float *rows, __global const float *columns[COLUMNS],
-                               const size_t begin, const size_t end, fv sum[WEIGHT_ROWS][COLUMNS])
+static inline OWN_FUNCTION void add_products(__global const float *rows,
+                                             __global const float *columns[COLUMNS],
+                                             const size_t begin, const size_t end,
+                                             fv sum[WEIGHT_ROWS][COLUMNS])
 {
     fv own[WEIGHT_ROWS][COLUMNS];
 #pragma unroll
