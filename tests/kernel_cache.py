@@ -62,7 +62,7 @@ def is_build(path: str) -> bool:
 
 
 def add(source: Path, target: Path) -> None:
-    """Make ``target`` the file ``source``, whole from the moment it is there; the first one stays."""
+    """Make ``target`` the file ``source``, whole from the moment it appears; the first stays."""
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         os.link(source, target)
