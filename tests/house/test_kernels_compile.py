@@ -41,7 +41,7 @@ def test_builds_in_both_specialisations(device, name):
         assert limit <= 32 * 1024, f"{kernel} uses {limit} bytes of local memory"
 
 
-@pytest.mark.parametrize("name", PROGRAMS)
+@pytest.mark.parametrize("name", PROGRAMS[::5])
 def test_errors_name_file_and_line(open_device, name):
     text = read_program(name) + "\nint broken = undeclared_name;\n"
     line = len((kernel_root() / name).read_text(encoding="utf-8").splitlines()) + 1

@@ -32,7 +32,7 @@ def test_halves_and_their_neighbours(device, first):
         assert np.array_equal(integers, np.rint(x).astype(np.int32))
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.family("N32")
 def test_all_halves(device):
     for first in range(-(2**22), 2**22, 2**20):
