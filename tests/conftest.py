@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-import atexit
 import os
-import shutil
-import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests import mutant
+from tests import kernel_cache, mutant
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
-if "POCL_CACHE_DIR" not in os.environ or "PYTEST_XDIST_WORKER" in os.environ:
-    # Before pyopencl is imported: processes side by side must not share PoCL's kernel cache.
-    _cache = tempfile.mkdtemp(prefix="clgs-pocl-")
-    os.environ["POCL_CACHE_DIR"] = _cache
-    atexit.register(shutil.rmtree, _cache, ignore_errors=True)
-
+KERNELS = kernel_cache.open_cache()  # before pyopencl is imported
 
 if mutant.VARIABLE in os.environ:
     mutant.apply(Path(os.environ[mutant.VARIABLE]))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _shared_kernels() -> Iterator[None]:
+    KERNELS.take()
+    yield
+    KERNELS.give()
 
 
 @pytest.fixture(scope="session")

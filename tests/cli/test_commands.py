@@ -47,7 +47,7 @@ def data(tmp_path_factory):
 @pytest.fixture(scope="module")
 def run(data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
-    succeed("train", data, "-o", folder, "--steps", STEPS)
+    succeed("train", data, "-o", folder, "--steps", STEPS, POCL_MAX_PTHREAD_COUNT="2")
     return folder
 
 
@@ -133,10 +133,10 @@ def test_a_memory_budget_changes_nothing(data, run):
 
 
 def test_same_command_same_file_for_any_number_of_threads(data, run, tmp_path):
-    for threads in ("1", "2"):
-        folder = tmp_path / threads
-        succeed("train", data, "-o", folder, "--steps", STEPS, POCL_MAX_PTHREAD_COUNT=threads)
-        assert (folder / "scene.clgs").read_bytes() == (run / "scene.clgs").read_bytes()
+    """``run`` was trained on two."""
+    folder = tmp_path / "run"
+    succeed("train", data, "-o", folder, "--steps", STEPS, POCL_MAX_PTHREAD_COUNT="1")
+    assert (folder / "scene.clgs").read_bytes() == (run / "scene.clgs").read_bytes()
 
 
 def one_line(done, code, *words):

@@ -44,7 +44,7 @@ def test_builds_in_its_specialisations(device, name):
         assert limit <= 32 * 1024, f"{kernel} uses {limit} bytes of local memory"
 
 
-@pytest.mark.parametrize("name", PROGRAMS)
+@pytest.mark.parametrize("name", PROGRAMS[::5])
 def test_errors_name_file_and_line(open_device, name):
     text = read_program(name) + "\nint broken = undeclared_name;\n"
     line = (

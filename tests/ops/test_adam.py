@@ -43,12 +43,12 @@ def test_follows_float64(device, rng):
     on_device, stop = device.upload(start.astype(np.float32)), adam.stop_flag(device)
     moments = adam.zero_moments(device, on_device)
     size = 10.0 ** rng.uniform(-12, 5, 500)
-    for count in range(1, 1001):
+    for count in range(1, 301):
         g = (rng.normal(size=500) * size).astype(np.float32)
         wide, moments64 = reference.step(wide, g.astype(np.float64), moments64, 1e-3, count)
         now = adam.factors(1e-3, count)
         adam.step(device, on_device, device.upload(g), moments, now, stop)
-    # 1,000 roundings of the parameter itself, random in sign, and of steps of 1e-3
+    # 300 roundings of the parameter itself, random in sign, and of steps of 1e-3
     assert_close(device.download(on_device), wide, 1e-5 * np.maximum(np.abs(wide), 1), "parameter")
     second = device.download(moments.second)
     assert_close(second, moments64[1], 1e-4 * moments64[1], "second moment")
@@ -76,7 +76,7 @@ def test_moments_decay_to_zero_not_to_subnormals(device):
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("place", [0, 255, 256, 1001])
+@pytest.mark.parametrize("place", [0, 1001])
 def test_bad_gradients_change_nothing(device, rng, poison, place):
     parameter = rng.normal(size=1002).astype(np.float32)
     g = rng.normal(size=1002).astype(np.float32)
@@ -98,7 +98,7 @@ def test_bad_gradients_change_nothing(device, rng, poison, place):
     assert not device.download(moments.first).any()
 
 
-@pytest.mark.parametrize("value", [1, 2, -5])
+@pytest.mark.parametrize("value", [1, -5])
 def test_any_value_of_the_flag_stops(device, value):
     on_device, stop = device.zeros((40, 3)), device.upload(np.array([value], np.int32))
     moments, ones = (
@@ -122,8 +122,7 @@ def sparse_gradients(rng, rows, width):
     return g
 
 
-@pytest.mark.parametrize("width", [1, 6, 30, 50, 64])
-@pytest.mark.parametrize("rows", [0, 1, 7, 333])
+@pytest.mark.parametrize(("rows", "width"), [(0, 6), (1, 50), (7, 1), (333, 6), (333, 30)])
 def test_by_rows_only_those_with_a_gradient_move(device, rng, rows, width):
     parameter = rng.normal(size=(rows, width)).astype(np.float32)
     on_device, stop = device.upload(parameter), adam.stop_flag(device)

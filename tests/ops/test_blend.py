@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -72,20 +73,22 @@ EXP2_ERROR = {6: 0.0, 5: 2e-7, 4: 3e-6, 3: 8e-5}
 """Relative error of alpha by the degree of the polynomial of 2^x, beyond float32's own."""
 
 
-def with_every_degree(preset):
-    """A preset with its own degree, and parity with any, is quick; each pair is compiled anew."""
-    for degree in EXP2_ERROR:
-        quick = preset == "parity" or degree == PRESETS[preset].exp2_degree
-        yield pytest.param(preset, degree, marks=() if quick else pytest.mark.slow)
+def every_degree():
+    """Presets with their own degree, and the one that none has; others for a release.
+
+    Parity's own is compared above. Each pair is compiled anew.
+    """
+    quick = {(name, preset.exp2_degree) for name, preset in PRESETS.items() if name != "parity"}
+    quick.add(("parity", 5))
+    for pair in product(PRESETS, EXP2_ERROR):
+        yield pytest.param(*pair, marks=() if pair in quick else pytest.mark.release)
 
 
-@pytest.mark.parametrize(
-    ("preset", "degree"), [one for preset in PRESETS for one in with_every_degree(preset)]
-)
+@pytest.mark.parametrize(("preset", "degree"), list(every_degree()))
 def test_presets_agree_with_decision_matched_reference(device, rng, preset, degree):
     options = RenderOptions(accuracy=replace(PRESETS[preset], exp2_degree=degree))
-    scene = projected_scene(rng, 2500, 70, 64, 3.0)
-    rendered, expected, actual, wanted = compared(device, scene, (70, 64), rng, options)
+    scene = projected_scene(rng, 1500, 48, 40, 3.0)
+    rendered, expected, actual, wanted = compared(device, scene, (48, 40), rng, options)
     # the sum of weights is 1, and each layer's alpha dims all behind it once more
     bound = 5e-3 * LEVEL + 4 * EXP2_ERROR[degree]
     assert np.abs(rendered.host("image") - expected.image).max() <= bound
@@ -119,21 +122,29 @@ def test_presets_stop_where_the_reference_stops(device, rng, preset):
 
 def test_exact_preset_is_close_to_no_truncation(device, rng):
     options = RenderOptions(accuracy=PRESETS["exact"])
-    scene = projected_scene(rng, 3000, 96, 96, 3.0)
-    rendered = render(device, scene, (96, 96), options=options)
+    scene = projected_scene(rng, 1000, 48, 48, 3.0)
+    rendered = render(device, scene, (48, 48), options=options)
     everything = in_float64(rendered, scene)
-    full = every_tile_lists(device, scene, (96, 96))
+    full = every_tile_lists(device, scene, (48, 48))
     names = vars(everything["tiles"])
     everything["tiles"] = TileLists(**{n: device.download(getattr(full, n)) for n in names})
     untruncated = reference.forward(
-        **everything, size=(96, 96), truncation=reference.Truncation(0.0, 0.0)
+        **everything, size=(48, 48), truncation=reference.Truncation(0.0, 0.0)
     )
     error = np.abs(rendered.host("image") - untruncated.image).max() / LEVEL
     assert error <= 0.25
 
 
-@pytest.mark.parametrize("skip", ["units", "finished", "contributors", "empty_tiles"])
-@pytest.mark.parametrize("kind", ["opaque", "needles", "huge", "few"])
+@pytest.mark.parametrize(
+    ("skip", "kind"),
+    [
+        ("units", "needles"),
+        ("units", "huge"),
+        ("finished", "opaque"),
+        ("contributors", "opaque"),
+        ("empty_tiles", "few"),
+    ],
+)
 def test_skipped_work_changes_no_bit(device, rng, skip, kind):
     size = (75, 53)
     count, sigma, ratio = {
@@ -161,8 +172,8 @@ def test_skipped_work_changes_no_bit(device, rng, skip, kind):
     saved = [less.visited < more.visited for less, more in zip(*works, strict=True)]
     expected = {
         "units": [device.specialisation == "cpu"] * 2,
-        "finished": [kind == "opaque", False],
-        "contributors": [False, kind == "opaque"],
+        "finished": [True, False],
+        "contributors": [False, True],
         "empty_tiles": [False, False],
     }[skip]
     assert all(s or not e for s, e in zip(saved, expected, strict=True))
@@ -269,7 +280,7 @@ def regime(kind: str, layers: int, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.family("N14")
-@pytest.mark.parametrize("layers", [100, 300, 1000, 2300])
+@pytest.mark.parametrize("layers", [100, 2300])
 @pytest.mark.parametrize("kind", ["thin", "mixed", "opaque last"])
 def test_every_layer_of_a_deep_pixel(device, rng, layers, kind):
     """N14: the error of dL/d(alpha) relative to the largest value that it could take."""
@@ -288,7 +299,7 @@ def test_every_layer_of_a_deep_pixel(device, rng, layers, kind):
     assert error[contributed].max() <= 2e-5
 
 
-@pytest.mark.parametrize("count", [16, 200, 2000])
+@pytest.mark.parametrize("count", [16, 2000])
 def test_coincident_opaque_splats(device, rng, count):
     """N13: alpha saturates; the second layer already ends every pixel that it covers."""
     scene = projected_scene(rng, count, 20, 20, 5.0)
@@ -306,7 +317,7 @@ def test_coincident_opaque_splats(device, rng, count):
         assert relative_l2(actual[name], getattr(wanted, name)) <= 1e-5, name
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 17), (17, 1), (15, 16), (33, 47), (257, 257)])
+@pytest.mark.parametrize("size", [(1, 1), (1, 17), (17, 1), (33, 47)])
 def test_any_image_size(device, rng, size):
     """N26."""
     scene = projected_scene(rng, 120, *size, 3.0)
@@ -323,7 +334,7 @@ def test_crop_of_a_larger_render_is_the_same(device, rng):
     assert np.array_equal(small, large[:, :23, :41])
 
 
-@pytest.mark.parametrize("count", [0, 1, 5])
+@pytest.mark.parametrize("count", [0, 5])
 def test_nothing_drawn_leaves_the_background(device, rng, count):
     """N17: no Gaussians, or only culled ones."""
     scene = projected_scene(rng, count, 20, 30)
@@ -338,7 +349,7 @@ def test_nothing_drawn_leaves_the_background(device, rng, count):
         assert np.all(actual[name] == 0), name
 
 
-POISON = [np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-45, 1e10]
+POISON = [np.nan, np.inf, -1e38, 1e-45]
 
 
 @pytest.mark.parametrize("value", POISON)

@@ -9,7 +9,7 @@ from clgs.ops import limits
 from clgs.reference.stages import limits as reference
 
 
-@pytest.mark.parametrize("count", [0, 1, 16, 4097])
+@pytest.mark.parametrize("count", [0, 16, 4097])
 def test_copy(device, rng, count):
     x = rng.normal(size=count).astype(np.float32)
     target = device.zeros((count,))
@@ -17,7 +17,7 @@ def test_copy(device, rng, count):
     assert np.array_equal(device.download(target), reference.copy(x))
 
 
-@pytest.mark.parametrize("steps", [0, 1, 2, 7, 1000])
+@pytest.mark.parametrize("steps", [0, 1, 1000])
 def test_fma(device, steps):
     sums = device.download(limits.fma(device, 3, steps))
     wanted = reference.fma(limits.FACTOR, limits.TERM, steps, limits.CHAINS)

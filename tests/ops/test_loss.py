@@ -10,7 +10,7 @@ from clgs.reference.stages import loss as reference
 from tests.compare import assert_close, relative_l2
 
 EPSILON = 2.0**-24
-SIZES = [(1, 1), (1, 17), (17, 1), (15, 16), (16, 17), (33, 47), (70, 90), (257, 33)]
+SIZES = [(1, 1), (1, 17), (17, 1), (15, 16), (33, 47), (257, 33)]
 
 
 def photo(rng, height, width):

@@ -16,7 +16,7 @@ from tests.compare import assert_close, relative_l2
 from tests.ops.cases.mlp import anchors, decided, packed_camera, some, with_opacity_bias
 
 EPSILON = 2.0**-24
-COUNTS = [0, 1, 31, 33, 1025, 2500]
+COUNTS = [0, 1, 33, 1025]
 
 
 def upload(device, values):
@@ -172,7 +172,7 @@ SKIPS = [
 ]
 
 
-@pytest.mark.parametrize("bias", [-9, -1.2, -0.4, 0, 9])
+@pytest.mark.parametrize("bias", [-9, -0.4, 9])
 def test_skips_do_not_change_a_bit(device, rng, bias):
     values, visible = with_opacity_bias(anchors(rng, 1500), bias), some(rng, 1300, 1500)
     d_of_anchor = random_gradients(rng, 1500)
@@ -211,7 +211,7 @@ def test_undrawn_slots_have_no_gradient(device, rng):
         assert np.array_equal(array, expected[name]), name
 
 
-@pytest.mark.parametrize("padding", [1, 40, 1000])
+@pytest.mark.parametrize("padding", [1, 1000])
 def test_padding_does_not_change_a_bit(device, rng, padding):
     values, visible = anchors(rng, 700), some(rng, 600, 700)
     d_of_anchor = random_gradients(rng, 700)
@@ -240,7 +240,7 @@ def test_samples_without_anchor_may_lie_anywhere(device, rng):
 
 
 @pytest.mark.parametrize("slot", ["feature", "position"])
-@pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf, 1e38, 2e15])
+@pytest.mark.parametrize("poison", [np.nan, np.inf, 2e15])
 def test_poison_stays_in_its_anchor(device, rng, slot, poison):
     values, visible = anchors(rng, 70), some(rng, 65, 70)
     d_of_anchor = random_gradients(rng, 70)

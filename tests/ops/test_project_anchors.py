@@ -57,7 +57,7 @@ def assert_same(device, found, expected):
         assert pair[0][name].tobytes() == pair[1][name].tobytes(), name
 
 
-@pytest.mark.parametrize("counts", [(0, 5), (1, 1), (33, 100), (700, 900), (1500, 1600)])
+@pytest.mark.parametrize("counts", [(0, 5), (33, 100), (700, 900)])
 def test_the_bits_are_those_of_the_stages(device, rng, counts):
     values, visible = case(rng, counts[1]), some(rng, *counts)
     found = in_one(device, values, visible)

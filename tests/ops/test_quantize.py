@@ -8,7 +8,7 @@ import pytest
 from clgs.ops import quantize
 from clgs.reference.stages import quantize as reference
 
-SCALES = [1.0, 8.0, 200.0, 256.0, 1024.0]
+SCALES = [1.0, 200.0, 1024.0]
 
 
 def rounded(device, x, q):
@@ -20,7 +20,7 @@ def rounded(device, x, q):
 
 
 @pytest.mark.family("N32")
-@pytest.mark.parametrize("first", [-(2**22), -(2**20), -70000, 0, 2**21, 2**22 - 100_000])
+@pytest.mark.parametrize("first", [-(2**22), -70000, 0, 2**22 - 100_000])
 def test_halves_and_their_neighbours(device, first):
     halves = np.arange(first, first + 100_001, dtype=np.float64).astype(np.float32) + np.float32(
         0.5
@@ -32,7 +32,7 @@ def test_halves_and_their_neighbours(device, first):
         assert np.array_equal(integers, np.rint(x).astype(np.int32))
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.family("N32")
 def test_all_halves(device):
     for first in range(-(2**22), 2**22, 2**20):
@@ -87,7 +87,7 @@ def test_values_beyond_integers(device):
     assert integers[2] == integers[5] == -(2**31)
 
 
-@pytest.mark.parametrize("shape", [(0,), (1,), (15, 1), (2, 3, 4), (7, 6)])
+@pytest.mark.parametrize("shape", [(0,), (15, 1), (2, 3, 4)])
 def test_shapes(device, rng, shape):
     x = rng.normal(0, 5, shape).astype(np.float32)
     values, integers = rounded(device, x, 1.0)

@@ -10,7 +10,7 @@ from clgs.ops import scan
 from clgs.reference.stages import scan as reference
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 255, 256, 257, 4096, 8191, 100_003])
+@pytest.mark.parametrize("count", [0, 1, 255, 256, 257, 100_003])
 def test_equals_reference(device, rng, count):
     counts = rng.integers(0, 50, count, dtype=np.int32)
     offsets, total = scan.exclusive(device, device.upload(counts))

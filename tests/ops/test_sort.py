@@ -19,8 +19,8 @@ def check(device, keys, bits):
         assert np.array_equal(device.download(one), other)
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 256, 1000, 40_001])
-@pytest.mark.parametrize("bits", [1, 8, 10, 11, 12, 17, 32])
+@pytest.mark.parametrize("count", [0, 1, 256, 40_001])
+@pytest.mark.parametrize("bits", [1, 10, 11, 32])
 def test_equals_stable_sort(device, rng, count, bits):
     check(device, rng.integers(0, 2**32, count, dtype=np.uint32), bits)
 
@@ -51,8 +51,8 @@ def check_chosen(device, keys, choice):
     assert np.array_equal(found, reference.chosen(keys, choice))
 
 
-@pytest.mark.parametrize("bits", [0, 1, 2, 12, 13, 14, 25, 26, 27, 31, 32])
-@pytest.mark.parametrize("count", [0, 1, 3, 40_001])
+@pytest.mark.parametrize("bits", [0, 1, 13, 14, 26, 27, 32])
+@pytest.mark.parametrize("count", [0, 3, 40_001])
 def test_chosen_items_in_order(device, rng, count, bits):
     """Ranges of keys that need two passes, three passes and none at all."""
     low = int(rng.integers(0, 2**32 - 2**bits + 1))
@@ -75,7 +75,7 @@ def test_keys_that_are_not_chosen_do_not_count(device):
 
 
 @settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(keys=st.lists(st.integers(0, 2**32 - 1), max_size=300), bits=st.integers(0, 32))
 def test_any_keys(device, keys, bits):

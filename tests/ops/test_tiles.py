@@ -92,7 +92,7 @@ def test_permuted_input_gives_the_same_image(device, rng):
     assert np.array_equal(*images)
 
 
-@pytest.mark.parametrize("size", [(8192, 8192), (65536, 16)])
+@pytest.mark.parametrize("size", [(65536, 16)])
 def test_tile_numbers_need_more_than_16_bits(device, size):
     """N20: a splat in the last tile."""
     scene = projected_scene(np.random.default_rng(0), 1, 1, 1)
@@ -102,8 +102,8 @@ def test_tile_numbers_need_more_than_16_bits(device, size):
     assert np.all(lists["tile_range"][:-1] == 0)
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 40), (40, 1), (16, 16), (17, 33)])
-@pytest.mark.parametrize("count", [0, 1, 65])
+@pytest.mark.parametrize("size", [(1, 1), (40, 1), (17, 33)])
+@pytest.mark.parametrize("count", [0, 65])
 def test_small_images_and_scenes(device, rng, size, count):
     scene = projected_scene(rng, count, *size)
     found = entries(on_host(device, lists_of(device, scene, size)))
@@ -194,9 +194,7 @@ def test_lists_of_some_rows_of_tiles(device, rng):
         assert np.array_equal(owner, np.repeat(np.arange(500), np.diff(band["row_range"])))
 
 
-@pytest.mark.parametrize(
-    ("sigma", "ratio"), [(1.1, 30.0), (12.0, 30.0), (40.0, 4e3), (400.0, 4e5), (4e4, 4e5)]
-)
+@pytest.mark.parametrize(("sigma", "ratio"), [(1.1, 30.0), (40.0, 4e3), (4e4, 4e5)])
 def test_exact_tiles_change_no_bit(device, rng, sigma, ratio):
     """Every tile of the bounding box instead: longer lists, the same image and gradients."""
     size = (100, 70)

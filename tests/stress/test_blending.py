@@ -33,8 +33,10 @@ D_IMAGE = image_gradient(CAMERA)
 
 
 @pytest.mark.family("N13")
-@pytest.mark.parametrize("opacity", [0.5, 0.9899, 0.99, 0.9901, 0.999, 1.0])
-@pytest.mark.parametrize("count", [2, 16, 200, 2000])
+@pytest.mark.parametrize(
+    ("count", "opacity"),
+    [(2, 1.0), (16, 0.9899), (16, 0.99), (16, 0.9901), (2000, 0.5), (2000, 0.999)],
+)
 def test_coincident_splats(device, count, opacity):
     scene = part(space_scene(np.random.default_rng(0), 1, CAMERA, 8.0), np.zeros(count, int))
     scene = changed(changed(scene, "mean", slice(None), 0.03), "opacity", slice(None), opacity)
@@ -83,14 +85,14 @@ def agreement(device, seed: int, count: int, size: tuple[int, int]) -> tuple[int
 
 
 @pytest.mark.family("N15")
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(3))
 def test_forward_and_backward_decide_alike(options_device, seed):
     wrong, pairs = agreement(options_device, seed, 600, (64, 48))
     assert wrong == 0
     assert pairs > 100_000
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.family("N15")
 def test_forward_and_backward_decide_alike_on_1e8_pairs(options_device):
     total, seed = 0, 100
@@ -101,8 +103,8 @@ def test_forward_and_backward_decide_alike_on_1e8_pairs(options_device):
 
 
 @pytest.mark.family("N16")
-@pytest.mark.parametrize("opacity", [1.001 / 255, 1.02 / 255, 0.005, 0.01, 0.05, 0.5])
-@pytest.mark.parametrize("sigma", [0.3, 1.0, 5.0])
+@pytest.mark.parametrize("opacity", [1.001 / 255, 0.005, 0.5])
+@pytest.mark.parametrize("sigma", [0.3, 5.0])
 def test_whatever_is_drawn_gets_an_opacity_gradient(device, sigma, opacity):
     """After a reset to a faint opacity, as at any other: support alone decides."""
     scene = space_scene(np.random.default_rng(4), 300, CAMERA, sigma)
@@ -135,7 +137,7 @@ INVISIBLE = {
 
 @pytest.mark.family("N17")
 @pytest.mark.parametrize("reason", INVISIBLE)
-@pytest.mark.parametrize("count", [0, 1, 65])
+@pytest.mark.parametrize("count", [0, 65])
 def test_nothing_visible(device, count, reason):
     scene = space_scene(np.random.default_rng(0), max(count, 1), CAMERA)
     drawn = draw(device, part(INVISIBLE[reason](scene), np.arange(count)), CAMERA)
@@ -147,7 +149,7 @@ def test_nothing_visible(device, count, reason):
 
 
 @pytest.mark.family("N17")
-@pytest.mark.parametrize("alone", range(5))
+@pytest.mark.parametrize("alone", [0, 4])
 def test_one_visible_among_many(device, alone):
     scene = space_scene(np.random.default_rng(0), 65, CAMERA, spread=0.4)
     hidden = INVISIBLE["behind"](scene)

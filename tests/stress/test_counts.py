@@ -15,7 +15,7 @@ from clgs.synthetic.gaussians import projected_scene
 from tests.ops.cases.blend import BACKGROUND, GRADIENTS, render, upload
 from tests.stress.cases import SHAPE, space_scene, straight_camera
 
-TOTALS = [2**31 - 2, 2**31 - 1, 2**31, 2**31 + 1, 2**32 - 1, 2**32, 2**32 + 1, 2**40 + 7]
+TOTALS = [2**31 - 1, 2**31, 2**32 + 1, 2**40 + 7]
 
 
 def counts_of(total: int, count: int) -> np.ndarray:
@@ -26,7 +26,7 @@ def counts_of(total: int, count: int) -> np.ndarray:
 
 
 @pytest.mark.family("N18")
-@pytest.mark.parametrize("count", [1000, 4097, 70_000])
+@pytest.mark.parametrize("count", [4097, 70_000])
 @pytest.mark.parametrize("total", TOTALS)
 def test_totals_are_exact_in_64_bits(device, total, count):
     """The counting pass alone: no list of that length is made."""
@@ -53,9 +53,7 @@ def test_totals_beyond_31_bits_are_refused(device, total):
 
 
 @pytest.mark.family("N21")
-@pytest.mark.parametrize(
-    "count", [100_000, 1_000_000, pytest.param(3 * 10**7, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("count", [100_000, pytest.param(3 * 10**7, marks=pytest.mark.release)])
 def test_projection_and_counting_of_many_gaussians(device, count):
     """Copies of 1,000 Gaussians: every copy is projected and listed as the first one is."""
     camera = straight_camera(64, 64)
@@ -109,7 +107,7 @@ def render_in_bands(device, scene, size, bands, d_image):
 
 @pytest.mark.family("N19")
 @pytest.mark.parametrize("sigma", [1.5, 40.0])
-@pytest.mark.parametrize("share", [1.0, 0.4, 0.1, 0.0])
+@pytest.mark.parametrize("share", [1.0, 0.4, 0.0])
 def test_lists_within_a_budget_change_no_bit(device, share, sigma):
     """``share``: of the whole frame's entries that fit into memory at a time."""
     rng, size = np.random.default_rng(5), (90, 200)

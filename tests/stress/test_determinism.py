@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.small_scene import write_scene
-from tests.stress.hash_worker import set_group_size
+from tests.stress.hash_worker import set_group_size, training
 
 ROOT = Path(__file__).resolve().parents[2]
 THREADS = (1, 2, 4)
@@ -44,29 +44,29 @@ def hashes(folder, what, specialisation, steps, pairs):
 
 
 ALL = [(threads, group) for threads in THREADS for group in GROUPS]
-FEW = [(1, 64), (2, 32), (4, 64)]
+FEW = [(1, 64), (4, 32)]
 
 
 @pytest.mark.family("N29")
 @pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
 def test_gradients_have_one_hash(folder, specialisation):
-    """Ten repeats in each process."""
-    assert len(hashes(folder, "gradients", specialisation, 10, FEW)) == 1
+    """Three repeats in each process."""
+    assert len(hashes(folder, "gradients", specialisation, 3, FEW)) == 1
 
 
 @pytest.mark.family("N29")
 def test_training_has_one_hash(folder):
-    assert len(hashes(folder, "training", "cpu", 60, FEW)) == 1
+    assert len(hashes(folder, "training", "cpu", 40, FEW)) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.family("N29")
 @pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
 def test_gradients_have_one_hash_on_all(folder, specialisation):
     assert len(hashes(folder, "gradients", specialisation, 10, ALL)) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.family("N29")
 @pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
 def test_500_steps_have_one_hash(folder, specialisation):
@@ -79,9 +79,9 @@ def test_500_steps_have_one_hash(folder, specialisation):
 
 
 @pytest.mark.family("N29")
-def test_another_number_of_steps_has_another_hash(folder):
-    one, other = (hash_of(folder, "training", "cpu", 2, 64, steps) for steps in (2, 3))
-    assert one != other
+def test_another_number_of_steps_has_other_bits(folder, open_device):
+    one, other = (training(open_device("cpu"), folder, steps) for steps in (2, 3))
+    assert one[-1] != other[-1]
 
 
 @pytest.mark.family("N29")

@@ -20,7 +20,7 @@ from tests.compare import central_difference
 SIZE = 24
 VOLUME_WEIGHT = 3.0
 BACKGROUND = np.array([0.3, 0.6, 0.1])
-SAMPLES = {"offset": 60, "feature": 60, "scaling": 60, "weights": 120}
+SAMPLES = {"offset": 16, "feature": 16, "scaling": 16, "weights": 32}
 
 
 @dataclass

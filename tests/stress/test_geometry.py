@@ -1,4 +1,4 @@
-"""Projection at its limits: families N05, N06, N07, N09, N10, N25 and N27."""
+"""Projection at its limits: families N05, N06, N07, N09, N10, N24, N25 and N27."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from clgs.constants import BLUR, NEAR_PLANE
+from clgs.data.dataset import load_dataset
 from clgs.ops import project
 from clgs.reference.stages import blend as blend_reference
 from clgs.reference.stages import project as reference
 from clgs.scene.camera import Camera
-from clgs.synthetic.gaussians import GaussianScene
+from clgs.synthetic.gaussians import GaussianScene, gaussian_scene
 from tests.compare import relative_l2
+from tests.data.folders import opengl, ring, save_json, write_transforms
 from tests.stress.cases import (
     LEVEL,
     PARTS,
@@ -31,8 +33,8 @@ from tests.stress.cases import (
     straight_camera,
 )
 
-RATIOS = [1, 10, 100, 1e3, 1e4, 1e5, 1e6]
-SIGMAS = [0.01, 0.1, 1, 10, 100, 1e3, 1e4, 1e5]
+RATIOS = [1, 100, 1e4, 1e6]
+SIGMAS = [0.01, 1, 100, 1e5]
 WIDE = straight_camera(4096, 4096, 1000.0)
 
 
@@ -148,7 +150,7 @@ def test_blur_only_ever_enlarges(device, ratio, sigma):
 
 
 @pytest.mark.family("N10")
-@pytest.mark.parametrize("sigma", [1e-8, 1e-4, 0.01, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize("sigma", [1e-8, 0.1, 1.0])
 def test_splats_below_a_pixel_keep_their_gradients(device, sigma):
     camera = straight_camera(32, 32)
     scene = space_scene(np.random.default_rng(5), 150, camera, sigma)
@@ -157,7 +159,7 @@ def test_splats_below_a_pixel_keep_their_gradients(device, sigma):
 
 @pytest.mark.family("N06")
 @pytest.mark.parametrize("count", [1, 20])
-@pytest.mark.parametrize("sigma", [1e4, 3e4, 6.5e4, 1e5, 3e5, 1e6])
+@pytest.mark.parametrize("sigma", [1e4, 6.5e4, 1e6])
 def test_huge_splats_keep_their_gradients(device, sigma, count):
     camera = straight_camera(32, 32)
     scene = space_scene(np.random.default_rng(6), count, camera, sigma, 1.0)
@@ -170,8 +172,8 @@ def test_huge_splats_keep_their_gradients(device, sigma, count):
 
 
 NEAR = np.float32(NEAR_PLANE)
-BEHIND = [-1e30, -1.0, -1e-30, 0.0, 1e-30, 0.1, np.nextafter(NEAR, np.float32(0)), NEAR]
-AHEAD = [np.nextafter(NEAR, np.float32(1)), np.float32(0.2001), 0.25, 1.0, 1e3, 1e6]
+BEHIND = [-1e30, -1.0, 0.0, 1e-30, np.nextafter(NEAR, np.float32(0)), NEAR]
+AHEAD = [np.nextafter(NEAR, np.float32(1)), 0.25, 1e3, 1e6]
 
 
 def at_depth(depth: float) -> tuple[GaussianScene, Camera]:
@@ -207,8 +209,7 @@ def test_gradients_right_behind_the_near_plane(device, depth):
 
 
 @pytest.mark.family("N09")
-@pytest.mark.parametrize("spread", [1.0, 1.5, 3.0])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("spread", "seed"), [(1.0, 0), (1.5, 1), (3.0, 2)])
 def test_gradients_with_a_clamped_jacobian(device, spread, seed):
     camera = straight_camera(40, 30)
     scene = space_scene(np.random.default_rng(seed), 200, camera, 25.0, 6.0, spread)
@@ -222,16 +223,15 @@ def test_gradients_with_a_clamped_jacobian(device, spread, seed):
 
 @pytest.mark.family("N27")
 @pytest.mark.parametrize("focal", [1.0, 1e2, 1e4, 1e6])
-@pytest.mark.parametrize("seed", range(3))
-def test_any_focal_length(device, focal, seed):
+def test_any_focal_length(device, focal):
     camera = straight_camera(33, 25, focal)
-    scene = space_scene(np.random.default_rng(seed), 150, camera, 4.0)
+    scene = space_scene(np.random.default_rng(0), 150, camera, 4.0)
     assert_matches(draw(device, scene, camera), image_gradient(camera), gradient=2e-5)
 
 
 @pytest.mark.family("N27")
-@pytest.mark.parametrize("size", [0.01, 0.3, 1.0, 30.0, 1e4])
-@pytest.mark.parametrize("offset", [0.0, 1e-6, 0.1, 0.19, 0.21])
+@pytest.mark.parametrize("size", [0.01, 1.0, 1e4])
+@pytest.mark.parametrize("offset", [0.0, 0.19, 0.21])
 def test_camera_inside_of_a_splat(device, size, offset):
     scene, camera = at_depth(1.0)
     scene = changed(scene, "mean", 0, (0, 0, offset))
@@ -241,11 +241,10 @@ def test_camera_inside_of_a_splat(device, size, offset):
 
 
 @pytest.mark.family("N25")
-@pytest.mark.parametrize("seed", range(3))
-def test_geometry_keeps_more_than_half_precision(device, seed):
+def test_geometry_keeps_more_than_half_precision(device):
     """NUMERICS 2.6: half precision of centre and covariance would show; ours does not."""
     camera = straight_camera(96, 96)
-    drawn = draw(device, space_scene(np.random.default_rng(seed), 800, camera, 2.5), camera)
+    drawn = draw(device, space_scene(np.random.default_rng(0), 800, camera, 2.5), camera)
     d_image = image_gradient(camera)
     names = ("mean2d", "whitening", "depth", "extent")
     assert all(drawn.projected(name).dtype == np.float32 for name in names)
@@ -266,8 +265,7 @@ def test_geometry_keeps_more_than_half_precision(device, seed):
 
 
 @pytest.mark.family("N05")
-@pytest.mark.parametrize("ratio", [30.0, 1e3, 1e5])
-@pytest.mark.parametrize("sigma", [30.0, 1e3, 4e4])
+@pytest.mark.parametrize(("sigma", "ratio"), [(30.0, 30.0), (1e3, 1e5), (4e4, 1e3)])
 def test_needles_in_a_whole_render(device, ratio, sigma):
     camera = straight_camera(64, 48)
     scene = space_scene(np.random.default_rng(4), 300, camera, sigma, ratio)
@@ -286,3 +284,49 @@ def test_gradient_of_the_slope_is_cut_where_clamped(device):
     assert drawn.visible.all()
     assert_matches(drawn, d_image)
     assert relative_l2(expected, np.zeros_like(expected)) == np.inf
+
+
+SHIFTS = [0.0, 1e3, 1e5, 1e7]
+
+
+def loaded(folder, shift):
+    """The data set of a ring of cameras around ``shift``."""
+    document = write_transforms(folder)
+    for frame, pose in zip(document["frames"], ring(10), strict=True):
+        moved = pose.copy()
+        moved[:3, 3] += shift
+        frame["transform_matrix"] = opengl(moved)
+    save_json(folder, document)
+    return load_dataset(folder, load_images=False)
+
+
+@pytest.fixture(scope="module")
+def datasets(tmp_path_factory):
+    return {
+        (shift, axis): loaded(tmp_path_factory.mktemp("far"), shift * np.eye(3)[axis])
+        for shift in SHIFTS
+        for axis in range(3)
+    }
+
+
+@pytest.mark.family("N24")
+@pytest.mark.parametrize(("axis", "view"), [(0, 0), (1, 3), (2, 0)])
+@pytest.mark.parametrize("shift", SHIFTS[1:])
+def test_shifted_captures_give_the_same_picture(device, datasets, shift, axis, view):
+    """World coordinates in float64 are recentred before they become float32."""
+    scene = gaussian_scene(np.random.default_rng(axis), 500, 1.0, 0.1)
+    images = []
+    for moved in (0.0, shift):
+        dataset = datasets[moved, axis]
+        world = scene.mean.astype(np.float64) + moved * np.eye(3)[axis]
+        placed = replace(
+            scene,
+            mean=dataset.transform.to_scene(world).astype(np.float32),
+            scale=(scene.scale * dataset.transform.scale).astype(np.float32),
+        )
+        images.append(draw(device, placed, dataset.train[view].camera).image)
+    error = np.abs(images[0] - images[1]) / LEVEL
+    # doubles of 1e7 hold 2e-9, 1e-7 pixels here; a pair at the alpha cut may flip
+    assert np.mean(error > 2e-3) <= 1e-3
+    assert error.max() <= 1.05
+    assert np.ptp(images[0]) > 0.3

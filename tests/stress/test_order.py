@@ -27,6 +27,7 @@ from tests.stress.cases import (
 CUT = np.float32(ALPHA_CUT)
 ALL = RenderOptions(skips=Skips(**{skip.name: False for skip in fields(Skips)}))
 SIDES = [1, 2, 7, 8, 9, 15, 16, 17, 31, 33]
+"""Every width is paired with another height, below."""
 
 
 def same_bits(first, second, d_image):
@@ -39,8 +40,9 @@ def same_bits(first, second, d_image):
 
 
 @pytest.mark.family("N12")
-@pytest.mark.parametrize("ratio", [1.0, 5.0, 300.0])
-@pytest.mark.parametrize("sigma", [0.3, 1.0, 4.0, 20.0, 500.0])
+@pytest.mark.parametrize(
+    ("sigma", "ratio"), [(0.3, 1.0), (1.0, 5.0), (4.0, 300.0), (20.0, 5.0), (500.0, 300.0)]
+)
 @pytest.mark.parametrize("size", [(40, 40), (75, 50)])
 def test_culled_equals_brute_force(device, size, sigma, ratio):
     """Every Gaussian in every tile, and at every pixel, gives the same bits."""
@@ -68,7 +70,7 @@ OPACITIES = {
 
 @pytest.mark.family("N11")
 @pytest.mark.parametrize("opacity", OPACITIES.values(), ids=OPACITIES)
-@pytest.mark.parametrize("sigma", [0.4, 3.0, 30.0])
+@pytest.mark.parametrize("sigma", [0.4, 30.0])
 def test_any_opacity_makes_tight_lists(device, sigma, opacity):
     rng = np.random.default_rng(1)
     scene = projected_scene(rng, 100, 40, 40, sigma)
@@ -120,9 +122,8 @@ def with_depths(kind: str, seed: int, size: tuple[int, int]) -> ProjectedScene:
 
 @pytest.mark.family("N22")
 @pytest.mark.parametrize("kind", DEPTHS)
-@pytest.mark.parametrize("seed", range(4))
-def test_lists_are_in_stable_depth_order(device, kind, seed):
-    scene = with_depths(kind, seed, (50, 50))
+def test_lists_are_in_stable_depth_order(device, kind):
+    scene = with_depths(kind, 0, (50, 50))
     lists = lists_of(device, scene, (50, 50))
     gaussian, tile_range = (device.download(x) for x in (lists.gaussian, lists.tile_range))
     rank = np.empty(300, int)
@@ -132,11 +133,10 @@ def test_lists_are_in_stable_depth_order(device, kind, seed):
 
 
 @pytest.mark.family("N22")
-@pytest.mark.parametrize("kind", [kind for kind in DEPTHS if kind in ("decades", "reversed")])
-@pytest.mark.parametrize("seed", range(4))
-def test_permuted_input_is_the_same_picture(device, kind, seed):
-    scene = with_depths(kind, seed, (50, 50))
-    shuffle = np.random.default_rng(seed).permutation(300)
+@pytest.mark.parametrize("kind", ["decades", "reversed"])
+def test_permuted_input_is_the_same_picture(device, kind):
+    scene = with_depths(kind, 0, (50, 50))
+    shuffle = np.random.default_rng(0).permutation(300)
     shuffled = ProjectedScene(**{name: array[shuffle] for name, array in vars(scene).items()})
     d_image = np.random.default_rng(9).normal(size=(3, 50, 50)).astype(np.float32)
     one, other = render(device, scene, (50, 50)), render(device, shuffled, (50, 50))
@@ -161,8 +161,9 @@ def test_order_follows_the_centres(device):
 
 
 @pytest.mark.family("N26")
-@pytest.mark.parametrize("height", SIDES)
-@pytest.mark.parametrize("width", SIDES)
+@pytest.mark.parametrize(
+    ("width", "height"), list(zip(SIDES, [*SIDES[3:], *SIDES[:3]], strict=True))
+)
 def test_every_remainder_of_the_tile(device, width, height):
     camera = straight_camera(width, height, 24.0)
     scene = space_scene(np.random.default_rng(width * 64 + height), 40, camera, 3.0)
@@ -189,8 +190,9 @@ def test_a_larger_image_holds_the_smaller(device, size):
 
 
 @pytest.mark.family("N08")
-@pytest.mark.parametrize("sigma", [0.5, 3.0, 12.0])
-@pytest.mark.parametrize("corner", [(0, 0), (5, 9), (16, 32), (31, 17), (40, 30)])
+@pytest.mark.parametrize(
+    ("corner", "sigma"), [((0, 0), 3.0), ((5, 9), 0.5), ((16, 32), 12.0), ((31, 17), 3.0)]
+)
 def test_off_centre_crop_equals_the_frame(device, corner, sigma):
     """The slope limits follow the principal point: both frames see the same splats as free."""
     frame = straight_camera(96, 80, 110.0)
@@ -209,7 +211,7 @@ def test_off_centre_crop_equals_the_frame(device, corner, sigma):
 
 
 @pytest.mark.family("N20")
-@pytest.mark.parametrize("size", [(4200, 4200), (65536, 16), (16, 65536), (8192, 8192)])
+@pytest.mark.parametrize("size", [(65536, 16), (8192, 8192)])
 def test_last_tile_of_a_large_image(device, size):
     """A splat in the last corner is listed in the last tile alone."""
     scene = projected_scene(np.random.default_rng(0), 1, 1, 1)
@@ -220,7 +222,7 @@ def test_last_tile_of_a_large_image(device, size):
     assert not tile_range[:-1].any()
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.family("N20")
 @pytest.mark.parametrize("size", [(65536, 16), (8192, 8192)])
 def test_last_tile_is_blended(device, size):

@@ -24,15 +24,8 @@ from tests.stress.cases import (
     straight_camera,
 )
 
-SLOTS = [
-    (name, column)
-    for name, width in (("mean", 3), ("scale", 3), ("rotation", 4), ("color", 3), ("opacity", 1))
-    for column in range(width)
-]
-POISON = [
-    *(np.nan, np.inf, -np.inf, 3.4e38, -3.4e38, 1e38, -1e38, 1e30, -1e30, 1e20, -1e20),
-    *(1e10, -1e10, 1e-10, -1e-10, 1e-20, 1e-30, 1.2e-38, 1e-40, -1e-45, 0.0, -0.0),
-]
+SLOTS = [("mean", 0), ("mean", 2), ("scale", 1), ("rotation", 3), ("color", 0), ("opacity", 0)]
+POISON = [np.nan, np.inf, -np.inf, 3.4e38, -1e38, 1e20, -1e10, 1e-20, -1.2e-38, -1e-45, -0.0]
 COUNT, VICTIM = 120, 60
 OTHERS = np.arange(COUNT) != VICTIM
 CAMERA = straight_camera(32, 32)
@@ -76,10 +69,8 @@ def test_one_bad_number_spoils_one_splat_at_most(device, clean, without, slot, v
 
 
 ANCHOR_SLOTS = [
-    *(("position", column) for column in range(3)),
-    *(("scaling", column) for column in range(6)),
-    *(("feature", column) for column in (0, 49)),
-    *(("offset", column) for column in range(3)),
+    *(("position", 0), ("position", 2), ("scaling", 0), ("scaling", 4)),
+    *(("feature", 49), ("offset", 1)),
 ]
 
 
@@ -97,7 +88,7 @@ def anchor_images(device, scene, camera):
 
 
 @pytest.mark.family("N01")
-@pytest.mark.parametrize("value", POISON[:11])
+@pytest.mark.parametrize("value", POISON[:6])
 @pytest.mark.parametrize("slot", ANCHOR_SLOTS, ids=lambda slot: f"{slot[0]}{slot[1]}")
 def test_one_bad_parameter_spoils_one_anchor_at_most(device, anchors, slot, value):
     """The same through the whole pipeline, one number of one anchor."""
@@ -115,19 +106,18 @@ def test_one_bad_parameter_spoils_one_anchor_at_most(device, anchors, slot, valu
 
 
 @pytest.mark.family("N02")
-@pytest.mark.parametrize("opacity", [0.1, 0.5])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 0.0])
 @pytest.mark.parametrize("slot", ["mean", "scale", "rotation"])
-def test_no_opaque_blob(device, slot, bad, opacity):
+def test_no_opaque_blob(device, slot, bad):
     """A single splat on white: no pixel may hide more than its opacity."""
     scene = part(space_scene(np.random.default_rng(3), 1, CAMERA, 6.0, spread=0.1), [0])
-    scene = changed(changed(scene, slot, 0, bad), "opacity", 0, opacity)
+    scene = changed(changed(scene, slot, 0, bad), "opacity", 0, 0.5)
     drawn = draw(device, scene, CAMERA)
-    assert 1 - drawn.rendered.host("transmittance").min() <= opacity
+    assert 1 - drawn.rendered.host("transmittance").min() <= 0.5
     assert all_finite(drawn, D_IMAGE)
 
 
-NORMS = [0.0, 1e-45, 1e-38, 1e-30, 1e-20, 1e-10, 1.0, 1e10, 1e18, 1e20, 1e30]
+NORMS = [0.0, 1e-45, 1e-30, 1e20]
 
 
 def with_output(scene, name, rows, change):
@@ -140,7 +130,7 @@ def with_output(scene, name, rows, change):
 
 
 @pytest.mark.family("N03")
-@pytest.mark.parametrize("direction", [(1, 2, 3, 4), (0, 0, -1, 0), (1, -1, 1, -1)])
+@pytest.mark.parametrize("direction", [(1, 2, 3, 4), (0, 0, -1, 0)])
 @pytest.mark.parametrize("norm", NORMS)
 def test_length_of_a_quaternion_does_not_matter(device, norm, direction):
     """All quaternions of an MLP's outputs get one length; the image stays, or nothing is drawn."""
@@ -161,8 +151,8 @@ def test_length_of_a_quaternion_does_not_matter(device, norm, direction):
 
 
 @pytest.mark.family("N04")
-@pytest.mark.parametrize("column", range(6))
-@pytest.mark.parametrize("value", [-1e4, -100, -30, -20, 0, 20, 40, 88, 89, 1e4])
+@pytest.mark.parametrize("column", [0, 2, 3, 5])
+@pytest.mark.parametrize("value", [-1e4, -20, 20, 89])
 def test_log_scales_of_any_size(device, anchors, value, column):
     scene, camera = anchors
     victim = len(scene.anchors.position) // 2
@@ -177,7 +167,7 @@ def test_log_scales_of_any_size(device, anchors, value, column):
 
 
 @pytest.mark.family("N04")
-@pytest.mark.parametrize("sigma", [1e-12, 1e-6, 1.0, 1e3, 1e6, 4.85e8])
+@pytest.mark.parametrize("sigma", [1e-12, 1.0, 4.85e8])
 def test_any_scale_within_the_limit_is_drawn(device, sigma):
     """4.85e8 = e^20, the largest scale of a Gaussian that the log scales allow."""
     scene = part(space_scene(np.random.default_rng(3), 1, CAMERA), [0])
@@ -189,9 +179,9 @@ def test_any_scale_within_the_limit_is_drawn(device, sigma):
 
 
 @pytest.mark.family("N36")
-@pytest.mark.parametrize("value", [1e3, 1.001e3, 1e10, 1e20, 1e38, 3.4e38, np.inf])
+@pytest.mark.parametrize("value", [1e3, 1.001e3, 3.4e38, np.inf])
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("column", range(3))
+@pytest.mark.parametrize("column", [0, 2])
 def test_colours_of_any_size(device, clean, column, sign, value):
     scene = changed(clean, "color", (VICTIM, column), sign * value)
     drawn = draw(device, scene, CAMERA)

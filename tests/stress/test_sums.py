@@ -15,11 +15,10 @@ from clgs.reference.stages import rate as rate_reference
 from tests.compare import assert_close, relative_l2
 
 SCALES, DISTANCES = (
-    (1e-4, 0.05, 0.3, 1.0, 3.0, 30.0, 1000.0),
-    (0.0, 0.5, 1.0, 3.0, 10.0, 30.0, 100.0),
+    (1e-4, 0.3, 3.0, 1000.0),
+    (0.0, 1.0, 10.0, 100.0),
 )
 FAR = [(b, ratio) for b in SCALES for ratio in DISTANCES if ratio == 0 or ratio * b > 0.5]
-SHAPES = [(40, 33), (11, 80)]
 
 
 def noisy(rng, level, amplitude, shape):
@@ -29,14 +28,13 @@ def noisy(rng, level, amplitude, shape):
 
 
 @pytest.mark.family("N30")
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("amplitude", [0, 1, 3])
-@pytest.mark.parametrize("step", [0.0, 0.25 / 255, 1 / 255, 0.5])
-@pytest.mark.parametrize("level", [0.0, 0.25, 0.5, 1.0])
-def test_flat_pictures(device, level, step, amplitude, shape):
+@pytest.mark.parametrize("amplitude", [0, 1])
+@pytest.mark.parametrize("step", [0.0, 0.25 / 255, 0.5])
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+def test_flat_pictures(device, level, step, amplitude):
     """``step``: how far the render is from the photo, evenly and by noise."""
     rng = np.random.default_rng(1)
-    target = noisy(rng, level, amplitude, shape)
+    target = noisy(rng, level, amplitude, (40, 33))
     image = target / 255 + step * rng.normal(1, 0.3, target.shape)
     image = image.astype(np.float32)
     arrays = device.upload(image), device.upload(target)
@@ -72,8 +70,8 @@ def test_symbols_far_from_their_mean(device, b, distance, form):
 
 
 @pytest.mark.family("N31")
-@pytest.mark.parametrize("value", [0.0, 1.0, -3.0, 1e5, 0.49])
-@pytest.mark.parametrize("rows", [1, 2, 700])
+@pytest.mark.parametrize("value", [0.0, 1e5, 0.49])
+@pytest.mark.parametrize("rows", [1, 700])
 def test_equal_symbols_are_free(device, rows, value):
     uploaded, d_x = device.upload(np.full((rows, 3), value, np.float32)), device.zeros((rows, 3))
     result = rate.forward(device, uploaded, 1.0)
@@ -83,7 +81,7 @@ def test_equal_symbols_are_free(device, rows, value):
 
 
 @pytest.mark.family("N34")
-@pytest.mark.parametrize("exponent", range(-30, 11))
+@pytest.mark.parametrize("exponent", [-30, -20, -15, -8, 0, 10])
 def test_gradients_of_any_size(device, exponent):
     """Twenty steps against Adam in float64."""
     rng = np.random.default_rng(exponent + 30)
@@ -110,7 +108,7 @@ def bits_of(device, x, monkeypatch, group):
 
 
 @pytest.mark.family("N35")
-@pytest.mark.parametrize("rows", [999, 100_000, 1_000_000])
+@pytest.mark.parametrize("rows", [999, 100_000, pytest.param(10**6, marks=pytest.mark.release)])
 def test_rate_of_many_symbols(device, rows, monkeypatch):
     x = np.random.default_rng(0).laplace(100.0, 4.0, (rows, 3)).astype(np.float32)
     symbols = rate_reference.symbols(x, 1.0)
@@ -124,7 +122,7 @@ def test_rate_of_many_symbols(device, rows, monkeypatch):
 
 
 @pytest.mark.family("N35")
-@pytest.mark.parametrize("side", [33, 577, pytest.param(1826, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("side", [33, 200, pytest.param(1826, marks=pytest.mark.release)])
 def test_loss_of_many_pixels(device, side):
     """1826: 1e7 terms."""
     rng = np.random.default_rng(2)
@@ -139,7 +137,7 @@ def test_loss_of_many_pixels(device, side):
 
 
 @pytest.mark.family("N35")
-@pytest.mark.parametrize("count", [1000, 300_000, pytest.param(10**7, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [1000, 300_000, pytest.param(10**7, marks=pytest.mark.release)])
 def test_volume_of_many_gaussians(device, count):
     scale = np.exp(np.random.default_rng(4).normal(-3, 1, (count, 3))).astype(np.float32)
     d_scale = device.zeros((count, 3))

@@ -32,16 +32,16 @@ def train(device, dataset, steps, **changes):
 
 
 @pytest.mark.family("N28")
-@pytest.mark.parametrize(("specialisation", "seed"), [("cpu", 0), ("cpu", 1), ("gpu", 0)])
+@pytest.mark.parametrize(("specialisation", "seed"), [("cpu", 0), ("gpu", 1)])
 def test_every_gradient_is_finite(open_device, dataset, specialisation, seed):
-    steps = 200
+    steps = 120
     if specialisation == "gpu":  # slow where the device is a CPU
-        steps, dataset = 40, replace(dataset, points=dataset.points[::8])
+        steps, dataset = 30, replace(dataset, points=dataset.points[::8])
     _, results = train(open_device(specialisation), dataset, steps, seed=seed)
     assert results[-1].loss < results[0].loss
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.family("N28")
 def test_every_gradient_of_30000_steps_is_finite(open_device, dataset):
     _, results = train(open_device("cpu"), dataset, 30_000)
@@ -71,7 +71,7 @@ def test_training_goes_on_with_nothing_visible(open_device, dataset, specialisat
         replace(view, camera=replace(view.camera, translation=np.array([0, 0, -50.0])))
         for view in dataset.train
     ]
-    trainer, results = train(device, replace(dataset, train=away), 100, prune_opacity=0.0)
+    trainer, results = train(device, replace(dataset, train=away), 40, prune_opacity=0.0)
     assert len({result.loss for result in results}) <= len(away)
     fresh = Trainer(device, dataset, trainer.config)
     start = device.download(fresh.parameters.scene.weights)

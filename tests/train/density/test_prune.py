@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import time
 
 import numpy as np
 import pytest
@@ -170,25 +169,3 @@ def test_a_grid_too_fine_for_the_extent_is_refused() -> None:
     state = state_at([(0, 0, 0), (1000, 0, 0)])
     with pytest.raises(ClgsError, match="smaller Q_P"):
         merge_cells(state, 1e5)
-
-
-@pytest.mark.slow
-def test_100_000_anchors_take_about_100_ms_a_call() -> None:
-    best = {name: np.inf for name in ("mask_prune", "grow", "prune", "merge_cells")}
-    for seed in range(5):
-        rng = np.random.default_rng(seed)
-        state = random_state(seed, count=100_000, spread=2000)
-        state.statistics.gradient_sum[:] = rng.uniform(0, 11, (len(state.anchors), K_OFFSETS))
-        visible = np.arange(0, len(state.anchors), 2, dtype=np.int32)
-        opacity = rng.normal(-0.3, 0.3, (len(visible), K_OFFSETS)).astype(np.float32)
-        calls = {
-            "mask_prune": lambda: mask_prune(state, visible, opacity),  # noqa: B023 called below
-            "grow": lambda: grow(state, CONFIG, rng),  # noqa: B023 called below
-            "prune": lambda: prune(state, CONFIG),  # noqa: B023 called below
-            "merge_cells": lambda: merge_cells(state, 0.5),  # noqa: B023 called below
-        }
-        for name, call in calls.items():
-            start = time.process_time()
-            assert call() > 0
-            best[name] = min(best[name], time.process_time() - start)
-    assert max(best.values()) <= 0.2, best

@@ -25,7 +25,7 @@ def fast(scene: QuantizedScene) -> bytes:
     return encode(scene, "fast", threads=1)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def seen(device: Device) -> tuple[QuantizedScene, View]:
     """A scene of integers, and a noisy photo of it: about 42 dB."""
     scene, camera = anchor_scene(1200, 64)
@@ -57,12 +57,12 @@ def test_importance_is_what_leaving_out_costs(
     repeats = 24
     estimate = importance(device, scene, [view.camera] * repeats) / repeats
     whole = Renderer(device, scene.dequantize()).render(view.camera)
-    some = rng.permutation(len(scene.anchors))[:40]
+    some = rng.permutation(len(scene.anchors))[:24]
     exact = [float(np.square(without(device, scene, view, i) - whole).sum()) for i in some]
     # 24 draws have a standard error of sqrt(2 / 24) = 0.29; single removals are exact but for the
     # clamp of alpha, the cuts and the overlap of an anchor's own Gaussians.
     matters = np.array(exact) > 1e-3
-    assert matters.sum() >= 10
+    assert matters.sum() >= 6
     ratio = estimate[some][matters] / np.array(exact)[matters]
     assert 0.7 < np.median(ratio) < 1.4
     assert (np.abs(np.log(ratio)) < np.log(4)).all()

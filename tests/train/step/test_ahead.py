@@ -35,7 +35,7 @@ def assert_same_state(first, second):
 
 @pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
 def test_steps_that_lack_room_are_repeated(dataset, open_device, specialisation):
-    device, count = open_device(specialisation), 200
+    device, count = open_device(specialisation), 130
     if specialisation == "gpu":  # slow where the device is a CPU
         count, dataset = 30, replace(dataset, points=dataset.points[::8])
     waiting, ahead = (trainer(device, dataset, mode) for mode in (False, True))
