@@ -114,7 +114,7 @@ def _mode(path: Path) -> int:
 
 
 def check_folder(path: Path) -> None:
-    """Raise OutputError where ``path`` is, or lies in, something that is no folder.
+    """Raise OutputError if ``path`` is, or lies in, something that is no folder.
 
     Folders that are missing can be made, and are no error.
     """
@@ -178,7 +178,7 @@ def _put_back(path: Path) -> Iterator[None]:
 
 
 def _keep(target: Path, old: Path) -> None:
-    """Let ``old`` name the file ``target``, or a copy where the file system has no hard links."""
+    """Let ``old`` name the file ``target``, or a copy if the file system has no hard links."""
     try:
         os.link(target, old)
     except OSError:
@@ -224,7 +224,7 @@ def _temporary(path: Path, folder: Path) -> Path:
 
 @contextmanager
 def _blamed_on(path: Path, temporary: Path) -> Iterator[None]:
-    """Let an OSError name ``path``, which the user knows, where it names ``temporary`` or none."""
+    """Let an OSError that names ``temporary`` or no file name ``path``, which the user knows."""
     try:
         yield
     except OSError as error:

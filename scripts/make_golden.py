@@ -1,7 +1,7 @@
 """Write the golden files of the codec's tests: ``python scripts/make_golden.py [FOLDER]``.
 
 The scenes are drawn with integer arithmetic from fixed seeds, so that every machine makes the
-same files. Files of released versions are never made again: the tests compare with them.
+same files. The files of a released version are kept and never made again: a test compares bytes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def golden_files() -> dict[str, bytes]:
-    """The files of the present version by name."""
+    """The files by name."""
     return {name: golden_file(name) for name in golden_scenes()}
 
 
@@ -52,11 +52,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "max": {"level": "max"},
     "paper": {"level": "paper"},
 }
-"""How a file is encoded, where not by default."""
+"""How a file is encoded, if not by default."""
 
 
 def golden_scenes() -> dict[str, QuantizedScene]:
-    """Scenes of the present version by file name; together they take every branch of the format."""
+    """Scenes by file name; together they take every branch of the format."""
     settings = RenderSettings(background=(0.0, 0.25, 1.0), near=0.5, blur=0.0)
     transform = SceneTransform((-1e-3, 0.0, 3e5), 2.0)
     return {
@@ -68,20 +68,6 @@ def golden_scenes() -> dict[str, QuantizedScene]:
         "max": _follow(_scene(_surface(17), 1, 16), 1),
         "paper": _scene(_scattered(), 9, 17),
         "deep": _scene(_deep(), 2**31 - 1, 18),
-    }
-
-
-def version1_scenes() -> dict[str, QuantizedScene]:
-    """The scenes of version 1 by file name; no program writes these files any more."""
-    settings = RenderSettings(background=(1.0, 0.5, 0.0), near=0.125)
-    transform = SceneTransform((1.5, -2.25, 1e6), 0.0625)
-    return {
-        "empty": _scene(np.empty((0, 3), np.int32), 0, 1),
-        "one": _scene(np.array([[-5, 7, 2**31 - 1]], np.int32), 3, 2),
-        "surface": _scene(_surface(6), 3, 3, settings, transform),
-        "scattered": _scene(_scattered(), 40, 4, settings),
-        "cube": _scene(np.argwhere(np.ones((4, 4, 4), bool)).astype(np.int32), 1, 5),
-        "extremes": _scene(_scattered()[:4] - 2**20, 2**31 - 1, 6),
     }
 
 

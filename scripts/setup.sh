@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Set up all that clgs needs: a virtual environment (.venv, or CLGS_VENV) with the package and its
-# development tools, and an OpenCL device where there is none. Safe to run again, and then quick.
+# development tools, and an OpenCL device if there is none. Safe to run again, and then quick.
 # Other scripts source it and use $root, $venv, $python, say, die, on_debian_as_root, apt_install
 # and ensure_device.
 set -euo pipefail

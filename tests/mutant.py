@@ -34,5 +34,5 @@ def apply(folder: Path) -> None:
     from clgs.opencl import source
 
     source.kernel_root = lambda: folder / "kernels_cl"
-    if "#line" not in source.read_program("scan.cl"):
+    if "#line" not in source.read_program("scan/fits.cl"):
         raise RuntimeError(f"{folder}: kernels are not read from there")

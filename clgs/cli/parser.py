@@ -33,8 +33,16 @@ class Parser(argparse.ArgumentParser):
         words = list(sys.argv[1:] if args is None else args)
         found, unknown = super().parse_known_args(_join_numbers(words), namespace)
         if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{self._suggestion(unknown)}")
         return found, unknown
+
+    def _suggestion(self, unknown: list[str]) -> str:
+        """The option most like the first unknown one, in brackets; empty if none is near."""
+        from difflib import get_close_matches
+
+        options = (word.partition("=")[0] for word in unknown if word.startswith("--"))
+        near = get_close_matches(next(options, ""), self._option_string_actions, n=1)
+        return f" (did you mean {near[0]}?)" if near else ""
 
 
 def _join_numbers(words: list[str]) -> list[str]:

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.container import section_table, version1
+from clgs.codec.container import section_table
 from clgs.codec.container.meta import Meta
 from clgs.codec.container.reader import Reader
 from clgs.codec.container.source import Source
 from clgs.codec.scene_decoder import decode_chunks, decode_positions
 from clgs.codec.workers import workers
 from clgs.errors import UsageError
-from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
-from clgs.scene.scene import QuantizedScene, SceneTransform
+from clgs.scene.anchors import QuantizedAnchors
+from clgs.scene.scene import QuantizedScene
 
 
 @dataclass(frozen=True)
@@ -50,22 +50,14 @@ class Box:
 def decode_box(source: Source, box: Box, threads: int | None = None) -> QuantizedScene:
     """The scene with those of its anchors alone whose position lies in ``box``.
 
-    Of a file of version 2, only these are read: the section table, META, MLPS, the lists of chunks
-    and the positions of those that meet the box, and the attributes of those that have an anchor in
-    it. World positions are computed as for ``world_position`` of a scene archive.
+    Only these are read: the section table, META, MLPS, the lists of chunks and the positions of
+    those that meet the box, and the attributes of those that have an anchor in it. World positions
+    are computed as for ``world_position`` of a scene archive.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged in what is read.
     """
-    table = section_table.read_table(source)
-    if table.major == 1:
-        tags = section_table.VERSIONS[1]
-        sections = {tag: section_table.read_section(source, table.entries[tag]) for tag in tags}
-        scene = version1.decode_sections(sections)
-        world = _to_world(scene.anchors.position, scene.scales, scene.transform)
-        scene.anchors = _select(scene.anchors, box.holds(world))
-        return scene
-    reader = Reader(source, table)
+    reader = Reader(source, section_table.read_table(source))
     with workers(threads) as pool:
         weights = pool.submit(reader.weights)
         anchors = _decode_chunks(reader, box, pool)
@@ -88,11 +80,5 @@ def _select(anchors: QuantizedAnchors, kept: npt.NDArray[np.bool_]) -> Quantized
 
 
 def _world(position: npt.NDArray[np.integer[Any]], meta: Meta) -> npt.NDArray[np.float64]:
-    return _to_world(position, meta.scales, meta.transform)
-
-
-def _to_world(
-    position: npt.NDArray[np.integer[Any]], scales: QuantizationScales, transform: SceneTransform
-) -> npt.NDArray[np.float64]:
     """Positions (A, 3) in the units of the input data; on each axis it never decreases."""
-    return transform.to_world(position / np.float64(scales.position))
+    return meta.transform.to_world(position / np.float64(meta.scales.position))

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec.attributes.row_coder import Model
-from clgs.codec.container import section_table, version1
+from clgs.codec.container import section_table
 from clgs.codec.container.chunks import Chunk
-from clgs.codec.container.content_hash import array_hash, content_arrays, join_hashes
+from clgs.codec.container.meta import array_hash, content_arrays, join_hashes
 from clgs.codec.container.reader import CHANNELS, Reader
 from clgs.codec.container.section_table import CHNK, FEAT, META, OFFS, SCAL
 from clgs.codec.container.source import BytesSource
@@ -29,15 +29,13 @@ def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
     """The scene that ``encode`` was given, rows in Morton order.
 
     Args:
-        data: a whole file of version 1 or 2.
-        threads: at most so many, by default one for each processor; version 1 takes one.
+        data: a whole file.
+        threads: at most so many, by default one for each processor.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged anywhere.
     """
-    table, sections = section_table.read_container(data)
-    if table.major == 1:
-        return version1.decode_sections(sections)
+    table, _ = section_table.read_container(data)
     reader = Reader(BytesSource(data), table)
     with workers(threads) as pool:
         weights = pool.submit(reader.weights)
@@ -103,28 +101,25 @@ def decode_chunks(
 def describe(data: bytes) -> dict[str, Any]:
     """Header and size of a file: plain numbers, ready for JSON; payloads are not decoded.
 
-    Keys: version, bytes, anchors, scales, transform, settings, content_hash (hex), and sections
-    (bytes by tag, ``container`` for the signature and the table); from version 2 on also level,
-    origin, depth, and chunks (anchors of each, count).
+    Keys: version, bytes, anchors, level, origin, depth, chunks (anchors of each, count), scales,
+    transform, settings, content_hash (hex), and sections (bytes by tag, ``container`` for the
+    signature and the table).
 
     Raises:
         CodecError: as ``decode``, but for damage that only decoding can show.
     """
     table, sections = section_table.read_container(data)
-    more: dict[str, Any] = {}
-    if table.major == 1:
-        meta = version1.read_meta(sections)
-    else:
-        reader = Reader(BytesSource(data), table)
-        meta, grid = reader.meta, reader.grid
-        chunks = {"anchors": reader.head.chunk, "count": reader.head.count}
-        more = {"level": grid.level, "origin": grid.origin, "depth": grid.depth, "chunks": chunks}
+    reader = Reader(BytesSource(data), table)
+    meta, grid = reader.meta, reader.meta.grid
     sizes = {tag: len(section.data) for tag, section in sections.items()}
     return {
         "version": table.version,
         "bytes": len(data),
         "anchors": meta.anchors,
-        **more,
+        "level": grid.level,
+        "origin": grid.origin,
+        "depth": grid.depth,
+        "chunks": {"anchors": reader.head.chunk, "count": reader.head.count},
         "scales": dict(vars(meta.scales)),
         "transform": dict(vars(meta.transform)),
         "settings": dict(vars(meta.settings)),

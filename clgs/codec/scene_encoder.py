@@ -19,8 +19,14 @@ from clgs.codec.container.chunks import (
     make_grid,
     pack_directory,
 )
-from clgs.codec.container.content_hash import array_hash, content_arrays, join_hashes
-from clgs.codec.container.meta import LEVELS, Meta
+from clgs.codec.container.meta import (
+    LEVELS,
+    Meta,
+    array_hash,
+    check_meta,
+    content_arrays,
+    join_hashes,
+)
 from clgs.codec.container.section_table import ANCH, CHNK, FEAT, MLPS, OFFS, SCAL
 from clgs.codec.octree import position_coder
 from clgs.codec.octree.subtrees import batches, corners, cut
@@ -156,6 +162,6 @@ def _check_scene(scene: QuantizedScene) -> None:
     if len(bad):
         raise CodecError(f"mlps: weight {bad[0]} is {weights[bad[0]]}; train the scene again")
     try:
-        Meta(len(scene.anchors), scene.scales, scene.transform, scene.settings, b"").check()
+        check_meta(len(scene.anchors), scene.scales, scene.transform, scene.settings)
     except ValueError as error:
         raise CodecError(f"header: {error}, which no file may hold; correct the scene") from error

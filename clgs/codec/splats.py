@@ -1,7 +1,7 @@
 """Ordinary Gaussian splats (3DGS) in a .clgs file: every property in steps of its own.
 
 Lossless with respect to the steps. Rows come back in Morton order of their positions, splats of
-one voxel in the order in which they were given (FORMAT.md, part 15).
+one voxel in the order in which they were given (codec_c/FORMAT.md on splats).
 """
 
 from __future__ import annotations

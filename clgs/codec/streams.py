@@ -1,4 +1,4 @@
-"""Positions and attributes as bytes of their own, without a scene (codec_c/FORMAT.md, part 12)."""
+"""Positions and attributes as bytes of their own, without a scene (codec_c/FORMAT.md on arrays)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from clgs.codec.workers import workers
 from clgs.errors import CodecError
 
 POSITIONS, LATTICE, ATTRIBUTES = b"\x8bCP\x02", b"\x8bCP\x03", b"\x8bCA\x02"
-"""Signatures; the last byte is the version: 3 for positions whose factors follow."""
+"""Signatures of positions as they are, of positions divided by their common factors, of rows."""
 
 POINTS, ROWS = 131_072, 65_536
 """Of a chunk of positions, of attributes."""
@@ -216,7 +216,7 @@ def _unseal(data: bytes | bytearray | memoryview, *signatures: bytes) -> memoryv
     signature = bytes(view[:4])
     if signature not in signatures:
         kind = "attributes" if ATTRIBUTES in signatures else "positions"
-        raise CodecError(f"stream at byte 0: no {kind} of a known version; encode them again")
+        raise CodecError(f"stream at byte 0: these are no {kind}; encode them again")
     if len(view) < _HEADS[signature].size + _CRC.size:
         raise _damage(0, f"{len(view)} bytes are too few")
     body = view[: -_CRC.size]

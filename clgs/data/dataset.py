@@ -40,7 +40,7 @@ _log = logging.getLogger(__name__)
 class View:
     """One photo, undistorted and downscaled, and its camera in scene units.
 
-    image (H, W, 3) uint8; alpha (H, W) uint8 or None where opaque. Without loaded images H = W = 0.
+    image (H, W, 3) uint8; alpha (H, W) uint8, None if opaque. H = W = 0 if images are not loaded.
     """
 
     name: str
@@ -125,8 +125,17 @@ def load_dataset(
             raise DataError(
                 f"{path}: no two photos look at the same place; check the poses and their axes"
             )
-    scene = transform, radius, photos.kind, photos.skipped
-    return Dataset(train, test, points, colors, *scene, downscale)
+    return Dataset(
+        train=train,
+        test=test,
+        points=points,
+        point_colors=colors,
+        transform=transform,
+        radius=radius,
+        kind=photos.kind,
+        skipped=photos.skipped,
+        downscale=downscale,
+    )
 
 
 def composite(view: View, background: npt.ArrayLike) -> npt.NDArray[np.uint8]:
@@ -134,8 +143,8 @@ def composite(view: View, background: npt.ArrayLike) -> npt.NDArray[np.uint8]:
     image = view.image
     if view.alpha is not None:
         alpha = view.alpha[..., None].astype(np.float32) / np.float32(255)
-        behind = np.asarray(background, np.float32) * np.float32(255)
-        image = np.rint(image * alpha + behind * (1 - alpha)).astype(np.uint8)
+        color = np.asarray(background, np.float32) * np.float32(255)
+        image = np.rint(image * alpha + color * (1 - alpha)).astype(np.uint8)
     return np.ascontiguousarray(image.transpose(2, 0, 1))
 
 

@@ -65,7 +65,7 @@ def image_size(path: Path) -> tuple[int, int]:
 def read_image(path: Path, expected: tuple[int, int] | None = None) -> Pixels:
     """The image as 8-bit RGB with its alpha, EXIF rotation applied.
 
-    Where ``expected`` (width, height) is the size before but not after the rotation, the poses were
+    If ``expected`` (width, height) is the size before but not after the rotation, the poses were
     made for the unrotated pixels, and these are returned.
 
     Raises:
@@ -97,7 +97,7 @@ def stored_size(path: Path, expected: tuple[int, int]) -> tuple[int, int]:
 def box_downscale(pixels: Pixels, factor: int) -> Pixels:
     """Each output pixel is the mean of its box of input pixels; sizes are rounded.
 
-    Boxes have fractional edges where a size is no multiple of ``factor``, so nothing is cropped and
+    Boxes have fractional edges if a size is no multiple of ``factor``, so nothing is cropped and
     nothing is shifted. Color is averaged premultiplied by alpha.
     """
     if factor == 1:
@@ -133,7 +133,7 @@ def _one_line(error: Exception) -> str:
 
 
 def read_exif(picture: Image.Image) -> Image.Exif:
-    """What the camera says beside the pixels, before them in the file; empty where it is damaged.
+    """The EXIF data that precedes the pixels in the file; empty if it is damaged.
 
     Pillow's getexif would decode a whole PNG.
     """

@@ -66,7 +66,7 @@ class Lens:
         )
 
     def distort(self, points: Floats) -> Floats:
-        """Ideal image-plane points (N, 2) = (x/z, y/z) to where the lens puts them, (N, 2)."""
+        """Ideal image-plane points (N, 2) = (x/z, y/z) as the lens distorts them, (N, 2)."""
         if self.fisheye:
             radius = np.hypot(points[:, 0], points[:, 1])
             angle = np.arctan(radius)

@@ -40,7 +40,7 @@ class PhotoSet:
     """A data set before its images are decoded.
 
     kind: "blender", "transforms" or "colmap"; skipped: photos named but missing on disk;
-    points (P, 3) float64 world units and point_colors (P, 3) uint8, or None where the set has none.
+    points (P, 3) float64 world units and point_colors (P, 3) uint8, or None if the set has none.
     """
 
     kind: str

@@ -1,4 +1,4 @@
-"""pycolmap where it is needed: imported late, quiet, its failures in one line."""
+"""pycolmap, imported only when it is needed, kept quiet, its failures in one line."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from clgs.scene.scene import SceneTransform
 
 
 def repose(dataset: Dataset, transform: SceneTransform) -> Dataset:
-    """The dataset with cameras in the units of ``transform``; itself where it has them already.
+    """The dataset with cameras in the units of ``transform``; unchanged if it has them already.
 
     A scene keeps the transform that it was trained with; the photos that were added or removed
     since then would normalise to slightly different units.

@@ -54,7 +54,7 @@ def read_blender(root: Path) -> PhotoSet:
 
 
 def read_transforms(root: Path) -> PhotoSet:
-    """The photos of transforms.json; split by train_filenames and test_filenames where given.
+    """The photos of transforms.json; split by train_filenames and test_filenames if given.
 
     Raises:
         DataError: naming file, frame and field.
@@ -76,7 +76,7 @@ def read_transforms(root: Path) -> PhotoSet:
 
 @dataclass(frozen=True)
 class _Fields:
-    """One frame's fields, with the file's shared ones behind them, read with checks."""
+    """One frame's fields, then those that all frames share, read with checks."""
 
     frame: dict[str, Any]
     shared: dict[str, Any]
@@ -145,11 +145,11 @@ def _read_photos(root: Path, file: Path) -> tuple[list[Photo], int]:
 
 
 def _read_photo(root: Path, fields: _Fields) -> Photo | None:
-    """The photo of one frame, or None where its file is missing."""
+    """The photo of one frame, or None if its file is missing."""
     rotation, translation = fields.pose()
     path = _find_image(root, fields)
     declared = _declared_size(fields)
-    # The fields are checked even where the image is missing: a bad file is bad everywhere.
+    # Fields are checked even if the image is missing: a bad file is bad on every machine.
     lens = _read_lens(fields, *(declared or (1, 1)))
     if path is None:
         return None
@@ -216,7 +216,7 @@ def _distortion(fields: _Fields) -> tuple[dict[str, float], bool]:
 
 
 def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, float]:
-    """fl_x and fl_y, or what the fields of view give; square pixels where only one is known."""
+    """fl_x and fl_y, or those of the fields of view; if only one is known, pixels are square."""
     known = {}
     for axis, size in (("x", width), ("y", height)):
         if fields.has(f"fl_{axis}"):

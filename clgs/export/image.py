@@ -104,7 +104,7 @@ def sheet(pictures: Sequence[Picture], columns: int) -> Picture:
 def picture_names(names: Sequence[str]) -> list[str]:
     """File names (.png), all different, for photos called ``names``.
 
-    The stem of a photo's name where all stems differ, else its path with "_" for separators.
+    The stem of a photo's name if all stems differ, else its path with "_" for separators.
     Characters outside of letters, digits, ".", "-" and "_" become "_".
     """
     stems = [PurePosixPath(name.replace("\\", "/")).with_suffix("") for name in names]

@@ -20,7 +20,7 @@ from clgs.errors import DeviceError, NoRoomError, UsageError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import choose_device, is_emulator
 from clgs.opencl.profile import Profile
-from clgs.opencl.source import read_program
+from clgs.opencl.source import program_file, read_program
 from clgs.opencl.transfer import Download, Transfers
 
 SPECIALISATIONS = ("cpu", "gpu")
@@ -170,6 +170,8 @@ class Device:
     def kernel(self, program: str, name: str, **defines: int | float) -> cl.Kernel:
         """Kernel ``name`` of ``kernels_cl/<program>.cl``; same arguments, same object.
 
+        ``<program>_cpu.cl`` or ``<program>_gpu.cl`` if the specialisations have files of their own.
+
         The method's constants and the specialisation (VEC, USE_LOCAL) are always defined;
         ``defines`` adds to or overrides them. Floats become float32 literals.
 
@@ -187,14 +189,15 @@ class Device:
             specialised = {"VEC": self.vec, "USE_LOCAL": int(self.specialisation == "gpu")}
             macros = {**constants.defines(), **specialised, **defines}
             options = [f"-D{name}={_literal(value)}" for name, value in sorted(macros.items())]
+            file = program_file(program, self.specialisation)
             try:
-                built = cl.Program(self.context, read_program(f"{program}.cl"))
+                built = cl.Program(self.context, read_program(file))
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", cl.CompilerWarning)
                     self._programs[key] = built.build(options=[*BUILD_OPTIONS, *options])
             except cl.RuntimeError as error:
                 raise DeviceError(
-                    f"kernels_cl/{program}.cl does not build on {self.name}: "
+                    f"kernels_cl/{file} does not build on {self.name}: "
                     f"{_first_complaint(str(error))}"
                 ) from error
         return self._programs[key]

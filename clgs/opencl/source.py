@@ -14,6 +14,23 @@ def kernel_root() -> Traversable:
     return importlib.resources.files("clgs") / "kernels_cl"
 
 
+def program_files() -> list[str]:
+    """Files of all programs, relative to the root, such as "blend/blend.cl"."""
+    rooms = [entry for entry in kernel_root().iterdir() if entry.is_dir()]
+    files = [f"{room.name}/{file.name}" for room in rooms for file in room.iterdir()]
+    return sorted(name for name in files if name.endswith(".cl"))
+
+
+def program_file(program: str, form: str) -> str:
+    """File of a program such as "blend/forward", relative to the root.
+
+    ``<program>_<form>.cl`` if the forms ("cpu", "gpu") have files of their own, else
+    ``<program>.cl``.
+    """
+    own = f"{program}_{form}.cl"
+    return own if kernel_root().joinpath(*own.split("/")).is_file() else f"{program}.cl"
+
+
 def read_program(name: str) -> str:
     """Source text of one program, includes expanded once, ``#line`` marks kept."""
     return _expand(name, seen=set())

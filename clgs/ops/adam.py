@@ -28,7 +28,7 @@ BETA2 = 0.999
 EPSILON = 1e-15
 MIN_FIRST_MOMENT = 1e-30
 MIN_SECOND_MOMENT = 1e-36
-"""Moments below these are set to zero; see kernels_cl/adam.cl for the reason of the two sizes."""
+"""Moments below these are set to zero; kernels_cl/adam/adam.cl says why there are two sizes."""
 
 NOT_FINITE = 1
 """Bit of the stop flag: a gradient was infinite or NaN."""
@@ -73,7 +73,7 @@ def stop_flag(device: Device) -> DeviceArray:
 
 def check_finite(device: Device, arrays: Iterable[DeviceArray], stop: DeviceArray) -> None:
     """Set NOT_FINITE in ``stop`` where an element of a float32 array is infinite or NaN."""
-    kernel = device.kernel("adam", "adam_check", NOT_FINITE=NOT_FINITE)
+    kernel = device.kernel("adam/adam", "adam_check", NOT_FINITE=NOT_FINITE)
     for array in arrays:
         items = round_up(-(-array.size // CHECKED_PER_ITEM), GROUP_SIZE)
         device.run(kernel, (items,), (GROUP_SIZE,), array, np.uint32(array.size), stop)
@@ -89,7 +89,7 @@ def mark_rows(device: Device, gradient: DeviceArray, stop: DeviceArray) -> Devic
     if gradient.size:
         width = gradient.size // rows
         device.run(
-            device.kernel("adam", "adam_mark", NOT_FINITE=NOT_FINITE, WIDTH=width),
+            device.kernel("adam/adam", "adam_mark", NOT_FINITE=NOT_FINITE, WIDTH=width),
             (round_up(rows, GROUP_SIZE),),
             (GROUP_SIZE,),
             gradient,
@@ -126,7 +126,7 @@ def step(
     _check(parameter, gradient, moments)
     start, end, _ = (part or slice(None)).indices(parameter.size)
     device.run(
-        device.kernel("adam", "adam_step", **_LIMITS),
+        device.kernel("adam/adam", "adam_step", **_LIMITS),
         (round_up(-(-(end - start) // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
         parameter,
@@ -169,7 +169,7 @@ def step_rows(
         return
     width = parameter.size // len(parameter)
     device.run(
-        device.kernel("adam", "adam_step_rows", WIDTH=width, **_LIMITS),
+        device.kernel("adam/adam", "adam_step_rows", WIDTH=width, **_LIMITS),
         (round_up(-(-parameter.size // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
         parameter,

@@ -120,7 +120,7 @@ def forward(
         records=gather(device, projected, color, opacity, tiles, width, options),
         options=options,
     )
-    kernel = device.kernel("blend", "blend_forward", **_defines(device, options))
+    kernel = device.kernel("blend/forward", "blend_forward", **_defines(device, options))
     device.run(kernel, *_grid(device, tiles), *_forward_arguments(result, tiles, background))
     return result
 
@@ -166,7 +166,7 @@ def accumulate(
     count = len(tiles.row_range) - 1
     Shapes(N=count).check("sums", sums, f"N {SUM_SIZE}", np.float32)
     rows = _rows(device, tiles, background, blended, d_image)
-    kernel = device.kernel("blend", "blend_accumulate", **_defines(device, blended.options))
+    kernel = device.kernel("blend/sums", "blend_accumulate", **_defines(device, blended.options))
     grid = (round_up(count, GROUP_SIZE),), (GROUP_SIZE,)
     device.run(kernel, *grid, rows, tiles.row_range, np.int32(count), sums)
 
@@ -203,7 +203,7 @@ def _rows(
     height, width = blended.transmittance.shape
     Shapes(H=height, W=width).check("d_image", d_image, "3 H W", np.float32)
     rows = device.empty((len(tiles.gaussian), ROW_SIZE))
-    kernel = device.kernel("blend", "blend_backward", **_defines(device, blended.options))
+    kernel = device.kernel("blend/backward", "blend_backward", **_defines(device, blended.options))
     arguments = _backward_arguments(blended, tiles, background, d_image)
     device.run(kernel, *_grid(device, tiles), *arguments, rows)
     return rows
@@ -265,8 +265,8 @@ def _passes(
     rows = device.empty((len(tiles.gaussian), ROW_SIZE))
     forward_arguments = _forward_arguments(blended, tiles, background)
     backward_arguments = (*_backward_arguments(blended, tiles, background, d_image), rows)
-    yield device.kernel("blend", "blend_forward", **defines), forward_arguments
-    yield device.kernel("blend", "blend_backward", **defines), backward_arguments
+    yield device.kernel("blend/forward", "blend_forward", **defines), forward_arguments
+    yield device.kernel("blend/backward", "blend_backward", **defines), backward_arguments
 
 
 def _unpack(words: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
@@ -296,10 +296,10 @@ def gather(
 ) -> DeviceArray:
     """Records of the entries of ``tiles``; ``width`` of the image, others as in :func:`forward`."""
     count, defines = len(opacity), _defines(device, options)
-    splats = device.empty((count, RECORD_SIZE))
+    prepared = device.empty((count, RECORD_SIZE))
     records = device.empty((len(tiles.gaussian), RECORD_SIZE))
     device.run(
-        device.kernel("blend", "blend_prepare", **defines),
+        device.kernel("blend/prepare", "blend_prepare", **defines),
         (round_up(-(-count // device.lanes), GROUP_SIZE),),
         (GROUP_SIZE,),
         projected.mean2d,
@@ -307,11 +307,11 @@ def gather(
         color,
         opacity,
         np.int32(count),
-        splats,
+        prepared,
     )
     lists = tiles.gaussian, tiles.row, tiles.tile_range
-    gather = device.kernel("blend", "blend_gather", **defines)
-    device.run(gather, *_grid(device, tiles), splats, *lists, np.int32(width), records)
+    gather = device.kernel("blend/prepare", "blend_gather", **defines)
+    device.run(gather, *_grid(device, tiles), prepared, *lists, np.int32(width), records)
     return records
 
 
@@ -349,7 +349,7 @@ def _gradients(
         d_opacity=device.empty((count,)),
     )
     device.run(
-        device.kernel("blend", kernel, **_defines(device, options)),
+        device.kernel("blend/sums", kernel, **_defines(device, options)),
         (round_up(count, GROUP_SIZE),),
         (GROUP_SIZE,),
         *summed,

@@ -86,7 +86,7 @@ def accumulate(
     visible_count, count, padded = _check(statistics, output, visible, gradients)
     stop = stop or device.zeros((1,), np.int32)
     device.run(
-        device.kernel("density", "density_visit"),
+        device.kernel("anchors/density", "density_visit"),
         (round_up(visible_count, GROUP_SIZE),),
         (GROUP_SIZE,),
         output,
@@ -99,7 +99,7 @@ def accumulate(
     )
     share = SHARE[device.specialisation]
     device.run(
-        device.kernel("density", "density_gradient", VEC=device.lanes, SHARE=share),
+        device.kernel("anchors/density", "density_gradient", VEC=device.lanes, SHARE=share),
         (round_up(-(-count // share), GROUP_SIZE),),
         (GROUP_SIZE,),
         visible,

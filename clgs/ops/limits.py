@@ -27,7 +27,7 @@ def copy(device: Device, source: DeviceArray, target: DeviceArray) -> None:
     shapes.check("source", source, "n", np.float32)
     shapes.check("target", target, "n", np.float32)
     device.run(
-        device.kernel("limits", "limits_copy"),
+        device.kernel("limits/limits", "limits_copy"),
         (round_up(-(-len(source) // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
         source,
@@ -44,7 +44,7 @@ def fma(device: Device, groups: int, steps: int) -> DeviceArray:
     """
     group = GROUP_SIZE if device.specialisation == "gpu" else 1
     result = device.empty((groups * group * device.vec,))
-    kernel = device.kernel("limits", "limits_fma")
+    kernel = device.kernel("limits/limits", "limits_fma")
     arguments = np.float32(FACTOR), np.float32(TERM), np.int32(steps)
     device.run(kernel, (groups * group,), (group,), *arguments, result)
     return result

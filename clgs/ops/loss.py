@@ -5,8 +5,8 @@
            (2 mu_x mu_y + C1)(2 cov_xy + C2) / ((mu_x^2 + mu_y^2 + C1)(var_x + var_y + C2))
 
 with moments under an 11 x 11 Gaussian window of sigma 1.5 and zero padding (Wang et al. 2004). The
-kernel takes the moments of centred pixels, tile by tile, and writes the maps that the backward pass
-blurs once more; kernels_cl/loss.cl has the equations. The derivative of |x| at 0 is 0.
+kernel takes the moments of centred pixels, patch by patch, and writes the maps that the backward pass
+blurs once more; kernels_cl/loss/forward.cl has the equations. The derivative of |x| at 0 is 0.
 
 The volume term is the mean over Gaussians of the product of their scales (Scaffold-GS).
 """
@@ -25,9 +25,9 @@ from clgs.opencl.device import Device
 from clgs.opencl.sums import BlockSums, LaterMean
 from clgs.shapes import Shapes
 
-TILE_COLUMNS = 16
-TILE_ROWS = {"cpu": 32, "gpu": 16}
-"""Tile height by specialisation: taller ones blur fewer rows twice, but need more memory."""
+PATCH_COLUMNS = 16
+PATCH_ROWS = {"cpu": 32, "gpu": 16}
+"""Patch height by specialisation: taller ones blur fewer rows twice, but need more memory."""
 
 GROUP_SIZE = {"cpu": 1, "gpu": 256}
 VOLUME_BLOCK = 256
@@ -54,8 +54,8 @@ class LossValue:
 class Loss:
     """What the forward pass leaves on the device, float32.
 
-    sums: per tile the sums of |x - y| and of 1 - SSIM; shift (tiles, 2): the level about which the
-    moments of image and target were taken; maps: three of (3, H, W), see kernels_cl/loss.cl.
+    sums: per patch the sums of |x - y| and of 1 - SSIM; shift (patches, 2): the level about which the
+    moments of image and target were taken; maps: three of (3, H, W), see kernels_cl/loss/forward.cl.
     """
 
     sums: BlockSums
@@ -100,13 +100,13 @@ def forward(
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     height, width = _check(image, target)
-    across, down = _tiles(device, height, width)
+    across, down = _patches(device, height, width)
     sums = device.empty((3 * across * down, 2))
     shift = device.empty((3 * across * down, 2))
     maps = (device.empty(image.shape), device.empty(image.shape), device.empty(image.shape))
     group = GROUP_SIZE[device.specialisation]
     device.run(
-        device.kernel("loss", "loss_forward", **_defines(device)),
+        device.kernel("loss/forward", "loss_forward", **_defines(device)),
         (across * group, down, 3),
         (group, 1, 1),
         image,
@@ -133,12 +133,12 @@ def backward(device: Device, image: DeviceArray, target: DeviceArray, loss: Loss
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     height, width = _check(image, target)
-    across, down = _tiles(device, height, width)
+    across, down = _patches(device, height, width)
     d_image = device.empty(image.shape)
     count = max(3 * height * width, 1)
     group = GROUP_SIZE[device.specialisation]
     device.run(
-        device.kernel("loss", "loss_backward", **_defines(device)),
+        device.kernel("loss/backward", "loss_backward", **_defines(device)),
         (across * group, down, 3),
         (group, 1, 1),
         image,
@@ -186,7 +186,7 @@ def volume(
     sums = device.empty((blocks, 1))
     group = GROUP_SIZE[device.specialisation]
     device.run(
-        device.kernel("loss", "loss_volume", **_defines(device)),
+        device.kernel("loss/volume", "loss_volume", **_defines(device)),
         (blocks * group,),
         (group,),
         scale,
@@ -212,8 +212,8 @@ def _check(image: DeviceArray, target: DeviceArray) -> tuple[int, int]:
     return shapes.axes["H"], shapes.axes["W"]
 
 
-def _tiles(device: Device, height: int, width: int) -> tuple[int, int]:
-    return -(-width // TILE_COLUMNS), -(-height // TILE_ROWS[device.specialisation])
+def _patches(device: Device, height: int, width: int) -> tuple[int, int]:
+    return -(-width // PATCH_COLUMNS), -(-height // PATCH_ROWS[device.specialisation])
 
 
 def _defines(device: Device) -> dict[str, Any]:
@@ -224,4 +224,4 @@ def _defines(device: Device) -> dict[str, Any]:
     total = taps[0] + 2 * sum(taps[1:])
     weights = {f"SSIM_WEIGHT_{tap}": weight / total for tap, weight in enumerate(taps)}
     levels = {"SSIM_C1": constants.SSIM_C1, "SSIM_C2": constants.SSIM_C2}
-    return {"TILE_ROWS": TILE_ROWS[device.specialisation], **weights, **levels}
+    return {"PATCH_ROWS": PATCH_ROWS[device.specialisation], **weights, **levels}

@@ -105,7 +105,7 @@ def forward(
     count = scan.checked_total(device, offsets) if capacity is None else capacity
     result = allocate(device, count, drawn, offsets)
     device.run(
-        device.kernel("neural", "neural_forward"),
+        device.kernel("gaussian/neural", "neural_forward"),
         (round_up(-(-len(visible) // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
         output,
@@ -163,7 +163,7 @@ def number(
     drawn = device.empty((int(sizes[0]),), np.int32)
     counts = device.empty((int(sizes[0]),), np.int32)
     device.run(
-        device.kernel("neural", "neural_count"),
+        device.kernel("gaussian/neural", "neural_count"),
         (round_up(-(-len(counts) // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
         output,
@@ -178,7 +178,7 @@ def number(
 def pad(device: Device, gaussians: NeuralGaussians) -> None:
     """Zeros behind the last Gaussian."""
     device.run(
-        device.kernel("neural", "neural_pad"),
+        device.kernel("gaussian/neural", "neural_pad"),
         (round_up(len(gaussians), GROUP_SIZE),),
         (GROUP_SIZE,),
         gaussians.total,
@@ -221,7 +221,7 @@ def backward(
         d_position=device.zeros((anchors, 3)) if want_position else None,
     )
     device.run(
-        device.kernel("neural", "neural_backward"),
+        device.kernel("gaussian/neural", "neural_backward"),
         (round_up(-(-output.shape[1] // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
         output,
@@ -256,7 +256,7 @@ def _position_backward(
 ) -> None:
     """Sum ``d_mean`` over the Gaussians of each visible anchor."""
     device.run(
-        device.kernel("neural", "neural_backward_position"),
+        device.kernel("gaussian/neural", "neural_backward_position"),
         (round_up(len(visible), GROUP_SIZE),),
         (GROUP_SIZE,),
         visible,

@@ -74,7 +74,7 @@ def forward(
     Shapes(N=count).check("opacity", opacity, "N", np.float32)
     result = allocate(device, count)
     device.run(
-        device.kernel("project", "project_forward", **defines(device, options)),
+        device.kernel("gaussian/project", "project_forward", **defines(device, options)),
         (_items(device, count),),
         (GROUP_SIZE,),
         mean,
@@ -133,7 +133,7 @@ def backward(
         d_rotation=device.empty((count, 4)),
     )
     device.run(
-        device.kernel("project", "project_backward", VEC=device.lanes),
+        device.kernel("gaussian/project", "project_backward", VEC=device.lanes),
         (_items(device, count),),
         (GROUP_SIZE,),
         mean,

@@ -86,7 +86,7 @@ def forward(
     fields = (on_screen.mean2d, on_screen.whitening, on_screen.depth, on_screen.extent, *colors)
     macros = {**project.defines(device, options), **mlp.defines(device, options)}
     device.run(
-        device.kernel("project_anchors", "project_anchors_forward", **macros),
+        device.kernel("gaussian/project_anchors", "project_anchors_forward", **macros),
         *mlp.blocks(device, int(sizes[1])),
         *(*inputs, decoded.visible, sizes[0], weights, camera, sizes[1]),
         *(anchors.offset, anchors.scaling, offsets.offset, drawn, np.int32(count)),
@@ -94,7 +94,7 @@ def forward(
     )
     if capacity is not None:
         device.run(
-            device.kernel("project_anchors", "project_anchors_pad", **macros),
+            device.kernel("gaussian/project_anchors", "project_anchors_pad", **macros),
             *((round_up(count, GROUP_SIZE),), (GROUP_SIZE,)),
             *(offsets.total, np.int32(count), *fields),
         )

@@ -45,7 +45,7 @@ def elements(device: Device, x: DeviceArray, q: DeviceArray) -> DeviceArray:
     if q.shape != x.shape or q.dtype != np.float32:
         raise ValueError(f"q: {q.dtype}{q.shape}, expected float32{x.shape}")
     result = device.empty(x.shape, np.float32)
-    kernel = device.kernel("quantize", "quantize_elements")
+    kernel = device.kernel("anchors/quantize", "quantize_elements")
     device.run(kernel, *_size(device, x), x, q, np.uint32(x.size), result)
     return result
 
@@ -58,7 +58,7 @@ def integers(device: Device, x: DeviceArray, q: float) -> DeviceArray:
 def _run(device: Device, kernel: str, x: DeviceArray, q: float, result: DeviceArray) -> DeviceArray:
     _check(x)
     device.run(
-        device.kernel("quantize", kernel),
+        device.kernel("anchors/quantize", kernel),
         *_size(device, x),
         x,
         np.uint32(x.size),

@@ -125,7 +125,7 @@ def backward(device: Device, rate: Rate, x: DeviceArray, weight: float, d_x: Dev
     table[3:] *= weight * rate.q
     period = table.shape[1]
     device.run(
-        device.kernel("rate", "rate_backward"),
+        device.kernel("anchors/rate", "rate_backward"),
         (round_up(-(-x.size // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
         x,
@@ -277,7 +277,7 @@ def _run(
     blocks = -(-x.size // (device.vec * channels * VECTORS_PER_BLOCK))
     sums = device.empty((planes, blocks, device.vec, channels))
     device.run(
-        device.kernel("rate", kernel),
+        device.kernel("anchors/rate", kernel),
         (round_up(blocks * channels, GROUP_SIZE),),
         (GROUP_SIZE,),
         x,

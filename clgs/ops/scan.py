@@ -74,7 +74,7 @@ def on_device(device: Device, counts: DeviceArray, limit: int = NO_LIMIT) -> Off
     size, length = np.int32(count), np.int32(chunk)
     all_chunks, group = (chunks * wide,), (wide,)
     reduce, spine, apply = (
-        device.kernel("scan", name) for name in ("scan_reduce", "scan_spine", "scan_apply")
+        device.kernel("scan/offsets", name) for name in ("scan_reduce", "scan_spine", "scan_apply")
     )
     device.run(reduce, all_chunks, group, counts, size, length, sums)
     device.run(spine, group, group, sums, np.int32(chunks), total)
@@ -93,7 +93,7 @@ def check_fits(device: Device, total: DeviceArray, capacity: int, stop: DeviceAr
     shapes = Shapes()
     shapes.check("total", total, "1", np.int64)
     shapes.check("stop", stop, "1", np.int32)
-    kernel = device.kernel("scan", "scan_fits", LACKS_ROOM=LACKS_ROOM)
+    kernel = device.kernel("scan/fits", "scan_fits", LACKS_ROOM=LACKS_ROOM)
     device.run(kernel, (1,), (1,), total, np.int64(capacity), stop)
 
 

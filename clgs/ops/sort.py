@@ -74,11 +74,13 @@ def _chosen_by_key(device: Device, keys: DeviceArray, choice: DeviceArray) -> Or
     count = len(keys)
     chosen_keys, index = device.empty((count,), np.uint32), device.empty((count,), np.int32)
     grid = (round_up(count, scan.GROUP_SIZE),), (scan.GROUP_SIZE,)
-    choose = device.kernel("sort", "sort_choose")
+    choose = device.kernel("sort/chosen", "sort_choose")
     device.run(choose, *grid, keys, choice, np.int32(count), chosen_keys, index)
     sorted_keys, index = by_key(device, chosen_keys, index)
     end = device.empty((1,), np.int32)
-    device.run(device.kernel("sort", "sort_end"), (1,), (1,), sorted_keys, np.int32(count), end)
+    device.run(
+        device.kernel("sort/chosen", "sort_end"), (1,), (1,), sorted_keys, np.int32(count), end
+    )
     return Order(index, end)
 
 
@@ -91,18 +93,22 @@ def _chosen_by_plan(device: Device, keys: DeviceArray, choice: DeviceArray) -> O
     index = device.empty(keys.shape, np.int32)
     all_chunks, one = ((CHUNKS,), (1,)), ((1,), (1,))
     items = keys, choice, count
-    device.run(device.kernel("sort", "sort_range"), *all_chunks, *items, ranges)
-    device.run(device.kernel("sort", "sort_plan"), *one, ranges, chunks, plan)
-    starts = device.kernel("sort", "sort_starts")
-    device.run(device.kernel("sort", "sort_count_chosen"), *all_chunks, *items, plan, counters)
+    device.run(device.kernel("sort/chosen", "sort_range"), *all_chunks, *items, ranges)
+    device.run(device.kernel("sort/chosen", "sort_plan"), *one, ranges, chunks, plan)
+    starts = device.kernel("sort/chosen", "sort_starts")
+    device.run(
+        device.kernel("sort/chosen", "sort_count_chosen"), *all_chunks, *items, plan, counters
+    )
     device.run(starts, *one, counters, chunks, np.int32(0), plan)
-    place = device.kernel("sort", "sort_place_chosen")
+    place = device.kernel("sort/chosen", "sort_place_chosen")
     device.run(place, *all_chunks, *items, plan, counters, pairs)
     for number in range(1, MOST_PASSES):
         step = plan, np.int32(number)
-        device.run(device.kernel("sort", "sort_count_pairs"), *all_chunks, pairs, *step, counters)
+        device.run(
+            device.kernel("sort/chosen", "sort_count_pairs"), *all_chunks, pairs, *step, counters
+        )
         device.run(starts, *one, counters, chunks, np.int32(number), plan)
-        place = device.kernel("sort", "sort_place_pairs")
+        place = device.kernel("sort/chosen", "sort_place_pairs")
         device.run(place, *all_chunks, pairs, *step, counters, placed, index)
         pairs, placed = placed, pairs
     return Order(index, DeviceArray(plan.buffer, (1,), plan.dtype))
@@ -127,9 +133,11 @@ def _pass(
     digit = np.int32(shift), np.uint32(2**width - 1)
     histogram = device.empty((2**width * chunks,), np.int32)
     size = (chunks * group,), (group,)
-    device.run(device.kernel("sort", "sort_histogram"), *size, keys, *plan, *digit, histogram)
+    device.run(
+        device.kernel("sort/by_key", "sort_histogram"), *size, keys, *plan, *digit, histogram
+    )
     place = scan.on_device(device, histogram).offset
     out = device.empty(keys.shape, np.uint32), device.empty(keys.shape, np.int32)
-    scatter = device.kernel("sort", "sort_scatter")
+    scatter = device.kernel("sort/by_key", "sort_scatter")
     device.run(scatter, *size, keys, values, *plan, *digit, place, *out)
     return out

@@ -31,8 +31,8 @@ CHUNKS = 4
 """Counters of all tiles on a CPU: work-items that the depth order is shared among."""
 ROW_CHUNKS = 64
 """Counters of all rows of tiles."""
-UNUSED = 4 * CHUNKS
-"""Places behind the spans on a CPU, where those go that are none."""
+SPARE = 4 * CHUNKS
+"""Spare places after the spans on a CPU, for spans without tiles."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def count_by_row(
     rows = tile_count(1, height)
     found = _footprints(device, projected, opacity, (width, height), (0, rows), options)
     reached = device.empty((ROW_CHUNKS, rows), np.int64)
-    kernel = device.kernel("tiles", "tiles_by_row", **found.defines)
+    kernel = device.kernel("tiles/by_row", "tiles_by_row", **found.defines)
     items = np.int32(len(opacity)), found.boxes, found.counts, np.int32(rows)
     device.run(kernel, (ROW_CHUNKS,), (1,), *found.geometry, *items, reached)
     return np.asarray(device.download(reached).sum(axis=0))
@@ -160,7 +160,7 @@ def _footprints(
         boxes=device.empty((count, 4), np.int32),
         counts=device.empty((count,), np.int32),
     )
-    kernel = device.kernel("tiles", "tiles_footprint", **found.defines)
+    kernel = device.kernel("tiles/footprint", "tiles_footprint", **found.defines)
     grid = (round_up(-(-count // device.lanes), GROUP_SIZE),), (GROUP_SIZE,)
     device.run(kernel, *grid, *found.geometry, np.int32(count), found.boxes, found.counts)
     return found
@@ -180,28 +180,28 @@ def _count_entries(
     counters = device.empty((CHUNKS, pitch, 2), np.int32)
     ranked = device.empty(found.boxes.shape, np.int32)
     ordered = *found.geometry, order.index, order.count
-    count = device.kernel("tiles", "tiles_count", **found.defines)
+    count = device.kernel("tiles/lists", "tiles_count", **found.defines)
     counted = found.boxes, rows.offset, np.int32(pitch), ranked, counters
     device.run(count, *chunks, *ordered, *counted)
     entries = scan.checked_total(device, rows) if capacity is None else capacity
     limit = rows.total, np.int32(entries)
     starts = device.empty((count_of_rows + 1, 2), np.int32)
-    start = device.kernel("tiles", "tiles_starts", **found.defines)
+    start = device.kernel("tiles/lists", "tiles_starts", **found.defines)
     sizes = np.int32(CHUNKS), np.int32(pitch), np.int32(count_of_rows)
     device.run(start, (1,), (1,), counters, *sizes, *limit, starts)
-    spans = device.empty((entries + UNUSED, 4), np.int32)
-    place = device.kernel("tiles", "tiles_place", **found.defines)
+    spans = device.empty((entries + SPARE, 4), np.int32)
+    place = device.kernel("tiles/lists", "tiles_place", **found.defines)
     device.run(place, *chunks, *ordered, ranked, np.int32(pitch), *limit, counters, spans)
     tile_range = device.empty((tiles + 1,), np.int32)
     gaussian, row = (device.empty((entries,), np.int32) for _ in range(2))
     pitch = round_up(found.columns + 1, 16)
     places = device.empty((count_of_rows, pitch), np.int32)
-    enter = device.kernel("tiles", "tiles_enter", **found.defines)
+    enter = device.kernel("tiles/lists", "tiles_enter", **found.defines)
     sizes = np.int32(found.columns), np.int32(count_of_rows), np.int32(pitch)
     lists = places, tile_range, gaussian, row
     device.run(enter, (count_of_rows,), (1,), spans, starts, *sizes, *lists)
     if capacity is not None:
-        pad = device.kernel("tiles", "tiles_pad_lists", **found.defines)
+        pad = device.kernel("tiles/lists", "tiles_pad_lists", **found.defines)
         device.run(pad, *chunks, *limit, gaussian, row)
     return TileLists(gaussian, row, tile_range, rows.offset, rows.total)
 
@@ -219,22 +219,22 @@ def _sort_entries(
     grid = (round_up(count, GROUP_SIZE),), (GROUP_SIZE,)
     ordered = order.index, order.count
     ranked_counts = device.empty((count,), np.int32)
-    rank = device.kernel("tiles", "tiles_rank", **found.defines)
+    rank = device.kernel("tiles/lists", "tiles_rank", **found.defines)
     device.run(rank, *grid, *ordered, found.counts, np.int32(count), ranked_counts)
     places = scan.on_device(device, ranked_counts)
     entries = scan.checked_total(device, rows) if capacity is None else capacity
     limit = rows.total, np.int32(entries)
     tile, row, owner = (device.empty((entries,), t) for t in (np.uint32, np.int32, np.int32))
-    emit = device.kernel("tiles", "tiles_emit", **found.defines)
+    emit = device.kernel("tiles/lists", "tiles_emit", **found.defines)
     at = found.boxes, places.offset, rows.offset
     device.run(emit, *grid, *found.geometry, *ordered, *at, *limit, tile, row, owner)
     per_entry = (round_up(entries + 1, GROUP_SIZE),), (GROUP_SIZE,)
-    pad = device.kernel("tiles", "tiles_pad_entries", **found.defines)
+    pad = device.kernel("tiles/lists", "tiles_pad_entries", **found.defines)
     device.run(pad, *per_entry, *limit, np.int32(tiles), tile, row, owner)
     tile, row = sort.by_key(device, tile, row, tiles.bit_length())
     gaussian = device.empty((entries,), np.int32)
     tile_range = device.empty((tiles + 1,), np.int32)
-    ranges = device.kernel("tiles", "tiles_ranges", **found.defines)
+    ranges = device.kernel("tiles/lists", "tiles_ranges", **found.defines)
     sizes = np.int32(entries), np.int32(tiles)
     device.run(ranges, *per_entry, tile, row, *sizes, owner, tile_range, gaussian)
     return TileLists(gaussian, row, tile_range, rows.offset, rows.total)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from clgs.constants import FRUSTUM_MARGIN
 
 PACKED_SIZE = 26
-"""Floats in a packed camera; ``kernels_cl/include/camera.h`` names them."""
+"""Floats in a packed camera; ``kernels_cl/common/camera.h`` names them."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Camera:
         return self.resized(width, height)
 
     def pack(self, near: float) -> npt.NDArray[np.float32]:
-        """The camera as the kernels read it, (26,) float32; layout in include/camera.h."""
+        """The camera as the kernels read it, (26,) float32; layout in common/camera.h."""
         return np.concatenate(
             [
                 self.rotation.ravel(),

@@ -3,7 +3,7 @@
  * Two bytes a decision: bit 0 the decision, bit 1: mixed or as it is, the rest the probability or
  * which states are mixed.
  */
-#include "../src/model.h"
+#include "entropy/mix.h"
 #include "fuzz.h"
 
 #define STATES 16

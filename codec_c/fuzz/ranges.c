@@ -2,7 +2,7 @@
  *
  * Two bytes a step: bit 0: a decision with a probability, or bits without; the rest says which.
  */
-#include "../src/wide_range.h"
+#include "entropy/wide_range.h"
 #include "fuzz.h"
 
 #define MAX_STEPS 256

@@ -4,7 +4,7 @@
  * byte in 32 asks for long columns, of up to three channels: the rows of the input, again and
  * again.
  */
-#include "../src/columns.h"
+#include "attributes/columns.h"
 #include "fuzz.h"
 
 static void round_trip(void *model, const int32_t *value, size_t rows, size_t channels)

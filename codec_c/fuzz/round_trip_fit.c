@@ -3,7 +3,7 @@
  *
  * One byte of channels and how wide values are; fields of each channel; values of a byte or four.
  */
-#include "../src/attributes.h"
+#include "attributes/model.h"
 #include "fuzz.h"
 
 #define MAX_CHANNELS 2

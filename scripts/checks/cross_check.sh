@@ -8,8 +8,8 @@ set -euo pipefail
 
 cd -- "$(dirname -- "${BASH_SOURCE[0]}")/../.."
 build=build/cross
-flags=(-std=c11 -Wall -Wextra -Wconversion -Werror -Icodec_c/include)
-sources=(tests/c/vectors.c codec_c/src/*.c)
+flags=(-std=c11 -Wall -Wextra -Wconversion -Werror -Icodec_c/include -Icodec_c/src)
+sources=(tests/c/vectors.c codec_c/src/*/*.c)
 failed=0
 mkdir -p "$build"
 

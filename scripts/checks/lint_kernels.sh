@@ -32,7 +32,7 @@ fi
 
 failed=0
 count=0
-for file in kernels_cl/*.cl; do
+for file in kernels_cl/*/*.cl; do
     for specialisation in "-DVEC=16 -DUSE_LOCAL=0" "-DVEC=1 -DUSE_LOCAL=1"; do
         read -r -a defines <<<"$specialisation"
         "$clang" -x cl -cl-std=CL1.2 -Xclang -finclude-default-header -fsyntax-only \

@@ -20,18 +20,19 @@ class Mutation:
     times: int = 1
 
 
-PROJECT = "kernels_cl/project.cl"
-PROJECTION = "kernels_cl/include/projection.h"
-SPLAT = "kernels_cl/include/splat.h"
-STEP = "kernels_cl/include/blend_step.h"
-LOSS = "kernels_cl/loss.cl"
+PROJECT = "kernels_cl/gaussian/project.cl"
+PROJECTION = "kernels_cl/gaussian/projection.h"
+PROJECTED = "kernels_cl/gaussian/projected_gaussians.h"
+SPLAT = "kernels_cl/blend/splat.h"
+STEP = "kernels_cl/blend/blend_step.h"
+LOSS = "kernels_cl/loss/loss.cl"
 
 MUTATIONS = (
     Mutation(
         "project",
         "gradient through the clamped slope of the Jacobian",
         PROJECT,
-        "s->clamped[axis] == s->slope[axis] ? d_clamped[axis] : (fv)(0.0f)",
+        "p->clamped[axis] == p->slope[axis] ? d_clamped[axis] : (fv)(0.0f)",
         "d_clamped[axis]",
     ),
     Mutation(
@@ -45,29 +46,29 @@ MUTATIONS = (
         "project",
         "no blur in the determinant",
         PROJECTION,
-        "fma(s->blur, xx + yy + s->blur, dot3(s->minor, s->minor))",
-        "dot3(s->minor, s->minor)",
+        "fma(p->blur, xx + yy + p->blur, dot3(p->minor, p->minor))",
+        "dot3(p->minor, p->minor)",
     ),
     Mutation(
         "project",
         "determinant by subtraction",
         PROJECTION,
-        "fma(s->blur, xx + yy + s->blur, dot3(s->minor, s->minor))",
-        "s->cov_xx * s->cov_yy - s->cov_xy * s->cov_xy",
+        "fma(p->blur, xx + yy + p->blur, dot3(p->minor, p->minor))",
+        "p->cov_xx * p->cov_yy - p->cov_xy * p->cov_xy",
     ),
     Mutation(
         "project",
         "box of three sigma",
-        PROJECTION,
+        PROJECTED,
         "sqrt(2.0f * log_v(opacity / ALPHA_CUT))",
         "3.0f",
     ),
     Mutation(
         "project",
         "the near plane itself is drawn",
-        PROJECTION,
-        "(s->z > (fv)(camera[CAMERA_NEAR]))",
-        "(s->z >= (fv)(camera[CAMERA_NEAR]))",
+        PROJECTED,
+        "(p->z > (fv)(camera[CAMERA_NEAR]))",
+        "(p->z >= (fv)(camera[CAMERA_NEAR]))",
     ),
     Mutation(
         "blend",
@@ -94,7 +95,7 @@ MUTATIONS = (
     Mutation(
         "blend",
         "no gradient by way of the background",
-        "kernels_cl/include/blend_tile.h",
+        "kernels_cl/blend/blend_tile.h",
         "fma(rays->d_red, (fv)(background[0]),",
         "0.0f * fma(rays->d_red, (fv)(background[0]),",
     ),
@@ -122,7 +123,7 @@ MUTATIONS = (
     Mutation(
         "sort",
         "keys of 16 bits",
-        "kernels_cl/sort.cl",
+        "kernels_cl/sort/sort.cl",
         "chosen[i] > 0 ? keys[i] : KEY_LAST",
         "chosen[i] > 0 ? keys[i] & 0xffff0000u : KEY_LAST",
     ),
@@ -136,14 +137,14 @@ MUTATIONS = (
     Mutation(
         "tiles",
         "first column of a span on the row of the last one",
-        "kernels_cl/include/footprint.h",
+        "kernels_cl/tiles/footprint.h",
         "clamp_lanes(-f->tip, top, bottom)",
         "clamp_lanes(f->tip, top, bottom)",
     ),
     Mutation(
         "tiles",
         "tiles of a row where their first spans end",
-        "kernels_cl/include/tiles_chunk.h",
+        "kernels_cl/tiles/tiles_chunk.h",
         "--next[span.x + span.y];",
         "--next[span.x + 1];",
     ),
@@ -157,14 +158,14 @@ MUTATIONS = (
     Mutation(
         "sort",
         "highest bit of the keys left out",
-        "kernels_cl/sort.cl",
+        "kernels_cl/sort/sort.cl",
         "(bits + plan[PLAN_PASSES] - 1) / plan[PLAN_PASSES]",
         "bits / plan[PLAN_PASSES]",
     ),
     Mutation(
         "scan",
         "total of 32 bits",
-        "kernels_cl/scan.cl",
+        "kernels_cl/scan/scan.cl",
         "total[0] = carry",
         "total[0] = (int)carry",
         2,
@@ -172,7 +173,7 @@ MUTATIONS = (
     Mutation(
         "scan",
         "offsets one item late",
-        "kernels_cl/scan.cl",
+        "kernels_cl/scan/scan.cl",
         "offsets[i] = fits ? (int)carry : 0;",
         "offsets[i] = fits ? (int)(carry + counts[i]) : 0;",
     ),
@@ -207,64 +208,64 @@ MUTATIONS = (
     Mutation(
         "quantize",
         "halves away from zero",
-        "kernels_cl/quantize.cl",
+        "kernels_cl/anchors/quantize.cl",
         "rint(load_lanes(x, vector, total) * q);",
         "round(load_lanes(x, vector, total) * q);",
     ),
     Mutation(
         "neural",
         "gradient of a clamped log scale",
-        "kernels_cl/neural.cl",
+        "kernels_cl/gaussian/neural.cl",
         "return fabs(log_scale) <= LOG_SCALE_LIMIT ? d : 0.0f;",
         "return d;",
     ),
     Mutation(
         "mlp",
         "gradient through an inactive unit",
-        "kernels_cl/include/mlp_backward.h",
+        "kernels_cl/mlp/block_backward.h",
         "const fv d = active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
         "const fv d = active >= (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
     ),
     Mutation(
         "mlp",
         "weight gradient without the first block of a run",
-        "kernels_cl/include/mlp_weights.h",
+        "kernels_cl/mlp/backward_cpu.cl",
         "add_run(&vectors, block * VECTORS, (block + 1) * VECTORS)",
         "add_run(&vectors, block * VECTORS + 1, (block + 1) * VECTORS)",
     ),
     Mutation(
         "mlp",
         "a tile of the weight gradient that asks for the slot of its first row alone",
-        "kernels_cl/include/mlp_weights.h",
-        "layer.slots |= 1 << (first + o) / slot_rows(head);",
-        "layer.slots |= 1 << first / slot_rows(head);",
+        "kernels_cl/mlp/weight_tile.h",
+        "tile.slots |= 1 << (first + o) / slot_rows(head);",
+        "tile.slots |= 1 << first / slot_rows(head);",
     ),
     Mutation(
         "density",
         "gradient norm in pixels",
-        "kernels_cl/density.cl",
+        "kernels_cl/anchors/density.cl",
         "vload2(first + i, d_mean2d) * half_size",
         "vload2(first + i, d_mean2d) * 1.0f",
     ),
     Mutation(
         "density",
         "anchors counted in the order of the view",
-        "kernels_cl/density.cl",
+        "kernels_cl/anchors/density.cl",
         "visible[slot[n] / K_OFFSETS] * K_OFFSETS",
         "(slot[n] / K_OFFSETS) * K_OFFSETS",
     ),
     Mutation(
         "cull",
         "the extent that counts towards the smallest anchor has the blur in it",
-        "kernels_cl/cull.cl",
+        "kernels_cl/anchors/cull.cl",
         "36.0f * (largest - (fv)(BLUR))",
         "36.0f * largest",
     ),
     Mutation(
         "decode",
         "the opacity of the first slot for all",
-        "kernels_cl/project_anchors.cl",
-        "opaque[m] = sample[j * stride]",
+        "kernels_cl/gaussian/project_anchors.cl",
+        "opaque[m] = sample[j * rows->stride]",
         "opaque[m] = sample[0]",
     ),
 )

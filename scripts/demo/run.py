@@ -73,7 +73,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=STEPS, help=f"of training (default: {STEPS})")
     parser.add_argument("--output", type=Path, default=Path("demo_output"), metavar="DIR")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--device", help="default: PoCL where it is, see `clgs devices`")
+    parser.add_argument("--device", help="default: PoCL if there is one, see `clgs devices`")
     return parser.parse_args(argv)
 
 
@@ -88,7 +88,9 @@ def prepare_output(folder: Path, photos: Path | None) -> None:
         raise DataError(f"{folder}: exists and is not a demo's output; choose another --output")
     doomed = [folder / name for name in (MADE if photos else (*MADE, "photos"))]
     if photos and any(photos.resolve().is_relative_to(path.resolve()) for path in doomed):
-        raise DataError(f"{photos}: lies where the demo writes; choose another --output")
+        raise DataError(
+            f"{photos}: lies in the folder that the demo writes to; choose another --output"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     marker.touch()
     for path in doomed:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import ast
-import inspect
 import re
 from collections.abc import Iterator
-from dataclasses import fields
+from itertools import groupby
 
 SPECIAL = re.compile(r"([\\*_<>\[\]|#])")
 """What Markdown would read as markup in the text of a help message."""
+
+STANDARD_GROUPS = ("positional arguments", "options")
+"""Titles that argparse itself gives."""
 
 CODE = re.compile(r"(`[^`]+`|(?<![\w-])--[a-z][a-z-]*)")
 """What is code in such a text: what stands between backticks, and options."""
@@ -38,20 +39,24 @@ def _command(parser: argparse.ArgumentParser, level: int) -> str:
 
 
 def _options(parser: argparse.ArgumentParser) -> str:
-    """A table of the arguments and options; that of `--help` alone is left out."""
+    """A table of the arguments and options, and one per further group; `--help` is left out."""
     formatter = parser._get_formatter()
-    rows = []
-    for action in parser._actions:
-        if action.help is argparse.SUPPRESS or isinstance(
-            action, argparse._HelpAction | argparse._SubParsersAction
-        ):
-            continue
-        text = formatter._expand_help(action) if action.help else ""
-        need = "required" if action.option_strings and action.required else ""
-        choices = ", ".join(f"`{choice}`" for choice in action.choices or ())
-        notes = [part for part in (need, _escape(text), choices) if part]
-        rows.append((_names(action), "; ".join(notes)))
-    return _table(("argument", "meaning"), rows) if rows else ""
+    tables: dict[str, list[tuple[str, ...]]] = {}
+    for group in parser._action_groups:
+        title = "" if group.title in STANDARD_GROUPS else f"**{group.title}**\n\n"
+        for action in group._group_actions:
+            if not isinstance(action, argparse._HelpAction | argparse._SubParsersAction):
+                text = formatter._expand_help(action) if action.help else ""
+                row = _names(action), _meaning(action, text)
+                tables.setdefault(title, []).append(row)
+    head = ("argument", "meaning")
+    return "\n\n".join(f"{title}{_table(head, rows)}" for title, rows in tables.items())
+
+
+def _meaning(action: argparse.Action, text: str) -> str:
+    need = "required" if action.option_strings and action.required else ""
+    choices = ", ".join(f"`{choice}`" for choice in action.choices or ())
+    return "; ".join(part for part in (need, _escape(text), choices) if part)
 
 
 def _names(action: argparse.Action) -> str:
@@ -64,40 +69,19 @@ def _names(action: argparse.Action) -> str:
 
 
 def training_options() -> str:
-    """Every setting of a training run: a table in the order of ``TrainConfig``, as Markdown."""
-    from clgs.train import config
+    """Every setting of a training run, a table under the heading of each group, as Markdown."""
+    from clgs.train.config import describe_options
 
-    head = ("setting", "default", "meaning")
-    rows = _settings(config.TrainConfig, "") + _settings(config.LearningRates, "learning_rates.")
-    return _table(head, rows)
-
-
-def _settings(kind: type, prefix: str) -> list[tuple[str, str, str]]:
-    """(name, default, help) of the fields of a data class that have a plain default."""
-    texts = _field_docstrings(kind)
-    rows = []
-    for field in fields(kind):
-        if isinstance(field.default, bool | int | float | str | tuple | None):
-            default = "none" if field.default is None else f"`{field.default}`"
-            help_text = _escape(" ".join(texts.get(field.name, "").split()))
-            rows.append((f"`{prefix}{field.name}`", default, help_text))
-    return rows
-
-
-def _field_docstrings(kind: type) -> dict[str, str]:
-    """The string that stands below each field of a data class, by the field's name."""
-    body = ast.parse(inspect.getsource(kind)).body[0]
-    assert isinstance(body, ast.ClassDef)
-    texts = {}
-    for field, text in zip(body.body, body.body[1:], strict=False):
-        if (
-            isinstance(field, ast.AnnAssign)
-            and isinstance(field.target, ast.Name)
-            and isinstance(text, ast.Expr)
-            and isinstance(text.value, ast.Constant)
-        ):
-            texts[field.target.id] = str(text.value.value)
-    return texts
+    parts = []
+    for group, rows in groupby(describe_options(), lambda row: row.group):
+        cells = []
+        for row in rows:
+            unit = "" if row.unit == "none" else row.unit
+            default = f"`{row.default}`" if row.default else "none"
+            cells.append((f"`{row.name}`", default, unit, _escape(row.range), _escape(row.help)))
+        parts.append(f"## {group.capitalize()}")
+        parts.append(_table(("setting", "default", "unit", "range", "meaning"), cells))
+    return "\n\n".join(parts)
 
 
 def _code(text: str) -> str:

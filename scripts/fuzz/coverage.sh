@@ -21,9 +21,10 @@ tool() {
 
 rm -rf "$build"
 mkdir -p "$build"
-flags=(-std=c11 -O1 -fprofile-instr-generate -fcoverage-mapping -Icodec_c/include)
-for file in codec_c/src/*.c; do
-    "$clang" "${flags[@]}" -c "$file" -o "$build/$(basename "$file" .c).o"
+flags=(-std=c11 -O1 -fprofile-instr-generate -fcoverage-mapping -Icodec_c/include -Icodec_c/src)
+for file in codec_c/src/*/*.c; do
+    name=${file#codec_c/src/}
+    "$clang" "${flags[@]}" -c "$file" -o "$build/${name/\//_}.o"
 done
 programs=()
 for file in codec_c/fuzz/*.c; do
@@ -40,7 +41,7 @@ report() {
 }
 report | tail -n 1 | sed 's/^TOTAL /targets/'
 for test in test_codec test_attributes vectors; do
-    "$clang" "${flags[@]}" -Icodec_c/src "tests/c/$test.c" "$build"/*.o -o "$build/$test"
+    "$clang" "${flags[@]}" "tests/c/$test.c" "$build"/*.o -o "$build/$test"
     LLVM_PROFILE_FILE=$build/$test.profraw "$build/$test" >"$build/$test.log" 2>&1
     programs+=(-object "$build/$test")
 done

@@ -19,6 +19,7 @@ if [ "${CHECK:-}" = memory ]; then
     build+=_memory
 fi
 flags=(-std=c11 -g -O2 "-fsanitize=$checks" -fno-sanitize-recover=all)
+include=(-Icodec_c/include -Icodec_c/src)
 
 # The first clang that links a target: clang may be there without its sanitizer runtime.
 find_clang() {
@@ -59,25 +60,25 @@ fi
 # took three quarters of the time: an entropy coder compares at every bit, and formats have no magic
 # words longer than a byte. Files that fill tables for every stream go without any checks under
 # the address sanitizer: the C tests and the memory sanitizer check them.
-plain=" model octree_model attributes_fit "
+plain=" entropy/mix octree/model attributes/choose "
 [ "$checks" = address,undefined ] || plain=
 compile() {
-    local name=$1
+    local name=$1 object=$build/lib/${1/\//_}.o
     if [[ $plain = *" $name "* ]]; then
-        "$clang" -std=c11 -O3 -march=native -Icodec_c/include -c "codec_c/src/$name.c" \
-            -o "$build/lib/$name.o"
+        "$clang" -std=c11 -O3 -march=native "${include[@]}" -c "codec_c/src/$name.c" -o "$object"
     else
         "$clang" "${flags[@]}" -fsanitize=fuzzer-no-link -fno-sanitize-coverage=trace-cmp \
-            -Icodec_c/include -c "codec_c/src/$name.c" -o "$build/lib/$name.o"
+            "${include[@]}" -c "codec_c/src/$name.c" -o "$object"
     fi
 }
 rm -rf "$build/lib"
 mkdir -p "$build/lib"
-for file in codec_c/src/*.c; do
-    compile "$(basename "$file" .c)" # one at a time: seconds in all
+for file in codec_c/src/*/*.c; do
+    name=${file#codec_c/src/}
+    compile "${name%.c}" # one at a time: seconds in all
 done
 for target in "$@"; do
-    "$clang" "${flags[@]}" -fsanitize=fuzzer -fno-sanitize-coverage=trace-cmp -Icodec_c/include \
+    "$clang" "${flags[@]}" -fsanitize=fuzzer -fno-sanitize-coverage=trace-cmp "${include[@]}" \
         "codec_c/fuzz/$target.c" "$build"/lib/*.o -o "$build/$target"
 done
 "$python" scripts/fuzz/seeds.py "$build/seeds"

@@ -15,7 +15,9 @@ import numpy as np
 
 from clgs.codec import weights
 from clgs.codec.attributes import paper, row_coder, runlength
+from clgs.codec.container.reader import Reader
 from clgs.codec.container.section_table import read_container
+from clgs.codec.container.source import BytesSource
 from clgs.codec.octree import position_coder
 
 GOLDEN = Path(__file__).resolve().parents[2] / "tests" / "codec" / "golden"
@@ -40,15 +42,15 @@ def all_seeds() -> list[Seed]:
 
 
 def golden_seeds() -> Iterator[Seed]:
-    """Sections of the golden files of version 1, whose streams are whole sections."""
+    """Streams of the golden files: octrees of their first chunks, rows that list their chunks."""
     for path in sorted(GOLDEN.glob("*.clgs")):
-        table, sections = read_container(path.read_bytes())
-        if table.major != 1:
-            continue
-        (anchors,) = struct.unpack_from("<I", sections["META"].data)
-        if anchors:
-            yield "octree", path.stem, count(anchors - 1, 512) + sections["ANCH"].data
-        yield "runlength", path.stem, count(anchors, 256) + b"\5" + sections["SCAL"].data
+        table, _ = read_container(data := path.read_bytes())
+        reader = Reader(BytesSource(data), table)
+        for chunk in reader.chunks()[:1]:
+            points = reader.positions(chunk)
+            yield "octree", path.stem, count(len(points) - 1, 512) + position_coder.encode(points)
+        rows = reader.head.groups.astype(np.int32)
+        yield "runlength", path.stem, count(len(rows), 256) + b"\x0a" + runlength.encode(rows)
 
 
 def count(number: int, usual: int) -> bytes:

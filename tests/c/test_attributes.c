@@ -7,8 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "attributes.h"
-#include "columns.h"
+#include "attributes/model.h"
+#include "attributes/columns.h"
 
 #define CHECK(condition) check((condition) != 0, #condition, __LINE__)
 #define COUNTS (CLGS_CELLS * CLGS_TABLE)

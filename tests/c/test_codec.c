@@ -175,7 +175,7 @@ static void test_damage(const stream *s, int32_t *value)
     for (int round = 0; round < 200; round++) {
         for (size_t i = 2; i < s->size; i++)
             damaged[i] = (uint8_t)random_u32();
-        damaged[0] = s->part == WEIGHTS ? 2 : 1;
+        damaged[0] = s->part == WEIGHTS || s->part == OCTREE ? 2 : 1; /* coded, not raw */
         if (s->size > 1)
             damaged[1] = (uint8_t)(random_u32() % 22);
         CHECK(clgs_error_text(decode(s, damaged, s->size, value)) != NULL);

@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "../../codec_c/src/attributes.h"
+#include "attributes/model.h"
 #include "clgs_codec.h"
 
 #define MAX_LINE 100

@@ -1,131 +1,236 @@
-"""The worked examples of ``codec_c/FORMAT.md``, by both implementations."""
+"""The worked examples, the tables and the map of ``codec_c/FORMAT.md``, by both implementations."""
 
 from __future__ import annotations
 
 import re
-from types import ModuleType
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from clgs import _codec, codec
-from clgs.codec import streams, weights
+from clgs.codec import splats, streams, weights
 from clgs.codec.attributes import paper, row_coder, runlength
 from clgs.codec.container import chunks, section_table
+from clgs.codec.container.source import BytesSource
 from clgs.codec.octree import position_coder
+from clgs.codec.scene_decoder import decode
+from clgs.codec.scene_encoder import encode
 from clgs.reference.codec import attributes as attributes_reference
+from clgs.reference.codec import coding, octree_sparse
 from clgs.reference.codec import octree as octree_reference
 from clgs.reference.codec import paper as paper_reference
 from clgs.reference.codec import planes as planes_reference
 from clgs.reference.codec import runlength as runlength_reference
 from clgs.reference.codec import weights as weights_reference
-from tests.codec.scenes import ROOT
+from clgs.reference.codec.varint import read_varint, varint
+from clgs.reference.codec.xxh64 import xxh64
+from clgs.scene.anchors import QuantizedAnchors
+from clgs.scene.mlps import MLP_SIZE, Mlps
+from clgs.scene.scene import QuantizedScene
+from tests.codec.scenes import ROOT, assert_same
 
 TEXT = (ROOT / "codec_c" / "FORMAT.md").read_text(encoding="utf-8")
+HEX = r"(?:[0-9A-F]{2}(?:[ |\n]+|(?=`)))+"
+CELLS = np.array([[5, -2, 7], [5, -2, 8], [6, -1, 8]], np.int32)
 OCTREES = {
-    "1": np.array([[5, -2, 7]], np.int32),
-    "2": np.array([[5, -2, 7], [5, -2, 8], [6, -1, 8]], np.int32),
-    "B": np.array([[5, -2, 7], [5, -2, 8], [6, -1, 8]], np.int32),
-    "C": np.array([[0, 0, 0], [0, 0, 1], [9, 9, 9]], np.int32),
+    6: CELLS[:1],
+    7: CELLS,
+    8: np.array([[0, 0, 0], [0, 0, 1], [9, 9, 9]], np.int32),
+    9: np.array([[0, 0, 0], [1, 0, 0], [0, 0, 2], [0, 0, 4], [1, 0, 5]], np.int32),
 }
-EXAMPLES = {
-    3: ("encode", np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32)),
-    4: ("encode", np.array([[10], [11], [9], [10]], np.int32)),
-    5: ("encode", np.zeros((1000, 3), np.int32)),
-    12: ("encode", np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32)),
-    13: ("encode", np.array([[10], [11], [9], [10]], np.int32)),
+MATRICES = {
+    2: np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32),
+    3: np.array([[10], [11], [9], [10]], np.int32),
+    4: np.zeros((1000, 3), np.int32),
+    15: np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32),
+    16: np.array([[10], [11], [9], [10]], np.int32),
 }
 
 
-def documented(number: int | str) -> bytes:
-    """The bytes that the document gives for an example: its last run of hexadecimal pairs."""
-    body = re.split(r"\*\*Example \w+\.\*\*|\n## ", TEXT.split(f"**Example {number}.**")[1])[0]
-    runs = re.findall(r"`((?:[0-9A-F]{2}[ |]*)+)`", body)
-    return bytes.fromhex(runs[-1].replace("|", ""))
+def section_of(number: int) -> str:
+    """The text of an example."""
+    return re.split(r"\*\*Example \d+\.\*\*|\n## ", TEXT.split(f"**Example {number}.**")[1])[0]
 
 
-def modules_of(number: int) -> tuple[ModuleType, ModuleType]:
-    """The codec's module and the reference that an example is about."""
-    return (paper, paper_reference) if number >= 12 else (runlength, runlength_reference)
+def documented(number: int) -> list[bytes]:
+    """The bytes that an example gives: its runs of hexadecimal pairs; blank lines part them."""
+    found = re.findall(rf"`({HEX})`|```\n((?:[0-9A-F|\s])+)```", section_of(number))
+    parts = [part for run, block in found for part in (run or block).split("\n\n")]
+    return [bytes.fromhex(part.replace("|", "")) for part in parts]
 
 
-@pytest.mark.parametrize("number", OCTREES)
-def test_example_of_octrees(number):
-    position, data = OCTREES[number], documented(number)
-    assert octree_reference.encode(position, mode=data[0]) == data
-    for module in (position_coder, octree_reference):
-        np.testing.assert_array_equal(module.decode(data, len(position)), position)
-    if data[0] == 2:
-        assert position_coder.encode(position) == data
+def test_examples_and_parts_are_numbered_in_order() -> None:
+    parts = [int(number) for number in re.findall(r"^## (\d+)\. ", TEXT, re.MULTILINE)]
+    listed = [int(number) for number in re.findall(r"^\| (\d+) \| [A-Z]", TEXT, re.MULTILINE)]
+    examples = [int(number) for number in re.findall(r"\*\*Example (\d+)\.\*\*", TEXT)]
+    assert parts == listed[: len(parts)] == list(range(1, 13))
+    assert examples == list(range(1, 24))
+    assert all(documented(number) for number in examples)
+    assert max(map(len, TEXT.split("\n"))) <= 120
 
 
-@pytest.mark.parametrize("number", EXAMPLES)
-def test_example(number):
-    function, array = EXAMPLES[number]
-    for module in modules_of(number):
-        assert getattr(module, function)(array) == documented(number)
+def map_of_the_file() -> bytes:
+    """The bytes of the map; every row must begin with the number of bytes before it."""
+    rows = re.findall(r"^ *(\d+)  ((?:[0-9A-F]{2} ?){1,16})(?:  |$)", TEXT, re.MULTILINE)
+    data = b""
+    for offset, pairs in rows:
+        assert int(offset) == len(data)
+        data += bytes.fromhex(pairs)
+    return data
 
 
-def test_examples_of_weights():
-    pair = np.array([1.0, -1.0], np.float32)
-    assert weights.encode(pair, "float32") == planes_reference.encode(pair) == documented(6)
-    multiples = np.array([0.5, -0.25, 0.0, 0.75, 0.0], np.float32)
-    matrices = ((2, 2), (1, 1))
-    assert weights.encode(multiples, matrices=matrices) == documented("W")
-    assert weights_reference.encode(multiples, matrices) == documented("W")
+def scene_of_the_map() -> QuantizedScene:
+    """The scene that the map describes."""
+    offset, feature = np.zeros((3, 10, 3), np.int32), np.zeros((3, 50), np.int32)
+    offset[1, 0], feature[:, 0] = (1, -2, 3), (4, 5, 4)
+    mlps = Mlps(np.zeros(MLP_SIZE, np.float32))
+    mlps.head("opacity")["output_bias"][:] = 0.5
+    anchors = QuantizedAnchors(CELLS, offset, feature, np.full((3, 6), -30, np.int32))
+    return QuantizedScene(anchors, mlps)
 
 
-def test_example_of_attributes_in_chunks():
-    header, chunk = map(
-        bytes.fromhex,
-        re.findall(r"`([0-9A-F][0-9A-F ]+)`", TEXT.split("**Example A.**")[1].replace("| ", ""))[
-            :2
-        ],
-    )
-    rows = np.array([[0, 0, 1, 0, -1, 0, 0, 200, 0, 0]], np.int32).T
-    model = row_coder.read(header, 1)
-    assert model.encode(rows) == chunk
-    np.testing.assert_array_equal(model.decode(chunk, 10), rows)
-    channels = attributes_reference.read_header(header, 1)
-    assert attributes_reference.write_header(channels) == header
-    assert attributes_reference.encode(channels, rows) == chunk
+def test_map_of_a_file() -> None:
+    data = map_of_the_file()
+    assert encode(scene_of_the_map()) == data
+    assert_same(decode(data), scene_of_the_map())
 
 
-def test_checksum_of_the_document():
-    assert "E3069283" in TEXT
-    assert _codec.crc32c(b"123456789") == 0xE3069283
-    assert _codec.crc32c(b"") == 0
-    assert _codec.crc32c(bytes(32)) == 0x8A9136AA  # RFC 3720, B.4
+def test_example_of_varints() -> None:
+    numbers = [0, -1, 1, 63, -64, 64, 300, 2**31 - 1, -(2**31)]
+    (data,) = documented(1)
+    assert data == b"".join(map(varint, numbers))
+    found, at = [], 0
+    while at < len(data):
+        number, at = read_varint(data, at)
+        found.append(number)
+    assert found == numbers
 
 
-def example_directory() -> bytes:
-    """What example 7 describes."""
+@pytest.mark.parametrize("number", MATRICES)
+def test_examples_of_run_lengths(number: int) -> None:
+    modules = (paper, paper_reference) if number >= 15 else (runlength, runlength_reference)
+    for module in modules:
+        assert module.encode(MATRICES[number]) == documented(number)[-1]
+
+
+def test_example_of_the_directory() -> None:
     position = np.array([[x, 0, 0] for x in range(66)], np.int32)
     headers = {"ANCH": b"", "OFFS": b"", "FEAT": b"\1", "SCAL": b""}
     columns = {tag: [bytes([0x11 + i]), bytes([0x21 + i])] for i, tag in enumerate(chunks.TAGS)}
-    return chunks.pack_directory(64, position, [slice(0, 64), slice(64, 66)], headers, columns)
+    spans = [slice(0, 64), slice(64, 66)]
+    assert chunks.pack_directory(64, position, spans, headers, columns) == documented(5)[-1]
 
 
-def test_example_of_the_directory():
-    text = TEXT.split("**Example 7.**")[1].split("```")[1]
-    assert bytes.fromhex(text.replace("|", "")) == example_directory()
+@pytest.mark.parametrize("number", OCTREES)
+def test_examples_of_octrees(number: int) -> None:
+    position, data = OCTREES[number], documented(number)[0]
+    assert data[0] == position_coder.SPARSE
+    for module in (position_coder, octree_reference):
+        assert module.encode(position) == data
+        np.testing.assert_array_equal(module.decode(data, len(position)), position)
 
 
-def test_example_of_no_positions():
-    text = TEXT.split("**Example 8.**")[1]
-    data = bytes.fromhex(re.findall(r"`([0-9A-F ]+)`", text)[0])
-    assert codec.encode_positions(np.empty((0, 3), int)) == data
+def test_examples_of_octrees_in_a_scene_and_of_bare_codes() -> None:
+    bare, corner = documented(7)[1], (5, -2, 7)
+    assert position_coder.encode_in(CELLS, corner) == bare
+    np.testing.assert_array_equal(position_coder.decode_in(bare, 3, corner, 1), CELLS)
+    for module in (position_coder, octree_reference):
+        np.testing.assert_array_equal(module.decode(documented(10)[0], 3), CELLS)
 
 
-def test_signatures_and_hashes_of_the_document():
+def table_rows(number: int) -> npt.NDArray[np.int32]:
+    """The rows of an example of attributes."""
+    if number == 11:
+        return np.array([[0, 0, 1, 0, -1, 0, 0, 200, 0, 0]], np.int32).T
+    if number == 13:
+        rows = np.zeros((2050, 1), np.int32)
+        rows[[0, 257, 1000, 2049]] = 1
+        return rows
+    pairs = re.findall(r"\((-?\d+) (-?\d+)\)", section_of(number).split(". Channel 0")[0])
+    return np.array(pairs).astype(np.int32)
+
+
+@pytest.mark.parametrize("number", [11, 12, 13, 14])
+def test_examples_of_attributes(number: int) -> None:
+    rows, (header, chunk) = table_rows(number), documented(number)
+    model = row_coder.read(header, rows.shape[1])
+    assert model.encode(rows) == chunk
+    np.testing.assert_array_equal(model.decode(chunk, len(rows)), rows)
+    channels = attributes_reference.read_header(header, rows.shape[1])
+    assert attributes_reference.write_header(channels) == header
+    assert attributes_reference.encode(channels, rows) == chunk
+    np.testing.assert_array_equal(attributes_reference.decode(channels, chunk, len(rows)), rows)
+
+
+def test_headers_of_the_examples_say_what_the_text_says() -> None:
+    first, second = attributes_reference.read_header(documented(12)[0], 2)
+    assert (first.centre, first.gain, first.frequency[0][:3]) == (10, 64, [2048, 1024, 1024])
+    assert (second.taps, second.weight) == ([(0, 0, 128)], [0, 4096, 0])
+    assert [table[:3] for table in second.frequency] == [[3584, 256, 256], [1024, 1024, 2048]]
+    assert second.class_of == [0] + 31 * [1] + 32 * [0]
+    first, second = attributes_reference.read_header(documented(14)[0], 2)
+    assert (first.centre, first.gain, first.frequency[0][:3]) == (0, 64, [2048, 1024, 1024])
+    assert (second.centre, second.mixed, second.taps) == (3, True, [])
+    assert (second.weight, second.gain, second.span) == ([1365, 4096, 0], 0, 1)
+
+
+def test_examples_of_weights() -> None:
+    pair = np.array([1.0, -1.0], np.float32)
+    assert weights.encode(pair, "float32") == planes_reference.encode(pair) == documented(17)[0]
+    multiples = np.array([0.5, -0.25, 0.0, 0.75, 0.0], np.float32)
+    matrices = ((2, 2), (1, 1))
+    assert weights.encode(multiples, matrices=matrices) == documented(18)[0]
+    assert weights_reference.encode(multiples, matrices) == documented(18)[0]
+
+
+def test_examples_of_arrays() -> None:
+    lattice = [[0, 0, 0], [1000, 0, 0], [2000, 0, 4000], [0, 3000, 0], [3000, 3000, 2000]]
+    clouds = {19: np.empty((0, 3), int), 20: CELLS, 21: np.array(lattice)}
+    for number, cloud in clouds.items():
+        assert codec.encode_positions(cloud) == documented(number)[0]
+        np.testing.assert_array_equal(codec.decode_positions(documented(number)[0]), cloud)
+    column = np.array([[7], [7], [8]])
+    assert codec.encode_attributes(column) == documented(22)[-1]
+
+
+def test_example_of_splats() -> None:
+    values = np.array([[0, 0, 0, 5], [1, 1, 1, 9], [1, 1, 1, -9]], np.int32)
+    some = splats.Splats(["x", "y", "z", "opacity"], [0.5, 0.5, 0.5, 0.25], values)
+    source = BytesSource(splats.pack(some))
+    entries = section_table.read_table(source, splats=True).entries
+    read = [section_table.read_section(source, entries[tag]) for tag in section_table.SPLATS]
+    assert [bytes(section.data) for section in read] == documented(23)
+    assert all(f"{_codec.crc32c(section.data):08X}" in TEXT for section in read[1:])
+
+
+def numbers_after(mark: str) -> list[int]:
+    """The numbers from ``mark`` to the end of its block."""
+    text = re.split(r"\n\n|```", TEXT.split(mark)[1])[0]
+    return [int(number) for number in re.findall(r"\d+", text)]
+
+
+def test_tables_of_the_document() -> None:
+    assert numbers_after("KNOT[0 .. 96]") == coding.SQUASH_KNOTS
+    for cell, odds in re.findall(r"STRETCH\[(\d+)\] = (-?\d+)", TEXT):
+        assert coding.STRETCH[int(cell)] == int(odds)
+    assert numbers_after("ONLY[0 .. 43]") == octree_sparse.ONLY
+    rows = re.findall(r"row +(\d+)((?: +\d+){8})", TEXT)
+    assert len(rows) == len(octree_sparse.CHILD)
+    for row, line in rows:
+        assert [int(number) for number in line.split()] == octree_sparse.CHILD[int(row)]
+    gains = [octree_sparse.GAIN.get(square, 0) for square in range(1, 11)]
+    assert numbers_after("\nGAIN ") == gains
+    assert numbers_after("31 thresholds") == attributes_reference.THRESHOLDS
+
+
+def test_signatures_and_hashes_of_the_document() -> None:
     for signature in (section_table.MAGIC, streams.POSITIONS, streams.LATTICE, streams.ATTRIBUTES):
         assert signature.hex(" ").upper() in TEXT
     for data in (b"", b"abc"):
-        assert f"{_codec.xxh64(data):016X}" in TEXT
-
-
-def test_parts_are_numbered_in_order():
-    numbers = [int(number) for number in re.findall(r"^## (\d+)\. ", TEXT, re.MULTILINE)]
-    assert numbers == list(range(1, len(numbers) + 1))
-    listed = re.findall(r"(?:: |· )(\d+) ", TEXT.split("Contents")[1].split("\n")[0])
-    assert [int(number) for number in listed] == numbers
+        assert xxh64(data) == _codec.xxh64(data)
+        assert f"{xxh64(data):016X}" in TEXT
+    assert f"{_codec.crc32c(b'123456789'):08X}" in TEXT
+    assert _codec.crc32c(b"123456789") == 0xE3069283
+    assert _codec.crc32c(b"") == 0
+    assert _codec.crc32c(bytes(32)) == 0x8A9136AA  # RFC 3720, B.4

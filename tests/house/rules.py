@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 LAYERS = [  # a package may import from its own row and the rows above it
     {"constants", "errors", "shapes", "files", "options", "reference"},
@@ -166,12 +166,30 @@ def kernels_in(text: str) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def kernel_name_complaints(stage: str, text: str) -> list[str]:
-    """Kernels of ``kernels_cl/<stage>.cl`` that are not named ``<stage>_<verb>``."""
+def stage_of(kernel: str, stages: Iterable[str]) -> str | None:
+    """The stage that a kernel such as "blend_forward" belongs to, by its name."""
+    return max((stage for stage in stages if kernel.startswith(f"{stage}_")), key=len, default=None)
+
+
+def kernel_file_complaints(path: str, text: str, stages: Iterable[str]) -> list[str]:
+    """What is wrong with the kernels of ``path``, such as "kernels_cl/blend/forward_cpu.cl".
+
+    A program holds kernels of one stage, named after it; the file's room or its
+    own name begins with that stage.
+    """
+    kernels = kernels_in(text)
+    if path.endswith(".h"):
+        return []
+    if not kernels:
+        return [f"{path}: holds no kernel"]
+    found = {name: stage_of(name, stages) for name in kernels}
+    room, stem = path.removesuffix(".cl").split("/")[-2:]
+    if len(set(found.values())) > 1:
+        return [f"{path}: holds kernels of several stages"]
     return [
-        f"kernels_cl/{stage}.cl: kernel {name} is not named {stage}_<verb>"
-        for name in kernels_in(text)
-        if not name.startswith(f"{stage}_")
+        f"{path}: kernel {name} is not named <stage>_<verb> by its room or file"
+        for name, stage in found.items()
+        if stage is None or not (room == stage or f"{stem}_".startswith(f"{stage}_"))
     ]
 
 

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 if not (ROOT / "clgs").is_dir():
     pytest.skip("needs a checkout", allow_module_level=True)
 
-STAGES = sorted(path.stem for path in (ROOT / "kernels_cl").glob("*.cl"))
+STAGES = sorted(path.stem for path in (ROOT / "clgs/ops").glob("*.py") if path.stem != "__init__")
 TOPS = ("clgs", "kernels_cl", "codec_c", "scripts", "tests")
 SUFFIXES = {".py", ".cl", ".c", ".h", ".sh"}
 
@@ -56,39 +56,37 @@ def test_files_and_functions_stay_small():
     assert not flat([rules.length_complaints(p, text) for p, text in found.items()])
 
 
+def kernel_stages() -> dict[str, str]:
+    """Stage of every kernel."""
+    texts = sources("kernels_cl", suffixes={".cl", ".h"}).values()
+    kernels = [name for text in texts for name in rules.kernels_in(text)]
+    return {name: rules.stage_of(name, STAGES) or "" for name in kernels}
+
+
 @pytest.mark.parametrize("stage", STAGES)
-def test_every_kernel_has_its_op_reference_and_test(stage):
-    partners = (
-        f"clgs/ops/{stage}.py",
-        f"clgs/reference/stages/{stage}.py",
-        f"tests/ops/test_{stage}.py",
-    )
+def test_every_stage_has_its_kernels_reference_and_test(stage):
+    partners = (f"clgs/reference/stages/{stage}.py", f"tests/ops/test_{stage}.py")
     missing = [partner for partner in partners if not (ROOT / partner).is_file()]
-    assert not missing, f"kernels_cl/{stage}.cl lacks them"
+    assert not missing, f"clgs/ops/{stage}.py lacks them"
+    assert stage in kernel_stages().values(), f"clgs/ops/{stage}.py has no kernels"
 
 
-def test_every_op_has_its_kernels():
-    ops = {path.stem for path in (ROOT / "clgs" / "ops").glob("*.py")} - {"__init__"}
-    assert sorted(ops) == STAGES
+def test_every_reference_has_its_op():
+    references = (ROOT / "clgs" / "reference" / "stages").glob("*.py")
+    assert sorted({path.stem for path in references} - {"__init__"}) == STAGES
 
 
-def test_kernels_are_named_and_fetched_by_their_stage():
-    # A header such as include/blend_tile.h may hold kernels of the stage that its name begins with.
+def test_kernels_are_named_by_their_stage():
     files = sources("kernels_cl", suffixes={".cl", ".h"}).items()
-    stages = {path: stage_of(Path(path).stem) for path, _ in files}
-    kernels = {name: stages[path] for path, text in files for name in rules.kernels_in(text)}
-    named = [rules.kernel_name_complaints(stages[path], text) for path, text in files]
-    code = sources("clgs")
-    fetched = [rules.fetch_complaints(p, text, kernels) for p, text in code.items()]
-    assert not flat([*named, *fetched])
+    assert not flat([rules.kernel_file_complaints(path, text, STAGES) for path, text in files])
+
+
+def test_kernels_are_fetched_by_their_stage():
+    kernels, code = kernel_stages(), sources("clgs")
+    assert not flat([rules.fetch_complaints(p, text, kernels) for p, text in code.items()])
     ops = "".join(text for p, text in code.items() if p.startswith("clgs/ops/"))
     orphans = [name for name in kernels if f'"{name}"' not in ops]
     assert not orphans, "no op fetches these kernels"
-
-
-def stage_of(stem: str) -> str:
-    """The longest stage that the name of a kernel file begins with."""
-    return max((s for s in STAGES if f"{stem}_".startswith(f"{s}_")), key=len, default=stem)
 
 
 def test_shipped_code_runs_no_foreign_code():

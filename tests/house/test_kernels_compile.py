@@ -7,10 +7,10 @@ import re
 import pyopencl as cl
 import pytest
 
-from clgs.opencl.source import kernel_root, read_program
+from clgs.opencl.source import kernel_root, program_files, read_program
 from tests.house.rules import kernels_in, plain_c
 
-PROGRAMS = sorted(p.name for p in kernel_root().iterdir() if p.name.endswith(".cl"))
+PROGRAMS = program_files()
 NOT_PORTABLE = re.compile(
     r"\b(?:native_\w+|half_(?:cos|divide|exp\w*|log\w*|powr|recip|rsqrt|sin|sqrt|tan)\b"
     r"|(?:half|double)\d*\b|atom_\w+|sub_group_\w+|work_group_\w+"
@@ -30,12 +30,14 @@ def test_builds_alone_with_its_defaults(open_device, name):
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_builds_in_both_specialisations(device, name):
-    stage = name.removesuffix(".cl")
+def test_builds_in_its_specialisations(device, name):
+    program = name.removesuffix(".cl").removesuffix(f"_{device.specialisation}")
+    if program.endswith(("_cpu", "_gpu")):
+        pytest.skip("the file of the other specialisation")
     kernels = kernels_in(read_program(name))
     assert kernels
     for kernel in kernels:
-        limit = device.kernel(stage, kernel).get_work_group_info(
+        limit = device.kernel(program, kernel).get_work_group_info(
             cl.kernel_work_group_info.LOCAL_MEM_SIZE, device.cl_device
         )
         assert limit <= 32 * 1024, f"{kernel} uses {limit} bytes of local memory"
@@ -44,7 +46,9 @@ def test_builds_in_both_specialisations(device, name):
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_errors_name_file_and_line(open_device, name):
     text = read_program(name) + "\nint broken = undeclared_name;\n"
-    line = len((kernel_root() / name).read_text(encoding="utf-8").splitlines()) + 1
+    line = (
+        len(kernel_root().joinpath(*name.split("/")).read_text(encoding="utf-8").splitlines()) + 1
+    )
     with pytest.raises(cl.RuntimeError, match=rf"{name}:{line}"):
         build(open_device("cpu"), text)
 

@@ -15,12 +15,17 @@ if not (ROOT / "clgs").is_dir():
 from clgs.cli.main import COMMANDS  # noqa: E402 - after the check for a checkout
 from scripts.checks import check_wheel  # noqa: E402 - after the check for a checkout
 
-TRACKED = ["clgs/__init__.py", "clgs/ops/mlp.py", "kernels_cl/mlp.cl", "kernels_cl/include/real.h"]
+TRACKED = [
+    "clgs/__init__.py",
+    "clgs/ops/mlp.py",
+    "kernels_cl/mlp/forward.cl",
+    "kernels_cl/common/real.h",
+]
 PACKED = [
     "clgs/__init__.py",
     "clgs/ops/mlp.py",
-    "clgs/kernels_cl/mlp.cl",
-    "clgs/kernels_cl/include/real.h",
+    "clgs/kernels_cl/mlp/forward.cl",
+    "clgs/kernels_cl/common/real.h",
     "clgs/_codec.abi3.so",
     "clgs-1.0.dist-info/METADATA",
 ]
@@ -48,14 +53,16 @@ def test_a_wheel_without_kernels_fails():
     assert check_wheel.complaints(python_only, packed) == ["no kernels"]
 
 
-@pytest.mark.parametrize("name", ["tests/test_x.py", "clgs/left_over.py", "kernels_cl/mlp.cl"])
+@pytest.mark.parametrize(
+    "name", ["tests/test_x.py", "clgs/left_over.py", "kernels_cl/mlp/forward.cl"]
+)
 def test_surplus_files_are_named(name):
     assert check_wheel.complaints(TRACKED, [*PACKED, name]) == [f"not of the package: {name}"]
 
 
 def test_the_files_of_the_package_are_listed():
     tracked = check_wheel.tracked_files()
-    assert {"clgs/__init__.py", "clgs/py.typed", "kernels_cl/project.cl"} <= set(tracked)
+    assert {"clgs/__init__.py", "clgs/py.typed", "kernels_cl/gaussian/project.cl"} <= set(tracked)
     assert not [name for name in tracked if "__pycache__" in name]
 
 

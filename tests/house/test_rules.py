@@ -104,12 +104,17 @@ GROUP_KERNEL void mlp_group(__global float *x) {}
 void helper(int x) {}
 """
     assert rules.kernels_in(text) == ["mlp_forward", "mlp_backward", "blend_rows", "mlp_group"]
-    (found,) = rules.kernel_name_complaints("mlp", text)
-    assert "blend_rows" in found
+    stages = ["mlp", "blend"]
+    assert rules.kernel_file_complaints("kernels_cl/mlp/forward.cl", "void f() {}", stages)
+    (found,) = rules.kernel_file_complaints("kernels_cl/mlp/forward.cl", text, stages)
+    assert "several stages" in found
+    kernel = "__kernel void blend_rows(__global float *x) {}"
+    assert rules.kernel_file_complaints("kernels_cl/mlp/forward.cl", kernel, stages)
+    assert not rules.kernel_file_complaints("kernels_cl/blend/forward.cl", kernel, stages)
 
 
 def test_fetching_the_kernel_of_another_stage_is_found():
-    text = 'kernel = device.kernel("mlp", "mlp_forward")\n'
+    text = 'kernel = device.kernel("mlp/mlp", "mlp_forward")\n'
     kernels = {"mlp_forward": "mlp"}
     assert rules.fetch_complaints("clgs/ops/mlp.py", text, kernels) == []
     (found,) = rules.fetch_complaints("clgs/ops/blend.py", text, kernels)

@@ -9,7 +9,7 @@ from clgs.errors import DeviceError, UsageError
 from clgs.opencl import device as device_module
 from clgs.opencl.device import Device, round_up
 
-SCALE = """#include "include/real.h"
+SCALE = """#include "common/real.h"
 #ifndef FACTOR
 #define FACTOR 2.0f
 #endif
@@ -86,14 +86,14 @@ def test_memory_returns_with_the_array_and_stays_intact_while_it_lives(device):
 
 
 def test_the_same_kernel_is_the_same_object(fresh_device, program):
-    program("scale", SCALE.replace('#include "include/real.h"\n', "\n"))
+    program("scale", SCALE.replace('#include "common/real.h"\n', "\n"))
     kernel = fresh_device.kernel("scale", "scale_forward")
     assert fresh_device.kernel("scale", "scale_forward") is kernel
     assert fresh_device.kernel("scale", "scale_forward", FACTOR=3.0) is not kernel
 
 
 def test_a_kernel_runs_with_its_macros(fresh_device, program):
-    program("scale", SCALE.replace('#include "include/real.h"\n', "\n"))
+    program("scale", SCALE.replace('#include "common/real.h"\n', "\n"))
     x = fresh_device.upload(np.arange(100, dtype=np.float32))
     size = round_up(100, 64)
     for factor in ({}, {"FACTOR": 0.1}):
@@ -104,14 +104,14 @@ def test_a_kernel_runs_with_its_macros(fresh_device, program):
 
 
 def test_an_empty_launch_does_nothing(fresh_device, program):
-    program("scale", SCALE.replace('#include "include/real.h"\n', "\n"))
+    program("scale", SCALE.replace('#include "common/real.h"\n', "\n"))
     x = fresh_device.zeros((0,))
     fresh_device.run(fresh_device.kernel("scale", "scale_forward"), (0,), None, x, np.int32(0))
     fresh_device.finish()
 
 
 def test_a_build_error_names_file_and_line(fresh_device, program):
-    program("scale", SCALE.replace('#include "include/real.h"\n', "\n").replace("FACTOR;", "NONE;"))
+    program("scale", SCALE.replace('#include "common/real.h"\n', "\n").replace("FACTOR;", "NONE;"))
     with pytest.raises(DeviceError) as caught:
         fresh_device.kernel("scale", "scale_forward")
     assert "kernels_cl/scale.cl" in str(caught.value)

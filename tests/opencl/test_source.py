@@ -17,7 +17,8 @@ def kernels(monkeypatch, tmp_path):
 
 def test_the_kernels_are_shipped():
     names = {entry.name for entry in source.kernel_root().iterdir()}
-    assert {"include", "project.cl"} <= names
+    assert {"common", "blend", "mlp"} <= names
+    assert "blend/prepare.cl" in source.program_files()
 
 
 def test_includes_are_expanded_with_line_marks(kernels):

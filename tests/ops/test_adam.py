@@ -7,7 +7,7 @@ import pytest
 
 from clgs.ops import adam
 from clgs.reference.stages import adam as reference
-from clgs.train.step.numpy_adam import Adam
+from clgs.train.step.numpy_adam import State, update
 from tests.compare import assert_close
 
 
@@ -23,15 +23,16 @@ def gradients(rng, steps, size):
 def test_equals_numpy_to_the_bit(device, rng):
     parameter = rng.normal(size=1003).astype(np.float32)
     on_device, stop = device.upload(parameter), adam.stop_flag(device)
-    moments, numpy_adam = adam.zero_moments(device, on_device), Adam((1003,))
+    moments = adam.zero_moments(device, on_device)
+    state = State(parameter, *np.zeros((2, 1003), np.float32))
     for count, g in enumerate(gradients(rng, 60, 1003), start=1):
         rate = 0.01 * 0.99**count
-        numpy_adam.step(parameter, g, rate)
         now = adam.factors(rate, count)
+        update(state, g, now)
         adam.step(device, on_device, device.upload(g), moments, now, stop)
     assert np.array_equal(device.download(on_device), parameter)
-    assert np.array_equal(device.download(moments.first), numpy_adam.first)
-    assert np.array_equal(device.download(moments.second), numpy_adam.second)
+    assert np.array_equal(device.download(moments.first), state.first)
+    assert np.array_equal(device.download(moments.second), state.second)
     assert np.isfinite(parameter).all()
 
 
@@ -126,7 +127,8 @@ def sparse_gradients(rng, rows, width):
 def test_by_rows_only_those_with_a_gradient_move(device, rng, rows, width):
     parameter = rng.normal(size=(rows, width)).astype(np.float32)
     on_device, stop = device.upload(parameter), adam.stop_flag(device)
-    moments, numpy_adam = adam.zero_moments(device, on_device), Adam((rows, width))
+    moments = adam.zero_moments(device, on_device)
+    state = State(parameter, *np.zeros((2, rows, width), np.float32))
     wide, moments64 = parameter.astype(np.float64), (np.zeros((rows, width)),) * 2
     for count in range(1, 9):
         g = sparse_gradients(rng, rows, width) if rows else parameter
@@ -136,13 +138,16 @@ def test_by_rows_only_those_with_a_gradient_move(device, rng, rows, width):
         assert np.array_equal(device.download(marks), moved)
         now = adam.factors(0.01, count)
         adam.step_rows(device, on_device, gradient, moments, now, stop, marks)
-        numpy_adam.step(parameter, g, 0.01, moved)
+        part = State._make(array[moved] for array in state)
+        update(part, g[moved], now)
+        for array, changed in zip(state, part, strict=True):
+            array[moved] = changed
         wide, moments64 = reference.step(
             wide, g.astype(np.float64), moments64, 0.01, count, moved[:, None]
         )
     assert np.array_equal(device.download(on_device), parameter)
-    assert np.array_equal(device.download(moments.first), numpy_adam.first)
-    assert np.array_equal(device.download(moments.second), numpy_adam.second)
+    assert np.array_equal(device.download(moments.first), state.first)
+    assert np.array_equal(device.download(moments.second), state.second)
     normal = np.abs(moments64[0]) > 1e-30  # steps by subnormals depend on how they are flushed
     assert_close(parameter[normal], wide[normal], 1e-6, "parameter")
 

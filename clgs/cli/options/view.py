@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from clgs.errors import DataError, UsageError
 from clgs.options import PRESETS
+from clgs.train.config import TrainConfig, from_toml
+from clgs.train.config.option import Option, options_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -17,11 +19,6 @@ if TYPE_CHECKING:
     from clgs.data.dataset import Dataset, View
     from clgs.options import RenderOptions
     from clgs.scene.scene import QuantizedScene
-    from clgs.train.config import TrainConfig
-
-
-MOST_PIXELS = 65536
-"""The largest --smallest-anchor."""
 
 
 def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> None:
@@ -42,21 +39,20 @@ def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> No
 
 
 def add_accuracy_options(
-    parser: argparse.ArgumentParser, default: str, smallest_anchor: str = "0"
+    parser: argparse.ArgumentParser, default: str, smallest_anchor: str
 ) -> None:
     """Add --accuracy and --smallest-anchor; the words say what None stands for."""
+    declared = options_of(TrainConfig)
     parser.add_argument(
         "--accuracy",
         choices=tuple(PRESETS),
-        help="exact: nearly nothing is truncated; parity: as in 3DGS; fast: below a third of a "
-        f"level from it; preview: half the resolution, enlarged (default: {default})",
+        help=f"{declared['accuracy'].help} (default: {default})",
     )
     parser.add_argument(
         "--smallest-anchor",
-        type=pixels,
+        type=value_of(declared["smallest_anchor"]),
         metavar="PIXELS",
-        help="leave out anchors that are fewer pixels wide on the screen: faster, another picture "
-        f"(default: {smallest_anchor})",
+        help=f"{declared['smallest_anchor'].help} (default: {smallest_anchor})",
     )
 
 
@@ -66,8 +62,8 @@ def add_memory_option(parser: argparse.ArgumentParser) -> None:
         "--max-memory",
         type=positive_int,
         metavar="MIB",
-        help="draw in groups of tiles whose lists and gradients take at most this many MiB; "
-        "slower, the same result (default: no limit)",
+        help="draw in groups of tiles whose lists take at most this many MiB; slower, the same "
+        "result (default: no limit)",
     )
 
 
@@ -81,8 +77,6 @@ def selected_views(
     Raises:
         DataError: the split is empty, or the dataset does not fit the scene.
     """
-    from clgs.errors import DataError
-
     dataset = _load(args, scene, load_images)
     views = dataset.test if args.split == "test" else dataset.train
     if not views:
@@ -106,7 +100,6 @@ def _load(
 def selected_options(args: argparse.Namespace) -> RenderOptions:
     """What the options name, else the run folder, else the defaults; and the memory budget."""
     from clgs.options import render_options
-    from clgs.train.config import TrainConfig
 
     trained = _trained_config(args.scene) or TrainConfig()
     smallest = args.smallest_anchor
@@ -119,8 +112,6 @@ def selected_options(args: argparse.Namespace) -> RenderOptions:
 
 def _trained_config(scene: Path) -> TrainConfig | None:
     """The settings in the run folder that ``scene`` is or lies in."""
-    from clgs.train.config import from_toml
-
     path = (scene if scene.is_dir() else scene.parent) / "config.toml"
     return from_toml(path.read_text(encoding="utf-8"), str(path)) if path.is_file() else None
 
@@ -132,6 +123,18 @@ def trained_downscale(scene: Path) -> int:
         return config.downscale
     print("clgs: no config.toml beside the scene; --downscale 1 is assumed", file=sys.stderr)
     return 1
+
+
+def value_of(one: Option) -> Callable[[str], Any]:
+    """The type of arguments that take the values of a declared option."""
+
+    def parse(text: str) -> Any:
+        try:
+            return one.parse(text)
+        except UsageError as error:  # argparse puts the name in front
+            raise argparse.ArgumentTypeError(str(error).removeprefix(f"{one.name}: ")) from None
+
+    return parse
 
 
 def whole_number(largest: int) -> Callable[[str], int]:
@@ -156,17 +159,6 @@ def named_path(text: str) -> Path:
     if not text.strip():
         raise argparse.ArgumentTypeError("the name is empty")
     return Path(text)
-
-
-def pixels(text: str) -> float:
-    """An argument that must be a number of pixels that a picture can have."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value <= MOST_PIXELS:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 0 to {MOST_PIXELS}")
-    return value
 
 
 def seed(text: str) -> int:

@@ -1,4 +1,4 @@
-"""The model of attribute channels as an array, laid out as codec_c/src/attributes.h has it."""
+"""The model of attribute channels as an array, as codec_c/src/attributes/model.h lays it out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The encoder's search for the model of attribute channels (FORMAT.md, part 8).
+"""The encoder's search for the model of attribute channels (codec_c/FORMAT.md on attributes).
 
 Choices are made on a sample of rows by exact cost, tables from all rows. All decisions rest on
 integers, or on floating-point operations that IEEE 754 defines to the bit, so that every machine

@@ -33,6 +33,7 @@ class PaperModel:
 
     channels: int
     MODE: ClassVar[int] = 2
+    """The first byte of the header: the chunks are plain run-length streams."""
 
     @property
     def header(self) -> bytes:

@@ -63,6 +63,7 @@ class RawModel:
 
     channels: int
     MODE: ClassVar[int] = 0
+    """The first byte of the header: int32 as they are."""
 
     @property
     def header(self) -> bytes:
@@ -88,6 +89,7 @@ class TableModel:
     header: bytes
     model: Models
     MODE: ClassVar[int] = 1
+    """The first byte of the header: a model of every channel follows."""
 
     @property
     def channels(self) -> int:

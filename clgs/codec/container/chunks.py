@@ -1,4 +1,4 @@
-"""Section CHNK: which bytes of the other sections belong to which anchors (FORMAT.md, part 11).
+"""Section CHNK: which bytes of the other sections belong to which anchors (codec_c/FORMAT.md).
 
 Chunks are listed in groups, and the groups in a head, so that a reader of a part of the scene
 reads only the lists that it needs.

@@ -1,27 +1,29 @@
-"""Section META: counts, scales, transform and render settings (codec_c/FORMAT.md, 2 and 10)."""
+"""Section META: counts, scales, transform, render settings, hash (codec_c/FORMAT.md on META)."""
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
+from clgs import _codec
 from clgs.codec.octree.position_coder import MAX_DEPTH
 from clgs.constants import FEATURE_DIM, K_OFFSETS
-from clgs.scene.anchors import QuantizationScales
+from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
 from clgs.scene.ranges import check_ranges
 from clgs.scene.scene import RenderSettings, SceneTransform
 
 SCALING_DIM = 6
-CONTENT_HASH_SIZE = 8
 MAX_ANCHORS = 12_000_000
 """Anchors of one file: their integers take 4 GiB."""
 
 LEVELS = ("fast", "default", "max", "paper")
 """How much time the encoder spent, by number."""
 
-_COMMON = struct.Struct("<IHHHHI16d8s")
-_GRID = struct.Struct("<3iBB2x")
+_META = struct.Struct("<IHHHHI16d8s3iBBH")
 _SHAPE = (K_OFFSETS, FEATURE_DIM, SCALING_DIM, 0, MLP_SIZE)
 
 
@@ -36,19 +38,19 @@ class Grid:
 
 @dataclass(frozen=True)
 class Meta:
-    """What META holds; ``content_hash`` of the decoded arrays; version 1 has no ``grid``."""
+    """What META holds; ``content_hash``: of the decoded arrays, 8 bytes."""
 
     anchors: int
     scales: QuantizationScales
     transform: SceneTransform
     settings: RenderSettings
     content_hash: bytes
-    grid: Grid | None = None
+    grid: Grid
 
     def pack(self) -> bytes:
-        """The bytes of the section, in version 2 where there is a grid, else in version 1."""
-        scales, settings = self.scales, self.settings
-        common = _COMMON.pack(
+        """The bytes of the section."""
+        scales, settings, grid = self.scales, self.settings, self.grid
+        return _META.pack(
             self.anchors,
             *_SHAPE,
             *(scales.position, scales.offset, scales.feature, scales.scaling),
@@ -58,29 +60,28 @@ class Meta:
             *(settings.near, settings.alpha_cut, settings.alpha_max),
             *(settings.transmittance_stop, settings.blur),
             self.content_hash,
+            *(*grid.origin, grid.depth, LEVELS.index(grid.level), 0),
         )
-        if self.grid is None:
-            return common
-        level = LEVELS.index(self.grid.level)
-        return common + _GRID.pack(*self.grid.origin, self.grid.depth, level)
-
-    def check(self) -> None:
-        """Raise ValueError, naming the field, where a number makes no sense."""
-        check_ranges(self.scales, self.transform, self.settings)
-        if self.anchors > MAX_ANCHORS:
-            raise ValueError(f"{self.anchors} anchors, at most {MAX_ANCHORS} fit a file")
 
 
-def unpack_meta(data: bytes | memoryview, major: int) -> Meta:
-    """Read section META of a file of version ``major``.
+def check_meta(
+    anchors: int, scales: QuantizationScales, transform: SceneTransform, settings: RenderSettings
+) -> None:
+    """Raise ValueError, naming the field, if no file may hold one of these numbers."""
+    check_ranges(scales, transform, settings)
+    if anchors > MAX_ANCHORS:
+        raise ValueError(f"{anchors} anchors, at most {MAX_ANCHORS} fit a file")
+
+
+def unpack_meta(data: bytes | memoryview) -> Meta:
+    """Read section META.
 
     Raises:
         ValueError: wrong size, another network shape, or a number out of range.
     """
-    size = _COMMON.size + (_GRID.size if major > 1 else 0)
-    if len(data) != size:
-        raise ValueError(f"{len(data)} bytes instead of {size}")
-    values = _COMMON.unpack_from(data)
+    if len(data) != _META.size:
+        raise ValueError(f"{len(data)} bytes instead of {_META.size}")
+    values = _META.unpack(data)
     if values[1:6] != _SHAPE:
         raise ValueError(f"shape is {values[1:6]}, this build reads {_SHAPE}")
     numbers = values[6:22]
@@ -91,14 +92,31 @@ def unpack_meta(data: bytes | memoryview, major: int) -> Meta:
         transform=SceneTransform((centre[0], centre[1], centre[2]), numbers[7]),
         settings=RenderSettings((background[0], background[1], background[2]), *numbers[11:16]),
         content_hash=values[22],
-        grid=_unpack_grid(bytes(data[_COMMON.size :])) if major > 1 else None,
+        grid=_make_grid(*values[23:]),
     )
-    meta.check()
+    check_meta(meta.anchors, meta.scales, meta.transform, meta.settings)
     return meta
 
 
-def _unpack_grid(data: bytes) -> Grid:
-    x, y, z, depth, level = _GRID.unpack(data)
-    if depth > MAX_DEPTH or level >= len(LEVELS) or data[14:] != b"\0\0":
+def _make_grid(x: int, y: int, z: int, depth: int, level: int, reserved: int) -> Grid:
+    if depth > MAX_DEPTH or level >= len(LEVELS) or reserved != 0:
         raise ValueError(f"depth {depth}, level {level} or the bytes after them are out of range")
     return Grid((x, y, z), depth, LEVELS[level])
+
+
+def content_arrays(
+    anchors: QuantizedAnchors, weights: npt.NDArray[np.float32]
+) -> list[npt.NDArray[np.int32] | npt.NDArray[np.float32]]:
+    """What the content hash is over, in order: position, offset, feature, scaling, weights."""
+    return [anchors.position, anchors.offset, anchors.feature, anchors.scaling, weights]
+
+
+def array_hash(array: npt.NDArray[np.int32] | npt.NDArray[np.float32]) -> int:
+    """XXH64 of the numbers in row-major order, little-endian."""
+    dtype = array.dtype.newbyteorder("<")
+    return _codec.xxh64(np.ascontiguousarray(array, dtype))
+
+
+def join_hashes(hashes: list[int]) -> bytes:
+    """XXH64 (8 bytes, little-endian) of the arrays' hashes, each 8 bytes, little-endian."""
+    return _codec.xxh64(struct.pack(f"<{len(hashes)}Q", *hashes)).to_bytes(8, "little")

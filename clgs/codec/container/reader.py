@@ -1,4 +1,4 @@
-"""A file of version 2, opened: its sections, and its chunks one by one."""
+"""A file of a scene, opened: its sections, and its chunks one by one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from clgs.codec import weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.container import chunks, section_table
 from clgs.codec.container.chunks import HEAD_SIZE, TAGS, Chunk, Head, Part
-from clgs.codec.container.meta import SCALING_DIM, Grid, Meta, unpack_meta
+from clgs.codec.container.meta import SCALING_DIM, unpack_meta
 from clgs.codec.container.section_table import (
     ANCH,
     CHNK,
@@ -47,15 +47,9 @@ class Reader:
     def __init__(self, source: Source, table: Table) -> None:
         self._source = source
         self._table = table
-        self.meta = guarded(self._section(META), unpack_meta, table.major)
+        self.meta = guarded(self._section(META), unpack_meta)
         self.head = self._read_head()
         self._check_lengths()
-
-    @property
-    def grid(self) -> Grid:
-        """The grid, which every file of version 2 has."""
-        assert self.meta.grid is not None
-        return self.meta.grid
 
     def chunks(self, meets: Meets | None = None) -> list[Chunk]:
         """The chunks whose box ``meets`` takes, by default all; no other group is read.
@@ -97,7 +91,7 @@ class Reader:
         part = self._read(ANCH, chunk.parts[ANCH])
         if _codec.crc32c(part.data) != chunk.position_crc:
             raise part.error(f"chunk {chunk.number}: checksum differs")
-        cell = subtrees.cell(chunk.least, chunk.greatest, self.grid.origin)
+        cell = subtrees.cell(chunk.least, chunk.greatest, self.meta.grid.origin)
         position = _in_chunk(
             part, chunk, lambda data, count: position_coder.decode_in(data, count, *cell)
         )
@@ -125,7 +119,7 @@ class Reader:
     def codes(self, position: npt.NDArray[np.int32]) -> npt.NDArray[np.uint64]:
         """Morton codes of positions that were checked to lie on the grid."""
         code = np.empty(len(position), np.uint64)
-        _codec.morton_encode(position, code, *self.grid.origin)
+        _codec.morton_encode(position, code, *self.meta.grid.origin)
         return code
 
     def model(self, tag: str) -> row_coder.Model:
@@ -158,7 +152,8 @@ class Reader:
 
     def scene(self, anchors: QuantizedAnchors, weights: npt.NDArray[np.float32]) -> QuantizedScene:
         """The scene of ``anchors`` with the file's settings."""
-        return make_scene(self.meta, anchors, weights)
+        meta = self.meta
+        return QuantizedScene(anchors, Mlps(weights), meta.scales, meta.settings, meta.transform)
 
     def error(self, tag: str, what: str) -> Exception:
         """A CodecError that names section ``tag``."""
@@ -173,7 +168,7 @@ class Reader:
         rest = self._read(CHNK, Part(HEAD_SIZE, size - HEAD_SIZE))
         part = Section(CHNK, part.offset, memoryview(b"".join([part.data, rest.data])))
         head = guarded(part, chunks.unpack_head)
-        guarded(part, lambda _: chunks.check_head(head, self.meta.anchors, self.grid))
+        guarded(part, lambda _: chunks.check_head(head, self.meta.anchors, self.meta.grid))
         return head
 
     def _check_lengths(self) -> None:
@@ -207,13 +202,6 @@ def decode_weights(section: Section) -> npt.NDArray[np.float32]:
     if not np.isfinite(decoded).all():
         raise section.error("a weight is not finite")
     return decoded
-
-
-def make_scene(
-    meta: Meta, anchors: QuantizedAnchors, weights: npt.NDArray[np.float32]
-) -> QuantizedScene:
-    """The scene of ``anchors`` with the settings of ``meta``."""
-    return QuantizedScene(anchors, Mlps(weights), meta.scales, meta.settings, meta.transform)
 
 
 def guarded(section: Section, function: Callable[..., _T], *arguments: object) -> _T:

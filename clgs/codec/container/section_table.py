@@ -1,4 +1,4 @@
-"""The .clgs container: signature, section table, checksums (codec_c/FORMAT.md, parts 1 and 9)."""
+"""The .clgs container: signature, section table, checksums (codec_c/FORMAT.md on the container)."""
 
 from __future__ import annotations
 
@@ -14,18 +14,15 @@ MAGIC = b"\x8bCLGS\r\n\x1a"
 
 META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS = "META", "CHNK", "ANCH", "OFFS", "FEAT", "SCAL", "MLPS"
 
-VERSIONS = {
-    1: (META, ANCH, OFFS, FEAT, SCAL, MLPS),
-    2: (META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS),
-}
-"""The required sections of every major version, in file order."""
+SCENE = (META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS)
+"""The required sections of a file that holds a scene, in file order."""
 
 SPLT, SPOS, SMUL, SATR = "SPLT", "SPOS", "SMUL", "SATR"
 SPLATS = (SPLT, SPOS, SMUL, SATR)
-"""The required sections of a file of version 2 that holds splats in place of a scene."""
+"""The required sections of a file that holds splats in place of a scene."""
 
-MAJOR, MINOR = 2, 0
-"""The version that is written."""
+MAJOR, MINOR = 1, 0
+"""The version that is written. Every minor version of this major one can be read."""
 
 REQUIRED = 1
 """Flag of a section that a reader must understand."""
@@ -64,16 +61,13 @@ class Entry:
 
 @dataclass(frozen=True)
 class Table:
-    """What a file says of itself: its version, and the sections by tag, unknown ones included."""
+    """What a file says of itself.
 
-    major: int
-    minor: int
+    ``version`` as "1.0"; ``entries``: the sections by tag, unknown ones included.
+    """
+
+    version: str
     entries: dict[str, Entry]
-
-    @property
-    def version(self) -> str:
-        """As "2.0"."""
-        return f"{self.major}.{self.minor}"
 
 
 def damage(where: str, what: str) -> CodecError:
@@ -81,10 +75,10 @@ def damage(where: str, what: str) -> CodecError:
     return CodecError(f"{where}: {what}; {_REMEDY}")
 
 
-def write_container(contents: dict[str, bytes], major: int = MAJOR) -> bytes:
+def write_container(contents: dict[str, bytes]) -> bytes:
     """The file that holds ``contents`` (tag to bytes, all required), in the given order."""
     offset = _HEAD.size + len(contents) * _ENTRY.size + _CRC.size
-    header = _HEAD.pack(MAGIC, major, MINOR, len(contents))
+    header = _HEAD.pack(MAGIC, MAJOR, MINOR, len(contents))
     for tag, data in contents.items():
         crc = _codec.crc32c(data)
         header += _ENTRY.pack(tag.encode("ascii"), REQUIRED, offset, len(data), crc, 0)
@@ -93,7 +87,7 @@ def write_container(contents: dict[str, bytes], major: int = MAJOR) -> bytes:
 
 
 def read_container(data: bytes) -> tuple[Table, dict[str, Section]]:
-    """The table of a whole file and its known sections, the checksum of every section verified.
+    """The table of a whole scene file and its known sections, every section's checksum verified.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged.
@@ -101,7 +95,7 @@ def read_container(data: bytes) -> tuple[Table, dict[str, Section]]:
     source = BytesSource(data)
     table = read_table(source)
     sections = {tag: read_section(source, entry) for tag, entry in table.entries.items()}
-    return table, {tag: sections[tag] for tag in VERSIONS[table.major]}
+    return table, {tag: sections[tag] for tag in SCENE}
 
 
 def read_section(source: Source, entry: Entry) -> Section:
@@ -125,12 +119,12 @@ def read_table(source: Source, splats: bool = False) -> Table:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged.
     """
     head = bytes(source.read(0, min(_HEAD.size, source.size)))
-    major, minor, count = _check_head(head, source.size)
+    minor, count = _check_head(head, source.size)
     table_end = _HEAD.size + count * _ENTRY.size
     header = head + source.read(_HEAD.size, count * _ENTRY.size + _CRC.size)
     if _codec.crc32c(header[:table_end]) != _CRC.unpack_from(header, table_end)[0]:
         raise damage(f"header at byte {table_end}", "checksum differs")
-    known = _known_tags(major, header[_HEAD.size : _HEAD.size + 4], splats)
+    known = _known_tags(header[_HEAD.size : _HEAD.size + 4], splats)
     entries: dict[str, Entry] = {}
     end = table_end + _CRC.size
     for at in range(_HEAD.size, table_end, _ENTRY.size):
@@ -142,17 +136,17 @@ def read_table(source: Source, splats: bool = False) -> Table:
     if end != source.size:
         raise damage(f"file at byte {end}", f"{source.size - end} bytes follow the last section")
     _check_order(list(entries), known)
-    return Table(major, minor, entries)
+    return Table(f"{MAJOR}.{minor}", entries)
 
 
-def _known_tags(major: int, first: bytes, splats: bool) -> tuple[str, ...]:
+def _known_tags(first: bytes, splats: bool) -> tuple[str, ...]:
     """The required sections of a file whose table begins with tag ``first``."""
-    holds_splats = major > 1 and first == SPLT.encode("ascii")
+    holds_splats = first == SPLT.encode("ascii")
     if holds_splats and not splats:
         raise CodecError("section table at byte 16: the file holds splats; use `clgs unpack`")
     if splats and not holds_splats:
         raise CodecError("section table at byte 16: the file holds a scene; use `clgs decode`")
-    return SPLATS if splats else VERSIONS[major]
+    return SPLATS if splats else SCENE
 
 
 def _check_entry(
@@ -178,21 +172,21 @@ def _check_order(tags: list[str], known: tuple[str, ...]) -> None:
         raise damage("section table at byte 16", f"order is {' '.join(tags)}")
 
 
-def _check_head(head: bytes, size: int) -> tuple[int, int, int]:
-    """Major, minor version and number of sections, after the checks of signature and size."""
+def _check_head(head: bytes, size: int) -> tuple[int, int]:
+    """Minor version and number of sections, after the checks of signature, version and size."""
     if head[: len(MAGIC)] != MAGIC:
         raise _signature_error(head)
     if len(head) < _HEAD.size:
         raise damage("header at byte 0", f"{len(head)} bytes are too few")
     _, major, minor, count = _HEAD.unpack(head)
-    if major not in VERSIONS:
-        known = " and ".join(map(str, VERSIONS))
-        raise CodecError(f"header at byte 8: version {major}, known are {known}; update clgs")
+    if major != MAJOR:
+        problem = f"version {major}.{minor}, this clgs reads {MAJOR}.x"
+        raise CodecError(f"header at byte 8: {problem}; update clgs, or encode the scene again")
     if count > MAX_SECTIONS:
         raise damage("header at byte 12", f"{count} sections, at most {MAX_SECTIONS} are allowed")
     if count * _ENTRY.size + _CRC.size > size - _HEAD.size:
         raise damage("section table at byte 16", "the file ends in it")
-    return major, minor, count
+    return minor, count
 
 
 def _signature_error(head: bytes) -> CodecError:

@@ -12,8 +12,9 @@ MAX_DEPTH = 21
 MAX_EXTENT = 1 << MAX_DEPTH
 """Positions span fewer cells than this on each axis: 3 x 21 bits fit a Morton code."""
 
-SPARSE, BARE = 2, 3
-"""Modes, the first byte of a stream; BARE: as SPARSE, but without depth and corner."""
+OCTREE, BARE = 2, 3
+"""First bytes of a stream that is an octree: with depth and corner, or without, which only a reader
+that knows them takes. A stream of Morton codes as they are begins with 0."""
 
 MAX_POINTS_A_BYTE = 1 << 15
 """No octree stream holds more: a point costs a decision, a decision at least 1/22,711 byte."""
@@ -133,7 +134,7 @@ def encode_in(position: npt.NDArray[np.int32], corner: tuple[int, int, int]) -> 
         ValueError: as ``encode``.
     """
     data = encode(position, corner)
-    if data[:1] != bytes([SPARSE]):
+    if data[:1] != bytes([OCTREE]):
         return data
     return bytes([BARE]) + data[len(_head(corner, data[1])) :]
 
@@ -152,8 +153,8 @@ def decode_in(
 
 
 def _head(corner: tuple[int, int, int], depth: int) -> bytes:
-    """What a stream of mode SPARSE begins with: mode, depth, corner as varints."""
-    head = bytearray([SPARSE, depth])
+    """What an octree begins with: its first byte, depth, corner as varints."""
+    head = bytearray([OCTREE, depth])
     for number in corner:
         zigzag = 2 * number if number >= 0 else -2 * number - 1
         while zigzag >= 128:

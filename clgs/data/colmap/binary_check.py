@@ -22,7 +22,7 @@ PARAMETERS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 1
 
 
 def check_binary_model(folder: Path) -> None:
-    """Check cameras, images, points3D and, where present, rigs and frames (.bin).
+    """Check cameras, images, points3D and, if present, rigs and frames (.bin).
 
     Raises:
         DataError: naming file, byte offset and what is wrong.
@@ -70,7 +70,7 @@ class _Reader:
         return values
 
     def bounded(self, count: int, size: int) -> int:
-        """``count`` where so many records of at least ``size`` bytes can follow."""
+        """``count``, if that many records of at least ``size`` bytes can follow."""
         if count > (len(self.data) - self.at) // size:
             self.fail(f"{count} records are declared but the file ends before")
         return count
@@ -102,7 +102,7 @@ def is_unit(quaternion: Iterable[float]) -> bool:
 
 
 def check_name(name: str, source: str) -> None:
-    """Raise DataError where an image name is empty, absolute or leads upwards."""
+    """Raise DataError if an image name is empty, absolute or leads upwards."""
     parts = name.replace("\\", "/").split("/")
     if not name or not parts[0] or ".." in parts or ":" in parts[0]:
         raise DataError(f"{source}: image name {name[:80]!r} must stay inside the images folder")

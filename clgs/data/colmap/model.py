@@ -75,7 +75,7 @@ def _read_model(
 
 
 def _read_text(reconstruction: Any, model: Path) -> None:
-    """Fill ``reconstruction``; a fault has its file, line and field where that can be found."""
+    """Fill ``reconstruction``; an error names file, line and field if they can be found."""
     check_text_poses(model)
     try:
         reconstruction.read_text(str(model))

@@ -1,6 +1,6 @@
 """Checks a text COLMAP model line by line.
 
-pycolmap takes a zero quaternion for no rotation, and where it stumbles, its words name C++ code.
+pycolmap takes a zero quaternion for no rotation, and its error messages name C++ code.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ _TEXT = {"MODEL", "NAME", "REF_SENSOR_TYPE", "SENSOR_TYPE"}
 
 
 def check_text_poses(folder: Path) -> None:
-    """Raise DataError, naming file, line and field, where a pose is no rotation and translation.
+    """Raise DataError, naming file, line and field, if a pose is no rotation and translation.
 
     Args:
-        folder: holds images.txt and, where the model has rigs, frames.txt and rigs.txt.
+        folder: holds images.txt and, if the model has rigs, frames.txt and rigs.txt.
     """
     lines = _every_line(folder / "images.txt")
     for line in lines:
@@ -61,7 +61,7 @@ def check_text_poses(folder: Path) -> None:
 
 
 def explain_text_model(folder: Path) -> None:
-    """Raise DataError naming file, line and field of the first fault; return where none is found.
+    """Raise DataError naming file, line and field of the first fault; return if there is none.
 
     Args:
         folder: holds cameras.txt, images.txt and points3D.txt.
@@ -74,7 +74,7 @@ def explain_text_model(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class _Line:
-    """One line of a file and where it stands."""
+    """One line of a file, and its file and number."""
 
     path: Path
     number: int
@@ -117,7 +117,7 @@ class _Line:
 
 
 def _every_line(path: Path) -> Iterator[_Line]:
-    """None where there is no such file: models without rigs lack two."""
+    """None if there is no such file: models without rigs lack two."""
     if not path.is_file():
         return
     with path.open(encoding="utf-8", errors="replace") as file:

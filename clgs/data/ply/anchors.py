@@ -51,7 +51,7 @@ def save_scaffold(path: Path, scene: QuantizedScene) -> None:
     holds others is replaced together with ``path`` alone.
 
     Raises:
-        OutputError: other MLPs lie where those of ``path`` belong, but ``path`` does not exist.
+        OutputError: the file for the MLPs of ``path`` exists already, but ``path`` does not.
         OutputError, OSError: as of ``atomic_write_all``.
     """
     beside = mlps_path(path)
@@ -183,7 +183,7 @@ _FIELD = re.compile(rf"({'|'.join(_GROUPS)})\.\w+")
 
 
 def _read_comments(comments: list[str]) -> tuple[dict[str, Any], set[str]]:
-    """The groups, defaults where no line names a field, and the names of those with lines.
+    """The groups, with defaults for fields that no line names, and the names of those with lines.
 
     Lines of other programs are passed over.
 

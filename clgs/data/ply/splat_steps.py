@@ -76,10 +76,10 @@ def choose_steps(
 def position_steps(
     values: Columns, kinds: Mapping[str, np.dtype[np.generic]], axes: set[str]
 ) -> dict[str, float]:
-    """The default steps of ``axes``, powers of two; warns where they are coarser than they should.
+    """The default steps of ``axes``, powers of two; warns if they are coarser than they should be.
 
     They should be the largest that is at most an eighth of the median scale, or without scales
-    1 / 65536 of the extent (see ``usual_extent``); but on an axis where float32 is coarser, its
+    1 / 65536 of the extent (see ``usual_extent``); but if float32 is coarser on an axis, its
     resolution. They must let positions span less than 2^21 steps, and lie within 2^31 of them.
     """
     if not len(values["x"]):
@@ -119,7 +119,7 @@ def position_steps(
 def usual_extent(column: npt.NDArray[np.float64]) -> float:
     """The extent of ``column`` (N,) but for a few floaters: 4 times that of the middle 90 %.
 
-    It is never more than the true one, and is that where no few are far away.
+    It is never more than the true extent, and equals it unless a few splats lie far from the rest.
     """
     low, high = np.percentile(column, [5, 95])
     true = float(np.ptp(column))

@@ -56,7 +56,7 @@ def read_splats(path: Path, steps: dict[str, float]) -> tuple[Splats, dict[str, 
 
 
 def write_splats(splats: Splats) -> bytes:
-    """The PLY file of ``splats``: float32, or float64 where float32 loses an integer."""
+    """The PLY file of ``splats``: float32, or float64 if float32 would lose an integer."""
     steps = zip(splats.names, splats.steps, strict=True)
     columns = {name: _column(splats.values[:, i], step) for i, (name, step) in enumerate(steps)}
     return pack_ply(Table(columns, ["unpacked by clgs"]))

@@ -1,7 +1,7 @@
 """PLY files with one table of numbers: the element "vertex" of scalar properties.
 
 Little-endian, big-endian and ASCII are read, little-endian is written. The header is believed only
-where the file's size agrees with it. Source of the format: Turk, "The PLY Polygon File Format".
+if the size of the file agrees with it. Source of the format: Turk, "The PLY Polygon File Format".
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class _Header:
 
 
 def read_ply(path: Path) -> Table:
-    """The element "vertex" of a PLY file, which must be the first; elements behind it are skipped.
+    """The element "vertex" of a PLY file, which must be the first; later elements are skipped.
 
     Raises:
         DataError: missing, no PLY file, cut, damaged, compressed, or with lists in the table.
@@ -141,7 +141,7 @@ def _column(values: npt.NDArray[np.float64], name: str, kind: str) -> npt.NDArra
 
 
 def _read_header(data: bytes) -> tuple[_Header, int]:
-    """The header, and where the table begins."""
+    """The header, and the byte at which the table begins."""
     if data[: data.find(b"\n", 0, 8) + 1].split() != [b"ply"]:
         raise ValueError("not a PLY file")
     header = _Header()
@@ -160,7 +160,7 @@ def _read_header(data: bytes) -> tuple[_Header, int]:
 
 
 def _header_lines(data: bytes) -> Iterator[tuple[str, int]]:
-    """The lines that end in the first MAX_HEADER bytes, each with the place behind it.
+    """The lines that end in the first MAX_HEADER bytes, each with the position after it.
 
     They are UTF-8, as far as they are text; other bytes of comments do no harm.
     """
@@ -171,7 +171,7 @@ def _header_lines(data: bytes) -> Iterator[tuple[str, int]]:
 
 
 def _read_line(header: _Header, words: list[str]) -> None:
-    """Take a line of the header; IndexError, KeyError or ValueError where it makes no sense."""
+    """Take a line of the header; IndexError, KeyError or ValueError if it makes no sense."""
     match words:
         case [] | ["obj_info", *_]:
             return
@@ -216,7 +216,7 @@ def narrowest(
     decode: Callable[[npt.NDArray[np.int32]], npt.NDArray[np.float64]],
     encode: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]],
 ) -> npt.NDArray[np.float32] | npt.NDArray[np.float64]:
-    """The column ``decode(integers)`` as float32, or float64 where float32 loses an integer.
+    """The column ``decode(integers)`` as float32, or float64 if float32 would lose an integer.
 
     Args:
         integers: (N,).

@@ -121,7 +121,7 @@ def main() -> None:
 
 
 def _end_with_parent() -> None:
-    """The standard input ends where the parent has ended."""
+    """Ends this process if its standard input ends, that is, if the parent has ended."""
     sys.stdin.read()
     os._exit(1)
 
@@ -149,7 +149,7 @@ def _extract(pycolmap: Any, database: Path, images: Path, sizes: set[tuple[int, 
     small = max(max(size) for size in sizes) <= SMALL_SIZE
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
-    # Explicit, because pycolmap warns about memory where it is left to choose.
+    # Explicit, because pycolmap warns about memory if it may choose.
     options.num_threads = os.cpu_count() or 1
     options.max_image_size = MAX_SIFT_SIZE
     options.sift.max_num_features = MAX_FEATURES_SMALL if small else MAX_FEATURES

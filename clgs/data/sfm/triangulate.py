@@ -172,7 +172,7 @@ def _extract(pycolmap: Any, photos: list[Photo], folder: Path) -> list[_Features
 
 
 def _read_features(database: Any, name: str, lens: Lens, image: npt.NDArray[np.uint8]) -> _Features:
-    """Features of one image of the database, moved to where a pinhole would see them."""
+    """Features of one image of the database, at the pixels at which a pinhole would see them."""
     image_id = database.read_image_with_name(name).image_id
     found = np.asarray(database.read_keypoints(image_id), np.float64)[:, :2]
     descriptor = np.asarray(database.read_descriptors(image_id).data, np.float32)
@@ -316,7 +316,7 @@ def _key(photos: list[Photo], seed: int) -> str:
 
 
 def _read_cache(file: Path) -> Points | None:
-    """The cached points, or None where there are none or the file is damaged."""
+    """The cached points, or None if there are none or the file is damaged."""
     try:
         with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
             position, color = arrays["position"], arrays["color"]

@@ -1,4 +1,4 @@
-"""Chunks of attribute rows and the header they share, for reading (FORMAT.md, part 8).
+"""Chunks of attribute rows and the header they share, for reading (FORMAT.md on attributes).
 
 Plain integers, one symbol at a time; the same bytes as C.
 """

@@ -1,4 +1,4 @@
-"""Range coder, adaptive states and mixing of the bitstream, for reading (FORMAT.md, part 3).
+"""Range coders, adaptive states and mixing, for reading (FORMAT.md on the range coder).
 
 Plain integers, one decision at a time. ``octree`` and ``runlength`` build on it, and give the very
 bytes that the C coder gives.

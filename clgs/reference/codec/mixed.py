@@ -1,4 +1,4 @@
-"""Adaptive coding of one attribute column, for reading (FORMAT.md, part 8.5); same bytes as C."""
+"""Mixed channels of attributes, for reading (FORMAT.md on mixed channels); same bytes as C."""
 
 from __future__ import annotations
 

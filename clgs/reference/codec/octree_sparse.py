@@ -1,4 +1,4 @@
-"""Octree payload of mode 2, for reading (FORMAT.md, part 13); same bytes as the C coder."""
+"""The levels of an octree, for reading (FORMAT.md on ANCH); same bytes as the C coder."""
 
 from __future__ import annotations
 

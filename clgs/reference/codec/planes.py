@@ -1,4 +1,4 @@
-"""Words as planes of bytes, for reading (FORMAT.md, part 6); same bytes as C."""
+"""Words as planes of bytes, for reading (FORMAT.md on MLPS); same bytes as C."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Static rANS of attribute symbols, for reading (FORMAT.md, part 8.4): states, words and lanes."""
+"""Static rANS of attribute symbols, for reading (FORMAT.md on rANS): states, words and lanes."""
 
 from __future__ import annotations
 

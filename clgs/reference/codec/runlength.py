@@ -1,4 +1,4 @@
-"""Attribute rows, for reading (FORMAT.md, part 5); same bytes as C."""
+"""Rows of CHNK as runs of equal rows, for reading (FORMAT.md on CHNK); same bytes as C."""
 
 from __future__ import annotations
 

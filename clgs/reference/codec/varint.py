@@ -1,4 +1,4 @@
-"""Integers of variable length (FORMAT.md, part 5): zigzag, in groups of 7 bits, lowest first."""
+"""Integers of variable length (FORMAT.md): zigzag, in groups of 7 bits, lowest first."""
 
 from __future__ import annotations
 

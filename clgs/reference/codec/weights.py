@@ -1,4 +1,4 @@
-"""MLP weights as multiples of powers of two, for reading (FORMAT.md, part 6); same bytes as C."""
+"""MLP weights as multiples of powers of two, for reading (FORMAT.md on MLPS); same bytes as C."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""XXH64 with seed 0, for reading (FORMAT.md, part 10); same values as the C function."""
+"""XXH64 with seed 0, for reading (FORMAT.md on META); same values as the C function."""
 
 from __future__ import annotations
 

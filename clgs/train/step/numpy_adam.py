@@ -1,108 +1,131 @@
-"""Adam in in-place float32 NumPy; the same numbers as the fused kernel of ``clgs.ops.adam``."""
+"""Adam in float32 NumPy on the host: the same numbers as the fused kernel of ``clgs.ops.adam``.
+
+:func:`step` and :func:`step_rows` take what those of ``clgs.ops.adam`` take, and leave the same
+bits if the device rounds division and roots correctly. They wait for the device.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
 from clgs.ops.adam import (
     BETA1,
     BETA2,
     EPSILON,
     MIN_FIRST_MOMENT,
     MIN_SECOND_MOMENT,
-    factors,
+    Moments,
+    StepFactors,
 )
 
 Array = npt.NDArray[np.float32]
 
 
-class Adam:
-    """The optimiser state of one parameter group of shape (rows, ...).
+class State(NamedTuple):
+    """A parameter and the running means of its gradient and of the gradient's square, one shape."""
 
-    ``count`` is the number of updates made; it is kept when rows come and go.
+    parameter: Array
+    first: Array
+    second: Array
+
+
+def step(
+    device: Device,
+    parameter: DeviceArray,
+    gradient: DeviceArray,
+    moments: Moments,
+    factors_now: StepFactors,
+    stop: DeviceArray,
+    part: slice | None = None,
+) -> None:
+    """As :func:`clgs.ops.adam.step`: update ``parameter`` and ``moments`` in place.
+
+    Raises:
+        ValueError: sizes or dtypes differ.
     """
+    if device.download(stop)[0]:
+        return
+    chosen = part or slice(None)
+    state = _download(device, parameter, moments)
+    views = State._make(array.reshape(-1)[chosen] for array in state)
+    update(views, device.download(gradient).reshape(-1)[chosen], factors_now)
+    _write(device, parameter, moments, state)
 
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.first: Array = np.zeros(shape, np.float32)
-        self.second: Array = np.zeros(shape, np.float32)
-        self.count = 0
-        self._scratch: Array = np.empty(shape, np.float32)
 
-    def step(
-        self,
-        parameter: Array,
-        gradient: Array,
-        learning_rate: float,
-        moved: npt.NDArray[np.bool_] | None = None,
-    ) -> None:
-        """Update ``parameter`` in place from ``gradient``, both float32 of the group's shape.
+def step_rows(
+    device: Device,
+    parameter: DeviceArray,
+    gradient: DeviceArray,
+    moments: Moments,
+    factors_now: StepFactors,
+    stop: DeviceArray,
+    marks: DeviceArray,
+) -> None:
+    """As :func:`clgs.ops.adam.step_rows`: update only the rows that are marked.
 
-        With ``moved`` (rows,) only those rows change, and only their moments.
+    Raises:
+        ValueError: sizes or dtypes differ.
+    """
+    if device.download(stop)[0]:
+        return
+    moved = device.download(marks) != 0
+    state = _download(device, parameter, moments)
+    rows = State._make(array[moved] for array in state)
+    update(rows, device.download(gradient).reshape(parameter.shape)[moved], factors_now)
+    for array, changed in zip(state, rows, strict=True):
+        array[moved] = changed
+    _write(device, parameter, moments, state)
 
-        Raises:
-            ValueError: a shape or dtype differs.
-        """
-        for name, array in (("parameter", parameter), ("gradient", gradient)):
-            if array.shape != self.first.shape or array.dtype != np.float32:
-                raise ValueError(
-                    f"{name}: {array.dtype}{array.shape}, expected float32{self.first.shape}"
-                )
-        if moved is not None:
-            self._step_rows(parameter, gradient, learning_rate, moved)
-            return
-        self.count += 1
-        now = factors(learning_rate, self.count)
-        self._update_moments(gradient)
-        scratch = self._scratch
-        np.sqrt(self.second, out=scratch)
-        scratch *= np.float32(now.correction)
-        scratch += np.float32(EPSILON)
-        np.divide(self.first, scratch, out=scratch)
-        scratch *= np.float32(now.step)
-        parameter -= scratch
 
-    def _step_rows(
-        self,
-        parameter: Array,
-        gradient: Array,
-        learning_rate: float,
-        moved: npt.NDArray[np.bool_],
-    ) -> None:
-        part = Adam(gradient[moved].shape)
-        part.first, part.second, part.count = self.first[moved], self.second[moved], self.count
-        rows = parameter[moved]
-        part.step(rows, gradient[moved], learning_rate)
-        parameter[moved] = rows
-        self.first[moved], self.second[moved] = part.first, part.second
-        self.count = part.count
+def update(state: State, gradient: Array, factors_now: StepFactors) -> None:
+    """One step of Adam in place on ``state``; ``gradient`` is float32 of its shape.
 
-    def _update_moments(self, gradient: Array) -> None:
-        scratch = self._scratch
-        self.first *= np.float32(BETA1)
-        np.multiply(gradient, np.float32(1.0 - BETA1), out=scratch)
-        self.first += scratch
-        self.second *= np.float32(BETA2)
-        with np.errstate(under="ignore", over="ignore"):
-            np.multiply(gradient, gradient, out=scratch)
-        scratch *= np.float32(1.0 - BETA2)
-        self.second += scratch
-        # a product with 0 or 1 flushes without a temporary, and keeps a NaN
-        np.abs(self.first, out=scratch)
-        np.greater_equal(scratch, np.float32(MIN_FIRST_MOMENT), out=scratch)
-        self.first *= scratch
-        np.greater_equal(self.second, np.float32(MIN_SECOND_MOMENT), out=scratch)
-        self.second *= scratch
+    Raises:
+        ValueError: a shape or dtype differs.
+    """
+    shape = state.parameter.shape
+    for name, array in (*state._asdict().items(), ("gradient", gradient)):
+        if array.shape != shape or array.dtype != np.float32:
+            raise ValueError(f"{name}: {array.dtype}{array.shape}, expected float32{shape}")
+    scratch = np.empty_like(state.first)
+    _update_moments(state.first, state.second, gradient, scratch)
+    np.sqrt(state.second, out=scratch)
+    scratch *= np.float32(factors_now.correction)
+    scratch += np.float32(EPSILON)
+    np.divide(state.first, scratch, out=scratch)
+    scratch *= np.float32(factors_now.step)
+    np.subtract(state.parameter, scratch, out=state.parameter)
 
-    def keep(self, rows: npt.NDArray[np.generic]) -> None:
-        """Keep the moments of some rows: a mask (rows,) or indices."""
-        self._replace(self.first[rows], self.second[rows])
 
-    def append(self, rows: int) -> None:
-        """Add ``rows`` rows with zero moments."""
-        zeros = np.zeros((rows, *self.first.shape[1:]), np.float32)
-        self._replace(np.concatenate([self.first, zeros]), np.concatenate([self.second, zeros]))
+def _update_moments(first: Array, second: Array, gradient: Array, scratch: Array) -> None:
+    first *= np.float32(BETA1)
+    np.multiply(gradient, np.float32(1.0 - BETA1), out=scratch)
+    first += scratch
+    second *= np.float32(BETA2)
+    with np.errstate(under="ignore", over="ignore"):
+        np.multiply(gradient, gradient, out=scratch)
+    scratch *= np.float32(1.0 - BETA2)
+    second += scratch
+    # a product with 0 or 1 flushes without a temporary, and keeps a NaN
+    np.abs(first, out=scratch)
+    np.greater_equal(scratch, np.float32(MIN_FIRST_MOMENT), out=scratch)
+    first *= scratch
+    np.greater_equal(second, np.float32(MIN_SECOND_MOMENT), out=scratch)
+    second *= scratch
 
-    def _replace(self, first: Array, second: Array) -> None:
-        self.first, self.second = first, second
-        self._scratch = np.empty_like(first)
+
+def _download(device: Device, parameter: DeviceArray, moments: Moments) -> State:
+    """Host copies, of the parameter's shape."""
+    arrays = (parameter, moments.first, moments.second)
+    return State._make(device.download(array).reshape(parameter.shape) for array in arrays)
+
+
+def _write(device: Device, parameter: DeviceArray, moments: Moments, state: State) -> None:
+    device.write(parameter, state.parameter)
+    device.write(moments.first, state.first)
+    device.write(moments.second, state.second)

@@ -10,6 +10,7 @@ from clgs.render.frame import SceneGradients
 from clgs.scene.mlps import head_slice
 from clgs.train.config import TrainConfig
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
+from clgs.train.step import numpy_adam
 from clgs.train.step.schedule import learning_rates
 
 
@@ -19,6 +20,7 @@ class Optimizer:
     def __init__(self, device: Device, config: TrainConfig, radius: float) -> None:
         """``radius`` in scene units scales the learning rate of offsets."""
         self._device, self._config, self._radius = device, config, radius
+        self._adam = numpy_adam if config.optimizer == "numpy" else adam
 
     def step(
         self,
@@ -42,9 +44,9 @@ class Optimizer:
             for part, rate in _parts(name, by_name[name].size, rates):
                 now = adam.factors(rate, step)
                 if name in marks:
-                    adam.step_rows(self._device, *state, now, stop, marks[name])
+                    self._adam.step_rows(self._device, *state, now, stop, marks[name])
                 else:
-                    adam.step(self._device, *state, now, stop, part)
+                    self._adam.step(self._device, *state, now, stop, part)
 
     def _check(
         self, gradients: dict[str, DeviceArray], stop: DeviceArray

@@ -19,12 +19,8 @@ def contents(data: bytes) -> dict[str, bytes]:
     source = BytesSource(data)
     splats = data[HEAD : HEAD + 4] == b"SPLT"
     entries = section_table.read_table(source, splats).entries
-    tags = section_table.SPLATS if splats else section_table.VERSIONS[major(data)]
+    tags = section_table.SPLATS if splats else section_table.SCENE
     return {tag: bytes(section_table.read_section(source, entries[tag]).data) for tag in tags}
-
-
-def major(data: bytes) -> int:
-    return int.from_bytes(data[8:10], "little")
 
 
 def rebuilt(data: bytes, **changed: bytes) -> bytes:
@@ -32,7 +28,7 @@ def rebuilt(data: bytes, **changed: bytes) -> bytes:
     sections = {**contents(data), **changed}
     if "CHNK" in sections and "CHNK" not in changed:
         sections["CHNK"] = checked(sections)
-    return section_table.write_container(sections, major(data))
+    return section_table.write_container(sections)
 
 
 def checked(sections: dict[str, bytes]) -> bytes:

@@ -72,17 +72,6 @@ def test_nothing_in_the_box(file):
     assert_same(part, expected(decode(file), Box((1e9, 0, 0), (2e9, 1, 1))))
 
 
-def test_files_of_version_1(file):
-    data = (GOLDEN / "surface.clgs").read_bytes()
-    whole = decode(data)
-    assert_same(decode_box(BytesSource(data), EVERYTHING), whole)
-    middle = tuple(np.median(world(whole), axis=0))
-    box = Box(middle, (np.inf,) * 3)
-    part = decode_box(BytesSource(data), box)
-    assert 0 < len(part.anchors) < len(whole.anchors)
-    assert_same(part, expected(whole, box))
-
-
 def test_only_what_is_needed_is_read_and_checked(file, rng):
     points = world(decode(file))
     box = Box((-np.inf,) * 3, (float(np.quantile(points[:, 0], 0.1)), np.inf, np.inf))

@@ -48,7 +48,7 @@ def hostile_inputs() -> dict[str, tuple]:
     """
     rows = encode_attributes(np.zeros((10, 2), np.int32))[:-4]
     points = encode_positions(np.array([[1, 2, 3]]))[:-4]
-    file = (GOLDEN / "surface.clgs").read_bytes()
+    file = (GOLDEN / "chunks.clgs").read_bytes()
     meta = damage.contents(file)["META"]
     found = {}
     for count in (2**31, 2**32 - 1):

@@ -1,4 +1,4 @@
-"""Positions whose differences share a factor: streams of version 3 (codec_c/FORMAT.md, part 12)."""
+"""Positions whose differences share a factor: their streams hold the factors."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ def test_one_factor_in_many_chunks():
     assert len(one) < len(codec.encode_positions(position // 6)) + 64
 
 
-def test_no_factor_and_no_gain_are_version_2():
+def test_without_a_factor_or_a_gain_no_factors_are_written():
     for position in (cloud(2, 500, 64), [[5, 5, 5]], [[0, 0, 0], [2, 0, 0]], np.empty((0, 3), int)):
         assert codec.encode_positions(np.array(position))[:4] == streams.POSITIONS
 
 
-def test_streams_of_version_2_on_a_lattice_decode(monkeypatch):
+def test_points_on_a_lattice_may_be_written_without_factors(monkeypatch):
     position = cloud(6, 2000, 200) * (3, 1, 8)
     monkeypatch.setattr(streams.lattice, "common_factors", lambda position: [1, 1, 1])
     data = codec.encode_positions(position)

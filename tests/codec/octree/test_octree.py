@@ -49,14 +49,6 @@ def test_same_bytes_as_the_reference_in_both_directions(name):
     np.testing.assert_array_equal(reference.decode(data, len(position)), position)
 
 
-@pytest.mark.parametrize("name", clouds())
-def test_mode_1_of_older_files_decodes(name):
-    position = sorted_unique(clouds()[name])
-    data = reference.encode(position, mode=1)
-    np.testing.assert_array_equal(position_coder.decode(data, len(position)), position)
-    np.testing.assert_array_equal(reference.decode(data, len(position)), position)
-
-
 @pytest.mark.parametrize("depth", range(22))
 def test_every_depth(depth):
     rng = np.random.default_rng(depth)
@@ -132,15 +124,13 @@ def test_wrong_counts_are_refused():
         position_coder.decode(data, len(data) * position_coder.MAX_POINTS_A_BYTE + 1)
 
 
-@pytest.mark.parametrize("mode", [0, 1])
-def test_positions_past_int32_are_refused(mode):
-    payload = (8).to_bytes(8, "little") if mode == 0 else b"\0" * 4
-    data = bytes([mode, 2]) + np.array([2**31 - 1] * 3, "<i4").tobytes() + payload
+def test_raw_positions_past_int32_are_refused():
+    data = bytes([0, 2]) + np.array([2**31 - 1] * 3, "<i4").tobytes() + (8).to_bytes(8, "little")
     with pytest.raises(ValueError, match="stream"):
         position_coder.decode(data, 1)
 
 
-def test_positions_past_int32_are_refused_in_mode_2():
+def test_coded_positions_past_int32_are_refused():
     data = position_coder.encode(np.array([[0, 0, 0], [0, 0, 1]], np.int32))
     assert data[2:5] == bytes(3)
     far = data[:4] + bytes([0xFE, 0xFF, 0xFF, 0xFF, 0x0F]) + data[5:]
@@ -149,7 +139,8 @@ def test_positions_past_int32_are_refused_in_mode_2():
 
 
 @pytest.mark.parametrize(
-    "head", ["02", "0200", "0216000000", "0201800000", "020180000000", "0201808080808000", "03"]
+    "head",
+    ["02", "0200", "0216000000", "0201800000", "020180000000", "0201808080808000", "0102", "03"],
 )
 def test_headers_that_no_encoder_writes(head):
     data = bytes.fromhex(head)
@@ -159,10 +150,9 @@ def test_headers_that_no_encoder_writes(head):
 
 
 @pytest.mark.parametrize("name", ["surface", "thinned", "sparse", "chain", "clusters"])
-@pytest.mark.parametrize("mode", [1, 2])
-def test_every_cut_and_every_longer_stream_is_refused(name, mode):
+def test_every_cut_and_every_longer_stream_is_refused(name):
     position = sorted_unique(clouds()[name])
-    data = reference.encode(position, mode=mode)
+    data = position_coder.encode(position)
     for size in range(len(data)):
         with pytest.raises(ValueError, match=r"stream|cannot hold"):
             position_coder.decode(data[:size], len(position))

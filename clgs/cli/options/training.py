@@ -1,0 +1,98 @@
+"""The options of training on the command line, made from their declarations."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from clgs.cli.options.view import named_path, value_of
+from clgs.errors import UsageError
+from clgs.train.config import TrainConfig, layered, parse_word, read_settings
+from clgs.train.config.describe import describe
+from clgs.train.config.option import Option, Pair, Text, options_of
+
+LOSS_WEIGHTS = ("l1_weight", "ssim_weight")
+"""What --loss-weights sets."""
+
+
+def add_training_options(parser: argparse.ArgumentParser) -> None:
+    """Add --config, --set, and an option for every field of TrainConfig, under its heading."""
+    parser.add_argument(
+        "--config",
+        type=named_path,
+        metavar="FILE.toml",
+        help="settings in place of the preset's, such as the config.toml of a run; options given "
+        "here win over it",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="any setting by the name that it has in the file, such as switch_step=5000 or "
+        "learning_rates.offset=0.01,0.0001; may be given several times",
+    )
+    groups: dict[str, Any] = {}
+    for one in options_of(TrainConfig).values():
+        if one.group not in groups:
+            groups[one.group] = parser.add_argument_group(one.group)
+        add_option(groups[one.group], one)
+    groups["loss"].add_argument(
+        "--loss-weights",
+        type=value_of(options_of(TrainConfig)["l1_weight"]),
+        nargs=2,
+        metavar=("L1", "SSIM"),
+        help="l1-weight and ssim-weight in one",
+    )
+
+
+def add_option(group: argparse._ArgumentGroup, one: Option) -> None:
+    """Add the command-line option of a declared one; it is absent from the result unless given."""
+    row = describe(one)
+    choices = one.allowed if isinstance(one.allowed, tuple) else ()
+    unit = "" if row.unit == "none" else row.unit
+    limits = "" if choices or one.kind is bool else row.range
+    remarks = filter(None, (unit, limits, f"default: {row.default or 'none'}"))
+    shared: dict[str, Any] = {
+        "dest": one.name,
+        "default": argparse.SUPPRESS,
+        "help": f"{row.help} ({'; '.join(remarks)})".replace("%", "%%"),
+    }
+    if one.kind is bool:
+        group.add_argument(row.flag, action=argparse.BooleanOptionalAction, **shared)
+    elif choices:
+        group.add_argument(row.flag, choices=choices, **shared)
+    else:
+        group.add_argument(row.flag, type=value_of(one), metavar=_metavar(one), **shared)
+
+
+def _metavar(one: Option) -> str:
+    if isinstance(one.allowed, Text):
+        return "FILE"
+    return {int: "N", Pair: "FIRST,LAST"}.get(one.kind, "X")
+
+
+def make_config(args: argparse.Namespace) -> TrainConfig:
+    """The configuration that the options describe, not yet resolved for a data set.
+
+    A preset counts least, then --config, then all other options; of those, --set counts most.
+
+    Raises:
+        UsageError: a value has the wrong type or range, or values do not go together.
+    """
+    file: Path | None = args.config
+    return layered(read_settings(file) if file else {}, _given(args))
+
+
+def _given(args: argparse.Namespace) -> dict[str, Any]:
+    """The settings on the command line, by name."""
+    known = options_of(TrainConfig)
+    found = dict(zip(LOSS_WEIGHTS, args.loss_weights or (), strict=False))
+    found |= {name: value for name, value in vars(args).items() if name in known}
+    for word in args.set:
+        try:
+            name, found[name] = parse_word(word)
+        except UsageError as error:
+            raise UsageError(f"--set {error}") from None
+    return found

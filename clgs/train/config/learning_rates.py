@@ -1,0 +1,49 @@
+"""The learning rate of each group of parameters, at the first step and at the last."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from clgs.errors import UsageError
+from clgs.train.config.option import POSITIVE, Pair, option, options_of
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """(first, last) of each group, log-linear in between; equal ends stay constant (paper, code).
+
+    Positions have learning rate 0: no group.
+    """
+
+    offset: Pair = option(
+        (0.01, 0.0001),
+        "first and last learning rate of offsets, multiplied by the scene radius",
+        POSITIVE,
+        unit="per step",
+        group="learning rates",
+    )
+    feature: Pair = option(
+        (0.0075, 0.0075), "first and last learning rate of features", POSITIVE, unit="per step"
+    )
+    scaling: Pair = option(
+        (0.007, 0.007), "first and last learning rate of scalings", POSITIVE, unit="per step"
+    )
+    mlp_opacity: Pair = option(
+        (0.002, 2e-5), "first and last learning rate of the opacity MLP", POSITIVE, unit="per step"
+    )
+    mlp_covariance: Pair = option(
+        (0.004, 0.004),
+        "first and last learning rate of the covariance MLP",
+        POSITIVE,
+        unit="per step",
+    )
+    mlp_color: Pair = option(
+        (0.008, 5e-5), "first and last learning rate of the color MLP", POSITIVE, unit="per step"
+    )
+
+    def __post_init__(self) -> None:
+        for name, one in options_of(LearningRates).items():
+            try:
+                object.__setattr__(self, name, one.check(getattr(self, name)))
+            except UsageError as error:
+                raise UsageError(f"learning_rates.{error}") from None

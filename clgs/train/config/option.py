@@ -1,0 +1,237 @@
+"""One training option: its help, range and unit, declared at its field and checked from there.
+
+A field of a settings class is declared by :func:`option`. From that declaration follow the check
+of its value, its command-line option, its row in the documentation and its place in a TOML file.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cache
+from typing import Any, get_type_hints
+
+from clgs.errors import UsageError
+
+METADATA = "option"
+"""Key of a field's metadata under which its declaration lies."""
+
+LARGEST_INTEGER = 2**63 - 1
+"""The largest whole number of a TOML file."""
+
+SHOWN = 40
+"""Characters of a refused value that its message shows."""
+
+Pair = tuple[float, float]
+"""The first and the last value of what changes during a run."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers from ``least`` to ``most``, both included unless ``open_below``."""
+
+    least: float
+    most: float = float("inf")
+    open_below: bool = False
+
+    def holds(self, value: float) -> bool:
+        """Whether ``value`` lies in the range."""
+        return self.least <= value <= self.most and not (self.open_below and value == self.least)
+
+    def __str__(self) -> str:
+        """In words: "at least 1", "above 0", "from 0 to 8"; empty if every number is allowed."""
+        if self.most < float("inf"):
+            return f"from {self.least:g} to {self.most:g}"
+        if self.least == -float("inf"):
+            return ""
+        return f"{'above' if self.open_below else 'at least'} {self.least:g}"
+
+
+ANY = Range(-float("inf"))
+POSITIVE = Range(0, open_below=True)
+
+
+def at_least(least: float) -> Range:
+    """Numbers from ``least`` on."""
+    return Range(least)
+
+
+@dataclass(frozen=True)
+class Text:
+    """Any text but an empty one; ``what`` says what it names, such as "a file"."""
+
+    what: str
+
+
+Allowed = Range | Text | tuple[str, ...]
+"""Numbers in a range, a text, or one of several words."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """A declared option: ``name`` as in a TOML file, dotted in a table; ``kind``: its type.
+
+    The other fields are those that :func:`option` describes.
+    """
+
+    default: Any
+    help: str
+    allowed: Allowed
+    unit: str
+    group: str
+    open_default: str
+    scaled: bool
+    in_digest: bool
+    name: str = ""
+    kind: Any = None
+
+    @property
+    def may_be_open(self) -> bool:
+        """Whether None is a value: it is chosen later."""
+        return bool(self.kind == float | None)
+
+    @property
+    def range(self) -> str:
+        """What values it may have, in words; empty if every number is allowed."""
+        if self.kind is bool:
+            return "true or false"
+        if isinstance(self.allowed, tuple):
+            return " or ".join(filter(None, (", ".join(self.allowed[:-1]), self.allowed[-1])))
+        return self.allowed.what if isinstance(self.allowed, Text) else str(self.allowed)
+
+    @property
+    def wanted(self) -> str:
+        """What to give instead of a refused value."""
+        if not isinstance(self.allowed, Range):
+            return self.range
+        noun = {int: "a whole number", Pair: "two numbers"}.get(self.kind, "a number")
+        example = ", such as {:g},{:g}".format(*self.default) if self.kind == Pair else ""
+        limits = str(self.allowed).replace("at least", "of at least")
+        return " ".join(filter(None, (noun, limits))) + example
+
+    def check(self, value: object) -> Any:
+        """``value`` with whole numbers made floats if the option's type says so.
+
+        Raises:
+            UsageError: it has the wrong type or range; names the option and what to give.
+        """
+        problem, found = self._judge(value)
+        if problem:
+            shown = repr(value)
+            shown = shown if len(shown) <= SHOWN else f"{shown[: SHOWN - 3]}..."
+            raise UsageError(f"{self.name}: {shown} {problem}; give {self.wanted}")
+        return found
+
+    def _judge(self, value: object) -> tuple[str, Any]:
+        """What is wrong with ``value``, or nothing, and the value to keep."""
+        if value is None and self.may_be_open:
+            return "", None
+        if isinstance(self.allowed, Range):
+            return self._judge_numbers(value, self.allowed)
+        if self.kind is bool:
+            return ("" if isinstance(value, bool) else "is not true or false"), value
+        if isinstance(self.allowed, Text):
+            usable = isinstance(value, str) and (value == self.default or value.strip())
+            return ("" if usable else "is no name"), value
+        return ("" if value in self.allowed else "is not known"), value
+
+    def _judge_numbers(self, value: object, allowed: Range) -> tuple[str, Any]:
+        if self.kind == Pair:
+            numbers = value if isinstance(value, tuple | list) else ()
+            if len(numbers) != 2 or not all(map(_is_number, numbers)):
+                return "is not two finite numbers", value
+            found: Any = tuple(map(float, numbers))
+            return ("" if all(map(allowed.holds, found)) else "is out of range"), found
+        whole = self.kind is int
+        if not _is_number(value) or (whole and not isinstance(value, int)):
+            return f"is not a {'whole' if whole else 'finite'} number", value
+        found = value if whole else float(value)  # type: ignore[arg-type]  # a number, see above
+        usable = allowed.holds(found) and (not whole or abs(found) <= LARGEST_INTEGER)
+        return ("" if usable else "is out of range"), found
+
+    def parse(self, text: str) -> Any:
+        """The value that ``text`` stands for on a command line.
+
+        Raises:
+            UsageError: as :meth:`check`.
+        """
+        value: object = text
+        if self.kind is bool:
+            value = {"true": True, "false": False}.get(text, text)
+        elif self.kind == Pair:
+            value = tuple(map(_number, text.strip("[]").split(",")))
+        elif isinstance(self.allowed, Range):
+            value = _number(text)
+        elif isinstance(self.allowed, Text) and not text.strip():
+            value = None  # the default, an empty name, cannot be asked for by accident
+        return self.check(value)
+
+
+def _is_number(value: object) -> bool:
+    """Whether ``value`` is a number that a float can hold; false for true, false, inf and nan."""
+    is_real = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_real and abs(value) <= sys.float_info.max  # type: ignore[arg-type]  # it is real
+
+
+def _number(text: str) -> object:
+    """``text`` as int or float if it is one, else as it is."""
+    if re.fullmatch(r"\s*[+-]?\d{1,30}\s*", text):
+        return int(text)
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def option(
+    default: Any,
+    help: str,
+    allowed: Allowed = (),
+    *,
+    unit: str = "",
+    group: str = "",
+    open_default: str = "",
+    scaled: bool = False,
+    in_digest: bool = True,
+) -> Any:
+    """Declare a field of a settings class.
+
+    Args:
+        default: its value unless something else is asked for.
+        help: one sentence for ``clgs train --help`` and the documentation.
+        allowed: a range of numbers, a tuple of words, or a Text; nothing for true or false.
+        unit: of a number, for example "steps"; "none" if it has none.
+        group: heading of this option and of those after it, up to the next with a heading.
+        open_default: what is chosen for the data set if ``default`` (None or 0) leaves it open.
+        scaled: a moment of the run, which moves in proportion when ``steps`` changes.
+        in_digest: whether a run may be resumed only with the same value; False if the result does
+            not depend on it.
+    """
+    declared = Option(default, help, allowed, unit, group, open_default, scaled, in_digest)
+    return field(default=default, metadata={METADATA: declared})
+
+
+@cache
+def options_of(settings: type) -> dict[str, Option]:
+    """The options that a settings class declares, by name, in order; those of tables are dotted.
+
+    Raises:
+        TypeError: a field is neither declared by :func:`option` nor a settings class itself.
+    """
+    return {one.name: one for one in _declared(settings, "")}
+
+
+def _declared(settings: type, prefix: str) -> Iterator[Option]:
+    hints, group = get_type_hints(settings), ""
+    for one in fields(settings):
+        name, kind = f"{prefix}{one.name}", hints[one.name]
+        if METADATA in one.metadata:
+            declared: Option = one.metadata[METADATA]
+            group = declared.group or group
+            yield replace(declared, name=name, kind=kind, group=group)
+        elif isinstance(kind, type) and is_dataclass(kind):
+            yield from _declared(kind, f"{name}.")
+        else:
+            raise TypeError(f"{settings.__name__}.{one.name}: declare it by option(...)")

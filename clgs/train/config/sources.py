@@ -1,0 +1,108 @@
+"""Settings from TOML files and from NAME=VALUE words, checked one by one."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from clgs.errors import DataError, UsageError
+from clgs.train.config.option import Option, options_of
+from clgs.train.config.presets import layered
+from clgs.train.config.settings import TrainConfig
+
+MAX_BYTES = 1 << 20
+"""A larger file holds no settings."""
+
+
+def from_toml(text: str, name: str = "config.toml") -> TrainConfig:
+    """The configuration that :meth:`TrainConfig.to_toml` wrote.
+
+    Missing settings are those of the file's preset, scaled to the file's steps.
+
+    Raises:
+        DataError: not TOML, an unknown name or a value of the wrong type or range.
+    """
+    try:
+        values = parse_settings(text, name)
+    except UsageError as error:
+        raise DataError(str(error)) from error
+    try:
+        return layered(values)
+    except UsageError as error:
+        raise DataError(f"{name}: {error}") from error
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """The settings in a TOML file by name, checked; those of tables are dotted.
+
+    Raises:
+        UsageError: no such file, not TOML, an unknown name or a value of the wrong type or range.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise UsageError(f"{path}: has more than {MAX_BYTES} bytes; name a file of settings")
+        return parse_settings(content.decode("utf-8"), str(path))
+    except UnicodeDecodeError:
+        raise UsageError(f"{path}: is not UTF-8 text; name a TOML file of settings") from None
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror}; name a TOML file of settings") from None
+
+
+def parse_settings(text: str, source: str) -> dict[str, Any]:
+    """As :func:`read_settings`, of the text of the file ``source``.
+
+    Raises:
+        UsageError: as there.
+    """
+    try:
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise UsageError(f"{source}: not a TOML file: {error}; correct or restore it") from error
+    try:
+        return {name: find(name).check(value) for name, value in _flat(table)}
+    except UsageError as error:
+        raise UsageError(f"{source}: {error}") from error
+
+
+def parse_word(word: str) -> tuple[str, Any]:
+    """Name and value of a word NAME=VALUE, such as ``learning_rates.offset=0.01,0.0001``.
+
+    Raises:
+        UsageError: no such form, an unknown name or a value of the wrong type or range.
+    """
+    name, equals, text = word.partition("=")
+    if not equals:
+        raise UsageError(f"{word!r} is not NAME=VALUE, such as switch_step=5000")
+    name = name.strip().replace("-", "_")
+    return name, find(name).parse(text.strip())
+
+
+def find(name: str) -> Option:
+    """The option of that name.
+
+    Raises:
+        UsageError: there is none; suggests the nearest.
+    """
+    known = options_of(TrainConfig)
+    if name in known:
+        return known[name]
+    near = get_close_matches(name, known, n=1) or [one for one in known if one.endswith(f".{name}")]
+    remedy = f"did you mean {near[0]}?" if near else "`clgs train --help` lists all"
+    raise UsageError(f"{name[:60]}: no such setting; {remedy}")
+
+
+def _flat(table: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Names and values; those of a table are dotted."""
+    tables = {name.split(".")[0] for name in options_of(TrainConfig) if "." in name}
+    for name, value in table.items():
+        if name not in tables:
+            yield name, value
+        elif isinstance(value, dict):
+            yield from ((f"{name}.{inner}", one) for inner, one in value.items())
+        else:
+            raise UsageError(f"{name}: is not a table; write [{name}] and a line per value")

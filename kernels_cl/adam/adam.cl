@@ -1,0 +1,161 @@
+/* Adam on parameters that live on the device. No fma and no reordering: NumPy in float32 gives the
+ * same bits where division and square root are correctly rounded. */
+#include "common/lanes.h"
+#include "common/real.h"
+
+/* Smaller moments are zero: they would decay into subnormals, which cost ten times the time.
+ * m below this moves a parameter by less than a part in 1e15 of the step; v, whose root meets an
+ * epsilon of 1e-15, must reach lower. */
+#ifndef MIN_FIRST_MOMENT
+#define MIN_FIRST_MOMENT 1e-30f
+#define MIN_SECOND_MOMENT 1e-36f
+#endif
+
+/* Elements of a row, for the kernels that go by rows. */
+#ifndef WIDTH
+#define WIDTH 6
+#endif
+
+/* The bit of the stop flag that this file sets. */
+#ifndef NOT_FINITE
+#define NOT_FINITE 1
+#endif
+
+/* What changes from step to step; correction = 1/sqrt(1 - beta2^t). */
+typedef struct {
+    float4 betas;
+    float correction;
+    float epsilon;
+    float step;
+} Factors;
+
+/* A vector of parameters and of their moments. */
+typedef struct {
+    fv parameter;
+    fv first;
+    fv second;
+} State;
+
+static inline State load_state(__global const float *parameter, __global const float *first,
+                               __global const float *second, const size_t vector,
+                               const size_t total)
+{
+    State s;
+    s.parameter = load_lanes(parameter, vector, total);
+    s.first = load_lanes(first, vector, total);
+    s.second = load_lanes(second, vector, total);
+    return s;
+}
+
+static inline void store_state(const State *s, __global float *parameter, __global float *first,
+                               __global float *second, const size_t vector, const size_t total)
+{
+    store_lanes(s->parameter, vector, parameter, total);
+    store_lanes(s->first, vector, first, total);
+    store_lanes(s->second, vector, second, total);
+}
+
+static inline void update(State *s, const fv gradient, const Factors by)
+{
+    const fv m = s->first * by.betas.x + gradient * by.betas.y;
+    const fv v = s->second * by.betas.z + gradient * gradient * by.betas.w;
+    s->first = fabs(m) < (fv)(MIN_FIRST_MOMENT) ? (fv)(0.0f) : m;
+    s->second = v < (fv)(MIN_SECOND_MOMENT) ? (fv)(0.0f) : v;
+    const fv root = sqrt(s->second) * by.correction + by.epsilon;
+    s->parameter = s->parameter - s->first / root * by.step;
+}
+
+/* One work-item a vector of the `total` elements from `start` on; nothing happens where *stop is
+ * not 0. */
+__kernel void adam_step(__global float *parameter, __global const float *gradient,
+                        __global float *first, __global float *second, const uint start,
+                        const uint total, const float4 betas, const float correction,
+                        const float epsilon, const float step, __global const int *stop)
+{
+    const size_t vector = get_global_id(0);
+    if (vector >= vectors_in(total) || *stop != 0)
+        return;
+    parameter += start;
+    first += start;
+    second += start;
+    const Factors by = {betas, correction, epsilon, step};
+    State s = load_state(parameter, first, second, vector, total);
+    update(&s, load_lanes(gradient + start, vector, total), by);
+    store_state(&s, parameter, first, second, vector, total);
+}
+
+/* Lanes of the vector from `element` to `last` that lie in marked rows of WIDTH elements. */
+static inline iv marked_lanes(__global const int *marks, const uint element, const uint last)
+{
+    int numbers[VEC];
+    for (int lane = 0; lane < VEC; ++lane)
+        numbers[lane] = lane;
+    const iv lane = LOAD_V(0, numbers);
+    iv marked = (iv)(0);
+    for (uint row = element / WIDTH; row <= last / WIDTH; ++row) {
+        const int begin = (int)(row * WIDTH - element);
+        if (marks[row] != 0)
+            marked |= (lane >= (iv)(begin)) & (lane < (iv)(begin + WIDTH));
+    }
+    return marked;
+}
+
+/* The same for the rows that are marked; the others keep their moments too. */
+__kernel void adam_step_rows(__global float *parameter, __global const float *gradient,
+                             __global float *first, __global float *second, const uint total,
+                             const float4 betas, const float correction, const float epsilon,
+                             const float step, __global const int *stop, __global const int *marks)
+{
+    const size_t vector = get_global_id(0);
+    if (vector >= vectors_in(total) || *stop != 0)
+        return;
+    const uint element = (uint)vector * VEC, last = min(element + VEC, total) - 1;
+    int any_marked = 0;
+    for (uint row = element / WIDTH; row <= last / WIDTH; ++row)
+        any_marked |= marks[row];
+    if (any_marked == 0)
+        return;
+    const iv marked = marked_lanes(marks, element, last);
+    const Factors by = {betas, correction, epsilon, step};
+    const State old = load_state(parameter, first, second, vector, total);
+    State s = old;
+    update(&s, load_lanes(gradient, vector, total), by);
+    s.parameter = marked ? s.parameter : old.parameter;
+    s.first = marked ? s.first : old.first;
+    s.second = marked ? s.second : old.second;
+    store_state(&s, parameter, first, second, vector, total);
+}
+
+#define ELEMENTS_PER_ITEM 256
+#define SIGN_OFF 0x7fffffff
+#define INFINITE 0x7f800000
+
+/* Sets a bit of *stop where an element of `values` is infinite or NaN. */
+__kernel void adam_check(__global const float *values, const uint total, __global int *stop)
+{
+    const size_t first = get_global_id(0) * ELEMENTS_PER_ITEM;
+    int largest = 0;
+    for (size_t i = first; i < first + ELEMENTS_PER_ITEM && i < total; ++i) {
+        const int size = as_int(values[i]) & SIGN_OFF;
+        largest = size > largest ? size : largest;
+    }
+    if (largest >= INFINITE)
+        atomic_or(stop, NOT_FINITE);
+}
+
+/* One work-item a row of WIDTH elements: 1 where one is not zero, else 0; and as adam_check. */
+__kernel void adam_mark(__global const float *values, const uint rows, __global int *stop,
+                        __global int *marks)
+{
+    const size_t row = get_global_id(0);
+    if (row >= rows)
+        return;
+    int largest = 0;
+    for (size_t i = 0; i < WIDTH; ++i) {
+        const int size = as_int(values[row * WIDTH + i]) & SIGN_OFF;
+        largest = size > largest ? size : largest;
+    }
+    marks[row] = largest != 0;
+    if (largest >= INFINITE)
+        atomic_or(stop, NOT_FINITE);
+}

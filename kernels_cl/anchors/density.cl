@@ -1,0 +1,68 @@
+/* Statistics that decide where anchors grow and which are pruned. Every anchor and every slot
+ * appears at most once in a view: plain additions, no atomics. Nothing happens unless *stop is 0.
+ */
+#include "common/items.h"
+#include "common/prefetch.h"
+#include "common/real.h"
+
+#ifndef K_OFFSETS
+#define K_OFFSETS 10
+#endif
+
+/* Gaussians of a work-item: a CPU fetches their places together. */
+#ifndef SHARE
+#define SHARE 1
+#endif
+
+/* One work-item a visible anchor: the sum of its positive opacities, and one visit. An entry -1 of
+ * visible is no anchor. */
+__kernel void density_visit(__global const float *output, __global const int *visible,
+                            const int count, const int padded, __global const int *stop,
+                            __global float *opacity_sum, __global int *visits)
+{
+    const size_t v = get_global_id(0);
+    if (v >= (size_t)count || visible[v] < 0 || *stop != 0)
+        return;
+    float sum = 0.0f;
+    for (size_t j = 0; j < K_OFFSETS; ++j) {
+        const float opacity = output[j * (size_t)padded + v];
+        sum += opacity > 0.0f ? opacity : 0.0f;
+    }
+    opacity_sum[visible[v]] += sum;
+    visits[visible[v]] += 1;
+}
+
+/* Where the sums of Gaussian n are; -1 where it is not drawn. Padding, of slot -1, never is. */
+static inline int place_of(__global const int *visible, __global const int *slot,
+                           __global const float *extent, const size_t n)
+{
+    if (!(extent[2 * n] > 0.0f))
+        return -1;
+    return visible[slot[n] / K_OFFSETS] * K_OFFSETS + slot[n] % K_OFFSETS;
+}
+
+/* One work-item SHARE Gaussians: the norms of their screen gradients in NDC units, where they are
+ * drawn. */
+__kernel void density_gradient(__global const int *visible, __global const int *slot,
+                               __global const float *extent, __global const float *d_mean2d,
+                               const int count, const float2 half_size, __global const int *stop,
+                               __global float *gradient_sum, __global int *gradient_count)
+{
+    const size_t first = item_from_middle() * SHARE;
+    if (first >= (size_t)count || *stop != 0)
+        return;
+    int place[SHARE];
+    const size_t size = min((size_t)count - first, (size_t)SHARE);
+    for (size_t i = 0; i < size; ++i) {
+        place[i] = place_of(visible, slot, extent, first + i);
+        PREFETCH_WRITE(gradient_sum + max(place[i], 0));
+        PREFETCH_WRITE(gradient_count + max(place[i], 0));
+    }
+    for (size_t i = 0; i < size; ++i) {
+        if (place[i] < 0)
+            continue;
+        const float2 gradient = vload2(first + i, d_mean2d) * half_size;
+        gradient_sum[place[i]] += sqrt(fma(gradient.x, gradient.x, gradient.y * gradient.y));
+        gradient_count[place[i]] += 1;
+    }
+}

@@ -1,0 +1,61 @@
+/* Rounding to integers, half to even, and back. One work-item a vector of lanes. */
+#include "common/lanes.h"
+#include "common/real.h"
+
+#if VEC == 1
+#define TO_IV_SAT convert_int_sat_rte
+#else
+#define TO_IV_SAT CLGS_CAT(CLGS_CAT(convert_int, VEC), _sat_rte)
+#endif
+
+/* n / q, correctly rounded also where a device's own division is not. */
+static inline fv divided(const fv n, const fv q)
+{
+    const fv quotient = n / q;
+    const fv rest = fma(-quotient, q, n);
+    const fv corrected = fma(rest, (fv)(1.0f) / q, quotient);
+    /* keeps -0, and an infinite n, whose rest is NaN */
+    return fabs(rest) > (fv)(0.0f) ? corrected : quotient;
+}
+
+/* rint(x q) / q. */
+__kernel void quantize_forward(__global const float *x, const uint total, const float q,
+                               __global float *rounded)
+{
+    const size_t vector = get_global_id(0);
+    if (vector >= vectors_in(total))
+        return;
+    const fv n = rint(load_lanes(x, vector, total) * q);
+    store_lanes(divided(n, (fv)(q)), vector, rounded, total);
+}
+
+/* The same with a q for each element, and 0 instead of -0: integers do not keep that sign. */
+__kernel void quantize_elements(__global const float *x, __global const float *q, const uint total,
+                                __global float *rounded)
+{
+    const size_t vector = get_global_id(0);
+    if (vector >= vectors_in(total))
+        return;
+    const fv scale = load_lanes(q, vector, total);
+    const fv n = rint(load_lanes(x, vector, total) * scale);
+    const fv result = n == (fv)(0.0f) ? (fv)(0.0f) : divided(n, scale);
+    store_lanes(result, vector, rounded, total);
+}
+
+/* rint(x q); values beyond int32 saturate, NaN gives 0. */
+__kernel void quantize_integers(__global const float *x, const uint total, const float q,
+                                __global int *integers)
+{
+    const size_t vector = get_global_id(0);
+    if (vector >= vectors_in(total))
+        return;
+    const iv n = TO_IV_SAT(load_lanes(x, vector, total) * q);
+    if ((vector + 1) * VEC <= total) {
+        STORE_V(n, vector, integers);
+        return;
+    }
+    int lanes[VEC];
+    STORE_V(n, 0, lanes);
+    for (size_t lane = 0; lane < VEC && vector * VEC + lane < total; ++lane)
+        integers[vector * VEC + lane] = lanes[lane];
+}

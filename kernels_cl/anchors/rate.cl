@@ -1,0 +1,103 @@
+/* The rate proxy's passes over an attribute. Everything that a channel's Laplace model needs of its
+ * symbols n = rint(x q) are sums of integers: the sum itself, and about the centre m = rint(mean),
+ * with k = n - m, the counts below and above, and the sums of |k| and k^2. The op turns them into
+ * bits in float64 and into a gradient that is piecewise linear in k. No transcendental function
+ * is needed here, and no sum loses a digit while it stays below 2^24.
+ *
+ * Arrays are read flat, VEC lanes at a time. The channel of a lane repeats every `period` vectors
+ * (VEC rows), so every table is given for VEC * period elements, channel fastest.
+ */
+#include "common/lanes.h"
+#include "common/real.h"
+
+#define VECTORS_PER_BLOCK 256
+
+static inline fv symbols(__global const float *x, size_t vector, size_t total, float q)
+{
+    return rint(load_lanes(x, vector, total) * q);
+}
+
+/* 1 for lanes before `total`, else 0. */
+static inline fv valid_lanes(size_t vector, size_t total)
+{
+    if ((vector + 1) * VEC <= total)
+        return (fv)(1.0f);
+    float lanes[VEC];
+    for (size_t lane = 0; lane < VEC; ++lane)
+        lanes[lane] = vector * VEC + lane < total ? 1.0f : 0.0f;
+    return LOAD_V(0, lanes);
+}
+
+/* One work-item a column of the period and block: sums[block][column] of the symbols. */
+__kernel void rate_total(__global const float *x, const uint total, const float q,
+                         const uint period, const uint blocks, __global float *sums)
+{
+    const size_t column = get_global_id(0) % period, block = get_global_id(0) / period;
+    if (block >= blocks)
+        return;
+    fv sum = (fv)(0.0f);
+    for (size_t i = block * VECTORS_PER_BLOCK; i < (block + 1) * VECTORS_PER_BLOCK; ++i) {
+        const size_t vector = i * period + column;
+        if (vector * VEC >= total)
+            break;
+        sum += symbols(x, vector, total, q);
+    }
+    STORE_V(sum, block * period + column, sums);
+}
+
+/* As rate_total, five statistics of k = n - centre, one plane each: the counts of [0] low <= k < 0,
+ * [1] 0 < k <= high and [2] k outside of [low, high], the sums of [3] |k| inside and [4] all k^2.
+ * limits: low and high, each a table. */
+__kernel void rate_statistics(__global const float *x, const uint total, const float q,
+                              const uint period, const uint blocks, __global const float *centre,
+                              __global const float *limits, __global float *sums)
+{
+    const size_t column = get_global_id(0) % period, block = get_global_id(0) / period;
+    if (block >= blocks)
+        return;
+    const fv middle = LOAD_V(column, centre);
+    const fv low = LOAD_V(column, limits), high = LOAD_V(period + column, limits);
+    const fv zero = (fv)(0.0f), one = (fv)(1.0f);
+    fv below = zero, above = zero, outside = zero, distance = zero, square = zero;
+    for (size_t i = block * VECTORS_PER_BLOCK; i < (block + 1) * VECTORS_PER_BLOCK; ++i) {
+        const size_t vector = i * period + column;
+        if (vector * VEC >= total)
+            break;
+        const fv valid = valid_lanes(vector, total);
+        const fv k = (symbols(x, vector, total, q) - middle) * valid;
+        const fv is_below = k < zero ? one : zero, is_above = k > zero ? one : zero;
+        const fv is_outside = k < low ? one : k > high ? one : zero;
+        below = fma(is_below, one - is_outside, below);
+        above = fma(is_above, one - is_outside, above);
+        outside += is_outside;
+        distance = fma(fabs(k), one - is_outside, distance);
+        square = fma(k, k, square);
+    }
+    const size_t at = block * period + column, plane = (size_t)blocks * period;
+    STORE_V(below, at, sums);
+    STORE_V(above, plane + at, sums);
+    STORE_V(outside, 2 * plane + at, sums);
+    STORE_V(distance, 3 * plane + at, sums);
+    STORE_V(square, 4 * plane + at, sums);
+}
+
+/* d_x += slope k + (value of k's side), one work-item a vector. tables: [0] centre, [1] low,
+ * [2] high, [3] slope, and the values [4] below, [5] at the centre, [6] above, [7] outside of
+ * [low, high]. */
+__kernel void rate_backward(__global const float *x, const uint total, const float q,
+                            const uint period, __global const float *tables, __global float *d_x)
+{
+    const size_t vector = get_global_id(0);
+    if (vector >= vectors_in(total))
+        return;
+    const size_t column = vector % period, step = period;
+    const fv k = symbols(x, vector, total, q) - LOAD_V(column, tables);
+    fv value = k<(fv)(0.0f) ? LOAD_V(4 * step + column, tables) : k>(fv)(0.0f)
+                   ? LOAD_V(6 * step + column, tables)
+                   : LOAD_V(5 * step + column, tables);
+    const fv outside = LOAD_V(7 * step + column, tables);
+    value = k < LOAD_V(step + column, tables) ? outside : value;
+    value = k > LOAD_V(2 * step + column, tables) ? outside : value;
+    const fv slope = LOAD_V(3 * step + column, tables);
+    store_lanes(load_lanes(d_x, vector, total) + fma(k, slope, value), vector, d_x, total);
+}

@@ -1,0 +1,18 @@
+/* The moments that an entry of a tile list leaves in the backward pass: sums over the pixels of the
+ * tile, with v = alpha dL/d(alpha) and w = alpha T. They are written as one row per entry. */
+#ifndef CLGS_MOMENTS_H
+#define CLGS_MOMENTS_H
+
+#include "common/real.h"
+
+#define ROW_SIZE 16 /* floats of a row */
+#define ROW_USED 9  /* in the order of Moments */
+
+typedef struct {
+    fv y1, y2;           /* v y1, v y2 */
+    fv y11, y12, y22;    /* v y1^2, v y1 y2, v y2^2 */
+    fv red, green, blue; /* w dL/d(red of the image), ... */
+    fv alpha;            /* v */
+} Moments;
+
+#endif

@@ -1,0 +1,104 @@
+/* Records for the blending: one per Gaussian, then copies in the order of the tile lists, so that
+ * the blending reads a stream.
+ *
+ * blend_prepare: a work-item makes the records of VEC Gaussians; launch size: at least
+ * Gaussians / VEC, in work-groups of any size. blend_gather: a work-group copies the records of one
+ * tile, its work-items every get_local_size-th; launch size: tiles * (1 on a CPU, TILE_SIZE^2 on a
+ * GPU). No local memory. */
+#include "blend/record.h"
+#include "blend/units.h"
+#include "common/ellipses.h"
+#include "common/items.h"
+#include "common/prefetch.h"
+#include "common/real.h"
+#include "common/rows.h"
+#include "common/tile_size.h"
+
+#ifndef SKIP_UNITS
+#define SKIP_UNITS 1 /* see Skips in clgs/options.py */
+#endif
+
+#define RECORDS_AHEAD 16
+
+DEFINE_STORE_ROWS(store_rows16, 16)
+
+static inline fv clamp_color(const fv value)
+{
+    const fv raised = value < (fv)(-COLOR_LIMIT) ? (fv)(-COLOR_LIMIT) : value;
+    return raised > (fv)(COLOR_LIMIT) ? (fv)(COLOR_LIMIT) : raised;
+}
+
+/* Record of every Gaussian; one with a NaN touches nothing. */
+__kernel void blend_prepare(__global const float *mean2d, __global const float *whitening,
+                            __global const float *color, __global const float *opacity,
+                            const int count, __global float *prepared)
+{
+    const int first = (int)item_from_middle() * VEC;
+    if (first >= count)
+        return;
+    const size_t used = (size_t)min(VEC, count - first);
+    const Ellipses e = load_ellipses(mean2d, whitening, opacity, (size_t)first, used);
+    fv rgb[3];
+    load_rows3(color, (size_t)first, used, rgb);
+    const fv zero = (fv)(0.0f);
+    const fv red = clamp_color(rgb[0]), green = clamp_color(rgb[1]), blue = clamp_color(rgb[2]);
+    const iv valid = red + green + blue <= (fv)(3.0f * COLOR_LIMIT);
+    const fv record[RECORD_SIZE] = {e.x,
+                                    e.y,
+                                    e.r1,
+                                    e.l,
+                                    e.r2,
+                                    valid ? e.bias : (fv)(-INFINITY),
+                                    valid ? red : zero,
+                                    valid ? green : zero,
+                                    valid ? blue : zero,
+                                    e.slope,
+                                    e.squared,
+                                    e.shrink,
+                                    zero,
+                                    zero,
+                                    zero,
+                                    zero};
+    store_rows16(record, prepared, (size_t)first, used);
+}
+
+/* Units that a Gaussian may touch in the tile at (x, y). */
+static inline uint record_units(__global const float *prepared, int x, int y)
+{
+#if VEC == 1
+    (void)prepared, (void)x, (void)y;
+    return 1u;
+#elif !SKIP_UNITS
+    (void)prepared, (void)x, (void)y;
+    return ALL_UNITS;
+#else
+    __global const float *ellipse = prepared + RECORD_ELLIPSE;
+    return units_of((float2)(prepared[0] - (float)x, prepared[1] - (float)y), ellipse[0],
+                    ellipse[1], ellipse[2]);
+#endif
+}
+
+/* Records of the entries of every tile, from those of their Gaussians. */
+__kernel void blend_gather(__global const float *prepared, __global const int *gaussian,
+                           __global const int *row, __global const int *tile_range, const int width,
+                           __global float *records)
+{
+    const int tile = (int)get_group_id(0);
+    const int columns = tiles_across(width);
+    const int x = tile % columns * TILE_SIZE, y = tile / columns * TILE_SIZE;
+    const int begin = tile_range[tile] + (int)get_local_id(0), end = tile_range[tile + 1];
+    const int step = (int)get_local_size(0);
+    /* two loops: in a short one, more of the scattered reads are under way at the same time */
+    for (int k = begin; k < end; k += step) {
+        __global const float *own = prepared + RECORD_SIZE * (size_t)gaussian[k];
+        __global float *record = records + RECORD_SIZE * (size_t)k;
+        PREFETCH(prepared + RECORD_SIZE * (size_t)gaussian[min(k + RECORDS_AHEAD, end - 1)]);
+        vstore8(vload8(0, own), 0, record);
+        vstore4(vload4(2, own), 2, record);
+    }
+    for (int k = begin; k < end; k += step) {
+        __global float *record = records + RECORD_SIZE * (size_t)k;
+        record[RECORD_UNITS] = as_float(record_units(record, x, y));
+        record[RECORD_ROW] = as_float(row[k]);
+    }
+}

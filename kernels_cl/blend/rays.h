@@ -1,0 +1,50 @@
+/* Blending taken apart again, back to front: one record over VEC pixels. */
+#ifndef CLGS_RAYS_H
+#define CLGS_RAYS_H
+
+#include "blend/moments.h"
+#include "blend/record.h"
+#include "blend/touch.h"
+#include "common/real.h"
+
+#ifndef SKIP_CONTRIBUTORS
+#define SKIP_CONTRIBUTORS 1 /* see Skips in clgs/options.py */
+#endif
+
+/* VEC pixels on the way back to front. */
+typedef struct {
+    fv transmittance; /* after the records that are still to come */
+    fv behind;        /* colour after them per transmittance, dotted with d_image */
+    fv d_red, d_green, d_blue;
+    iv last; /* entries of the list that these pixels saw in the forward pass */
+} Rays;
+
+/* Takes a record off pixels and adds its gradients to m; `number` counts list entries from 1.
+ * Returns which pixels had it. */
+static inline iv blend_back(Rays *p, const Record *record, const Touch *t, int number, Moments *m)
+{
+    const iv blends = t->touched & ((iv)(number) <= p->last);
+    const fv alpha = blends ? t->alpha : (fv)(0.0f);
+    p->transmittance = p->transmittance / (1.0f - alpha);
+    const fv weight = alpha * p->transmittance;
+    const fv color = fma(p->d_red, (fv)(record->red),
+                         fma(p->d_green, (fv)(record->green), p->d_blue * record->blue));
+    const fv change = color - p->behind;
+    p->behind = fma(alpha, change, p->behind);
+    const fv v = t->saturated ? (fv)(0.0f) : weight * change;
+    /* an untouched pixel may hold anything, even infinity */
+    const fv y1 = blends ? t->y1 : (fv)(0.0f), y2 = blends ? t->y2 : (fv)(0.0f);
+    const fv v1 = v * y1, v2 = v * y2;
+    m->y1 += v1;
+    m->y2 += v2;
+    m->y11 = fma(v1, y1, m->y11);
+    m->y12 = fma(v1, y2, m->y12);
+    m->y22 = fma(v2, y2, m->y22);
+    m->red = fma(weight, p->d_red, m->red);
+    m->green = fma(weight, p->d_green, m->green);
+    m->blue = fma(weight, p->d_blue, m->blue);
+    m->alpha += v;
+    return blends;
+}
+
+#endif

@@ -1,0 +1,115 @@
+/* Flat arrays by lane vectors, with their last, partial vector. */
+#ifndef CLGS_LANES_H
+#define CLGS_LANES_H
+
+#include "common/real.h"
+
+/* Vector number `vector` of an array whose address is a multiple of a vector's size: compilers for
+ * CPUs that do not know this load two halves. */
+#define LOAD_ALIGNED(vector, pointer) (((__global const fv *)(pointer))[vector])
+#define STORE_ALIGNED(value, vector, pointer) (((__global fv *)(pointer))[vector] = (value))
+
+/* Number k of each of VEC rows, one row per lane. */
+#if VEC == 1
+#define GATHER_V(rows, k) ((rows)[0][k])
+#elif VEC == 16
+#define GATHER_V(rows, k) ((fv)(GATHER_8(rows, k), GATHER_8((rows) + 8, k)))
+#elif VEC == 8
+#define GATHER_V(rows, k) GATHER_8(rows, k)
+#else
+#define GATHER_V(rows, k) GATHER_4(rows, k)
+#endif
+#define GATHER_8(rows, k) ((float8)(GATHER_4(rows, k), GATHER_4((rows) + 4, k)))
+#define GATHER_4(rows, k) ((float4)((rows)[0][k], (rows)[1][k], (rows)[2][k], (rows)[3][k]))
+
+/* Vectors that hold an array of `total` floats. */
+static inline size_t vectors_in(size_t total)
+{
+    return (total + VEC - 1) / VEC;
+}
+
+/* Vector number `vector` of `values`; lanes at or past `total` are zero. */
+static inline fv load_lanes(__global const float *values, size_t vector, size_t total)
+{
+    if ((vector + 1) * VEC <= total)
+        return LOAD_V(vector, values);
+    float lanes[VEC];
+    for (size_t lane = 0; lane < VEC; ++lane)
+        lanes[lane] = vector * VEC + lane < total ? values[vector * VEC + lane] : 0.0f;
+    return LOAD_V(0, lanes);
+}
+
+/* The mirror of load_lanes; lanes at or past `total` are not written. */
+static inline void store_lanes(fv value, size_t vector, __global float *values, size_t total)
+{
+    if ((vector + 1) * VEC <= total) {
+        STORE_V(value, vector, values);
+        return;
+    }
+    float lanes[VEC];
+    STORE_V(value, 0, lanes);
+    for (size_t lane = 0; lane < VEC && vector * VEC + lane < total; ++lane)
+        values[vector * VEC + lane] = lanes[lane];
+}
+
+#if VEC == 1
+static inline float lane_sum(fv value)
+{
+    return value;
+}
+
+static inline float4 lane_sums(fv a, fv b, fv c, fv d)
+{
+    return (float4)(a, b, c, d);
+}
+#else
+/* The first steps of the sums of the lanes of a and of b: four numbers each. */
+static inline float8 halves(const fv a, const fv b)
+{
+#if VEC == 16
+    const float8 c = a.lo + a.hi, d = b.lo + b.hi;
+    return (float8)(c.lo, d.lo) + (float8)(c.hi, d.hi);
+#elif VEC == 8
+    return (float8)(a.lo, b.lo) + (float8)(a.hi, b.hi);
+#else
+    return (float8)(a, b);
+#endif
+}
+
+/* Sum of the lanes, by halves. */
+static inline float lane_sum(fv value)
+{
+#if VEC == 16
+    const float8 eight = value.lo + value.hi;
+    const float4 four = eight.lo + eight.hi;
+#elif VEC == 8
+    const float4 four = value.lo + value.hi;
+#else
+    const float4 four = value;
+#endif
+    const float2 two = four.lo + four.hi;
+    return two.x + two.y;
+}
+
+/* Sums of the lanes of four vectors. */
+static inline float4 lane_sums(fv a, fv b, fv c, fv d)
+{
+    const float8 ac = halves(a, c), bd = halves(b, d);
+    const float8 two =
+        (float8)(ac.s01, bd.s01, ac.s45, bd.s45) + (float8)(ac.s23, bd.s23, ac.s67, bd.s67);
+    return two.even + two.odd;
+}
+#endif
+
+/* Smallest lane that is not NaN, by halves. */
+static inline float lane_min(fv value)
+{
+    float lanes[VEC];
+    STORE_V(value, 0, lanes);
+    for (int reach = VEC / 2; reach > 0; reach /= 2)
+        for (int lane = 0; lane < reach; ++lane)
+            lanes[lane] = lanes[lane + reach] < lanes[lane] ? lanes[lane + reach] : lanes[lane];
+    return lanes[0];
+}
+
+#endif

@@ -1,0 +1,15 @@
+/* Tiles of the rasteriser: squares of TILE_SIZE pixels, row-major. */
+#ifndef CLGS_TILE_SIZE_H
+#define CLGS_TILE_SIZE_H
+
+#ifndef TILE_SIZE
+#define TILE_SIZE 16
+#endif
+
+/* Tiles that cover `pixels` pixels along one axis. */
+static inline int tiles_across(const int pixels)
+{
+    return (pixels + TILE_SIZE - 1) / TILE_SIZE;
+}
+
+#endif

@@ -1,0 +1,276 @@
+/* Neural Gaussians: the slots of the visible anchors whose opacity is positive, and the way back.
+ *
+ * Work-item: VEC visible anchors, counted from the middle of the view on, with all their slots. The
+ *     drawn slots are gathered one after the other, and arithmetic goes by lanes over them.
+ *     neural_pad: a Gaussian; neural_backward_position: a visible anchor.
+ * Work-group: any; no local memory.
+ * Launch: a work-item per VEC visible anchors, in neural_backward per VEC columns of output.
+ *
+ * output is feature-major, (11 K, padded): K opacities, 3 K colors, 7 K covariance numbers. Outputs
+ * of slots that are not drawn may hold anything. An entry -1 of visible is no anchor, and Gaussians
+ * from number `capacity` on are left out.
+ */
+#include "common/items.h"
+#include "common/method.h"
+#include "common/prefetch.h"
+#include "common/real.h"
+#include "common/rows.h"
+#include "gaussian/drawn_slots.h"
+#include "gaussian/output_rows.h"
+#include "gaussian/shapes.h"
+#include "gaussian/visible_anchors.h"
+
+/* Which opacities of each visible anchor are positive, one per bit, and how many. NaN is not
+ * positive. */
+__kernel void neural_count(__global const float *output, __global const int *visible,
+                           const int count, const int padded, __global int *drawn,
+                           __global int *counts)
+{
+    const size_t v = item_from_middle() * VEC;
+    if (v >= (size_t)count)
+        return;
+    iv bits = (iv)(0);
+    for (int j = 0; j < K_OFFSETS; ++j) {
+        const fv opacity = LOAD_V(0, output + (size_t)j * (size_t)padded + v);
+        bits |= opacity > (fv)(0.0f) ? (iv)(1 << j) : (iv)(0);
+    }
+    int lanes[VEC];
+    STORE_V(bits, 0, lanes);
+    for (size_t lane = 0; lane < VEC && v + lane < (size_t)count; ++lane) {
+        const int positive = visible[v + lane] >= 0 ? lanes[lane] : 0;
+        drawn[v + lane] = positive;
+        counts[v + lane] = popcount(positive);
+    }
+}
+
+/* Arrays of all Gaussians. slot: number of the visible anchor times K, plus that of the slot. */
+typedef struct {
+    __global float *mean;
+    __global float *scale;
+    __global float *rotation;
+    __global float *color;
+    __global float *opacity;
+    __global int *slot;
+} Gaussians;
+
+/* Writes the Gaussians of the drawn slots, at least one, of the visible anchors from v on. */
+static inline void write_gaussians(const VisibleAnchors *anchors, const DrawnSlots *drawn,
+                                   const size_t v, const OutputRows *rows, const Gaussians *out)
+{
+    const AnchorLanes a = load_anchors(anchors->visible, anchors->scaling, v, anchors->count);
+    Shapes shapes;
+    float mean[3][SLOTS];
+    gather_shapes(&a, drawn, rows, &shapes);
+    gather_means(anchors, &a, drawn, mean);
+    for (size_t m = 0; m < drawn->count; m += VEC) {
+        const size_t n = drawn->first + m, used = min((size_t)VEC, drawn->count - m);
+        fv scale[3], rotation[4];
+        load_shapes(&shapes, m, scale, rotation);
+        store_rows3(scale, out->scale, n, used);
+        store_rows4(rotation, out->rotation, n, used);
+    }
+    for (size_t m = 0; m < drawn->count; ++m) {
+        const size_t n = drawn->first + m, j = drawn->offset[m];
+        ROW_SPACE const float *sample = rows->at + drawn->lane[m];
+#pragma unroll
+        for (int i = 0; i < 3; ++i) {
+            out->mean[3 * n + i] = mean[i][m];
+            out->color[3 * n + i] = sample[(COLOR_ROW + 3 * j + i) * rows->stride];
+        }
+        out->opacity[n] = sample[j * rows->stride];
+        out->slot[n] = (int)((v + drawn->lane[m]) * K_OFFSETS + j);
+    }
+}
+
+/* The Gaussians of visible anchor v get the numbers from first[v] on. */
+__kernel void neural_forward(__global const float *output, __global const int *visible,
+                             __global const int *first, __global const int *bits, const int count,
+                             const int padded, const int capacity, __global const float *position,
+                             __global const float *offset, __global const float *scaling,
+                             __global float *mean, __global float *scale, __global float *rotation,
+                             __global float *color, __global float *opacity, __global int *slot)
+{
+    const size_t v = item_from_middle() * VEC, stride = (size_t)padded;
+    const DrawnSlots drawn = list_drawn_slots(bits, first, v, (size_t)count, (size_t)capacity);
+    if (drawn.count == 0)
+        return;
+    const VisibleAnchors anchors = {visible, (size_t)count, position, offset, scaling};
+    const Gaussians gaussians = {mean, scale, rotation, color, opacity, slot};
+    prefetch_anchors(&anchors, v, VEC);
+    DECLARE_OUTPUT_ROWS(rows, output, stride, v, drawn.slots, 0);
+    write_gaussians(&anchors, &drawn, v, &rows, &gaussians);
+}
+
+/* Gaussians after the last one get zeros, and the slot -1. */
+__kernel void neural_pad(__global const long *total, const int capacity, __global float *mean,
+                         __global float *scale, __global float *rotation, __global float *color,
+                         __global float *opacity, __global int *slot)
+{
+    const size_t n = get_global_id(0);
+    if (n >= (size_t)capacity || (long)n < *total)
+        return;
+    vstore3((float3)(0.0f), n, mean);
+    vstore3((float3)(0.0f), n, scale);
+    vstore4((float4)(0.0f), n, rotation);
+    vstore3((float3)(0.0f), n, color);
+    opacity[n] = 0.0f;
+    slot[n] = -1;
+}
+
+/* d * x, but zero if d is zero, even if x is not finite: a bad number never leaves its anchor. */
+static inline fv times(const fv d, const fv x)
+{
+    return d == (fv)(0.0f) ? (fv)(0.0f) : d * x;
+}
+
+/* d, but zero if the log scale was clamped. */
+static inline float unclamped(const float d, const float log_scale)
+{
+    return fabs(log_scale) <= LOG_SCALE_LIMIT ? d : 0.0f;
+}
+
+/* Replaces the shapes by the gradients by them: by log size, by scale logit and by quaternion. */
+static inline void shapes_backward(const DrawnSlots *drawn, __global const float *d_scale,
+                                   __global const float *d_rotation, Shapes *shapes)
+{
+    for (size_t m = 0; m < drawn->count; m += VEC) {
+        const size_t used = min((size_t)VEC, drawn->count - m);
+        fv d_size[3], d_unit[4], unit[4], along = (fv)(0.0f);
+        load_rows3(d_scale, drawn->first + m, used, d_size);
+        load_rows4(d_rotation, drawn->first + m, used, d_unit);
+        for (int i = 0; i < 3; ++i) {
+            const fv fraction = sigmoid_v(LOAD_V(0, shapes->logit[i] + m));
+            const fv d_log = times(d_size[i], LOAD_V(0, shapes->size[i] + m) * fraction);
+            STORE_V(d_log, 0, shapes->size[i] + m);
+            STORE_V(times(d_log, 1.0f - fraction), 0, shapes->logit[i] + m);
+        }
+        for (int i = 0; i < 4; ++i)
+            unit[i] = LOAD_V(0, shapes->quaternion[i] + m);
+        /* for n = q / |q|: the part of dL/dn across n, by the length */
+        const fv on_length = make_unit(unit);
+        for (int i = 0; i < 4; ++i)
+            along = fma(d_unit[i], unit[i], along);
+        for (int i = 0; i < 4; ++i)
+            STORE_V((d_unit[i] - along * unit[i]) * on_length, 0, shapes->quaternion[i] + m);
+    }
+}
+
+/* Writes VEC columns of d_output, but only rows of slots that some anchor draws: gradients by the
+ * outputs of drawn slots, zeros for the others. */
+static inline void write_output(const DrawnSlots *drawn, const Shapes *shapes,
+                                __global const float *d_color, __global const float *d_opacity,
+                                const size_t stride, __global float *d_output)
+{
+    float rows[OUTPUT_ROWS * VEC];
+    for (size_t j = 0; j < K_OFFSETS; ++j)
+        for (size_t i = 0; (drawn->slots >> j & 1) && i < SLOT_ROWS; ++i)
+            STORE_V((fv)(0.0f), slot_row(j, i), rows);
+    for (size_t m = 0; m < drawn->count; ++m) {
+        const size_t n = drawn->first + m, j = drawn->offset[m];
+        float *sample = rows + drawn->lane[m];
+        float *covariance = sample + (COVARIANCE_ROW + 7 * j) * VEC;
+#pragma unroll
+        for (int i = 0; i < 3; ++i) {
+            sample[(COLOR_ROW + 3 * j + i) * VEC] = d_color[3 * n + i];
+            covariance[i * VEC] = shapes->logit[i][m];
+        }
+#pragma unroll
+        for (int i = 0; i < 4; ++i)
+            covariance[(3 + i) * VEC] = shapes->quaternion[i][m];
+        sample[j * VEC] = d_opacity[n];
+    }
+    for (size_t j = 0; j < K_OFFSETS; ++j) {
+        for (size_t i = 0; (drawn->slots >> j & 1) && i < SLOT_ROWS; ++i) {
+            const size_t row = slot_row(j, i);
+            PREFETCH_WRITE(d_output + row * stride + LINE);
+            STORE_V(LOAD_V(row, rows), 0, d_output + row * stride);
+        }
+    }
+}
+
+/* Writes d_offset of the drawn slots, and d_scaling of the anchors: sums over their slots. */
+static inline void write_anchors(const AnchorLanes *a, const DrawnSlots *drawn,
+                                 const Shapes *shapes, __global const float *d_mean,
+                                 __global const float *offset, __global float *d_offset,
+                                 __global float *d_scaling)
+{
+    float reach[3][VEC], sum[6][VEC];
+    for (int i = 0; i < 3; ++i)
+        STORE_V(exp_log_scale(a->log_scale[i]), 0, reach[i]);
+    for (int i = 0; i < 6; ++i)
+        STORE_V((fv)(0.0f), 0, sum[i]);
+    for (size_t m = 0; m < drawn->count; ++m) {
+        const size_t lane = drawn->lane[m], n = drawn->first + m;
+        const size_t step = 3 * ((size_t)a->anchor[lane] * K_OFFSETS + drawn->offset[m]);
+#pragma unroll
+        for (int i = 0; i < 3; ++i) {
+            const float d = d_mean[3 * n + i], d_step = d == 0.0f ? 0.0f : d * reach[i][lane];
+            d_offset[step + i] = d_step;
+            sum[i][lane] += d_step == 0.0f ? 0.0f : d_step * offset[step + i];
+            sum[3 + i][lane] += shapes->size[i][m];
+        }
+    }
+    for (size_t lane = 0; lane < VEC; ++lane)
+        for (int i = 0; i < 6 && a->anchor[lane] >= 0; ++i)
+            d_scaling[6 * (size_t)a->anchor[lane] + i] =
+                unclamped(sum[i][lane], a->log_scale[i][lane]);
+}
+
+/* Prefetches what write_anchors reads and writes of the VEC anchors from v on. */
+static inline void prefetch_gradients(__global const int *visible, const size_t v,
+                                      const size_t count, __global const float *offset,
+                                      __global const float *scaling, __global float *d_offset,
+                                      __global float *d_scaling)
+{
+    for (size_t lane = 0; lane < VEC && v + lane < count; ++lane) {
+        const size_t anchor = (size_t)max(visible[v + lane], 0);
+        PREFETCH(scaling + 6 * anchor);
+        PREFETCH_WRITE(d_scaling + 6 * anchor);
+        for (size_t i = 0; i < 3 * K_OFFSETS; i += LINE) {
+            PREFETCH(offset + 3 * K_OFFSETS * anchor + i);
+            PREFETCH_WRITE(d_offset + 3 * K_OFFSETS * anchor + i);
+        }
+    }
+}
+
+/* d_output: (11 K, padded); rows of slots that are not drawn may stay as they were. d_offset and
+ * d_scaling are those of all anchors, zero before. */
+__kernel void neural_backward(__global const float *output, __global const int *visible,
+                              __global const int *first, __global const int *bits, const int count,
+                              const int padded, const int capacity, __global const float *offset,
+                              __global const float *scaling, __global const float *d_mean,
+                              __global const float *d_scale, __global const float *d_rotation,
+                              __global const float *d_color, __global const float *d_opacity,
+                              __global float *d_output, __global float *d_offset,
+                              __global float *d_scaling)
+{
+    const size_t v = item_from_middle() * VEC, stride = (size_t)padded;
+    const DrawnSlots drawn = list_drawn_slots(bits, first, v, (size_t)count, (size_t)capacity);
+    Shapes shapes;
+    prefetch_gradients(visible, v + VEC, (size_t)count, offset, scaling, d_offset, d_scaling);
+    if (drawn.count != 0) {
+        const AnchorLanes a = load_anchors(visible, scaling, v, (size_t)count);
+        DECLARE_OUTPUT_ROWS(rows, output, stride, v, drawn.slots, COVARIANCE_ROW);
+        gather_shapes(&a, &drawn, &rows, &shapes);
+        shapes_backward(&drawn, d_scale, d_rotation, &shapes);
+        write_anchors(&a, &drawn, &shapes, d_mean, offset, d_offset, d_scaling);
+    }
+    write_output(&drawn, &shapes, d_color, d_opacity, stride, d_output + v);
+}
+
+/* dL/d(position) of a visible anchor: the sum over its Gaussians. */
+__kernel void neural_backward_position(__global const int *visible, __global const int *first,
+                                       const int count, const int capacity,
+                                       __global const float *d_mean, __global float *d_position)
+{
+    const size_t v = get_global_id(0);
+    if (v >= (size_t)count || visible[v] < 0)
+        return;
+    const size_t end = min((size_t)first[v + 1], (size_t)capacity);
+    for (size_t i = 0; i < 3; ++i) {
+        float sum = 0.0f;
+        for (size_t n = (size_t)first[v]; n < end; ++n)
+            sum += d_mean[3 * n + i];
+        d_position[3 * (size_t)visible[v] + i] = sum;
+    }
+}

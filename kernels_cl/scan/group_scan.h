@@ -1,0 +1,26 @@
+/* Exclusive prefix sum over the work-items of one work-group (GPU form only). */
+#ifndef CLGS_GROUP_SCAN_H
+#define CLGS_GROUP_SCAN_H
+
+#define GROUP_SIZE 256 /* work-items of a work-group */
+
+/* Sum of the values of the work-items before this one; *total is the sum of all. Every work-item of
+ * the group must call it; scratch holds GROUP_SIZE numbers and is free again on return. */
+static inline long group_exclusive_scan(long value, __local long *scratch, long *total)
+{
+    const int item = (int)get_local_id(0);
+    scratch[item] = value;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int step = 1; step < GROUP_SIZE; step *= 2) {
+        const long before = item >= step ? scratch[item - step] : 0L;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        scratch[item] += before;
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    const long inclusive = scratch[item];
+    *total = scratch[GROUP_SIZE - 1];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    return inclusive - value;
+}
+
+#endif
