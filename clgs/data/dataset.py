@@ -125,17 +125,8 @@ def load_dataset(
             raise DataError(
                 f"{path}: no two photos look at the same place; check the poses and their axes"
             )
-    return Dataset(
-        train=train,
-        test=test,
-        points=points,
-        point_colors=colors,
-        transform=transform,
-        radius=radius,
-        kind=photos.kind,
-        skipped=photos.skipped,
-        downscale=downscale,
-    )
+    kind, skipped = photos.kind, photos.skipped
+    return Dataset(train, test, points, colors, transform, radius, kind, skipped, downscale)
 
 
 def composite(view: View, background: npt.ArrayLike) -> npt.NDArray[np.uint8]:
