@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from picture import Showcase, draw_showcase
 
 from clgs.errors import DataError
 from clgs.export.image import comparison, picture_names, save_png
@@ -19,6 +20,7 @@ PAGE, PICTURE = "report.html", "comparison.png"
 
 SECTIONS = {
     "META": "header",
+    "CHNK": "chunk table",
     "ANCH": "positions",
     "OFFS": "offsets",
     "FEAT": "features",
@@ -100,16 +102,24 @@ def read_curve(path: Path) -> list[tuple[int, float]]:
     return [(int(row["step"]), float(row["psnr"])) for row in rows]
 
 
-def held_out_views(out: Path, outcome: Outcome) -> list[ReportView]:
-    """Every held-out view with its strip, from the PNG files of folder ``out``."""
+@dataclass(frozen=True)
+class HeldOutView:
+    """A held-out view: its score as ``clgs eval --json`` writes it, photo and render (H, W, 3)."""
+
+    score: dict[str, Any]
+    photo: npt.NDArray[np.uint8]
+    render: npt.NDArray[np.uint8]
+
+
+def held_out_views(out: Path, outcome: Outcome) -> list[HeldOutView]:
+    """Every held-out view with its pictures, from the PNG files of folder ``out``."""
     photos = {path.name: path for path in (out / "run" / "test").glob("*/gt/*.png")}
     scores = outcome.scores["per_view"]
     views = []
     for score, name in zip(scores, picture_names([s["name"] for s in scores]), strict=True):
         if name not in photos:
             raise DataError(f"{out / 'run' / 'test'}: no photo {name}; run the demo again")
-        strip = comparison(_read(photos[name]), _read(out / "renders" / name))
-        views.append(ReportView(score["name"], score["psnr"], score["ssim"], strip))
+        views.append(HeldOutView(score, _read(photos[name]), _read(out / "renders" / name)))
     return views
 
 
@@ -123,9 +133,14 @@ def _read(path: Path) -> npt.NDArray[np.uint8]:
 def write_pages(out: Path, outcome: Outcome) -> None:
     """report.html, and comparison.png: the view of median PSNR, neither the best nor the worst."""
     views = held_out_views(out, outcome)
-    typical = sorted(views, key=lambda view: view.psnr)[len(views) // 2]
-    save_png(out / PICTURE, typical.strip)
-    write_report(out / PAGE, make_report(outcome), views)
+    typical = sorted(views, key=lambda view: float(view.score["psnr"]))[len(views) // 2]
+    show = Showcase(typical.photo, typical.render, typical.score["psnr"], outcome.sections)
+    save_png(out / PICTURE, draw_showcase(show))
+    strips = [
+        ReportView(v.score["name"], v.score["psnr"], v.score["ssim"], comparison(v.photo, v.render))
+        for v in views
+    ]
+    write_report(out / PAGE, make_report(outcome), strips)
 
 
 def make_report(outcome: Outcome) -> Report:
