@@ -136,8 +136,8 @@ def bench_accuracy(
         image, stopped, gradient = errors[accuracy]
         points.append(Point(setting.sweep, setting.label, forward, image, stopped, both, gradient))
     frame = view_forward(device, bench.scene, bench.view)
-    counts = len(subject.scene.anchors.position), len(frame.gaussians), len(frame.tiles.gaussian)
-    return SubjectFigures(subject.name, *counts, frame.size, points)
+    counts = len(subject.scene.anchors), len(frame.gaussians), len(frame.tiles.gaussian)
+    return SubjectFigures(subject.name, *counts, frame.view.size, points)
 
 
 class _Bench:

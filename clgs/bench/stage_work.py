@@ -104,19 +104,17 @@ FORMULAS: dict[str, Formula] = {
 
 def count_work(device: Device, frame: Frame, scene: DeviceScene, elements: int) -> Counts:
     """The counts of a render; blended pairs are those that the blend kernel itself reports."""
-    shape = (3, frame.size[1], frame.size[0])
-    made = blend.decisions(
-        device, frame.tiles, frame.background, frame.blended, device.zeros(shape)
-    )[0]
+    shape = (3, frame.view.size[1], frame.view.size[0])
+    made = blend.decisions(device, frame.blended, device.zeros(shape))[0]
     counts = count_frame(device, frame)
     return Counts(
-        A=len(scene.position),
+        A=len(scene.anchors),
         V=counts.visible,
         N=counts.gaussians,
         I=counts.intersections,
         B=int(made.contributed.sum()),
-        P=frame.size[0] * frame.size[1],
-        M=sum(x.size for x in (scene.offset, scene.feature, scene.scaling, scene.weights)),
+        P=frame.view.size[0] * frame.view.size[1],
+        M=sum(array.size for name, array in scene.items() if name != "position"),
         E=elements,
     )
 

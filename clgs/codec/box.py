@@ -16,7 +16,7 @@ from clgs.codec.container.source import Source
 from clgs.codec.scene_decoder import decode_chunks, decode_positions
 from clgs.codec.workers import workers
 from clgs.errors import UsageError
-from clgs.scene.anchors import QuantizedAnchors
+from clgs.scene.anchors import QuantizedAnchors, take
 from clgs.scene.scene import QuantizedScene
 
 
@@ -71,12 +71,7 @@ def _decode_chunks(reader: Reader, box: Box, pool: ThreadPoolExecutor) -> Quanti
     inside = [box.holds(_world(one.position, meta)) for one in opened]
     used = [i for i, kept in enumerate(inside) if kept.any()]
     anchors = decode_chunks(reader, [opened[i] for i in used], pool)
-    return _select(anchors, np.concatenate([np.empty(0, bool), *(inside[i] for i in used)]))
-
-
-def _select(anchors: QuantizedAnchors, kept: npt.NDArray[np.bool_]) -> QuantizedAnchors:
-    arrays = (anchors.position, anchors.offset, anchors.feature, anchors.scaling)
-    return QuantizedAnchors(*(array[kept] for array in arrays))
+    return take(anchors, np.concatenate([np.empty(0, bool), *(inside[i] for i in used)]))
 
 
 def _world(position: npt.NDArray[np.integer[Any]], meta: Meta) -> npt.NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -30,17 +30,21 @@ Factors = dict[str, float]
 def take(scene: QuantizedScene, rows: npt.NDArray[np.intp]) -> QuantizedScene:
     """The scene with the anchors ``rows`` alone, in their old order."""
     kept = np.sort(rows)
-    arrays = (getattr(scene.anchors, field.name)[kept] for field in fields(scene.anchors))
-    return replace(scene, anchors=QuantizedAnchors(*arrays))
+    return replace(scene, anchors=scene.anchors.map(lambda array: array[kept]))
 
 
 def coarsen(scene: QuantizedScene, factors: Factors) -> QuantizedScene:
     """The scene with fewer integers a unit: integers v become rint(v * factor), as Q does."""
-    arrays, scales = dict(vars(scene.anchors)), dict(vars(scene.scales))
-    for name, factor in factors.items():
-        arrays[name] = np.rint(arrays[name] * factor).astype(np.int32)
-        scales[name] *= factor
-    return replace(scene, anchors=QuantizedAnchors(**arrays), scales=type(scene.scales)(**scales))
+    integers = {
+        name: np.rint(getattr(scene.anchors, name) * factor).astype(np.int32)
+        for name, factor in factors.items()
+    }
+    scales = {name: getattr(scene.scales, name) * factor for name, factor in factors.items()}
+    return replace(
+        scene,
+        anchors=replace(scene.anchors, **integers),
+        scales=replace(scene.scales, **scales),
+    )
 
 
 def anchor_bits(anchors: QuantizedAnchors) -> npt.NDArray[np.float64]:

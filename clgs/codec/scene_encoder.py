@@ -86,7 +86,7 @@ def sort_anchors(
     order = position_coder.morton_order(anchors.position)
     if (order[1:] > order[:-1]).all():
         return anchors
-    arrays = (anchors.position, anchors.offset, anchors.feature, anchors.scaling)
+    arrays = (array for _, array in anchors.items())
     return QuantizedAnchors(*run(lambda array: array[order], arrays))
 
 

@@ -13,15 +13,18 @@ are correctly rounded.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
-from clgs.shapes import Shapes
+from clgs.shapes import Shaped, Shapes
+
+Array = TypeVar("Array", bound=Shaped)
+Other = TypeVar("Other", bound=Shaped)
 
 BETA1 = 0.9
 BETA2 = 0.999
@@ -38,11 +41,38 @@ CHECKED_PER_ITEM = 256
 
 
 @dataclass(frozen=True)
-class Moments:
+class Moments(Generic[Array]):
     """Running means of the gradient and of its square, float32, shaped like the parameter."""
 
-    first: DeviceArray
-    second: DeviceArray
+    first: Array
+    second: Array
+
+    def items(self) -> Iterator[tuple[str, Array]]:
+        """(name, array) of both."""
+        yield from (("first", self.first), ("second", self.second))
+
+    def map(self, change: Callable[[Array], Other]) -> Moments[Other]:
+        """The moments that ``change`` makes of both, for example ``device.upload``."""
+        return Moments(change(self.first), change(self.second))
+
+
+DeviceMoments = Moments[DeviceArray]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A float32 tensor of any shape, with its gradient and moments of as many elements."""
+
+    parameter: DeviceArray
+    gradient: DeviceArray
+    moments: DeviceMoments
+
+    def check(self) -> None:
+        """Raise ValueError if a size or dtype differs."""
+        for name, array in (("gradient", self.gradient), *self.moments.items()):
+            if array.size != self.parameter.size or array.dtype != np.float32:
+                wrong = f"{array.dtype}{array.shape}"
+                raise ValueError(f"{name}: {wrong} does not fit {self.parameter.shape}")
 
 
 @dataclass(frozen=True)
@@ -61,7 +91,7 @@ def factors(learning_rate: float, count: int) -> StepFactors:
     )
 
 
-def zero_moments(device: Device, parameter: DeviceArray) -> Moments:
+def zero_moments(device: Device, parameter: DeviceArray) -> DeviceMoments:
     """Moments before the first step."""
     return Moments(device.zeros(parameter.shape), device.zeros(parameter.shape))
 
@@ -102,20 +132,16 @@ def mark_rows(device: Device, gradient: DeviceArray, stop: DeviceArray) -> Devic
 
 def step(
     device: Device,
-    parameter: DeviceArray,
-    gradient: DeviceArray,
-    moments: Moments,
+    trained: Trained,
     factors_now: StepFactors,
     stop: DeviceArray,
     part: slice | None = None,
 ) -> None:
-    """Update ``parameter`` and ``moments`` in place.
+    """Update the parameter and the moments of ``trained`` in place.
 
     Args:
         device: where the arrays live.
-        parameter: float32, any shape.
-        gradient: float32, as many elements.
-        moments: float32, as many elements each.
+        trained: what to update, and its gradient.
         factors_now: from :func:`factors`.
         stop: (1,) int32; unless it holds 0 nothing changes.
         part: elements to update, counted through; default: all.
@@ -123,16 +149,16 @@ def step(
     Raises:
         ValueError: sizes or dtypes differ.
     """
-    _check(parameter, gradient, moments)
-    start, end, _ = (part or slice(None)).indices(parameter.size)
+    trained.check()
+    start, end, _ = (part or slice(None)).indices(trained.parameter.size)
     device.run(
         device.kernel("adam/adam", "adam_step", **_LIMITS),
         (round_up(-(-(end - start) // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
-        parameter,
-        gradient,
-        moments.first,
-        moments.second,
+        trained.parameter,
+        trained.gradient,
+        trained.moments.first,
+        trained.moments.second,
         np.uint32(start),
         np.uint32(end - start),
         *_arguments(factors_now),
@@ -142,9 +168,7 @@ def step(
 
 def step_rows(
     device: Device,
-    parameter: DeviceArray,
-    gradient: DeviceArray,
-    moments: Moments,
+    trained: Trained,
     factors_now: StepFactors,
     stop: DeviceArray,
     marks: DeviceArray,
@@ -153,9 +177,7 @@ def step_rows(
 
     Args:
         device: where the arrays live.
-        parameter: (rows, ...) float32.
-        gradient: float32, as many elements.
-        moments: float32, as many elements each.
+        trained: as for :func:`step`, of shape (rows, ...).
         factors_now: from :func:`factors`.
         stop: (1,) int32; unless it holds 0 nothing changes.
         marks: (rows,) int32, from :func:`mark_rows`; rows with 0 keep parameter and moments.
@@ -163,7 +185,8 @@ def step_rows(
     Raises:
         ValueError, TypeError: sizes or dtypes differ.
     """
-    _check(parameter, gradient, moments)
+    trained.check()
+    parameter = trained.parameter
     Shapes(rows=len(parameter)).check("marks", marks, "rows", np.int32)
     if not parameter.size:
         return
@@ -173,9 +196,9 @@ def step_rows(
         (round_up(-(-parameter.size // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
         parameter,
-        gradient,
-        moments.first,
-        moments.second,
+        trained.gradient,
+        trained.moments.first,
+        trained.moments.second,
         np.uint32(parameter.size),
         *_arguments(factors_now),
         stop,
@@ -189,13 +212,3 @@ _LIMITS = {"MIN_FIRST_MOMENT": MIN_FIRST_MOMENT, "MIN_SECOND_MOMENT": MIN_SECOND
 def _arguments(now: StepFactors) -> tuple[Any, ...]:
     betas = np.array([BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2], np.float32)
     return betas, np.float32(now.correction), np.float32(EPSILON), np.float32(now.step)
-
-
-def _check(parameter: DeviceArray, gradient: DeviceArray, moments: Moments) -> None:
-    for name, array in (
-        ("gradient", gradient),
-        ("first moment", moments.first),
-        ("second moment", moments.second),
-    ):
-        if array.size != parameter.size or array.dtype != np.float32:
-            raise ValueError(f"{name}: {array.dtype}{array.shape} does not fit {parameter.shape}")

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from clgs.constants import TILE_SIZE
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
-from clgs.ops.project import Projected
+from clgs.ops.project import Projected, ProjectedGradients
 from clgs.ops.tiles import TileLists, tile_count
 from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
@@ -38,31 +38,20 @@ SUM_SIZE = 9
 
 @dataclass(frozen=True)
 class Blended:
-    """The picture, and what the backward pass needs of the forward one.
+    """The picture, and what it was made from.
 
     image (3, H, W) and transmittance (H, W), float32; last_contributor (H, W) int32: number of
-    entries of the pixel's list that it saw before it was finished, all where it never was; records:
-    the Gaussian of every entry, ready to blend; options: how it was made.
+    entries of the pixel's list that it saw before it was finished, all if it never was; records:
+    the Gaussian of every entry of ``tiles``, ready to blend; background (3,) float32.
     """
 
     image: DeviceArray
     transmittance: DeviceArray
     last_contributor: DeviceArray
     records: DeviceArray
+    tiles: TileLists
+    background: DeviceArray
     options: RenderOptions
-
-
-@dataclass(frozen=True)
-class BlendGradients:
-    """Gradients of the loss, float32; zero for Gaussians that touch nothing.
-
-    d_mean2d (N, 2) per pixel, d_whitening (N, 3), d_color (N, 3), d_opacity (N,).
-    """
-
-    d_mean2d: DeviceArray
-    d_whitening: DeviceArray
-    d_color: DeviceArray
-    d_opacity: DeviceArray
 
 
 @dataclass(frozen=True)
@@ -90,72 +79,54 @@ class PairCounts:
 def forward(
     device: Device,
     projected: Projected,
-    color: DeviceArray,
-    opacity: DeviceArray,
     tiles: TileLists,
     background: DeviceArray,
-    size: tuple[int, int],
     options: RenderOptions = DEFAULT,
 ) -> Blended:
     """Render an image.
 
     Args:
         device: where the arrays live.
-        projected: N Gaussians on the screen.
-        color: (N, 3) float32, clamped to +-1000; a Gaussian with a NaN is not drawn.
-        opacity: (N,) float32.
-        tiles: lists made for the same image size.
+        projected: N Gaussians on the screen; colors are clamped to +-1000, and a Gaussian with a
+            NaN is not drawn.
+        tiles: lists of these Gaussians, which know the size of the image.
         background: (3,) float32.
-        size: width and height of the image, pixels.
         options: accuracy and skips.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    width, height = _check(projected, color, opacity, tiles, background, size)
+    _check(projected, tiles, background)
+    width, height = tiles.size
     result = Blended(
         image=device.empty((3, height, width)),
         transmittance=device.empty((height, width)),
         last_contributor=device.empty((height, width), np.int32),
-        records=gather(device, projected, color, opacity, tiles, width, options),
+        records=gather(device, projected, tiles, options),
+        tiles=tiles,
+        background=background,
         options=options,
     )
     kernel = device.kernel("blend/forward", "blend_forward", **_defines(device, options))
-    device.run(kernel, *_grid(device, tiles), *_forward_arguments(result, tiles, background))
+    device.run(kernel, *_grid(device, tiles), *_forward_arguments(result))
     return result
 
 
 def backward(
-    device: Device,
-    projected: Projected,
-    color: DeviceArray,
-    opacity: DeviceArray,
-    tiles: TileLists,
-    background: DeviceArray,
-    blended: Blended,
-    d_image: DeviceArray,
-) -> BlendGradients:
-    """Gradients from that of the image, (3, H, W) float32; other arguments as in :func:`forward`.
+    device: Device, projected: Projected, blended: Blended, d_image: DeviceArray
+) -> ProjectedGradients:
+    """Gradients from that of the image, (3, H, W) float32, which :func:`forward` made.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    height, width = blended.transmittance.shape
-    _check(projected, color, opacity, tiles, background, (width, height))
-    rows = _rows(device, tiles, background, blended, d_image)
-    summed = rows, tiles.row_range
-    return _gradients(device, "blend_sum", blended.options, summed, projected, color, opacity)
+    _check(projected, blended.tiles, blended.background)
+    summed = _rows(device, blended, d_image), blended.tiles.row_range
+    return _gradients(device, "blend_sum", blended.options, summed, projected)
 
 
-def accumulate(
-    device: Device,
-    tiles: TileLists,
-    background: DeviceArray,
-    blended: Blended,
-    d_image: DeviceArray,
-    sums: DeviceArray,
-) -> None:
-    """Add what the entries of ``tiles`` contribute to the gradients to ``sums``, (N, 9) float32.
+def accumulate(device: Device, blended: Blended, d_image: DeviceArray, sums: DeviceArray) -> None:
+    """Add what the entries of ``blended`` contribute to the gradients to ``sums``, (N, 9) float32.
 
     For pictures whose lists are made in parts: the sums start as zeros, lists of later tiles follow
     those of earlier ones, then :func:`finish` makes the gradients, the bits of :func:`backward`.
@@ -163,88 +134,72 @@ def accumulate(
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    count = len(tiles.row_range) - 1
+    row_range = blended.tiles.row_range
+    count = len(row_range) - 1
     Shapes(N=count).check("sums", sums, f"N {SUM_SIZE}", np.float32)
-    rows = _rows(device, tiles, background, blended, d_image)
+    rows = _rows(device, blended, d_image)
     kernel = device.kernel("blend/sums", "blend_accumulate", **_defines(device, blended.options))
     grid = (round_up(count, GROUP_SIZE),), (GROUP_SIZE,)
-    device.run(kernel, *grid, rows, tiles.row_range, np.int32(count), sums)
+    device.run(kernel, *grid, rows, row_range, np.int32(count), sums)
 
 
 def finish(
     device: Device,
     projected: Projected,
-    color: DeviceArray,
-    opacity: DeviceArray,
     sums: DeviceArray,
     options: RenderOptions = DEFAULT,
-) -> BlendGradients:
+) -> ProjectedGradients:
     """Gradients from the sums that :func:`accumulate` made; other arguments as in :func:`forward`.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     shapes = Shapes()
-    shapes.check("opacity", opacity, "N", np.float32)
-    shapes.check("color", color, "N 3", np.float32)
+    shapes.check("opacity", projected.opacity, "N", np.float32)
+    shapes.check("color", projected.color, "N 3", np.float32)
     shapes.check("whitening", projected.whitening, "N 3", np.float32)
     shapes.check("sums", sums, f"N {SUM_SIZE}", np.float32)
-    return _gradients(device, "blend_finish", options, (sums,), projected, color, opacity)
+    return _gradients(device, "blend_finish", options, (sums,), projected)
 
 
-def _rows(
-    device: Device,
-    tiles: TileLists,
-    background: DeviceArray,
-    blended: Blended,
-    d_image: DeviceArray,
-) -> DeviceArray:
-    """One row of moments an entry."""
+def _rows(device: Device, blended: Blended, d_image: DeviceArray) -> DeviceArray:
+    """One row of moments per entry."""
     height, width = blended.transmittance.shape
     Shapes(H=height, W=width).check("d_image", d_image, "3 H W", np.float32)
-    rows = device.empty((len(tiles.gaussian), ROW_SIZE))
+    rows = device.empty((len(blended.tiles.gaussian), ROW_SIZE))
     kernel = device.kernel("blend/backward", "blend_backward", **_defines(device, blended.options))
-    arguments = _backward_arguments(blended, tiles, background, d_image)
-    device.run(kernel, *_grid(device, tiles), *arguments, rows)
+    arguments = _backward_arguments(blended, d_image)
+    device.run(kernel, *_grid(device, blended.tiles), *arguments, rows)
     return rows
 
 
 def decisions(
-    device: Device,
-    tiles: TileLists,
-    background: DeviceArray,
-    blended: Blended,
-    d_image: DeviceArray,
+    device: Device, blended: Blended, d_image: DeviceArray
 ) -> tuple[Decisions, Decisions]:
     """What the forward and what the backward kernel decide; slow, for tests.
 
     Both are compiled from the same source as ever, with EXPORT_DECISIONS.
     """
-    words = (len(tiles.gaussian), TILE_SIZE**2 // 32)
+    words = (len(blended.tiles.gaussian), TILE_SIZE**2 // 32)
+    grid = _grid(device, blended.tiles)
     found = []
-    for kernel, arguments in _passes(
-        device, tiles, background, blended, d_image, EXPORT_DECISIONS=1
-    ):
+    for kernel, arguments in _passes(device, blended, d_image, EXPORT_DECISIONS=1):
         bits = [device.zeros(words, np.uint32) for _ in range(2)]
-        device.run(kernel, *_grid(device, tiles), *arguments, *bits)
+        device.run(kernel, *grid, *arguments, *bits)
         found.append(Decisions(*(_unpack(device.download(one)) for one in bits)))
     return found[0], found[1]
 
 
 def count_pairs(
-    device: Device,
-    tiles: TileLists,
-    background: DeviceArray,
-    blended: Blended,
-    d_image: DeviceArray,
+    device: Device, blended: Blended, d_image: DeviceArray
 ) -> tuple[PairCounts, PairCounts]:
     """The work of the forward and of the backward kernel; renders once more.
 
     Both are compiled from the same source as ever, with COUNT_PAIRS.
     """
-    grid = _grid(device, tiles)
+    grid = _grid(device, blended.tiles)
     found = []
-    for kernel, arguments in _passes(device, tiles, background, blended, d_image, COUNT_PAIRS=1):
+    for kernel, arguments in _passes(device, blended, d_image, COUNT_PAIRS=1):
         pairs = device.zeros((grid[0][0], 2), np.uint64)
         device.run(kernel, *grid, *arguments, pairs)
         visited, taken = device.download(pairs).sum(axis=0, dtype=np.uint64)
@@ -253,18 +208,13 @@ def count_pairs(
 
 
 def _passes(
-    device: Device,
-    tiles: TileLists,
-    background: DeviceArray,
-    blended: Blended,
-    d_image: DeviceArray,
-    **observe: int,
+    device: Device, blended: Blended, d_image: DeviceArray, **observe: int
 ) -> Iterator[tuple[Any, tuple[DeviceArray | np.int32, ...]]]:
     """The forward and the backward kernel, built to be observed, with their usual arguments."""
     defines = {**observe, **_defines(device, blended.options)}
-    rows = device.empty((len(tiles.gaussian), ROW_SIZE))
-    forward_arguments = _forward_arguments(blended, tiles, background)
-    backward_arguments = (*_backward_arguments(blended, tiles, background, d_image), rows)
+    rows = device.empty((len(blended.tiles.gaussian), ROW_SIZE))
+    forward_arguments = _forward_arguments(blended)
+    backward_arguments = (*_backward_arguments(blended, d_image), rows)
     yield device.kernel("blend/forward", "blend_forward", **defines), forward_arguments
     yield device.kernel("blend/backward", "blend_backward", **defines), backward_arguments
 
@@ -288,14 +238,11 @@ def _grid(device: Device, tiles: TileLists) -> tuple[tuple[int], tuple[int]]:
 def gather(
     device: Device,
     projected: Projected,
-    color: DeviceArray,
-    opacity: DeviceArray,
     tiles: TileLists,
-    width: int,
     options: RenderOptions = DEFAULT,
 ) -> DeviceArray:
-    """Records of the entries of ``tiles``; ``width`` of the image, others as in :func:`forward`."""
-    count, defines = len(opacity), _defines(device, options)
+    """Records of the entries of ``tiles``; arguments as in :func:`forward`."""
+    count, defines = len(projected.opacity), _defines(device, options)
     prepared = device.empty((count, RECORD_SIZE))
     records = device.empty((len(tiles.gaussian), RECORD_SIZE))
     device.run(
@@ -304,31 +251,37 @@ def gather(
         (GROUP_SIZE,),
         projected.mean2d,
         projected.whitening,
-        color,
-        opacity,
+        projected.color,
+        projected.opacity,
         np.int32(count),
         prepared,
     )
     lists = tiles.gaussian, tiles.row, tiles.tile_range
     gather = device.kernel("blend/prepare", "blend_gather", **defines)
-    device.run(gather, *_grid(device, tiles), prepared, *lists, np.int32(width), records)
+    device.run(gather, *_grid(device, tiles), prepared, *lists, np.int32(tiles.size[0]), records)
     return records
 
 
-def _forward_arguments(
-    blended: Blended, tiles: TileLists, background: DeviceArray
-) -> tuple[DeviceArray | np.int32, ...]:
-    height, width = blended.transmittance.shape
-    read = blended.records, tiles.tile_range, background, np.int32(width), np.int32(height)
-    return *read, blended.image, blended.transmittance, blended.last_contributor
+def _forward_arguments(blended: Blended) -> tuple[DeviceArray | np.int32, ...]:
+    return *_read(blended), blended.image, blended.transmittance, blended.last_contributor
 
 
 def _backward_arguments(
-    blended: Blended, tiles: TileLists, background: DeviceArray, d_image: DeviceArray
+    blended: Blended, d_image: DeviceArray
 ) -> tuple[DeviceArray | np.int32, ...]:
+    return *_read(blended), blended.transmittance, blended.last_contributor, d_image
+
+
+def _read(blended: Blended) -> tuple[DeviceArray | np.int32, ...]:
+    """The arguments that both kernels start with."""
     height, width = blended.transmittance.shape
-    read = blended.records, tiles.tile_range, background, np.int32(width), np.int32(height)
-    return *read, blended.transmittance, blended.last_contributor, d_image
+    return (
+        blended.records,
+        blended.tiles.tile_range,
+        blended.background,
+        np.int32(width),
+        np.int32(height),
+    )
 
 
 def _gradients(
@@ -337,12 +290,10 @@ def _gradients(
     options: RenderOptions,
     summed: tuple[DeviceArray, ...],
     projected: Projected,
-    color: DeviceArray,
-    opacity: DeviceArray,
-) -> BlendGradients:
+) -> ProjectedGradients:
     """Run blend_sum or blend_finish."""
-    count = len(opacity)
-    result = BlendGradients(
+    count = len(projected.opacity)
+    result = ProjectedGradients(
         d_mean2d=device.empty((count, 2)),
         d_whitening=device.empty((count, 3)),
         d_color=device.empty((count, 3)),
@@ -355,8 +306,8 @@ def _gradients(
         *summed,
         np.int32(count),
         projected.whitening,
-        color,
-        opacity,
+        projected.color,
+        projected.opacity,
         result.d_mean2d,
         result.d_whitening,
         result.d_color,
@@ -365,24 +316,16 @@ def _gradients(
     return result
 
 
-def _check(
-    projected: Projected,
-    color: DeviceArray,
-    opacity: DeviceArray,
-    tiles: TileLists,
-    background: DeviceArray,
-    size: tuple[int, int],
-) -> tuple[int, int]:
-    shapes = Shapes(tiles_and_end=tile_count(*size) + 1)
+def _check(projected: Projected, tiles: TileLists, background: DeviceArray) -> None:
+    shapes = Shapes(tiles_and_end=tile_count(*tiles.size) + 1)
     shapes.check("mean2d", projected.mean2d, "N 2", np.float32)
     shapes.check("whitening", projected.whitening, "N 3", np.float32)
-    shapes.check("color", color, "N 3", np.float32)
-    shapes.check("opacity", opacity, "N", np.float32)
+    shapes.check("color", projected.color, "N 3", np.float32)
+    shapes.check("opacity", projected.opacity, "N", np.float32)
     shapes.check("background", background, "3", np.float32)
     shapes.check("gaussian", tiles.gaussian, "I", np.int32)
     shapes.check("row", tiles.row, "I", np.int32)
     shapes.check("tile_range", tiles.tile_range, "tiles_and_end", np.int32)
-    Shapes(rows_and_end=len(opacity) + 1).check(
+    Shapes(rows_and_end=len(projected.opacity) + 1).check(
         "row_range", tiles.row_range, "rows_and_end", np.int32
     )
-    return size

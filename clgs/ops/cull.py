@@ -20,6 +20,7 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
 from clgs.ops import scan
 from clgs.options import DEFAULT, RenderOptions
+from clgs.scene.anchors import DeviceAnchors
 from clgs.shapes import Shapes
 
 GROUP_SIZE = 64
@@ -38,8 +39,7 @@ class Visible:
 
 def forward(
     device: Device,
-    position: DeviceArray,
-    scaling: DeviceArray,
+    anchors: DeviceAnchors,
     camera: DeviceArray,
     options: RenderOptions = DEFAULT,
     capacity: int | None = None,
@@ -51,8 +51,7 @@ def forward(
 
     Args:
         device: where the arrays live.
-        position: (A, 3) float32, scene units.
-        scaling: (A, 6) float32, log of scene units.
+        anchors: of the whole scene; position and scaling are read.
         camera: (26,) float32 from ``Camera.pack``.
         options: ``smallest_anchor`` and the skip of anchors.
         capacity: V; None waits for the device to learn it.
@@ -60,15 +59,14 @@ def forward(
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    shapes = Shapes()
-    shapes.check("position", position, "A 3", np.float32)
-    shapes.check("scaling", scaling, "A 6", np.float32)
-    shapes.check("camera", camera, "26", np.float32)
-    count = len(position)
+    anchors.check(np.float32)
+    Shapes().check("camera", camera, "26", np.float32)
+    count = len(anchors)
     keep = device.empty((count,), np.int32)
     sizes = np.int32(count), np.float32(options.smallest_anchor)
     test = device.kernel("anchors/cull", "cull_test")
-    device.run(test, *_grid(-(-count // device.vec)), position, scaling, camera, *sizes, keep)
+    grid = _grid(-(-count // device.vec))
+    device.run(test, *grid, anchors.position, anchors.scaling, camera, *sizes, keep)
     offsets = scan.on_device(device, keep)
     if not options.skips.anchors:
         every = device.empty((count,), np.int32)

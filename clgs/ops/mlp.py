@@ -31,6 +31,7 @@ from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, K_OFFS
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
 from clgs.options import DEFAULT, RenderOptions
+from clgs.scene.anchors import DeviceAnchors
 from clgs.scene.mlps import MLP_SIZE
 from clgs.shapes import Shapes
 
@@ -59,6 +60,26 @@ VECTORS = {"cpu": 2, "gpu": 1}
 WEIGHT_ROWS = {"cpu": 4, "gpu": 10}
 COLUMNS = {"cpu": 3, "gpu": 2}
 """Register tile of ``kernels_cl/mlp/weight_tile.h``: rows, and inputs."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the MLPs read: the anchors, the weights, and the camera of the view.
+
+    anchors: position and feature are read; weights (13710,) float32, packed as in
+    ``clgs.scene.mlps``; camera (26,) float32 from ``Camera.pack``.
+    """
+
+    anchors: DeviceAnchors
+    weights: DeviceArray
+    camera: DeviceArray
+
+    def check(self) -> None:
+        """Raise ValueError or TypeError if an array has the wrong shape or dtype."""
+        self.anchors.check(np.float32)
+        shapes = Shapes()
+        shapes.check("weights", self.weights, str(MLP_SIZE), np.float32)
+        shapes.check("camera", self.camera, "26", np.float32)
 
 
 @dataclass(frozen=True)
@@ -97,52 +118,46 @@ def padded_size(count: int) -> int:
 
 
 def forward(
-    device: Device,
-    feature: DeviceArray,
-    position: DeviceArray,
-    visible: DeviceArray,
-    weights: DeviceArray,
-    camera: DeviceArray,
-    options: RenderOptions = DEFAULT,
+    device: Device, inputs: Inputs, visible: DeviceArray, options: RenderOptions = DEFAULT
 ) -> Activations:
     """Run the MLPs on the visible anchors.
 
     Args:
         device: where the arrays live.
-        feature: (A, F) float32.
-        position: (A, 3) float32, scene units.
+        inputs: anchors, weights and camera.
         visible: (V,) int32, anchor of each sample, each at most once; -1 at the end: no anchor.
-        weights: (13710,) float32, packed as in ``clgs.scene.mlps``.
-        camera: (26,) float32 from ``Camera.pack``.
         options: the skips ``opacity_first`` and ``slots``.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    result = opacities(device, feature, position, visible, weights, camera, options)
-    padded = result.output.shape[1]
+    result = opacities(device, inputs, visible, options)
+    anchors, padded = inputs.anchors, result.output.shape[1]
     device.run(
         device.kernel("mlp/forward", "mlp_heads", **defines(device, options)),
         *blocks(device, padded),
-        *(feature, position, result.visible, np.int32(len(visible)), weights, camera),
-        *(np.int32(padded), result.output),
+        anchors.feature,
+        anchors.position,
+        result.visible,
+        np.int32(len(visible)),
+        inputs.weights,
+        inputs.camera,
+        np.int32(padded),
+        result.output,
     )
     return result
 
 
 def opacities(
     device: Device,
-    feature: DeviceArray,
-    position: DeviceArray,
+    inputs: Inputs,
     visible: DeviceArray,
-    weights: DeviceArray,
-    camera: DeviceArray,
     options: RenderOptions,
     rows: int = OUTPUT_DIM,
 ) -> Activations:
     """As :func:`forward`, but the outputs, ``rows`` of them, hold nothing but the opacities."""
-    shapes = _check_anchors(feature, position, weights, camera)
-    shapes.check("visible", visible, "V", np.int32)
+    inputs.check()
+    Shapes().check("visible", visible, "V", np.int32)
     count = len(visible)
     padded = padded_size(count)
     result = Activations(
@@ -151,30 +166,41 @@ def opacities(
         active=device.empty((-(-padded // CHUNK),), np.int32),
         options=options,
     )
-    macros, sizes = defines(device, options), (np.int32(count), np.int32(padded))
+    macros, anchors = defines(device, options), inputs.anchors
+    size, columns = np.int32(count), np.int32(padded)
     opacity = device.empty((K_OFFSETS, padded))
     device.run(
         device.kernel("mlp/forward", "mlp_opacity", **macros),
         *blocks(device, padded),
-        *(feature, position, visible, sizes[0], weights, camera, sizes[1], opacity),
+        anchors.feature,
+        anchors.position,
+        visible,
+        size,
+        inputs.weights,
+        inputs.camera,
+        columns,
+        opacity,
     )
     width = GROUP_SIZE if device.specialisation == "gpu" else 1
     device.run(
         device.kernel("mlp/order", "mlp_order", **macros),
         (len(result.active) * width,),
         (width,),
-        *(opacity, visible, *sizes, result.output, result.visible, result.active),
+        opacity,
+        visible,
+        size,
+        columns,
+        result.output,
+        result.visible,
+        result.active,
     )
     return result
 
 
 def backward(
     device: Device,
+    inputs: Inputs,
     activations: Activations,
-    feature: DeviceArray,
-    position: DeviceArray,
-    weights: DeviceArray,
-    camera: DeviceArray,
     d_output: DeviceArray,
     want_position: bool = False,
 ) -> MlpGradients:
@@ -182,32 +208,40 @@ def backward(
 
     Args:
         device: where the arrays live.
+        inputs: as given to :func:`forward`.
         activations: what :func:`forward` returned.
-        feature: (A, F) float32, as given to :func:`forward`; likewise position, weights, camera.
-        position: (A, 3) float32.
-        weights: (13710,) float32.
-        camera: (26,) float32.
-        d_output: (110, Vp) float32, gradient by the activated outputs; where a slot is not drawn,
-            it counts as zero.
+        d_output: (110, Vp) float32, gradient by the activated outputs; that of a slot that is not
+            drawn counts as zero.
         want_position: whether to compute ``d_position`` (anchors do not move while training).
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    shapes = _check_anchors(feature, position, weights, camera)
+    inputs.check()
+    anchors, shapes = inputs.anchors, Shapes()
     shapes.check("output", activations.output, f"{OUTPUT_DIM} P", np.float32)
     shapes.check("d_output", d_output, f"{OUTPUT_DIM} P", np.float32)
     result = MlpGradients(
         d_weights=device.empty((MLP_SIZE,)),
-        d_feature=device.zeros(feature.shape),
-        d_position=device.zeros(position.shape) if want_position else None,
+        d_feature=device.zeros(anchors.feature.shape),
+        d_position=device.zeros(anchors.position.shape) if want_position else None,
     )
     padded = np.int32(activations.output.shape[1])
     batches = -(-int(padded) // BATCH)
     parts = min(batches, PARTS)
     partial = device.zeros((parts, _part_size(device)))
-    model = (feature, position, activations.visible, np.int32(len(activations.visible)))
-    inputs = (*model, weights, camera, padded, activations.output, d_output, activations.active)
+    read = (
+        anchors.feature,
+        anchors.position,
+        activations.visible,
+        np.int32(len(activations.visible)),
+        inputs.weights,
+        inputs.camera,
+        padded,
+        activations.output,
+        d_output,
+        activations.active,
+    )
     unused = result.d_feature
     outputs = (result.d_feature, unused if result.d_position is None else result.d_position)
     macros = {**defines(device, activations.options), "WANT_POSITION": int(want_position)}
@@ -215,9 +249,9 @@ def backward(
         workers = min(WORKERS * int(device.cl_device.max_compute_units), parts)
         values, taken = device.empty((workers, _batch_size(device))), device.zeros((1,), np.int32)
         kernel = device.kernel("mlp/backward", "mlp_backward", **macros)
-        device.run(kernel, (workers,), (1,), *inputs, taken, values, partial, *outputs)
+        device.run(kernel, (workers,), (1,), *read, taken, values, partial, *outputs)
     else:
-        _backward_in_groups(device, inputs, outputs, partial, macros)
+        _backward_in_groups(device, activations, read, outputs, partial, macros)
     device.run(
         device.kernel("mlp/backward_sum", "mlp_backward_sum", **macros),
         (_row_tiles(device), _column_tiles(device)),
@@ -252,14 +286,18 @@ def _part_size(device: Device) -> int:
 
 def _backward_in_groups(
     device: Device,
-    inputs: tuple[Any, ...],
+    activations: Activations,
+    read: tuple[Any, ...],
     outputs: tuple[DeviceArray, DeviceArray],
     partial: DeviceArray,
     macros: dict[str, int | float],
 ) -> None:
-    """Fill ``partial`` and ``outputs``, SLAB batches at a time, one head after the other."""
-    padded, active = inputs[6], inputs[-1]
-    batches = -(-int(padded) // BATCH)
+    """Fill ``partial`` and ``outputs``, SLAB batches at a time, one head after the other.
+
+    ``read``: the first arguments of ``mlp_backward_layers``.
+    """
+    padded = activations.output.shape[1]
+    batches = -(-padded // BATCH)
     values = device.empty((min(SLAB, batches), _batch_size(device)))
     layers = device.kernel("mlp/backward", "mlp_backward_layers", **macros)
     weights = device.kernel("mlp/backward", "mlp_backward_weights", **macros)
@@ -267,12 +305,12 @@ def _backward_in_groups(
         size = min(SLAB, batches - first)
         for head, size_of_head in enumerate(HEAD_DIMS.values()):
             place = (np.int32(first), np.int32(head), values)
-            device.run(layers, (size * BATCH,), (GROUP_SIZE,), *inputs, *place, *outputs)
+            device.run(layers, (size * BATCH,), (GROUP_SIZE,), *read, *place, *outputs)
             device.run(
                 weights,
                 (_row_tiles(device, [size_of_head]) * GROUP_SIZE, size),
                 (GROUP_SIZE, 1),
-                *(padded, active, *place, partial),
+                *(np.int32(padded), activations.active, *place, partial),
             )
 
 
@@ -342,14 +380,3 @@ def blocks(device: Device, samples: int) -> tuple[tuple[int], tuple[int]]:
         return (round_up(samples, GROUP_SIZE),), (GROUP_SIZE,)
     lanes = int(defines(device, DEFAULT)["VEC"])
     return (-(-samples // (VECTORS["cpu"] * lanes)),), (1,)
-
-
-def _check_anchors(
-    feature: DeviceArray, position: DeviceArray, weights: DeviceArray, camera: DeviceArray
-) -> Shapes:
-    shapes = Shapes(F=FEATURE_DIM)
-    shapes.check("feature", feature, "A F", np.float32)
-    shapes.check("position", position, "A 3", np.float32)
-    shapes.check("weights", weights, str(MLP_SIZE), np.float32)
-    shapes.check("camera", camera, "26", np.float32)
-    return shapes

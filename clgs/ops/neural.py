@@ -15,26 +15,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clgs.constants import K_OFFSETS, OUTPUT_DIM
+from clgs.constants import OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
 from clgs.ops import scan
+from clgs.ops.mlp import Activations
+from clgs.scene.anchors import DeviceAnchors
 from clgs.shapes import Shapes
 
 GROUP_SIZE = 64
 
 
 @dataclass(frozen=True)
-class NeuralGaussians:
-    """N Gaussians in ascending order of slot, float32 unless said otherwise.
+class Gaussians:
+    """N Gaussians in space, float32.
 
     mean (N, 3) scene units; scale (N, 3) scene units; rotation (N, 4) unit quaternion w x y z;
-    color (N, 3) RGB in [0, 1]; opacity (N,) in (0, 1]; slot (N,) int32 = v * K + j for slot j of
-    the v-th visible anchor; first (V + 1,) int32, number of the first Gaussian of each visible
-    anchor; drawn (V,) int32, bit j for its slot j; total (1,) int64, how many Gaussians there are.
-
-    With a capacity N is that, and what lies behind ``total`` is padding: zeros, slot -1. Where
-    ``total`` is larger than N, the Gaussians behind are left out.
+    color (N, 3) RGB in [0, 1]; opacity (N,) in (0, 1].
     """
 
     mean: DeviceArray
@@ -42,6 +39,20 @@ class NeuralGaussians:
     rotation: DeviceArray
     color: DeviceArray
     opacity: DeviceArray
+
+
+@dataclass(frozen=True)
+class NeuralGaussians(Gaussians):
+    """Gaussians in ascending order of slot, and where they come from.
+
+    slot (N,) int32 = v * K + j for slot j of the v-th visible anchor; first (V + 1,) int32, number
+    of the first Gaussian of each visible anchor; drawn (V,) int32, bit j for its slot j; total (1,)
+    int64, how many Gaussians there are.
+
+    With a capacity N is that, and what follows the first ``total`` is padding: zeros, slot -1. If
+    ``total`` is larger than N, the last Gaussians are left out.
+    """
+
     slot: DeviceArray
     first: DeviceArray
     drawn: DeviceArray
@@ -66,7 +77,7 @@ class GaussianGradients:
 class NeuralGradients:
     """Gradients of the loss, float32, dense: zero where nothing was drawn.
 
-    d_output (110, Vp) by the MLPs' outputs, where a slot is not drawn it may be anything;
+    d_output (110, Vp) by the MLPs' outputs, anything for a slot that is not drawn;
     d_offset (A, K, 3); d_scaling (A, 6); d_position (A, 3), None where not wanted.
     """
 
@@ -78,30 +89,24 @@ class NeuralGradients:
 
 def forward(
     device: Device,
-    output: DeviceArray,
-    visible: DeviceArray,
-    position: DeviceArray,
-    offset: DeviceArray,
-    scaling: DeviceArray,
+    activations: Activations,
+    anchors: DeviceAnchors,
     capacity: int | None = None,
 ) -> NeuralGaussians:
     """Gather the Gaussians of the visible anchors.
 
     Args:
         device: where the arrays live.
-        output: (110, Vp) float32, feature-major outputs of ``mlp.forward``.
-        visible: (V,) int32, V <= Vp; -1 is no anchor.
-        position: (A, 3) float32, scene units.
-        offset: (A, K, 3) float32, in units of exp(scaling[:, :3]).
-        scaling: (A, 6) float32, log of scene units.
+        activations: from ``mlp.forward``; output and visible are read.
+        anchors: of the whole scene; all but the feature is read.
         capacity: how many Gaussians to make room for; default: wait for the device to count them.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    Shapes(A=_check(output, visible, offset, scaling)).check("position", position, "A 3", "f4")
-    sizes = np.int32(len(visible)), np.int32(output.shape[1])
-    drawn, offsets = number(device, output, visible, sizes)
+    _check(activations, anchors)
+    output, visible = activations.output, activations.visible
+    drawn, offsets = number(device, activations)
     count = scan.checked_total(device, offsets) if capacity is None else capacity
     result = allocate(device, count, drawn, offsets)
     device.run(
@@ -112,11 +117,12 @@ def forward(
         visible,
         offsets.offset,
         drawn,
-        *sizes,
+        np.int32(len(visible)),
+        np.int32(output.shape[1]),
         np.int32(count),
-        position,
-        offset,
-        scaling,
+        anchors.position,
+        anchors.offset,
+        anchors.scaling,
         *fields(result),
     )
     if capacity is not None:
@@ -153,22 +159,21 @@ def fields(gaussians: NeuralGaussians) -> tuple[DeviceArray, ...]:
     )
 
 
-def number(
-    device: Device, output: DeviceArray, visible: DeviceArray, sizes: tuple[np.int32, np.int32]
-) -> tuple[DeviceArray, scan.Offsets]:
+def number(device: Device, activations: Activations) -> tuple[DeviceArray, scan.Offsets]:
     """Which slots of each visible anchor are drawn, and the number of its first Gaussian.
 
-    output: its first K rows are the opacities; sizes: V and the columns of output.
+    Only the opacities are read, the first K rows of the output.
     """
-    drawn = device.empty((int(sizes[0]),), np.int32)
-    counts = device.empty((int(sizes[0]),), np.int32)
+    count = len(activations.visible)
+    drawn, counts = device.empty((count,), np.int32), device.empty((count,), np.int32)
     device.run(
         device.kernel("gaussian/neural", "neural_count"),
         (round_up(-(-len(counts) // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
-        output,
-        visible,
-        *sizes,
+        activations.output,
+        activations.visible,
+        np.int32(count),
+        np.int32(activations.output.shape[1]),
         drawn,
         counts,
     )
@@ -176,7 +181,7 @@ def number(
 
 
 def pad(device: Device, gaussians: NeuralGaussians) -> None:
-    """Zeros behind the last Gaussian."""
+    """Zeros after the last Gaussian."""
     device.run(
         device.kernel("gaussian/neural", "neural_pad"),
         (round_up(len(gaussians), GROUP_SIZE),),
@@ -190,10 +195,8 @@ def pad(device: Device, gaussians: NeuralGaussians) -> None:
 def backward(
     device: Device,
     gaussians: NeuralGaussians,
-    output: DeviceArray,
-    visible: DeviceArray,
-    offset: DeviceArray,
-    scaling: DeviceArray,
+    activations: Activations,
+    anchors: DeviceAnchors,
     d_gaussians: GaussianGradients,
     want_position: bool = False,
 ) -> NeuralGradients:
@@ -201,24 +204,23 @@ def backward(
 
     Args:
         device: where the arrays live.
-        gaussians: what :func:`forward` returned for output, visible, offset and scaling.
-        output: (110, Vp) float32.
-        visible: (V,) int32, each anchor at most once; -1 is no anchor.
-        offset: (A, K, 3) float32.
-        scaling: (A, 6) float32.
+        gaussians: what :func:`forward` returned.
+        activations: as given to :func:`forward`, each anchor at most once.
+        anchors: as given to :func:`forward`.
         d_gaussians: gradients by the fields of ``gaussians``.
         want_position: whether to compute ``d_position`` (anchors do not move while training).
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    anchors = _check(output, visible, offset, scaling)
+    _check(activations, anchors)
+    output, visible = activations.output, activations.visible
     _check_gradients(d_gaussians, len(gaussians))
     result = NeuralGradients(
         d_output=device.empty(output.shape),
-        d_offset=device.zeros(offset.shape),
-        d_scaling=device.zeros(scaling.shape),
-        d_position=device.zeros((anchors, 3)) if want_position else None,
+        d_offset=device.zeros(anchors.offset.shape),
+        d_scaling=device.zeros(anchors.scaling.shape),
+        d_position=device.zeros(anchors.position.shape) if want_position else None,
     )
     device.run(
         device.kernel("gaussian/neural", "neural_backward"),
@@ -231,8 +233,8 @@ def backward(
         np.int32(len(visible)),
         np.int32(output.shape[1]),
         np.int32(len(gaussians)),
-        offset,
-        scaling,
+        anchors.offset,
+        anchors.scaling,
         d_gaussians.d_mean,
         d_gaussians.d_scale,
         d_gaussians.d_rotation,
@@ -268,22 +270,14 @@ def _position_backward(
     )
 
 
-def _check(
-    output: DeviceArray, visible: DeviceArray, offset: DeviceArray, scaling: DeviceArray
-) -> int:
-    """Number of anchors.
-
-    Raises:
-        ValueError, TypeError: an array has the wrong shape or dtype.
-    """
-    shapes = Shapes(K=K_OFFSETS)
-    shapes.check("output", output, f"{OUTPUT_DIM} P", np.float32)
-    shapes.check("visible", visible, "V", np.int32)
-    shapes.check("offset", offset, "A K 3", np.float32)
-    shapes.check("scaling", scaling, "A 6", np.float32)
+def _check(activations: Activations, anchors: DeviceAnchors) -> None:
+    """Raise ValueError or TypeError if an array has the wrong shape or dtype."""
+    anchors.check(np.float32)
+    shapes = Shapes()
+    shapes.check("output", activations.output, f"{OUTPUT_DIM} P", np.float32)
+    shapes.check("visible", activations.visible, "V", np.int32)
     if shapes.axes["V"] > shapes.axes["P"]:
         raise ValueError(f"output: {shapes.axes['P']} columns for {shapes.axes['V']} anchors")
-    return shapes.axes["A"]
 
 
 def _check_gradients(d_gaussians: GaussianGradients, count: int) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.ops.neural import GaussianGradients, Gaussians
 from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
 
@@ -25,34 +26,37 @@ GROUP_SIZE = 64
 
 @dataclass(frozen=True)
 class Projected:
-    """N Gaussians on the screen, float32; a culled Gaussian holds zeros.
+    """N Gaussians on the screen, float32; a culled Gaussian's first four fields are zeros.
 
     mean2d (N, 2) pixels, pixel centres at +0.5; whitening (N, 3) = r1, l, r2; depth (N,) camera z,
     scene units; extent (N, 2) pixels, half-widths of the box outside of which alpha < ALPHA_CUT:
-    a Gaussian is drawn where extent > 0.
+    a Gaussian is drawn if extent > 0; color (N, 3) and opacity (N,) as in space.
     """
 
     mean2d: DeviceArray
     whitening: DeviceArray
     depth: DeviceArray
     extent: DeviceArray
+    color: DeviceArray
+    opacity: DeviceArray
 
 
 @dataclass(frozen=True)
-class ProjectGradients:
-    """Gradients of the loss: d_mean (N, 3), d_scale (N, 3), d_rotation (N, 4), float32."""
+class ProjectedGradients:
+    """Gradients of the loss, float32; zero for Gaussians that touch nothing.
 
-    d_mean: DeviceArray
-    d_scale: DeviceArray
-    d_rotation: DeviceArray
+    d_mean2d (N, 2) per pixel, d_whitening (N, 3), d_color (N, 3), d_opacity (N,).
+    """
+
+    d_mean2d: DeviceArray
+    d_whitening: DeviceArray
+    d_color: DeviceArray
+    d_opacity: DeviceArray
 
 
 def forward(
     device: Device,
-    mean: DeviceArray,
-    scale: DeviceArray,
-    rotation: DeviceArray,
-    opacity: DeviceArray,
+    gaussians: Gaussians,
     camera: DeviceArray,
     options: RenderOptions = DEFAULT,
 ) -> Projected:
@@ -60,27 +64,24 @@ def forward(
 
     Args:
         device: where the arrays live.
-        mean: (N, 3) float32, scene units.
-        scale: (N, 3) float32, scene units, positive.
-        rotation: (N, 4) float32, unit quaternion w x y z; any other is culled.
-        opacity: (N,) float32; below the alpha cut is culled.
+        gaussians: a Gaussian is culled if its rotation is no unit quaternion, or its opacity is
+            below the alpha cut.
         camera: (26,) float32 from ``Camera.pack``.
         options: accuracy, for the alpha cut and the smallest extent.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    count = _check(mean, scale, rotation, camera)
-    Shapes(N=count).check("opacity", opacity, "N", np.float32)
-    result = allocate(device, count)
+    count = _check(gaussians, camera)
+    result = allocate(device, gaussians.color, gaussians.opacity)
     device.run(
         device.kernel("gaussian/project", "project_forward", **defines(device, options)),
         (_items(device, count),),
         (GROUP_SIZE,),
-        mean,
-        scale,
-        rotation,
-        opacity,
+        gaussians.mean,
+        gaussians.scale,
+        gaussians.rotation,
+        gaussians.opacity,
         camera,
         np.int32(count),
         result.mean2d,
@@ -91,60 +92,76 @@ def forward(
     return result
 
 
-def allocate(device: Device, count: int) -> Projected:
-    """Room for ``count`` projections."""
+def allocate(device: Device, color: DeviceArray, opacity: DeviceArray) -> Projected:
+    """Room for the projections of Gaussians with these colors and opacities."""
+    count = len(opacity)
     return Projected(
         mean2d=device.empty((count, 2)),
         whitening=device.empty((count, 3)),
         depth=device.empty((count,)),
         extent=device.empty((count, 2)),
+        color=color,
+        opacity=opacity,
+    )
+
+
+def fields(projected: Projected) -> tuple[DeviceArray, ...]:
+    """All arrays, in the order of the kernels' arguments."""
+    return (
+        projected.mean2d,
+        projected.whitening,
+        projected.depth,
+        projected.extent,
+        projected.color,
+        projected.opacity,
     )
 
 
 def backward(
     device: Device,
-    gaussians: tuple[DeviceArray, DeviceArray, DeviceArray],
+    gaussians: Gaussians,
     camera: DeviceArray,
     projected: Projected,
-    d_mean2d: DeviceArray,
-    d_whitening: DeviceArray,
-) -> ProjectGradients:
+    d_projected: ProjectedGradients,
+) -> GaussianGradients:
     """Gradients of the Gaussians from those of their projections; zero for culled ones.
+
+    Those by color and opacity are passed through.
 
     Args:
         device: where the arrays live.
-        gaussians: mean (N, 3), scale (N, 3), rotation (N, 4), as given to :func:`forward`.
+        gaussians: as given to :func:`forward`.
         camera: (26,) float32.
         projected: what :func:`forward` returned.
-        d_mean2d: (N, 2) float32, per pixel.
-        d_whitening: (N, 3) float32, by r1, l, r2.
+        d_projected: gradients by the fields of ``projected``.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    mean, scale, rotation = gaussians
-    count = _check(mean, scale, rotation, camera)
+    count = _check(gaussians, camera)
     shapes = Shapes(N=count)
-    shapes.check("d_mean2d", d_mean2d, "N 2", np.float32)
-    shapes.check("d_whitening", d_whitening, "N 3", np.float32)
-    result = ProjectGradients(
+    shapes.check("d_mean2d", d_projected.d_mean2d, "N 2", np.float32)
+    shapes.check("d_whitening", d_projected.d_whitening, "N 3", np.float32)
+    result = GaussianGradients(
         d_mean=device.empty((count, 3)),
         d_scale=device.empty((count, 3)),
         d_rotation=device.empty((count, 4)),
+        d_color=d_projected.d_color,
+        d_opacity=d_projected.d_opacity,
     )
     device.run(
         device.kernel("gaussian/project", "project_backward", VEC=device.lanes),
         (_items(device, count),),
         (GROUP_SIZE,),
-        mean,
-        scale,
-        rotation,
+        gaussians.mean,
+        gaussians.scale,
+        gaussians.rotation,
         camera,
         np.int32(count),
         projected.whitening,
         projected.extent,
-        d_mean2d,
-        d_whitening,
+        d_projected.d_mean2d,
+        d_projected.d_whitening,
         result.d_mean,
         result.d_scale,
         result.d_rotation,
@@ -163,12 +180,12 @@ def _items(device: Device, count: int) -> int:
     return round_up(-(-count // device.lanes), GROUP_SIZE)
 
 
-def _check(
-    mean: DeviceArray, scale: DeviceArray, rotation: DeviceArray, camera: DeviceArray
-) -> int:
+def _check(gaussians: Gaussians, camera: DeviceArray) -> int:
+    """N; raises ValueError or TypeError if an array has the wrong shape or dtype."""
     shapes = Shapes()
-    shapes.check("mean", mean, "N 3", np.float32)
-    shapes.check("scale", scale, "N 3", np.float32)
-    shapes.check("rotation", rotation, "N 4", np.float32)
+    shapes.check("mean", gaussians.mean, "N 3", np.float32)
+    shapes.check("scale", gaussians.scale, "N 3", np.float32)
+    shapes.check("rotation", gaussians.rotation, "N 4", np.float32)
+    shapes.check("opacity", gaussians.opacity, "N", np.float32)
     shapes.check("camera", camera, "26", np.float32)
     return shapes.axes["N"]

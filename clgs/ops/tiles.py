@@ -32,21 +32,22 @@ CHUNKS = 4
 ROW_CHUNKS = 64
 """Counters of all rows of tiles."""
 SPARE = 4 * CHUNKS
-"""Spare places after the spans on a CPU, for spans without tiles."""
+"""Spare slots for unused spans, after the others; on a CPU."""
 
 
 @dataclass(frozen=True)
 class TileLists:
     """I entries in T tiles (row-major), int32; a list is in ascending depth, ties by index.
 
-    gaussian (I,): index of the Gaussian of each entry, in (tile, depth) order; row (I,): a number
-    of its own for each entry, by Gaussian, then tile; tile_range (T + 1,): the entries of tile t
-    are [tile_range[t], tile_range[t + 1]); row_range (N + 1,): the rows of Gaussian n are
-    [row_range[n], row_range[n + 1]); total (1,) int64: number of entries that were found. Lists
-    made with a capacity below it are empty; above it, the entries after the last tile's are
-    padding.
+    size: width and height of the image, pixels; gaussian (I,): index of the Gaussian of each entry,
+    in (tile, depth) order; row (I,): a number of its own for each entry, by Gaussian, then tile;
+    tile_range (T + 1,): the entries of tile t are [tile_range[t], tile_range[t + 1]); row_range
+    (N + 1,): the rows of Gaussian n are [row_range[n], row_range[n + 1]); total (1,) int64: number
+    of entries that were found. Lists made with a capacity below it are empty; above it, the entries
+    after the last tile's are padding.
     """
 
+    size: tuple[int, int]
     gaussian: DeviceArray
     row: DeviceArray
     tile_range: DeviceArray
@@ -63,23 +64,31 @@ def tile_count(width: int, height: int) -> int:
 class _Footprints:
     """The tiles of N Gaussians, and all that finds them again.
 
-    geometry: arguments that kernels start with; columns: tiles in a row; boxes (N, 4) int32;
-    counts (N,) int32.
+    geometry: arguments that kernels start with; size: of the image; boxes (N, 4) int32; counts
+    (N,) int32.
     """
 
     geometry: tuple[DeviceArray | np.int32, ...]
-    columns: int
+    size: tuple[int, int]
     defines: dict[str, int | float]
     boxes: DeviceArray
     counts: DeviceArray
+
+    @property
+    def columns(self) -> int:
+        """Tiles in a row."""
+        return tile_count(self.size[0], 1)
+
+    @property
+    def tiles(self) -> int:
+        """T."""
+        return tile_count(*self.size)
 
 
 def forward(
     device: Device,
     projected: Projected,
-    opacity: DeviceArray,
-    width: int,
-    height: int,
+    size: tuple[int, int],
     options: RenderOptions = DEFAULT,
     capacity: int | None = None,
     tile_rows: tuple[int, int] | None = None,
@@ -88,10 +97,8 @@ def forward(
 
     Args:
         device: where the arrays live.
-        projected: N Gaussians on the screen; drawn where extent > 0.
-        opacity: (N,) float32.
-        width: of the image, pixels.
-        height: of the image, pixels.
+        projected: N Gaussians on the screen; drawn if extent > 0.
+        size: width and height of the image, pixels.
         options: accuracy, for the alpha cut; skips, for the exact test.
         capacity: I; None waits once for the device to learn the number of entries.
         tile_rows: first and end of the rows of tiles that are filled; default all.
@@ -100,24 +107,20 @@ def forward(
         ClgsError: without a capacity, there would be more than 2^31 - 1 entries.
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    _check(projected, opacity)
-    rows_of_tiles = tile_rows or (0, -(-height // TILE_SIZE))
-    found = _footprints(device, projected, opacity, (width, height), rows_of_tiles, options)
+    _check(projected)
+    found = _footprints(device, projected, size, tile_rows or (0, tile_count(1, size[1])), options)
     keys = DeviceArray(projected.depth.buffer, projected.depth.shape, np.dtype(np.uint32))
     order = sort.chosen(device, keys, found.counts)  # the bits of positive floats keep their order
     limit = scan.MAX_TOTAL if capacity is None else capacity
     rows = scan.on_device(device, found.counts, limit)
-    tiles = tile_count(width, height)
     finish = _sort_entries if device.specialisation == "gpu" else _count_entries
-    return finish(device, found, order, rows, tiles, capacity)
+    return finish(device, found, order, rows, capacity)
 
 
 def count_by_row(
     device: Device,
     projected: Projected,
-    opacity: DeviceArray,
-    width: int,
-    height: int,
+    size: tuple[int, int],
     options: RenderOptions = DEFAULT,
 ) -> npt.NDArray[np.int64]:
     """Entries that the lists of every row of tiles would have, from the top; waits for the device.
@@ -127,12 +130,12 @@ def count_by_row(
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    _check(projected, opacity)
-    rows = tile_count(1, height)
-    found = _footprints(device, projected, opacity, (width, height), (0, rows), options)
+    _check(projected)
+    rows = tile_count(1, size[1])
+    found = _footprints(device, projected, size, (0, rows), options)
     reached = device.empty((ROW_CHUNKS, rows), np.int64)
     kernel = device.kernel("tiles/by_row", "tiles_by_row", **found.defines)
-    items = np.int32(len(opacity)), found.boxes, found.counts, np.int32(rows)
+    items = np.int32(len(found.counts)), found.boxes, found.counts, np.int32(rows)
     device.run(kernel, (ROW_CHUNKS,), (1,), *found.geometry, *items, reached)
     return np.asarray(device.download(reached).sum(axis=0))
 
@@ -140,18 +143,17 @@ def count_by_row(
 def _footprints(
     device: Device,
     projected: Projected,
-    opacity: DeviceArray,
     size: tuple[int, int],
     tile_rows: tuple[int, int],
     options: RenderOptions,
 ) -> _Footprints:
-    count = len(opacity)
+    count = len(projected.opacity)
     found = _Footprints(
         geometry=(
-            *(projected.mean2d, projected.whitening, opacity, projected.extent),
+            *(projected.mean2d, projected.whitening, projected.opacity, projected.extent),
             *(np.int32(one) for one in (*size, *tile_rows)),
         ),
-        columns=tile_count(size[0], 1),
+        size=size,
         defines={
             "VEC": device.lanes,
             **options.accuracy.defines(),
@@ -171,11 +173,10 @@ def _count_entries(
     found: _Footprints,
     order: sort.Order,
     rows: scan.Offsets,
-    tiles: int,
     capacity: int | None,
 ) -> TileLists:
     """Two stable passes: by row of tiles, then by column within each."""
-    chunks, count_of_rows = ((CHUNKS,), (1,)), tiles // found.columns
+    chunks, count_of_rows = ((CHUNKS,), (1,)), found.tiles // found.columns
     pitch = round_up(count_of_rows + 1, 8)
     counters = device.empty((CHUNKS, pitch, 2), np.int32)
     ranked = device.empty(found.boxes.shape, np.int32)
@@ -192,7 +193,7 @@ def _count_entries(
     spans = device.empty((entries + SPARE, 4), np.int32)
     place = device.kernel("tiles/lists", "tiles_place", **found.defines)
     device.run(place, *chunks, *ordered, ranked, np.int32(pitch), *limit, counters, spans)
-    tile_range = device.empty((tiles + 1,), np.int32)
+    tile_range = device.empty((found.tiles + 1,), np.int32)
     gaussian, row = (device.empty((entries,), np.int32) for _ in range(2))
     pitch = round_up(found.columns + 1, 16)
     places = device.empty((count_of_rows, pitch), np.int32)
@@ -203,7 +204,7 @@ def _count_entries(
     if capacity is not None:
         pad = device.kernel("tiles/lists", "tiles_pad_lists", **found.defines)
         device.run(pad, *chunks, *limit, gaussian, row)
-    return TileLists(gaussian, row, tile_range, rows.offset, rows.total)
+    return TileLists(found.size, gaussian, row, tile_range, rows.offset, rows.total)
 
 
 def _sort_entries(
@@ -211,11 +212,10 @@ def _sort_entries(
     found: _Footprints,
     order: sort.Order,
     rows: scan.Offsets,
-    tiles: int,
     capacity: int | None,
 ) -> TileLists:
     """Write the entries in depth order, then sort them by tile."""
-    count = len(found.counts)
+    count, tiles = len(found.counts), found.tiles
     grid = (round_up(count, GROUP_SIZE),), (GROUP_SIZE,)
     ordered = order.index, order.count
     ranked_counts = device.empty((count,), np.int32)
@@ -237,12 +237,12 @@ def _sort_entries(
     ranges = device.kernel("tiles/lists", "tiles_ranges", **found.defines)
     sizes = np.int32(entries), np.int32(tiles)
     device.run(ranges, *per_entry, tile, row, *sizes, owner, tile_range, gaussian)
-    return TileLists(gaussian, row, tile_range, rows.offset, rows.total)
+    return TileLists(found.size, gaussian, row, tile_range, rows.offset, rows.total)
 
 
-def _check(projected: Projected, opacity: DeviceArray) -> None:
+def _check(projected: Projected) -> None:
     shapes = Shapes()
-    shapes.check("opacity", opacity, "N", np.float32)
+    shapes.check("opacity", projected.opacity, "N", np.float32)
     shapes.check("mean2d", projected.mean2d, "N 2", np.float32)
     shapes.check("whitening", projected.whitening, "N 3", np.float32)
     shapes.check("depth", projected.depth, "N", np.float32)

@@ -2,34 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import blend, cull, mlp, neural, project, tiles
+from clgs.ops import blend, cull, mlp, neural, project
+from clgs.ops.tiles import TileLists
+from clgs.scene.anchors import DeviceAnchors
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene
 
 
 @dataclass(frozen=True)
 class DeviceScene:
-    """Parameters of a scene on the device, float32.
+    """Parameters of a scene on the device, float32: the anchors, and the MLPs' weights (13710,)."""
 
-    position (A, 3), offset (A, K, 3), feature (A, F), scaling (A, 6), weights (13710,).
-    """
-
-    position: DeviceArray
-    offset: DeviceArray
-    feature: DeviceArray
-    scaling: DeviceArray
+    anchors: DeviceAnchors
     weights: DeviceArray
+
+    def items(self) -> Iterator[tuple[str, DeviceArray]]:
+        """(name, array) of the anchors' tensors, then of the weights."""
+        yield from self.anchors.items()
+        yield "weights", self.weights
 
 
 @dataclass(frozen=True)
 class DeviceView:
-    """A camera of ``size`` (width, height) pixels and what lies behind the scene.
+    """A camera of ``size`` (width, height) pixels and the color behind the scene.
 
     camera (26,) float32 from ``Camera.pack``; background (3,) float32.
     """
@@ -48,7 +50,7 @@ class Capacity:
     entries: int
 
     def grown(self, needed: Capacity) -> Capacity:
-        """With room for ``needed`` and a quarter more where there is too little."""
+        """With room for ``needed`` and a quarter more if there is too little."""
         pairs = zip(astuple(needed), astuple(self), strict=True)
         return Capacity(
             *(room if count <= room else count + count // 4 + 1024 for count, room in pairs)
@@ -65,22 +67,19 @@ class Groups:
 
 @dataclass(frozen=True)
 class Frame:
-    """One rendered view with everything that its backward pass needs.
+    """One rendered view: what every stage made, for the backward pass.
 
-    groups: what was drawn at a time where a memory budget asked for it; tiles and the records of
-    blended then hold no entries, and the backward pass makes them again.
+    groups: the rows of tiles that were drawn at a time, if a memory budget asked for it; tiles and
+    the records of ``blended`` then hold no entries, and the backward pass makes them again.
     """
 
-    camera: DeviceArray
-    size: tuple[int, int]
+    view: DeviceView
     visible: cull.Visible
     activations: mlp.Activations
     gaussians: neural.NeuralGaussians
     projected: project.Projected
-    tiles: tiles.TileLists
-    background: DeviceArray
     blended: blend.Blended
-    groups: Groups | None = None
+    groups: Groups | None
 
     @property
     def image(self) -> DeviceArray:
@@ -88,20 +87,14 @@ class Frame:
         return self.blended.image
 
     @property
+    def tiles(self) -> TileLists:
+        """The lists that were blended."""
+        return self.blended.tiles
+
+    @property
     def totals(self) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
         """How many visible anchors, Gaussians and tile entries there are, (1,) int64 each."""
         return self.visible.total, self.gaussians.total, self.tiles.total
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A rendered view without what a backward pass needs: image (3, H, W), and totals as a Frame's.
-
-    image: float32, not clamped.
-    """
-
-    image: DeviceArray
-    totals: tuple[DeviceArray, DeviceArray, DeviceArray]
 
 
 @dataclass(frozen=True)
@@ -121,10 +114,7 @@ class SceneGradients:
 
 def upload_scene(device: Device, scene: Scene) -> DeviceScene:
     """Copy a scene's parameters to the device."""
-    anchors = scene.anchors
-    parameters = (anchors.position, anchors.offset, anchors.feature, anchors.scaling)
-    arrays = [device.upload(array) for array in (*parameters, scene.mlps.flat)]
-    return DeviceScene(*arrays)
+    return DeviceScene(scene.anchors.map(device.upload), device.upload(scene.mlps.flat))
 
 
 def upload_view(device: Device, camera: Camera, settings: RenderSettings) -> DeviceView:

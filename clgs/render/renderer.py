@@ -10,11 +10,12 @@ import numpy.typing as npt
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions, render_options
 from clgs.render.budget import check_budget
-from clgs.render.enlarge import enlarge
 from clgs.render.frame import Capacity, DeviceScene, upload_scene, upload_view
-from clgs.render.pipeline import draw
+from clgs.render.picture import draw
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene
+
+Image = npt.NDArray[np.float32]
 
 
 class Renderer:
@@ -52,7 +53,7 @@ class Renderer:
         """
         check_budget(self._device, self._scene, views, self._settings, self._options)
 
-    def render(self, camera: Camera) -> npt.NDArray[np.float32]:
+    def render(self, camera: Camera) -> Image:
         """Picture (3, H, W) float32 from a camera in scene units; not clamped to [0, 1]."""
         device, options = self._device, self._options
         view = upload_view(device, camera.reduced(options.accuracy.downscale), self._settings)
@@ -65,10 +66,9 @@ class Renderer:
                 return enlarge(image, camera.width, camera.height)
 
     def _holds(self, needed: Capacity) -> bool:
-        """Whether the last picture had room; makes more where not, and after the first one.
+        """Whether the last picture had room; makes more if not, and after the first one.
 
-        Arrays of the same size every time are the same memory every time, and nothing is waited
-        for between the stages.
+        Arrays of the same size take the same memory for every picture, and no stage waits.
         """
         made_to_measure = self._capacity is None
         before = self._capacity or Capacity(0, 0, 0)
@@ -78,9 +78,31 @@ class Renderer:
 
 def render_view(
     scene: Scene, camera: Camera, device: Device | None = None, accuracy: str = "parity"
-) -> npt.NDArray[np.float32]:
+) -> Image:
     """One picture (3, H, W) float32 of a scene; see :class:`Renderer` for many.
 
     ``accuracy`` is "exact", "parity", "fast" or "preview".
     """
     return Renderer(device or Device(), scene, render_options(accuracy)).render(camera)
+
+
+def enlarge(image: Image, width: int, height: int) -> Image:
+    """The planar picture (3, h, w) float32 as (3, height, width): bilinear, edges continued.
+
+    Pixel centres lie at +0.5 in both, so that nothing is shifted.
+    """
+    if image.shape[1:] == (height, width):
+        return image
+    low, high, share = _neighbours(image.shape[1], height)
+    rows = image[:, low] + (image[:, high] - image[:, low]) * share[:, None]
+    low, high, share = _neighbours(image.shape[2], width)
+    return np.asarray(rows[..., low] + (rows[..., high] - rows[..., low]) * share, np.float32)
+
+
+def _neighbours(
+    inputs: int, outputs: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Image]:
+    """For each output: the inputs on both sides of it, and the share of the second."""
+    place = np.clip((np.arange(outputs) + 0.5) * (inputs / outputs) - 0.5, 0, inputs - 1)
+    low = np.floor(place).astype(np.int64)
+    return low, np.minimum(low + 1, inputs - 1), (place - low).astype(np.float32)

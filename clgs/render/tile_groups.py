@@ -1,8 +1,9 @@
 """Draw a view in groups of rows of tiles, so that what is stored per entry keeps to a budget.
 
-Only the picture, the transmittance and the last contributors stay of a group. The backward pass
-makes its lists again and adds its rows of gradients to sums by Gaussian. A Gaussian's rows are in
-the order of its tiles, and so are the groups: the sums have the bits of those over one long list.
+Of a group, only the picture, the transmittance and the last contributors are kept. The backward
+pass makes its lists again and adds its rows of gradients to sums by Gaussian. A Gaussian's rows are
+in the order of its tiles, and so are the groups: the sums have the bits of those over one long
+list. All groups have lists of the same length, so that the next one takes the memory of the last.
 """
 
 from __future__ import annotations
@@ -17,9 +18,7 @@ from clgs.errors import BudgetError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, scan, tiles
-from clgs.ops.neural import NeuralGaussians
-from clgs.ops.project import Projected
-from clgs.ops.project_anchors import Splats
+from clgs.ops.project import Projected, ProjectedGradients
 from clgs.options import RenderOptions
 from clgs.render.frame import DeviceView, Groups
 
@@ -58,91 +57,92 @@ def plan(by_row: npt.NDArray[np.int64], entry_bytes: int, max_memory: int) -> Gr
     return Groups(tuple(zip(cuts, [*cuts[1:], len(by_row)], strict=True)), largest)
 
 
-def plan_view(
+def forward(
+    device: Device, projected: Projected, view: DeviceView, options: RenderOptions
+) -> tuple[blend.Blended, Groups | None]:
+    """Tiles and blending within ``options.max_memory``; waits for the device.
+
+    Returns:
+        What was drawn and the groups; or, if everything fits at once, what ``blend.forward``
+        returns and None. With groups, lists and records hold no entries.
+    """
+    with device.stage("tiles"):
+        groups, total = plan_view(device, projected, view.size, options)
+    if len(groups.rows) == 1:
+        with device.stage("tiles"):
+            lists = tiles.forward(device, projected, view.size, options)
+        with device.stage("blend forward"):
+            return blend.forward(device, projected, lists, view.background, options), None
+    with device.stage("tiles and blend forward"):
+        whole = _no_entries(device, len(projected.opacity), view, options, total)
+        for rows in groups.rows:
+            _draw_rows(device, projected, whole, groups.entries, rows)
+    return whole, groups
+
+
+def backward(
     device: Device,
     projected: Projected,
-    gaussians: NeuralGaussians | Splats,
-    size: tuple[int, int],
-    options: RenderOptions,
+    blended: blend.Blended,
+    d_image: DeviceArray,
+    groups: Groups,
+) -> ProjectedGradients:
+    """What ``blend.backward`` gives for one long list."""
+    size, options = blended.tiles.size, blended.options
+    sums = device.zeros((len(projected.opacity), blend.SUM_SIZE))
+    for rows in groups.rows:
+        lists = tiles.forward(device, projected, size, options, groups.entries, rows)
+        records = blend.gather(device, projected, lists, options)
+        blend.accumulate(device, replace(blended, tiles=lists, records=records), d_image, sums)
+    return blend.finish(device, projected, sums, options)
+
+
+def plan_view(
+    device: Device, projected: Projected, size: tuple[int, int], options: RenderOptions
 ) -> tuple[Groups, int]:
     """Groups for ``options.max_memory``, and the entries of all; waits for the device."""
-    by_row = tiles.count_by_row(device, projected, gaussians.opacity, *size, options)
+    by_row = tiles.count_by_row(device, projected, size, options)
     entry_bytes = LIST_BYTES[device.specialisation] + BYTES_BY_ENTRY
     unlimited = scan.MAX_TOTAL * entry_bytes
     budget = unlimited if options.max_memory is None else options.max_memory
     return plan(by_row, entry_bytes, budget), int(by_row.sum())
 
 
-def forward(
-    device: Device,
-    projected: Projected,
-    gaussians: NeuralGaussians | Splats,
-    view: DeviceView,
-    options: RenderOptions,
-    groups: Groups,
+def _no_entries(
+    device: Device, count: int, view: DeviceView, options: RenderOptions, total: int
 ) -> blend.Blended:
-    """Blend group by group; the records of the result hold no entries."""
+    """Room for a picture of ``count`` Gaussians; its lists are empty, but know ``total``."""
     width, height = view.size
-    whole = blend.Blended(
+    lists = tiles.TileLists(
+        size=view.size,
+        gaussian=device.empty((0,), np.int32),
+        row=device.empty((0,), np.int32),
+        tile_range=device.zeros((tiles.tile_count(*view.size) + 1,), np.int32),
+        row_range=device.zeros((count + 1,), np.int32),
+        total=device.upload(np.array([total], np.int64)),
+    )
+    return blend.Blended(
         image=device.empty((3, height, width)),
         transmittance=device.empty((height, width)),
         last_contributor=device.empty((height, width), np.int32),
         records=device.empty((0, blend.RECORD_SIZE)),
+        tiles=lists,
+        background=view.background,
         options=options,
     )
-    for rows in groups.rows:
-        lists = _lists(device, projected, gaussians, view.size, options, rows, groups.entries)
-        colors = gaussians.color, gaussians.opacity
-        part = blend.forward(device, projected, *colors, lists, view.background, view.size, options)
-        first, end = (min(row * TILE_SIZE, height) * width for row in rows)
-        for channel in range(3):
-            start = channel * width * height + first
-            device.copy_part(part.image, whole.image, start, end - first)
-        device.copy_part(part.transmittance, whole.transmittance, first, end - first)
-        device.copy_part(part.last_contributor, whole.last_contributor, first, end - first)
-    return whole
 
 
-def backward(
-    device: Device,
-    projected: Projected,
-    gaussians: NeuralGaussians | Splats,
-    background: DeviceArray,
-    blended: blend.Blended,
-    d_image: DeviceArray,
-    groups: Groups,
-) -> blend.BlendGradients:
-    """What ``blend.backward`` gives for one long list."""
-    height, width = blended.transmittance.shape
-    options, colors = blended.options, (gaussians.color, gaussians.opacity)
-    sums = device.zeros((len(gaussians.opacity), blend.SUM_SIZE))
-    for rows in groups.rows:
-        lists = _lists(device, projected, gaussians, (width, height), options, rows, groups.entries)
-        records = blend.gather(device, projected, *colors, lists, width, options)
-        part = replace(blended, records=records)
-        blend.accumulate(device, lists, background, part, d_image, sums)
-    return blend.finish(device, projected, *colors, sums, options)
-
-
-def no_lists(device: Device, count: int, size: tuple[int, int], total: int) -> tiles.TileLists:
-    """Empty lists of ``count`` Gaussians that know how many entries there would be."""
-    return tiles.TileLists(
-        gaussian=device.empty((0,), np.int32),
-        row=device.empty((0,), np.int32),
-        tile_range=device.zeros((tiles.tile_count(*size) + 1,), np.int32),
-        row_range=device.zeros((count + 1,), np.int32),
-        total=device.upload(np.array([total], np.int64)),
-    )
-
-
-def _lists(
-    device: Device,
-    projected: Projected,
-    gaussians: NeuralGaussians | Splats,
-    size: tuple[int, int],
-    options: RenderOptions,
-    rows: tuple[int, int],
-    capacity: int,
-) -> tiles.TileLists:
-    """Lists of a group; all have the same length, so that the next ones take their memory."""
-    return tiles.forward(device, projected, gaussians.opacity, *size, options, capacity, rows)
+def _draw_rows(
+    device: Device, projected: Projected, whole: blend.Blended, entries: int, rows: tuple[int, int]
+) -> None:
+    """Draw the tiles of some rows, ``rows`` being the first and the end, into ``whole``."""
+    size, options = whole.tiles.size, whole.options
+    lists = tiles.forward(device, projected, size, options, entries, rows)
+    part = blend.forward(device, projected, lists, whole.background, options)
+    width, height = size
+    first, end = (min(row * TILE_SIZE, height) * width for row in rows)
+    for channel in range(3):
+        start = channel * width * height + first
+        device.copy_part(part.image, whole.image, start, end - first)
+    device.copy_part(part.transmittance, whole.transmittance, first, end - first)
+    device.copy_part(part.last_contributor, whole.last_contributor, first, end - first)

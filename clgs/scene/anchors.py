@@ -1,53 +1,92 @@
-"""Anchors: the trained parameters of a scene, in float and in integer form."""
+"""Anchors: the trained tensors of a scene, one record for floats, integers and device arrays."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
+from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS
-from clgs.shapes import Shapes
+from clgs.opencl.array import DeviceArray
+from clgs.shapes import Shaped, Shapes
+
+Array = TypeVar("Array", bound=Shaped)
+Other = TypeVar("Other", bound=Shaped)
+Number = TypeVar("Number", np.float32, np.int32)
+
+SPECS = {"position": "A 3", "offset": "A K 3", "feature": "A F", "scaling": "A 6"}
+"""Shape of each tensor, for ``clgs.shapes``."""
 
 
-@dataclass
-class AnchorSet:
-    """A anchors in float32.
+@dataclass(frozen=True)
+class Anchors(Generic[Array]):
+    """The four tensors of A anchors: float32 on the host or on a device, or int32 integers.
 
     position (A, 3) scene units; offset (A, K, 3) in units of exp(scaling[:, :3]);
     feature (A, F); scaling (A, 6) log of scene units: three for offsets, three for shape.
+
+    Raises:
+        ValueError: a tensor has the wrong shape.
+        TypeError: the tensors have different dtypes.
     """
 
-    position: npt.NDArray[np.float32]
-    offset: npt.NDArray[np.float32]
-    feature: npt.NDArray[np.float32]
-    scaling: npt.NDArray[np.float32]
+    position: Array
+    offset: Array
+    feature: Array
+    scaling: Array
 
     def __post_init__(self) -> None:
-        check_anchor_shapes(self, np.float32)
+        self.check(self.position.dtype)
 
     def __len__(self) -> int:
-        return len(self.position)
+        return self.position.shape[0]
+
+    def items(self) -> Iterator[tuple[str, Array]]:
+        """(name, tensor) in the order of FIELDS."""
+        return ((name, getattr(self, name)) for name in FIELDS)
+
+    def map(self, change: Callable[[Array], Other]) -> Anchors[Other]:
+        """The anchors whose tensors ``change`` makes, for example ``device.upload``."""
+        return Anchors(*(change(array) for _, array in self.items()))
+
+    def check(self, dtype: npt.DTypeLike) -> None:
+        """Raise ValueError or TypeError if a tensor has the wrong shape or another dtype."""
+        shapes = Shapes(K=K_OFFSETS, F=FEATURE_DIM)
+        for name, array in self.items():
+            shapes.check(name, array, SPECS[name], dtype)
 
 
-@dataclass
-class QuantizedAnchors:
-    """A anchors as integers (int32), rows in Morton order of ``position``, positions unique.
+FIELDS = tuple(field.name for field in fields(Anchors))
+"""Names of the tensors, in the order of files and hashes."""
 
-    Same shapes as :class:`AnchorSet`; dequantised value = integer / Q of ``QuantizationScales``.
-    """
+AnchorSet = Anchors[npt.NDArray[np.float32]]
+"""Anchors as they are trained and rendered."""
 
-    position: npt.NDArray[np.int32]
-    offset: npt.NDArray[np.int32]
-    feature: npt.NDArray[np.int32]
-    scaling: npt.NDArray[np.int32]
+QuantizedAnchors = Anchors[npt.NDArray[np.int32]]
+"""Anchors as a file holds them, dequantised value = integer / Q of ``QuantizationScales``.
 
-    def __post_init__(self) -> None:
-        check_anchor_shapes(self, np.int32)
+In a file, rows are in Morton order of ``position``, and positions are unique.
+"""
 
-    def __len__(self) -> int:
-        return len(self.position)
+DeviceAnchors = Anchors[DeviceArray]
+"""Float32 anchors on a device."""
+
+
+def take(
+    anchors: Anchors[npt.NDArray[Number]], rows: npt.NDArray[np.generic]
+) -> Anchors[npt.NDArray[Number]]:
+    """The anchors of some rows: indices, or a mask (A,)."""
+    return anchors.map(lambda array: array[rows])
+
+
+def concatenate(
+    parts: Sequence[Anchors[npt.NDArray[Number]]],
+) -> Anchors[npt.NDArray[Number]]:
+    """The rows of all parts, one part after the other."""
+    return Anchors(*(np.concatenate([getattr(part, name) for part in parts]) for name in FIELDS))
 
 
 @dataclass(frozen=True)
@@ -60,21 +99,21 @@ class QuantizationScales:
     scaling: float = 8.0
 
 
-def check_anchor_shapes(anchors: AnchorSet | QuantizedAnchors, dtype: npt.DTypeLike) -> None:
-    """Raise ValueError or TypeError where an array has the wrong shape or dtype."""
-    shapes = Shapes(K=K_OFFSETS, F=FEATURE_DIM)
-    specs = {"position": "A 3", "offset": "A K 3", "feature": "A F", "scaling": "A 6"}
-    for field in fields(anchors):
-        shapes.check(field.name, getattr(anchors, field.name), specs[field.name], dtype)
+def quantize(anchors: AnchorSet, scales: QuantizationScales) -> QuantizedAnchors:
+    """The integers of trained anchors, rounded in float32 as the kernel does; same row order."""
+    return Anchors(
+        *(
+            np.rint(array * np.float32(getattr(scales, name))).astype(np.int32)
+            for name, array in anchors.items()
+        )
+    )
 
 
 def dequantize(anchors: QuantizedAnchors, scales: QuantizationScales) -> AnchorSet:
     """The float32 anchors that integers stand for: float32(integer / Q), divided in float64."""
-    return AnchorSet(
+    return Anchors(
         *(
-            (getattr(anchors, field.name) / np.float64(getattr(scales, field.name))).astype(
-                np.float32
-            )
-            for field in fields(anchors)
+            (array / np.float64(getattr(scales, name))).astype(np.float32)
+            for name, array in anchors.items()
         )
     )

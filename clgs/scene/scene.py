@@ -52,6 +52,9 @@ class Scene:
     settings: RenderSettings = field(default_factory=RenderSettings)
     transform: SceneTransform = field(default_factory=SceneTransform)
 
+    def __post_init__(self) -> None:
+        self.anchors.check(np.float32)
+
 
 @dataclass
 class QuantizedScene:
@@ -65,6 +68,9 @@ class QuantizedScene:
     scales: QuantizationScales = field(default_factory=QuantizationScales)
     settings: RenderSettings = field(default_factory=RenderSettings)
     transform: SceneTransform = field(default_factory=SceneTransform)
+
+    def __post_init__(self) -> None:
+        self.anchors.check(np.int32)
 
     def dequantize(self) -> Scene:
         """The float32 scene that is rendered."""

@@ -17,20 +17,19 @@ import numpy as np
 
 from clgs.errors import DataError
 from clgs.files import atomic_write
-from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.ranges import check_ranges
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
 from clgs.shapes import Shapes
 
-ANCHOR_NAMES = ("position", "offset", "feature", "scaling")
 GROUPS: dict[str, Any] = {
     "scales": QuantizationScales(),
     "settings": RenderSettings(),
     "transform": SceneTransform(),
 }
 ARRAY_NAMES = (
-    *ANCHOR_NAMES,
+    *FIELDS,
     "mlps",
     *(f"{group}.{field}" for group, default in GROUPS.items() for field in asdict(default)),
 )
@@ -53,7 +52,7 @@ def save_scene(path: Path, scene: QuantizedScene) -> None:
     For readers without this package it also holds ``world_position`` (A, 3) float64, the anchor
     positions in the units of the input data.
     """
-    arrays: dict[str, Any] = {name: getattr(scene.anchors, name) for name in ANCHOR_NAMES}
+    arrays: dict[str, Any] = dict(scene.anchors.items())
     arrays["mlps"] = scene.mlps.flat
     for group in GROUPS:
         for name, value in asdict(getattr(scene, group)).items():
@@ -112,7 +111,7 @@ def _scene(arrays: dict[str, Any]) -> QuantizedScene:
         raise ValueError("mlps: a weight is not finite")
     scales, settings, transform = (_group(arrays, group) for group in GROUPS)
     scene = QuantizedScene(
-        QuantizedAnchors(*(arrays[name] for name in ANCHOR_NAMES)),
+        Anchors(*(arrays[name] for name in FIELDS)),
         Mlps(arrays["mlps"]),
         QuantizationScales(**scales),
         RenderSettings(**settings),

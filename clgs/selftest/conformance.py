@@ -63,7 +63,7 @@ def _fingerprint(scene: str, stage: str, name: str, values: npt.NDArray[Any]) ->
 def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     scene = upload_scene(device, one.scene)
     frame = render_forward(device, scene, one.camera, one.scene.settings)
-    yield "camera", "packed", device.download(frame.camera)
+    yield "camera", "packed", device.download(frame.view.camera)
     yield from _forward_tensors(device, frame)
     target = device.upload(one.photo)
     compared = loss.forward(device, frame.image, target)
@@ -93,25 +93,13 @@ def _forward_tensors(device: Device, frame: Frame) -> Iterator[Tensor]:
 def _backward_tensors(
     device: Device, scene: DeviceScene, frame: Frame, d_image: DeviceArray
 ) -> Iterator[Tensor]:
-    gaussians = frame.gaussians
-    splats = blend.backward(
-        device,
-        frame.projected,
-        gaussians.color,
-        gaussians.opacity,
-        frame.tiles,
-        frame.background,
-        frame.blended,
-        d_image,
-    )
+    gaussians, projected = frame.gaussians, frame.projected
+    d_projected = blend.backward(device, projected, frame.blended, d_image)
     names = ("d_color", "d_opacity", "d_mean2d", "d_whitening")
-    yield from _named(device, "blend backward", splats, *names)
-    shape = (gaussians.mean, gaussians.scale, gaussians.rotation)
-    solids = project.backward(
-        device, shape, frame.camera, frame.projected, splats.d_mean2d, splats.d_whitening
-    )
-    loss.volume(device, gaussians.scale, VOLUME_WEIGHT, solids.d_scale)
-    yield from _named(device, "project backward", solids, "d_mean", "d_scale", "d_rotation")
+    yield from _named(device, "blend backward", d_projected, *names)
+    d_gaussians = project.backward(device, gaussians, frame.view.camera, projected, d_projected)
+    loss.volume(device, gaussians.scale, VOLUME_WEIGHT, d_gaussians.d_scale)
+    yield from _named(device, "project backward", d_gaussians, "d_mean", "d_scale", "d_rotation")
     gradients = render_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
     yield from _named(device, "neural backward", gradients, "d_offset", "d_scaling")
     yield from _named(device, "mlp backward", gradients, "d_feature", "d_weights")
@@ -145,7 +133,8 @@ def _adam(device: Device, random: ExactRandom) -> npt.NDArray[Any]:
     moments, stop = adam.zero_moments(device, parameter), adam.stop_flag(device)
     for step in range(1, 4):
         gradient = device.upload(random.floats((COUNT,), -1.0, 1.0))
-        adam.step(device, parameter, gradient, moments, adam.factors(0.01, step), stop)
+        trained = adam.Trained(parameter, gradient, moments)
+        adam.step(device, trained, adam.factors(0.01, step), stop)
     return device.download(parameter)
 
 
@@ -153,18 +142,18 @@ def _density(device: Device, random: ExactRandom) -> Iterator[Tensor]:
     anchors = COUNT // K_OFFSETS
     output = random.floats((OUTPUT_DIM, anchors), -1.0, 1.0)
     slot = np.flatnonzero(output[:K_OFFSETS].T.ravel() > 0).astype(np.int32)
-    seen = density.ScreenGradients(
-        device.upload(slot),
-        device.upload(random.floats((len(slot), 2), -1.0, 1.0)),
-        device.upload(random.floats((len(slot), 2), -1.0, 1.0)),
-        320,
-        200,
+    seen = density.SeenView(
+        output=device.upload(output),
+        visible=device.upload(np.arange(anchors, dtype=np.int32)),
+        slot=device.upload(slot),
+        extent=device.upload(random.floats((len(slot), 2), -1.0, 1.0)),
+        d_mean2d=device.upload(random.floats((len(slot), 2), -1.0, 1.0)),
+        size=(320, 200),
     )
     statistics = density.zeros(device, anchors)
-    visible = device.upload(np.arange(anchors, dtype=np.int32))
-    density.accumulate(device, statistics, device.upload(output), visible, seen)
-    names = ("opacity_sum", "visits", "gradient_sum", "gradient_count")
-    yield from _named(device, "density", statistics, *names)
+    density.accumulate(device, statistics, seen)
+    for name, array in statistics.items():
+        yield "density", name, device.download(array)
 
 
 def to_record(found: list[Fingerprint], facts: dict[str, object]) -> dict[str, object]:

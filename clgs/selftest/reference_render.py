@@ -39,14 +39,7 @@ class ReferenceFrame:
 
 def wide(scene: Scene) -> dict[str, Array]:
     """The scene's parameters in float64."""
-    anchors = scene.anchors
-    arrays = {
-        "position": anchors.position,
-        "offset": anchors.offset,
-        "feature": anchors.feature,
-        "scaling": anchors.scaling,
-        "weights": scene.mlps.flat,
-    }
+    arrays = {**dict(scene.anchors.items()), "weights": scene.mlps.flat}
     return {name: array.astype(np.float64) for name, array in arrays.items()}
 
 
@@ -65,7 +58,7 @@ def render_reference(
         ValueError: forward and backward kernels decided differently.
     """
     host = wide(scene)
-    camera = device.download(frame.camera).astype(np.float64)
+    camera = device.download(frame.view.camera).astype(np.float64)
     visible = device.download(frame.activations.visible)
     activations = mlp.forward(host["feature"], host["position"], visible, host["weights"], camera)
     gaussians = neural.forward(
@@ -81,9 +74,9 @@ def render_reference(
         }
     )
     decisions = matched_decisions(device, frame, d_image)
-    background = device.download(frame.background).astype(np.float64)
+    background = device.download(frame.view.background).astype(np.float64)
     image = blend.forward(
-        projected, gaussians.color, gaussians.opacity, lists, background, frame.size, decisions
+        projected, gaussians.color, gaussians.opacity, lists, background, frame.view.size, decisions
     ).image
     return ReferenceFrame(
         host, camera, background, activations, gaussians, projected, lists, decisions, image
@@ -92,7 +85,7 @@ def render_reference(
 
 def matched_decisions(device: Device, frame: Frame, d_image: DeviceArray) -> blend.Decisions:
     """The kernels' decisions for every list entry and pixel, forward equal to backward."""
-    ahead, back = blend_op.decisions(device, frame.tiles, frame.background, frame.blended, d_image)
+    ahead, back = blend_op.decisions(device, frame.blended, d_image)
     if not np.array_equal(ahead.contributed, back.contributed):
         raise ValueError("forward and backward kernels disagree on contributors")
     return blend.Decisions(ahead.contributed, ahead.saturated)

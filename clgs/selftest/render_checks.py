@@ -163,7 +163,7 @@ def _project(run: _Run) -> Found:
 def _tiles(run: _Run) -> Found:
     """Every pair that touches a pixel centre must be listed; few others may be."""
     projected, opacity = run.reference.projected, run.reference.gaussians.opacity
-    wanted = set(_entries(tiles.forward(projected, opacity, *run.frame.size)))
+    wanted = set(_entries(tiles.forward(projected, opacity, *run.frame.view.size)))
     mine = set(_entries(run.reference.lists))
     missing = sum(_touches(run, tile, index) for tile, index in wanted - mine)
     surplus = len(mine - wanted) / max(1, len(wanted))
@@ -172,7 +172,7 @@ def _tiles(run: _Run) -> Found:
 
 def _touches(run: _Run, tile: int, index: int) -> bool:
     """Whether alpha reaches ALPHA_CUT at a pixel centre of the tile."""
-    columns = -(-run.frame.size[0] // TILE_SIZE)
+    columns = -(-run.frame.view.size[0] // TILE_SIZE)
     corner = np.array([tile % columns, tile // columns]) * TILE_SIZE
     centres = np.stack(np.meshgrid(*[np.arange(TILE_SIZE) + 0.5] * 2), -1) + corner
     r1, slope, r2 = run.reference.projected.whitening[index]

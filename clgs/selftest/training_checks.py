@@ -102,8 +102,10 @@ def _adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Foun
     wanted = parameter.astype(np.float64)
     state = np.zeros(count), np.zeros(count)
 
+    trained = adam.Trained(uploaded, d_parameter, moments)
+
     def step(number: int) -> None:
-        adam.step(device, uploaded, d_parameter, moments, adam.factors(0.01, number), stop)
+        adam.step(device, trained, adam.factors(0.01, number), stop)
 
     for number in range(1, 11):
         step(number)
@@ -123,20 +125,21 @@ def _density(device: Device, rng: np.random.Generator, count: int) -> Iterator[F
     extent = rng.uniform(-1, 1, (len(slot), 2)).astype(np.float32)
     d_mean2d = rng.normal(size=(len(slot), 2)).astype(np.float32)
     statistics = density.zeros(device, 2 * anchors)
-    seen = density.ScreenGradients(
-        device.upload(slot), device.upload(extent), device.upload(d_mean2d), 320, 200
+    seen = density.SeenView(
+        output=device.upload(output),
+        visible=device.upload(visible),
+        slot=device.upload(slot),
+        extent=device.upload(extent),
+        d_mean2d=device.upload(d_mean2d),
+        size=(320, 200),
     )
-    decoded = device.upload(output), device.upload(visible)
-    density.accumulate(device, statistics, *decoded, seen)
+    density.accumulate(device, statistics, seen)
     wanted = density_reference.zeros(2 * anchors)
     gaussians = slot, extent.astype(np.float64), d_mean2d.astype(np.float64)
     density_reference.accumulate(wanted, output.astype(np.float64), visible, gaussians, (320, 200))
-    names = ("opacity_sum", "visits", "gradient_sum", "gradient_count")
     errors = [
-        relative_l2(device.download(getattr(statistics, name)), getattr(wanted, name))
-        for name in names
+        relative_l2(device.download(array), getattr(wanted, name))
+        for name, array in statistics.items()
     ]
-    milliseconds = _milliseconds(
-        device, partial(density.accumulate, device, statistics, *decoded, seen)
-    )
+    milliseconds = _milliseconds(device, partial(density.accumulate, device, statistics, seen))
     yield "density", "sums and counts", max(errors), 1e-6, milliseconds

@@ -32,7 +32,6 @@ from clgs.selftest.errors import relative_l2
 from clgs.synthetic.blend_scenes import BLEND_SCENES
 from clgs.synthetic.gaussians import ProjectedScene
 
-GEOMETRY = ("mean2d", "whitening", "depth", "extent")
 BACKGROUND = np.array([0.2, 0.5, 0.9], np.float32)
 
 
@@ -42,16 +41,10 @@ class Ours:
     def __init__(
         self, device: Device, scene: ProjectedScene, size: tuple[int, int], options: RenderOptions
     ) -> None:
-        self.device, self.size, self.options = device, size, options
-        projected = Projected(**{name: device.upload(getattr(scene, name)) for name in GEOMETRY})
-        opacity = device.upload(scene.opacity)
-        self.inputs = {
-            "projected": projected,
-            "color": device.upload(scene.color),
-            "opacity": opacity,
-            "tiles": tiles.forward(device, projected, opacity, *size, options),
-            "background": device.upload(BACKGROUND),
-        }
+        self.device, self.options = device, options
+        self.projected = Projected(**{name: device.upload(x) for name, x in vars(scene).items()})
+        self.tiles = tiles.forward(device, self.projected, size, options)
+        self.background = device.upload(BACKGROUND)
         rng = np.random.default_rng(1)
         self.host_d_image = rng.normal(size=(3, size[1], size[0])).astype(np.float32)
         self.d_image = device.upload(self.host_d_image)
@@ -61,35 +54,25 @@ class Ours:
     def forward(self) -> None:
         """Render."""
         self.blended = blend.forward(
-            self.device, **self.inputs, size=self.size, options=self.options
+            self.device, self.projected, self.tiles, self.background, self.options
         )
         self.device.finish()
 
     def backward(self) -> None:
         """Gradients of all Gaussians."""
-        self.gradients = blend.backward(
-            self.device, **self.inputs, blended=self.blended, d_image=self.d_image
-        )
+        self.gradients = blend.backward(self.device, self.projected, self.blended, self.d_image)
         self.device.finish()
 
     def lists(self) -> dict[str, Any]:
         """Lists on the host: tile_range, gaussian."""
-        lists = self.inputs["tiles"]
-        return {
-            name: self.device.download(getattr(lists, name)) for name in ("tile_range", "gaussian")
-        }
+        names = ("tile_range", "gaussian")
+        return {name: self.device.download(getattr(self.tiles, name)) for name in names}
 
     def pairs(self) -> dict[str, int]:
         """Visited and blended pairs of both passes."""
-        forward, backward = blend.count_pairs(
-            self.device,
-            self.inputs["tiles"],
-            self.inputs["background"],
-            self.blended,
-            self.d_image,
-        )
+        forward, backward = blend.count_pairs(self.device, self.blended, self.d_image)
         return {
-            "intersections": len(self.inputs["tiles"].gaussian),
+            "intersections": len(self.tiles.gaussian),
             "visited_forward": forward.visited,
             "visited_backward": backward.visited,
             "blended": forward.blended,

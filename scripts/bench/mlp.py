@@ -20,10 +20,18 @@ import numpy as np
 import numpy.typing as npt
 import pyopencl as cl
 
-from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, OUTPUT_DIM
+from clgs.constants import (
+    FEATURE_DIM,
+    HEAD_DIMS,
+    HIDDEN_DIM,
+    INPUT_DIM,
+    K_OFFSETS,
+    OUTPUT_DIM,
+)
 from clgs.opencl.device import Device
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
+from clgs.scene.anchors import DeviceAnchors
 from clgs.scene.camera import Camera
 from clgs.scene.mlps import init_mlps, unpack_head
 from clgs.synthetic.anchor_scene import square_camera
@@ -163,20 +171,26 @@ class DeviceHeads:
     def __init__(self, device: Device, case: Case) -> None:
         """Upload the case."""
         self.device = device
-        names = ("feature", "position", "visible", "weights")
-        self.arrays = {name: device.upload(getattr(case, name)) for name in names}
-        self.camera = device.upload(case.camera.pack(0.2))
+        count = len(case.feature)
+        anchors = DeviceAnchors(
+            position=device.upload(case.position),
+            offset=device.zeros((count, K_OFFSETS, 3)),
+            feature=device.upload(case.feature),
+            scaling=device.zeros((count, 6)),
+        )
+        camera = device.upload(case.camera.pack(0.2))
+        self.inputs = mlp.Inputs(anchors, device.upload(case.weights), camera)
+        self.visible = device.upload(case.visible)
 
     def forward(self, options: RenderOptions = DEFAULT) -> mlp.Activations:
         """Run and wait."""
-        result = mlp.forward(self.device, **self.arrays, camera=self.camera, options=options)
+        result = mlp.forward(self.device, self.inputs, self.visible, options)
         self.device.finish()
         return result
 
     def backward(self, activations: mlp.Activations, d_output: object) -> mlp.MlpGradients:
         """Run and wait."""
-        arrays = [self.arrays[name] for name in ("feature", "position", "weights")]
-        result = mlp.backward(self.device, activations, *arrays, self.camera, d_output)
+        result = mlp.backward(self.device, self.inputs, activations, d_output)
         self.device.finish()
         return result
 

@@ -61,14 +61,12 @@ def bench(device: Device, name: str, rounds: int) -> None:
         for field, values in vars(scene).items()
     }
     on_device = {field: device.upload(values) for field, values in arrays.items()}
-    opacity = on_device.pop("opacity")
-    on_device.pop("color")
     projected = Projected(**on_device)
-    lists = tiles.forward(device, projected, opacity, edge, edge)
+    lists = tiles.forward(device, projected, (edge, edge))
     total = len(lists.gaussian)
     keys = numpy_keys(device, lists, arrays["depth"])
     work: dict[str, Callable[[], object]] = {
-        "whole stage": lambda: tiles.forward(device, projected, opacity, edge, edge),
+        "whole stage": lambda: tiles.forward(device, projected, (edge, edge)),
         "numpy stable argsort": lambda: np.argsort(keys, kind="stable"),
         "numpy argsort": lambda: np.argsort(keys),
     }

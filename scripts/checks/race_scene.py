@@ -27,7 +27,8 @@ from clgs.synthetic.anchor_scene import anchor_scene, photo_dataset
 from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.parameters import ANCHOR_GROUPS, new_parameters, quantized_view
+from clgs.train.state.parameters import ANCHOR_GROUPS, new_parameters
+from clgs.train.step.rounding import rounded_anchors
 
 GAUSSIANS = 70
 """About; from 18 anchors, one full lane vector and one that is not."""
@@ -76,12 +77,12 @@ def without_room(trainer: Trainer, camera: Camera) -> None:
     """Too little room for anchors and for entries; then groups of a row of tiles each."""
     device, scene = trainer.device, trainer.parameters.scene
     frame = render_forward(device, scene, camera, trainer.settings)
-    cull.forward(device, scene.position, scene.scaling, frame.camera, capacity=1)
-    drawn = frame.projected, frame.gaussians.opacity
+    cull.forward(device, scene.anchors, frame.view.camera, capacity=1)
+    drawn, size = frame.projected, (SIZE, SIZE)
     entries = len(frame.tiles.gaussian)
     for capacity in (0, entries - 1, entries + 1):
-        tiles.forward(device, *drawn, SIZE, SIZE, capacity=capacity)
-    by_row = tiles.count_by_row(device, *drawn, SIZE, SIZE)
+        tiles.forward(device, drawn, size, capacity=capacity)
+    by_row = tiles.count_by_row(device, drawn, size)
     entry = tile_groups.LIST_BYTES[device.specialisation] + tile_groups.BYTES_BY_ENTRY
     options = RenderOptions(max_memory=int(by_row.max()) * entry)
     grouped = render_forward(device, scene, camera, trainer.settings, options)
@@ -91,7 +92,9 @@ def without_room(trainer: Trainer, camera: Camera) -> None:
 
 def rate_of_rounded(trainer: Trainer) -> float:
     """Round the parameters and run the rate proxy on them, forward and backward; bits an anchor."""
-    rounded = quantized_view(trainer.device, trainer.parameters.scene, trainer.queue.scales)
+    rounded = rounded_anchors(
+        trainer.device, trainer.parameters.scene.anchors, trainer.queue.scales
+    )
     bits = 0.0
     for name in ANCHOR_GROUPS:
         x = getattr(rounded, name)

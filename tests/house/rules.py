@@ -23,8 +23,8 @@ MAX_FUNCTION_LINES = 60
 ONLY_HERE = {"pyopencl": "clgs.opencl"}
 """Libraries that a single package may import."""
 
-OPS_NEVER = ("clgs.scene.scene", "clgs.scene.anchors")
-"""Ops know arrays, cameras and devices, never a scene."""
+OPS_NEVER = ("clgs.scene.scene",)
+"""Ops know arrays, anchors, cameras and devices, never a whole scene with its settings."""
 
 REFERENCE_ONLY = ("numpy", "clgs.constants", "clgs.shapes", "clgs.reference")
 """Besides the standard library, references import nothing else."""

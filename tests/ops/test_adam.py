@@ -29,7 +29,7 @@ def test_equals_numpy_to_the_bit(device, rng):
         rate = 0.01 * 0.99**count
         now = adam.factors(rate, count)
         update(state, g, now)
-        adam.step(device, on_device, device.upload(g), moments, now, stop)
+        adam.step(device, adam.Trained(on_device, device.upload(g), moments), now, stop)
     assert np.array_equal(device.download(on_device), parameter)
     assert np.array_equal(device.download(moments.first), state.first)
     assert np.array_equal(device.download(moments.second), state.second)
@@ -47,7 +47,7 @@ def test_follows_float64(device, rng):
         g = (rng.normal(size=500) * size).astype(np.float32)
         wide, moments64 = reference.step(wide, g.astype(np.float64), moments64, 1e-3, count)
         now = adam.factors(1e-3, count)
-        adam.step(device, on_device, device.upload(g), moments, now, stop)
+        adam.step(device, adam.Trained(on_device, device.upload(g), moments), now, stop)
     # 300 roundings of the parameter itself, random in sign, and of steps of 1e-3
     assert_close(device.download(on_device), wide, 1e-5 * np.maximum(np.abs(wide), 1), "parameter")
     second = device.download(moments.second)
@@ -59,7 +59,8 @@ def test_tiny_gradients_still_move(device):
     on_device, stop = device.zeros((1,)), adam.stop_flag(device)
     moments = adam.zero_moments(device, on_device)
     gradient = device.upload(np.float32([1e-14]))
-    adam.step(device, on_device, gradient, moments, adam.factors(0.1, 1), stop)
+    trained = adam.Trained(on_device, gradient, moments)
+    adam.step(device, trained, adam.factors(0.1, 1), stop)
     expected = reference.step(np.zeros(1), np.array([1e-14]), (np.zeros(1), np.zeros(1)), 0.1, 1)[0]
     assert_close(device.download(on_device), expected, 1e-6, "parameter")
 
@@ -67,9 +68,9 @@ def test_tiny_gradients_still_move(device):
 def test_moments_decay_to_zero_not_to_subnormals(device):
     on_device, stop = device.zeros((40,)), adam.stop_flag(device)
     moments = adam.Moments(*(device.upload(np.full(40, x, np.float32)) for x in (1e-29, 1e-35)))
-    zero = device.zeros((40,))
+    trained = adam.Trained(on_device, device.zeros((40,)), moments)
     for count in range(1, 40):
-        adam.step(device, on_device, zero, moments, adam.factors(0.1, count), stop)
+        adam.step(device, trained, adam.factors(0.1, count), stop)
     assert not device.download(moments.first).any()
     second = device.download(moments.second)
     assert ((second == 0) | (second >= adam.MIN_SECOND_MOMENT)).all()
@@ -91,9 +92,10 @@ def test_bad_gradients_change_nothing(device, rng, poison, place):
     assert device.download(stop)[0] == adam.NOT_FINITE
     adam.check_finite(device, [fine], stop)
     assert device.download(stop)[0] == adam.NOT_FINITE, "it stays set"
-    adam.step(device, on_device, bad, moments, adam.factors(0.1, 1), stop)
+    now = adam.factors(0.1, 1)
+    adam.step(device, adam.Trained(on_device, bad, moments), now, stop)
     marks = adam.mark_rows(device, fine, device.zeros((1,), np.int32))
-    adam.step_rows(device, on_device, fine, moments, adam.factors(0.1, 1), stop, marks)
+    adam.step_rows(device, adam.Trained(on_device, fine, moments), now, stop, marks)
     assert np.array_equal(device.download(on_device), parameter)
     assert not device.download(moments.first).any()
 
@@ -107,8 +109,9 @@ def test_any_value_of_the_flag_stops(device, value):
     )
     adam.check_finite(device, [ones], stop)
     marks = adam.mark_rows(device, ones, stop)
-    adam.step(device, on_device, ones, moments, adam.factors(0.1, 1), stop)
-    adam.step_rows(device, on_device, ones, moments, adam.factors(0.1, 1), stop, marks)
+    trained = adam.Trained(on_device, ones, moments)
+    adam.step(device, trained, adam.factors(0.1, 1), stop)
+    adam.step_rows(device, trained, adam.factors(0.1, 1), stop, marks)
     assert device.download(stop).tolist() == [value]
     assert not device.download(on_device).any()
 
@@ -136,7 +139,8 @@ def test_by_rows_only_those_with_a_gradient_move(device, rng, rows, width):
         moved = (g != 0).any(axis=1)
         assert np.array_equal(device.download(marks), moved)
         now = adam.factors(0.01, count)
-        adam.step_rows(device, on_device, gradient, moments, now, stop, marks)
+        trained = adam.Trained(on_device, gradient, moments)
+        adam.step_rows(device, trained, now, stop, marks)
         part = State._make(array[moved] for array in state)
         update(part, g[moved], now)
         for array, changed in zip(state, part, strict=True):
@@ -171,8 +175,9 @@ def test_bias_correction_is_exact():
 def test_wrong_sizes_are_refused(device):
     parameter, stop = device.zeros((3, 4)), adam.stop_flag(device)
     moments = adam.zero_moments(device, parameter)
+    wrong = adam.Trained(parameter, device.zeros((3, 5)), moments)
     with pytest.raises(ValueError, match="gradient"):
-        adam.step(device, parameter, device.zeros((3, 5)), moments, adam.factors(1.0, 1), stop)
-    marks = device.zeros((4,), np.int32)
+        adam.step(device, wrong, adam.factors(1.0, 1), stop)
+    marks, trained = device.zeros((4,), np.int32), adam.Trained(parameter, parameter, moments)
     with pytest.raises(ValueError, match="marks"):
-        adam.step_rows(device, parameter, parameter, moments, adam.factors(1.0, 1), stop, marks)
+        adam.step_rows(device, trained, adam.factors(1.0, 1), stop, marks)

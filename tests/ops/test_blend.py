@@ -164,9 +164,8 @@ def test_skipped_work_changes_no_bit(device, rng, skip, kind):
     one, other = some.backward(d_image), every.backward(d_image)
     for name in GRADIENTS:
         assert np.array_equal(one[name], other[name]), name
-    lists, background = some.inputs["tiles"], some.inputs["background"]
     works = [
-        blend.count_pairs(device, lists, background, rendered.blended, device.upload(d_image))
+        blend.count_pairs(device, rendered.blended, device.upload(d_image))
         for rendered in (some, every)
     ]
     saved = [less.visited < more.visited for less, more in zip(*works, strict=True)]
@@ -224,22 +223,14 @@ def test_sums_over_lists_in_parts(device, rng):
     scene = projected_scene(rng, 900, 70, 50, 4.0)
     rendered = render(device, scene, (70, 50))
     d_image = rng.normal(size=(3, 50, 70)).astype(np.float32)
-    lists = {name: device.download(array) for name, array in vars(rendered.inputs["tiles"]).items()}
-    cut = len(lists["tile_range"]) // 2
+    lists = rendered.inputs["tiles"]
+    cut = len(lists.tile_range) // 2
     sums = device.zeros((900, blend.SUM_SIZE))
-    for first, last in ((0, cut), (cut, len(lists["tile_range"]) - 1)):
+    for first, last in ((0, cut), (cut, len(lists.tile_range) - 1)):
         part = part_of_lists(device, lists, first, last)
         rendered_part = render(device, scene, (70, 50), part)
-        blend.accumulate(
-            device,
-            part,
-            rendered.inputs["background"],
-            rendered_part.blended,
-            device.upload(d_image),
-            sums,
-        )
-    inputs = {name: rendered.inputs[name] for name in ("projected", "color", "opacity")}
-    parts = blend.finish(device, **inputs, sums=sums)
+        blend.accumulate(device, rendered_part.blended, device.upload(d_image), sums)
+    parts = blend.finish(device, rendered.inputs["projected"], sums)
     whole = rendered.backward(d_image)
     assert np.abs(whole["d_color"]).max() > 0
     for name in GRADIENTS:
@@ -384,11 +375,9 @@ def test_counted_pairs_are_those_decided(device, rng):
     scene = projected_scene(rng, 900, 70, 50, 2.0)
     rendered = render(device, scene, (70, 50))
     d_image = rng.normal(size=(3, 50, 70)).astype(np.float32)
-    lists, background = rendered.inputs["tiles"], rendered.inputs["background"]
+    lists = rendered.inputs["tiles"]
     before = rendered.host("image")
-    forward, backward = blend.count_pairs(
-        device, lists, background, rendered.blended, device.upload(d_image)
-    )
+    forward, backward = blend.count_pairs(device, rendered.blended, device.upload(d_image))
     taken = int(decisions(rendered, d_image)[0].contributed.sum())
     assert forward.blended == backward.blended == taken > 0
     every = len(lists.gaussian) * 256
@@ -405,4 +394,4 @@ def test_wrong_shapes_are_refused(device, rng):
     with pytest.raises(ValueError, match="d_image"):
         rendered.backward(np.ones((3, 31, 32), np.float32))
     with pytest.raises(ValueError, match="tile_range"):
-        render(device, scene, (64, 32), rendered.inputs["tiles"])
+        render(device, scene, (64, 32), replace(rendered.inputs["tiles"], size=(64, 32)))

@@ -10,6 +10,7 @@ from clgs.ops import cull
 from clgs.options import RenderOptions, Skips
 from clgs.reference.stages import cull as reference
 from clgs.scene.camera import Camera
+from tests.ops.cases.anchors import on_device
 from tests.ops.cases.project import camera_at
 
 EPSILON = 2.0**-24
@@ -22,8 +23,8 @@ def anchors(rng, count, spread=3.0):
 
 
 def run(device, position, scaling, packed, **settings):
-    arrays = [device.upload(value) for value in (position, scaling, packed)]
-    return device.download(cull.forward(device, *arrays, **settings).anchor)
+    placed = on_device(device, {"position": position, "scaling": scaling})
+    return device.download(cull.forward(device, placed, device.upload(packed), **settings).anchor)
 
 
 def expected(position, scaling, packed):
@@ -112,9 +113,10 @@ def test_capacity_gives_the_same_anchors(device, rng):
     position, scaling = anchors(rng, 700)
     packed = camera_at().pack(NEAR_PLANE)
     exact = run(device, position, scaling, packed)
-    arrays = [device.upload(value) for value in (position, scaling, packed)]
+    placed = on_device(device, {"position": position, "scaling": scaling})
+    camera = device.upload(packed)
     for capacity in (0, 1, len(exact) - 1, len(exact), len(exact) + 5, 2000):
-        visible = cull.forward(device, *arrays, capacity=capacity)
+        visible = cull.forward(device, placed, camera, capacity=capacity)
         assert device.download(visible.total).tolist() == [len(exact)]
         padded = np.concatenate([exact, np.full(2000, -1)])[:capacity]
         assert np.array_equal(device.download(visible.anchor), padded)

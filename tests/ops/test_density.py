@@ -24,10 +24,9 @@ def view(rng, anchors, visible_count, drawn=0.8):
     return output, visible, slot, extent.astype(np.float32), d_mean2d.astype(np.float32)
 
 
-def add(device, statistics, output, visible, slot, extent, d_mean2d):
-    arrays = (device.upload(array) for array in (slot, extent, d_mean2d))
-    gradients = density.ScreenGradients(*arrays, *SIZE)
-    density.accumulate(device, statistics, device.upload(output), device.upload(visible), gradients)
+def add(device, statistics, output, visible, slot, extent, d_mean2d, stop=None):
+    arrays = map(device.upload, (output, visible, slot, extent, d_mean2d))
+    density.accumulate(device, statistics, density.SeenView(*arrays, SIZE), stop)
 
 
 def test_agrees_with_reference(device, rng):
@@ -84,10 +83,7 @@ def test_padding_changes_no_bit(device, rng):
 
 def test_a_stop_flag_stops_everything(device, rng):
     statistics = density.zeros(device, 50)
-    output, visible, *gaussians = view(rng, 50, 50)
-    gradients = density.ScreenGradients(*map(device.upload, gaussians), *SIZE)
-    arrays = device.upload(output), device.upload(visible), gradients
-    density.accumulate(device, statistics, *arrays, device.upload(np.array([2], np.int32)))
+    add(device, statistics, *view(rng, 50, 50), stop=device.upload(np.array([2], np.int32)))
     for name in ("opacity_sum", "visits", "gradient_sum", "gradient_count"):
         assert not device.download(getattr(statistics, name)).any(), name
 

@@ -13,22 +13,21 @@ from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference.stages import mlp as reference
 from tests.compare import assert_close, relative_l2
-from tests.ops.cases.mlp import anchors, decided, packed_camera, some, with_opacity_bias
+from tests.ops.cases.mlp import (
+    anchors,
+    decided,
+    mlp_inputs,
+    packed_camera,
+    some,
+    with_opacity_bias,
+)
 
 EPSILON = 2.0**-24
 COUNTS = [0, 1, 33, 1025]
 
 
-def upload(device, values):
-    return {name: device.upload(value) for name, value in values.items()}
-
-
 def run_forward(device, values, visible, options=DEFAULT):
-    camera = device.upload(packed_camera())
-    arrays = upload(device, values)
-    return mlp.forward(
-        device, **arrays, visible=device.upload(visible), camera=camera, options=options
-    )
+    return mlp.forward(device, mlp_inputs(device, values), device.upload(visible), options)
 
 
 def run_backward(device, values, visible, d_of_anchor, want_position=True, options=DEFAULT):
@@ -37,9 +36,8 @@ def run_backward(device, values, visible, d_of_anchor, want_position=True, optio
     columns = device.download(activations.visible)
     d_output = np.full(activations.output.shape, 7, np.float32)
     d_output[:, : len(columns)] = np.where(columns >= 0, d_of_anchor[columns].T, 7)
-    arrays = [device.upload(values[name]) for name in ("feature", "position", "weights")]
-    camera, d_output = device.upload(packed_camera()), device.upload(d_output)
-    result = mlp.backward(device, activations, *arrays, camera, d_output, want_position)
+    inputs, d_output = mlp_inputs(device, values), device.upload(d_output)
+    result = mlp.backward(device, inputs, activations, d_output, want_position)
     names = ("d_weights", "d_feature", "d_position")
     found = {name: getattr(result, name) for name in names}
     return {name: device.download(array) for name, array in found.items() if array is not None}

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clgs.ops import neural
-from clgs.ops.mlp import drawn_rows, padded_size
+from clgs.ops.mlp import Activations, drawn_rows, padded_size
+from clgs.options import DEFAULT
 from clgs.reference.stages import neural as reference
 from tests.compare import assert_close, relative_l2
+from tests.ops.cases.anchors import on_device
 from tests.ops.cases.neural import case, gradients, widen
 
 EPSILON = 2.0**-24
@@ -17,15 +21,21 @@ COUNTS = [(0, 5), (1, 1), (33, 100), (700, 900)]
 
 
 def upload(device, values):
-    """Device arrays of a case; the output is padded with positive numbers, which must not count."""
+    """Activations and anchors; the output is padded with positive numbers, which must not count."""
     visible = values["output"].shape[1]
     padded = np.full((110, padded_size(visible)), 0.5, np.float32)
     padded[:, :visible] = values["output"]
-    return {name: device.upload(value) for name, value in {**values, "output": padded}.items()}
+    activations = Activations(
+        output=device.upload(padded),
+        visible=device.upload(values["visible"]),
+        active=device.zeros((1,), np.int32),
+        options=DEFAULT,
+    )
+    return activations, on_device(device, values)
 
 
 def run_forward(device, values):
-    result = neural.forward(device, **upload(device, values))
+    result = neural.forward(device, *upload(device, values))
     return result, {name: device.download(getattr(result, name)) for name in FIELDS}
 
 
@@ -38,13 +48,10 @@ def counted(values):
 
 
 def run_backward(device, values, d_gaussians, want_position=True):
-    arrays = upload(device, values)
-    gaussians = neural.forward(device, **arrays)
-    del arrays["position"]
+    inputs = upload(device, values)
+    gaussians = neural.forward(device, *inputs)
     given = neural.GaussianGradients(**{n: device.upload(v) for n, v in d_gaussians.items()})
-    result = neural.backward(
-        device, gaussians, **arrays, d_gaussians=given, want_position=want_position
-    )
+    result = neural.backward(device, gaussians, *inputs, given, want_position)
     return downloaded(device, values, result)
 
 
@@ -276,8 +283,8 @@ def test_padding_changes_no_bit(device, rng, spare):
     values = case(rng, 150, 200)
     result, plain = run_forward(device, values)
     count = len(result)
-    arrays = upload(device, values)
-    padded = neural.forward(device, **arrays, capacity=count + spare)
+    inputs = upload(device, values)
+    padded = neural.forward(device, *inputs, count + spare)
     assert device.download(padded.total).tolist() == [count]
     for name, array in plain.items():
         found = device.download(getattr(padded, name))
@@ -289,8 +296,7 @@ def test_padding_changes_no_bit(device, rng, spare):
     for name, array in d_gaussians.items():
         wide[name][:count] = array
     given = neural.GaussianGradients(**{n: device.upload(v) for n, v in wide.items()})
-    del arrays["position"]
-    result = neural.backward(device, padded, **arrays, d_gaussians=given, want_position=True)
+    result = neural.backward(device, padded, *inputs, given, want_position=True)
     found = downloaded(device, values, result)
     for name, array in wanted.items():
         assert np.array_equal(found[name], array), name
@@ -301,7 +307,7 @@ def test_too_small_a_capacity_leaves_out_the_last(device, rng):
     plain = run_forward(device, values)[1]
     count = len(plain["slot"])
     for capacity in (0, 1, count - 37):
-        found = neural.forward(device, **upload(device, values), capacity=capacity)
+        found = neural.forward(device, *upload(device, values), capacity)
         assert len(found) == capacity
         assert device.download(found.total).tolist() == [count]
         for name, array in plain.items():
@@ -310,10 +316,8 @@ def test_too_small_a_capacity_leaves_out_the_last(device, rng):
 
 def test_wrong_shapes_are_refused(device, rng):
     values = case(rng, 33, 40)
-    arrays = upload(device, values)
-    with pytest.raises(ValueError, match="offset"):
-        neural.forward(device, **{**arrays, "offset": device.zeros((40, 9, 3))})
+    activations, anchors = upload(device, values)
     with pytest.raises(ValueError, match="output"):
-        neural.forward(device, **{**arrays, "output": device.zeros((110, 32))})
-    with pytest.raises(ValueError, match="position"):
-        neural.forward(device, **{**arrays, "position": device.zeros((41, 3))})
+        neural.forward(device, replace(activations, output=device.zeros((110, 32))), anchors)
+    with pytest.raises(TypeError, match="position"):
+        neural.forward(device, activations, anchors.map(lambda a: device.zeros(a.shape, np.int32)))

@@ -12,15 +12,14 @@ from clgs.ops import project
 from clgs.options import PARITY, RenderOptions
 from clgs.reference.stages import project as reference
 from tests.compare import assert_close, relative_l2
-from tests.ops.cases.project import camera_at, gaussians, widen
+from tests.ops.cases.project import camera_at, d_projected, gaussians, on_device, widen
 
 EPSILON = 2.0**-24
 
 
 def run_forward(device, values, packed):
-    arrays = {name: device.upload(value) for name, value in values.items()}
-    camera = device.upload(packed)
-    return arrays, camera, project.forward(device, **arrays, camera=camera)
+    uploaded, camera = on_device(device, values), device.upload(packed)
+    return uploaded, camera, project.forward(device, uploaded, camera)
 
 
 def downloads(device, projected):
@@ -52,8 +51,7 @@ def test_small_gaussians_are_left_out_where_asked(device, rng, min_extent):
     values = gaussians(rng, 5000)
     packed = camera_at().pack(NEAR_PLANE)
     options = RenderOptions(replace(PARITY, min_extent=min_extent))
-    arrays = {name: device.upload(value) for name, value in values.items()}
-    found = project.forward(device, **arrays, camera=device.upload(packed), options=options)
+    found = project.forward(device, on_device(device, values), device.upload(packed), options)
     every = downloads(device, run_forward(device, values, packed)[2])
     expected = reference.forward(**widen(values), camera=packed, min_extent=min_extent)
     kept = expected.extent[:, 0] > 0
@@ -72,16 +70,12 @@ def test_padding_is_culled(device, rng):
     packed = camera_at().pack(NEAR_PLANE)
     plain = downloads(device, run_forward(device, values, packed)[2])
     padded = {n: np.append(v, np.zeros((37, *v.shape[1:]), v.dtype), 0) for n, v in values.items()}
-    arrays, camera, projected = run_forward(device, padded, packed)
+    uploaded, camera, projected = run_forward(device, padded, packed)
     for name, array in downloads(device, projected).items():
         assert np.array_equal(array[:100], plain[name]), name
         assert not array[100:].any(), name
-    three = (arrays["mean"], arrays["scale"], arrays["rotation"])
-    ones = (
-        device.upload(np.ones((137, 2), np.float32)),
-        device.upload(np.ones((137, 3), np.float32)),
-    )
-    result = project.backward(device, three, camera, projected, *ones)
+    ones = d_projected(device, np.ones((137, 2), np.float32), np.ones((137, 3), np.float32))
+    result = project.backward(device, uploaded, camera, projected, ones)
     for array in (result.d_mean, result.d_scale, result.d_rotation):
         assert device.download(array)[:100].any()
         assert not device.download(array)[100:].any()
@@ -91,7 +85,7 @@ def test_padding_is_culled(device, rng):
 def test_backward_agrees_with_reference(device, rng, ratio, limit):
     values = gaussians(rng, 4000, ratio)
     packed = camera_at().pack(NEAR_PLANE)
-    arrays, camera, projected = run_forward(device, values, packed)
+    uploaded, camera, projected = run_forward(device, values, packed)
     expected = reference.forward(**widen(values), camera=packed)
     d_mean2d = rng.normal(size=(4000, 2)).astype(np.float32)
     # as the blend makes them: moments of order one, mapped to r1, l, r2
@@ -99,10 +93,8 @@ def test_backward_agrees_with_reference(device, rng, ratio, limit):
     moment = rng.normal(size=(4000, 3))
     d_whitening = np.stack([moment[:, 0] / r1, moment[:, 1] * r2 / r1, moment[:, 2] / r2], 1)
     d_whitening = d_whitening.astype(np.float32)
-    three = (arrays["mean"], arrays["scale"], arrays["rotation"])
-    result = project.backward(
-        device, three, camera, projected, device.upload(d_mean2d), device.upload(d_whitening)
-    )
+    given = d_projected(device, d_mean2d, d_whitening)
+    result = project.backward(device, uploaded, camera, projected, given)
     wide = widen(values)
     wanted = reference.backward(
         (wide["mean"], wide["scale"], wide["rotation"]),
@@ -155,15 +147,14 @@ def test_poison_stays_in_its_row(device, rng, slot, poison):
     packed = camera_at().pack(NEAR_PLANE)
     clean = downloads(device, run_forward(device, values, packed)[2])
     values[slot][30] = poison
-    arrays, camera, projected = run_forward(device, values, packed)
+    uploaded, camera, projected = run_forward(device, values, packed)
     dirty = downloads(device, projected)
     others = np.arange(65) != 30
     for name in clean:
         assert np.isfinite(dirty[name]).all(), name
         assert np.array_equal(clean[name][others], dirty[name][others]), name
-    three = (arrays["mean"], arrays["scale"], arrays["rotation"])
-    ones = device.upload(np.ones((65, 2), np.float32)), device.upload(np.ones((65, 3), np.float32))
-    result = project.backward(device, three, camera, projected, *ones)
+    ones = d_projected(device, np.ones((65, 2), np.float32), np.ones((65, 3), np.float32))
+    result = project.backward(device, uploaded, camera, projected, ones)
     for array in (result.d_mean, result.d_scale, result.d_rotation):
         assert np.isfinite(device.download(array)[others]).all()
 

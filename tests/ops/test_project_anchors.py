@@ -10,11 +10,12 @@ import pytest
 from clgs.ops import mlp, neural, project, project_anchors
 from clgs.options import DEFAULT, Skips
 from clgs.reference.stages import project_anchors as reference
+from clgs.scene.anchors import FIELDS
 from tests.compare import assert_close, relative_l2
-from tests.ops.cases.mlp import anchors, decided, packed_camera, some
+from tests.ops.cases.mlp import anchors, decided, mlp_inputs, packed_camera, some
 
-ANCHORS = ("position", "offset", "feature", "scaling")
 PROJECTED = ("mean2d", "whitening", "depth", "extent")
+LIGHT = ("color", "opacity")
 
 
 def case(rng, count):
@@ -26,29 +27,24 @@ def case(rng, count):
 
 
 def in_one(device, values, visible, options=DEFAULT, capacity=None):
-    arrays = {name: device.upload(value) for name, value in values.items()}
-    rest = device.upload(visible), arrays["weights"], device.upload(packed_camera())
-    whole = project_anchors.Anchors(*(arrays[name] for name in ANCHORS))
-    return project_anchors.forward(device, whole, *rest, options, capacity)
+    inputs = mlp_inputs(device, values)
+    return project_anchors.forward(device, inputs, device.upload(visible), options, capacity)
 
 
 def by_stages(device, values, visible, capacity=None):
     """What the three stages make, and the anchor of each Gaussian."""
-    arrays = {name: device.upload(value) for name, value in values.items()}
-    inputs, camera = (arrays["feature"], arrays["position"]), device.upload(packed_camera())
-    decoded = mlp.forward(device, *inputs, device.upload(visible), arrays["weights"], camera)
-    placed = (arrays[name] for name in ("position", "offset", "scaling"))
-    drawn = neural.forward(device, decoded.output, decoded.visible, *placed, capacity)
-    shape = (drawn.mean, drawn.scale, drawn.rotation, drawn.opacity)
-    projected = project.forward(device, *shape, camera)
-    splats = project_anchors.Splats(projected, drawn.color, drawn.opacity, drawn.total)
-    return splats, device.download(decoded.visible)[device.download(drawn.slot) // 10]
+    inputs = mlp_inputs(device, values)
+    decoded = mlp.forward(device, inputs, device.upload(visible))
+    drawn = neural.forward(device, decoded, inputs.anchors, capacity)
+    found = project.forward(device, drawn, inputs.camera), drawn.total
+    return found, device.download(decoded.visible)[device.download(drawn.slot) // 10]
 
 
-def host(device, splats):
-    """All that there is of the Gaussians, by name."""
-    found = {name: device.download(getattr(splats.projected, name)) for name in PROJECTED}
-    return found | {n: device.download(getattr(splats, n)) for n in ("color", "opacity", "total")}
+def host(device, found):
+    """All that there is of the Gaussians, by name, and how many there are."""
+    projected, total = found
+    arrays = {name: device.download(getattr(projected, name)) for name in (*PROJECTED, *LIGHT)}
+    return arrays | {"total": device.download(total)}
 
 
 def assert_same(device, found, expected):
@@ -61,7 +57,7 @@ def assert_same(device, found, expected):
 def test_the_bits_are_those_of_the_stages(device, rng, counts):
     values, visible = case(rng, counts[1]), some(rng, *counts)
     found = in_one(device, values, visible)
-    assert len(found.opacity) > 0 or counts[0] == 0
+    assert len(found[0].opacity) > 0 or counts[0] == 0
     assert_same(device, found, by_stages(device, values, visible)[0])
 
 
@@ -70,7 +66,7 @@ def test_the_bits_are_those_of_the_stages_with_a_capacity(device, rng, capacity)
     values = case(rng, 400)
     visible = np.append(some(rng, 300, 400), np.full(37, -1, np.int32))
     found = in_one(device, values, visible, capacity=capacity)
-    assert len(found.opacity) == capacity
+    assert len(found[0].opacity) == capacity
     assert_same(device, found, by_stages(device, values, visible, capacity)[0])
 
 
@@ -96,7 +92,7 @@ def test_forward_agrees_with_reference(device, rng):
     found = host(device, in_one(device, values, visible))
     anchor = by_stages(device, values, visible)[1]
     wide = {name: value.astype(np.float64) for name, value in values.items()}
-    given = tuple(wide[name] for name in ANCHORS)
+    given = tuple(wide[name] for name in FIELDS)
     expected = reference.forward(given, visible, wide["weights"], packed_camera())
     # slots ascend within an anchor, and anchors in `visible`
     order = np.argsort(anchor, kind="stable")
@@ -105,7 +101,7 @@ def test_forward_agrees_with_reference(device, rng):
     assert np.mean((found["extent"][order, 0] > 0) == drawn) > 0.99
     drawn &= found["extent"][order, 0] > 0
     assert drawn.sum() > 100
-    for name in ("color", "opacity"):
+    for name in LIGHT:
         assert_close(found[name][order], getattr(expected, name), 1e-5, name)
     for name in PROJECTED:
         actual, wanted = found[name][order][drawn], getattr(expected.projected, name)[drawn]

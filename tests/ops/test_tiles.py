@@ -137,9 +137,8 @@ def test_large_gaussians_keep_their_order(device, rng):
 
 
 def with_capacity(device, scene, size, capacity, tile_rows=None):
-    opacity = device.upload(scene.opacity)
     return tiles.forward(
-        device, upload(device, scene), opacity, *size, capacity=capacity, tile_rows=tile_rows
+        device, upload(device, scene), size, capacity=capacity, tile_rows=tile_rows
     )
 
 
@@ -200,8 +199,7 @@ def test_exact_tiles_change_no_bit(device, rng, sigma, ratio):
     size = (100, 70)
     scene = projected_scene(rng, 1500, *size, sigma, ratio)
     boxes = RenderOptions(skips=Skips(exact_tiles=False))
-    opacity = device.upload(scene.opacity)
-    longer = tiles.forward(device, upload(device, scene), opacity, *size, boxes)
+    longer = tiles.forward(device, upload(device, scene), size, boxes)
     one, other = render(device, scene, size), render(device, scene, size, longer)
     assert len(longer.row) > 1.04 * len(one.inputs["tiles"].row)
     for name in ("image", "transmittance"):
@@ -225,5 +223,6 @@ def test_too_many_entries_are_refused_before_allocation(device, rng, monkeypatch
 
 def test_other_lengths_are_refused(device, rng):
     scene = projected_scene(rng, 10, 32, 32)
+    scene = replace(scene, opacity=scene.opacity[:9])
     with pytest.raises(ValueError, match="mean2d"):
-        tiles.forward(device, upload(device, scene), device.upload(scene.opacity[:9]), 32, 32)
+        tiles.forward(device, upload(device, scene), (32, 32))

@@ -9,8 +9,7 @@ import pytest
 
 from clgs.errors import UsageError
 from clgs.options import PRESETS, RenderOptions, render_options
-from clgs.render.enlarge import enlarge
-from clgs.render.renderer import Renderer, render_view
+from clgs.render.renderer import Renderer, enlarge, render_view
 from clgs.synthetic.anchor_scene import anchor_scene
 
 LEVEL = 1 / 255

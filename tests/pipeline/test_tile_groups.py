@@ -38,7 +38,7 @@ def test_budgets_change_no_bit(device):
     """Image, transmittance and all gradients; the smallest budget is one row of tiles at a time."""
     frame, whole = run(device, None)
     assert frame.groups is None
-    by_row = tiles.count_by_row(device, frame.projected, frame.gaussians.opacity, *frame.size)
+    by_row = tiles.count_by_row(device, frame.projected, frame.view.size)
     entry = tile_groups.LIST_BYTES[device.specialisation] + tile_groups.BYTES_BY_ENTRY
     assert int(by_row.sum()) == len(frame.tiles.gaussian)
     numbers = []
@@ -72,8 +72,8 @@ def test_too_small_a_budget_is_named(device):
 def test_counts_by_row_are_those_of_the_lists(device):
     frame, _ = run(device, None)
     lists = frame.tiles
-    starts = device.download(lists.tile_range)[:: tiles.tile_count(frame.size[0], 1)]
-    by_row = tiles.count_by_row(device, frame.projected, frame.gaussians.opacity, *frame.size)
+    starts = device.download(lists.tile_range)[:: tiles.tile_count(frame.view.size[0], 1)]
+    by_row = tiles.count_by_row(device, frame.projected, frame.view.size)
     assert np.array_equal(by_row, np.diff(starts))
 
 

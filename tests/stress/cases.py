@@ -10,6 +10,7 @@ import numpy as np
 from clgs.constants import NEAR_PLANE
 from clgs.ops import blend as blend_op
 from clgs.ops import project, tiles
+from clgs.ops.neural import Gaussians
 from clgs.reference.stages import blend as blend_reference
 from clgs.reference.stages import project as project_reference
 from clgs.reference.stages.tiles import TileLists
@@ -27,11 +28,11 @@ DISTANCE = 4.0
 
 @dataclass(frozen=True)
 class Drawn:
-    """A scene after the kernels: ``shape`` = mean, scale, rotation on the device."""
+    """A scene after the kernels, and its Gaussians on the device."""
 
     scene: GaussianScene
     camera: np.ndarray
-    shape: tuple[Any, Any, Any]
+    gaussians: Gaussians
     rendered: Rendered
 
     @property
@@ -120,19 +121,15 @@ def draw(
 ) -> Drawn:
     """Render on the device."""
     packed = camera.pack(near)
-    arrays = {name: device.upload(getattr(scene, name)) for name in PARTS}
-    shape = tuple(arrays[name] for name in SHAPE)
-    projected = project.forward(device, *shape, arrays["opacity"], device.upload(packed))
-    size = (camera.width, camera.height)
+    gaussians = Gaussians(**{name: device.upload(array) for name, array in vars(scene).items()})
+    projected = project.forward(device, gaussians, device.upload(packed))
     inputs = {
         "projected": projected,
-        "color": arrays["color"],
-        "opacity": arrays["opacity"],
-        "tiles": tiles.forward(device, projected, arrays["opacity"], *size),
+        "tiles": tiles.forward(device, projected, (camera.width, camera.height)),
         "background": device.upload(background),
     }
-    blended = blend_op.forward(device, **inputs, size=size)
-    return Drawn(scene, packed, shape, Rendered(device, inputs, blended))
+    blended = blend_op.forward(device, **inputs)
+    return Drawn(scene, packed, gaussians, Rendered(device, inputs, blended))
 
 
 def image_gradient(camera: Camera, seed: int = 7) -> np.ndarray:
@@ -144,19 +141,10 @@ def image_gradient(camera: Camera, seed: int = 7) -> np.ndarray:
 def gradients(drawn: Drawn, d_image: np.ndarray) -> dict[str, np.ndarray]:
     """Gradients of all five parts of the scene, by GRADIENTS."""
     device, rendered = drawn.device, drawn.rendered
-    splats = blend_op.backward(
-        device, **rendered.inputs, blended=rendered.blended, d_image=device.upload(d_image)
-    )
-    solids = project.backward(
-        device,
-        drawn.shape,
-        device.upload(drawn.camera),
-        rendered.inputs["projected"],
-        splats.d_mean2d,
-        splats.d_whitening,
-    )
-    found = {**vars(solids), **vars(splats)}
-    return {name: device.download(found[name]) for name in GRADIENTS}
+    projected, camera = rendered.inputs["projected"], device.upload(drawn.camera)
+    by_screen = blend_op.backward(device, projected, rendered.blended, device.upload(d_image))
+    found = project.backward(device, drawn.gaussians, camera, projected, by_screen)
+    return {name: device.download(getattr(found, name)) for name in GRADIENTS}
 
 
 def decided(drawn: Drawn, d_image: np.ndarray) -> blend_reference.Decisions:

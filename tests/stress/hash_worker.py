@@ -28,7 +28,6 @@ from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer
 
-PARAMETERS = ("position", "offset", "feature", "scaling", "weights")
 NORMAL_GROUP = 64
 
 
@@ -73,8 +72,7 @@ def training(device: Device, folder: Path, steps: int) -> list[Any]:
     trainer = Trainer(device, dataset, config)
     found: list[Any] = [repr(trainer.step()).encode() for _ in range(steps)]
     scene, moments = trainer.parameters.scene, trainer.parameters.moments
-    for name in PARAMETERS:
-        found.append(device.download(getattr(scene, name)).tobytes())
+    found += [device.download(array).tobytes() for _, array in scene.items()]
     for pair in moments.values():
         found += [device.download(array).tobytes() for array in (pair.first, pair.second)]
     return found

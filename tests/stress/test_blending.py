@@ -60,14 +60,7 @@ def options_device(request, device):
 def mismatches(device, scene, size, d_image) -> tuple[int, int]:
     """(pairs on which forward and backward disagree, pairs): contributors and saturation."""
     rendered = render(device, scene, size)
-    inputs = rendered.inputs
-    one, other = blend.decisions(
-        device,
-        inputs["tiles"],
-        inputs["background"],
-        rendered.blended,
-        device.upload(d_image),
-    )
+    one, other = blend.decisions(device, rendered.blended, device.upload(d_image))
     wrong = np.count_nonzero(one.contributed != other.contributed)
     wrong += np.count_nonzero(one.saturated != other.saturated)
     return int(wrong), one.contributed.size

@@ -11,6 +11,7 @@ import pytest
 from clgs.constants import NEAR_PLANE
 from clgs.errors import ClgsError
 from clgs.ops import blend, project, scan, tiles
+from clgs.ops.neural import Gaussians
 from clgs.synthetic.gaussians import projected_scene
 from tests.ops.cases.blend import BACKGROUND, GRADIENTS, render, upload
 from tests.stress.cases import SHAPE, space_scene, straight_camera
@@ -61,14 +62,14 @@ def test_projection_and_counting_of_many_gaussians(device, count):
     copies = count // 1000
     arrays = {
         name: device.upload(np.tile(getattr(scene, name), (copies, *[1] * (n - 1))))
-        for name, n in (*((name, 2) for name in SHAPE), ("opacity", 1))
+        for name, n in (*((name, 2) for name in SHAPE), ("color", 2), ("opacity", 1))
     }
     packed = device.upload(camera.pack(NEAR_PLANE))
-    projected = project.forward(device, *arrays.values(), packed)
+    projected = project.forward(device, Gaussians(**arrays), packed)
     mean2d = device.download(projected.mean2d).reshape(copies, 1000, 2)
     assert np.array_equal(mean2d[-1], mean2d[0])
     assert np.array_equal(mean2d[copies // 2], mean2d[0])
-    lists = tiles.forward(device, projected, arrays["opacity"], 64, 64)
+    lists = tiles.forward(device, projected, (64, 64))
     rows = np.diff(device.download(lists.row_range).reshape(-1)[: count + 1]).reshape(copies, 1000)
     assert rows[0].sum() > 0
     assert np.array_equal(rows, np.broadcast_to(rows[0], rows.shape))
@@ -88,20 +89,18 @@ def bands_within(entries_of_row: np.ndarray, budget: int) -> list[tuple[int, int
 
 def render_in_bands(device, scene, size, bands, d_image):
     """Image and gradients, the lists of one band of tiles at a time."""
-    projected, opacity = upload(device, scene), device.upload(scene.opacity)
-    light = device.upload(scene.color), opacity
-    background = device.upload(BACKGROUND)
+    projected, background = upload(device, scene), device.upload(BACKGROUND)
     image = np.empty((3, size[1], size[0]), np.float32)
     sums = device.zeros((len(scene.depth), blend.SUM_SIZE))
     for first, end in bands:
-        lists = tiles.forward(device, projected, opacity, *size, tile_rows=(first, end))
-        blended = blend.forward(device, projected, *light, lists, background, size)
+        lists = tiles.forward(device, projected, size, tile_rows=(first, end))
+        blended = blend.forward(device, projected, lists, background)
         rows = slice(first * 16, end * 16)
         image[:, rows] = device.download(blended.image)[:, rows]
         masked = np.zeros_like(d_image)
         masked[:, rows] = d_image[:, rows]
-        blend.accumulate(device, lists, background, blended, device.upload(masked), sums)
-    found = blend.finish(device, projected, *light, sums=sums)
+        blend.accumulate(device, blended, device.upload(masked), sums)
+    found = blend.finish(device, projected, sums)
     return image, {name: device.download(getattr(found, name)) for name in GRADIENTS}
 
 

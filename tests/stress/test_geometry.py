@@ -10,6 +10,7 @@ import pytest
 from clgs.constants import BLUR, NEAR_PLANE
 from clgs.data.dataset import load_dataset
 from clgs.ops import project
+from clgs.ops.neural import Gaussians
 from clgs.reference.stages import blend as blend_reference
 from clgs.reference.stages import project as reference
 from clgs.scene.camera import Camera
@@ -116,8 +117,8 @@ def test_needles_keep_their_digits(device, ratio, sigma):
 
 def draw_geometry(device, scene, camera=WIDE):
     """Projection alone, on the host."""
-    arrays = [device.upload(getattr(scene, name)) for name in (*SHAPE, "opacity")]
-    result = project.forward(device, *arrays, device.upload(camera.pack(NEAR_PLANE)))
+    gaussians = Gaussians(**{name: device.upload(array) for name, array in vars(scene).items()})
+    result = project.forward(device, gaussians, device.upload(camera.pack(NEAR_PLANE)))
     names = ("mean2d", "whitening", "depth", "extent")
     found = {name: device.download(getattr(result, name)) for name in names}
     return {**found, "visible": found["extent"][:, 0] > 0}

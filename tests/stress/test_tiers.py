@@ -16,7 +16,6 @@ from clgs.scene.scene import RenderSettings, Scene
 from clgs.selftest.reference_render import backward_reference, render_reference
 from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.parameters import download_anchors
 from tests.small_scene import write_scene
 from tests.stress.cases import LEVEL, draw, image_gradient
 from tests.stress.tiers import KINDS, SIZES, gradient_errors, limits_of, scene_of, tier1, tier2
@@ -79,7 +78,7 @@ def trained(open_device, tmp_path_factory):
     for steps in (40, 160):
         while trainer.steps_done < steps:
             trainer.step()
-        anchors = download_anchors(device, trainer.parameters)[0]
+        anchors = trainer.parameters.scene.anchors.map(device.download)
         weights = device.download(trainer.parameters.scene.weights)
         scenes[steps] = Scene(anchors, Mlps(weights))
     scenes["quantised"] = trainer.quantized_scene().dequantize()

@@ -56,9 +56,9 @@ def test_shapes_without_thickness(open_device, dataset):
     device = open_device("cpu")
     config = replace(preset("default").scaled(60), voxel=0.02).for_dataset(dataset.kind)
     trainer = Trainer(device, dataset, config)
-    scaling = device.download(trainer.parameters.scene.scaling)
+    scaling = device.download(trainer.parameters.scene.anchors.scaling)
     scaling[::2, 3:5], scaling[1::2, 4:] = -20, -30
-    device.write(trainer.parameters.scene.scaling, scaling)
+    device.write(trainer.parameters.scene.anchors.scaling, scaling)
     for _ in range(40):
         assert np.isfinite(trainer.step().loss)
 

@@ -115,8 +115,7 @@ def _judge(
     """
     from clgs.cli.options.view import selected_options, selected_views, trained_downscale
     from clgs.opencl.device import Device
-    from clgs.train.quality.rate_control import MAX_CAMERAS, MEASURED, Judge
-    from clgs.train.quality.view_choice import spread
+    from clgs.train.quality.rate_control import MAX_CAMERAS, MEASURED, Judge, spread
 
     args.downscale = args.downscale or trained_downscale(args.scene)
     empty = selected_views(args, scene, load_images=False)

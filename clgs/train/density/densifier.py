@@ -10,15 +10,8 @@ from clgs.opencl.device import Device
 from clgs.ops import density as density_op
 from clgs.render.frame import Frame, SceneGradients
 from clgs.train.config import TrainConfig
-from clgs.train.density.grow_and_prune import (
-    Statistics,
-    TrainState,
-    grow,
-    mask_prune,
-    merge_cells,
-    prune,
-)
-from clgs.train.state.parameters import Parameters, download_anchors, upload_anchors
+from clgs.train.density.grow_and_prune import TrainState, grow, mask_prune, merge_cells, prune
+from clgs.train.state.parameters import Parameters
 
 
 class Densifier:
@@ -27,20 +20,24 @@ class Densifier:
     def __init__(self, device: Device, config: TrainConfig, count: int) -> None:
         """Start with zero statistics for ``count`` anchors."""
         self._device, self._config = device, config
-        self.statistics = self._upload(zero_statistics(count))
+        self.statistics = density_op.zeros(device, count)
 
     def observe(
         self, frame: Frame, gradients: SceneGradients, step: int, stop: DeviceArray
     ) -> None:
-        """Add step number ``step`` to the statistics where they are taken and ``stop`` is 0."""
+        """Add step number ``step`` to the statistics, if they are taken then and ``stop`` is 0."""
         config = self._config
         if not config.statistics_start < step < config.growth_end:
             return
-        seen = density_op.ScreenGradients(
-            frame.gaussians.slot, frame.projected.extent, gradients.d_mean2d, *frame.size
+        seen = density_op.SeenView(
+            output=frame.activations.output,
+            visible=frame.activations.visible,
+            slot=frame.gaussians.slot,
+            extent=frame.projected.extent,
+            d_mean2d=gradients.d_mean2d,
+            size=frame.view.size,
         )
-        output, visible = frame.activations.output, frame.activations.visible
-        density_op.accumulate(self._device, self.statistics, output, visible, seen, stop)
+        density_op.accumulate(self._device, self.statistics, seen, stop)
 
     def replaces_anchors(self, step: int) -> bool:
         """Whether the anchors change at the end of step number ``step``."""
@@ -51,10 +48,9 @@ class Densifier:
     def align(self, parameters: Parameters, q_position: float) -> tuple[Parameters, int]:
         """Anchors moved to the grid of 1/Q_P, those of one cell merged, and how many merged.
 
-        A no-op where the grid is that of the voxels, as it is by default.
+        Nothing changes if the grid is that of the voxels, as it is by default.
         """
-        anchors, moments = download_anchors(self._device, parameters)
-        state = TrainState(anchors, self.download(), moments)
+        state = self._download(parameters)
         merged = merge_cells(state, q_position)
         return self._replace(parameters, state), merged
 
@@ -63,8 +59,7 @@ class Densifier:
     ) -> Parameters:
         """Prune and grow after a step that rendered ``frame``."""
         device = self._device
-        anchors, moments = download_anchors(device, parameters)
-        state = TrainState(anchors, self.download(), moments)
+        state = self._download(parameters)
         visible = device.download(frame.activations.visible)
         columns = np.flatnonzero(visible >= 0)
         opacity = device.download(frame.activations.output)[:K_OFFSETS, columns].T
@@ -73,50 +68,14 @@ class Densifier:
         prune(state, self._config)
         return self._replace(parameters, state)
 
+    def _download(self, parameters: Parameters) -> TrainState:
+        device = self._device
+        return TrainState(
+            anchors=parameters.scene.anchors.map(device.download),
+            statistics=self.statistics.map(device.download),
+            moments=parameters.download_moments(device),
+        )
+
     def _replace(self, parameters: Parameters, state: TrainState) -> Parameters:
-        self.statistics = self._upload(state.statistics)
-        scene = parameters.scene
-        return upload_anchors(
-            self._device,
-            state.anchors,
-            state.moments,
-            scene.weights,
-            parameters.moments["weights"],
-        )
-
-    def download(self) -> Statistics:
-        """Host copy of the statistics."""
-        arrays = self.statistics
-        return Statistics(
-            *(
-                self._device.download(array)
-                for array in (
-                    arrays.opacity_sum,
-                    arrays.visits,
-                    arrays.gradient_sum,
-                    arrays.gradient_count,
-                )
-            )
-        )
-
-    def restore(self, statistics: Statistics) -> None:
-        """Continue from saved statistics."""
-        self.statistics = self._upload(statistics)
-
-    def _upload(self, statistics: Statistics) -> density_op.Statistics:
-        return density_op.Statistics(
-            self._device.upload(statistics.opacity_sum),
-            self._device.upload(statistics.visits),
-            self._device.upload(statistics.gradient_sum),
-            self._device.upload(statistics.gradient_count),
-        )
-
-
-def zero_statistics(count: int) -> Statistics:
-    """Statistics of ``count`` anchors that nothing has seen yet."""
-    return Statistics(
-        np.zeros(count, np.float32),
-        np.zeros(count, np.int32),
-        np.zeros((count, K_OFFSETS), np.float32),
-        np.zeros((count, K_OFFSETS), np.int32),
-    )
+        self.statistics = state.statistics.map(self._device.upload)
+        return parameters.with_anchors(self._device, state.anchors, state.moments)

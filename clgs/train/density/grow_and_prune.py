@@ -8,8 +8,8 @@ prune (section 3.2).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,14 @@ import numpy.typing as npt
 
 from clgs.constants import K_OFFSETS, LOG_SCALE_LIMIT
 from clgs.errors import ClgsError
-from clgs.scene.anchors import AnchorSet
+from clgs.ops.density import Statistics
+from clgs.scene.anchors import AnchorSet, concatenate
 from clgs.train.config import TrainConfig
 from clgs.train.density.initial_anchors import GRID_BITS
+from clgs.train.state.parameters import Moments
 
 Floats = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
-Moments = tuple[Floats, Floats]
 
 CELL_DIVISOR = 4
 """A level's cells have this fraction of the edge of those of the level before it."""
@@ -33,30 +34,14 @@ THRESHOLD_FACTOR = 2.0
 
 
 @dataclass
-class Statistics:
-    """What training saw since an accumulator was last zeroed.
-
-    opacity_sum (A,) float32 positive opacities; visits (A,) int32 steps in which the anchor was
-    visible; gradient_sum (A, K) float32 norms of the screen gradient, NDC units; gradient_count
-    (A, K) int32 steps in which the slot was drawn.
-    """
-
-    opacity_sum: Floats
-    visits: npt.NDArray[np.int32]
-    gradient_sum: Floats
-    gradient_count: npt.NDArray[np.int32]
-
-
-@dataclass
 class TrainState:
-    """Everything that has a row an anchor: anchors, statistics and Adam's moments.
+    """Everything that has a row per anchor: anchors, statistics and Adam's moments.
 
-    moments: (first, second) of "offset", "feature" and "scaling", shaped as those are; positions
-    have learning rate 0 and none.
+    moments: of ``parameters.ANCHOR_GROUPS``, shaped as those are.
     """
 
     anchors: AnchorSet
-    statistics: Statistics
+    statistics: Statistics[npt.NDArray[Any]]
     moments: dict[str, Moments]
 
 
@@ -185,7 +170,8 @@ def merge_cells(state: TrainState, q_position: float) -> int:
     keep = np.zeros(len(order), np.bool_)
     keep[order[first]] = True
     merged = _keep_rows(state, keep)
-    state.anchors.position = (cells[keep] / np.float64(q_position)).astype(np.float32)
+    position = (cells[keep] / np.float64(q_position)).astype(np.float32)
+    state.anchors = replace(state.anchors, position=position)
     return merged
 
 
@@ -260,7 +246,7 @@ def _keep_rows(state: TrainState, keep: npt.NDArray[np.bool_]) -> int:
             "check the images and poses, or lower the learning rates"
         )
     if len(rows) < len(keep):
-        state.anchors = AnchorSet(*(array.take(rows, axis=0) for array in _arrays(state.anchors)))
+        state.anchors = state.anchors.map(lambda array: array.take(rows, axis=0))
         _replace_records(state, lambda array: array.take(rows, axis=0))
     return len(keep) - len(rows)
 
@@ -270,8 +256,7 @@ def _append(state: TrainState, added: list[AnchorSet]) -> None:
     count = sum(map(len, added))
     if not count:
         return
-    parts = zip(*map(_arrays, (state.anchors, *added)), strict=True)
-    state.anchors = AnchorSet(*map(np.concatenate, parts))
+    state.anchors = concatenate([state.anchors, *added])
     _replace_records(state, lambda array: _with_zeros(array, count))
 
 
@@ -286,11 +271,5 @@ def _replace_records(
     state: TrainState, change: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
 ) -> None:
     """Apply ``change`` to every array of the statistics and moments, one at a time."""
-    state.statistics = Statistics(*map(change, _arrays(state.statistics)))
-    state.moments = {
-        name: (change(first), change(second)) for name, (first, second) in state.moments.items()
-    }
-
-
-def _arrays(record: AnchorSet | Statistics) -> Iterator[npt.NDArray[Any]]:
-    return (getattr(record, item.name) for item in fields(record))
+    state.statistics = state.statistics.map(change)
+    state.moments = {name: moments.map(change) for name, moments in state.moments.items()}

@@ -199,3 +199,19 @@ def _best_factors(
         if not max(scores) > best:
             return factors
         best, factors = max(scores), trials[int(np.argmax(scores))]
+
+
+def spread(cameras: Sequence[Camera], count: int) -> list[int]:
+    """The numbers of ``count`` of the cameras, or of all, in rising order.
+
+    The first one, then always the one whose centre is farthest from those chosen before it
+    (Gonzalez 1985); of equals the one with the smallest number.
+    """
+    centre = np.array([camera.centre for camera in cameras])
+    distance = np.full(len(cameras), np.inf)
+    chosen: list[int] = []
+    for _ in range(min(count, len(cameras))):
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(centre - centre[chosen[-1]], axis=1))
+        distance[chosen] = -1.0
+    return sorted(chosen)

@@ -52,8 +52,7 @@ def _of_anchors(trainer: Trainer, frame: Frame) -> Iterator[Saving]:
 
 def _of_tiles(device: Device, frame: Frame) -> Iterator[Saving]:
     options = _without(frame.blended.options, "exact_tiles")
-    opacity = frame.gaussians.opacity
-    boxes = tiles.forward(device, frame.projected, opacity, *frame.size, options)
+    boxes = tiles.forward(device, frame.projected, frame.view.size, options)
     found = int(device.download(frame.tiles.total)[0])
     yield Saving("exact_tiles", "tile entries", found, int(device.download(boxes.total)[0]))
     filled = np.diff(device.download(frame.tiles.tile_range)) > 0
@@ -75,13 +74,10 @@ def _of_pairs(device: Device, frame: Frame) -> Iterator[Saving]:
 def _pairs(
     device: Device, frame: Frame, options: RenderOptions
 ) -> tuple[blend.PairCounts, blend.PairCounts]:
-    gaussians, lists, background = frame.gaussians, frame.tiles, frame.background
-    colors = gaussians.color, gaussians.opacity
-    blended = blend.forward(
-        device, frame.projected, *colors, lists, background, frame.size, options
-    )
+    background = frame.view.background
+    blended = blend.forward(device, frame.projected, frame.tiles, background, options)
     d_image = device.upload(np.ones(blended.image.shape, np.float32))
-    return blend.count_pairs(device, lists, background, blended, d_image)
+    return blend.count_pairs(device, blended, d_image)
 
 
 def _of_updates(trainer: Trainer, frame: Frame) -> Iterator[Saving]:

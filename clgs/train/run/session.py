@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -22,7 +26,6 @@ from clgs.train.config import TrainConfig
 from clgs.train.quality.score_views import ViewScore, evaluate_views, summarize
 from clgs.train.run.finished_run import RESULTS, RunResult, finished_run
 from clgs.train.run.full_disk import Keeper
-from clgs.train.run.interrupt import interruptions
 from clgs.train.run.progress_log import ProgressLog
 from clgs.train.run.trainer import StepResult, Trainer
 from clgs.train.state.checkpoint import checkpoints
@@ -33,6 +36,9 @@ HASHED_VIEWS = 3
 MLP_BYTES = {"quantized": 12_000, "float32": 46_000}
 POSITION_BITS = 12.0
 """Bits that an anchor's position takes, for the size estimate shown while training."""
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+"""Those that end a run after the step under way."""
 
 
 @dataclass
@@ -185,6 +191,36 @@ class Session:
         if scores:
             save_png(self.folder / "preview.png", comparison(scores[0].photo, scores[0].render))
         write_json(self.folder / RESULTS, summary)
+
+
+@contextmanager
+def interruptions() -> Iterator[Callable[[], bool]]:
+    """Within the block the first SIGINT or SIGTERM is remembered, and the next acts as before.
+
+    The block receives a function that tells whether one came. State must change as a whole or
+    not at all, which an exception in the middle of a step would not respect. Outside of the main
+    thread, where Python takes no signals, nothing changes.
+    """
+    seen: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        seen.append(number)
+        restore()
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    for number in SIGNALS:
+        signal.signal(number, remember)
+    try:
+        yield lambda: bool(seen)
+    finally:
+        restore()
 
 
 def peak_memory() -> int | None:

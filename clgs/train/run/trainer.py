@@ -17,18 +17,14 @@ from clgs.options import RenderOptions
 from clgs.render.budget import check_budget
 from clgs.render.frame import Capacity, Frame
 from clgs.render.renderer import Renderer
+from clgs.scene.anchors import quantize
 from clgs.scene.mlps import Mlps, init_mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
 from clgs.train.density.initial_anchors import initial_anchors
 from clgs.train.quality.metrics import psnr_8bit, to_8bit
-from clgs.train.state.parameters import (
-    Parameters,
-    download_anchors,
-    new_parameters,
-    quantized_anchors,
-)
+from clgs.train.state.parameters import Parameters, new_parameters
 from clgs.train.step.queue import Enqueued, Plan, StepQueue
 from clgs.train.step.schedule import ViewSampler
 from clgs.train.step.targets import BACKGROUNDS, planar
@@ -243,9 +239,9 @@ class Trainer:
 
     def quantized_scene(self) -> QuantizedScene:
         """The trained scene as integers, in Morton order: what is encoded and rendered."""
-        anchors, _ = download_anchors(self.device, self.parameters)
+        anchors = self.parameters.scene.anchors.map(self.device.download)
         return QuantizedScene(
-            sort_anchors(quantized_anchors(anchors, self.queue.scales)),
+            sort_anchors(quantize(anchors, self.queue.scales)),
             Mlps(self.device.download(self.queue.final_weights(self.parameters))),
             self.queue.scales,
             self.settings,

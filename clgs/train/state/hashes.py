@@ -18,7 +18,6 @@ from clgs.options import PRESETS, render_options
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
-from clgs.scene.storage import ANCHOR_NAMES
 
 MAX_NUMBER = 1e12
 MIN_FOCAL = 1e-6
@@ -28,8 +27,8 @@ MIN_FOCAL = 1e-6
 def scene_hash(scene: QuantizedScene) -> str:
     """SHA-256 of the integers (little-endian int32, Morton order) and of the MLP weights."""
     digest = hashlib.sha256()
-    for name in ANCHOR_NAMES:
-        digest.update(np.ascontiguousarray(getattr(scene.anchors, name), "<i4").tobytes())
+    for _, array in scene.anchors.items():
+        digest.update(np.ascontiguousarray(array, "<i4").tobytes())
     digest.update(np.ascontiguousarray(scene.mlps.flat, "<f4").tobytes())
     return digest.hexdigest()
 

@@ -5,44 +5,31 @@ from __future__ import annotations
 import hashlib
 import zlib
 from pathlib import Path
-from typing import Any
-
-import numpy.typing as npt
 
 from clgs.data.dataset import Dataset
+from clgs.opencl.array import DeviceArray
 from clgs.ops.adam import Moments
-from clgs.scene.anchors import AnchorSet
+from clgs.ops.density import DeviceStatistics, Statistics
+from clgs.render.frame import DeviceScene
+from clgs.scene.anchors import FIELDS, Anchors
 from clgs.train.config import TrainConfig
-from clgs.train.density.grow_and_prune import Statistics
 from clgs.train.run.trainer import Trainer
 from clgs.train.state import checkpoint
-from clgs.train.state.parameters import ANCHOR_GROUPS, download_anchors, upload_anchors
+from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 from clgs.train.step.schedule import ViewSampler
-
-Arrays = dict[str, npt.NDArray[Any]]
-ANCHOR_NAMES = ("position", *ANCHOR_GROUPS)
-STATISTICS = ("opacity_sum", "visits", "gradient_sum", "gradient_count")
 
 
 def save_checkpoint(folder: Path, trainer: Trainer) -> None:
     """Write everything that the next steps depend on."""
-    device, parameters = trainer.device, trainer.parameters
-    anchors, moments = download_anchors(device, parameters)
-    statistics = trainer.densifier.download()
-    arrays: Arrays = {name: getattr(anchors, name) for name in ANCHOR_NAMES}
-    arrays |= {f"statistics.{name}": getattr(statistics, name) for name in STATISTICS}
-    for name in ANCHOR_GROUPS:
-        arrays[f"first.{name}"], arrays[f"second.{name}"] = moments[name]
-    arrays["weights"] = device.download(parameters.scene.weights)
-    arrays["first.weights"] = device.download(parameters.moments["weights"].first)
-    arrays["second.weights"] = device.download(parameters.moments["weights"].second)
+    arrays = _by_name(trainer.parameters, trainer.densifier.statistics)
     scalars = {
         "step": trainer.steps_done,
         "merged": trainer.merged,
         "rng": trainer.rng.bit_generator.state,
         "sampler": trainer.sampler.state(),
     }
-    checkpoint.save(folder, arrays, scalars, run_digest(trainer.dataset, trainer.config))
+    host = {name: trainer.device.download(array) for name, array in arrays.items()}
+    checkpoint.save(folder, host, scalars, run_digest(trainer.dataset, trainer.config))
 
 
 def load_checkpoint(folder: Path, trainer: Trainer) -> None:
@@ -51,20 +38,32 @@ def load_checkpoint(folder: Path, trainer: Trainer) -> None:
     Raises:
         DataError: all are damaged, or belong to a run with other settings or photos.
     """
-    arrays, scalars = checkpoint.load(folder, run_digest(trainer.dataset, trainer.config))
-    device = trainer.device
-    weights = device.upload(arrays["weights"])
-    weight_moments = Moments(
-        device.upload(arrays["first.weights"]), device.upload(arrays["second.weights"])
+    host, scalars = checkpoint.load(folder, run_digest(trainer.dataset, trainer.config))
+    arrays = {name: trainer.device.upload(array) for name, array in host.items()}
+    scene = DeviceScene(Anchors(*(arrays[name] for name in FIELDS)), arrays["weights"])
+    moments = {
+        name: Moments(arrays[f"first.{name}"], arrays[f"second.{name}"])
+        for name in (*ANCHOR_GROUPS, "weights")
+    }
+    trainer.parameters = Parameters(scene, moments)
+    trainer.densifier.statistics = Statistics(
+        *(arrays[f"statistics.{name}"] for name, _ in trainer.densifier.statistics.items())
     )
-    moments = {name: (arrays[f"first.{name}"], arrays[f"second.{name}"]) for name in ANCHOR_GROUPS}
-    anchors = AnchorSet(*(arrays[name] for name in ANCHOR_NAMES))
-    trainer.parameters = upload_anchors(device, anchors, moments, weights, weight_moments)
-    trainer.densifier.restore(Statistics(*(arrays[f"statistics.{name}"] for name in STATISTICS)))
     trainer.rng.bit_generator.state = scalars["rng"]
     trainer.sampler = ViewSampler.restore(scalars["sampler"])
     trainer.merged = int(scalars["merged"])
     trainer.steps_done = int(scalars["step"])
+
+
+def _by_name(parameters: Parameters, statistics: DeviceStatistics) -> dict[str, DeviceArray]:
+    """Every array of a run under the name that it has in a checkpoint."""
+    moments = {
+        f"{which}.{name}": array
+        for name, pair in parameters.moments.items()
+        for which, array in pair.items()
+    }
+    sums = {f"statistics.{name}": array for name, array in statistics.items()}
+    return {**dict(parameters.scene.items()), **moments, **sums}
 
 
 def run_digest(dataset: Dataset, config: TrainConfig) -> str:

@@ -19,8 +19,8 @@ from clgs.ops.adam import (
     EPSILON,
     MIN_FIRST_MOMENT,
     MIN_SECOND_MOMENT,
-    Moments,
     StepFactors,
+    Trained,
 )
 
 Array = npt.NDArray[np.float32]
@@ -36,14 +36,12 @@ class State(NamedTuple):
 
 def step(
     device: Device,
-    parameter: DeviceArray,
-    gradient: DeviceArray,
-    moments: Moments,
+    trained: Trained,
     factors_now: StepFactors,
     stop: DeviceArray,
     part: slice | None = None,
 ) -> None:
-    """As :func:`clgs.ops.adam.step`: update ``parameter`` and ``moments`` in place.
+    """As :func:`clgs.ops.adam.step`: update the parameter and its moments in place.
 
     Raises:
         ValueError: sizes or dtypes differ.
@@ -51,17 +49,16 @@ def step(
     if device.download(stop)[0]:
         return
     chosen = part or slice(None)
-    state = _download(device, parameter, moments)
+    trained.check()
+    state = _download(device, trained)
     views = State._make(array.reshape(-1)[chosen] for array in state)
-    update(views, device.download(gradient).reshape(-1)[chosen], factors_now)
-    _write(device, parameter, moments, state)
+    update(views, device.download(trained.gradient).reshape(-1)[chosen], factors_now)
+    _write(device, trained, state)
 
 
 def step_rows(
     device: Device,
-    parameter: DeviceArray,
-    gradient: DeviceArray,
-    moments: Moments,
+    trained: Trained,
     factors_now: StepFactors,
     stop: DeviceArray,
     marks: DeviceArray,
@@ -74,12 +71,14 @@ def step_rows(
     if device.download(stop)[0]:
         return
     moved = device.download(marks) != 0
-    state = _download(device, parameter, moments)
+    trained.check()
+    state = _download(device, trained)
     rows = State._make(array[moved] for array in state)
-    update(rows, device.download(gradient).reshape(parameter.shape)[moved], factors_now)
+    gradient = device.download(trained.gradient).reshape(trained.parameter.shape)
+    update(rows, gradient[moved], factors_now)
     for array, changed in zip(state, rows, strict=True):
         array[moved] = changed
-    _write(device, parameter, moments, state)
+    _write(device, trained, state)
 
 
 def update(state: State, gradient: Array, factors_now: StepFactors) -> None:
@@ -119,13 +118,13 @@ def _update_moments(first: Array, second: Array, gradient: Array, scratch: Array
     second *= scratch
 
 
-def _download(device: Device, parameter: DeviceArray, moments: Moments) -> State:
+def _download(device: Device, trained: Trained) -> State:
     """Host copies, of the parameter's shape."""
-    arrays = (parameter, moments.first, moments.second)
-    return State._make(device.download(array).reshape(parameter.shape) for array in arrays)
+    arrays = (trained.parameter, trained.moments.first, trained.moments.second)
+    return State._make(device.download(array).reshape(trained.parameter.shape) for array in arrays)
 
 
-def _write(device: Device, parameter: DeviceArray, moments: Moments, state: State) -> None:
-    device.write(parameter, state.parameter)
-    device.write(moments.first, state.first)
-    device.write(moments.second, state.second)
+def _write(device: Device, trained: Trained, state: State) -> None:
+    device.write(trained.parameter, state.parameter)
+    device.write(trained.moments.first, state.first)
+    device.write(trained.moments.second, state.second)

@@ -38,15 +38,16 @@ class Optimizer:
         rates = learning_rates(self._config, step, self._radius)
         names = (*ANCHOR_GROUPS, "weights") if anchors else ("weights",)
         by_name = {name: getattr(gradients, f"d_{name}") for name in names}
+        tensors = dict(parameters.scene.items())
         marks = self._check(by_name, stop)
         for name in names:
-            state = getattr(parameters.scene, name), by_name[name], parameters.moments[name]
+            trained = adam.Trained(tensors[name], by_name[name], parameters.moments[name])
             for part, rate in _parts(name, by_name[name].size, rates):
                 now = adam.factors(rate, step)
                 if name in marks:
-                    self._adam.step_rows(self._device, *state, now, stop, marks[name])
+                    self._adam.step_rows(self._device, trained, now, stop, marks[name])
                 else:
-                    self._adam.step(self._device, *state, now, stop, part)
+                    self._adam.step(self._device, trained, now, stop, part)
 
     def _check(
         self, gradients: dict[str, DeviceArray], stop: DeviceArray

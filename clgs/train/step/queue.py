@@ -16,9 +16,9 @@ from clgs.render.pipeline import check_capacity, render_backward, view_forward
 from clgs.scene.anchors import QuantizationScales
 from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
-from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters, quantized_view
+from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 from clgs.train.step.optimizer import Optimizer
-from clgs.train.step.rounding import weight_scales
+from clgs.train.step.rounding import rounded_anchors, weight_scales
 from clgs.train.step.schedule import reduction
 from clgs.train.step.targets import Color, Targets
 
@@ -139,7 +139,8 @@ class StepQueue:
         scene = parameters.scene
         with self._device.stage("quantize"):
             if step > self._config.switch_step:
-                scene = quantized_view(self._device, scene, self.scales)
+                anchors = rounded_anchors(self._device, scene.anchors, self.scales)
+                scene = replace(scene, anchors=anchors)
             if step > self._config.mlp_switch_step:
                 scene = replace(scene, weights=self.final_weights(parameters))
         return scene
@@ -171,14 +172,14 @@ class StepQueue:
         total = 0.0
         with self._device.stage("rate"):
             for name in ANCHOR_GROUPS:
-                x, d_x = getattr(parameters.scene, name), getattr(gradients, f"d_{name}")
+                x, d_x = getattr(parameters.scene.anchors, name), getattr(gradients, f"d_{name}")
                 result = self._rate(parameters, name)
                 rate.backward(self._device, result, x, config.rate_weight, d_x)
                 total += result.bits
         return total
 
     def _rate(self, parameters: Parameters, name: str) -> rate.Rate:
-        x, q = getattr(parameters.scene, name), getattr(self.scales, name)
+        x, q = getattr(parameters.scene.anchors, name), getattr(self.scales, name)
         form: rate.Form = "pooled" if self._config.proxy == "pooled" else "channel"
         return rate.forward(self._device, x, q, form)
 

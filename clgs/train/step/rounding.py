@@ -1,8 +1,8 @@
-"""The steps to which the weights of the MLPs are rounded at the end of training.
+"""Anchors and weights as they are rendered and stored after the switch steps: rounded.
 
-Rounded weights go through the render, gradients go to the unrounded ones (straight-through
-estimator), as for anchors. A scene is the less sensitive to a weight the later its head counts:
-opacity decides what is there, the shapes of Gaussians forgive most.
+Rounded parameters go through the render, and their gradients are taken as those of the unrounded
+ones (straight-through estimator). The opacity head gets the finest steps, because it decides what
+is there; the shapes of Gaussians forgive most.
 """
 
 from __future__ import annotations
@@ -10,10 +10,25 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from clgs.opencl.device import Device
+from clgs.ops import quantize
+from clgs.scene.anchors import DeviceAnchors, QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, head_shapes, unpack_head
 
 BINARY_PLACES = {"opacity": (9, 10), "color": (8, 9), "covariance": (7, 7)}
 """Of each head's hidden and output layer: weights and biases are multiples of 2^-places."""
+
+
+def rounded_anchors(
+    device: Device, anchors: DeviceAnchors, scales: QuantizationScales
+) -> DeviceAnchors:
+    """Anchors rounded to multiples of 1/Q; positions lie on their grid already."""
+    return DeviceAnchors(
+        position=anchors.position,
+        offset=quantize.forward(device, anchors.offset, scales.offset),
+        feature=quantize.forward(device, anchors.feature, scales.feature),
+        scaling=quantize.forward(device, anchors.scaling, scales.scaling),
+    )
 
 
 def weight_scales() -> npt.NDArray[np.float32]:

@@ -33,23 +33,19 @@ class Rendered:
 
     def backward(self, d_image: np.ndarray) -> dict[str, np.ndarray]:
         result = blend.backward(
-            self.device,
-            **self.inputs,
-            blended=self.blended,
-            d_image=self.device.upload(d_image),
+            self.device, self.inputs["projected"], self.blended, self.device.upload(d_image)
         )
         return {name: self.device.download(getattr(result, name)) for name in GRADIENTS}
 
 
 def upload(device: Any, scene: ProjectedScene) -> Projected:
-    return Projected(**{name: device.upload(getattr(scene, name)) for name in GEOMETRY})
+    return Projected(**{name: device.upload(array) for name, array in vars(scene).items()})
 
 
 def lists_of(
     device: Any, scene: ProjectedScene, size: tuple[int, int], options: RenderOptions = DEFAULT
 ) -> tiles.TileLists:
-    opacity = device.upload(scene.opacity)
-    return tiles.forward(device, upload(device, scene), opacity, *size, options)
+    return tiles.forward(device, upload(device, scene), size, options)
 
 
 def render(
@@ -62,12 +58,10 @@ def render(
 ) -> Rendered:
     inputs = {
         "projected": upload(device, scene),
-        "color": device.upload(scene.color),
-        "opacity": device.upload(scene.opacity),
         "tiles": lists or lists_of(device, scene, size, options),
         "background": device.upload(background),
     }
-    return Rendered(device, inputs, blend.forward(device, **inputs, size=size, options=options))
+    return Rendered(device, inputs, blend.forward(device, **inputs, options=options))
 
 
 def in_float64(rendered: Rendered, scene: ProjectedScene) -> dict[str, Any]:
@@ -88,13 +82,8 @@ def in_float64(rendered: Rendered, scene: ProjectedScene) -> dict[str, Any]:
 
 def decisions(rendered: Rendered, d_image: np.ndarray) -> tuple[Any, Any]:
     """What forward and backward decide, as the reference takes it."""
-    pair = blend.decisions(
-        rendered.device,
-        rendered.inputs["tiles"],
-        rendered.inputs["background"],
-        rendered.blended,
-        rendered.device.upload(d_image),
-    )
+    d_uploaded = rendered.device.upload(d_image)
+    pair = blend.decisions(rendered.device, rendered.blended, d_uploaded)
     return tuple(reference.Decisions(**vars(one)) for one in pair)
 
 
@@ -112,13 +101,13 @@ def every_tile_lists(device: Any, scene: ProjectedScene, size: tuple[int, int]) 
         "tile_range": np.arange(number + 1) * len(order),
         "row_range": row_range,
     }
-    return lists_on_device(device, arrays)
+    return lists_on_device(device, size, arrays)
 
 
-def part_of_lists(
-    device: Any, lists: dict[str, np.ndarray], first: int, last: int
-) -> tiles.TileLists:
+def part_of_lists(device: Any, whole: tiles.TileLists, first: int, last: int) -> tiles.TileLists:
     """The lists of tiles [first, last), all others empty; rows are numbered anew."""
+    names = ("gaussian", "row", "tile_range", "row_range")
+    lists = {name: device.download(getattr(whole, name)) for name in names}
     count = len(lists["row_range"]) - 1
     starts = np.clip(lists["tile_range"], *lists["tile_range"][[first, last]])
     own = slice(starts[0], starts[-1])
@@ -129,13 +118,15 @@ def part_of_lists(
         "tile_range": starts - starts[0],
         "row_range": np.concatenate([[0], np.cumsum(np.bincount(gaussian, minlength=count))]),
     }
-    return lists_on_device(device, arrays)
+    return lists_on_device(device, whole.size, arrays)
 
 
-def lists_on_device(device: Any, arrays: dict[str, np.ndarray]) -> tiles.TileLists:
+def lists_on_device(
+    device: Any, size: tuple[int, int], arrays: dict[str, np.ndarray]
+) -> tiles.TileLists:
     total = device.upload(np.array([len(arrays["row"])], np.int64))
     uploaded = {name: device.upload(array.astype(np.int32)) for name, array in arrays.items()}
-    return tiles.TileLists(**uploaded, total=total)
+    return tiles.TileLists(size=size, **uploaded, total=total)
 
 
 def truncation(options: RenderOptions) -> reference.Truncation:

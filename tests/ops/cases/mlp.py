@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE
+from clgs.ops.mlp import Inputs
 from clgs.reference.stages import mlp as reference
 from clgs.scene.mlps import init_mlps, unpack_head
+from tests.ops.cases.anchors import on_device
 from tests.ops.cases.project import camera_at
 
 
@@ -29,6 +33,12 @@ def with_opacity_bias(values: dict[str, np.ndarray], bias: float) -> dict[str, n
     weights = values["weights"].copy()
     unpack_head(weights, "opacity")["output_bias"] += np.float32(bias)
     return {**values, "weights": weights}
+
+
+def mlp_inputs(device: Any, values: dict[str, np.ndarray]) -> Inputs:
+    """What the MLPs read of a case, on a device."""
+    weights, camera = device.upload(values["weights"]), device.upload(packed_camera())
+    return Inputs(on_device(device, values), weights, camera)
 
 
 def decided(values: dict[str, np.ndarray]) -> np.ndarray:

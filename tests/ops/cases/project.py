@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from clgs.ops.neural import Gaussians
+from clgs.ops.project import ProjectedGradients
 from clgs.scene.camera import Camera
 
 
@@ -37,6 +41,19 @@ def gaussians(rng: np.random.Generator, count: int, ratio: float = 10.0) -> dict
         "opacity": rng.uniform(0.01, 1.0, count),
     }
     return {name: value.astype(np.float32) for name, value in values.items()}
+
+
+def on_device(device: Any, values: dict[str, np.ndarray]) -> Gaussians:
+    """The Gaussians on a device, black."""
+    color = device.upload(np.zeros_like(values["mean"]))
+    return Gaussians(**{name: device.upload(v) for name, v in values.items()}, color=color)
+
+
+def d_projected(device: Any, d_mean2d: np.ndarray, d_whitening: np.ndarray) -> ProjectedGradients:
+    """Gradients by projections, those by color and opacity zero."""
+    count = len(d_mean2d)
+    by_light = device.zeros((count, 3)), device.zeros((count,))
+    return ProjectedGradients(device.upload(d_mean2d), device.upload(d_whitening), *by_light)
 
 
 def widen(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

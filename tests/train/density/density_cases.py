@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.ops.density import Statistics
 from clgs.scene.anchors import AnchorSet
 from clgs.train.config import TrainConfig
-from clgs.train.density.grow_and_prune import Statistics, TrainState, position_integers
+from clgs.train.density.grow_and_prune import TrainState, position_integers
+from clgs.train.state.parameters import Moments
 
 VOXEL = 0.5
 CONFIG = TrainConfig(voxel=VOXEL, growth_threshold=0.25)
@@ -52,7 +53,9 @@ def state_at(integers: Any) -> TrainState:
         np.zeros((count, K_OFFSETS), np.int32),
     )
     shapes = {"offset": (K_OFFSETS, 3), "feature": (FEATURE_DIM,), "scaling": (6,)}
-    moments = {name: (numbered(*shape), 10 * numbered(*shape)) for name, shape in shapes.items()}
+    moments = {
+        name: Moments(numbered(*shape), 10 * numbered(*shape)) for name, shape in shapes.items()
+    }
     return TrainState(anchors, statistics, moments)
 
 
@@ -68,10 +71,9 @@ def integers_of(state: TrainState) -> list[tuple[int, ...]]:
 
 
 def arrays_of(state: TrainState) -> dict[str, npt.NDArray[Any]]:
-    found = {item.name: getattr(state.anchors, item.name) for item in fields(AnchorSet)}
-    found |= {item.name: getattr(state.statistics, item.name) for item in fields(Statistics)}
+    found = {**dict(state.anchors.items()), **dict(state.statistics.items())}
     for name in GROUPS:
-        found[f"first {name}"], found[f"second {name}"] = state.moments[name]
+        found |= {f"{which} {name}": array for which, array in state.moments[name].items()}
     return found
 
 
@@ -85,7 +87,8 @@ def assert_same(first: TrainState, second: TrainState) -> None:
 def assert_rows(state: TrainState, numbers: list[int]) -> None:
     """The rows are those that :func:`state_at` numbered so, in every array; 0 is a new row."""
     for name in GROUPS:
-        for moment, factor in zip(state.moments[name], (1, 10), strict=True):
+        moments = state.moments[name]
+        for moment, factor in ((moments.first, 1), (moments.second, 10)):
             flat = moment.reshape(len(moment), -1)
             assert (flat == factor * np.array(numbers)[:, None]).all(), name
     for array in arrays_of(state).values():

@@ -99,7 +99,7 @@ def test_offset_zero_stays_in_the_anchors_own_cell() -> None:
     """Also halfway between two cells, where float32 positions would round either way."""
     config = TrainConfig(voxel=0.005, growth_threshold=0.25)
     state = state_at([(4 * i + 2, -4 * i - 2, 6 * i) for i in range(50)])
-    state.anchors.position *= np.float32(0.005 / VOXEL)
+    state.anchors.position[:] *= np.float32(0.005 / VOXEL)
     state.statistics.gradient_count[:] = 64
     state.statistics.gradient_sum[:] = 64.0
     assert grow(state, config, Draws()) == 0

@@ -114,7 +114,7 @@ def test_rows_stay_together_through_a_whole_step(seed: int) -> None:
 
     state = step()
     before = random_state(seed)
-    numbers = state.moments["scaling"][0][:, 0].astype(int)
+    numbers = state.moments["scaling"].first[:, 0].astype(int)
     assert_rows(state, numbers.tolist())
     old = numbers > 0
     assert (np.diff(numbers[old]) > 0).all()
@@ -136,14 +136,14 @@ def test_merge_by_hand() -> None:
 
 def test_a_finer_grid_merges_nothing_and_moves_by_half_a_cell_at_most() -> None:
     state = random_state(3)
-    state.anchors.position *= np.float32(0.001 / VOXEL)
+    state.anchors.position[:] *= np.float32(0.001 / VOXEL)
     before = copy.deepcopy(state)
     assert merge_cells(state, 1024.0) == 0
     moved = np.abs(state.anchors.position - before.anchors.position)
     assert moved.max() <= 0.5 / 1024 * (1 + 1e-5)
     integers = position_integers(state.anchors.position, 1024.0)
     np.testing.assert_array_equal(state.anchors.position, (integers / 1024.0).astype(np.float32))
-    before.anchors.position = state.anchors.position
+    before.anchors.position[:] = state.anchors.position
     assert_same(state, before)
 
 

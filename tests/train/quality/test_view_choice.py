@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clgs.scene.camera import Camera
-from clgs.train.quality.view_choice import spread
+from clgs.train.quality.rate_control import spread
 
 
 def cameras(centres: list[float]) -> list[Camera]:

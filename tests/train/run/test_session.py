@@ -14,8 +14,7 @@ import pytest
 import clgs
 from clgs.errors import DataError
 from clgs.train.config import preset
-from clgs.train.run.interrupt import interruptions
-from clgs.train.run.session import train_scene
+from clgs.train.run.session import interruptions, train_scene
 from tests.small_scene import write_scene
 
 STEPS = 220

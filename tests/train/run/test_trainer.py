@@ -22,8 +22,7 @@ def config(dataset, **changes):
 
 def parameters(trainer):
     scene, device = trainer.parameters.scene, trainer.device
-    names = ("position", "offset", "feature", "scaling", "weights")
-    return {name: device.download(getattr(scene, name)) for name in names}
+    return {name: device.download(array) for name, array in scene.items()}
 
 
 @pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
@@ -85,7 +84,7 @@ def test_coarser_position_grid_merges_at_the_switch(dataset, cpu):
     counts = [trainer.step().anchors for _ in range(STEPS // 2 + 1)]
     assert counts[-1] < counts[-2]
     assert trainer.merged == counts[-2] - counts[-1]
-    position = cpu.download(trainer.parameters.scene.position)
+    position = cpu.download(trainer.parameters.scene.anchors.position)
     assert np.array_equal(position, (np.rint(position * 10) / 10).astype(np.float32))
 
 
@@ -99,11 +98,11 @@ def test_visible_adam_leaves_unseen_rows_alone(dataset, cpu):
     seen = cpu.download(one.render_next().activations.visible)
     before, dense_before = (parameters(trainer)["feature"] for trainer in (one, dense))
     # hide all but some rows by moving the others behind every camera
-    position = cpu.download(one.parameters.scene.position)
+    position = cpu.download(one.parameters.scene.anchors.position)
     hidden = np.setdiff1d(np.arange(len(position)), seen[:50])
     position[hidden] += 1e4
     for trainer in (one, dense):
-        cpu.write(trainer.parameters.scene.position, position)
+        cpu.write(trainer.parameters.scene.anchors.position, position)
         trainer.step()
     after, dense_after = (parameters(trainer)["feature"] for trainer in (one, dense))
     assert np.array_equal(after[hidden], before[hidden])

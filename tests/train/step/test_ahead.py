@@ -22,8 +22,8 @@ def trainer(device, dataset, ahead):
 
 def state(one):
     scene, device = one.parameters.scene, one.device
-    arrays = [getattr(scene, name) for name in ("position", "offset", "feature", "scaling")]
-    arrays += [scene.weights, one.densifier.statistics.gradient_sum]
+    arrays = [array for _, array in scene.items()]
+    arrays.append(one.densifier.statistics.gradient_sum)
     arrays += [moments.second for moments in one.parameters.moments.values()]
     return [device.download(array) for array in arrays]
 
