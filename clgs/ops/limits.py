@@ -1,6 +1,6 @@
 """Two kernels that do nothing but use the device: what the other stages are measured against.
 
-copy: target = source. fma: CHAINS independent chains x <- x factor + term a lane, from
+copy: target = source. fma: CHAINS independent chains x <- x factor + term per lane, from
 (1 .. CHAINS) / 8 on, and their sum.
 """
 

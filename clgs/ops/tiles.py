@@ -1,6 +1,6 @@
 """Per-tile lists of the Gaussians that may touch a tile, front to back.
 
-A Gaussian is listed where the smallest y1^2 + y2^2 over the rectangle of a tile's pixel centres
+A Gaussian is listed if the smallest y1^2 + y2^2 over the rectangle of a tile's pixel centres
 allows alpha >= ALPHA_CUT, with a slack for rounding, so that the rendered image is bit-identical to
 one made from lists that hold every Gaussian in every tile. The part of an ellipse between the first
 and the last pixel row of a row of tiles is convex, so that it reaches neighbouring tiles: a span,

@@ -1,8 +1,9 @@
 /* Gradient of L1 and SSIM by the image, from the maps of forward.cl, which has the equations.
  *
- * A work-group owns a patch of PATCH_ROWS x PATCH_COLUMNS pixels of one channel: one work-item on a
- * CPU, VEC pixels at a time; ITEMS work-items with local memory on a GPU, which also holds the
- * patch and its rim. Launch size: (patches across * work-items, patches down, 3). */
+ * A work-group owns a patch of PATCH_ROWS x PATCH_COLUMNS pixels of one channel: on a CPU
+ * one work-item, VEC pixels at a time, with the patch and its rim in private memory; on a GPU ITEMS
+ * work-items, with both in local memory. Launch size: (patches across * work-items of a group,
+ * patches down, 3). */
 #include "common/real.h"
 #include "loss/group.h"
 #include "loss/patch.h"

@@ -1,7 +1,8 @@
 /* The volume term: the mean product of the scales of the Gaussians.
  *
- * A work-group owns VOLUME_BLOCK Gaussians: one work-item on a CPU, VEC Gaussians at a time; ITEMS
- * work-items with local memory, for the sum, on a GPU. Launch size: blocks * work-items. */
+ * A work-group owns VOLUME_BLOCK Gaussians: on a CPU one work-item, VEC Gaussians at a time; on a
+ * GPU ITEMS work-items, with local memory for the sum. Launch size: blocks * work-items of a
+ * group. */
 #include "common/lanes.h"
 #include "common/real.h"
 #include "common/rows.h"

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from tests.house.rules import plain_c, without_attributes, without_comments
 
 _INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]*"([^"]+)"', re.M)
+_OPTION = re.compile(r"^#ifndef (\w+)\n#define \1 ", re.M)
 _HELPER = re.compile(r"\bstatic\s+inline\s+[\w\s*]*?(\w+)\s*\(")
 
 
@@ -96,13 +97,13 @@ def _reached(path: str, direct: Mapping[str, list[str]]) -> set[str]:
 
 
 def name_complaints(files: Mapping[str, str]) -> list[str]:
-    """Types that two files define, and headers that no file includes."""
+    """Types and build options that two files define, and headers that no file includes."""
     complaints = []
     homes: dict[str, str] = {}
     for path, text in files.items():
-        for name in _types(text):
+        for name in sorted(_types(text)) + _OPTION.findall(text):
             if homes.setdefault(name, path) != path:
-                complaints.append(f"{path}: {homes[name]} defines a type {name}, too")
+                complaints.append(f"{path}: {homes[name]} defines {name}, too")
     included = {header for text in files.values() for header in _INCLUDE.findall(text)}
     headers = {path for path in files if path.endswith(".h")}
     return complaints + [f"{path}: is never included" for path in sorted(headers - included)]

@@ -99,7 +99,7 @@ def test_kernel_files_include_what_they_use():
     assert not kernel_rules.include_complaints(kernel_files())
 
 
-def test_kernel_types_and_headers_have_one_home():
+def test_kernel_types_options_and_headers_have_one_home():
     assert not kernel_rules.name_complaints(kernel_files())
 
 

@@ -88,9 +88,12 @@ def test_includes_that_are_not_used_or_missing_are_found():
     assert kernel_rules.include_complaints(own) == []
 
 
-def test_types_and_headers_have_one_home():
+def test_types_options_and_headers_have_one_home():
     program = '#include "room/a.h"\ntypedef struct {\n    int x;\n} %s;\n'
     assert kernel_rules.name_complaints({"room/a.h": HEADER, "room/b.cl": program % "Line"}) == []
     (found,) = kernel_rules.name_complaints({"room/a.h": HEADER, "room/b.cl": program % "Point"})
-    assert found == "room/b.cl: room/a.h defines a type Point, too"
+    assert found == "room/b.cl: room/a.h defines Point, too"
+    option = "#ifndef SIZE\n#define SIZE 3\n#endif\n"
+    (found,) = kernel_rules.name_complaints({"room/b.cl": option, "room/c.cl": option})
+    assert found == "room/c.cl: room/b.cl defines SIZE, too"
     assert kernel_rules.name_complaints({"room/a.h": HEADER}) == ["room/a.h: is never included"]

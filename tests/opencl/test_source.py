@@ -53,3 +53,11 @@ def test_headers_that_include_each_other_end(kernels):
 def test_a_missing_program_is_an_error(kernels):
     with pytest.raises(FileNotFoundError):
         source.read_program("missing.cl")
+
+
+def test_a_form_with_a_file_of_its_own_is_preferred(kernels):
+    for name in ("shared.cl", "own_cpu.cl", "own_gpu.cl"):
+        (kernels / "include" / name).write_text("")
+    assert source.program_file("include/shared", "cpu") == "include/shared.cl"
+    assert source.program_file("include/own", "cpu") == "include/own_cpu.cl"
+    assert source.program_file("include/own", "gpu") == "include/own_gpu.cl"
