@@ -53,7 +53,9 @@ def test_a_wheel_without_kernels_fails():
     assert check_wheel.complaints(python_only, packed) == ["no kernels"]
 
 
-@pytest.mark.parametrize("name", ["tests/test_x.py", "clgs/left_over.py", "kernels_cl/mlp/forward.cl"])
+@pytest.mark.parametrize(
+    "name", ["tests/test_x.py", "clgs/left_over.py", "kernels_cl/mlp/forward.cl"]
+)
 def test_surplus_files_are_named(name):
     assert check_wheel.complaints(TRACKED, [*PACKED, name]) == [f"not of the package: {name}"]
 
