@@ -244,7 +244,8 @@ def backward(
     )
     unused = result.d_feature
     outputs = (result.d_feature, unused if result.d_position is None else result.d_position)
-    macros = {**defines(device, activations.options), "WANT_POSITION": int(want_position)}
+    common = defines(device, activations.options)
+    macros = {**common, "WANT_POSITION": int(want_position)}
     if device.specialisation == "cpu":
         workers = min(WORKERS * int(device.cl_device.max_compute_units), parts)
         values, taken = device.empty((workers, _batch_size(device))), device.zeros((1,), np.int32)
@@ -253,7 +254,7 @@ def backward(
     else:
         _backward_in_groups(device, activations, read, outputs, partial, macros)
     device.run(
-        device.kernel("mlp/backward_sum", "mlp_backward_sum", **macros),
+        device.kernel("mlp/backward_sum", "mlp_backward_sum", **common),
         (_row_tiles(device), _column_tiles(device)),
         None,
         *(partial, np.int32(parts), result.d_weights),
