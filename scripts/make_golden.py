@@ -52,7 +52,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "max": {"level": "max"},
     "paper": {"level": "paper"},
 }
-"""How a file is encoded, where not by default."""
+"""How a file is encoded, if not by default."""
 
 
 def golden_scenes() -> dict[str, QuantizedScene]:

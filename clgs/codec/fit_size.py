@@ -35,7 +35,7 @@ def take(scene: QuantizedScene, rows: npt.NDArray[np.intp]) -> QuantizedScene:
 
 
 def coarsen(scene: QuantizedScene, factors: Factors) -> QuantizedScene:
-    """The scene with fewer integers a unit: integers v become rint(v * factor), as Q does."""
+    """The scene with fewer integers per unit: integers v become rint(v * factor), as Q does."""
     arrays, scales = dict(vars(scene.anchors)), dict(vars(scene.scales))
     for name, factor in factors.items():
         arrays[name] = np.rint(arrays[name] * factor).astype(np.int32)
@@ -82,8 +82,8 @@ def fit_size(
     """As many of the anchors ``order`` (A,), first ones first, as ``target`` bytes hold; the file.
 
     False position over the number of anchors, with exact sizes: never above ``target``, and at
-    least ENOUGH of it or within an anchor of it, where trials suffice. ``whole``: about the bytes
-    of the file of all anchors, where it is known to be above ``target``.
+    least ENOUGH of it or within an anchor of it, if MAX_TRIALS suffice. ``whole``: about the
+    bytes of the file of all anchors, if it is known to be above ``target``.
 
     Raises:
         UsageError: the file is larger even without anchors.

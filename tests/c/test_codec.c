@@ -203,7 +203,7 @@ static void test_stream(stream_part part, size_t rows, size_t channels, const in
     free(s.workspace);
 }
 
-/* A box of `edge` cells a side, in Morton order, each cell kept with chance `keep` / 256. */
+/* A box with edges of `edge` cells, in Morton order, each cell kept with chance `keep` / 256. */
 static size_t fill_box(int32_t *position, uint32_t edge, uint32_t keep, int32_t scale)
 {
     size_t count = 0;

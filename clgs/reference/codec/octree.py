@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from clgs.reference.codec import octree_levels
+from clgs.reference.codec import octree_sparse
 from clgs.reference.codec.coding import WideDecoder, WideEncoder
 from clgs.reference.codec.varint import read_varint, varint
 
@@ -32,7 +32,7 @@ def encode(position: npt.NDArray[np.int32], origin: tuple[int, int, int] | None 
     raw = bytes([RAW, depth]) + corner.astype("<i4").tobytes()
     raw += b"".join(code.to_bytes(8, "little") for code in codes)
     coder = WideEncoder()
-    octree_levels.code_levels(coder, depth, cells)
+    octree_sparse.code_levels(coder, depth, cells)
     coded = bytes([OCTREE, depth]) + b"".join(varint(int(c)) for c in corner) + coder.finish()
     return min(coded, raw, key=len)
 
@@ -53,7 +53,7 @@ def decode(data: bytes, count: int) -> npt.NDArray[np.int32]:
             axis, at = read_varint(data, at)
             axes.append(axis)
         coder = WideDecoder(data[at:])
-        cells = sorted(octree_levels.code_levels(coder, data[1], None, count), key=_morton)
+        cells = sorted(octree_sparse.code_levels(coder, data[1], None, count), key=_morton)
         coder.finish()
     else:
         raise ValueError("the stream holds what no encoder writes")
