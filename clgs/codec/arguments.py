@@ -1,4 +1,4 @@
-"""Checks of what callers hand over, each with one clear line."""
+"""Checks of callers' arguments, each with one clear line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from clgs.errors import CodecError, UsageError
 
 
 def check_integer(name: str, value: object) -> int:
-    """``value`` as an int; TypeError where it is no integer, such as 2.0."""
+    """``value`` as an int; TypeError if it is no integer, such as 2.0."""
     try:
         return operator.index(value)  # type: ignore[arg-type]  # what it is for
     except TypeError:
@@ -20,7 +20,7 @@ def check_integer(name: str, value: object) -> int:
 
 
 def check_choice(name: str, value: object, known: Sequence[str]) -> None:
-    """Raise UsageError where ``value`` is none of ``known``, TypeError where it is no string."""
+    """Raise UsageError unless ``value`` is one of ``known``, TypeError unless it is a string."""
     if not isinstance(value, str):
         raise TypeError(f"{name}: {_shown(value)}; a string is needed")
     if value not in known:

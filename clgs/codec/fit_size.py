@@ -34,7 +34,7 @@ def take(scene: QuantizedScene, rows: npt.NDArray[np.intp]) -> QuantizedScene:
 
 
 def coarsen(scene: QuantizedScene, factors: Factors) -> QuantizedScene:
-    """The scene with fewer integers a unit: integers v become rint(v * factor), as Q does."""
+    """The scene with fewer integers per unit: integers v become rint(v * factor), as Q does."""
     integers = {
         name: np.rint(getattr(scene.anchors, name) * factor).astype(np.int32)
         for name, factor in factors.items()
@@ -86,8 +86,8 @@ def fit_size(
     """As many of the anchors ``order`` (A,), first ones first, as ``target`` bytes hold; the file.
 
     False position over the number of anchors, with exact sizes: never above ``target``, and at
-    least ENOUGH of it or within an anchor of it, where trials suffice. ``whole``: about the bytes
-    of the file of all anchors, where it is known to be above ``target``.
+    least ENOUGH of it or within an anchor of it, if MAX_TRIALS suffice. ``whole``: about the
+    bytes of the file of all anchors, if it is known to be above ``target``.
 
     Raises:
         UsageError: the file is larger even without anchors.

@@ -101,9 +101,9 @@ def decode_chunks(
 def describe(data: bytes) -> dict[str, Any]:
     """Header and size of a file: plain numbers, ready for JSON; payloads are not decoded.
 
-    Keys: version, bytes, anchors, level, origin, depth, chunks (anchors of each, count), scales,
-    transform, settings, content_hash (hex), and sections (bytes by tag, ``container`` for the
-    signature and the table).
+    Keys: version, bytes, anchors, level, origin, depth, chunks (anchors per chunk at most, count),
+    scales, transform, settings, content_hash (hex), and sections (bytes by tag, ``container`` for
+    the signature and the table).
 
     Raises:
         CodecError: as ``decode``, but for damage that only decoding can show.

@@ -123,7 +123,7 @@ def _encode_sections(
 def _encode_positions(
     position: npt.NDArray[np.int32], parts: list[slice], pool: ThreadPoolExecutor
 ) -> list[Future[list[bytes]]]:
-    """The octrees of all parts, some a task."""
+    """The octrees of all parts, some of them per task."""
     origins = corners(position, parts)
 
     def encode_batch(batch: range) -> list[bytes]:
@@ -138,7 +138,7 @@ def _encode_rows(
     parts: list[slice],
     pool: ThreadPoolExecutor,
 ) -> list[Future[list[bytes]]]:
-    """The attributes of all parts, some a task."""
+    """The attributes of all parts, some of them per task."""
 
     def encode_batch(batch: range) -> list[bytes]:
         return [model.encode(rows[parts[i]]) for i in batch]
@@ -147,7 +147,7 @@ def _encode_rows(
 
 
 def check_options(level: str, chunk: int, mlp: str = "auto") -> None:
-    """Raise UsageError or TypeError where ``encode`` does not take them."""
+    """Raise UsageError or TypeError unless ``encode`` takes these options."""
     check_choice("level", level, LEVELS)
     if not MIN_CHUNK <= check_integer("chunk", chunk) <= MAX_CHUNK:
         raise UsageError(f"chunk: {chunk}; {MIN_CHUNK} to {MAX_CHUNK} anchors are possible")
@@ -155,7 +155,7 @@ def check_options(level: str, chunk: int, mlp: str = "auto") -> None:
 
 
 def _check_scene(scene: QuantizedScene) -> None:
-    """Raise CodecError where a number is none that a file may hold."""
+    """Raise CodecError if a number is one that no file may hold."""
     weights = scene.mlps.flat
     Shapes(M=MLP_SIZE).check("mlps", weights, "M", np.float32)
     bad = np.flatnonzero(~np.isfinite(weights))

@@ -34,7 +34,7 @@ _PROPERTY = struct.Struct("<dB")
 class Splats:
     """Splats as integers; a value is integer * step.
 
-    names: of the properties, the first three those of the position; steps: one a property,
+    names: of the properties, the first three those of the position; steps: one per property,
     positive; values (N, properties) int32.
     """
 
@@ -46,7 +46,7 @@ class Splats:
         return len(self.values)
 
     def check(self) -> None:
-        """Raise ValueError where names, steps or values are none that a file may hold."""
+        """Raise ValueError if no file may hold these names, steps or values."""
         if not 4 <= len(self.names) <= MAX_PROPERTIES:
             raise ValueError(f"{len(self.names)} properties, 4 to {MAX_PROPERTIES} are possible")
         if len(set(self.names)) < len(self.names):
@@ -68,7 +68,7 @@ def pack(splats: Splats, level: str = "default", threads: int | None = None) -> 
     """The .clgs file of ``splats``; ``level`` and ``threads`` as of ``encode``.
 
     Raises:
-        CodecError: positions span 2^21 voxels or more, or properties are none a file may hold.
+        CodecError: positions span 2^21 voxels or more, or no file may hold the properties.
     """
     try:
         splats.check()
@@ -114,7 +114,7 @@ def unpack(data: bytes, threads: int | None = None) -> Splats:
 
 
 def _check_extent(splats: Splats) -> None:
-    """Raise PositionsError where an axis has more steps than Morton codes have room for."""
+    """Raise PositionsError if an axis has more steps than Morton codes have room for."""
     for i, name in enumerate(splats.names[:3] if len(splats) else []):
         column = splats.values[:, i]
         cells = int(column.max()) - int(column.min()) + 1
@@ -124,7 +124,7 @@ def _check_extent(splats: Splats) -> None:
 
 
 def is_splats(data: bytes) -> bool:
-    """Whether a file that begins so holds splats, where it is a .clgs file at all."""
+    """Whether a .clgs file that begins like this holds splats."""
     return data[16:20] == SPLT.encode("ascii")
 
 
@@ -172,7 +172,7 @@ def quantize(values: npt.NDArray[np.floating], step: float, name: str) -> Ints:
 
 
 def _larger(name: str, values: npt.NDArray[np.floating]) -> str:
-    """The remedy where a step is too small for finite ``values``."""
+    """The remedy if a step is too small for finite ``values``."""
     least = float(abs(values).max()) / (2**31 - 1)
     if name in ("x", "y", "z"):
         least = max(least, float(np.ptp(values)) / (MAX_EXTENT - 2))

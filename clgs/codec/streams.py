@@ -20,9 +20,9 @@ POSITIONS, LATTICE, ATTRIBUTES = b"\x8bCP\x02", b"\x8bCP\x03", b"\x8bCA\x02"
 """Signatures of positions as they are, of positions divided by their common factors, of rows."""
 
 POINTS, ROWS = 131_072, 65_536
-"""Of a chunk of positions, of attributes."""
+"""Rows per chunk of positions and of attributes."""
 
-MAX_CHANNELS = 256
+MAX_CHANNELS = row_coder.MAX_CHANNELS
 MAX_OUTPUT = 1 << 32
 """Bytes that one stream may decode to."""
 

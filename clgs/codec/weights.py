@@ -1,4 +1,4 @@
-"""The weights of the MLPs to bytes and back: integers where they are some, else float planes."""
+"""The weights of the MLPs to bytes and back: as integers if they are multiples, else as floats."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from clgs import _codec
 from clgs.scene.mlps import MATRICES
 
 MODES = ("auto", "float32")
-"""auto: integers where that is shorter; float32: the bytes of the floats in any case."""
+"""auto: integers if that is shorter; float32: the bytes of the floats in any case."""
 
 Matrices = Sequence[tuple[int, int]]
 
@@ -21,8 +21,8 @@ def encode(
 ) -> bytes:
     """The stream of ``weights`` (n,) float32, bit for bit.
 
-    Weights are coded as integers where those of every matrix are multiples, below 2^24, of a power
-    of two, and none is -0.
+    Weights are coded as integers if those of every matrix are multiples, below 2^24, of a power of
+    two, none is -0, and this is shorter.
 
     Args:
         weights: of all matrices, one after another, each row-major.

@@ -62,7 +62,7 @@ typedef enum fuzz_slot {
     FUZZ_SLOTS
 } fuzz_slot;
 
-/* A block that seems to be of its exact size and new: the sanitizers see the first byte behind it,
+/* A block that seems to be of its exact size and new: the sanitizers see the first byte after it,
  * and what is read before it is written. It is kept for the next input, as new pages would take
  * most of the time. It is not freed; a slot has one. */
 static inline void *fuzz_block(fuzz_slot slot, size_t size)

@@ -1,6 +1,6 @@
 /* Range coder and models: decisions with probabilities of the input survive, and end exactly.
  *
- * Two bytes a decision: bit 0 the decision, bit 1: mixed or as it is, the rest the probability or
+ * Two bytes per decision: bit 0 the decision, bit 1: mixed or as it is, the rest the probability or
  * which states are mixed.
  */
 #include "entropy/mix.h"

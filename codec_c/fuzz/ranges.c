@@ -1,6 +1,6 @@
 /* The wide range coder: what is encoded comes back and ends exactly; any bytes can be decoded.
  *
- * Two bytes a step: bit 0: a decision with a probability, or bits without; the rest says which.
+ * Two bytes per step: bit 0: a decision with a probability, or bits without; the rest says which.
  */
 #include "entropy/wide_range.h"
 #include "fuzz.h"

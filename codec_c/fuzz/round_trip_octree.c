@@ -1,5 +1,5 @@
 /* Points that are encoded come back; points that must be refused are. One byte: how far apart
- * cells lie; then three, six or twelve bytes a point. */
+ * cells lie; then three, six or twelve bytes per point. */
 #include "fuzz.h"
 
 static int by_code(const void *a, const void *b)

@@ -9,7 +9,7 @@ static size_t channels_of(const Py_buffer *model)
     return size % one == 0 && size / one <= CLGS_MAX_CHANNELS ? size / one : 0;
 }
 
-/* Channels of the model and rows of the values; 0 and an exception where they do not fit. */
+/* Channels of the model and rows of the values; 0 and an exception if they do not fit. */
 static int measure(const Py_buffer *model, const Py_buffer *value, size_t *channels, size_t *rows)
 {
     size_t size = (size_t)value->len;

@@ -8,7 +8,7 @@
 
 #include "clgs_codec.h"
 
-/* Memory that a call works in, for PyMem_Free, or NULL. Large blocks are of huge pages where the
+/* Memory that a call works in, for PyMem_Free, or NULL. Large blocks are of huge pages if the
  * system has some: to touch thousands of small ones costs a tenth of an octree's time. */
 void *workspace_new(size_t size);
 

@@ -10,7 +10,7 @@ typedef enum codec_part { OCTREE, RUNLENGTH, PAPER, PLANES } codec_part;
 
 typedef struct codec_job {
     codec_part part;
-    size_t rows, channels, words; /* words a row, for the octree 3 */
+    size_t rows, channels, words; /* words per row, for the octree 3 */
     int32_t origin[3];            /* of the octree's encoder */
     Py_buffer data, array;
 } codec_job;
@@ -75,7 +75,7 @@ static clgs_error decode(const codec_job *job, void *workspace)
     }
 }
 
-/* Rows of the array, from its size; 0 and an exception where it holds no whole rows. */
+/* Rows of the array, from its size; 0 and an exception if it holds no whole rows. */
 static int measure(codec_job *job)
 {
     size_t row = 4 * job->words, size = (size_t)job->array.len;

@@ -6,7 +6,7 @@ typedef struct weights_job {
     size_t layers, bound;
 } weights_job;
 
-/* Checks that the layers hold all words; 0 and an exception where they do not. */
+/* Checks that the layers hold all words; 0 and an exception if they do not. */
 static int measure(weights_job *job)
 {
     job->layers = (size_t)job->layer.len / sizeof(clgs_layer);

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
-# Fuzz the C part of the codec: scripts/fuzz/fuzz.sh [SECONDS a target, 60] [TARGET...].
+# Fuzz the C part of the codec: scripts/fuzz/fuzz.sh [SECONDS per target, 60] [TARGET...].
 # Builds codec_c/fuzz/*.c with clang's libFuzzer and the address and undefined-behaviour
-# sanitizers, and runs the targets side by side, one a processor. Inputs that reached new code are
-# kept in build/fuzz/corpus, findings in build/fuzz/findings. Exit code 1 where there is a finding.
+# sanitizers, and runs the targets side by side, one per processor. Inputs that reached new code are
+# kept in build/fuzz/corpus, findings in build/fuzz/findings. Exit code 1 if there is a finding.
 # RUNS=n stops a target after n executions, JOBS=n runs n targets at a time, TIMEOUT=n is how long
-# an input may take, by the clock on the wall: more than 60 s where other programs stop this one.
+# an input may take, by the clock on the wall: more than 60 s if other programs stop this one.
 # CHECK=memory: the memory sanitizer instead, which sees what is read before it is written.
 # PYTHON names the Python that has clgs (for the seeds).
-# With --find: only print which clang that is; exit code 1 where there is none.
+# With --find: only print which clang that is; exit code 1 if there is none.
 set -euo pipefail
 
 cd -- "$(dirname -- "${BASH_SOURCE[0]}")/../.."

@@ -1,8 +1,8 @@
-/* Seeded arrays through every coder: a line a stream with its size, the hash of its bytes and the
- * hash of what it decodes to. The same on every machine, with every compiler.
+/* Seeded arrays through every coder: a line per stream with its size, the hash of its bytes and
+ * the hash of what it decodes to. The same on every machine, with every compiler.
  *
  *   vectors             prints the lines (tests/c/vectors.txt is this output)
- *   vectors FILE        compares them with those of FILE; exit code 1 where they differ
+ *   vectors FILE        compares them with those of FILE; exit code 1 if they differ
  */
 #include <inttypes.h>
 #include <stdio.h>
@@ -79,7 +79,8 @@ static void points(const char *name, const int32_t *position, size_t count, cons
     free(out);
 }
 
-/* Cells of a cube of 2^depth a side, in Morton order, each kept with chance `keep` in 2^16. */
+/* Cells of a cube with edges of 2^depth cells, in Morton order, each kept with chance `keep` in
+ * 2^16. */
 static void cube(const char *name, uint32_t depth, uint32_t keep, uint32_t step)
 {
     const int32_t origin[3] = {-7, INT32_MIN, 100};
@@ -287,7 +288,7 @@ int main(int argc, char **argv)
     weights();
     char rest[MAX_LINE];
     if (expected && (differences > 0 || fgets(rest, sizeof rest, expected))) {
-        printf("vectors: %d lines differ from %s; write it anew where the encoder was changed\n",
+        printf("vectors: %d lines differ from %s; write it anew if the encoder was changed\n",
                differences, argv[1]);
         return 1;
     }

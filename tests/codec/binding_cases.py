@@ -76,7 +76,7 @@ def _weights(matrix: np.ndarray, data: bytes) -> None:
 
 
 def _model(data: bytes) -> None:
-    """The header of attributes, behind a byte that says what else the caller's model holds."""
+    """The header of attributes, after a byte that says what else the caller's model holds."""
     model = np.zeros(1, CHANNEL)
     _refused(_codec.attributes_read, data[1:], model)
     raw = model.view(np.uint8)
@@ -109,7 +109,7 @@ def there_and_back(rng: np.random.Generator) -> None:
 
 
 def points_there_and_back(rng: np.random.Generator) -> None:
-    """Points in any order at any origin: sorted when decoded; refused where repeated or too far."""
+    """Points in any order at any origin: sorted when decoded; refused if they repeat."""
     count, bits = int(rng.integers(0, 60)), int(rng.integers(1, 23))
     origin = rng.integers(-(2**31), 2**31 - 2**bits, 3)
     points = origin + rng.integers(0, 2**bits, (count, 3))

@@ -1,7 +1,7 @@
 """Small vectors with the SHA-256 of their bytes: every version of clgs makes the same.
 
-``python -m tests.codec.test_conformance`` writes ``conformance.txt`` anew, where an encoder was
-changed.
+``python -m tests.codec.test_conformance`` writes ``conformance.txt`` anew, after a change of an
+encoder.
 """
 
 from __future__ import annotations

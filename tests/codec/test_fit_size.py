@@ -27,7 +27,7 @@ def fast(scene: QuantizedScene) -> bytes:
     return encode(scene, "fast", threads=1)
 
 
-@pytest.mark.parametrize("share", [0.9, 0.5, 0.2, 0.07])
+@pytest.mark.parametrize("share", [0.9, 0.2, 0.07])
 def test_a_size_is_met_from_below(
     scene: QuantizedScene, rng: np.random.Generator, share: float
 ) -> None:
@@ -71,7 +71,7 @@ def test_coarser_integers_keep_their_meaning(scene: QuantizedScene) -> None:
 
 
 def test_bits_are_those_of_the_frequencies(scene: QuantizedScene) -> None:
-    anchors = scene.anchors
+    anchors = take(scene, np.arange(400)).anchors
     feature = anchors.feature.copy()
     feature[::2, 0] += 2**30
     wide = replace(anchors, feature=feature)

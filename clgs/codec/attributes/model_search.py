@@ -85,7 +85,7 @@ def take_sample(values: Ints) -> Ints:
 
 
 def find_centres(sample: Ints) -> Ints:
-    """0 where a quarter of a column is 0, otherwise its mean, halves rounded up."""
+    """0 if a quarter of a column is 0, otherwise its mean, halves rounded up."""
     sums = 2 * sample.sum(axis=0, dtype=np.int64) + len(sample)
     centres = sums // (2 * len(sample))
     return np.where(4 * (sample == 0).sum(axis=0) >= len(sample), 0, centres).astype(np.int32)
@@ -109,7 +109,7 @@ def choose(model: Models, count: npt.NDArray[np.uint32], scale: int) -> npt.NDAr
 
 
 def choose_taps(model: Models, sample: Ints, scale: int) -> None:
-    """Set the terms of predictions where these save more bits than they take."""
+    """Set the terms of predictions that save more bits than they take."""
     trial = model.copy()
     find_taps(trial, sample)
     if not trial["taps"].any():
@@ -186,9 +186,9 @@ def drop_unused(model: Models) -> None:
 
 
 def choose_mixed(model: Models, values: Ints, chunks: list[slice]) -> Models:
-    """``model`` with those channels mixed where that takes fewer bytes than tables.
+    """``model`` with those channels mixed that take fewer bytes so than by tables.
 
-    Channels that gain nothing on the sample, where contexts have learnt less, are not tried on
+    Channels that gain nothing on the sample, on which contexts learn less, are not tried on
     all rows.
     """
     sample = take_sample(values)
@@ -208,9 +208,9 @@ def choose_mixed(model: Models, values: Ints, chunks: list[slice]) -> Models:
 
 
 def all_mixed(model: Models, sample: Ints) -> Models:
-    """``model`` with every channel mixed, and with activity where it had none.
+    """``model`` with every channel mixed, and with activity if it had none.
 
-    Gains are 0 only behind the last channel whose classes depend on them, so no class changes.
+    Gains are 0 only after the last channel whose classes depend on them, so no class changes.
     """
     count = np.zeros((len(model), CELLS, TABLE), np.uint32)
     _codec.attributes_count(model, sample, count)

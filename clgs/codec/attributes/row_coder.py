@@ -21,15 +21,15 @@ LEVELS = ("fast", "default", "max", "paper")
 """Tables alone; predictions and classes too; mixing as well; the paper's coder, to compare with."""
 
 CHUNK = 65536
-"""Rows of a chunk, where nobody asks for another number."""
+"""Rows per chunk by default."""
 
 MAX_CHANNELS = 256
 
 EXACT_SIZE = {"fast": 1 << 16, "default": 1 << 18, "max": 1 << 62}
-"""Up to so many values, coders are compared by encoding; beyond, by what is known of them."""
+"""Up to this many values, coders are compared by encoding; above, by estimates of their size."""
 
 PLAIN_SIZE = 1 << 22
-"""Level default has the paper's coder code up to so many values to compare; beyond, a sample."""
+"""Level default compares with the paper's coder on up to this many values; above, on a sample."""
 
 LEAST_MIXED_ROWS = 256
 """Mixed channels learn too little in chunks that are shorter on average."""
@@ -116,7 +116,7 @@ def fit(
 ) -> Model:
     """The model of ``values`` (n, channels) int32.
 
-    Its rows will be coded ``chunk`` at a time, or in just these chunks.
+    Its rows will be coded ``chunk`` at a time, or in these chunks.
 
     Raises:
         ValueError: an unknown level, or a number of channels outside [1, 256].

@@ -15,7 +15,7 @@ from clgs.codec.attributes.model import MAX_FACTOR, TAP_CLAMP, TAPS, Ints, Model
 Floats = npt.NDArray[np.float64]
 
 ROWS = (0, -1, 1, -2)
-"""Rows of earlier channels, and (where negative) of the channel itself, that are tried."""
+"""Rows of earlier channels, and (if negative) of the channel itself, that are tried."""
 
 LEAST_GAIN = 0.01
 """A term must explain this part of what is left of a channel's variance."""

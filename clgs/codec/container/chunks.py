@@ -23,13 +23,13 @@ TAGS = (ANCH, OFFS, FEAT, SCAL)
 
 DEFAULT_CHUNK = 65_536
 MIN_CHUNK, MAX_CHUNK = 16, 1 << 20
-"""Anchors of a chunk, at most."""
+"""Anchors per chunk, at most."""
 
 GROUP = 64
-"""Chunks of a group; the last one has the rest."""
+"""Chunks per group; the last group has the rest."""
 
 COLUMNS = 11
-"""Of a chunk or group: anchors, least x y z, greatest x y z, bytes in each of TAGS."""
+"""Per chunk or group: anchors, least x y z, greatest x y z, bytes in each of TAGS."""
 
 _HEAD = struct.Struct("<11I")
 HEAD_SIZE = _HEAD.size + 4
@@ -51,7 +51,7 @@ class Part:
 class Head:
     """What CHNK says of the whole.
 
-    chunk: anchors a chunk, at most; count: number of chunks; headers: for each of TAGS the part
+    chunk: anchors per chunk, at most; count: number of chunks; headers: for each of TAGS the part
     that all its chunks share, with its CRC; groups (groups, COLUMNS); places: of every group its
     part of CHNK, with its CRC.
     """
@@ -268,7 +268,7 @@ def unpack_group(data: bytes | memoryview, head: Head, index: int) -> list[Chunk
 def _check_group(rows: Wide, total: Wide, chunk: int) -> None:
     """Raise ValueError unless the chunks are those of the group that the head has."""
     if (rows[:, 0] < 1).any() or (rows[:, 0] > chunk).any():
-        raise ValueError(f"numbers of anchors a chunk are not in [1, {chunk}]")
+        raise ValueError(f"numbers of anchors per chunk are not in [1, {chunk}]")
     if (rows[:, 7:] < 0).any():
         raise ValueError("a chunk has a negative length")
     if (rows[:, 1:4] > rows[:, 4:7]).any() or (_join(rows) != total).any():

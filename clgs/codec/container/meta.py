@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
+from clgs.codec.attributes import row_coder
 from clgs.codec.octree.position_coder import MAX_DEPTH
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
@@ -20,8 +21,8 @@ SCALING_DIM = 6
 MAX_ANCHORS = 12_000_000
 """Anchors of one file: their integers take 4 GiB."""
 
-LEVELS = ("fast", "default", "max", "paper")
-"""How much time the encoder spent, by number."""
+LEVELS = row_coder.LEVELS
+"""How much time the encoder spent; a file holds the place in this list."""
 
 _META = struct.Struct("<IHHHHI16d8s3iBBH")
 _SHAPE = (K_OFFSETS, FEATURE_DIM, SCALING_DIM, 0, MLP_SIZE)

@@ -153,7 +153,7 @@ def _check_entry(
     at: int, fields: tuple[bytes, int, int, int, int, int], known: tuple[str, ...],
     entries: dict[str, Entry],
 ) -> Entry:  # fmt: skip
-    """The entry at byte ``at``, added to ``entries``; refused where unknown and required."""
+    """The entry at byte ``at``, added to ``entries``; refused if it is required and unknown."""
     raw_tag, flags, offset, length, crc, reserved = fields
     tag = raw_tag.decode("ascii", "replace")
     if tag in entries or reserved != 0 or flags > REQUIRED:

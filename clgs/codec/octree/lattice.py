@@ -1,7 +1,7 @@
 """Positions that lie on a coarser lattice: their differences share a factor on some axis.
 
 An octree pays for every level, also for those on which the points tell nothing. So coordinates are
-divided by the common factor first: q = c + (p - c) / f on each axis, where c is the least p.
+divided by the common factor first: q = c + (p - c) / f on each axis, with c the least p.
 """
 
 from __future__ import annotations

@@ -12,9 +12,11 @@ MAX_DEPTH = 21
 MAX_EXTENT = 1 << MAX_DEPTH
 """Positions span fewer cells than this on each axis: 3 x 21 bits fit a Morton code."""
 
-OCTREE, BARE = 2, 3
-"""First bytes of a stream that is an octree: with depth and corner, or without, which only a reader
-that knows them takes. A stream of Morton codes as they are begins with 0."""
+SPARSE, BARE = 2, 3
+"""First bytes of an octree: with its depth and corner, or without, for a reader that knows them.
+
+A stream of plain Morton codes begins with 0.
+"""
 
 MAX_POINTS_A_BYTE = 1 << 15
 """No octree stream holds more: a point costs a decision, a decision at least 1/22,711 byte."""
@@ -87,7 +89,7 @@ def ascends(code: npt.NDArray[np.uint64]) -> bool:
 
 
 def in_order(position: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """``position`` (A, 3) int32 in Morton order; itself where it is in order.
+    """``position`` (A, 3) int32 in Morton order; itself if it is in order.
 
     Raises:
         PositionsError: as ``morton_order``.
@@ -134,7 +136,7 @@ def encode_in(position: npt.NDArray[np.int32], corner: tuple[int, int, int]) -> 
         ValueError: as ``encode``.
     """
     data = encode(position, corner)
-    if data[:1] != bytes([OCTREE]):
+    if data[:1] != bytes([SPARSE]):
         return data
     return bytes([BARE]) + data[len(_head(corner, data[1])) :]
 
@@ -154,7 +156,7 @@ def decode_in(
 
 def _head(corner: tuple[int, int, int], depth: int) -> bytes:
     """What an octree begins with: its first byte, depth, corner as varints."""
-    head = bytearray([OCTREE, depth])
+    head = bytearray([SPARSE, depth])
     for number in corner:
         zigzag = 2 * number if number >= 0 else -2 * number - 1
         while zigzag >= 128:

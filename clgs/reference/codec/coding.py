@@ -206,7 +206,7 @@ class WideDecoder:
             self.range <<= 8
             written += 1
         if written != len(self.data):
-            raise ValueError("the stream does not end behind its last symbol")
+            raise ValueError("the stream does not end after its last symbol")
 
 
 class State:

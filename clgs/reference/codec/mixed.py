@@ -14,7 +14,7 @@ FIRST_WEIGHT, SHIFT, NEAR, DRIFT, CLAMP = 65536 * 16 // 100, 14, 32, 16, 32767
 
 
 class Decisions(Symbol):
-    """Decisions of residuals: nine states each, weights by a set, and a curve a decision."""
+    """Decisions of residuals: nine states each, weights by a set, and a curve per decision."""
 
     def __init__(self) -> None:
         super().__init__(LIMITS)

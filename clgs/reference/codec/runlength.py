@@ -26,7 +26,7 @@ CORRUPT = "the stream holds what no encoder writes"
 
 
 class Symbol:
-    """Spells integers by binary decisions; every node has one state a context and its weights."""
+    """Spells integers by binary decisions; every node has a state per context, and weights."""
 
     def __init__(self, limits: tuple[int, ...]) -> None:
         self.states: dict[tuple[int, ...], State] = {}
@@ -154,7 +154,7 @@ def small_level(value: int) -> int:
 
 
 def _find_centre(column: tuple[int, ...]) -> int:
-    """0 where a quarter of the values are 0, otherwise the mean, halves rounded up."""
+    """0 if a quarter of the values are 0, otherwise the mean, halves rounded up."""
     if 4 * column.count(0) >= len(column):
         return 0
     return (2 * sum(column) + len(column)) // (2 * len(column))

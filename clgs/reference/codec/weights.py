@@ -23,7 +23,7 @@ Matrices = Sequence[tuple[int, int]]
 
 
 def encode(weights: npt.NDArray[np.float32], matrices: Matrices) -> bytes:
-    """The shorter stream of ``weights`` (n,) float32: planes, or multiples where they are some.
+    """The shorter stream of ``weights`` (n,) float32: planes, or multiples if they are.
 
     ``matrices``: (rows, columns) of each, one after another in ``weights``.
     """
@@ -72,7 +72,7 @@ def decode(data: bytes, matrices: Matrices) -> npt.NDArray[np.float32]:
 def find_step(weights: npt.NDArray[np.float32]) -> int | None:
     """The stored byte of the coarsest step that all weights are multiples of, 0 if all are 0.
 
-    None where there is no step, or the multiples reach 2^24, or a weight is -0.
+    None if there is no step, or the multiples reach 2^24, or a weight is -0.
     """
     if not np.isfinite(weights).all() or np.any((weights == 0) & np.signbit(weights)):
         return None

@@ -125,7 +125,7 @@ static void merge_segments(chooser *c, uint32_t most_classes)
     }
 }
 
-/* Which symbol's frequency is best changed by one: most occurrences a share where it grows. */
+/* Which symbol's frequency is best changed by one: most occurrences per share if it grows. */
 static uint32_t pick(const segment *own, const uint16_t *frequency, int grow)
 {
     uint32_t best = 0;
@@ -144,7 +144,7 @@ static uint32_t pick(const segment *own, const uint16_t *frequency, int grow)
     return best;
 }
 
-/* Frequencies in proportion to the counts, at least 1 where there is one, of sum CLGS_SCALE. */
+/* Frequencies in proportion to the counts, at least 1 if there is one, of sum CLGS_SCALE. */
 static void set_frequencies(const segment *own, uint16_t *frequency)
 {
     uint32_t sum = 0;

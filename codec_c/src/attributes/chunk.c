@@ -12,7 +12,7 @@
 #define STATES (4 * CLGS_LANES)
 #define MAX_CELLS ((size_t)1 << 28)
 
-/* Values of a chunk, or 0 where they are too many: then lengths in bytes would not fit. */
+/* Values of a chunk, or 0 if they are too many: then lengths in bytes would not fit. */
 static size_t cell_count(size_t rows, size_t channels)
 {
     int fits = rows <= CLGS_MAX_POINTS && channels >= 1 && channels <= CLGS_MAX_CHANNELS &&
@@ -20,7 +20,7 @@ static size_t cell_count(size_t rows, size_t channels)
     return fits ? rows * channels : 0;
 }
 
-/* Words of the coder and cells of all columns, behind the columns. */
+/* Words of the coder and cells of all columns, which follow the columns. */
 static size_t staging_size(size_t cells)
 {
     return 2 * (cells + CLGS_LANES) + cells;
@@ -96,7 +96,7 @@ static int any_literals(const clgs_columns *columns)
     return any;
 }
 
-/* Behind their length, which is left out where no table has any; returns their end. */
+/* After their length, which is left out if no table has any; returns their end. */
 static uint8_t *encode_literals(clgs_columns *columns, uint8_t *cells, uint8_t *out)
 {
     size_t size = stage(columns, cells, out + CLGS_MAX_VARINT);
@@ -105,8 +105,8 @@ static uint8_t *encode_literals(clgs_columns *columns, uint8_t *cells, uint8_t *
     return at + size;
 }
 
-/* States and words of all static columns, behind their length where more follows. Returns their
- * end, or NULL where a symbol has no frequency. */
+/* States and words of all static columns, after their length if more follows. Returns their
+ * end, or NULL if a symbol has no frequency. */
 static uint8_t *encode_static(const clgs_columns *columns, const parts *p, int more, uint8_t *out)
 {
     clgs_rans_encoder coder;
@@ -207,7 +207,7 @@ static clgs_error decode_columns(clgs_columns *columns, decoder *d)
     return error || mixed == columns->channels ? error : finish(&d->rans, &d->literals);
 }
 
-/* A number of bytes that end before `end`; NULL where they do not. */
+/* A number of bytes that end before `end`; NULL if they do not. */
 static const uint8_t *load_size(const uint8_t *at, const uint8_t *end, size_t *size)
 {
     int32_t number;

@@ -217,7 +217,7 @@ static void add_tap(clgs_columns *columns, const clgs_tap *tap)
         columns->residual[i + back] += tap->factor * clamp(source[i + ahead]);
 }
 
-/* Sums of the terms of column j, those of the column itself only where `own`. */
+/* Sums of the terms of column j, those of the column itself only if `own`. */
 static void add_taps(clgs_columns *columns, size_t j, int own)
 {
     const clgs_channel *channel = columns->channel + j;

@@ -13,7 +13,7 @@ typedef struct clgs_columns {
     size_t rows, channels, lanes;
     size_t pitch; /* entries from column to column; an odd number of 64, so that caches serve all */
     const int32_t *source; /* encoder: (rows, channels), as the caller has them */
-    int32_t *value;        /* (channels, rows), minus centre, modulo 2^32; only where `apart` */
+    int32_t *value;        /* (channels, rows), minus centre, modulo 2^32; only if `apart` */
     uint8_t *symbol;       /* (channels, rows) */
     uint8_t *cell;         /* (rows): cells of the column at hand */
     int32_t *residual;     /* (rows): of the column at hand */
@@ -22,7 +22,7 @@ typedef struct clgs_columns {
     uint8_t *level;     /* of each activity, CLGS_MAX_ACTIVITY + 1 of them */
     uint8_t *tile;      /* some rows of symbols on their way from rows to columns or back */
     uint8_t apart[CLGS_MAX_CHANNELS];   /* the column's values differ from its symbols' */
-    uint32_t zigzag[CLGS_MAX_CHANNELS]; /* encoder: all bits that occur, where not `apart` */
+    uint32_t zigzag[CLGS_MAX_CHANNELS]; /* encoder: all bits that occur, unless `apart` */
 } clgs_columns;
 
 static inline uint8_t *clgs_symbols(const clgs_columns *columns, size_t j)
@@ -44,10 +44,10 @@ size_t clgs_columns_size(size_t rows, size_t channels);
 /* Lay the arrays out in `memory`, aligned as malloc does; activity becomes zero. The end. */
 uint8_t *clgs_columns_place(clgs_columns *columns, void *memory);
 
-/* Row-major values to columns: to symbols where these are all, to values where `apart`. */
+/* Row-major values to columns: to values if `apart`, otherwise straight to symbols. */
 void clgs_columns_load(clgs_columns *columns, const int32_t *value);
 
-/* Columns to row-major values, from symbols or, where `apart`, from values. */
+/* Columns to row-major values: from values if `apart`, otherwise from symbols. */
 void clgs_columns_store(const clgs_columns *columns, int32_t *value);
 
 /* Residuals of column j from its values, and the reverse. */
@@ -68,13 +68,13 @@ static inline int32_t clgs_tap_rounded(int32_t sum)
 /* Cells of column j but for the own column's part in its activity, which goes to `partial`. */
 void clgs_columns_partial(clgs_columns *columns, size_t j);
 
-/* Cells of column j, whose symbols are known where its own weight is not 0. */
+/* Cells of column j, whose symbols must be known if its own weight is not 0. */
 void clgs_columns_cells(clgs_columns *columns, size_t j);
 
 /* Add the magnitudes of column j to the activity; call when its symbols are known. */
 void clgs_columns_activate(clgs_columns *columns, size_t j);
 
-/* First row of a lane; the one behind the last lane starts behind the last row. */
+/* First row of a lane; the lane after the last one starts after the last row. */
 static inline size_t clgs_lane_start(const clgs_columns *columns, size_t lane)
 {
     size_t more = columns->rows % columns->lanes;

@@ -11,7 +11,7 @@ static void put_bits(clgs_literals *b, uint32_t value, uint32_t count)
     }
 }
 
-/* The next bits, or zeros where there are too few. */
+/* The next bits, or zeros if there are too few. */
 static uint32_t get_bits(clgs_literals *b, uint32_t count)
 {
     while (b->count < count) {

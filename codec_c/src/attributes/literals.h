@@ -19,10 +19,10 @@ void clgs_literals_end(clgs_literals *literals);
 /* Whether a channel of tables has large symbols. */
 int clgs_has_literals(const clgs_channel *channel);
 
-/* Symbols of column j from its values, and the literal bits where `literals` is not NULL. */
+/* Symbols of column j from its values, and the literal bits if `literals` is not NULL. */
 void clgs_literals_split(clgs_columns *columns, size_t j, clgs_literals *literals);
 
-/* Residuals of column j, from symbols and literal bits, to where its values will be. */
+/* Residuals of column j, from symbols and literal bits, in the place of its values. */
 void clgs_literals_join(clgs_columns *columns, size_t j, clgs_literals *literals);
 
 #endif

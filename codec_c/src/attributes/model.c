@@ -59,7 +59,7 @@ static int32_t code_number(header *h, uint32_t field, int32_t value)
     return (int32_t)number;
 }
 
-/* A number that must lie in [low, high]; where it does not, `low` and a failure. */
+/* A number that must lie in [low, high]; if it does not, `low` and a failure. */
 static int32_t code_within(header *h, uint32_t field, int32_t value, int32_t low, int32_t high)
 {
     value = code_number(h, field, value);

@@ -105,7 +105,7 @@ static void fill_encoder(clgs_rans_symbol *table, const clgs_channel *channel)
     }
 }
 
-/* Code one symbol; a larger state first gives up its low word. 0 where there is no such symbol. */
+/* Code one symbol; a larger state first gives up its low word. 0 if there is no such symbol. */
 static int put(clgs_rans_encoder *coder, size_t lane, const clgs_rans_symbol *symbol)
 {
     uint32_t x = coder->state[lane];
@@ -134,7 +134,7 @@ static int put(clgs_rans_encoder *coder, size_t lane, const clgs_rans_symbol *sy
         x##LANE += s->start + (uint32_t)(x##LANE * reciprocal >> SHIFT) * s->complement;           \
     } while (0)
 
-/* All steps of all lanes, last one first. 0 where a symbol has no frequency. */
+/* All steps of all lanes, last one first. 0 if a symbol has no frequency. */
 static inline int encode_steps(clgs_rans_encoder *coder, const uint8_t *symbol, const uint8_t *cell,
                                const uint8_t *class_of, const size_t *start)
 {
@@ -265,7 +265,7 @@ static inline size_t decode_steps(clgs_rans_decoder *coder, column *c, size_t st
     return step;
 }
 
-/* Decode one symbol of a lane where no word may be left: a single lane needs no more of them. */
+/* Decode one symbol of a lane when no word may be left: a single lane needs no more of them. */
 static void decode_last(clgs_rans_decoder *coder, column *c, size_t i, size_t lane, class_kind kind)
 {
     const uint32_t *table = kind == PLAIN ? coder->table : table_of(coder, c, i, lane, kind);

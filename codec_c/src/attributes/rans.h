@@ -1,4 +1,4 @@
-/* Static rANS: 32-bit states, one a lane, 12-bit frequencies, 16-bit words.
+/* Static rANS: 32-bit states, one per lane, 12-bit frequencies, 16-bit words.
  *
  * Several states begin at CLGS_RANS_LOW and take four bytes each. A single one begins at 1, stays
  * small until there is a first word, and takes the bytes that it has: a short stream is all
@@ -55,13 +55,13 @@ clgs_error clgs_rans_begin_decode(clgs_rans_decoder *coder, size_t lanes, const 
 /* Whether the states are those that an encoder begins with. */
 int clgs_rans_finished(const clgs_rans_decoder *coder);
 
-/* Code the symbols of column j in reverse order. `cell` is NULL where one class is all.
- * Returns 0 where a symbol has no frequency. */
+/* Code the symbols of column j in reverse order. `cell` is NULL if there is one class.
+ * Returns 0 if a symbol has no frequency. */
 int clgs_rans_encode(clgs_rans_encoder *coder, const clgs_columns *columns, size_t j,
                      const uint8_t *cell);
 
-/* Decode the symbols of column j; classes from `columns->cell` and, where the channel weighs its
- * own column, from the symbols before. Sets `failed` where words are lacking. */
+/* Decode the symbols of column j; classes from `columns->cell` and, if the channel weighs its
+ * own column, from the symbols before. Sets `failed` if words are lacking. */
 void clgs_rans_decode(clgs_rans_decoder *coder, clgs_columns *columns, size_t j);
 
 #endif

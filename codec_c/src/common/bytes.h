@@ -45,7 +45,7 @@ static inline uint8_t *clgs_store_varint(uint8_t *out, int32_t value)
     return out;
 }
 
-/* Returns the byte after the integer, or NULL where it is cut or longer than 32 bits. */
+/* Returns the byte after the integer, or NULL if it is cut or longer than 32 bits. */
 static inline const uint8_t *clgs_load_varint(const uint8_t *at, const uint8_t *end, int32_t *value)
 {
     uint64_t zigzag = 0;

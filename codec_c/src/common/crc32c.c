@@ -35,7 +35,7 @@ static uint32_t update_bytes(uint32_t crc, const uint8_t *data, size_t size)
     return crc;
 }
 
-/* Eight bytes a step: one look-up for each half byte, by its distance from the end. */
+/* Eight bytes per step: one look-up for each half byte, by its distance from the end. */
 static uint32_t update_slices(uint32_t crc, const uint8_t *data, size_t words)
 {
     uint32_t table[SLICES][16];

@@ -28,7 +28,7 @@ static inline uint32_t clgs_symbol_bit(clgs_symbol *symbol, uint32_t node, uint3
     return clgs_mix_code(&symbol->mix, bit);
 }
 
-/* Signed class of a neighbour: 0, 1, 2, 3-4, 5-8, 9-16, 17-32, more; 8 and up where negative. */
+/* Signed class of a neighbour: 0, 1, 2, 3-4, 5-8, 9-16, 17-32, more; 8 and up if negative. */
 static inline uint32_t clgs_signed_level(int32_t value)
 {
     static const uint8_t LEVEL[33] = {0, 1, 2, 3, 3, 4, 4, 4, 4, 5, 5, 5, 5, 5, 5, 5, 5,

@@ -1,7 +1,7 @@
 /* Binary range coder with a 64-bit interval, which moves by 32 bits at a time.
  *
  * It narrows the interval as range.h does, and gives and takes bits without a model, too. One
- * struct and one function serve both directions; `decoding` is a constant where they are called,
+ * struct and one function serve both directions; callers pass `decoding` as a constant,
  * so that the compiler makes one program of each.
  */
 #ifndef CLGS_ENTROPY_WIDE_RANGE_H
@@ -22,7 +22,7 @@
 typedef struct clgs_wide {
     uint64_t range;
     uint64_t low;          /* encoder: start of the interval; decoder: code minus that start */
-    size_t read;           /* decoder: bytes taken, with those behind the end */
+    size_t read;           /* decoder: bytes taken, with those after the end */
     int failed;            /* encoder: output full; decoder: input used up or senseless */
     const uint8_t *source; /* decoder: all of the input */
     size_t size;
@@ -72,7 +72,7 @@ static inline void clgs_wide_begin_decode(clgs_wide *coder, const uint8_t *data,
     clgs_wide_get(coder, 8);
 }
 
-/* Move on by four bytes where the interval has become narrow. */
+/* Move on by four bytes once the interval is narrow. */
 CLGS_INLINE void clgs_wide_shift(clgs_wide *coder, int decoding)
 {
     if (coder->range >> 32)

@@ -16,7 +16,7 @@ typedef struct clgs_level {
     size_t count;
     uint64_t *code;     /* Morton code of the node's cell at its level */
     uint32_t *begin;    /* encoder: index of the node's first point */
-    uint32_t *end;      /* encoder: behind its last point */
+    uint32_t *end;      /* encoder: one after its last point */
     uint32_t *first;    /* where its list starts in `list`; one more entry at the end */
     uint32_t *list;     /* 32 * index of a node + its direction */
     uint32_t *child;    /* index of its first child, one level below */
@@ -52,7 +52,7 @@ size_t clgs_levels_size(size_t count);
  * and holds points 0 to count - 1. */
 void clgs_levels_begin(clgs_levels *levels, size_t count, uint8_t *memory);
 
-/* Make the coded level the one above; where its children exceed the capacity, return 0. */
+/* Make the coded level the one above. Returns 0 if its children exceed the capacity. */
 int clgs_levels_descend(clgs_levels *levels);
 
 /* Nodes around in eight classes: 0, 1, 2, 3, 4-5, 6-8, 9-13, more. */

@@ -15,8 +15,8 @@
 
 /* What a node around adds to what is seen; the children of a node see it together. */
 typedef struct clgs_seen {
-    uint64_t density;  /* a byte a child: points near to it */
-    uint64_t cells[2]; /* 16 bits a child: states of its seven outer cells, two bits each */
+    uint64_t density;  /* a byte per child: points near to it */
+    uint64_t cells[2]; /* 16 bits per child: states of its seven outer cells, two bits each */
 } clgs_seen;
 
 typedef struct clgs_octree_model {

@@ -43,7 +43,7 @@ size_t clgs_octree_workspace(size_t count)
     return clgs_align(8 * count) + clgs_tree_size(count);
 }
 
-/* Levels below the root that hold every code; codes must ascend. Returns 0 where they do not. */
+/* Levels below the root that hold every code; codes must ascend. Returns 0 if they do not. */
 static int find_depth(const uint64_t *code, size_t count, uint32_t *depth)
 {
     uint64_t all = 0;

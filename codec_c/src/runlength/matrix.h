@@ -1,5 +1,5 @@
-/* What the two coders of whole matrices share: a mode, a centre a channel, then decisions; or,
- * where these are longer, the numbers as they are.
+/* What the two coders of whole matrices share: a mode, a centre per channel, then decisions; or,
+ * if these are longer, the numbers as they are.
  */
 #ifndef CLGS_RUNLENGTH_MATRIX_H
 #define CLGS_RUNLENGTH_MATRIX_H
@@ -18,7 +18,7 @@ typedef struct clgs_matrix {
 /* Codes all rows in the direction of the coder. */
 typedef clgs_error clgs_matrix_rows(clgs_matrix *matrix);
 
-/* Bytes that always suffice, or 0 where the shape is out of range. */
+/* Bytes that always suffice, or 0 if the shape is out of range. */
 size_t clgs_matrix_bound(size_t rows, size_t channels);
 
 /* The mean of a channel of the source, halves rounded up. */
@@ -27,7 +27,7 @@ int32_t clgs_matrix_mean(const clgs_matrix *matrix, size_t channel);
 /* Whether row i of `count` channels from `channel` on equals the centres. */
 int clgs_matrix_is_centre(const clgs_matrix *matrix, size_t i, size_t channel, size_t count);
 
-/* `centre` is set; returns the bytes written, or 0 where `capacity` is too small. */
+/* `centre` is set; returns the bytes written, or 0 if `capacity` is too small. */
 size_t clgs_matrix_encode(clgs_matrix *matrix, clgs_matrix_rows *code, uint8_t *out,
                           size_t capacity);
 

@@ -101,7 +101,7 @@ static void code_magnitudes(paper *stream, uint64_t *size, size_t group)
     size[0] = known + code_magnitude(stream, size[0] - known, zero, one, 0);
 }
 
-/* One row of channels `j` and up; 0 where a decoded value is outside of int32. */
+/* One row of channels `j` and up; 0 if a decoded value is outside of int32. */
 static int code_row(paper *stream, size_t i, size_t j, size_t group)
 {
     uint64_t size[GROUP] = {0};

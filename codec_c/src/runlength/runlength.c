@@ -131,7 +131,7 @@ static clgs_error code_rows(clgs_matrix *matrix)
     return CLGS_OK;
 }
 
-/* 0 where a quarter of the values are 0, otherwise the mean. */
+/* 0 if a quarter of the values are 0, otherwise the mean. */
 static int32_t find_centre(const clgs_matrix *matrix, size_t j)
 {
     size_t zeros = 0;

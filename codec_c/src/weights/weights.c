@@ -128,7 +128,7 @@ static uint32_t code_magnitude(weights *stream, uint64_t expected, uint32_t magn
     return coded;
 }
 
-/* Code word `at`, a multiple of 2^step; returns its magnitude, 2^24 where the stream is corrupt. */
+/* Code word `at`, a multiple of 2^step; returns its magnitude, 2^24 if the stream is corrupt. */
 static uint32_t code_weight(weights *stream, uint64_t expected, size_t at, int32_t step)
 {
     int32_t exponent = step;
@@ -195,7 +195,7 @@ static void model_init(model *m)
     clgs_weights_init(m->weight, CLGS_NODES, 1);
 }
 
-/* Number of words of all layers; SIZE_MAX where a shape is out of range. */
+/* Number of words of all layers; SIZE_MAX if a shape is out of range. */
 static size_t count_words(const clgs_layer *layer, size_t layers)
 {
     size_t count = 0;
@@ -215,7 +215,7 @@ size_t clgs_weights_bound(const clgs_layer *layer, size_t layers)
     return count == SIZE_MAX ? 0 : clgs_planes_bound(count);
 }
 
-/* Behind the model there is room for the bytes of one mode while another is tried. */
+/* After the model there is room for the bytes of one mode while another is tried. */
 size_t clgs_weights_workspace(const clgs_layer *layer, size_t layers)
 {
     size_t planes = clgs_planes_workspace(), own = sizeof(model);
@@ -223,7 +223,7 @@ size_t clgs_weights_workspace(const clgs_layer *layer, size_t layers)
     return bound > 0 ? (own > planes ? own : planes) + bound : 0;
 }
 
-/* Bytes written as multiples; 0 where the weights are none or `capacity` is too small. */
+/* Bytes written as multiples; 0 if the weights are no multiples or `capacity` is too small. */
 static size_t encode_multiples(const uint32_t *word, const clgs_layer *layer, size_t layers,
                                uint8_t *out, size_t capacity, model *m)
 {

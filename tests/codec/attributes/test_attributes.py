@@ -79,7 +79,7 @@ def assert_round_trip(value: np.ndarray, level: str, chunk: int) -> int:
 
 
 @pytest.mark.parametrize("level", row_coder.LEVELS)
-@pytest.mark.parametrize("chunk", [256, 1000, row_coder.CHUNK])
+@pytest.mark.parametrize("chunk", [256, row_coder.CHUNK])
 @pytest.mark.parametrize("name", matrices())
 def test_round_trip(name, chunk, level):
     value = matrices()[name]
@@ -87,7 +87,7 @@ def test_round_trip(name, chunk, level):
     assert size <= 1 + 4 * value.size + (-(-len(value) // chunk) if level == "paper" else 0)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     npst.arrays(
         np.int32,
@@ -101,9 +101,9 @@ def test_round_trip_of_anything(value, level, chunk):
     assert_round_trip(value, level, chunk)
 
 
-@pytest.mark.parametrize("channels", [1, 2, 3, 64, 255, 256])
+@pytest.mark.parametrize("channels", [1, 2, 64, 256])
 def test_channel_counts(channels):
-    assert_round_trip(laplace(3, 700, channels), "default", 512)
+    assert_round_trip(laplace(3, 300, channels), "default", 256)
 
 
 def test_channel_counts_out_of_range_are_refused():
@@ -118,7 +118,7 @@ def test_unknown_levels_are_refused():
 
 
 def tables(value: np.ndarray, chunk: int = row_coder.CHUNK) -> row_coder.TableModel:
-    """The model of level ``default``, where no other coder is shorter."""
+    """The model of level ``default`` if no other coder is shorter."""
     model, _ = model_search.fit(value, runs(len(value), chunk), search=True)
     return row_coder.TableModel(_codec.attributes_header(model), model)
 
@@ -134,10 +134,10 @@ def mixed_model(value: np.ndarray) -> row_coder.TableModel:
 @pytest.mark.parametrize("kind", ["tables", "mixed"])
 @pytest.mark.parametrize("name", sorted(set(matrices()) - {"no rows", "one value"}))
 def test_same_bytes_as_the_reference_in_both_directions(name, kind):
-    value, chunk = matrices()[name][:900], 700
+    value, chunk = matrices()[name][:400], 300  # two chunks; enough rows for taps and classes
     model = tables(value, chunk)
     if kind == "mixed":
-        value = value[:250]
+        value = value[:120]
         model = mixed_model(value)
     channels = reference.read_header(model.header, value.shape[1])
     assert reference.write_header(channels) == model.header
@@ -228,12 +228,16 @@ def outcome(call, *arguments):
         return re.search("stream", str(error)).string
 
 
-def damaged(data: bytes):
-    """Every truncation, extensions, and every flip of a single bit."""
-    yield from (data[:size] for size in range(len(data)))
+def damaged(data: bytes, every: int = 400):
+    """Truncations, extensions, and flips: of ``every`` bit at the start, then one bit per byte.
+
+    Cuts: every length up to ``every`` bytes and in the last 16, then one in seven.
+    """
+    ends = {*range(min(every, len(data))), *range(0, len(data), 7), *range(len(data))[-16:]}
+    yield from (data[:size] for size in sorted(ends))
     yield data + b"\0"
     yield data + b"\0\0"
-    for bit in range(8 * len(data)):
+    for bit in (*range(min(every, 8 * len(data))), *range(every, 8 * len(data), 9)):
         copy = bytearray(data)
         copy[bit // 8] ^= 1 << bit % 8
         yield bytes(copy)
@@ -251,16 +255,19 @@ def test_damaged_headers_are_refused_or_other_models(name):
             outcome(model.decode, first, 256)
 
 
-@pytest.mark.parametrize("kind", ["tables", "mixed"])
-@pytest.mark.parametrize("name", ["triplets", "busy", "mixture", "laplace 1000.0"])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        *((name, "tables") for name in ("triplets", "busy", "mixture", "laplace 1000.0")),
+        ("mixture", "mixed"),
+    ],
+)
 def test_damaged_chunks_are_refused_or_other_rows(name, kind):
-    value = matrices()[name][:200]
-    model = tables(value)
-    if kind == "mixed":
-        model = mixed_model(value)
+    value = matrices()[name][: 200 if kind == "tables" else 60]
+    model = tables(value) if kind == "tables" else mixed_model(value)
     data = model.encode(value)
-    for bad in damaged(data):
-        rows = outcome(model.decode, bad, 200)
+    for bad in damaged(data, 400 if kind == "tables" else 64):
+        rows = outcome(model.decode, bad, len(value))
         if kind == "tables" or bad[:-1] != data[:-1]:  # several last bytes name the same interval
             assert isinstance(rows, str) or (rows != value).any()
 

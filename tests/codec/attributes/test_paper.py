@@ -33,7 +33,7 @@ def test_same_bytes_as_the_reference_in_both_directions(name, channels):
     np.testing.assert_array_equal(reference.decode(data, *value.shape), value)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     npst.arrays(
         np.int32,

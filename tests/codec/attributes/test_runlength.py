@@ -22,7 +22,7 @@ def test_same_bytes_as_the_reference_in_both_directions(name):
     np.testing.assert_array_equal(reference.decode(data, *value.shape), value)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     npst.arrays(
         np.int32,
@@ -36,7 +36,7 @@ def test_round_trip(value):
     np.testing.assert_array_equal(runlength.decode(data, *value.shape), value)
 
 
-@pytest.mark.parametrize("channels", [1, 2, 3, 64, 255, 256])
+@pytest.mark.parametrize("channels", [1, 2, 3, 256])
 def test_channel_counts(channels):
     value = laplace(3, 20, channels)
     np.testing.assert_array_equal(runlength.decode(runlength.encode(value), 20, channels), value)

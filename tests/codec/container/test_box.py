@@ -48,7 +48,7 @@ def expected(scene, box):
 def test_a_box_has_the_anchors_of_the_whole(file, rng):
     whole = decode(file)
     points = world(whole)
-    for _ in range(30):
+    for _ in range(12):
         # Ends on positions of anchors: the lower one belongs to the box, the upper one does not.
         ends = np.sort(points[rng.integers(len(points), size=2)], axis=0)
         ends[1] += (ends[0] == ends[1]) * 0.5
@@ -90,10 +90,10 @@ def test_only_what_is_needed_is_read_and_checked(file, rng):
 
     decode_box(Watched(io.BytesIO(file)), box)
     assert seen.sum() <= source.bytes_read < len(file)
-    for at in rng.choice(np.flatnonzero(seen), 40):
+    for at in rng.choice(np.flatnonzero(seen), 15):
         with pytest.raises(CodecError):
             decode_box(BytesSource(flipped(file, at)), box)
-    for at in rng.choice(np.flatnonzero(~seen), 40):
+    for at in rng.choice(np.flatnonzero(~seen), 15):
         assert_same(decode_box(BytesSource(flipped(file, at)), box), part)
 
 

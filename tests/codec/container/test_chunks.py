@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,13 +14,13 @@ from clgs.codec.container import chunks, section_table
 from clgs.codec.container.source import BytesSource
 from clgs.codec.octree import position_coder, subtrees
 from clgs.codec.scene_decoder import decode, describe
-from clgs.codec.scene_encoder import encode
+from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.errors import CodecError
 from clgs.reference.codec import xxh64
 from tests.codec.container.damage import checked, contents, directory, rebuilt, unpack_table
-from tests.codec.scenes import assert_same, make_golden, random_scene
+from tests.codec.scenes import GOLDEN, assert_same, random_scene
 
-CHUNKED = make_golden().golden_files()["chunks"]
+CHUNKED = (GOLDEN / "chunks.clgs").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -27,10 +28,15 @@ def scene():
     return random_scene(np.random.default_rng(9), 1500)
 
 
-@pytest.mark.parametrize("chunk", [16, 64, 65, 100, 1024, 2**20])
-def test_every_chunk_size(scene, chunk):
+@pytest.fixture(scope="module")
+def sorted_scene(scene):
+    return replace(scene, anchors=sort_anchors(scene.anchors))
+
+
+@pytest.mark.parametrize("chunk", [16, 65, 1024, 2**20])
+def test_every_chunk_size(scene, sorted_scene, chunk):
     data = encode(scene, chunk=chunk)
-    assert_same(decode(data), decode(encode(scene)))
+    assert_same(decode(data), sorted_scene)
     count = describe(data)["chunks"]["count"]
     assert describe(data)["chunks"] == {"anchors": chunk, "count": count}
     assert count >= len(scene.anchors) / chunk
@@ -40,9 +46,8 @@ def test_every_chunk_size(scene, chunk):
 @pytest.mark.parametrize("level", ["fast", "default", "max", "paper"])
 def test_no_byte_depends_on_the_threads(scene, level):
     data = encode(scene, level, chunk=128, threads=1)
-    for threads in (2, 5):
-        assert encode(scene, level, chunk=128, threads=threads) == data
-        assert_same(decode(data, threads), decode(data, 1))
+    assert encode(scene, level, chunk=128, threads=3) == data
+    assert_same(decode(data, 3), decode(data, 1))
     assert describe(data)["level"] == level
 
 
@@ -67,7 +72,7 @@ def test_parts_of_a_cloud_have_corners_of_its_octree(parts):
 
 @pytest.mark.parametrize("most", [1, 2, 7, 70, 499, 500, 10**5])
 def test_small_parts_are_cells_or_children_of_one(most):
-    """Neighbours in one cell stay apart only where they would be too many together."""
+    """Neighbours in one cell stay apart only if they would be too many together."""
     code = position_coder.morton_codes(cloud())
     parts = subtrees.cut(cloud(), most)
     assert [part.start for part in parts] == [0, *(part.stop for part in parts[:-1])]
@@ -242,7 +247,7 @@ def test_chunks_in_another_order_are_refused():
 
 
 def test_a_file_of_nothing_declares_nothing():
-    empty = make_golden().golden_files()["nothing"]
+    empty = (GOLDEN / "nothing.clgs").read_bytes()
     assert describe(empty)["chunks"] == {"anchors": 65536, "count": 0}
     meta = bytearray(contents(empty)["META"])
     meta[164] = 1
@@ -250,7 +255,7 @@ def test_a_file_of_nothing_declares_nothing():
         decode(rebuilt(empty, META=bytes(meta)))
 
 
-@pytest.mark.parametrize("size", [*range(70), 1000])
+@pytest.mark.parametrize("size", [0, 1, 3, 4, 7, 8, 31, 32, 33, 63, 64, 69, 1000])
 def test_hash_is_xxh64(size):
     data = bytes((7 * i + i // 31) % 256 for i in range(size))
     assert _codec.xxh64(data) == xxh64.xxh64(data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +19,9 @@ from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
 from tests.codec.container.damage import ENTRY, HEAD, contents, patched, rebuilt
-from tests.codec.scenes import assert_same, make_golden, random_scene
+from tests.codec.scenes import GOLDEN, assert_same, random_scene
 
-FILE = make_golden().golden_file("chunks")
+FILE = (GOLDEN / "chunks.clgs").read_bytes()
 
 
 @pytest.fixture
@@ -55,33 +56,36 @@ def test_settings_survive_to_the_last_bit(scene):
     assert all(np.isfinite(x).all() for x in vars(decoded.dequantize().anchors).values())
 
 
-def test_every_single_bit_flip_is_a_codec_error():
-    refuse_every_flip(FILE)
+TABLE = HEAD + len(section_table.SCENE) * ENTRY + 4
 
 
-def test_every_truncation_and_trailing_bytes_are_codec_errors():
-    refuse_every_cut(FILE)
+def test_flipped_bits_are_codec_errors():
+    """Every bit of the header and the section table, then one of every byte."""
+    refuse_flips(FILE, (*range(8 * TABLE), *range(8 * TABLE, 8 * len(FILE), 9)))
+
+
+def test_truncations_and_trailing_bytes_are_codec_errors():
+    refuse_cuts(FILE, (*range(TABLE), *range(TABLE, len(FILE), 5), len(FILE) - 1))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", make_golden().golden_scenes())
-def test_every_flip_and_cut_of_every_golden_file(name):
-    file = make_golden().golden_files()[name]
-    refuse_every_flip(file)
-    refuse_every_cut(file)
+@pytest.mark.parametrize("path", sorted(GOLDEN.glob("*.clgs")), ids=lambda path: path.stem)
+def test_every_flip_and_cut_of_every_golden_file(path):
+    file = path.read_bytes()
+    refuse_flips(file, range(8 * len(file)))
+    refuse_cuts(file, range(len(file)))
 
 
-def refuse_every_flip(file: bytes) -> None:
-    for at in range(len(file)):
-        for bit in range(8):
-            damaged = bytearray(file)
-            damaged[at] ^= 1 << bit
-            with pytest.raises(CodecError, match=r" at byte \d+: "):
-                decode(bytes(damaged))
+def refuse_flips(file: bytes, bits: Iterable[int]) -> None:
+    for bit in bits:
+        damaged = bytearray(file)
+        damaged[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(CodecError, match=r" at byte \d+: "):
+            decode(bytes(damaged))
 
 
-def refuse_every_cut(file: bytes) -> None:
-    for size in range(len(file)):
+def refuse_cuts(file: bytes, sizes: Iterable[int]) -> None:
+    for size in sizes:
         with pytest.raises(CodecError, match=r"; \w+"):
             decode(file[:size])
     for tail in range(1, 17):
@@ -98,7 +102,7 @@ def test_one_byte_more_or_less_in_a_section_is_refused_even_with_right_checksums
 
 def test_random_damage_with_right_checksums_is_refused(rng):
     sections = contents(FILE)
-    for _ in range(150):
+    for _ in range(60):
         tag = str(rng.choice(list(sections)))
         content = bytearray(sections[tag])
         for _ in range(rng.integers(1, 4)):
@@ -194,7 +198,7 @@ def with_number(at: int, value: float) -> bytes:
     return rebuilt(FILE, META=bytes(meta))
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+@pytest.mark.parametrize("value", [float("nan"), -float("inf")])
 @pytest.mark.parametrize("at", range(16, 144, 8))
 def test_header_numbers_that_are_not_finite_are_refused(at, value):
     with pytest.raises(CodecError, match=r"section META at byte 2[14]\d: .* is "):

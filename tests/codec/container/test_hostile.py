@@ -19,11 +19,10 @@ from tests.codec.container.mutations import ROOM, attempt, cases
 from tests.codec.scenes import GOLDEN, ROOT
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_seeded_damage_with_right_checksums_is_an_error_or_decodes(seed):
+def test_seeded_damage_with_right_checksums_is_an_error_or_decodes():
     outcomes = [
         attempt(case)[0]
-        for _, case in zip(range(500), cases(np.random.default_rng(seed)), strict=False)
+        for _, case in zip(range(700), cases(np.random.default_rng(0)), strict=False)
     ]
     assert set(outcomes) == {"refused", "decoded"}  # both happen: the parsers are reached
 
@@ -78,7 +77,7 @@ def test_declared_counts_take_no_memory(name):
 def test_memory_of_decoding_is_bounded_by_the_output(level):
     """Also of what is coded in next to no bytes: 200,000 equal rows."""
     rng = np.random.default_rng(1)
-    for value in (np.zeros((200_000, 30), np.int32), rng.integers(-9, 9, (70_000, 50))):
+    for value in (np.zeros((200_000, 30), np.int32), rng.integers(-9, 9, (20_000, 50))):
         data = encode_attributes(value, level)
         tracemalloc.start()
         decode_attributes(data, 1)
@@ -121,7 +120,7 @@ def calls() -> dict[str, tuple]:
 def test_every_allocation_that_fails_is_a_memory_error(name):
     """The n-th allocation fails, for all n until the call succeeds.
 
-    Python hides it behind a TypeError where it was NumPy that could not describe its buffer.
+    Python reports a TypeError instead if it was NumPy that could not describe its buffer.
     """
     failing = pytest.importorskip("_testcapi", reason="this Python has no _testcapi")
     function, arguments = getattr(_codec, name), calls()[name]

@@ -49,7 +49,7 @@ def test_same_bytes_as_the_reference_in_both_directions(name):
     np.testing.assert_array_equal(reference.decode(data, len(position)), position)
 
 
-@pytest.mark.parametrize("depth", range(22))
+@pytest.mark.parametrize("depth", [0, 1, 4, 5, 8, 16, 21])
 def test_every_depth(depth):
     rng = np.random.default_rng(depth)
     corners = [[0, 0, 0], [2**depth - 1] * 3]
@@ -60,7 +60,7 @@ def test_every_depth(depth):
     np.testing.assert_array_equal(position_coder.decode(data, len(position)), position)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     npst.arrays(np.int32, st.tuples(st.integers(1, 60), st.just(3)), elements=st.integers(0, 40)),
     st.integers(0, 15),
@@ -153,7 +153,7 @@ def test_headers_that_no_encoder_writes(head):
 def test_every_cut_and_every_longer_stream_is_refused(name):
     position = sorted_unique(clouds()[name])
     data = position_coder.encode(position)
-    for size in range(len(data)):
+    for size in {*range(len(data))[:40], *range(0, len(data), 5), *range(len(data))[-8:]}:
         with pytest.raises(ValueError, match=r"stream|cannot hold"):
             position_coder.decode(data[:size], len(position))
     for more in (1, 2, 9):
@@ -161,7 +161,7 @@ def test_every_cut_and_every_longer_stream_is_refused(name):
             position_coder.decode(data + bytes(more), len(position))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.binary(min_size=1, max_size=200), st.integers(0, 21), st.integers(1, 300))
 @example(b"\xfc\xef", 2, 2)  # points none of which touches the origin's faces
 def test_noise_ends_with_an_error_or_with_points_in_order(payload, depth, count):
@@ -174,7 +174,7 @@ def test_noise_ends_with_an_error_or_with_points_in_order(payload, depth, count)
     assert position_coder.ascends(position_coder.morton_codes(with_origin)[1:])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.integers(0, 10**6), st.integers(0, 7))
 def test_flipped_bits_do_no_harm(place, bit):
     position = sorted_unique(clouds()["surface"])

@@ -19,7 +19,7 @@ COUNT = sum(rows * columns for rows, columns in SHAPES)
 
 
 def drawn(step: float, spread: float = 0.1, count: int = COUNT) -> np.ndarray:
-    """Normal weights, rounded to multiples of ``step`` where it is not 0; never -0."""
+    """Normal weights, rounded to multiples of ``step`` if it is not 0; never -0."""
     x = np.random.default_rng(4).normal(0, spread, count)
     x = np.rint(x / step) * step if step else x
     return (x + 0.0).astype(np.float32)
@@ -97,14 +97,14 @@ def test_float32_on_request():
     np.testing.assert_array_equal(weights.decode(data, SHAPES), x)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(npst.arrays(np.float32, COUNT, elements=FLOATS))
 def test_any_floats_survive_bit_for_bit(x):
     data = weights.encode(x, matrices=SHAPES)
     np.testing.assert_array_equal(weights.decode(data, SHAPES).view(np.uint32), x.view(np.uint32))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     npst.arrays(np.int32, COUNT, elements=st.integers(1 - 2**24, 2**24 - 1)),
     st.integers(-149, 104),

@@ -1,4 +1,4 @@
-"""The compiler warns of nothing in the codec's sources."""
+"""The codec's sources in C: the compiler warns of nothing, every fuzz target has first inputs."""
 
 from __future__ import annotations
 
@@ -6,21 +6,29 @@ import os
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-CMAKE = ROOT / "CMakeLists.txt"
+from tests.codec.scenes import ROOT
+
+if not (ROOT / "CMakeLists.txt").is_file():
+    pytest.skip("needs the checkout: CMakeLists.txt is not there", allow_module_level=True)
+
+from scripts.fuzz import seeds
 
 
-@pytest.mark.skipif(not CMAKE.is_file(), reason="needs the checkout: CMakeLists.txt is not there")
+def test_every_target_has_seeds():
+    targets = {path.stem for path in (ROOT / "codec_c" / "fuzz").glob("*.c")}
+    assert {target for target, _, _ in seeds.all_seeds()} == targets
+
+
 def test_no_source_of_the_codec_makes_a_warning(tmp_path):
     compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
     if not compiler:
         pytest.skip("needs a C compiler: cc is not on the path")
     options = re.search(
-        r"target_compile_options\(clgs_options INTERFACE (-Wall[^)]*)\)", CMAKE.read_text()
+        r"target_compile_options\(clgs_options INTERFACE (-Wall[^)]*)\)",
+        (ROOT / "CMakeLists.txt").read_text(),
     )
     assert options, "CMakeLists.txt names its warnings elsewhere"
     sources = sorted((ROOT / "codec_c" / "src").rglob("*.c"))
