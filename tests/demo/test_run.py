@@ -61,7 +61,7 @@ def test_photos_inside_the_output_survive(tmp_path):
     run.prepare_output(tmp_path, tmp_path / "photos")
     assert (tmp_path / "photos").is_dir()
     (tmp_path / "data").mkdir()
-    with pytest.raises(DataError, match="lies where the demo writes"):
+    with pytest.raises(DataError, match="lies in the folder that the demo writes to"):
         run.prepare_output(tmp_path, tmp_path / "data")
     assert (tmp_path / "data").is_dir()
 
