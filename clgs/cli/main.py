@@ -32,6 +32,7 @@ COMMANDS = (
     "unpack",
     "render",
     "eval",
+    "export",
     "info",
     "selftest",
     "bench",
