@@ -108,7 +108,7 @@ def _parse(data: bytes, suffix: str, samples: int, seed: int) -> Floats:
 
 
 def _gather(scene: Any) -> tuple[list[Floats], Floats]:
-    """Points of every cloud, and the corners (T, 3, 3) of all triangles, where they stand."""
+    """Points of every cloud, and the corners (T, 3, 3) of all triangles, in place."""
     clouds: list[Floats] = [np.empty((0, 3))]
     corners: list[Floats] = [np.empty((0, 3, 3))]
     elements = 0

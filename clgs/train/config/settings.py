@@ -31,7 +31,7 @@ MAX_PIXELS = 65536
 """No picture is wider."""
 
 MAX_SAMPLES = 20_000_000
-"""As many anchors as the method has on any device of today."""
+"""No device of today has memory for more anchors."""
 
 WEIGHT = Range(0, MAX_WEIGHT)
 
