@@ -32,12 +32,13 @@ COMMANDS = (
     "unpack",
     "render",
     "eval",
+    "export",
     "info",
     "selftest",
     "bench",
     "conformance",
 )
-"""Each is a module of ``clgs.cli`` with ``register(subparsers)`` and ``run(args)``."""
+"""Each is a module of ``clgs.cli.commands`` with ``register(subparsers)`` and ``run(args)``."""
 
 EPILOG = """\
 exit codes: 0 success, 1 failure, 2 usage, 3 data, 4 device
@@ -72,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if sys.stdout is not None:  # closed by the caller: `clgs info scene.clgs >&-`
             sys.stdout.flush()
     except BrokenPipeError:
-        # The reader went away, as in `clgs devices | head -1`; keep Python from complaining later.
+        # The reader went away, as in `clgs devices | head -1`: keep Python from complaining later.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:

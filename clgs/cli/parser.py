@@ -13,7 +13,7 @@ _NUMBERS = re.compile(r"-(\d|\.\d|inf)")
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that itself refuses what it does not know, in one line without the usage.
+    """A parser that refuses unknown arguments itself, in one line without the usage.
 
     The standard one of a command hands such arguments back to that of ``clgs``.
     """
@@ -29,7 +29,7 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]  # one form of its four
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> tuple[Any, list[str]]:
-        """As of the base class; nothing is left over, and lists may begin with a minus sign."""
+        """As in the base class, but unknown words are errors, and lists may begin with a minus."""
         words = list(sys.argv[1:] if args is None else args)
         found, unknown = super().parse_known_args(_join_numbers(words), namespace)
         if unknown:

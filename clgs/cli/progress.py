@@ -1,4 +1,4 @@
-"""Progress bars and tables on the terminal; plain lines where the output is no terminal."""
+"""Progress bars and tables on the terminal; plain lines if the output is not a terminal."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PLAIN_SECONDS = 15.0
 
 @contextmanager
 def bar(total: int | None, label: str) -> Iterator[Callable[[], None]]:
-    """A bar of ``total`` units, None where nobody knows.
+    """A bar of ``total`` units, None if that is not known.
 
     The block receives a function that advances it by one.
     """
@@ -44,7 +44,7 @@ def bar(total: int | None, label: str) -> Iterator[Callable[[], None]]:
 
 
 def track(items: list[Item], label: str) -> Iterable[Item]:
-    """Iterate over ``items`` behind a bar."""
+    """Iterate over ``items`` and show a bar."""
     with bar(len(items), label) as advance:
         for item in items:
             yield item
@@ -52,10 +52,10 @@ def track(items: list[Item], label: str) -> Iterable[Item]:
 
 
 class TrainingDisplay:
-    """Step, steps a second, time left, PSNR, anchors and estimated bytes of a training run."""
+    """Step, steps per second, time left, PSNR, anchors and estimated bytes of a training run."""
 
     def __init__(self, steps: int, done: int) -> None:
-        """A run of ``steps`` of which ``done`` lie behind."""
+        """A run of ``steps``, of which ``done`` are done already."""
         self._console = Console(stderr=True)
         self._progress = Progress(
             TextColumn("training"),
@@ -125,7 +125,7 @@ def print_profile(rows: list[tuple[str, int, float, float]], saved: list[Saving]
 
 
 def print_summary(result: RunResult) -> None:
-    """One line with the scores and one that says where the results are."""
+    """One line with the scores, and one with the files."""
     summary = result.summary
     print(
         f"{summary['split']} views: PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.4f}; "

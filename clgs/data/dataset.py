@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from clgs.data.images import Pixels, box_downscale, list_images, read_image
 from clgs.data.lens import Lens, undistort_lens, undistort_pixels
+from clgs.data.point_file import PointFile, read_points
 from clgs.data.points import keep_near, random_points, viewpoint
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.errors import DataError
@@ -56,7 +57,8 @@ class Dataset:
     points (P, 3) float32, may be empty; point_colors (P, 3) uint8 or None; radius: 1.1 times the
     largest distance of a training camera from their mean; transform: world to scene; kind:
     "blender", "transforms" or "colmap"; skipped: photos named by the data set but missing;
-    downscale: how many times the views were reduced.
+    downscale: how many times the views were reduced; points_file: the file that the points come
+    from, empty if that is the data set.
     """
 
     train: list[View]
@@ -68,6 +70,7 @@ class Dataset:
     kind: str
     skipped: int
     downscale: int = 1
+    points_file: str = ""
 
 
 def load_dataset(
@@ -78,7 +81,7 @@ def load_dataset(
     cache: Path | None = None,
     seed: int = 0,
     load_images: bool | Collection[str] = True,
-    load_points: bool = True,
+    load_points: bool | PointFile = True,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Dataset:
     """The data set in the folder ``path``: Blender, transforms.json or COLMAP.
@@ -88,10 +91,11 @@ def load_dataset(
         downscale: images are made this many times smaller, by box means, after undistortion.
         preset_units: keep the given units instead of scaling to SCENE_RADIUS.
         cache: folder in which triangulated points are kept; never the data folder.
-        seed: of random and triangulated points.
+        seed: of random, sampled and triangulated points.
         load_images: without, views have empty images, and points come from COLMAP models only; or
             the names of the photos that are loaded, the others stay empty.
-        load_points: without, none are triangulated or drawn: enough to render and evaluate.
+        load_points: without, none are triangulated or drawn: enough to render and evaluate; or a
+            file to take the points from instead of the data set.
         on_stage: called with a line before work that takes minutes.
 
     Raises:
@@ -108,25 +112,51 @@ def load_dataset(
             f"downscale is {downscale}; the photos are {least} pixels, give at most that"
         )
     transform, radius = _normalise(photos, preset_units)
+    source = load_points if isinstance(load_points, PointFile) else None
+    if source:
+        _take_points(photos, source, seed, transform, radius)
     to_view = partial(_view, transform=transform, downscale=downscale, load_images=load_images)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         views = list(pool.map(to_view, photos.train + photos.test))
     train, test = views[: len(photos.train)], views[len(photos.train) :]
-    make_points = load_images is True and load_points
+    make_points = load_images is True and load_points is True
     if make_points and photos.points is None and photos.kind != "blender":
         _triangulate(photos, cache, seed, on_stage)
     points, colors = _scene_points(photos, transform, radius)
     if make_points and len(points) < LEAST_POINTS:
         if photos.points is not None:
             _log.warning("%s: only %d usable points, starting from random ones", path, len(points))
-        viewpoints = [viewpoint(view.camera, view.alpha) for view in train]
-        points, colors = random_points(viewpoints, radius, photos.kind == "blender", seed), None
-        if len(points) < LEAST_POINTS:
-            raise DataError(
-                f"{path}: no two photos look at the same place; check the poses and their axes"
-            )
-    kind, skipped = photos.kind, photos.skipped
-    return Dataset(train, test, points, colors, transform, radius, kind, skipped, downscale)
+        points, colors = _random_points(path, photos.kind, train, radius, seed), None
+    kind, skipped, points_file = photos.kind, photos.skipped, str(source.path) if source else ""
+    return Dataset(
+        train, test, points, colors, transform, radius, kind, skipped, downscale, points_file
+    )
+
+
+def _take_points(
+    photos: PhotoSet, source: PointFile, seed: int, transform: SceneTransform, radius: float
+) -> None:
+    """Replace the photo set's points by those of a file."""
+    photos.points, photos.point_colors = read_points(source, photos.kind, seed), None
+    usable = len(_scene_points(photos, transform, radius)[0])
+    if usable < LEAST_POINTS:
+        raise DataError(
+            f"{source.path}: only {usable} of its points lie near the cameras; give coordinates "
+            "in the world units of the data set"
+        )
+
+
+def _random_points(
+    path: Path | str, kind: str, train: list[View], radius: float, seed: int
+) -> npt.NDArray[np.float32]:
+    """Points (P, 3) in scene units where the training cameras look."""
+    viewpoints = [viewpoint(view.camera, view.alpha) for view in train]
+    points = random_points(viewpoints, radius, kind == "blender", seed)
+    if len(points) < LEAST_POINTS:
+        raise DataError(
+            f"{path}: no two photos look at the same place; check the poses and their axes"
+        )
+    return points
 
 
 def composite(view: View, background: npt.ArrayLike) -> npt.NDArray[np.uint8]:

@@ -69,8 +69,9 @@ def require_tracer() -> None:
     """
     if find_spec("embreex") is None:
         raise DataError(
-            "embreex is not installed (it has no wheel on some platforms), so the demo cannot make "
-            "its own photos; pass a folder of yours: ./scripts/demo.sh PHOTOS"
+            "embreex is not installed (pip install 'clgs[demo]'; it has no wheel on some "
+            "platforms), so the demo cannot make its own photos; pass a folder of yours: "
+            "./scripts/demo.sh PHOTOS"
         )
 
 

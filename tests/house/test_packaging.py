@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,7 @@ if not (ROOT / "clgs").is_dir():
 
 from clgs.cli.main import COMMANDS  # noqa: E402 - after the check for a checkout
 from scripts.checks import check_wheel  # noqa: E402 - after the check for a checkout
+from tests.house import rules  # noqa: E402 - after the check for a checkout
 
 TRACKED = [
     "clgs/__init__.py",
@@ -88,6 +91,23 @@ def test_the_readme_lists_every_command():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| `clgs (\w+)", readme, flags=re.M)
     assert tuple(listed) == COMMANDS
+
+
+DISTRIBUTIONS = {"PIL": "pillow", "tomli_w": "tomli-w"}
+"""Names of packages on PyPI where that is not the name that is imported."""
+
+
+def test_every_library_that_the_package_imports_is_declared_and_used():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    needed = project["dependencies"] + project["optional-dependencies"]["plot"]
+    declared = {re.match(r"[\w-]+", one)[0] for one in needed}
+    imported = {
+        name.split(".")[0]
+        for path in (ROOT / "clgs").rglob("*.py")
+        for _, name in rules.imported_names(path.read_text(encoding="utf-8"))
+    }
+    foreign = imported - set(sys.stdlib_module_names) - {"clgs"}
+    assert {DISTRIBUTIONS.get(name, name) for name in foreign} == declared
 
 
 def test_the_changelog_has_the_headings_of_keep_a_changelog():

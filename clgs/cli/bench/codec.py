@@ -18,7 +18,7 @@ DESCRIPTION = """\
 Bytes of every level, and times (medians of alternating runs, one thread), beside zstd -19, xz -9
 and brotli 11 on the same integers in their narrowest type. DATA: .npz files with `values` (rows in
 Morton order) or `positions`, .clgs files, or folders of them; without DATA seeded random numbers
-with the published bits a number. The ratio is to the bytes of the published coder, where they are
+with the published bits per number. The ratio is to the bytes of the published coder, if they are
 known, otherwise to the level paper."""
 
 
@@ -26,14 +26,18 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     """Add the kind and its options."""
     parser = kinds.add_parser(
         "codec",
-        help="the codec's levels: bytes, and time to encode and decode",
+        help="the codec's levels: bytes, and times to encode and decode",
         description=DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add("data", type=Path, nargs="*", metavar="DATA", help="files or folders")
-    add("--anchors", type=positive_int, help="of the seeded numbers (default: 312238)")
-    add("--quick", action="store_true", help="20000 anchors")
+    add(
+        "--anchors",
+        type=positive_int,
+        help="number of anchors with seeded values (default: 312238)",
+    )
+    add("--quick", action="store_true", help="as --anchors 20000")
     add("--seed", type=seed, default=0, help="of the seeded numbers (default: 0)")
     add("--repeats", type=positive_int, default=3, help="runs to take the median of (default: 3)")
     add("--levels-only", action="store_true", help="without the other compressors, which are slow")

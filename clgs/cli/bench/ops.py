@@ -18,7 +18,7 @@ DESCRIPTION = """\
 Time of every stage (median) and its largest error against float64, on every device. GB/s and
 GFLOP/s count what a stage must move and compute at least (clgs/bench/stage_work.py states the
 formulas); the last column is its share of the copy bandwidth or of the FMA rate that the device
-reaches, whichever is larger. Exit code 1 where an error exceeds its limit."""
+reaches, whichever is larger. Exit code 1 if an error exceeds its limit."""
 
 
 def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -30,7 +30,9 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("--gaussians", type=gaussian_count, help="with positive opacity (default: 200000)")
+    add(
+        "--gaussians", type=gaussian_count, help="Gaussians with positive opacity (default: 200000)"
+    )
     add("--size", type=edge_length, help="width and height of the image, pixels (default: 400)")
     add("--elements", type=element_count, help="for stages timed alone (default: 1000000)")
     add("--repeats", type=positive_int, help="runs to take the median of (default: 15)")
@@ -40,7 +42,7 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; exit code 0, or 1 where an error exceeds its limit."""
+    """Measure and print; exit code 0, or 1 if an error exceeds its limit."""
     from clgs.bench.ops import bench_ops
     from clgs.files import check_target
     from clgs.train.run.session import write_json

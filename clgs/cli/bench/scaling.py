@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 DESCRIPTION = """\
 Time of a training step against the number of Gaussians (at 400 x 400 pixels, 10,000 to 2 million)
 and of pixels (of 100,000 Gaussians, 0.04 to 8 megapixels), with the exponent of growth by least
-squares on logarithms; device memory a Gaussian, an intersection and a pixel."""
+squares on logarithms; device memory per Gaussian, per intersection and per pixel."""
 
 
 def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -34,7 +34,7 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     add = parser.add_argument
     add("--gaussians", type=gaussian_count, nargs="+", help="other numbers; two give an exponent")
     add("--sizes", type=edge_length, nargs="+", help="other edges of the picture, pixels; as above")
-    add("--repeats", type=positive_int, default=15, help="steps of a size, at most (default: 15)")
+    add("--repeats", type=positive_int, default=15, help="most steps per size (default: 15)")
     add("--device", help="number or part of the name, see `clgs devices`")
     add_figure_options(parser)
 

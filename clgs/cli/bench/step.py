@@ -17,10 +17,22 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     add = step.add_argument
-    add("--gaussians", type=gaussian_count, default=200_000, help="with positive opacity")
-    add("--size", type=edge_length, default=400, help="width and height of the image, pixels")
-    add("--repeats", type=positive_int, default=15, help="steps to take the median of")
-    add("--seed", type=seed, default=0, help="of the scene")
+    add(
+        "--gaussians",
+        type=gaussian_count,
+        default=200_000,
+        help="Gaussians with positive opacity (default: 200000)",
+    )
+    add(
+        "--size",
+        type=edge_length,
+        default=400,
+        help="width and height of the image, pixels (default: 400)",
+    )
+    add(
+        "--repeats", type=positive_int, default=15, help="steps to take the median of (default: 15)"
+    )
+    add("--seed", type=seed, default=0, help="of the scene (default: 0)")
     add("--device", help="number or part of the name, see `clgs devices`")
     add("--json", type=Path, metavar="F", help="write the times to F")
 

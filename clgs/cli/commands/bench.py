@@ -1,4 +1,4 @@
-"""`clgs bench`: speed, accuracy, growth of time and memory, and the codec; one module a kind."""
+"""`clgs bench`: speed, accuracy, growth of time and memory, and the codec; one module per kind."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SMALLER = {
     "codec": "fewer --anchors, or smaller DATA with --levels-only, need",
     "scaling": "smaller --sizes or fewer --gaussians need",
 }
-"""What to change where memory is short."""
+"""What to change if memory is short."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

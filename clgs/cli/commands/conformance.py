@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 SHA-256 of every tensor that the kernels compute for fixed scenes: renders, gradients and all stages
-between. With --check: whether another device made the same bits; names the first stage that did
-not. Exit code 1 where any tensor differs."""
+in between. With --check: whether another device made the same bits; names the first stage that did
+not. Exit code 1 if any tensor differs."""
 
 
 LARGEST_RECORD = 1 << 24
-"""Bytes; one of today has 20 thousand."""
+"""Bytes; today's have 20 thousand."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -37,7 +37,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute, write and compare; exit code 0, or 1 where a tensor differs."""
+    """Compute, write and compare; exit code 0, or 1 if a tensor differs."""
     from clgs.bench.facts import machine_facts
     from clgs.errors import DataError
     from clgs.files import check_target
@@ -80,7 +80,7 @@ def _read(path: Path) -> Any:
         remedy = "`clgs conformance -o` makes one"
         raise DataError(f"{path}: {error.strerror}; {remedy}") from None
     if len(text) > LARGEST_RECORD:
-        raise DataError(f"{path}: is no file of `clgs conformance -o`")
+        raise DataError(f"{path}: was not written by `clgs conformance -o`; name one that was")
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -98,7 +98,7 @@ def _tensors(path: Path, record: object) -> list[Fingerprint]:
 
 
 def _all(found: list[Fingerprint]) -> str:
-    """One hash of all."""
+    """One hash of all tensors."""
     import hashlib
 
     return hashlib.sha256("".join(one.sha256 for one in found).encode()).hexdigest()[:16]

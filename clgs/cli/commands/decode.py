@@ -15,8 +15,8 @@ Decompress a .clgs file into a NumPy archive, or into a PLY file as the referenc
 
 X.ply receives the anchors as numbers, X.quantized.ply as integers, and X.mlps.npz beside it the
 MLPs; all in the scene's own units, with scales, transform and settings as comments. Properties are
-float32, or float64 where float32 would not give every integer back. An X.mlps.npz with other MLPs
-is replaced only where the PLY file of that name is replaced too.
+float32, or float64 if float32 would not give every integer back. An X.mlps.npz with other MLPs
+is replaced only if the PLY file of that name is replaced too.
 
 --box: only the anchors with x0 <= x < x1, y0 <= y < y1 and z0 <= z < z1, in the units of the input
 data. Of the file, only the header, the MLPs and the chunks that the box meets are read: see
@@ -34,7 +34,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_files(parser, "scene", "FILE.clgs", "FILE.npz|FILE.ply")
-    parser.add_argument("--box", metavar="x0,y0,z0,x1,y1,z1", help="the part in this box alone")
+    parser.add_argument("--box", metavar="x0,y0,z0,x1,y1,z1", help="only the part in this box")
     add_threads(parser)
 
 

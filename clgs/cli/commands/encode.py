@@ -24,21 +24,21 @@ small ones let it read less. They make the file larger by 0.2 to 0.5 % (4096), 0
 0.8 to 1.4 % (256), 1.3 to 2.3 % (128) or 2.3 to 5.5 % (64), the more the fewer anchors there are; a
 box with a tenth of 300,000 anchors then reads about 2, 1.5, 1.3, 1.2 or 1.2 times a tenth of it.
 Below 256, max is no smaller than default, and paper grows by a quarter (64).
---mlp: float32 keeps the weights of the MLPs as floats, auto packs them as integers where training
+--mlp: float32 keeps the weights of the MLPs as floats, auto packs them as integers if training
 has rounded them; the same weights come back either way.
 
 --target-size and --target-psnr make a smaller file without training: anchors are left out, least
-useful for each bit first, and Q of offsets, features or scalings is made coarser where that costs
+useful for each bit first, and Q of offsets, features or scalings is made coarser if that costs
 less; Q of positions stays. With --data the training views (48 at most) say what is useful, and 12
-of them, or --all-views, what it costs in PSNR; without, an anchor's size says what is useful. What
-a file without anchors exceeds in size, or reaches in PSNR, is no target.
+of them, or --all-views, what it costs in PSNR; without, an anchor's size says what is useful. A
+target that a file without anchors exceeds in size, or reaches in PSNR, is refused.
 
 RUN is a run folder, the .npz or .clgs file of a scene, or a PLY file of anchors as the reference
 code writes it (f_offset_*, f_anchor_feat_*, scale_*): X.quantized.ply holds integers, any other
 name numbers that are rounded by --q. PLY files hold no MLPs: they are read from X.mlps.npz beside
-or from --mlps, an archive with the arrays of the torch file under their names there
-(opacity_mlp.0.weight ... color_mlp.2.bias), which its owner saves by np.savez, or with `mlps` of a
-decoded scene. nx ny nz, opacity and rot_* are not used."""
+it, or from --mlps. That archive holds the arrays of the torch file under their names there
+(opacity_mlp.0.weight ... color_mlp.2.bias), as its owner saves them by np.savez, or the array
+`mlps` of a decoded scene. nx ny nz, opacity and rot_* are not used."""
 
 LESS_MEMORY = "--threads 1 and --level fast need less"
 
@@ -53,16 +53,22 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_files(parser, "scene", "RUN", "FILE.clgs")
     add_level(parser)
-    parser.add_argument("--chunk", type=int, default=65_536, metavar="N", help="16 to 2^20; 65536")
+    parser.add_argument(
+        "--chunk",
+        type=int,
+        default=65_536,
+        metavar="N",
+        help="most anchors per chunk, 16 to 2^20 (default: 65536)",
+    )
     parser.add_argument("--mlps", type=Path, metavar="FILE.npz", help="MLPs of a PLY file")
     parser.add_argument(
         "--q",
         type=scales,
         metavar="P,O,A,S",
-        help="integers a unit of position, offset, feature and scaling of a PLY file (default: as "
-        "its comments say, else 200,1,1,8); of X.quantized.ply only where they say none",
+        help="integers per unit of position, offset, feature and scaling of a PLY file (default: "
+        "as its comments say, else 200,1,1,8); of X.quantized.ply only if they say none",
     )
-    parser.add_argument("--mlp", default="auto", help="auto or float32")
+    parser.add_argument("--mlp", default="auto", help="auto or float32 (default: auto)")
     add_target_options(parser)
     add_threads(parser)
 
@@ -94,7 +100,7 @@ def read_source(args: argparse.Namespace) -> QuantizedScene:
     """The scene that is to be encoded.
 
     Raises:
-        DataError: there is none, or it is damaged.
+        DataError: there is no such file, or it is damaged.
         UsageError: an option of PLY files with another scene.
     """
     from clgs.cli.options.scene import read_scene
@@ -150,6 +156,6 @@ def run(args: argparse.Namespace) -> int:
         scene, data = reduce(args, scene, pack)
     atomic_write(args.output, data)
     count = len(scene.anchors)
-    per_anchor = f", {8 * len(data) / count:.1f} bits an anchor" if count else ""
+    per_anchor = f", {8 * len(data) / count:.1f} bits per anchor" if count else ""
     print(f"{args.output}: {len(data):,} bytes, {count:,} anchors{per_anchor}")
     return 0

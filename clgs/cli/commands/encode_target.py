@@ -64,7 +64,7 @@ def decibel(text: str) -> float:
 
 
 def check_targets(args: argparse.Namespace) -> None:
-    """Raise UsageError where options do not fit each other."""
+    """Raise UsageError if options do not fit each other."""
     from clgs.errors import UsageError
 
     if args.target_psnr is not None and args.data is None:
@@ -109,7 +109,7 @@ def reduce(
 def _judge(
     args: argparse.Namespace, scene: QuantizedScene, on_render: Callable[[], None]
 ) -> tuple[Judge, int]:
-    """What judges by the training views, and how many of these there are.
+    """The judge by the training views, and their number.
 
     Only the photos that are looked at are loaded.
     """

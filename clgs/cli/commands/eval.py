@@ -29,7 +29,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate; exit code 0, or 1 where the hashes differ."""
+    """Evaluate; exit code 0, or 1 if the hashes differ."""
     from clgs.cli.options.scene import read_scene
     from clgs.errors import UsageError
     from clgs.files import check_target

@@ -16,11 +16,11 @@ Compress an ordinary 3DGS file (PLY: x y z, f_dc_*, f_rest_*, opacity, scale_*, 
 Every property is rounded to a multiple of its step, which the file states; what is packed is then
 lossless. Default steps: f_dc 1/64, f_rest 1/32, opacity 1/32, scale 1/16, rot 1/256, normal 1/64;
 position an eighth of the median scale (a power of two), or 1/65536 of the extent without scales,
-but no finer than float32 is on an axis that lies far from 0. Positions fit 2^21 steps an axis:
-where a distant splat forces a coarser step, a warning says so. Other properties have step 1 where
-they are of integer type and need --step where not. Quaternions are scaled to length 1 and to a
-rot_0 that is not negative, which is the same rotation. Splats come back in Morton order; all of
-them, also where several share a voxel. `clgs unpack` is the way back."""
+but no finer than float32 is on an axis far from 0. Positions fit 2^21 steps per axis:
+if a distant splat forces a coarser step, a warning says so. Other properties have step 1 if they
+are of integer type, and need --step if not. Quaternions are scaled to length 1 and to a
+rot_0 that is not negative, which is the same rotation. Splats come back in Morton order, all of
+them, even if several share a voxel. `clgs unpack` is the way back."""
 
 LESS_MEMORY = "--threads 1 and --level fast need less"
 
@@ -40,8 +40,8 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="append",
         default=[],
         metavar="NAME=STEP",
-        help="of a group (position, scale, f_rest, ...) or a property, such as scale=0.03; again "
-        "for each",
+        help="of a group (position, scale, f_rest, ...) or a property, such as scale=0.03; may be "
+        "given several times",
     )
     add_level(parser)
     add_threads(parser)
@@ -56,7 +56,7 @@ def named_step(text: str) -> tuple[str, float]:
 
 
 def steps_by_group(splats: Splats) -> dict[str, str]:
-    """The steps of every group in words: one, or where its properties differ all."""
+    """The steps of every group in words: one, or all if its properties differ."""
     from clgs.data.ply.splat_steps import group_of
 
     groups: dict[str, dict[str, float]] = {}

@@ -18,8 +18,8 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = subparsers.add_parser(
         "selftest",
         help="check every kernel against float64 on every device",
-        description="Error and time of every stage on every device, a line each; the whole table "
-        "for a single device or with --verbose. Exit code 1 where an error exceeds its limit.",
+        description="Error and time of every stage on every device, one line per device; the whole "
+        "table for a single device or with --verbose. Exit code 1 if an error exceeds its limit.",
     )
     add_device_option(parser)
     parser.add_argument("--verbose", action="store_true", help="show every check of every device")
@@ -27,7 +27,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the checks; exit code 0, or 1 where one fails."""
+    """Run the checks; exit code 0, or 1 if one fails."""
     from clgs.files import check_target
     from clgs.train.run.session import write_json
 
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _checks(device: Device) -> tuple[list[Check], str]:
-    """The checks of a device, and what stopped them; another device must still have its turn."""
+    """The checks of a device, and the error that stopped them; other devices still follow."""
     from clgs.cli.main import explain
     from clgs.selftest.render_checks import selftest
 

@@ -47,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
     """Train; exit code 0."""
     from clgs.cli.progress import TrainingDisplay, print_summary
     from clgs.data.dataset import load_dataset
+    from clgs.data.point_file import PointFile
     from clgs.errors import DataError, UsageError
     from clgs.files import check_folder
     from clgs.opencl.device import Device
@@ -69,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
         preset_units=not config.normalize,
         cache=args.output,
         seed=config.seed,
+        load_points=PointFile(Path(config.points), config.point_samples) if config.points else True,
         on_stage=partial(print, file=sys.stderr, flush=True),
     )
     config = config.for_dataset(dataset.kind)

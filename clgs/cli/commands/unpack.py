@@ -15,7 +15,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "unpack",
         help="decompress what `clgs pack` made into a PLY file",
         description="Decompress what `clgs pack` made: a little-endian PLY file of float32, or "
-        "float64 where float32 would lose a step, with the same properties and splats, rounded to "
+        "float64 if float32 would lose a step, with the same properties and splats, rounded to "
         "the steps, in Morton order.",
     )
     add_files(parser, "splats", "FILE.clgs", "FILE.ply")

@@ -12,7 +12,7 @@ from clgs.cli.options.view import named_path
 def add_files(parser: argparse.ArgumentParser, name: str, source: str, output: str) -> None:
     """Add the argument ``name`` and the option ``--output``, shown as ``source`` and ``output``.
 
-    ``clgs.files.check_output`` must see both.
+    The command must pass both to ``clgs.files.check_output``.
     """
     parser.add_argument(name, type=named_path, metavar=source)
     parser.add_argument("-o", "--output", type=named_path, required=True, metavar=output)
@@ -25,7 +25,7 @@ def add_level(parser: argparse.ArgumentParser) -> None:
 
 def add_threads(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--threads``."""
-    parser.add_argument("--threads", type=int, metavar="N", help="default: one a processor")
+    parser.add_argument("--threads", type=int, metavar="N", help="default: one per processor")
 
 
 def check_suffix(output: Path) -> None:
@@ -41,7 +41,7 @@ def check_suffix(output: Path) -> None:
 
 
 def in_range(text: str) -> float:
-    """An argument that must be a step, or a number of integers a unit, that a file may hold."""
+    """An argument that must be a step, or integers per unit, in the range that a file can hold."""
     try:
         value = float(text)
     except ValueError:

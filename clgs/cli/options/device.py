@@ -22,10 +22,10 @@ def add_device_option(parser: argparse.ArgumentParser) -> None:
 
 
 def open_devices(name: str | None) -> Iterator[tuple[str, Device]]:
-    """Number and device of each that is meant; what is left out is said on standard error.
+    """Number and device of each that was asked for; standard error names those left out.
 
     Raises:
-        DeviceError: there is no device, or none of that name.
+        DeviceError: there is no device, or none has that name.
     """
     from clgs.opencl.choose import choose_device, is_emulator, survey
     from clgs.opencl.device import Device

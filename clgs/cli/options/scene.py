@@ -16,7 +16,7 @@ from clgs.scene.storage import load_scene
 
 
 def read_scene(path: Path) -> tuple[QuantizedScene, int | None]:
-    """The scene and, where it is a bitstream, its size in bytes.
+    """The scene and, if it is a bitstream, its size in bytes.
 
     Raises:
         DataError: there is no scene at ``path``, or it is damaged.
@@ -43,8 +43,8 @@ def read_bitstream(path: Path, threads: int | None = None) -> tuple[QuantizedSce
     """The scene in a .clgs file, and the file's size.
 
     Raises:
-        DataError: there is no file, or a folder.
-        CodecError: it is no .clgs file, or is damaged.
+        DataError: there is no file, or it is a folder.
+        CodecError: it is not a .clgs file, or is damaged.
     """
     data = read_bytes(path)
     with naming(path):
@@ -55,8 +55,8 @@ def read_box(path: Path, box: Box, threads: int | None) -> tuple[QuantizedScene,
     """The scene in a box of a .clgs file, the bytes that were read, and the file's size.
 
     Raises:
-        DataError: there is no file, or a folder.
-        CodecError: it is no .clgs file, or what was read is damaged.
+        DataError: there is no file, or it is a folder.
+        CodecError: it is not a .clgs file, or what was read is damaged.
     """
     if stat.S_ISFIFO(_mode(path)):
         data = path.read_bytes()
@@ -81,7 +81,7 @@ def read_bytes(path: Path) -> bytes:
     """All of a .clgs file; it may come through a pipe.
 
     Raises:
-        DataError: there is no file, or something else than a file or pipe.
+        DataError: there is no file, or it is neither a file nor a pipe.
     """
     _mode(path)
     return path.read_bytes()

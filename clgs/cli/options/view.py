@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> None:
-    """Add what names the views, how they are rendered, and where."""
+    """Add the options that choose views, their rendering and the device."""
     add = parser.add_argument
     add("--data", type=Path, required=data_required, help="the dataset that the scene was made of")
     add("--split", choices=("train", "test"), default="test", help="which views (default: test)")
@@ -41,7 +41,7 @@ def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> No
 def add_accuracy_options(
     parser: argparse.ArgumentParser, default: str, smallest_anchor: str
 ) -> None:
-    """Add --accuracy and --smallest-anchor; the words say what None stands for."""
+    """Add --accuracy and --smallest-anchor; the texts say what the default is."""
     declared = options_of(TrainConfig)
     parser.add_argument(
         "--accuracy",
@@ -72,7 +72,7 @@ def selected_views(
 ) -> list[View]:
     """The views that the options name, posed in the scene's units.
 
-    ``load_images``: as of ``load_dataset``.
+    ``load_images``: as for ``load_dataset``.
 
     Raises:
         DataError: the split is empty, or the dataset does not fit the scene.
@@ -98,7 +98,7 @@ def _load(
 
 
 def selected_options(args: argparse.Namespace) -> RenderOptions:
-    """What the options name, else the run folder, else the defaults; and the memory budget."""
+    """From the options, else the run folder, else the defaults; with the memory budget."""
     from clgs.options import render_options
 
     trained = _trained_config(args.scene) or TrainConfig()
@@ -117,7 +117,7 @@ def _trained_config(scene: Path) -> TrainConfig | None:
 
 
 def trained_downscale(scene: Path) -> int:
-    """The --downscale of the run folder that ``scene`` is or lies in; 1, said aloud, elsewhere."""
+    """The --downscale of the run that ``scene`` is of; 1, with a note, if that is not known."""
     config = _trained_config(scene)
     if config is not None:
         return config.downscale

@@ -8,7 +8,7 @@ from pathlib import Path
 from clgs.cli.options.view import whole_number
 
 gaussian_count = whole_number(20_000_000)
-"""As many as the method has anchors for on any device of today."""
+"""No device of today has memory for more."""
 
 edge_length = whole_number(16_384)
 """Pixels; a picture of more would not fit into an array of a device."""
@@ -24,11 +24,11 @@ def add_figure_options(parser: argparse.ArgumentParser) -> None:
 
 
 def check_figure_options(args: argparse.Namespace) -> None:
-    """Refuse, before anything is measured, what could not be written.
+    """Refuse, before anything is measured, files that could not be written.
 
     Raises:
-        UsageError: the plot is no .svg file, or matplotlib is missing.
-        OutputError, PermissionError: as of ``clgs.files.check_target``.
+        UsageError: the plot is not an .svg file, or matplotlib is missing.
+        OutputError, PermissionError: as from ``clgs.files.check_target``.
     """
     from clgs.bench.plots import require_pyplot
     from clgs.errors import UsageError

@@ -13,7 +13,7 @@ class Row:
     """One option in words.
 
     name: in a TOML file and for ``--set``, dotted in a table; flag: of ``clgs train``; group: its
-    heading; default, unit ("none" for a number without), range, help: texts for people, empty where
+    heading; default, unit ("none" for a number without), range, help: texts for people, empty if
     there is nothing to say.
     """
 

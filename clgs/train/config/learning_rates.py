@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from clgs.errors import UsageError
 from clgs.train.config.option import POSITIVE, Pair, option, options_of
+
+SHORT_RUN_POWERS = {"feature": (0.75, -0.25), "offset": (0.5, 0.25)}
+"""A run n times shorter multiplies the first and the last of these learning rates by n to these
+powers.
+"""
 
 
 @dataclass(frozen=True)
@@ -47,3 +52,19 @@ class LearningRates:
                 object.__setattr__(self, name, one.check(getattr(self, name)))
             except UsageError as error:
                 raise UsageError(f"learning_rates.{error}") from None
+
+    def for_shorter_run(self, shorter: float) -> LearningRates:
+        """The rates of a run that is ``shorter`` times as short, as SHORT_RUN_POWERS says.
+
+        Features and offsets start at zero, and a short run would leave them small beside the
+        rounding to integers when that sets in; afterwards large steps would only rattle the
+        integers.
+        """
+        changed = {
+            name: tuple(
+                rate * shorter**power
+                for rate, power in zip(getattr(self, name), powers, strict=True)
+            )
+            for name, powers in SHORT_RUN_POWERS.items()
+        }
+        return replace(self, **changed)

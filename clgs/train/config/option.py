@@ -6,6 +6,7 @@ of its value, its command-line option, its row in the documentation and its plac
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Iterator
@@ -91,6 +92,11 @@ class Option:
     def may_be_open(self) -> bool:
         """Whether None is a value: it is chosen later."""
         return bool(self.kind == float | None)
+
+    @property
+    def least(self) -> int:
+        """The least whole number that it may be."""
+        return math.ceil(self.allowed.least) if isinstance(self.allowed, Range) else 0
 
     @property
     def range(self) -> str:

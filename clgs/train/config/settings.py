@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
 
 import tomli_w
 
@@ -19,21 +18,20 @@ from clgs.constants import NEAR_PLANE
 from clgs.errors import UsageError
 from clgs.options import PRESETS, RenderOptions, render_options
 from clgs.train.config.learning_rates import LearningRates
-from clgs.train.config.option import ANY, POSITIVE, Range, at_least, option, options_of
+from clgs.train.config.option import ANY, POSITIVE, Range, Text, at_least, option, options_of
+from clgs.train.config.run_length import FULL_STEPS, check_order, scaled_moments, shortness
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
-
-SHORT_RUN_POWERS = {"feature": (0.75, -0.25), "offset": (0.5, 0.25)}
-"""A run of 1/n of 30,000 steps multiplies the first and the last of these learning rates by n, at
-most 30, to these powers.
-"""
 
 MAX_WEIGHT = 1e6
 """Adam squares the gradients: with weights much above it they overflow, and nothing trains."""
 
 MAX_PIXELS = 65536
 """No picture is wider."""
+
+MAX_SAMPLES = 20_000_000
+"""No device of today has memory for more anchors."""
 
 WEIGHT = Range(0, MAX_WEIGHT)
 
@@ -56,7 +54,7 @@ class TrainConfig:
         group="run",
     )
     steps: int = option(
-        30_000,
+        FULL_STEPS,
         "training steps, one view each (paper); another number than the preset's also moves, in "
         "proportion, the settings that say so, and in short runs it changes the learning rates of "
         "features and offsets",
@@ -75,6 +73,21 @@ class TrainConfig:
     downscale: int = option(1, "reduce the photos this many times", at_least(1), unit="times")
     coarse_to_fine: bool = option(
         False, "train on reduced photos first: a quarter of the size, then half"
+    )
+    points: str = option(
+        "",
+        "start from the points of this file instead of the data set's: PLY, OBJ, GLB, STL, OFF or "
+        "XYZ, in the data set's world units; surfaces are sampled, colors ignored, GLB turned from "
+        "y up as `clgs export` does",
+        Text("the name of a file"),
+        in_digest=False,  # the points themselves are in it
+    )
+    point_samples: int = option(
+        100_000,
+        "points drawn from the surfaces in the file of points",
+        Range(4, MAX_SAMPLES),
+        unit="points",
+        in_digest=False,
     )
     fixed_views: int = option(
         4, "training views on which PSNR is logged", at_least(0), unit="views"
@@ -312,7 +325,7 @@ class TrainConfig:
                 object.__setattr__(self, name, one.check(getattr(self, name)))
         if self.l1_weight == self.ssim_weight == 0:
             raise UsageError("l1_weight, ssim_weight: both are 0, so nothing would be learned")
-        _check_order(self)
+        check_order(vars(self))
 
     def for_dataset(self, kind: str) -> TrainConfig:
         """Values left open (voxel, position_q, volume_weight) chosen for a kind of data set.
@@ -333,30 +346,16 @@ class TrainConfig:
         switch steps, learning-rate horizon. The growth interval, the counts 40 and 80 and the
         proxy's interval stay.
 
-        Learning rates of features and offsets change as SHORT_RUN_POWERS says. Both tensors start
-        at zero, and a short run would leave them small beside the rounding to integers when that
-        sets in; afterwards large steps would only rattle the integers.
+        Learning rates change as :meth:`LearningRates.for_shorter_run` says.
 
         Raises:
             UsageError: ``steps`` is not at least 1.
         """
         options_of(TrainConfig)["steps"].check(steps)
-        moved = {
-            name: (getattr(self, name) * steps + self.steps // 2) // self.steps
-            for name, one in options_of(TrainConfig).items()
-            if one.scaled
-        }
-        moved["learning_rate_steps"] = max(1, moved["learning_rate_steps"])
-        shorter = _shortness(steps) / _shortness(self.steps)
-        rates = {
-            name: tuple(
-                rate * shorter**power
-                for rate, power in zip(getattr(self.learning_rates, name), powers, strict=True)
-            )
-            for name, powers in SHORT_RUN_POWERS.items()
-        }
-        learning_rates = replace(self.learning_rates, **rates)
-        return replace(self, steps=steps, learning_rates=learning_rates, **moved)
+        shorter = shortness(steps) / shortness(self.steps)
+        rates = self.learning_rates.for_shorter_run(shorter)
+        moved = scaled_moments(options_of(TrainConfig), vars(self), steps)
+        return replace(self, steps=steps, learning_rates=rates, **moved)
 
     def render_options(self) -> RenderOptions:
         """How the run renders."""
@@ -372,20 +371,5 @@ class TrainConfig:
         return hashlib.sha256(replace(self, **free).to_toml().encode()).hexdigest()
 
 
-def _shortness(steps: int) -> float:
-    return min(max(TrainConfig.steps / steps, 1.0), 30.0)
-
-
 def _paper_position_q(preset_name: str, synthetic: bool) -> float:
     return (1024.0 if synthetic else 200.0) if preset_name == "paper" else 0.0
-
-
-def _check_order(config: TrainConfig) -> None:
-    """The moments of a run must follow each other, and anchors must rest after the switch."""
-    names = ("statistics_start", "growth_start", "growth_end", "switch_step", "steps")
-    for first, second in pairwise(names):
-        if getattr(config, first) > getattr(config, second):
-            raise UsageError(
-                f"{first}: {getattr(config, first)} is after {second} "
-                f"{getattr(config, second)}; scale the run by --steps instead"
-            )

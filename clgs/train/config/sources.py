@@ -86,7 +86,7 @@ def find(name: str) -> Option:
     """The option of that name.
 
     Raises:
-        UsageError: there is none; suggests the nearest.
+        UsageError: there is none; names the nearest.
     """
     known = options_of(TrainConfig)
     if name in known:

@@ -64,7 +64,7 @@ class Session:
         """
         if not dataset.train:
             raise DataError("the dataset has no training views; check the folder of images")
-        config = replace(config, downscale=dataset.downscale)
+        config = replace(config, downscale=dataset.downscale, points=dataset.points_file)
         self.folder, self.config, self.device = folder, config, device
         self.dataset = dataset
         self.trainer = Trainer(device, dataset, config)

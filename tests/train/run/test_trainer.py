@@ -137,7 +137,7 @@ def test_the_largest_weights_train(dataset, cpu):
 
 @pytest.mark.parametrize(("steps", "said"), [(9, 0), (10, 1), (25, 1)])
 def test_a_run_that_draws_nothing_is_warned_of_once(dataset, cpu, caplog, steps, said):
-    trainer = Trainer(cpu, dataset, config(dataset, smallest_anchor=1e30))
+    trainer = Trainer(cpu, dataset, config(dataset, smallest_anchor=65536))
     for _ in trainer.steps(steps):
         pass
     assert [record.levelname for record in caplog.records] == ["WARNING"] * said
@@ -145,7 +145,7 @@ def test_a_run_that_draws_nothing_is_warned_of_once(dataset, cpu, caplog, steps,
 
 
 def test_a_shorter_run_that_draws_nothing_is_warned_of_at_its_end(dataset, cpu, caplog):
-    trainer = Trainer(cpu, dataset, replace(config(dataset).scaled(4), smallest_anchor=1e30))
+    trainer = Trainer(cpu, dataset, replace(config(dataset).scaled(4), smallest_anchor=65536))
     for _ in trainer.steps(4):
         pass
     assert "nothing was drawn in the first 4 steps" in caplog.text

@@ -1,0 +1,43 @@
+"""``clgs export``: what clgs knows, in a file that other programs open."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from clgs.cli.options.view import named_path
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "export",
+        help="write the cameras and points of a data set as a GLB file",
+        description="Write the points of a data set, if it has any, and the frustum of every "
+        "camera to a GLB file, which 3-D viewers open: training cameras blue, held-out ones "
+        "orange. Lengths are the world units of the data set. Its up becomes glTF's y: Blender "
+        "captures and transforms.json have z up, COLMAP models y down. `clgs train --points` turns "
+        "a GLB file back.",
+    )
+    parser.add_argument("data", type=Path, metavar="DATA", help="a data set, as for `clgs train`")
+    parser.add_argument(
+        "-o", "--output", type=named_path, required=True, metavar="cameras.glb", help="new file"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the file and print one line; exit code 0."""
+    from clgs.data.dataset import load_dataset
+    from clgs.errors import UsageError
+    from clgs.export.cameras import cameras_glb
+    from clgs.files import atomic_write, check_output
+
+    if args.output.suffix.lower() != ".glb":
+        raise UsageError(f"{args.output}: the output is a GLB file; name it so (cameras.glb)")
+    check_output(args.output)
+    dataset = load_dataset(args.data, load_images=False)
+    data = cameras_glb(dataset)
+    atomic_write(args.output, data)
+    cameras = len(dataset.train) + len(dataset.test)
+    print(f"{args.output}: {len(dataset.points):,} points, {cameras} cameras, {len(data):,} bytes")
+    return 0
