@@ -32,7 +32,7 @@ class Device:
     """Runs kernels on one device, in order, and owns the memory that they use.
 
     ``specialisation`` selects the form of the kernels: "cpu" (vectors of ``vec`` lanes, one
-    work-item a tile, no local memory) or "gpu" (scalars, work-groups, local memory).
+    work-item per tile, no local memory) or "gpu" (scalars, work-groups, local memory).
     """
 
     def __init__(self, name: str | None = None, specialisation: str | None = None) -> None:
@@ -139,8 +139,8 @@ class Device:
     def write(self, array: DeviceArray, host: npt.NDArray[Any]) -> None:
         """Overwrite ``array`` with ``host`` (same size and dtype).
 
-        Waits for the work before it only where ``host`` is large (transfer.WAITING_SIZE); it may
-        change afterwards in any case.
+        Waits for the work before it only if ``host`` is large (transfer.WAITING_SIZE); either way,
+        ``host`` may change afterwards.
         """
         if array.size != host.size or array.dtype != host.dtype:
             raise ValueError(f"cannot write {host.dtype}{host.shape} to {array.dtype}{array.shape}")
@@ -211,7 +211,7 @@ class Device:
     ) -> None:
         """Enqueue a kernel; device arrays and NumPy scalars as arguments, in order.
 
-        ``global_size`` must be a multiple of ``local_size``; nothing runs where it holds a zero.
+        ``global_size`` must be a multiple of ``local_size``; nothing runs if it holds a zero.
         """
         if 0 in global_size:
             return
@@ -239,7 +239,7 @@ class Device:
 
 
 def _wanted_specialisation() -> str:
-    """What CLGS_SPECIALISATION says; empty where it says nothing."""
+    """What CLGS_SPECIALISATION says; empty if it is not set."""
     chosen = os.environ.get("CLGS_SPECIALISATION", "")
     if chosen and chosen not in SPECIALISATIONS:
         choices = " or ".join(SPECIALISATIONS)

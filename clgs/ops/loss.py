@@ -43,7 +43,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class LossValue:
-    """Mean absolute error, SSIM and their weighted sum; not finite where the image is not."""
+    """Mean absolute error, SSIM and their weighted sum; not finite if the image is not."""
 
     l1: float
     ssim: float
@@ -74,13 +74,13 @@ class Loss:
 
 @dataclass(frozen=True)
 class LaterValue:
-    """The value of a loss, on its way to the host."""
+    """The value of a loss whose download is pending."""
 
     mean: LaterMean
     weights: Weights
 
     def get(self) -> LossValue:
-        """The value; waits until it is there."""
+        """The value; waits for it."""
         l1, lost = (float(mean) for mean in self.mean.get())
         return LossValue(l1, 1.0 - lost, self.weights.l1 * l1 + self.weights.ssim * lost)
 
@@ -171,7 +171,7 @@ def volume(
         total: (1,) int64, how many of the N there are; the others have scale 0. Default: all.
 
     Returns:
-        Sums whose ``mean(device)`` is (1,): the mean over all, 0 where there are none.
+        Sums whose ``mean(device)`` is (1,): the mean over all, 0 if there are none.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -200,7 +200,7 @@ def volume(
 
 
 def _factor(weight: float, count: int) -> np.float32:
-    """weight / count; infinite where it exceeds float32, and the gradient then says so."""
+    """weight / count; infinite if it exceeds float32, and then so is the gradient."""
     with np.errstate(over="ignore"):
         return np.float32(weight / count)
 

@@ -1,7 +1,7 @@
 """Exclusive prefix sums: where each item's output starts.
 
 offsets[i] = counts[0] + ... + counts[i-1]. The total is summed in 64 bits and checked before anyone
-allocates by it.
+allocates that much.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def checked_total(device: Device, offsets: Offsets) -> int:
 
 
 def on_device(device: Device, counts: DeviceArray, limit: int = NO_LIMIT) -> Offsets:
-    """As :func:`exclusive`, but nothing is downloaded; offsets are all 0 where total > limit."""
+    """As :func:`exclusive`, but nothing is downloaded; offsets are all 0 if total > limit."""
     shapes = Shapes()
     shapes.check("counts", counts, "n", np.int32)
     count = shapes.axes["n"]
@@ -83,7 +83,7 @@ def on_device(device: Device, counts: DeviceArray, limit: int = NO_LIMIT) -> Off
 
 
 def check_fits(device: Device, total: DeviceArray, capacity: int, stop: DeviceArray) -> None:
-    """Set LACKS_ROOM in ``stop`` (1,) int32 where ``total`` (1,) int64 is above ``capacity``.
+    """Set LACKS_ROOM in ``stop`` (1,) int32 if ``total`` (1,) int64 is above ``capacity``.
 
     Waits for nothing.
 
@@ -98,7 +98,7 @@ def check_fits(device: Device, total: DeviceArray, capacity: int, stop: DeviceAr
 
 
 def chunk_plan(device: Device, count: int) -> tuple[int, int]:
-    """(items a chunk, chunks): few long chunks on a CPU, many on a GPU; at least one chunk."""
+    """(items per chunk, chunks): few long chunks on a CPU, many on a GPU; at least one chunk."""
     shortest, most = (table[device.specialisation] for table in (SHORTEST_CHUNK, MOST_CHUNKS))
     chunks = max(1, min(most, count // shortest))
     chunk = max(1, -(-count // chunks))

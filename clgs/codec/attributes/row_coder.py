@@ -26,7 +26,7 @@ CHUNK = 65536
 MAX_CHANNELS = 256
 
 EXACT_SIZE = {"fast": 1 << 16, "default": 1 << 18, "max": 1 << 62}
-"""Up to so many values, coders are compared by encoding; beyond, by what is known of them."""
+"""Up to this many values, coders are compared by encoding; above, their costs are estimated."""
 
 PLAIN_SIZE = 1 << 22
 """Level default has the paper's coder code up to so many values to compare; beyond, a sample."""

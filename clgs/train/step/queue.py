@@ -25,7 +25,7 @@ from clgs.train.step.targets import Color, Targets
 
 @dataclass(frozen=True)
 class Plan:
-    """What a step was dealt, enough to do it again: its number, view and background."""
+    """All that it takes to do a step again: its number, view and background."""
 
     step: int
     index: int
@@ -34,13 +34,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class Enqueued:
-    """A step in the device's queue, and what of it is on its way to the host.
+    """A step in the device's queue, and its pending downloads.
 
-    stop (1,) int32: not 0 where the step, or one before it, changed nothing because it lacked room
-    or met a number that is not finite; totals: numbers of visible anchors, Gaussians and tile
-    entries, (1,) int64 each; capacity: the room there was for them, None where arrays were made to
-    measure; rate_bits: a row, where the rate proxy ran; frame: where the host still needs it to
-    change the anchors.
+    stop (1,) int32: not 0 if the step, or one before it, changed nothing because it lacked room or
+    met a number that is not finite; totals: numbers of visible anchors, Gaussians and tile entries,
+    (1,) int64 each; capacity: the room there was for them, None if arrays were made to measure;
+    rate_bits: per anchor, if the rate proxy ran; frame: if the host needs it to change the anchors.
     """
 
     plan: Plan
@@ -165,7 +164,7 @@ class StepQueue:
     def _add_rate(
         self, parameters: Parameters, gradients: SceneGradients, step: int
     ) -> float | None:
-        """Add the rate proxy's gradient in place where it is due; returns bits per anchor."""
+        """Add the rate proxy's gradient in place if it is due; returns bits per anchor."""
         config = self._config
         if step <= config.switch_step or step % config.rate_interval:
             return None
