@@ -111,8 +111,8 @@ def _same(decoded: Any, content: Any) -> bool:
     if isinstance(content, bytes | np.ndarray):
         return np.array_equal(decoded, content)
     return all(
-        np.array_equal(getattr(decoded.anchors, name), getattr(content.anchors, name))
-        for name in ("position", "offset", "feature", "scaling")
+        np.array_equal(getattr(decoded.anchors, name), array)
+        for name, array in content.anchors.items()
     )
 
 

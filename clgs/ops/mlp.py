@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -227,22 +226,9 @@ def backward(
         d_feature=device.zeros(anchors.feature.shape),
         d_position=device.zeros(anchors.position.shape) if want_position else None,
     )
-    padded = np.int32(activations.output.shape[1])
-    batches = -(-int(padded) // BATCH)
-    parts = min(batches, PARTS)
+    parts = min(-(-activations.output.shape[1] // BATCH), PARTS)
     partial = device.zeros((parts, _part_size(device)))
-    read = (
-        anchors.feature,
-        anchors.position,
-        activations.visible,
-        np.int32(len(activations.visible)),
-        inputs.weights,
-        inputs.camera,
-        padded,
-        activations.output,
-        d_output,
-        activations.active,
-    )
+    read = _backward_arguments(inputs, activations, d_output)
     unused = result.d_feature
     outputs = (result.d_feature, unused if result.d_position is None else result.d_position)
     macros = {**defines(device, activations.options), "WANT_POSITION": int(want_position)}
@@ -260,6 +246,24 @@ def backward(
         *(partial, np.int32(parts), result.d_weights),
     )
     return result
+
+
+def _backward_arguments(
+    inputs: Inputs, activations: Activations, d_output: DeviceArray
+) -> tuple[DeviceArray | np.int32, ...]:
+    """What ``mlp_backward`` and ``mlp_backward_layers`` read, in the order of their arguments."""
+    return (
+        inputs.anchors.feature,
+        inputs.anchors.position,
+        activations.visible,
+        np.int32(len(activations.visible)),
+        inputs.weights,
+        inputs.camera,
+        np.int32(activations.output.shape[1]),
+        activations.output,
+        d_output,
+        activations.active,
+    )
 
 
 def _batch_size(device: Device) -> int:
@@ -288,15 +292,12 @@ def _part_size(device: Device) -> int:
 def _backward_in_groups(
     device: Device,
     activations: Activations,
-    read: tuple[Any, ...],
+    read: tuple[DeviceArray | np.int32, ...],
     outputs: tuple[DeviceArray, DeviceArray],
     partial: DeviceArray,
     macros: dict[str, int | float],
 ) -> None:
-    """Fill ``partial`` and ``outputs``, SLAB batches at a time, one head after the other.
-
-    ``read``: the first arguments of ``mlp_backward_layers``.
-    """
+    """Fill ``partial`` and ``outputs``, SLAB batches at a time, one head after the other."""
     padded = activations.output.shape[1]
     batches = -(-padded // BATCH)
     values = device.empty((min(SLAB, batches), _batch_size(device)))
