@@ -207,7 +207,7 @@ def image_error(image: npt.NDArray[np.float32], reference: Array) -> ImageError:
 
 
 def element_error(actual: npt.NDArray[np.float32], expected: Array) -> float:
-    """99th percentile of |error| / max(|expected|, rms / 1000) where either is not zero."""
+    """99th percentile of |error| / max(|expected|, rms / 1000) if either is not zero."""
     rms = float(np.sqrt(np.mean(expected**2)))
     touched = (expected != 0) | (actual != 0)
     if not touched.any():
@@ -220,7 +220,7 @@ def element_error(actual: npt.NDArray[np.float32], expected: Array) -> float:
 def _take_turns(
     bench: _Bench, accuracies: list[Accuracy], repeats: int
 ) -> dict[Accuracy, tuple[Times, Times | None]]:
-    """Times of forward, and of forward and backward; only the former where renders are small."""
+    """Times of forward, and of forward and backward; only the former if renders are small."""
     forward: dict[Accuracy, list[float]] = {one: [] for one in accuracies}
     both: dict[Accuracy, list[float]] = {one: [] for one in accuracies}
     for turn in range(WARM_UP + repeats):

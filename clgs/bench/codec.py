@@ -46,7 +46,7 @@ class Subject:
 
     @property
     def baseline(self) -> int | None:
-        """Bytes of the published coder, where they are known."""
+        """Bytes of the published coder, if they are known."""
         known = {"attributes": ATTRIBUTES, "positions": POSITIONS}
         return known.get(self.kind, {}).get(self.name)
 
@@ -63,7 +63,7 @@ class Coder:
 
 @dataclass(frozen=True)
 class Figures:
-    """Of one coder: bytes, median seconds, and the baseline's bytes where these are known."""
+    """Of one coder: bytes, median seconds, and the baseline's bytes if these are known."""
 
     coder: str
     bytes: int
@@ -111,13 +111,13 @@ def _same(decoded: Any, content: Any) -> bool:
     if isinstance(content, bytes | np.ndarray):
         return np.array_equal(decoded, content)
     return all(
-        np.array_equal(getattr(decoded.anchors, name), getattr(content.anchors, name))
-        for name in ("position", "offset", "feature", "scaling")
+        np.array_equal(getattr(decoded.anchors, name), array)
+        for name, array in content.anchors.items()
     )
 
 
 def _coders(subject: Subject) -> list[Coder]:
-    """Our own: one a level; positions have one only."""
+    """Our own: one per level; positions have one only."""
     if subject.kind == "positions":
         one_thread = partial(encode_positions, threads=1), partial(decode_positions, threads=1)
         return [Coder("octree", *one_thread)]

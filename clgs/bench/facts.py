@@ -49,7 +49,7 @@ def device_facts(device: Device) -> dict[str, object]:
 
 
 def _processor() -> str:
-    """The processor's model, where the system tells."""
+    """The processor's model, if the system tells."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -12,7 +12,7 @@ from clgs.selftest.render_checks import Check, selftest
 from clgs.selftest.training_checks import training_checks
 
 ALONE = ("scan", "sort", "quantize", "rate")
-"""Stages that a training step has not or not by themselves: timed on ``elements`` numbers."""
+"""Stages that a training step does not time by themselves: timed on ``elements`` numbers."""
 
 
 @dataclass(frozen=True)

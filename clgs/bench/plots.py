@@ -47,7 +47,7 @@ def require_pyplot() -> Any:
 
 
 def plot_accuracy(path: Path, subjects: Sequence[SubjectFigures], title: str) -> None:
-    """Error against time, log-log: a row a scene; image p99.9, image maximum, gradients."""
+    """Error against time, log-log: a row per scene; image p99.9, image maximum, gradients."""
     pyplot = require_pyplot()
     with pyplot.rc_context(STYLE):
         size = (3 * PANEL[0], len(subjects) * PANEL[1] + 0.8)

@@ -39,8 +39,8 @@ class Run:
 class Growth:
     """Exponent e of time ~ count^e by least squares on logarithms.
 
-    Over all sizes; and over the larger half, where what every step costs in any case weighs less.
-    None where there were not two sizes.
+    Over all sizes; and over the larger half, in which the fixed costs of a step weigh less. None if
+    there were fewer than two sizes.
     """
 
     exponent: float | None
@@ -51,8 +51,8 @@ class Growth:
 class Memory:
     """Bytes of device memory that one more costs: each the slope of its own sweep.
 
-    A Gaussian and a pixel bring their intersections with them; those are in their bytes. None where
-    there were not two sizes.
+    A Gaussian and a pixel bring their intersections with them; those are in their bytes. None if
+    there were fewer than two sizes.
     """
 
     per_gaussian: float | None
@@ -134,7 +134,7 @@ def growth(points: Sequence[tuple[float, float]]) -> Growth:
 
 
 def shown(value: float | None, digits: int) -> str:
-    """An exponent or bytes for people; a dash where there were not two sizes to take it from."""
+    """An exponent or bytes for people; a dash if there were fewer than two sizes."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 

@@ -81,7 +81,7 @@ FORMULAS: dict[str, Formula] = {
     "project backward": Formula({"N": 120}, {"N": 500}),
     # 9 floats in; the Gaussian and the row of an entry out; one test of ellipse against tile
     "tiles": Formula({"N": 36, "I": 8}, {"I": 40}),
-    # 9 floats a Gaussian, once an entry, in; colour, transmittance, contributor out
+    # 9 floats per Gaussian, once per entry, in; colour, transmittance, contributor out
     "blend forward": Formula({"I": 36, "P": 20}, {"B": 36}),
     # the same in; a row of moments of 36 bytes out and in again; 9 gradients out
     "blend backward": Formula({"I": 36 + 72, "P": 20, "N": 36}, {"B": 72}),

@@ -139,8 +139,8 @@ class Device:
     def write(self, array: DeviceArray, host: npt.NDArray[Any]) -> None:
         """Overwrite ``array`` with ``host`` (same size and dtype).
 
-        Waits for the work before it only if ``host`` is large (transfer.WAITING_SIZE); it may
-        change afterwards in any case.
+        Waits for the work before it only if ``host`` is large (transfer.WAITING_SIZE); either way,
+        ``host`` may change afterwards.
         """
         if array.size != host.size or array.dtype != host.dtype:
             raise ValueError(f"cannot write {host.dtype}{host.shape} to {array.dtype}{array.shape}")
@@ -239,7 +239,7 @@ class Device:
 
 
 def _wanted_specialisation() -> str:
-    """What CLGS_SPECIALISATION says; empty if it says nothing."""
+    """What CLGS_SPECIALISATION says; empty if it is not set."""
     chosen = os.environ.get("CLGS_SPECIALISATION", "")
     if chosen and chosen not in SPECIALISATIONS:
         choices = " or ".join(SPECIALISATIONS)

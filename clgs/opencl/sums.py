@@ -14,7 +14,7 @@ from clgs.opencl.transfer import Download
 
 @dataclass(frozen=True)
 class BlockSums:
-    """Float32 sums (blocks, columns), one row a block, and the ``count`` of values behind a column.
+    """Float32 sums (blocks, columns), one row per block, and the ``count`` of values in a column.
 
     The count may be on the device, (1,) of an integer type.
 

@@ -22,14 +22,14 @@ WAITING_SIZE = 1 << 22
 
 
 class Download:
-    """A copy on its way to the host."""
+    """A pending copy to the host."""
 
     def __init__(self, host: npt.NDArray[Any], event: Any) -> None:
-        """``event`` is None where there is nothing to copy."""
+        """``event`` is None if there is nothing to copy."""
         self._host, self._event = host, event
 
     def get(self) -> npt.NDArray[Any]:
-        """The array; waits until it is there."""
+        """The array; waits for the copy."""
         if self._event is not None:
             self._event.wait()
         return self._host
@@ -47,7 +47,7 @@ class _Mapped:
 
 
 class Transfers:
-    """Writes and reads of one queue; keeps the host side alive until a command is through."""
+    """Writes and reads of one queue; keeps host arrays alive until commands are complete."""
 
     def __init__(self, queue: Any) -> None:
         """``queue`` executes in order."""
@@ -87,7 +87,7 @@ class Transfers:
             start += size
 
     def _keep(self, event: Any) -> None:
-        """Hold ``event``, which holds its host array; let those go that are through."""
+        """Hold ``event``, which holds its host array; release those that are complete."""
         while self._under_way and _done(self._under_way[0]):
             self._under_way.popleft()
         self._under_way.append(event)

@@ -1,12 +1,13 @@
-"""Adam on device-resident parameters, one fused kernel a group (Kingma and Ba 2015).
+"""Adam on device-resident parameters, one fused kernel per tensor (Kingma and Ba 2015).
 
     m = beta1 m + (1 - beta1) g,   v = beta2 v + (1 - beta2) g^2,
     p = p - m / (sqrt(v) / sqrt(1 - beta2^t) + epsilon) * learning_rate / (1 - beta1^t)
 
 Dense: every element of a tensor is updated in every step. By rows: only rows that received a
-gradient are, and the others keep parameter and moments (gsplat calls that selective; t still counts
-all steps). The factors that depend on t are computed in double on the host. Moments too small to
-matter become zero, so that those of rows that get no gradient do not decay into subnormals.
+gradient are updated, and the others keep parameter and moments (gsplat calls that selective; t
+still counts all steps). The factors that depend on t are computed in double on the host. Moments
+too small to matter become zero, so that those of rows that get no gradient do not decay into
+subnormals.
 ``clgs.train.step.numpy_adam`` is the same update in NumPy, equal to the bit if division and roots
 are correctly rounded.
 """
@@ -102,7 +103,7 @@ def stop_flag(device: Device) -> DeviceArray:
 
 
 def check_finite(device: Device, arrays: Iterable[DeviceArray], stop: DeviceArray) -> None:
-    """Set NOT_FINITE in ``stop`` where an element of a float32 array is infinite or NaN."""
+    """Set NOT_FINITE in ``stop`` if an element of a float32 array is infinite or NaN."""
     kernel = device.kernel("adam/adam", "adam_check", NOT_FINITE=NOT_FINITE)
     for array in arrays:
         items = round_up(-(-array.size // CHECKED_PER_ITEM), GROUP_SIZE)
@@ -110,9 +111,9 @@ def check_finite(device: Device, arrays: Iterable[DeviceArray], stop: DeviceArra
 
 
 def mark_rows(device: Device, gradient: DeviceArray, stop: DeviceArray) -> DeviceArray:
-    """(rows,) int32: 1 where a row of ``gradient`` (rows, ...) float32 is not all zero, else 0.
+    """(rows,) int32: 1 if the row of ``gradient`` (rows, ...) float32 is not all zero, else 0.
 
-    Checks the gradient on the way, as :func:`check_finite`.
+    Checks the gradient, too, as :func:`check_finite` does.
     """
     rows = len(gradient)
     marks = device.empty((rows,), np.int32)

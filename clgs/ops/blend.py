@@ -5,7 +5,7 @@ With the whitened offsets of ``clgs.ops.project`` and the list of the pixel's ti
     image = sum_i color_i alpha_i T_i + T background,   T_{i+1} = T_i (1 - alpha_i);
 a pixel is finished at the first i that brings T below TRANSMITTANCE_STOP, which is left out or,
 with the inclusive stop of the accuracy presets, still blended.
-Backward, with B_i the colour after entry i relative to T_{i+1}, both dotted with d_image:
+Backward, with B_i the colour behind Gaussian i, relative to T_{i+1}, and both dotted with d_image:
     dL/d(alpha_i) = T_i (color_i - B_i),   B_{i-1} = B_i + alpha_i (color_i - B_i).
 The geometric gradients are gathered as moments of v = alpha dL/d(alpha) in whitened coordinates:
 one row per entry, summed for each Gaussian in a fixed order, so that runs agree bit for bit.
@@ -67,9 +67,9 @@ class Decisions:
 
 @dataclass(frozen=True)
 class PairCounts:
-    """Pairs of a pixel and a record, in one pass over a picture.
+    """Pairs of a pixel and a Gaussian, in one pass over a picture.
 
-    visited: computed, whether they touch or not; blended: those that changed a pixel.
+    visited: pairs that were computed; blended: those of them that changed a pixel.
     """
 
     visited: int
@@ -230,7 +230,7 @@ def _defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
 
 
 def _grid(device: Device, tiles: TileLists) -> tuple[tuple[int], tuple[int]]:
-    """One work-item per tile, or one work-group per tile with one work-item per pixel."""
+    """One work-item per tile, or one work-group per tile with a work-item per pixel."""
     group = TILE_SIZE**2 if device.specialisation == "gpu" else 1
     return ((len(tiles.tile_range) - 1) * group,), (group,)
 

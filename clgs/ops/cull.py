@@ -1,11 +1,11 @@
 """Find the anchors that a view may see, before anything is decoded.
 
 Each anchor is projected as a Gaussian with scale exp(S[0:3]), S clamped to +-LOG_SCALE_LIMIT, and
-identity rotation. With the blurred screen covariance C it is kept where
+identity rotation. With the blurred screen covariance C it is kept if
     z > near   and   the square |p - centre| <= r, r = ceil(3 sqrt(lambda_max(C))),
-touches the image's tiles. A NaN in position or scale is culled, and where it is asked for, so is an
-anchor whose 6 sigma on the screen, without the blur, are below a number of pixels. A selection: no
-backward pass.
+touches the image's tiles. An anchor with a NaN in position or scale is culled. If a smallest anchor
+is set, so is one whose 6 sigma on the screen, without the blur, are fewer pixels. A selection has
+no backward pass.
 
 Source: the prefilter of Scaffold-GS (Lu et al. 2024).
 """
@@ -30,7 +30,7 @@ GROUP_SIZE = 64
 class Visible:
     """``anchor`` (V,) int32, ascending indices of the anchors that the camera may see, then -1.
 
-    total (1,) int64: how many there are; where it is above V, the others are left out.
+    total (1,) int64: how many there are; if it is above V, the others are left out.
     """
 
     anchor: DeviceArray
@@ -46,8 +46,8 @@ def forward(
 ) -> Visible:
     """Select the anchors that the camera may see.
 
-    With ``options.skips.anchors`` off, V is A and every other anchor is an entry -1: the MLPs then
-    have the work of all anchors, and nothing else changes.
+    With ``options.skips.anchors`` off, V is A, and anchors that are not visible are entries -1: the
+    MLPs then have the work of all anchors, and nothing else changes.
 
     Args:
         device: where the arrays live.

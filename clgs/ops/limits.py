@@ -1,7 +1,7 @@
 """Two kernels that do nothing but use the device: what the other stages are measured against.
 
-copy: target = source. fma: CHAINS independent chains x <- x factor + term per lane, from
-(1 .. CHAINS) / 8 on, and their sum.
+copy: target = source. fma: CHAINS independent chains x <- x factor + term per lane, starting
+at (1 .. CHAINS) / 8, and their sum.
 """
 
 from __future__ import annotations

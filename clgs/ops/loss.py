@@ -75,13 +75,13 @@ class Loss:
 
 @dataclass(frozen=True)
 class LaterValue:
-    """The value of a loss, on its way to the host."""
+    """The value of a loss whose download is pending."""
 
     mean: LaterMean
     weights: Weights
 
     def get(self) -> LossValue:
-        """The value; waits until it is there."""
+        """The value; waits for it."""
         l1, lost = (float(mean) for mean in self.mean.get())
         return LossValue(l1, 1.0 - lost, self.weights.l1 * l1 + self.weights.ssim * lost)
 
@@ -201,7 +201,7 @@ def volume(
 
 
 def _factor(weight: float, count: int) -> np.float32:
-    """weight / count; infinite if it exceeds float32, and the gradient then says so."""
+    """weight / count; infinite if it exceeds float32, and then so is the gradient."""
     with np.errstate(over="ignore"):
         return np.float32(weight / count)
 

@@ -2,13 +2,13 @@
 
 For a visible anchor with feature f at position P, seen from the camera centre c:
     x = [f, d / |d|],  d = P - c;   h = relu(W1 x + b1);   y = act(W2 h + b2)
-for each head, where act is tanh for opacity, sigmoid for color and nothing for covariance.
+for each head; act is tanh for opacity, sigmoid for color and nothing for covariance.
 Backward: dL/dz2 = dL/dy act'(y), dL/dz1 = (W2^T dL/dz2) [h > 0], dL/dx = W1^T dL/dz1, and
 dL/dW = dL/dz x^T summed over the samples batch by batch in a fixed order, without atomics. Hidden
 values are computed again in the backward pass instead of being kept.
 
-A slot whose opacity is not positive is not drawn: its color and covariance are never read, and
-count as computed or not as ``options.skips`` says. Opacities come first; then the samples of each
+A slot whose opacity is not positive is not drawn, and its color and covariance are never read;
+``options.skips`` says whether they are computed. Opacities come first; then the samples of each
 chunk are sorted by the slots that they draw, so that few slots are drawn in each block of samples.
 
 An anchor with an input that is not finite (or beyond 1e15) has the opacities NaN, so that none of
@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,16 +38,16 @@ CHUNK = 512
 """Samples that are sorted together."""
 
 BATCH = 512
-"""Samples of which the weight gradient is computed together; divides CHUNK."""
+"""Samples whose weight gradient is computed together; divides CHUNK."""
 
 PARTS = 64
-"""Sums of which the weight gradient is made, every PARTS-th batch in each."""
+"""Sums that make up the weight gradient; each holds every PARTS-th batch."""
 
 SLAB = 64
 """Batches that a GPU works on at once, at most PARTS."""
 
 WORKERS = 1
-"""Work-items, a compute unit of a CPU, that take parts until none is left."""
+"""Work-items per compute unit of a CPU; each takes parts until none is left."""
 
 GROUP_SIZE = 64
 """Work-items of a group on a GPU."""
@@ -59,7 +58,7 @@ VECTORS = {"cpu": 2, "gpu": 1}
 
 WEIGHT_ROWS = {"cpu": 4, "gpu": 10}
 COLUMNS = {"cpu": 3, "gpu": 2}
-"""Register tile of ``kernels_cl/mlp/weight_tile.h``: rows, and inputs."""
+"""Register tile of the weight gradient: rows, and inputs."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class Activations:
     opacity in (-1, 1); [10, 40) color in (0, 1), row 10 + 3 j + c; [40, 110) covariance, row
     40 + 7 j + i, three scale logits, then a quaternion w x y z. Color and covariance of a slot that
     is not drawn may be anything. visible (V,) int32: the anchor of each column, those given to
-    ``forward`` in another order within each chunk; -1, where there is none, stays at the end.
+    ``forward`` in another order within each chunk; -1, no anchor, stays at the end.
     active (chunks,) int32: how many samples draw something; they are the first of their chunk.
     """
 
@@ -102,9 +101,9 @@ class Activations:
 
 @dataclass(frozen=True)
 class MlpGradients:
-    """Gradients of the loss, float32: d_weights (13710,), d_feature (A, F), zero where invisible.
+    """Gradients of the loss, float32: d_weights (13710,), d_feature (A, F), zero if invisible.
 
-    d_position (A, 3) by the viewing direction alone, per scene unit; None where not wanted.
+    d_position (A, 3) by the viewing direction alone, per scene unit; None if not wanted.
     """
 
     d_weights: DeviceArray
@@ -204,7 +203,7 @@ def backward(
     d_output: DeviceArray,
     want_position: bool = False,
 ) -> MlpGradients:
-    """Gradients by weights and features, and by positions where wanted.
+    """Gradients by weights and features, and by positions if wanted.
 
     Args:
         device: where the arrays live.
@@ -226,22 +225,9 @@ def backward(
         d_feature=device.zeros(anchors.feature.shape),
         d_position=device.zeros(anchors.position.shape) if want_position else None,
     )
-    padded = np.int32(activations.output.shape[1])
-    batches = -(-int(padded) // BATCH)
-    parts = min(batches, PARTS)
+    parts = min(-(-activations.output.shape[1] // BATCH), PARTS)
     partial = device.zeros((parts, _part_size(device)))
-    read = (
-        anchors.feature,
-        anchors.position,
-        activations.visible,
-        np.int32(len(activations.visible)),
-        inputs.weights,
-        inputs.camera,
-        padded,
-        activations.output,
-        d_output,
-        activations.active,
-    )
+    read = _backward_arguments(inputs, activations, d_output)
     unused = result.d_feature
     outputs = (result.d_feature, unused if result.d_position is None else result.d_position)
     common = defines(device, activations.options)
@@ -262,6 +248,24 @@ def backward(
     return result
 
 
+def _backward_arguments(
+    inputs: Inputs, activations: Activations, d_output: DeviceArray
+) -> tuple[DeviceArray | np.int32, ...]:
+    """What ``mlp_backward`` and ``mlp_backward_layers`` read, in the order of their arguments."""
+    return (
+        inputs.anchors.feature,
+        inputs.anchors.position,
+        activations.visible,
+        np.int32(len(activations.visible)),
+        inputs.weights,
+        inputs.camera,
+        np.int32(activations.output.shape[1]),
+        activations.output,
+        d_output,
+        activations.active,
+    )
+
+
 def _batch_size(device: Device) -> int:
     """Floats of the rows of one batch."""
     rows = INPUT_DIM + 1 + FEATURE_DIM + TILE[device.specialisation] + 2 * HIDDEN_DIM
@@ -269,18 +273,18 @@ def _batch_size(device: Device) -> int:
 
 
 def _row_tiles(device: Device, heads: Iterable[int] = HEAD_DIMS.values()) -> int:
-    """Register tiles of rows in both layers of heads with so many outputs."""
+    """Register tiles of rows in both layers, for heads with these numbers of outputs."""
     rows = WEIGHT_ROWS[device.specialisation]
     return sum(-(-HIDDEN_DIM // rows) + -(-outputs // rows) for outputs in heads)
 
 
 def _column_tiles(device: Device) -> int:
-    """Such tiles beside each other, at most."""
+    """The most register tiles beside each other."""
     return -(-(INPUT_DIM + 1) // COLUMNS[device.specialisation])
 
 
 def _part_size(device: Device) -> int:
-    """Floats of a part of the weight gradient: some more than there are weights."""
+    """Floats of a part of the weight gradient: weights and padding."""
     sums = WEIGHT_ROWS[device.specialisation] * COLUMNS[device.specialisation]
     return _row_tiles(device) * _column_tiles(device) * sums
 
@@ -288,15 +292,12 @@ def _part_size(device: Device) -> int:
 def _backward_in_groups(
     device: Device,
     activations: Activations,
-    read: tuple[Any, ...],
+    read: tuple[DeviceArray | np.int32, ...],
     outputs: tuple[DeviceArray, DeviceArray],
     partial: DeviceArray,
     macros: dict[str, int | float],
 ) -> None:
-    """Fill ``partial`` and ``outputs``, SLAB batches at a time, one head after the other.
-
-    ``read``: the first arguments of ``mlp_backward_layers``.
-    """
+    """Fill ``partial`` and ``outputs``, SLAB batches at a time, one head after the other."""
     padded = activations.output.shape[1]
     batches = -(-padded // BATCH)
     values = device.empty((min(SLAB, batches), _batch_size(device)))
@@ -324,14 +325,14 @@ def drawn_rows(output: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
 
 
 def drawn_output(device: Device, activations: Activations) -> npt.NDArray[np.float32]:
-    """Host copy (110, V) of the outputs, zero where they are never read."""
+    """Host copy (110, V) of the outputs, zero for those that are never read."""
     output = device.download(activations.output)[:, : len(activations.visible)]
     return np.where(drawn_rows(output), output, np.float32(0))
 
 
 @dataclass(frozen=True)
 class Work:
-    """What was computed, in samples and in rows of outputs times samples, of how many."""
+    """Samples, and rows of outputs times samples, that were computed, and how many there are."""
 
     samples: int
     all_samples: int
@@ -342,7 +343,7 @@ class Work:
 def work(device: Device, activations: Activations) -> Work:
     """Count the samples whose colors and covariances were computed, and the rows of these heads.
 
-    Waits for the device. What no anchor has is not counted.
+    Waits for the device. Columns without an anchor are not counted.
     """
     count = int(np.count_nonzero(device.download(activations.visible) >= 0))
     drawn = device.download(activations.output)[:K_OFFSETS] > 0
@@ -376,7 +377,7 @@ def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
 
 
 def blocks(device: Device, samples: int) -> tuple[tuple[int], tuple[int]]:
-    """Launch sizes of a kernel with one work-item a block of samples."""
+    """Launch sizes of a kernel with one work-item per block of samples."""
     if device.specialisation == "gpu":
         return (round_up(samples, GROUP_SIZE),), (GROUP_SIZE,)
     lanes = int(defines(device, DEFAULT)["VEC"])

@@ -75,10 +75,10 @@ class GaussianGradients:
 
 @dataclass(frozen=True)
 class NeuralGradients:
-    """Gradients of the loss, float32, dense: zero where nothing was drawn.
+    """Gradients of the loss, float32, dense: zero if nothing was drawn.
 
     d_output (110, Vp) by the MLPs' outputs, anything for a slot that is not drawn;
-    d_offset (A, K, 3); d_scaling (A, 6); d_position (A, 3), None where not wanted.
+    d_offset (A, K, 3); d_scaling (A, 6); d_position (A, 3), None if not wanted.
     """
 
     d_output: DeviceArray
@@ -148,7 +148,7 @@ def allocate(
 
 
 def fields(gaussians: NeuralGaussians) -> tuple[DeviceArray, ...]:
-    """What there is of every Gaussian, in the order of the kernels' arguments."""
+    """The arrays with a row per Gaussian, in the order of the kernels' arguments."""
     return (
         gaussians.mean,
         gaussians.scale,

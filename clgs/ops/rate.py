@@ -38,9 +38,9 @@ POOLED_MAX_NATS = float(np.log(1e5))
 
 @dataclass(frozen=True)
 class Rate:
-    """Bits a row, and the derivative of that by the symbols.
+    """Bits per row, and their derivative by the symbols.
 
-    ``table`` (8, channels; 1 channel where pooled) float64: the centre m; with k = n - m the limits
+    ``table`` (8, channels; 1 channel if pooled) float64: the centre m; with k = n - m the limits
     low and high of k; the slope by k; and the offsets for k below, at and above 0 and outside of
     the limits. The derivative by a symbol is slope * k + offset.
     """
@@ -74,11 +74,11 @@ class _Sums:
 
 
 def forward(device: Device, x: DeviceArray, q: float, form: Form = "channel") -> Rate:
-    """Bits a row of the symbols rint(x q).
+    """Bits per row of the symbols rint(x q).
 
     Args:
         device: where ``x`` lives.
-        x: (rows, ...) float32; every index behind the first is a channel.
+        x: (rows, ...) float32; every index after the first is a channel.
         q: quantisation scale.
         form: "channel" or "pooled".
 
@@ -113,7 +113,7 @@ def backward(device: Device, rate: Rate, x: DeviceArray, weight: float, d_x: Dev
         device: where the arrays live.
         rate: what :func:`forward` returned for ``x``.
         x: (rows, ...) float32.
-        weight: factor of the bits a row in the loss.
+        weight: factor of the bits per row in the loss.
         d_x: float32, as many elements as ``x``.
 
     Raises:
@@ -159,7 +159,7 @@ def _near(distance: Values, b: Values) -> Cost:
     inner, outer = -(0.5 - distance) / b, -(0.5 + distance) / b
     lower, upper = np.exp(inner), np.exp(outer)
     mass = -0.5 * (np.expm1(inner) + np.expm1(outer))
-    # each form keeps its digits where the other loses them: mass near 1, and small mass
+    # each form keeps the digits that the other loses: at a mass near 1, and at a small mass
     nats = np.where(b < 0.7, -np.log1p(-0.5 * (lower + upper)), -np.log(mass))
     by_distance = (lower - upper) / (2 * b * mass)
     by_b = (lower * (0.5 - distance) + upper * (0.5 + distance)) / (2 * b**2 * mass)

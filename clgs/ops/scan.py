@@ -1,7 +1,7 @@
 """Exclusive prefix sums: where each item's output starts.
 
 offsets[i] = counts[0] + ... + counts[i-1]. The total is summed in 64 bits and checked before anyone
-allocates by it.
+allocates that much.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Per-tile lists of the Gaussians that may touch a tile, front to back.
 
-A Gaussian is listed if the smallest y1^2 + y2^2 over the rectangle of a tile's pixel centres
+A Gaussian is listed for a tile if the smallest y1^2 + y2^2 over the rectangle of its pixel centres
 allows alpha >= ALPHA_CUT, with a slack for rounding, so that the rendered image is bit-identical to
 one made from lists that hold every Gaussian in every tile. The part of an ellipse between the first
 and the last pixel row of a row of tiles is convex, so that it reaches neighbouring tiles: a span,
@@ -28,9 +28,9 @@ from clgs.shapes import Shapes
 
 GROUP_SIZE = 64
 CHUNKS = 4
-"""Counters of all tiles on a CPU: work-items that the depth order is shared among."""
+"""Work-items of a CPU that share the depth order; each has counters of all tiles."""
 ROW_CHUNKS = 64
-"""Counters of all rows of tiles."""
+"""Work-items that count entries by row of tiles."""
 SPARE = 4 * CHUNKS
 """Spare slots for unused spans, after the others; on a CPU."""
 

@@ -36,7 +36,7 @@ class Camera:
         return -self.rotation.T @ self.translation
 
     def slope_limits(self) -> npt.NDArray[np.float64]:
-        """(x_min, x_max, y_min, y_max): where x/z and y/z saturate in the Jacobian.
+        """(x_min, x_max, y_min, y_max): the limits of x/z and y/z in the Jacobian.
 
         The frame grown by FRUSTUM_MARGIN of its size on each side; for a centred principal point
         this is the +-1.3 tan(fov/2) of 3DGS.

@@ -15,7 +15,7 @@ MIN_Q = 2.0**-64
 def check_ranges(
     scales: QuantizationScales, transform: SceneTransform, settings: RenderSettings
 ) -> None:
-    """Raise ValueError, naming the field, where a number makes no sense."""
+    """Raise ValueError, naming the field, if a number makes no sense."""
     for name, value, valid in _rules(scales, transform, settings):
         if not (math.isfinite(value) and valid):
             raise ValueError(f"{name} is {value!r}")

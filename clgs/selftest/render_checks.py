@@ -49,7 +49,7 @@ TINY = Case(gaussians=70, size=24, count=600, repeats=1)
 class Check:
     """One quantity of one stage: its error, the limit, and the stage's median milliseconds.
 
-    The stage passes where ``error <= limit``; NaN does not.
+    The stage passes if ``error <= limit``; NaN does not.
     """
 
     stage: str
@@ -65,7 +65,7 @@ class Check:
 
     @property
     def share(self) -> float:
-        """The error in units of its limit; not a number where the error is not."""
+        """The error in units of its limit; not a number if the error is not."""
         return self.error / self.limit if self.limit else self.error * np.inf if self.error else 0.0
 
 

@@ -26,7 +26,7 @@ CHUNK = 65536
 MAX_CHANNELS = 256
 
 EXACT_SIZE = {"fast": 1 << 16, "default": 1 << 18, "max": 1 << 62}
-"""Up to this many values, coders are compared by encoding; above, by estimates of their size."""
+"""Up to this many values, coders are compared by encoding; above, their costs are estimated."""
 
 PLAIN_SIZE = 1 << 22
 """Level default compares with the paper's coder on up to this many values; above, on a sample."""

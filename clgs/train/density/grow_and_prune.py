@@ -47,7 +47,7 @@ class TrainState:
 
 @dataclass(frozen=True)
 class _Grid:
-    """Window of 2^21 voxels an axis around the anchors; inside it keys are unique."""
+    """Window of 2^21 voxels per axis around the anchors; inside it keys are unique."""
 
     low: Integers
 
@@ -85,7 +85,7 @@ def mask_prune(state: TrainState, visible: npt.NDArray[np.int32], opacity: Float
     Args:
         state: changed; row numbers such as ``visible`` are void afterwards.
         visible: (V,) distinct rows of the anchors visible in this step's view.
-        opacity: (V, K) their decoded opacities; a slot is drawn where it is above 0.
+        opacity: (V, K) their decoded opacities; a slot is drawn if it is above 0.
 
     Raises:
         ClgsError: no anchor is left.
@@ -99,7 +99,7 @@ def mask_prune(state: TrainState, visible: npt.NDArray[np.int32], opacity: Float
 
 
 def grow(state: TrainState, config: TrainConfig, rng: np.random.Generator) -> int:
-    """Add anchors where the screen gradient is large; returns how many.
+    """Add anchors at slots with a large screen gradient; returns how many.
 
     At level i, slots seen more than ``slot_seen`` times with a mean gradient of at least
     ``growth_threshold`` * 2^i ask, with probability 1 - 0.5^(i+1), for an anchor at their position
@@ -135,7 +135,7 @@ def prune(state: TrainState, config: TrainConfig) -> int:
     """Remove anchors that stayed transparent; returns how many.
 
     Of the anchors visited more than ``anchor_visits`` times, those with a summed opacity below
-    ``prune_opacity`` a visit go, and the sums of the others are zeroed. Scaling [3:6] of all that
+    ``prune_opacity`` per visit go, and the sums of the others are zeroed. Scaling [3:6] of all that
     stay is capped at ``scaling_cap``.
 
     Raises:

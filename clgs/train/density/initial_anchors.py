@@ -65,7 +65,7 @@ def voxel_integers(points: npt.NDArray[np.floating], voxel: float) -> npt.NDArra
 
 
 def _check_extent(scaled: npt.NDArray[np.float64], voxel: float) -> None:
-    """Refuse what 21 bits an axis, or float32 around the origin, cannot hold exactly."""
+    """Refuse what 21 bits per axis, or float32 around the origin, cannot hold exactly."""
     limit = 2.0**GRID_BITS
     extent = float(np.ptp(scaled, axis=0).max()) if len(scaled) else 0.0
     if not extent < limit:

@@ -1,11 +1,11 @@
-"""What the pictures lose where an anchor is left out.
+"""What the pictures lose if an anchor is left out.
 
 A pixel is linear in the opacity of each Gaussian, so an anchor left out changes the pictures by
-d = -(sum over its Gaussians of opacity * d image / d opacity), to first order where they overlap.
+d = -(sum over its Gaussians of opacity * d image / d opacity), to first order if they overlap.
 The squared error that this adds is <d, d>, the mean of <noise, d>^2 over random signs
-(Hutchinson's estimator): one backward pass and one draw a view, since an anchor is seen in many
-views. The product of d with the residual of training is left out on purpose: single anchors that
-seem to do harm are needed by each other, and leaving out thousands of them by it costs far more.
+(Hutchinson's estimator): one backward pass and one draw per view, since many views see an anchor.
+The product of d with the residual of training is left out on purpose: single anchors that seem to
+do harm are needed by each other, and leaving out thousands of them by it costs far more.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def importance(
 
 
 def importance_without_views(scene: QuantizedScene) -> npt.NDArray[np.float64]:
-    """A stand-in (A,) float64 where there are no views: the area that an anchor covers.
+    """A stand-in (A,) float64 if there are no views: the area that an anchor covers.
 
     The product of the two largest of its three shape scales.
     """

@@ -1,6 +1,6 @@
 """A trained scene in a given number of bytes, or with a given PSNR, without training.
 
-Anchors are dropped, least useful for each bit first; Q_O, Q_A or Q_S may be made coarser before it.
+Anchors are dropped, least useful per bit first; before that, Q_O, Q_A or Q_S may be made coarser.
 Q_P stays: a coarser grid would move all Gaussians of an anchor, and positions are a small share.
 """
 
@@ -40,16 +40,16 @@ COARSER = ("offset", "feature", "scaling")
 STEP = 0.75
 
 SPARE = 1.1
-"""A coarser Q is tried where all anchors would take this many times the room."""
+"""A coarser Q is tried if all anchors would still take this many times the room."""
 
 MAX_CAMERAS = 48
-"""Views that say what is useful, at most. Each shows anchors that few others do."""
+"""At most this many views say what is useful; each shows anchors that few others do."""
 
 MEASURED, COMPARED = 12, 6
-"""Views that PSNR is measured on, unless all are asked for; and to compare different Q."""
+"""Views on which PSNR is measured, unless all are asked for; and on which Q are compared."""
 
 PIXELS = 2.0
-"""Usefulness is judged at half the resolution where so many pixels an anchor remain."""
+"""Usefulness is judged at half the resolution if this many pixels per anchor remain."""
 
 ROUND = 0.15
 """Share of all anchors that is dropped before the others are judged again."""
@@ -94,7 +94,7 @@ class Judge:
 class Reduced:
     """The scene that was found, its file, what Q was multiplied by, and PSNR before and after.
 
-    psnr: None where there were no views to measure by.
+    psnr: None if there were no views to measure by.
     """
 
     scene: QuantizedScene
@@ -106,7 +106,7 @@ class Reduced:
 def reduce_to_size(
     scene: QuantizedScene, target: int, encode: Encode, judge: Judge | None
 ) -> Reduced:
-    """At most ``target`` bytes, at least 99 % of them where anchors suffice.
+    """At most ``target`` bytes, at least 99 % of them if anchors suffice.
 
     Raises:
         UsageError: the file is larger even without anchors.
@@ -146,7 +146,7 @@ def reduce_to_psnr(scene: QuantizedScene, target: float, encode: Encode, judge: 
     order, (low, high) = rank(scene, judge, lambda cut: judge.psnr(cut) < target)
     best, after, steps = take(scene, order[:high]), None, PSNR_STEPS
     while steps > 0 and high - low > 1:
-        steps -= low > 0  # all of them where so few anchors are needed that none are known too few
+        steps -= low > 0  # low is 0: no number is known to be too few yet
         count = (low + high) // 2
         trial = take(scene, order[:count])
         reached = judge.psnr(trial)
@@ -162,7 +162,7 @@ def rank(
 ) -> tuple[npt.NDArray[np.intp], tuple[int, int]]:
     """The anchors (A,), most useful first; what is left is judged again after every ROUND.
 
-    Anchors gain importance as others go. Rounds end where ``too_few`` says that a cut goes too far.
+    Anchors gain importance as others go. Rounds end when ``too_few`` says that a cut goes too far.
     With them, two numbers of anchors, first ones first: one that is too few (or 0), and one that
     is not.
     """

@@ -1,4 +1,4 @@
-"""A run folder whose run is over: what it holds, and whether it is the run that is meant."""
+"""A folder of a finished run: what it holds, and whether it matches the request."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RESULTS = "results.json"
 """The last file of a run: a folder that has it is finished."""
 
 SHOWN = {"split", "psnr", "ssim", "bytes", "anchors", "train_seconds", "digest"}
-"""What of it is read again."""
+"""The fields of it that are read again."""
 
 
 @dataclass
@@ -34,7 +34,7 @@ class RunResult:
 
 
 def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResult | None:
-    """What the run in ``folder`` gave; None where there is none, or it is not finished.
+    """What the run in ``folder`` gave; None if there is none, or it is not finished.
 
     Args:
         folder: run folder, may be missing.
@@ -63,7 +63,7 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
 
 
 def _read(folder: Path) -> RunResult:
-    """The files of a finished run; raises where one is missing, damaged, or not of this run."""
+    """The files of a finished run; raises if one is missing, damaged, or not of this run."""
     summary = json.loads((folder / RESULTS).read_text(encoding="utf-8"))
     if lacking := SHOWN - set(summary):
         raise ValueError(f"{RESULTS} lacks {', '.join(sorted(lacking))}")

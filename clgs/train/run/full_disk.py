@@ -1,4 +1,4 @@
-"""Checkpoints of a run whose disk may be full: no trained step is given up before it must be."""
+"""Checkpoints of a run whose disk may be full: no trained step is lost before it must be."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ RETRY_STEPS = 100
 """After a checkpoint that found no room, steps until the next try."""
 
 WAIT_SECONDS = 600.0
-"""So long a trained scene that is on no disk waits for room."""
+"""How long a trained scene that is on no disk waits for room."""
 
 WAIT_INTERVAL = 5.0
-"""Seconds between two tries then."""
+"""Seconds between two tries of a waiting scene."""
 
 _log = logging.getLogger(__name__)
 
@@ -47,7 +47,7 @@ class Keeper:
         return min(interval, RETRY_STEPS) if self._full else interval
 
     def save(self) -> None:
-        """Write a checkpoint where the newest is of another step.
+        """Write a checkpoint if the newest is of another step.
 
         Raises:
             FullDiskError: there is no room, even without the checkpoint before the newest.

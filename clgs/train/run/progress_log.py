@@ -1,4 +1,4 @@
-"""The log of a run: one CSV row an interval, and the PSNR around the quantisation switch."""
+"""The log of a run: one CSV row per interval, and the PSNR around the quantisation switch."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def _read(path: Path, steps_done: int) -> list[dict[str, str]]:
 
 
 def _checked(row: dict[str, Any], line: int) -> int:
-    """The step of a row; raises ValueError where a field that is read again is no number."""
+    """The step of a row; raises ValueError if a field that is read again is no number."""
     if None in row or None in row.values():
         raise ValueError(f"line {line} has not {len(COLUMNS)} fields")
     try:

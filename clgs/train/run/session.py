@@ -38,7 +38,7 @@ POSITION_BITS = 12.0
 """Bits that an anchor's position takes, for the size estimate shown while training."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-"""Those that end a run after the step under way."""
+"""Those that end a run once the step under way is done."""
 
 
 @dataclass
@@ -80,9 +80,9 @@ class Session:
     def run(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
         """Train to the end, then quantise, encode, render and score the held-out views.
 
-        Ctrl-C and SIGTERM let the step finish, leave a checkpoint behind and raise
+        Ctrl-C and SIGTERM let the step finish, write a checkpoint and raise
         KeyboardInterrupt; a second Ctrl-C does not wait. On a full disk training goes on; at the
-        end it waits for room where otherwise steps would be lost.
+        end it waits for room if otherwise steps would be lost.
 
         Raises:
             FullDiskError: there is no room; the newest checkpoint is whole.
@@ -123,7 +123,7 @@ class Session:
         return min(moment for moment in moments if moment > done)
 
     def _look(self, result: StepResult) -> Progress:
-        """Log and save what is due after a step that nothing is under way behind."""
+        """Log and save what is due after a step; no later step is under way."""
         config = self.config
         progress = Progress(result)
         marks = {config.switch_step + 1: "just after", config.switch_step + 500: "500 steps after"}
@@ -197,9 +197,9 @@ class Session:
 def interruptions() -> Iterator[Callable[[], bool]]:
     """Within the block the first SIGINT or SIGTERM is remembered, and the next acts as before.
 
-    The block receives a function that tells whether one came. State must change as a whole or
-    not at all, which an exception in the middle of a step would not respect. Outside of the main
-    thread, where Python takes no signals, nothing changes.
+    The block receives a function that tells whether one came. An exception in the middle of a step
+    would change half of the state; asked between steps, all of it has changed or none. Outside of
+    the main thread, which alone takes signals, nothing changes.
     """
     seen: list[int] = []
     if threading.current_thread() is not threading.main_thread():
@@ -224,7 +224,7 @@ def interruptions() -> Iterator[Callable[[], bool]]:
 
 
 def peak_memory() -> int | None:
-    """Largest resident size of this process so far, bytes; None where the system does not tell."""
+    """Largest resident size of this process so far, bytes; None if the system does not tell."""
     try:
         import resource
     except ImportError:  # not on Windows
@@ -260,10 +260,10 @@ def train_scene(
 
     Args:
         dataset: from :func:`clgs.load_dataset`.
-        folder: run folder, made where it is missing.
+        folder: run folder, made if it is missing.
         config: default ``TrainConfig()`` resolved for the dataset.
         device: default: chosen as ``clgs devices`` shows.
-        resume: continue from the folder's checkpoint where it has one; a run that is finished is
+        resume: continue from the folder's checkpoint if it has one; a run that is finished is
             read, and nothing is changed.
         on_progress: called after every step; the device may be a step ahead.
 

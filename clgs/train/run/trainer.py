@@ -30,7 +30,7 @@ from clgs.train.step.schedule import ViewSampler
 from clgs.train.step.targets import BACKGROUNDS, planar
 
 UNDRAWN_STEPS = 10
-"""So many steps at the start of a run that draw nothing are worth a warning."""
+"""Warn after this many steps at the start of a run that draw nothing."""
 
 _log = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ class NonFiniteLossError(ClgsError):
 class StepResult:
     """What one step reports: loss value, its parts, the view trained on, anchors afterwards.
 
-    ``rate_bits`` is bits per anchor where the rate proxy ran, else None.
+    ``rate_bits`` is bits per anchor if the rate proxy ran, else None.
     """
 
     step: int
@@ -139,7 +139,7 @@ class Trainer:
             raise BudgetError(f"step {step}, view {name}: {error}", error.needed) from error
 
     def _settle(self) -> StepResult:
-        """Wait for the oldest step under way; repeat it where it lacked room."""
+        """Wait for the oldest step under way; repeat it if it lacked room."""
         while not self._under_way[0].done:
             if not self._under_way[0].lacked_room():
                 self._give_up()
@@ -164,7 +164,7 @@ class Trainer:
         )
 
     def _warn_if_undrawn(self, settled: Enqueued) -> None:
-        """Say once where no step so far drew anything: nothing is learned then."""
+        """Say once if no step so far drew anything: nothing is learned then."""
         if self._undrawn is None:
             return
         self._undrawn = None if settled.needed().entries else self._undrawn + 1
@@ -201,7 +201,7 @@ class Trainer:
         )
 
     def _align_positions(self) -> None:
-        """At the switch step, where Q_P is not that of the voxels: one anchor a cell of 1/Q_P."""
+        """At the switch step, if Q_P is not that of the voxels: one anchor per cell of 1/Q_P."""
         if abs(self.config.position_q * self.config.voxel - 1.0) > 1e-9:
             q_position = self.config.position_q
             self.parameters, self.merged = self.densifier.align(self.parameters, q_position)
@@ -216,7 +216,7 @@ class Trainer:
         return self.queue.render(plan, self.parameters)
 
     def check_budget(self) -> None:
-        """Refuse a memory budget that the anchors of now already exceed in some view of the data.
+        """Refuse a memory budget that the present anchors already exceed in some view of the data.
 
         Raises:
             BudgetError: names the view that needs most, and the least budget for all of them.

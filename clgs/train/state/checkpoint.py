@@ -41,11 +41,11 @@ DAMAGE = (
 def save(folder: Path, arrays: Arrays, scalars: Scalars, digest: str) -> Path:
     """Write a checkpoint; returns its path.
 
-    Older ones are removed afterwards but for the newest, and so are those of later steps, which
+    Afterwards all older ones but the newest are removed, and so are those of later steps, which
     a run that went back has abandoned. On a full disk they are removed before.
 
     Args:
-        folder: made where it is missing; holds the checkpoints of one run.
+        folder: made if it is missing; holds the checkpoints of one run.
         arrays: by name; any dtype but object.
         scalars: JSON-able, with the number of the last step done under "step".
         digest: of the configuration; :func:`load` asks for the same.
@@ -148,9 +148,9 @@ def _description(array: npt.NDArray[Any]) -> dict[str, Any]:
 
 
 def _make_room(folder: Path, step: int) -> bool:
-    """Remove what a killed process left and, where the newest before ``step`` is whole, the others.
+    """Remove what a killed process left and, if the newest before ``step`` is whole, the others.
 
-    Returns whether that was anything.
+    Returns whether anything was removed.
     """
     removable = list(folder.glob(".step_*.npz"))
     earlier = [path for path in checkpoints(folder) if path.name < f"step_{step:08d}.npz"]

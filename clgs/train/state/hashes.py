@@ -78,7 +78,7 @@ def read_fingerprint(path: Path) -> dict[str, Any]:
 
 
 def differences(device: Device, scene: QuantizedScene, expected: dict[str, Any]) -> list[str]:
-    """What of a fingerprint ``scene`` does not reproduce on ``device``; empty when all agrees.
+    """The parts of a fingerprint that ``scene`` does not reproduce on ``device``; empty if none.
 
     Raises:
         ValueError: ``expected`` is no fingerprint.
@@ -93,7 +93,7 @@ def differences(device: Device, scene: QuantizedScene, expected: dict[str, Any])
 
 
 def _read_cameras(expected: Any) -> list[Camera]:
-    """The cameras of a fingerprint; raises ValueError where anything in it makes no sense."""
+    """The cameras of a fingerprint; raises ValueError if anything in it makes no sense."""
     if not isinstance(expected, dict):
         raise ValueError("no JSON object")
     renders, cameras = expected.get("renders"), expected.get("cameras")

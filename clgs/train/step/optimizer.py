@@ -15,7 +15,7 @@ from clgs.train.step.schedule import learning_rates
 
 
 class Optimizer:
-    """Updates parameters in place; leaves all of them untouched where a gradient is not finite."""
+    """Updates parameters in place; leaves all of them untouched if a gradient is not finite."""
 
     def __init__(self, device: Device, config: TrainConfig, radius: float) -> None:
         """``radius`` in scene units scales the learning rate of offsets."""
@@ -33,7 +33,7 @@ class Optimizer:
         """One Adam step number ``step`` (from 1).
 
         ``anchors`` is False on steps that replace the anchors: only the MLPs learn then. ``stop``
-        (1,) int32 is set where a gradient is not finite; unless it holds 0 nothing changes.
+        (1,) int32 is set if a gradient is not finite; unless it holds 0 nothing changes.
         """
         rates = learning_rates(self._config, step, self._radius)
         names = (*ANCHOR_GROUPS, "weights") if anchors else ("weights",)
@@ -52,7 +52,7 @@ class Optimizer:
     def _check(
         self, gradients: dict[str, DeviceArray], stop: DeviceArray
     ) -> dict[str, DeviceArray]:
-        """Set ``stop`` where needed; the rows to update of groups of which not all are."""
+        """Set ``stop`` if needed; the rows to update of those groups that are updated by rows."""
         by_rows = [
             name for name in gradients if self._config.adam == "visible" and name != "weights"
         ]
@@ -62,7 +62,7 @@ class Optimizer:
 
 
 def _parts(name: str, size: int, rates: dict[str, float]) -> list[tuple[slice, float]]:
-    """Elements of a tensor with one learning rate, and that rate; the MLPs have one a head."""
+    """Elements of a tensor with one learning rate, and that rate; the MLPs have one per head."""
     if name == "weights":
         return [(head_slice(head), rates[f"mlp_{head}"]) for head in HEAD_DIMS]
     return [(slice(0, size), rates[name])]

@@ -20,12 +20,12 @@ from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 from clgs.train.step.optimizer import Optimizer
 from clgs.train.step.rounding import rounded_anchors, weight_scales
 from clgs.train.step.schedule import reduction
-from clgs.train.step.targets import Color, Targets
+from clgs.train.step.targets import Color, Target, Targets
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a step was dealt, enough to do it again: its number, view and background."""
+    """All that it takes to do a step again: its number, view and background."""
 
     step: int
     index: int
@@ -34,13 +34,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class Enqueued:
-    """A step in the device's queue, and what of it is on its way to the host.
+    """A step in the device's queue, and its pending downloads.
 
-    stop (1,) int32: not 0 where the step, or one before it, changed nothing because it lacked room
-    or met a number that is not finite; totals: numbers of visible anchors, Gaussians and tile
-    entries, (1,) int64 each; capacity: the room there was for them, None where arrays were made to
-    measure; rate_bits: a row, where the rate proxy ran; frame: where the host still needs it to
-    change the anchors.
+    stop (1,) int32: not 0 if the step, or one before it, changed nothing because it lacked room or
+    met a number that is not finite; totals: numbers of visible anchors, Gaussians and tile entries,
+    (1,) int64 each; capacity: the room there was for them, None if arrays were made to measure;
+    rate_bits: per anchor, if the rate proxy ran; frame: if the host needs it to change the anchors.
     """
 
     plan: Plan
@@ -96,8 +95,11 @@ class StepQueue:
     def enqueue(self, plan: Plan, parameters: Parameters, densifier: Densifier) -> Enqueued:
         """Enqueue a step; anchors that are about to be replaced are not updated."""
         device, capacity = self._device, self.capacity
-        scene, frame, photo = self._render(plan, parameters, capacity)
-        value, d_image = self._compare(frame, photo)
+        target, scene = self._target(plan), self.seen(parameters, plan.step)
+        frame = view_forward(device, scene, target.view, self.options, capacity)
+        if capacity is not None:
+            check_capacity(device, frame, capacity, self._stop)
+        value, d_image = self._compare(frame, target.photo)
         weight = self._config.volume_weight or 0.0
         gradients = render_backward(device, scene, frame, d_image, weight)
         bits = self._add_rate(parameters, gradients, plan.step)
@@ -120,19 +122,13 @@ class StepQueue:
 
     def render(self, plan: Plan, parameters: Parameters) -> Frame:
         """What a step compares with its photo, made to measure."""
-        return self._render(plan, parameters, None)[1]
-
-    def _render(
-        self, plan: Plan, parameters: Parameters, capacity: Capacity | None
-    ) -> tuple[DeviceScene, Frame, DeviceArray]:
-        """The rendered scene, the frame and the photo."""
-        device, factor = self._device, reduction(self._config, plan.step)
-        target = self._targets.get(plan.index, plan.background, factor)
         scene = self.seen(parameters, plan.step)
-        frame = view_forward(device, scene, target.view, self.options, capacity)
-        if capacity is not None:
-            check_capacity(device, frame, capacity, self._stop)
-        return scene, frame, target.photo
+        return view_forward(self._device, scene, self._target(plan).view, self.options)
+
+    def _target(self, plan: Plan) -> Target:
+        """The view and the photo of a step."""
+        factor = reduction(self._config, plan.step)
+        return self._targets.get(plan.index, plan.background, factor)
 
     def seen(self, parameters: Parameters, step: int) -> DeviceScene:
         """The parameters as step number ``step`` renders them: rounded after the switch steps."""
@@ -165,7 +161,7 @@ class StepQueue:
     def _add_rate(
         self, parameters: Parameters, gradients: SceneGradients, step: int
     ) -> float | None:
-        """Add the rate proxy's gradient in place where it is due; returns bits per anchor."""
+        """Add the rate proxy's gradient in place if it is due; returns bits per anchor."""
         config = self._config
         if step <= config.switch_step or step % config.rate_interval:
             return None

@@ -63,7 +63,7 @@ def restore_rng(state: dict[str, Any]) -> np.random.Generator:
 
 
 class ViewSampler:
-    """Deals every view once an epoch, in a new random order each time (paper)."""
+    """Deals every view once per epoch, in a new random order each time (paper)."""
 
     def __init__(self, count: int, seed: int) -> None:
         """Views 0 .. ``count`` - 1; the same seed gives the same order."""
