@@ -18,7 +18,7 @@ from clgs.train.run.interrupt import interruptions
 from clgs.train.run.session import train_scene
 from tests.small_scene import write_scene
 
-STEPS = 220
+STEPS = 160
 README = Path(__file__).parents[3] / "README.md"
 
 
