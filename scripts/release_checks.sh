@@ -32,6 +32,7 @@ intel_runtime() {
 }
 
 check "release tests" "$python" -m pytest -q -m release --durations=20 # one at a time: memory
+check "other examples" "$python" -m pytest -q -m hypothesis --hypothesis-profile=new
 check "seeded bugs" "$python" scripts/checks/mutation_check.py
 check "race check" scripts/checks/race_check.sh "$python"
 check "bytes across compilers" scripts/checks/cross_check.sh
