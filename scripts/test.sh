@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Lint and test: ./scripts/test.sh [--ci] [PYTEST ARGUMENTS]. Sets up first.
-# --ci adds what takes longer: the C tests under sanitizers, half a minute a fuzz target, a wheel
-# installed in a clean environment and tested from outside the checkout (slow tests included), a
-# race check, and a short training run.
+# --ci adds the C tests under sanitizers, seconds per fuzz target, a race check of one training step
+# and a short training run. Its tests, slow ones included, run once: on a wheel that is installed in
+# a clean environment, outside of the checkout. scripts/release_checks.sh has what takes hours.
 set -euo pipefail
 
 ci=
@@ -59,9 +59,9 @@ fuzz() {
     if on_debian_as_root && ! scripts/fuzz/fuzz.sh --find >/dev/null; then
         apt_install clang libclang-rt-dev || true # fuzz.sh says what is missing
     fi
-    PYTHON=$python scripts/fuzz/fuzz.sh 30
+    PYTHON=$python scripts/fuzz/fuzz.sh 5
     step "fuzz targets under the memory sanitizer"
-    PYTHON=$python CHECK=memory scripts/fuzz/fuzz.sh 10
+    PYTHON=$python CHECK=memory scripts/fuzz/fuzz.sh 3
 }
 
 # The wheel in its own environment: $work/venv, with the tests but not the package in $work/tree.
@@ -89,13 +89,14 @@ smoke() {
             "$work/venv/bin/clgs" conformance --check "$work/$form.json"
     done
     step "race check"
-    "$root/scripts/checks/race_check.sh" "$work/venv/bin/python"
+    "$root/scripts/checks/race_check.sh" --step "$work/venv/bin/python"
     step "a training run of 50 steps, and its file"
     "$root/scripts/checks/smoke.sh" "$work/venv/bin" "$work/smoke"
 }
 
-# A file's tests stay in one process: they share kernels built once.
-spread=(-n auto --maxprocesses 8 --dist loadfile)
+# A file's tests stay in one process: they share devices, data and scenes. Files begin in order: those
+# of the commands, which take longest, are not left for the end.
+spread=(-n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder)
 
 lint
 if [ -z "$ci" ]; then
@@ -110,10 +111,9 @@ step "tests of the checkout"
 test_c
 fuzz
 build_wheel
-smoke
-step "tests of the wheel"
+export CLGS_TEST_KERNELS=$work/kernels # where one process at a time builds now, and tests look then
+POCL_CACHE_DIR=$CLGS_TEST_KERNELS smoke
+step "tests of the wheel, slow ones included"
 export CLGS_SHARED_DATA=${CLGS_SHARED_DATA:-$root/../shared/data}
-"$work/venv/bin/python" -m pytest "${spread[@]}" -q --durations=10 "$@"
-step "slow tests" # one at a time: some take most of the memory
-"$work/venv/bin/python" -m pytest -m slow --durations=10 "$@"
+"$work/venv/bin/python" -m pytest "${spread[@]}" -q --durations=20 -m "not release" "$@"
 step "done"

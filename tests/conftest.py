@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -18,6 +19,11 @@ KERNELS = kernel_cache.open_cache()  # before pyopencl is imported
 
 if mutant.VARIABLE in os.environ:
     mutant.apply(Path(os.environ[mutant.VARIABLE]))
+
+
+hypothesis.settings.register_profile("same", deadline=None, derandomize=True)
+hypothesis.settings.register_profile("new", deadline=None)
+hypothesis.settings.load_profile("same")  # --hypothesis-profile=new: other examples in every run
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -23,17 +23,12 @@ UNUSED = 14 * 24 * 3600
 
 
 class KernelCache:
-    """The folder of this process, and the common one."""
+    """The folder of one process, and the common one."""
 
-    def __init__(self, common: Path) -> None:
-        """Make a folder of this process's own, removed at its end, and have PoCL use it.
-
-        Must come before pyopencl is imported.
-        """
+    def __init__(self, common: Path, own: Path) -> None:
+        """Both may be missing or empty yet."""
         self.common = common
-        self.own = Path(tempfile.mkdtemp(prefix="clgs-pocl-"))
-        atexit.register(shutil.rmtree, self.own, ignore_errors=True)
-        os.environ["POCL_CACHE_DIR"] = str(self.own)
+        self.own = own
         self._known: set[str] = set()
 
     def take(self) -> None:
@@ -79,10 +74,16 @@ def remove_unused(common: Path) -> None:
 
 
 def open_cache() -> KernelCache:
-    """The cache of this process, with what is built so far."""
+    """The cache of this process, with what is built so far; PoCL uses it.
+
+    Its folder is removed when the process ends. Must come before pyopencl is imported.
+    """
     common = Path(os.environ.get(VARIABLE, DEFAULT))
     if "PYTEST_XDIST_WORKER" not in os.environ:
         remove_unused(common)
-    cache = KernelCache(common)
+    own = Path(tempfile.mkdtemp(prefix="clgs-pocl-"))
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
+    os.environ["POCL_CACHE_DIR"] = str(own)
+    cache = KernelCache(common, own)
     cache.take()
     return cache

@@ -1,7 +1,14 @@
 #!/usr/bin/env bash
 # Run training steps and the self-test of tiny scenes under Oclgrind, which finds data races and
-# accesses out of bounds in the kernels: scripts/checks/race_check.sh [PYTHON], a Python that has clgs.
+# accesses out of bounds in the kernels: scripts/checks/race_check.sh [--step] [PYTHON], a Python
+# that has clgs. --step: one training step in each form of the kernels, and no more.
 set -euo pipefail
+
+step=
+if [ "${1:-}" = --step ]; then
+    step=--step
+    shift
+fi
 
 # shellcheck source=scripts/setup.sh
 . "$(dirname -- "${BASH_SOURCE[0]}")/../setup.sh"
@@ -36,7 +43,8 @@ watched() {
         OCLGRIND_DATA_RACES=1 OCLGRIND_LOG="$work/log.$1" PYOPENCL_NO_CACHE=1 "${@:2}"
 }
 for form in cpu gpu; do
-    watched "$form" "$python" "$root/scripts/checks/race_scene.py" oclgrind "$form"
+    watched "$form" "$python" "$root/scripts/checks/race_scene.py" oclgrind "$form" $step
+    [ -z "$step" ] || continue
     # the errors of a third implementation, and the stages that a step has only in part
     CLGS_SPECIALISATION=$form watched "selftest.$form" \
         "$python" -m clgs.cli.main selftest --device oclgrind >"$work/selftest.$form" ||

@@ -162,7 +162,7 @@ def test_a_single_training_photo_starts_from_random_points(tmp_path: Path, caplo
     assert said.endswith("starting from random ones: a single photo tells no depth")
 
 
-@pytest.mark.parametrize("count", [0, 1, 3])
+@pytest.mark.parametrize("count", [0, 3])
 def test_a_model_of_few_points_starts_from_random_ones(tmp_path: Path, caplog, count: int):
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     write_colmap(tmp_path, text=True)

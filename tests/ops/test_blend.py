@@ -12,7 +12,7 @@ from clgs.ops import blend
 from clgs.options import DEFAULT, PRESETS, RenderOptions, Skips
 from clgs.reference.stages import blend as reference
 from clgs.reference.stages.tiles import TileLists
-from clgs.synthetic.gaussians import ProjectedScene, projected_scene
+from clgs.synthetic.gaussians import projected_scene
 from tests.compare import assert_close, relative_l2
 from tests.ops.cases.blend import (
     BACKGROUND,
@@ -21,7 +21,9 @@ from tests.ops.cases.blend import (
     every_tile_lists,
     in_float64,
     part_of_lists,
+    regime,
     render,
+    stack,
     truncation,
 )
 
@@ -244,30 +246,6 @@ def test_repeats_bit_for_bit(device, rng):
     assert np.array_equal(first.host("image"), second.host("image"))
     one, other = first.backward(d_image), second.backward(d_image)
     assert all(np.array_equal(one[name], other[name]) for name in GRADIENTS)
-
-
-def stack(opacity: np.ndarray, rng: np.random.Generator) -> ProjectedScene:
-    """Layers (n, p): each a Gaussian that covers one of p pixels of a row, and no other."""
-    layers, pixels = opacity.shape
-    mean2d = np.stack(np.broadcast_arrays(np.arange(pixels) + 0.5, np.full(opacity.shape, 0.5)), 2)
-    count = layers * pixels
-    return ProjectedScene(
-        mean2d=mean2d.reshape(count, 2).astype(np.float32),
-        whitening=np.tile(np.float32([20.0, 0.0, 20.0]), (count, 1)),
-        depth=np.repeat(np.arange(1, layers + 1), pixels).astype(np.float32),
-        extent=np.full((count, 2), 0.2, np.float32),
-        color=rng.uniform(0, 1, (count, 3)).astype(np.float32),
-        opacity=opacity.reshape(count).astype(np.float32),
-    )
-
-
-def regime(kind: str, layers: int, rng: np.random.Generator) -> np.ndarray:
-    opacity = rng.uniform(1.02 / 255, 8.5 / layers + 1.1 / 255, (layers, 8))
-    if kind == "mixed":
-        opacity[rng.integers(0, layers, 3)] = 0.5
-    if kind == "opaque last":
-        opacity[-1] = 0.99
-    return opacity
 
 
 @pytest.mark.family("N14")

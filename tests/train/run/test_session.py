@@ -17,7 +17,7 @@ from clgs.train.config import preset
 from clgs.train.run.session import interruptions, train_scene
 from tests.small_scene import write_scene
 
-STEPS = 220
+STEPS = 160
 README = Path(__file__).parents[3] / "README.md"
 
 
