@@ -9,7 +9,7 @@ ci=
 if [ "${1:-}" = --ci ]; then
     ci=1
     shift
-    export CI=true # a check whose tool is missing fails where the tool can be installed
+    export CI=true # a check whose tool is missing fails if the tool can be installed
 fi
 
 # shellcheck source=scripts/setup.sh
@@ -21,7 +21,7 @@ step() {
     printf '\n== %s (%d s)\n' "$1" "$SECONDS"
 }
 
-# Runs even where the checkout belongs to another user, as in a container.
+# Runs even if the checkout belongs to another user, as in a container.
 source_files() {
     find "$@" -type f \( -name '*.cl' -o -name '*.c' -o -name '*.h' \) -print0
 }

@@ -149,7 +149,7 @@ def _take_points(
 def _random_points(
     path: Path | str, kind: str, train: list[View], radius: float, seed: int
 ) -> npt.NDArray[np.float32]:
-    """Points (P, 3) in scene units where the training cameras look."""
+    """Points (P, 3) in scene units in the volume that the training cameras share."""
     viewpoints = [viewpoint(view.camera, view.alpha) for view in train]
     points = random_points(viewpoints, radius, kind == "blender", seed)
     if len(points) < LEAST_POINTS:

@@ -1,4 +1,4 @@
-"""Initial points: random ones where a data set has none, and the removal of useless ones."""
+"""Initial points: random ones for a data set without points, and the removal of useless ones."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ BLENDER_HALF_EDGE = 1.3
 """Half the edge of the cube around the origin that holds every Synthetic-NeRF object."""
 
 SEEN_SHARE = 0.5
-"""A random point must lie in the image of at least this share of the cameras; where none does, as
-in a room photographed from its middle, of two cameras."""
+"""A random point must lie in the image of at least this share of the cameras; if none does, as in a
+room photographed from its middle, of two cameras."""
 
 MASK_MARGIN = 2
 """Alpha masks are grown by so many pixels before points are carved with them."""
 
 FAR_LIMIT = 50.0
-"""Points further than this many radii (or median distances, where larger) are dropped."""
+"""Points further than this many radii (or median distances, if those are larger) are dropped."""
 
 MAX_COORDINATE = 2.0**20 / 200.0
 """Largest |coordinate| in scene units: the codec stores 21 bits of 1/200 unit."""
@@ -41,7 +41,7 @@ _MAX_BATCHES = 20
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A camera and, where its image has alpha, the grown mask (H, W) of what is not background."""
+    """A camera and, if its image has alpha, the grown mask (H, W) of what is not background."""
 
     camera: Camera
     mask: Mask | None
@@ -59,8 +59,8 @@ def random_points(
 ) -> npt.NDArray[np.float32]:
     """About RANDOM_POINTS points (P, 3) float32 in the volume that the cameras share.
 
-    A point is kept where at least SEEN_SHARE of the cameras, or else two of them, have it in their
-    image and none of those shows background there; P is 0 where there is none. ``blender``: drawn
+    A point is kept if at least SEEN_SHARE of the cameras, or else two of them, have it in their
+    image and none of those shows background there; P is 0 if there is none. ``blender``: drawn
     in the cube of Synthetic-NeRF, unless no camera sees it; else along random viewing rays at
     depths of 0.2 to 5 times ``radius``. Scene units.
     """
@@ -145,7 +145,7 @@ def _shared(points: Floats, viewpoints: list[Viewpoint], needed: int) -> Mask:
 def _pixels(
     points: Floats, camera: Camera
 ) -> tuple[Mask, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Whether points (P, 3) fall into the image, and the column and row (P,) where they do."""
+    """Whether points (P, 3) fall into the image, and the column and row (P,) of those that do."""
     local = points @ camera.rotation.T + camera.translation
     ahead = local[:, 2] > 1e-6
     depth = np.where(ahead, local[:, 2], 1.0)

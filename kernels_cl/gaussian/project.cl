@@ -49,7 +49,7 @@ __kernel void project_forward(__global const float *mean, __global const float *
 }
 
 /* Columns of the whitened factor: (r1 a_k, r2 (b_k - l a_k)). The difference is a sum of minors,
- * which keeps its digits where the two terms almost cancel. */
+ * which keeps its digits if the two terms almost cancel. */
 static inline void whitened_columns(const Projection *p, const fv factor[3], fv first[3],
                                     fv second[3])
 {

@@ -48,7 +48,7 @@ class ExactDevice(Device):
 
 
 def main(name: str, specialisation: str, only: str = "") -> int:
-    """Exit code 1 where the loss or the rate is not a number."""
+    """Exit code 1 if the loss or the rate is not a number."""
     scene, camera = anchor_scene(GAUSSIANS, SIZE, seed=1)
     config = replace(TrainConfig(), statistics_start=0).for_dataset("photos")
     device = ExactDevice(name, specialisation)

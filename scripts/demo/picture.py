@@ -56,7 +56,7 @@ def draw_showcase(show: Showcase) -> Picture:
 
 
 def _fitted(picture: Picture, height: int) -> Image.Image:
-    """The picture as wide as a panel, on paper where it is not as high."""
+    """The picture as wide as a panel, with paper below if it is less high."""
     panel = Image.new("RGB", (WIDTH, height), PAPER)
     high = min(height, round(WIDTH * picture.shape[0] / picture.shape[1]))
     panel.paste(Image.fromarray(picture).resize((WIDTH, high), Image.Resampling.LANCZOS))

@@ -85,7 +85,7 @@ def test_one_size_has_no_exponent(capsys):
     said = capsys.readouterr().out
     assert "nan" not in said
     assert "time ~ count^- " in said
-    assert "- bytes a Gaussian and - a pixel" in said
+    assert "- bytes per Gaussian and - per pixel" in said
     assert "2 an intersection" in said
 
 

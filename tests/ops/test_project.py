@@ -65,7 +65,7 @@ def test_small_gaussians_are_left_out_where_asked(device, rng, min_extent):
 
 
 def test_padding_is_culled(device, rng):
-    """Gaussians of zeros behind the others: no extent, no gradient; no other bit changes."""
+    """Gaussians of zeros after the others: no extent, no gradient; no other bit changes."""
     values = gaussians(rng, 100)
     packed = camera_at().pack(NEAR_PLANE)
     plain = downloads(device, run_forward(device, values, packed)[2])

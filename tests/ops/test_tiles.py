@@ -144,7 +144,7 @@ def with_capacity(device, scene, size, capacity, tile_rows=None):
 
 @pytest.mark.parametrize("sigma", [1.1, 90.0])
 def test_capacity_gives_the_same_lists(device, rng, sigma):
-    """Any sufficient one; padding lies behind the last tile's entries, in rows of its own."""
+    """Any sufficient one; padding lies after the last tile's entries, in rows of its own."""
     size = (150, 90)
     scene = projected_scene(rng, 500, *size, sigma)
     exact = on_host(device, lists_of(device, scene, size))

@@ -77,9 +77,9 @@ def _show(found: Scaling) -> None:
 
     memory = found.memory
     print(
-        f"device memory: {shown(memory.per_gaussian, 0)} bytes a Gaussian and "
-        f"{shown(memory.per_pixel, 0)} a pixel, each with its intersections; "
-        f"{shown(memory.per_intersection, 0)} an intersection"
+        f"device memory: {shown(memory.per_gaussian, 0)} bytes per Gaussian and "
+        f"{shown(memory.per_pixel, 0)} per pixel, each with its intersections; "
+        f"{shown(memory.per_intersection, 0)} per intersection"
     )
 
 

@@ -89,7 +89,7 @@ class _Layers:
     dy: Array
     y1: Array
     y2: Array
-    alpha: Array  # 0 where it does not contribute
+    alpha: Array  # 0 if it does not contribute
     before: Array  # transmittance in front of the entry
     after: Array
     contributed: Bits

@@ -56,7 +56,7 @@ def join(opacity: Array, color: Array, covariance: Array) -> Array:
 
 
 def unit_quaternion(q: Array) -> tuple[Array, Array]:
-    """q / |q| (N, 4) and |q| (N, 1); zeros where the largest component is tiny or not finite."""
+    """q / |q| (N, 4) and |q| (N, 1); zeros if the largest component is tiny or not finite."""
     largest = np.abs(q).max(axis=1, keepdims=True, initial=0)
     with np.errstate(invalid="ignore"):
         valid = (largest > 1e-35) & (largest < 1e37)

@@ -1,4 +1,4 @@
-"""A whole training run in a run folder: log, checkpoints, results. Resumes where it stopped."""
+"""A whole training run in a run folder: log, checkpoints, results; it can be resumed."""
 
 from __future__ import annotations
 
