@@ -86,7 +86,7 @@ def test_one_size_has_no_exponent(capsys):
     assert "nan" not in said
     assert "time ~ count^- " in said
     assert "- bytes per Gaussian and - per pixel" in said
-    assert "2 an intersection" in said
+    assert "2 per intersection" in said
 
 
 @pytest.fixture
