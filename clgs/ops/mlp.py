@@ -54,12 +54,11 @@ GROUP_SIZE = 64
 
 TILE = {"cpu": 5, "gpu": 10}
 VECTORS = {"cpu": 2, "gpu": 1}
-"""Register tile of ``kernels_cl/mlp/mlp_layout.h``: rows, and vectors of samples."""
-
+"""Register tile of ``kernels_cl/mlp/layout.h``: rows, and vectors of samples."""
 
 WEIGHT_ROWS = {"cpu": 4, "gpu": 10}
 COLUMNS = {"cpu": 3, "gpu": 2}
-"""That of the weight gradient: rows, and inputs."""
+"""Register tile of ``kernels_cl/mlp/weight_tile.h``: rows, and inputs."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ def forward(
     result = opacities(device, feature, position, visible, weights, camera, options)
     padded = result.output.shape[1]
     device.run(
-        device.kernel("mlp/mlp", "mlp_heads", **defines(device, options)),
+        device.kernel("mlp/forward", "mlp_heads", **defines(device, options)),
         *blocks(device, padded),
         *(feature, position, result.visible, np.int32(len(visible)), weights, camera),
         *(np.int32(padded), result.output),
@@ -155,13 +154,13 @@ def opacities(
     macros, sizes = defines(device, options), (np.int32(count), np.int32(padded))
     opacity = device.empty((K_OFFSETS, padded))
     device.run(
-        device.kernel("mlp/mlp", "mlp_opacity", **macros),
+        device.kernel("mlp/forward", "mlp_opacity", **macros),
         *blocks(device, padded),
         *(feature, position, visible, sizes[0], weights, camera, sizes[1], opacity),
     )
     width = GROUP_SIZE if device.specialisation == "gpu" else 1
     device.run(
-        device.kernel("mlp/mlp", "mlp_order", **macros),
+        device.kernel("mlp/order", "mlp_order", **macros),
         (len(result.active) * width,),
         (width,),
         *(opacity, visible, *sizes, result.output, result.visible, result.active),
@@ -211,16 +210,17 @@ def backward(
     inputs = (*model, weights, camera, padded, activations.output, d_output, activations.active)
     unused = result.d_feature
     outputs = (result.d_feature, unused if result.d_position is None else result.d_position)
-    macros = {**defines(device, activations.options), "WANT_POSITION": int(want_position)}
+    common = defines(device, activations.options)
+    macros = {**common, "WANT_POSITION": int(want_position)}
     if device.specialisation == "cpu":
         workers = min(WORKERS * int(device.cl_device.max_compute_units), parts)
         values, taken = device.empty((workers, _batch_size(device))), device.zeros((1,), np.int32)
-        kernel = device.kernel("mlp/mlp", "mlp_backward", **macros)
+        kernel = device.kernel("mlp/backward", "mlp_backward", **macros)
         device.run(kernel, (workers,), (1,), *inputs, taken, values, partial, *outputs)
     else:
         _backward_in_groups(device, inputs, outputs, partial, macros)
     device.run(
-        device.kernel("mlp/mlp", "mlp_backward_sum", **macros),
+        device.kernel("mlp/backward_sum", "mlp_backward_sum", **common),
         (_row_tiles(device), _column_tiles(device)),
         None,
         *(partial, np.int32(parts), result.d_weights),
@@ -262,8 +262,8 @@ def _backward_in_groups(
     padded, active = inputs[6], inputs[-1]
     batches = -(-int(padded) // BATCH)
     values = device.empty((min(SLAB, batches), _batch_size(device)))
-    layers = device.kernel("mlp/mlp", "mlp_backward_layers", **macros)
-    weights = device.kernel("mlp/mlp", "mlp_backward_weights", **macros)
+    layers = device.kernel("mlp/backward", "mlp_backward_layers", **macros)
+    weights = device.kernel("mlp/backward", "mlp_backward_weights", **macros)
     for first in range(0, batches, SLAB):
         size = min(SLAB, batches - first)
         for head, size_of_head in enumerate(HEAD_DIMS.values()):

@@ -1,22 +1,28 @@
 /* Adam on parameters that live on the device. No fma and no reordering: NumPy in float32 gives the
- * same bits where division and square root are correctly rounded. */
+ * same bits if the device rounds division and square root correctly.
+ *
+ * adam_step, adam_step_rows: a work-item per vector of VEC elements.
+ * adam_check: a work-item per ELEMENTS_PER_ITEM elements.
+ * adam_mark: a work-item per row of WIDTH elements.
+ * Work-group: any; no local memory.
+ */
 #include "common/lanes.h"
 #include "common/real.h"
 
-/* Smaller moments are zero: they would decay into subnormals, which cost ten times the time.
- * m below this moves a parameter by less than a part in 1e15 of the step; v, whose root meets an
- * epsilon of 1e-15, must reach lower. */
+/* Smaller moments become zero: they would decay into subnormals, which take ten times as long.
+ * A first moment below its limit moves a parameter by less than 1e-15 of the step; the limit of the
+ * second one is lower, because an epsilon of 1e-15 is added to its root. */
 #ifndef MIN_FIRST_MOMENT
 #define MIN_FIRST_MOMENT 1e-30f
 #define MIN_SECOND_MOMENT 1e-36f
 #endif
 
-/* Elements of a row, for the kernels that go by rows. */
+/* Elements per row, for the kernels that go by rows. */
 #ifndef WIDTH
 #define WIDTH 6
 #endif
 
-/* The bit of the stop flag that this file sets. */
+/* The bit of the stop flag that says that a gradient was infinite or NaN. */
 #ifndef NOT_FINITE
 #define NOT_FINITE 1
 #endif
@@ -36,8 +42,9 @@ typedef struct {
     fv second;
 } State;
 
-inline State load_state(__global const float *parameter, __global const float *first,
-                        __global const float *second, const size_t vector, const size_t total)
+static inline State load_state(__global const float *parameter, __global const float *first,
+                               __global const float *second, const size_t vector,
+                               const size_t total)
 {
     State s;
     s.parameter = load_lanes(parameter, vector, total);
@@ -46,15 +53,16 @@ inline State load_state(__global const float *parameter, __global const float *f
     return s;
 }
 
-inline void store_state(const State *s, __global float *parameter, __global float *first,
-                        __global float *second, const size_t vector, const size_t total)
+static inline void store_state(const State *s, __global float *parameter, __global float *first,
+                               __global float *second, const size_t vector, const size_t total)
 {
     store_lanes(s->parameter, vector, parameter, total);
     store_lanes(s->first, vector, first, total);
     store_lanes(s->second, vector, second, total);
 }
 
-inline void update(State *s, const fv gradient, const Factors by)
+/* One step of Adam. */
+static inline void update(State *s, const fv gradient, const Factors by)
 {
     const fv m = s->first * by.betas.x + gradient * by.betas.y;
     const fv v = s->second * by.betas.z + gradient * gradient * by.betas.w;
@@ -64,8 +72,7 @@ inline void update(State *s, const fv gradient, const Factors by)
     s->parameter = s->parameter - s->first / root * by.step;
 }
 
-/* One work-item a vector of the `total` elements from `start` on; nothing happens where *stop is
- * not 0. */
+/* Updates the `total` elements from `start` on. Nothing happens unless *stop is 0. */
 __kernel void adam_step(__global float *parameter, __global const float *gradient,
                         __global float *first, __global float *second, const uint start,
                         const uint total, const float4 betas, const float correction,
@@ -84,7 +91,7 @@ __kernel void adam_step(__global float *parameter, __global const float *gradien
 }
 
 /* Lanes of the vector from `element` to `last` that lie in marked rows of WIDTH elements. */
-inline iv marked_lanes(__global const int *marks, const uint element, const uint last)
+static inline iv marked_lanes(__global const int *marks, const uint element, const uint last)
 {
     int numbers[VEC];
     for (int lane = 0; lane < VEC; ++lane)
@@ -99,7 +106,7 @@ inline iv marked_lanes(__global const int *marks, const uint element, const uint
     return marked;
 }
 
-/* The same for the rows that are marked; the others keep their moments too. */
+/* As adam_step, but only for marked rows; the others keep parameters and moments. */
 __kernel void adam_step_rows(__global float *parameter, __global const float *gradient,
                              __global float *first, __global float *second, const uint total,
                              const float4 betas, const float correction, const float epsilon,
@@ -129,7 +136,7 @@ __kernel void adam_step_rows(__global float *parameter, __global const float *gr
 #define SIGN_OFF 0x7fffffff
 #define INFINITE 0x7f800000
 
-/* Sets a bit of *stop where an element of `values` is infinite or NaN. */
+/* Sets a bit of *stop if an element of `values` is infinite or NaN. */
 __kernel void adam_check(__global const float *values, const uint total, __global int *stop)
 {
     const size_t first = get_global_id(0) * ELEMENTS_PER_ITEM;
@@ -142,7 +149,7 @@ __kernel void adam_check(__global const float *values, const uint total, __globa
         atomic_or(stop, NOT_FINITE);
 }
 
-/* One work-item a row of WIDTH elements: 1 where one is not zero, else 0; and as adam_check. */
+/* As adam_check, and marks[row] = 1 if an element of the row is not zero, else 0. */
 __kernel void adam_mark(__global const float *values, const uint rows, __global int *stop,
                         __global int *marks)
 {

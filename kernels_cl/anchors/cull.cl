@@ -1,38 +1,26 @@
 /* Which anchors a view may see: each is projected as a Gaussian with the scale of its offsets and
- * no rotation, and kept where its 3-sigma square touches the image's tiles. */
-#include "common/rows.h"
+ * no rotation, and kept if its 3-sigma square touches the image's tiles.
+ *
+ * cull_test: a work-item per VEC anchors.
+ * cull_compact: a work-item per anchor and per entry of the list, whichever are more.
+ * cull_mark: a work-item per anchor.
+ * Work-group: any; no local memory.
+ */
 #include "common/camera.h"
-
-#ifndef BLUR
-#define BLUR 0.3f
-#endif
-#ifndef LOG_SCALE_LIMIT
-#define LOG_SCALE_LIMIT 20.0f
-#endif
-#ifndef TILE_SIZE
-#define TILE_SIZE 16
-#endif
+#include "common/camera_space.h"
+#include "common/lane_math.h"
+#include "common/method.h"
+#include "common/real.h"
+#include "common/rows.h"
+#include "common/tile_size.h"
 
 /* Numbers of a row of scaling: three for the offsets, which count here, three for the shape. */
 #define SCALING_DIM 6
 DEFINE_LOAD_ROWS(load_rows6, 6)
 
-/* Row `row` of the world-to-camera rotation times (x, y, z). */
-inline fv rotate(__global const float *camera, const int row, const fv x, const fv y, const fv z)
-{
-    __global const float *r = camera + CAMERA_ROTATION + 3 * row;
-    return fma((fv)(r[2]), z, fma((fv)(r[1]), y, (fv)(r[0]) * x));
-}
-
-inline fv bound(const fv x, const float low, const float high)
-{
-    const fv raised = x < (fv)(low) ? (fv)(low) : x;
-    return raised > (fv)(high) ? (fv)(high) : raised;
-}
-
 /* The three entries of one row of the 2x3 factor J W S: focal/z (W_axis - slope W_z) scale. */
-inline void factor_row(__global const float *camera, const int axis, const fv focal_on_z,
-                       const fv slope, const fv scale[3], fv factor[3])
+static inline void factor_row(__global const float *camera, const int axis, const fv focal_on_z,
+                              const fv slope, const fv scale[3], fv factor[3])
 {
     __global const float *along = camera + CAMERA_ROTATION + 3 * axis;
     __global const float *depth = camera + CAMERA_ROTATION + 6;
@@ -40,28 +28,23 @@ inline void factor_row(__global const float *camera, const int axis, const fv fo
         factor[i] = focal_on_z * scale[i] * fma(-slope, (fv)(depth[i]), (fv)(along[i]));
 }
 
-inline fv dot_lanes(const fv a[3], const fv b[3])
-{
-    return fma(a[2], b[2], fma(a[1], b[1], a[0] * b[0]));
-}
-
 /* Largest variance on the screen, blurred, square pixels. */
-inline fv largest_variance(const fv a[3], const fv b[3])
+static inline fv largest_variance(const fv a[3], const fv b[3])
 {
-    const fv xx = dot_lanes(a, a) + (fv)(BLUR), yy = dot_lanes(b, b) + (fv)(BLUR);
-    const fv xy = dot_lanes(a, b), half_difference = 0.5f * (xx - yy);
+    const fv xx = dot3(a, a) + (fv)(BLUR), yy = dot3(b, b) + (fv)(BLUR);
+    const fv xy = dot3(a, b), half_difference = 0.5f * (xx - yy);
     return 0.5f * (xx + yy) + sqrt(fma(half_difference, half_difference, xy * xy));
 }
 
 /* Whether [centre - radius, centre + radius] touches the tiles of `size` pixels. */
-inline iv touches(const fv centre, const fv radius, const float size)
+static inline iv touches(const fv centre, const fv radius, const float size)
 {
     const float tiled = ceil(size / TILE_SIZE) * TILE_SIZE;
     return (centre + radius > (fv)(0.0f)) & (centre - radius < (fv)(tiled));
 }
 
-/* One work-item VEC anchors: keep[i] = 1 where anchor i may be seen, else 0; NaN is not seen. Nor
- * is an anchor that is less than `smallest` pixels wide (6 sigma, without the blur). */
+/* keep[i] = 1 if anchor i may be seen, else 0. A NaN is not seen, nor is an anchor less than
+ * `smallest` pixels wide (6 sigma, without the blur). */
 __kernel void cull_test(__global const float *position, __global const float *scaling,
                         __global const float *camera, const int count, const float smallest,
                         __global int *keep)
@@ -74,17 +57,16 @@ __kernel void cull_test(__global const float *position, __global const float *sc
     load_rows3(position, first, used, p);
     load_rows6(scaling, first, used, scale);
     for (int i = 0; i < 3; ++i)
-        scale[i] = exp_v(bound(scale[i], -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT));
-    const fv z = rotate(camera, 2, p[0], p[1], p[2]) + (fv)(camera[CAMERA_TRANSLATION + 2]);
+        scale[i] = exp_v(clamp_lanes(scale[i], (fv)(-LOG_SCALE_LIMIT), (fv)(LOG_SCALE_LIMIT)));
+    const fv z = camera_coordinate(camera, 2, p);
     fv factor[2][3], centre[2];
     for (int axis = 0; axis < 2; ++axis) {
-        const fv along = rotate(camera, axis, p[0], p[1], p[2]);
-        const fv slope = (along + (fv)(camera[CAMERA_TRANSLATION + axis])) / z;
+        const fv slope = camera_coordinate(camera, axis, p) / z;
         const float focal = camera[CAMERA_FX + axis];
         centre[axis] = fma(slope, (fv)(focal), (fv)(camera[CAMERA_CX + axis]));
         __global const float *limits = camera + CAMERA_SLOPE_LIMITS + 2 * axis;
-        factor_row(camera, axis, (fv)(focal) / z, bound(slope, limits[0], limits[1]), scale,
-                   factor[axis]);
+        const fv clamped = clamp_lanes(slope, (fv)(limits[0]), (fv)(limits[1]));
+        factor_row(camera, axis, (fv)(focal) / z, clamped, scale, factor[axis]);
     }
     const fv largest = largest_variance(factor[0], factor[1]);
     const fv radius = ceil(3.0f * sqrt(largest)); /* half the edge of the 3-sigma square */
@@ -99,8 +81,8 @@ __kernel void cull_test(__global const float *position, __global const float *sc
         keep[first + lane] = lanes[lane];
 }
 
-/* Lists the kept anchors; place is the exclusive sum of keep. What lies beyond the capacity is left
- * out, and entries after the last one are -1. One work-item an anchor and an entry. */
+/* Lists the kept anchors. place: the exclusive prefix sum of keep. Anchors beyond the capacity are
+ * left out, and entries after the last one are -1. */
 __kernel void cull_compact(__global const int *keep, __global const int *place, const int count,
                            __global const long *total, const int capacity, __global int *visible)
 {
@@ -111,7 +93,7 @@ __kernel void cull_compact(__global const int *keep, __global const int *place, 
         visible[i] = -1;
 }
 
-/* Every anchor at its own place, -1 for those that are not kept. */
+/* Every anchor at its own place, -1 if it is not kept. */
 __kernel void cull_mark(__global const int *keep, const int count, __global int *visible)
 {
     const int i = (int)get_global_id(0);

@@ -1,20 +1,20 @@
 /* Statistics that decide where anchors grow and which are pruned. Every anchor and every slot
  * appears at most once in a view: plain additions, no atomics. Nothing happens unless *stop is 0.
+ *
+ * density_visit: a work-item per visible anchor.
+ * density_gradient: a work-item per SHARE Gaussians, counted from the middle on.
+ * Work-group: any; no local memory.
  */
 #include "common/items.h"
+#include "common/method.h"
 #include "common/prefetch.h"
-#include "common/real.h"
 
-#ifndef K_OFFSETS
-#define K_OFFSETS 10
-#endif
-
-/* Gaussians of a work-item: a CPU fetches their places together. */
+/* Gaussians of a work-item: a CPU prefetches their sums together. */
 #ifndef SHARE
 #define SHARE 1
 #endif
 
-/* One work-item a visible anchor: the sum of its positive opacities, and one visit. An entry -1 of
+/* Adds to each visible anchor the sum of its positive opacities, and one visit. An entry -1 of
  * visible is no anchor. */
 __kernel void density_visit(__global const float *output, __global const int *visible,
                             const int count, const int padded, __global const int *stop,
@@ -32,17 +32,17 @@ __kernel void density_visit(__global const float *output, __global const int *vi
     visits[visible[v]] += 1;
 }
 
-/* Where the sums of Gaussian n are; -1 where it is not drawn. Padding, of slot -1, never is. */
-inline int place_of(__global const int *visible, __global const int *slot,
-                    __global const float *extent, const size_t n)
+/* Index of the sums of Gaussian n; -1 if it is not drawn. Padding, of slot -1, never is. */
+static inline int place_of(__global const int *visible, __global const int *slot,
+                           __global const float *extent, const size_t n)
 {
     if (!(extent[2 * n] > 0.0f))
         return -1;
     return visible[slot[n] / K_OFFSETS] * K_OFFSETS + slot[n] % K_OFFSETS;
 }
 
-/* One work-item SHARE Gaussians: the norms of their screen gradients in NDC units, where they are
- * drawn. */
+/* Adds to the slot of each Gaussian that is drawn the norm of its screen gradient, in NDC units,
+ * and one view. */
 __kernel void density_gradient(__global const int *visible, __global const int *slot,
                                __global const float *extent, __global const float *d_mean2d,
                                const int count, const float2 half_size, __global const int *stop,

@@ -1,4 +1,8 @@
-/* Rounding to integers, half to even, and back. One work-item a vector of lanes. */
+/* Rounding to integers, half to even, and back.
+ *
+ * Work-item: a vector of VEC elements. Work-group: any; no local memory.
+ * Launch: a work-item per vector, rounded up.
+ */
 #include "common/lanes.h"
 #include "common/real.h"
 
@@ -8,8 +12,8 @@
 #define TO_IV_SAT CLGS_CAT(CLGS_CAT(convert_int, VEC), _sat_rte)
 #endif
 
-/* n / q, correctly rounded also where a device's own division is not. */
-inline fv divided(const fv n, const fv q)
+/* n / q, correctly rounded even if a device's own division is not. */
+static inline fv divided(const fv n, const fv q)
 {
     const fv quotient = n / q;
     const fv rest = fma(-quotient, q, n);
@@ -29,7 +33,7 @@ __kernel void quantize_forward(__global const float *x, const uint total, const 
     store_lanes(divided(n, (fv)(q)), vector, rounded, total);
 }
 
-/* The same with a q for each element, and 0 instead of -0: integers do not keep that sign. */
+/* rint(x q) / q with a q for each element, and 0 instead of -0: integers do not keep that sign. */
 __kernel void quantize_elements(__global const float *x, __global const float *q, const uint total,
                                 __global float *rounded)
 {

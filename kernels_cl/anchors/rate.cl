@@ -1,24 +1,30 @@
-/* The rate proxy's passes over an attribute. Everything that a channel's Laplace model needs of its
- * symbols n = rint(x q) are sums of integers: the sum itself, and about the centre m = rint(mean),
- * with k = n - m, the counts below and above, and the sums of |k| and k^2. The op turns them into
- * bits in float64 and into a gradient that is piecewise linear in k. No transcendental function
- * is needed here, and no sum loses a digit while it stays below 2^24.
+/* The rate proxy's passes over an attribute. A channel's Laplace model needs nothing of its symbols
+ * n = rint(x q) but sums of integers: their sum, and about the centre m = rint(mean), with
+ * k = n - m, the counts below and above, and the sums of |k| and k^2. The op turns them into bits
+ * in float64, and into a gradient that is piecewise linear in k. No transcendental function is
+ * needed here, and no sum loses a digit as long as it is below 2^24.
+ *
+ * rate_total, rate_statistics: a work-item per column of the period and block of
+ *     VECTORS_PER_BLOCK periods.
+ * rate_backward: a work-item per vector.
+ * Work-group: any; no local memory.
  *
  * Arrays are read flat, VEC lanes at a time. The channel of a lane repeats every `period` vectors
- * (VEC rows), so every table is given for VEC * period elements, channel fastest.
+ * (VEC rows), so every table has VEC * period elements, the channel changing fastest.
  */
 #include "common/lanes.h"
 #include "common/real.h"
 
 #define VECTORS_PER_BLOCK 256
 
-inline fv symbols(__global const float *x, size_t vector, size_t total, float q)
+/* Rounded symbols of VEC elements; lanes at or past `total` are zero. */
+static inline fv symbols(__global const float *x, size_t vector, size_t total, float q)
 {
     return rint(load_lanes(x, vector, total) * q);
 }
 
 /* 1 for lanes before `total`, else 0. */
-inline fv valid_lanes(size_t vector, size_t total)
+static inline fv valid_lanes(size_t vector, size_t total)
 {
     if ((vector + 1) * VEC <= total)
         return (fv)(1.0f);
@@ -28,7 +34,7 @@ inline fv valid_lanes(size_t vector, size_t total)
     return LOAD_V(0, lanes);
 }
 
-/* One work-item a column of the period and block: sums[block][column] of the symbols. */
+/* sums[block][column]: sum of the symbols. */
 __kernel void rate_total(__global const float *x, const uint total, const float q,
                          const uint period, const uint blocks, __global float *sums)
 {
@@ -45,9 +51,9 @@ __kernel void rate_total(__global const float *x, const uint total, const float 
     STORE_V(sum, block * period + column, sums);
 }
 
-/* As rate_total, five statistics of k = n - centre, one plane each: the counts of [0] low <= k < 0,
- * [1] 0 < k <= high and [2] k outside of [low, high], the sums of [3] |k| inside and [4] all k^2.
- * limits: low and high, each a table. */
+/* Like rate_total, but five statistics of k = n - centre, one plane each: the counts of
+ * [0] low <= k < 0, [1] 0 < k <= high and [2] k outside of [low, high], and the sums of [3] |k|
+ * inside and [4] all k^2. limits: low and high, each a table. */
 __kernel void rate_statistics(__global const float *x, const uint total, const float q,
                               const uint period, const uint blocks, __global const float *centre,
                               __global const float *limits, __global float *sums)
@@ -81,9 +87,8 @@ __kernel void rate_statistics(__global const float *x, const uint total, const f
     STORE_V(square, 4 * plane + at, sums);
 }
 
-/* d_x += slope k + (value of k's side), one work-item a vector. tables: [0] centre, [1] low,
- * [2] high, [3] slope, and the values [4] below, [5] at the centre, [6] above, [7] outside of
- * [low, high]. */
+/* d_x += slope k + (value of k's side). tables: [0] centre, [1] low, [2] high, [3] slope, and the
+ * values [4] below, [5] at the centre, [6] above, [7] outside of [low, high]. */
 __kernel void rate_backward(__global const float *x, const uint total, const float q,
                             const uint period, __global const float *tables, __global float *d_x)
 {

@@ -1,20 +1,27 @@
 /* Neural Gaussians: the slots of the visible anchors whose opacity is positive, and the way back.
  *
- * output is feature-major, (11 K, padded): K opacities, 3 K colors, 7 K covariance numbers, for
- * each slot three scale logits and a quaternion w x y z. A work-item owns VEC visible anchors;
- * the slots of theirs that are drawn are gathered one behind the other, and arithmetic goes by
- * lanes over those. Outputs of slots that are not drawn may hold anything. A gradient of zero stays
- * zero whatever it is multiplied with, so that a bad number never leaves its own anchor. An entry
- * -1 of visible is no anchor, and Gaussians from number `capacity` on are left out.
+ * Work-item: VEC visible anchors, counted from the middle of the view on, with all their slots. The
+ *     drawn slots are gathered one after the other, and arithmetic goes by lanes over them.
+ *     neural_pad: a Gaussian; neural_backward_position: a visible anchor.
+ * Work-group: any; no local memory.
+ * Launch: a work-item per VEC visible anchors, in neural_backward per VEC columns of output.
+ *
+ * output is feature-major, (11 K, padded): K opacities, 3 K colors, 7 K covariance numbers. Outputs
+ * of slots that are not drawn may hold anything. An entry -1 of visible is no anchor, and Gaussians
+ * from number `capacity` on are left out.
  */
-#include "gaussian/anchors.h"
-#include "gaussian/gaussians.h"
 #include "common/items.h"
+#include "common/method.h"
+#include "common/prefetch.h"
 #include "common/real.h"
 #include "common/rows.h"
+#include "gaussian/drawn_slots.h"
+#include "gaussian/output_rows.h"
+#include "gaussian/shapes.h"
+#include "gaussian/visible_anchors.h"
 
-/* One work-item VEC visible anchors: which of their opacities are positive, and how many. NaN is
- * not positive. */
+/* Which opacities of each visible anchor are positive, one per bit, and how many. NaN is not
+ * positive. */
 __kernel void neural_count(__global const float *output, __global const int *visible,
                            const int count, const int padded, __global int *drawn,
                            __global int *counts)
@@ -36,7 +43,46 @@ __kernel void neural_count(__global const float *output, __global const int *vis
     }
 }
 
-/* One work-item VEC visible anchors; the Gaussians of anchor v go to first[v] and on. */
+/* Arrays of all Gaussians. slot: number of the visible anchor times K, plus that of the slot. */
+typedef struct {
+    __global float *mean;
+    __global float *scale;
+    __global float *rotation;
+    __global float *color;
+    __global float *opacity;
+    __global int *slot;
+} Gaussians;
+
+/* Writes the Gaussians of the drawn slots, at least one, of the visible anchors from v on. */
+static inline void write_gaussians(const VisibleAnchors *anchors, const DrawnSlots *drawn,
+                                   const size_t v, const OutputRows *rows, const Gaussians *out)
+{
+    const AnchorLanes a = load_anchors(anchors->visible, anchors->scaling, v, anchors->count);
+    Shapes shapes;
+    float mean[3][SLOTS];
+    gather_shapes(&a, drawn, rows, &shapes);
+    gather_means(anchors, &a, drawn, mean);
+    for (size_t m = 0; m < drawn->count; m += VEC) {
+        const size_t n = drawn->first + m, used = min((size_t)VEC, drawn->count - m);
+        fv scale[3], rotation[4];
+        load_shapes(&shapes, m, scale, rotation);
+        store_rows3(scale, out->scale, n, used);
+        store_rows4(rotation, out->rotation, n, used);
+    }
+    for (size_t m = 0; m < drawn->count; ++m) {
+        const size_t n = drawn->first + m, j = drawn->offset[m];
+        ROW_SPACE const float *sample = rows->at + drawn->lane[m];
+#pragma unroll
+        for (int i = 0; i < 3; ++i) {
+            out->mean[3 * n + i] = mean[i][m];
+            out->color[3 * n + i] = sample[(COLOR_ROW + 3 * j + i) * rows->stride];
+        }
+        out->opacity[n] = sample[j * rows->stride];
+        out->slot[n] = (int)((v + drawn->lane[m]) * K_OFFSETS + j);
+    }
+}
+
+/* The Gaussians of visible anchor v get the numbers from first[v] on. */
 __kernel void neural_forward(__global const float *output, __global const int *visible,
                              __global const int *first, __global const int *bits, const int count,
                              const int padded, const int capacity, __global const float *position,
@@ -45,17 +91,17 @@ __kernel void neural_forward(__global const float *output, __global const int *v
                              __global float *color, __global float *opacity, __global int *slot)
 {
     const size_t v = item_from_middle() * VEC, stride = (size_t)padded;
-    const Drawn drawn = list_drawn(bits, first, v, (size_t)count, (size_t)capacity);
+    const DrawnSlots drawn = list_drawn_slots(bits, first, v, (size_t)count, (size_t)capacity);
     if (drawn.count == 0)
         return;
-    const Parameters parameters = {visible, (size_t)count, position, offset, scaling};
+    const VisibleAnchors anchors = {visible, (size_t)count, position, offset, scaling};
     const Gaussians gaussians = {mean, scale, rotation, color, opacity, slot};
-    fetch_parameters(&parameters, v, VEC);
-    STAGE(rows, output, stride, v, drawn.slots, 0);
-    write_gaussians(&parameters, &drawn, v, rows, rows_stride, &gaussians);
+    prefetch_anchors(&anchors, v, VEC);
+    DECLARE_OUTPUT_ROWS(rows, output, stride, v, drawn.slots, 0);
+    write_gaussians(&anchors, &drawn, v, &rows, &gaussians);
 }
 
-/* One work-item a place for a Gaussian: those behind the last get zeros, and the slot -1. */
+/* Gaussians after the last one get zeros, and the slot -1. */
 __kernel void neural_pad(__global const long *total, const int capacity, __global float *mean,
                          __global float *scale, __global float *rotation, __global float *color,
                          __global float *opacity, __global int *slot)
@@ -71,22 +117,21 @@ __kernel void neural_pad(__global const long *total, const int capacity, __globa
     slot[n] = -1;
 }
 
-/* d * x, but zero where d is zero, even if x is not finite. */
-inline fv times(const fv d, const fv x)
+/* d * x, but zero if d is zero, even if x is not finite: a bad number never leaves its anchor. */
+static inline fv times(const fv d, const fv x)
 {
     return d == (fv)(0.0f) ? (fv)(0.0f) : d * x;
 }
 
-/* Zero where a log scale was clamped. */
-inline float unclamped(const float d, const float log_scale)
+/* d, but zero if the log scale was clamped. */
+static inline float unclamped(const float d, const float log_scale)
 {
     return fabs(log_scale) <= LOG_SCALE_LIMIT ? d : 0.0f;
 }
 
-/* Gradients of the drawn slots in place of what they are gradients by: by log size, by scale logit
- * and by quaternion. */
-inline void shapes_backward(const Drawn *drawn, __global const float *d_scale,
-                            __global const float *d_rotation, Shapes *shapes)
+/* Replaces the shapes by the gradients by them: by log size, by scale logit and by quaternion. */
+static inline void shapes_backward(const DrawnSlots *drawn, __global const float *d_scale,
+                                   __global const float *d_rotation, Shapes *shapes)
 {
     for (size_t m = 0; m < drawn->count; m += VEC) {
         const size_t used = min((size_t)VEC, drawn->count - m);
@@ -110,11 +155,11 @@ inline void shapes_backward(const Drawn *drawn, __global const float *d_scale,
     }
 }
 
-/* Columns of d_output, of the slots that some anchor draws: gradients of the drawn slots, zeros of
- * the others. */
-inline void write_output(const Drawn *drawn, const Shapes *shapes, __global const float *d_color,
-                         __global const float *d_opacity, const size_t stride,
-                         __global float *d_output)
+/* Writes VEC columns of d_output, but only rows of slots that some anchor draws: gradients by the
+ * outputs of drawn slots, zeros for the others. */
+static inline void write_output(const DrawnSlots *drawn, const Shapes *shapes,
+                                __global const float *d_color, __global const float *d_opacity,
+                                const size_t stride, __global float *d_output)
 {
     float rows[OUTPUT_ROWS * VEC];
     for (size_t j = 0; j < K_OFFSETS; ++j)
@@ -143,14 +188,15 @@ inline void write_output(const Drawn *drawn, const Shapes *shapes, __global cons
     }
 }
 
-/* d_offset of the drawn slots, and d_scaling of the anchors: sums over their slots. */
-inline void write_anchors(const Anchors *a, const Drawn *drawn, const Shapes *shapes,
-                          __global const float *d_mean, __global const float *offset,
-                          __global float *d_offset, __global float *d_scaling)
+/* Writes d_offset of the drawn slots, and d_scaling of the anchors: sums over their slots. */
+static inline void write_anchors(const AnchorLanes *a, const DrawnSlots *drawn,
+                                 const Shapes *shapes, __global const float *d_mean,
+                                 __global const float *offset, __global float *d_offset,
+                                 __global float *d_scaling)
 {
     float reach[3][VEC], sum[6][VEC];
     for (int i = 0; i < 3; ++i)
-        STORE_V(bounded_exp(a->log_scale[i]), 0, reach[i]);
+        STORE_V(exp_log_scale(a->log_scale[i]), 0, reach[i]);
     for (int i = 0; i < 6; ++i)
         STORE_V((fv)(0.0f), 0, sum[i]);
     for (size_t m = 0; m < drawn->count; ++m) {
@@ -170,10 +216,11 @@ inline void write_anchors(const Anchors *a, const Drawn *drawn, const Shapes *sh
                 unclamped(sum[i][lane], a->log_scale[i][lane]);
 }
 
-/* What write_anchors reads and writes of the VEC anchors from v on. */
-inline void fetch_anchors(__global const int *visible, const size_t v, const size_t count,
-                          __global const float *offset, __global const float *scaling,
-                          __global float *d_offset, __global float *d_scaling)
+/* Prefetches what write_anchors reads and writes of the VEC anchors from v on. */
+static inline void prefetch_gradients(__global const int *visible, const size_t v,
+                                      const size_t count, __global const float *offset,
+                                      __global const float *scaling, __global float *d_offset,
+                                      __global float *d_scaling)
 {
     for (size_t lane = 0; lane < VEC && v + lane < count; ++lane) {
         const size_t anchor = (size_t)max(visible[v + lane], 0);
@@ -186,8 +233,8 @@ inline void fetch_anchors(__global const int *visible, const size_t v, const siz
     }
 }
 
-/* One work-item VEC columns of d_output: where a slot is not drawn it may stay as it was.
- * d_offset and d_scaling are dense and zero before. */
+/* d_output: (11 K, padded); rows of slots that are not drawn may stay as they were. d_offset and
+ * d_scaling are those of all anchors, zero before. */
 __kernel void neural_backward(__global const float *output, __global const int *visible,
                               __global const int *first, __global const int *bits, const int count,
                               const int padded, const int capacity, __global const float *offset,
@@ -198,20 +245,20 @@ __kernel void neural_backward(__global const float *output, __global const int *
                               __global float *d_scaling)
 {
     const size_t v = item_from_middle() * VEC, stride = (size_t)padded;
-    const Drawn drawn = list_drawn(bits, first, v, (size_t)count, (size_t)capacity);
+    const DrawnSlots drawn = list_drawn_slots(bits, first, v, (size_t)count, (size_t)capacity);
     Shapes shapes;
-    fetch_anchors(visible, v + VEC, (size_t)count, offset, scaling, d_offset, d_scaling);
+    prefetch_gradients(visible, v + VEC, (size_t)count, offset, scaling, d_offset, d_scaling);
     if (drawn.count != 0) {
-        const Anchors a = load_anchors(visible, scaling, v, (size_t)count);
-        STAGE(covariance, output, stride, v, drawn.slots, COVARIANCE_ROW);
-        gather_shapes(&a, &drawn, covariance, covariance_stride, &shapes);
+        const AnchorLanes a = load_anchors(visible, scaling, v, (size_t)count);
+        DECLARE_OUTPUT_ROWS(rows, output, stride, v, drawn.slots, COVARIANCE_ROW);
+        gather_shapes(&a, &drawn, &rows, &shapes);
         shapes_backward(&drawn, d_scale, d_rotation, &shapes);
         write_anchors(&a, &drawn, &shapes, d_mean, offset, d_offset, d_scaling);
     }
     write_output(&drawn, &shapes, d_color, d_opacity, stride, d_output + v);
 }
 
-/* One work-item a visible anchor: dL/d(position) is the sum over its Gaussians. */
+/* dL/d(position) of a visible anchor: the sum over its Gaussians. */
 __kernel void neural_backward_position(__global const int *visible, __global const int *first,
                                        const int count, const int capacity,
                                        __global const float *d_mean, __global float *d_position)

@@ -1,29 +1,34 @@
-/* Project 3-D Gaussians to the screen: EWA splatting in whitened form.
+/* Project 3-D Gaussians to the screen: EWA splatting in whitened form, forward and backward.
+ *
+ * Work-item: VEC Gaussians, one per lane, counted from the middle on.
+ * Work-group: any; no local memory.
+ * Launch: a work-item per VEC Gaussians.
  *
  * The blurred 2-D covariance is never inverted. Its Cholesky factor is carried instead:
  *     y1 = dx * r1,  y2 = (dy - l * dx) * r2,  power = (y1^2 + y2^2) / 2
  * and the determinant is a sum of positive terms (Cauchy-Binet): both stay accurate for needles
- * that are 1e5 times longer than wide, where the conic form loses all digits.
+ * that are 1e5 times longer than wide, for which the conic form loses all digits.
  */
 #include "common/camera.h"
 #include "common/items.h"
-#include "common/lanes.h"
-#include "gaussian/projection.h"
+#include "common/lane_math.h"
 #include "common/real.h"
 #include "common/rows.h"
+#include "gaussian/projected_gaussians.h"
+#include "gaussian/projection.h"
 
-/* Gaussians from number `first` on. */
-inline Splat load_splat(__global const float *mean, __global const float *scale,
-                        const fv quaternion[4], __global const float *camera, const size_t first,
-                        const size_t used)
+/* The projection of `used` Gaussians from number `first` on. */
+static inline Projection load_projection(__global const float *mean, __global const float *scale,
+                                         const fv quaternion[4], __global const float *camera,
+                                         const size_t first, const size_t used)
 {
     fv position[3], size[3];
     load_rows3(scale, first, used, size);
     load_rows3(mean, first, used, position);
-    return make_splat(position, size, quaternion, camera);
+    return make_projection(position, size, quaternion, camera);
 }
 
-/* One work-item VEC Gaussians. A culled one gets extent 0 and zeros elsewhere. */
+/* A culled Gaussian gets extent 0 and zeros elsewhere. */
 __kernel void project_forward(__global const float *mean, __global const float *scale,
                               __global const float *rotation, __global const float *opacity,
                               __global const float *camera, const int count, __global float *mean2d,
@@ -37,27 +42,28 @@ __kernel void project_forward(__global const float *mean, __global const float *
     fv quaternion[4], opaque;
     load_rows4(rotation, first, used, quaternion);
     load_rows1(opacity, first, used, &opaque);
-    const Splat s = load_splat(mean, scale, quaternion, camera, first, used);
-    const Projection p = project_splat(&s, quaternion, opaque, camera);
-    const Screen out = {mean2d, whitening, depth, extent};
-    store_projection(&p, &out, first, used);
+    const Projection p = load_projection(mean, scale, quaternion, camera, first, used);
+    const ProjectedGaussians projected = project_gaussians(&p, quaternion, opaque, camera);
+    const ProjectedArrays out = {mean2d, whitening, depth, extent};
+    store_projected(&projected, &out, first, used);
 }
 
 /* Columns of the whitened factor: (r1 a_k, r2 (b_k - l a_k)). The difference is a sum of minors,
  * which keeps its digits where the two terms almost cancel. */
-inline void whitened_columns(const Splat *s, const fv factor[3], fv first[3], fv second[3])
+static inline void whitened_columns(const Projection *p, const fv factor[3], fv first[3],
+                                    fv second[3])
 {
-    const fv r1 = factor[0] * s->unit, r2 = factor[2] * s->unit / s->cov_xx;
+    const fv r1 = factor[0] * p->unit, r2 = factor[2] * p->unit / p->cov_xx;
     for (int k = 0; k < 3; ++k) {
         const int next = (k + 1) % 3, last = (k + 2) % 3;
-        const fv sum = fma(s->a[last], s->minor[next], -s->a[next] * s->minor[last]);
-        first[k] = r1 * s->a[k];
-        second[k] = r2 * (sum + s->blur * s->b[k]);
+        const fv sum = fma(p->a[last], p->minor[next], -p->a[next] * p->minor[last]);
+        first[k] = r1 * p->a[k];
+        second[k] = r2 * (sum + p->blur * p->b[k]);
     }
 }
 
 /* dL/dq for q = (w, x, y, z), from dL/dR given by rows. */
-inline void quaternion_gradient(const fv q[4], const fv d[3][3], fv d_q[4])
+static inline void quaternion_gradient(const fv q[4], const fv d[3][3], fv d_q[4])
 {
     const fv turn_x = d[2][1] - d[1][2], turn_y = d[0][2] - d[2][0], turn_z = d[1][0] - d[0][1];
     const fv xy = d[0][1] + d[1][0], xz = d[0][2] + d[2][0], yz = d[1][2] + d[2][1];
@@ -68,8 +74,8 @@ inline void quaternion_gradient(const fv q[4], const fv d[3][3], fv d_q[4])
 }
 
 /* dL/d(factor) by rows, and dL/d(log scale). */
-inline void factor_gradient(const Splat *s, const fv factor[3], const fv d_factor[3], fv d_a[3],
-                            fv d_b[3], fv d_log_scale[3])
+static inline void factor_gradient(const Projection *p, const fv factor[3], const fv d_factor[3],
+                                   fv d_a[3], fv d_b[3], fv d_log_scale[3])
 {
     /* sums of alpha dL/d(alpha) y y^T over the pixels */
     const fv m11 = -d_factor[0] * factor[0];
@@ -77,7 +83,7 @@ inline void factor_gradient(const Splat *s, const fv factor[3], const fv d_facto
     const fv m22 = -d_factor[2] * factor[2];
     const fv back = factor[1] * factor[2];
     fv first[3], second[3];
-    whitened_columns(s, factor, first, second);
+    whitened_columns(p, factor, first, second);
     for (int k = 0; k < 3; ++k) {
         const fv d_first = m11 * first[k] + m12 * second[k];
         const fv d_second = m12 * first[k] + m22 * second[k];
@@ -88,14 +94,15 @@ inline void factor_gradient(const Splat *s, const fv factor[3], const fv d_facto
 }
 
 /* dL/d(quaternion) from the factor. */
-inline void rotation_gradient(const Splat *s, const fv quaternion[4], const fv d_a[3],
-                              const fv d_b[3], __global const float *camera, fv d_quaternion[4])
+static inline void rotation_gradient(const Projection *p, const fv quaternion[4], const fv d_a[3],
+                                     const fv d_b[3], __global const float *camera,
+                                     fv d_quaternion[4])
 {
     fv d_matrix[3][3];
     for (int k = 0; k < 3; ++k) {
-        const fv along_a = s->focal_on_z[0] * s->scale[k] * d_a[k];
-        const fv along_b = s->focal_on_z[1] * s->scale[k] * d_b[k];
-        const fv along[3] = {along_a, along_b, -s->clamped[0] * along_a - s->clamped[1] * along_b};
+        const fv along_a = p->focal_on_z[0] * p->scale[k] * d_a[k];
+        const fv along_b = p->focal_on_z[1] * p->scale[k] * d_b[k];
+        const fv along[3] = {along_a, along_b, -p->clamped[0] * along_a - p->clamped[1] * along_b};
         for (int row = 0; row < 3; ++row)
             d_matrix[row][k] = along_camera(camera, row, along);
     }
@@ -103,26 +110,27 @@ inline void rotation_gradient(const Splat *s, const fv quaternion[4], const fv d
 }
 
 /* dL/d(mean) from the screen position and from the factor (a, b). */
-inline void mean_gradient(const Splat *s, const fv d_mean2d[2], const fv d_a[3], const fv d_b[3],
-                          const fv d_log_size, __global const float *camera, fv d_mean[3])
+static inline void mean_gradient(const Projection *p, const fv d_mean2d[2], const fv d_a[3],
+                                 const fv d_b[3], const fv d_log_size, __global const float *camera,
+                                 fv d_mean[3])
 {
     fv deep[3], d_point[3];
     for (int k = 0; k < 3; ++k)
-        deep[k] = s->scale[k] * s->axes[2][k];
-    const fv d_clamped[2] = {-s->focal_on_z[0] * dot3(deep, d_a),
-                             -s->focal_on_z[1] * dot3(deep, d_b)};
+        deep[k] = p->scale[k] * p->axes[2][k];
+    const fv d_clamped[2] = {-p->focal_on_z[0] * dot3(deep, d_a),
+                             -p->focal_on_z[1] * dot3(deep, d_b)};
     fv d_slope[2];
     for (int axis = 0; axis < 2; ++axis) {
-        const fv free = s->clamped[axis] == s->slope[axis] ? d_clamped[axis] : (fv)(0.0f);
+        const fv free = p->clamped[axis] == p->slope[axis] ? d_clamped[axis] : (fv)(0.0f);
         d_slope[axis] = fma(d_mean2d[axis], (fv)(camera[CAMERA_FX + axis]), free);
-        d_point[axis] = d_slope[axis] / s->z;
+        d_point[axis] = d_slope[axis] / p->z;
     }
-    d_point[2] = -(d_log_size + fma(s->slope[0], d_slope[0], s->slope[1] * d_slope[1])) / s->z;
+    d_point[2] = -(d_log_size + fma(p->slope[0], d_slope[0], p->slope[1] * d_slope[1])) / p->z;
     for (int column = 0; column < 3; ++column)
         d_mean[column] = along_camera(camera, column, d_point);
 }
 
-/* One work-item VEC Gaussians; the mirror of project_forward. */
+/* Gradients of the Gaussians from those of their projections; zero for culled ones. */
 __kernel void project_backward(__global const float *mean, __global const float *scale,
                                __global const float *rotation, __global const float *camera,
                                const int count, __global const float *whitening,
@@ -141,13 +149,13 @@ __kernel void project_backward(__global const float *mean, __global const float 
     load_rows3(whitening, item, used, factor);
     load_rows3(d_whitening, item, used, d_factor);
     load_rows2(d_mean2d, item, used, d_centre);
-    const Splat s = load_splat(mean, scale, quaternion, camera, item, used);
-    factor_gradient(&s, factor, d_factor, d_a, d_b, d_size);
-    rotation_gradient(&s, quaternion, d_a, d_b, camera, d_quaternion);
-    mean_gradient(&s, d_centre, d_a, d_b, d_size[0] + d_size[1] + d_size[2], camera, d_position);
+    const Projection p = load_projection(mean, scale, quaternion, camera, item, used);
+    factor_gradient(&p, factor, d_factor, d_a, d_b, d_size);
+    rotation_gradient(&p, quaternion, d_a, d_b, camera, d_quaternion);
+    mean_gradient(&p, d_centre, d_a, d_b, d_size[0] + d_size[1] + d_size[2], camera, d_position);
     const iv drawn = box[0] > (fv)(0.0f);
     for (int k = 0; k < 3; ++k)
-        d_size[k] = s.scale[k] == (fv)(0.0f) ? (fv)(0.0f) : d_size[k] / s.scale[k];
+        d_size[k] = p.scale[k] == (fv)(0.0f) ? (fv)(0.0f) : d_size[k] / p.scale[k];
     blank(drawn, 3, d_position);
     blank(drawn, 3, d_size);
     blank(drawn, 4, d_quaternion);

@@ -1,60 +1,68 @@
 /* Color and covariance heads, neural Gaussians and their projection at once, for pictures without
  * gradients: what the stages mlp, neural and project do, but on a CPU nothing that only they read
  * leaves its cache.
+ *
+ * Work-item: a block of BLOCK samples, blocks counted from the middle one on, with all that comes
+ *     of them. Vectors keep the outputs of the MLPs private. project_anchors_pad: a Gaussian.
+ * Work-group: any; no local memory.
+ * Launch: padded / BLOCK work-items or more.
  */
-#include "gaussian/anchors.h"
-#include "common/real.h"
-
-#if VEC == 1
-#define OUTPUT_SPACE __global
-#else
-#define OUTPUT_SPACE __private
-#endif
-#include "gaussian/gaussians.h"
 #include "common/items.h"
-#include "mlp/mlp_dense.h"
-#include "mlp/mlp_layout.h"
-#include "mlp/mlp_output.h"
+#include "common/lanes.h"
+#include "common/method.h"
+#include "common/real.h"
+#include "gaussian/drawn_slots.h"
+#include "gaussian/output_rows.h"
+#include "gaussian/projected_gaussians.h"
 #include "gaussian/projection.h"
+#include "gaussian/shapes.h"
+#include "gaussian/visible_anchors.h"
+#define OUTPUT_SPACE ROW_SPACE
+#include "mlp/dense.h"
+#include "mlp/inputs.h"
+#include "mlp/layout.h"
+#include "mlp/slots.h"
 
-/* Gaussians on the screen. */
+/* Arrays of all that blending reads. */
 typedef struct {
-    Screen screen;
+    ProjectedArrays projected;
     __global float *color;
     __global float *opacity;
-} Splats;
+} BlendInputs;
 
-/* The drawn slots, at least one, of the visible anchors from v on; rows: their outputs. */
-inline void write_splats(const Parameters *p, const Drawn *drawn, const size_t v, ROWS *rows,
-                         const size_t stride, __global const float *camera, const Splats *out)
+/* Writes the Gaussians of the drawn slots, at least one, of the visible anchors from v on. */
+static inline void write_projected(const VisibleAnchors *anchors, const DrawnSlots *drawn,
+                                   const size_t v, const OutputRows *rows,
+                                   __global const float *camera, const BlendInputs *out)
 {
-    const Anchors a = load_anchors(p->visible, p->scaling, v, p->count);
+    const AnchorLanes a = load_anchors(anchors->visible, anchors->scaling, v, anchors->count);
     Shapes shapes;
     float mean[3][SLOTS], opaque[SLOTS];
-    gather_shapes(&a, drawn, rows + COVARIANCE_ROW * stride, stride, &shapes);
-    gather_means(&a, drawn, p->position, p->offset, mean);
+    gather_shapes(&a, drawn, rows, &shapes);
+    gather_means(anchors, &a, drawn, mean);
     for (size_t m = 0; m < drawn->count; ++m) {
         const size_t n = drawn->first + m, j = drawn->offset[m];
-        ROWS *sample = rows + drawn->lane[m];
+        ROW_SPACE const float *sample = rows->at + drawn->lane[m];
 #pragma unroll
         for (int i = 0; i < 3; ++i)
-            out->color[3 * n + i] = sample[(COLOR_ROW + 3 * j + i) * stride];
-        out->opacity[n] = opaque[m] = sample[j * stride];
+            out->color[3 * n + i] = sample[(COLOR_ROW + 3 * j + i) * rows->stride];
+        out->opacity[n] = opaque[m] = sample[j * rows->stride];
     }
     for (size_t m = 0; m < drawn->count; m += VEC) {
         fv centre[3], scale[3], rotation[4];
         for (int i = 0; i < 3; ++i)
             centre[i] = LOAD_V(0, mean[i] + m);
-        shape_lanes(&shapes, m, scale, rotation);
-        const Splat s = make_splat(centre, scale, rotation, camera);
-        const Projection lanes = project_splat(&s, rotation, LOAD_V(0, opaque + m), camera);
-        store_projection(&lanes, &out->screen, drawn->first + m,
-                         min((size_t)VEC, drawn->count - m));
+        load_shapes(&shapes, m, scale, rotation);
+        const Projection p = make_projection(centre, scale, rotation, camera);
+        const ProjectedGaussians projected =
+            project_gaussians(&p, rotation, LOAD_V(0, opaque + m), camera);
+        store_projected(&projected, &out->projected, drawn->first + m,
+                        min((size_t)VEC, drawn->count - m));
     }
 }
 
-/* One work-item a block of samples. output: (110, padded), of which the opacities are there; the
- * Gaussians of sample v go to numbers[v] and on, for each bit of bits[v]. */
+/* output: (11 K, padded), or its opacities alone if outputs are private; the opacities are there.
+ * The Gaussians of sample v get the numbers from numbers[v] on, one for each bit of bits[v]. */
 __kernel void project_anchors_forward(
     __global const float *feature, __global const float *position, __global const int *visible,
     const int count, __global const float *weights, __global const float *camera, const int padded,
@@ -70,38 +78,40 @@ __kernel void project_anchors_forward(
     if (SKIP_OPACITY_FIRST && slots == 0)
         return;
 #if VEC == 1
-    __global float *rows = output + first;
-    const size_t rows_stride = stride;
+    __global float *block = output + first;
+    const size_t block_stride = stride;
 #else
-    fv lanes[OUTPUT_ROWS * VECTORS];
-    float *rows = (float *)lanes;
-    const size_t rows_stride = BLOCK;
+    fv vectors[OUTPUT_ROWS * VECTORS];
+    float *block = (float *)vectors;
+    const size_t block_stride = BLOCK;
     for (int j = 0; j < K_OFFSETS; ++j)
         for (int s = 0; s < VECTORS; ++s)
-            lanes[j * VECTORS + s] = LOAD_ALIGNED(s, output + j * stride + first);
+            vectors[j * VECTORS + s] = LOAD_ALIGNED(s, output + j * stride + first);
 #endif
-    const Model model = {feature, position, visible, (size_t)count, weights, camera};
-    const Parameters parameters = {visible, (size_t)count, position, offset, scaling};
+    const Inputs inputs = {feature, position, visible, (size_t)count, camera};
+    const VisibleAnchors anchors = {visible, (size_t)count, position, offset, scaling};
     float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK];
     size_t listed[OUTPUT_ROWS];
-    gather(&model, first, x);
-    fetch_parameters(&parameters, first, BLOCK);
+    gather_inputs(&inputs, first, x);
+    prefetch_anchors(&anchors, first, BLOCK);
     for (int head = COLOR; head < HEADS; ++head) {
         __global const float *weight = weights + head_start(head);
         hidden_layer(weight, x, hidden);
         output_layer(weight + HIDDEN_SIZE, head, hidden, listed, rows_of(slots, head, listed),
-                     rows + first_output(head) * rows_stride, rows_stride);
+                     block + first_output(head) * block_stride, block_stride);
     }
-    const Splats splats = {{mean2d, whitening, depth, extent}, color, opacity};
+    const BlendInputs out = {{mean2d, whitening, depth, extent}, color, opacity};
     for (size_t s = 0; s < VECTORS; ++s) {
         const size_t v = first + s * VEC;
-        const Drawn drawn = list_drawn(bits, numbers, v, (size_t)count, (size_t)capacity);
+        const OutputRows rows = {block + s * VEC, block_stride};
+        const DrawnSlots drawn =
+            list_drawn_slots(bits, numbers, v, (size_t)count, (size_t)capacity);
         if (drawn.count != 0)
-            write_splats(&parameters, &drawn, v, rows + s * VEC, rows_stride, camera, &splats);
+            write_projected(&anchors, &drawn, v, &rows, camera, &out);
     }
 }
 
-/* One work-item a place for a Gaussian: those behind the last get zeros. */
+/* Gaussians after the last one get zeros. */
 __kernel void project_anchors_pad(__global const long *total, const int capacity,
                                   __global float *mean2d, __global float *whitening,
                                   __global float *depth, __global float *extent,

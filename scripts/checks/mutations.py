@@ -22,6 +22,7 @@ class Mutation:
 
 PROJECT = "kernels_cl/gaussian/project.cl"
 PROJECTION = "kernels_cl/gaussian/projection.h"
+PROJECTED = "kernels_cl/gaussian/projected_gaussians.h"
 ELLIPSES = "kernels_cl/common/ellipses.h"
 TOUCH = "kernels_cl/blend/touch.h"
 PIXELS = "kernels_cl/blend/pixels.h"
@@ -33,7 +34,7 @@ MUTATIONS = (
         "project",
         "gradient through the clamped slope of the Jacobian",
         PROJECT,
-        "s->clamped[axis] == s->slope[axis] ? d_clamped[axis] : (fv)(0.0f)",
+        "p->clamped[axis] == p->slope[axis] ? d_clamped[axis] : (fv)(0.0f)",
         "d_clamped[axis]",
     ),
     Mutation(
@@ -47,29 +48,29 @@ MUTATIONS = (
         "project",
         "no blur in the determinant",
         PROJECTION,
-        "fma(s->blur, xx + yy + s->blur, dot3(s->minor, s->minor))",
-        "dot3(s->minor, s->minor)",
+        "fma(p->blur, xx + yy + p->blur, dot3(p->minor, p->minor))",
+        "dot3(p->minor, p->minor)",
     ),
     Mutation(
         "project",
         "determinant by subtraction",
         PROJECTION,
-        "fma(s->blur, xx + yy + s->blur, dot3(s->minor, s->minor))",
-        "s->cov_xx * s->cov_yy - s->cov_xy * s->cov_xy",
+        "fma(p->blur, xx + yy + p->blur, dot3(p->minor, p->minor))",
+        "p->cov_xx * p->cov_yy - p->cov_xy * p->cov_xy",
     ),
     Mutation(
         "project",
         "box of three sigma",
-        PROJECTION,
+        PROJECTED,
         "sqrt(2.0f * log_v(opacity / ALPHA_CUT))",
         "3.0f",
     ),
     Mutation(
         "project",
         "the near plane itself is drawn",
-        PROJECTION,
-        "(s->z > (fv)(camera[CAMERA_NEAR]))",
-        "(s->z >= (fv)(camera[CAMERA_NEAR]))",
+        PROJECTED,
+        "(p->z > (fv)(camera[CAMERA_NEAR]))",
+        "(p->z >= (fv)(camera[CAMERA_NEAR]))",
     ),
     Mutation(
         "blend",
@@ -229,23 +230,23 @@ MUTATIONS = (
     Mutation(
         "mlp",
         "gradient through an inactive unit",
-        "kernels_cl/mlp/mlp_backward.h",
+        "kernels_cl/mlp/block_backward.h",
         "const fv d = active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
         "const fv d = active >= (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
     ),
     Mutation(
         "mlp",
         "weight gradient without the first block of a run",
-        "kernels_cl/mlp/mlp_weights.h",
+        "kernels_cl/mlp/backward_cpu.cl",
         "add_run(&vectors, block * VECTORS, (block + 1) * VECTORS)",
         "add_run(&vectors, block * VECTORS + 1, (block + 1) * VECTORS)",
     ),
     Mutation(
         "mlp",
         "a tile of the weight gradient that asks for the slot of its first row alone",
-        "kernels_cl/mlp/mlp_weights.h",
-        "layer.slots |= 1 << (first + o) / slot_rows(head);",
-        "layer.slots |= 1 << first / slot_rows(head);",
+        "kernels_cl/mlp/weight_tile.h",
+        "tile.slots |= 1 << (first + o) / slot_rows(head);",
+        "tile.slots |= 1 << first / slot_rows(head);",
     ),
     Mutation(
         "density",
@@ -272,7 +273,7 @@ MUTATIONS = (
         "decode",
         "the opacity of the first slot for all",
         "kernels_cl/gaussian/project_anchors.cl",
-        "opaque[m] = sample[j * stride]",
+        "opaque[m] = sample[j * rows->stride]",
         "opaque[m] = sample[0]",
     ),
 )

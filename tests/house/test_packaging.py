@@ -18,13 +18,13 @@ from scripts.checks import check_wheel  # noqa: E402 - after the check for a che
 TRACKED = [
     "clgs/__init__.py",
     "clgs/ops/mlp.py",
-    "kernels_cl/mlp/mlp.cl",
+    "kernels_cl/mlp/forward.cl",
     "kernels_cl/common/real.h",
 ]
 PACKED = [
     "clgs/__init__.py",
     "clgs/ops/mlp.py",
-    "clgs/kernels_cl/mlp/mlp.cl",
+    "clgs/kernels_cl/mlp/forward.cl",
     "clgs/kernels_cl/common/real.h",
     "clgs/_codec.abi3.so",
     "clgs-1.0.dist-info/METADATA",
@@ -53,7 +53,9 @@ def test_a_wheel_without_kernels_fails():
     assert check_wheel.complaints(python_only, packed) == ["no kernels"]
 
 
-@pytest.mark.parametrize("name", ["tests/test_x.py", "clgs/left_over.py", "kernels_cl/mlp/mlp.cl"])
+@pytest.mark.parametrize(
+    "name", ["tests/test_x.py", "clgs/left_over.py", "kernels_cl/mlp/forward.cl"]
+)
 def test_surplus_files_are_named(name):
     assert check_wheel.complaints(TRACKED, [*PACKED, name]) == [f"not of the package: {name}"]
 

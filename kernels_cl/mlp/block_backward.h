@@ -1,50 +1,40 @@
-/* The backward pass of the MLPs through the layers of one block of samples. */
-#ifndef CLGS_MLP_BACKWARD_H
-#define CLGS_MLP_BACKWARD_H
+/* The backward pass through both layers of one head, for one block of samples. */
+#ifndef CLGS_MLP_BLOCK_BACKWARD_H
+#define CLGS_MLP_BLOCK_BACKWARD_H
 
+#include "common/lane_math.h"
 #include "common/lanes.h"
-#include "mlp/mlp_dense.h"
-#include "mlp/mlp_layout.h"
+#include "common/method.h"
+#include "common/prefetch.h"
+#include "common/real.h"
+#include "mlp/batch.h"
+#include "mlp/dense.h"
+#include "mlp/inputs.h"
+#include "mlp/layout.h"
+#include "mlp/runs.h"
 
-/* What the forward pass left, and the gradient by it: rows of stride samples. */
+/* Whether the gradient by the positions is asked for. */
+#ifndef WANT_POSITION
+#define WANT_POSITION 1
+#endif
+
+/* Outputs of the forward pass and the gradient by them: rows of `stride` samples. */
 typedef struct {
     __global const float *output;
     __global const float *d_output;
     size_t stride;
 } Outputs;
 
-/* Dense gradients, zero before; an anchor is visible at most once. */
+/* Gradients of all anchors, zero before. An anchor is visible at most once. */
 typedef struct {
     __global float *d_feature;
     __global float *d_position;
 } AnchorGradients;
 
-/* Numbers in order, as runs [begin, end) that do not touch. */
-#if USE_LOCAL
-#define MAX_RUNS (K_OFFSETS / 2 + 1)
-#else
-#define MAX_RUNS (BATCH / BLOCK / 2 + K_OFFSETS / 2 + 1)
-#endif
-typedef struct {
-    int count;
-    int begin[MAX_RUNS], end[MAX_RUNS];
-} Runs;
-
-/* Adds numbers behind all others. */
-inline void add_run(Runs *runs, const int begin, const int end)
-{
-    if (runs->count > 0 && runs->end[runs->count - 1] == begin) {
-        runs->end[runs->count - 1] = end;
-    } else {
-        runs->begin[runs->count] = begin;
-        runs->end[runs->count++] = end;
-    }
-}
-
-/* dL/d(sums of the output layer) of slot j of VEC samples, from y and dL/dy; zero where the slot
+/* dL/dz of one output of slot j of VEC samples, for y = act(z), from y and dL/dy; zero if the slot
  * is not drawn. */
-inline fv sum_gradient(const Outputs *outputs, const int head, const int j, const size_t row,
-                       const size_t first)
+static inline fv sum_gradient(const Outputs *outputs, const int head, const int j, const size_t row,
+                              const size_t first)
 {
     const fv opacity = LOAD_ALIGNED(0, outputs->output + j * outputs->stride + first);
     fv d = LOAD_ALIGNED(0, outputs->d_output + row * outputs->stride + first);
@@ -55,10 +45,11 @@ inline fv sum_gradient(const Outputs *outputs, const int head, const int j, cons
     return opacity > (fv)(0.0f) ? d : (fv)(0.0f);
 }
 
-/* ... of the block at `first`, to the batch as well; those of the slots `next` of the next block
- * are fetched. */
-inline void output_gradients(const Outputs *outputs, const int head, const size_t first,
-                             const int slots, const int next, float *d_sum, __global float *column)
+/* The same for all outputs of one head and the block at `first`: to d_sum and to the block's
+ * columns of the batch. Prefetches the next block, of which the slots `next` are computed. */
+static inline void output_gradients(const Outputs *outputs, const int head, const size_t first,
+                                    const int slots, const int next, float *d_sum,
+                                    __global float *column)
 {
     const int each = slot_rows(head);
     for (int k = 0; k < K_OFFSETS * each; ++k) {
@@ -78,26 +69,27 @@ inline void output_gradients(const Outputs *outputs, const int head, const size_
     }
 }
 
-/* Rows of a block from or to its columns of the batch. */
-inline void load_rows(__global const float *column, const int count, float *rows)
+/* Copies `count` rows of a block from its columns of the batch. */
+static inline void load_rows(__global const float *column, const int count, float *rows)
 {
     for (int row = 0; row < count; ++row)
         for (int s = 0; s < VECTORS; ++s)
             STORE_V(LOAD_ALIGNED(s, column + row * BATCH_STRIDE), s, rows + row * BLOCK);
 }
 
-inline void store_rows(const float *rows, const int count, __global float *column)
+/* The reverse of load_rows. */
+static inline void store_rows(const float *rows, const int count, __global float *column)
 {
     for (int row = 0; row < count; ++row)
         for (int s = 0; s < VECTORS; ++s)
             STORE_ALIGNED(LOAD_V(s, rows + row * BLOCK), s, column + row * BATCH_STRIDE);
 }
 
-/* dL/d(sums of the hidden layer) of a block, from those of the output layer; to the batch as well.
- */
-inline void hidden_backward(__global const float *weight, const int head, const int slots,
-                            const float *hidden, const float *d_sum, float *d_hidden,
-                            __global float *column)
+/* dL/d(sums of the hidden layer) of a block from d_sum, those of the output layer: to d_hidden and
+ * to the block's columns of the batch. */
+static inline void hidden_backward(__global const float *weight, const int head, const int slots,
+                                   const float *hidden, const float *d_sum, float *d_hidden,
+                                   __global float *column)
 {
     const int each = slot_rows(head);
     Runs rows;
@@ -123,8 +115,8 @@ inline void hidden_backward(__global const float *weight, const int head, const 
 }
 
 /* Adds one head's dL/d(input) to the block's columns of the batch; the first head sets them. */
-inline void input_backward(__global const float *weight, const int head, const float *d_hidden,
-                           __global float *column)
+static inline void input_backward(__global const float *weight, const int head,
+                                  const float *d_hidden, __global float *column)
 {
     for (int k = 0; k < FEATURE_DIM + (WANT_POSITION ? TILE : 0); k += TILE) {
         __global float *d_input = column + (D_INPUT_ROW + k) * BATCH_STRIDE;
@@ -144,22 +136,22 @@ inline void input_backward(__global const float *weight, const int head, const f
     }
 }
 
-/* dL/d(position) through the unit direction, from rows dL/d(direction) of the batch. */
-inline void position_backward(const Model *model, __global const float *d_direction,
-                              const size_t first, __global float *d_position)
+/* dL/d(position) through the unit direction. d_direction: three rows of the batch. */
+static inline void position_backward(const Inputs *inputs, __global const float *d_direction,
+                                     const size_t first, __global float *d_position)
 {
     for (int s = 0; s < VECTORS; ++s) {
         int anchor[VEC];
         __global const float *position[VEC];
         for (size_t lane = 0; lane < VEC; ++lane) {
-            anchor[lane] = anchor_of(model, first + s * VEC + lane);
-            position[lane] = model->position + 3 * (size_t)max(anchor[lane], 0);
+            anchor[lane] = anchor_of(inputs, first + s * VEC + lane);
+            position[lane] = inputs->position + 3 * (size_t)max(anchor[lane], 0);
         }
         fv view[3], d[3];
-        const fv distance = view_directions(model, position, view);
+        const fv distance = view_directions(inputs, position, view);
         for (int i = 0; i < 3; ++i)
             d[i] = LOAD_ALIGNED(s, d_direction + i * BATCH_STRIDE);
-        const fv along = fma(d[2], view[2], fma(d[1], view[1], d[0] * view[0]));
+        const fv along = dot3(d, view);
         for (int i = 0; i < 3; ++i) {
             float across[VEC];
             STORE_V(distance > (fv)(0.0f) ? (d[i] - along * view[i]) / distance : (fv)(0.0f), 0,
@@ -171,34 +163,36 @@ inline void position_backward(const Model *model, __global const float *d_direct
     }
 }
 
-/* The gradients by the block's anchors, from its columns of the batch. */
-inline void anchors_backward(const Model *model, const size_t first, __global const float *column,
-                             const AnchorGradients *d)
+/* Writes the gradients by the block's anchors, from its columns of the batch. */
+static inline void anchors_backward(const Inputs *inputs, const size_t first,
+                                    __global const float *column, const AnchorGradients *d)
 {
     __global const float *d_input = column + D_INPUT_ROW * BATCH_STRIDE;
     for (size_t lane = 0; lane < BLOCK; ++lane) {
-        const int anchor = anchor_of(model, first + lane);
+        const int anchor = anchor_of(inputs, first + lane);
         for (size_t k = 0; anchor >= 0 && k < FEATURE_DIM; ++k)
             d->d_feature[(size_t)anchor * FEATURE_DIM + k] = d_input[k * BATCH_STRIDE + lane];
     }
 #if WANT_POSITION
-    position_backward(model, d_input + (FEATURE_DIM + TILE - 3) * BATCH_STRIDE, first,
+    position_backward(inputs, d_input + (FEATURE_DIM + TILE - 3) * BATCH_STRIDE, first,
                       d->d_position);
 #endif
 }
 
 /* Both layers of one head for the block at sample `first`, whose columns of the batch get what the
- * weight gradient needs; `next`: the slots of the next block. Heads come in order: the first one
- * gathers the inputs, the last one writes the gradients by them. */
-inline void block_backward(const Model *model, const Outputs *outputs, const int head,
-                           const size_t first, const int slots, const int next,
-                           __global float *column, const AnchorGradients *d)
+ * weight gradient needs. slots, next: the slots that are computed for this block and for the next
+ * one. Call it for the heads in order: the first one gathers the inputs, the last one writes the
+ * gradients by them. */
+static inline void block_backward(const Inputs *inputs, __global const float *weights,
+                                  const Outputs *outputs, const int head, const size_t first,
+                                  const int slots, const int next, __global float *column,
+                                  const AnchorGradients *d)
 {
-    __global const float *weight = model->weights + head_start(head);
+    __global const float *weight = weights + head_start(head);
     float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK], d_hidden[HIDDEN_DIM * BLOCK];
     float d_sum[7 * K_OFFSETS * BLOCK];
     if (head == 0) {
-        gather(model, first, x);
+        gather_inputs(inputs, first, x);
         store_rows(x, INPUT_DIM + 1, column);
     } else {
         load_rows(column, INPUT_DIM, x);
@@ -211,7 +205,7 @@ inline void block_backward(const Model *model, const Outputs *outputs, const int
     hidden_backward(weight, head, slots, hidden, d_sum, d_hidden, column);
     input_backward(weight, head, d_hidden, column);
     if (head == HEADS - 1)
-        anchors_backward(model, first, column, d);
+        anchors_backward(inputs, first, column, d);
 }
 
 #endif
