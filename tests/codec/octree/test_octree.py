@@ -121,7 +121,7 @@ def test_wrong_counts_are_refused():
         with pytest.raises(ValueError, match="stream"):
             position_coder.decode(data, count)
     with pytest.raises(ValueError, match="cannot hold"):
-        position_coder.decode(data, len(data) * position_coder.MAX_POINTS_A_BYTE + 1)
+        position_coder.decode(data, len(data) * position_coder.MAX_POINTS_PER_BYTE + 1)
 
 
 def test_raw_positions_past_int32_are_refused():
