@@ -22,7 +22,7 @@ from clgs.scene.scene import QuantizedScene
 
 @dataclass(frozen=True)
 class Box:
-    """lower <= x < upper on every axis, in the units of the input data; infinite ends may stand.
+    """lower <= x < upper on every axis, in the units of the input data; ends may be infinite.
 
     Raises:
         UsageError: an end is not a number, or a lower end is not below the upper one.
@@ -48,7 +48,7 @@ class Box:
 
 
 def decode_box(source: Source, box: Box, threads: int | None = None) -> QuantizedScene:
-    """The scene with those of its anchors alone whose position lies in ``box``.
+    """The scene with only the anchors whose position lies in ``box``.
 
     Only these are read: the section table, META, MLPS, the lists of chunks and the positions of
     those that meet the box, and the attributes of those that have an anchor in it. World positions

@@ -1,4 +1,4 @@
-"""Fewer bytes without training: fewer anchors and coarser integers, as many as a size holds."""
+"""A scene cut to a file size without training: fewer anchors, and coarser integers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.scene import QuantizedScene
 
 POSITION_BITS = 12.0
-"""Of an anchor, about: it does not depend on the anchor."""
+"""Bits of the position of an anchor, about; taken to be the same for all."""
 
 ENOUGH = 0.99
 """Share of a target size that ends the search."""
@@ -28,7 +28,7 @@ Factors = dict[str, float]
 
 
 def take(scene: QuantizedScene, rows: npt.NDArray[np.intp]) -> QuantizedScene:
-    """The scene with the anchors ``rows`` alone, in their old order."""
+    """The scene with only the anchors ``rows``, in their old order."""
     kept = np.sort(rows)
     return replace(scene, anchors=scene.anchors.map(lambda array: array[kept]))
 
@@ -48,7 +48,7 @@ def coarsen(scene: QuantizedScene, factors: Factors) -> QuantizedScene:
 
 
 def anchor_bits(anchors: QuantizedAnchors) -> npt.NDArray[np.float64]:
-    """About how many bits each anchor costs, (A,): by how often each channel has its values."""
+    """Bits that each anchor costs, about, (A,): rare values of a channel cost more."""
     bits = np.full(len(anchors), POSITION_BITS)
     if not len(anchors):
         return bits
@@ -62,7 +62,7 @@ def anchor_bits(anchors: QuantizedAnchors) -> npt.NDArray[np.float64]:
 def _frequencies(
     channel: npt.NDArray[np.int32],
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """For each value (A,) the number of its kind, and how many there are of each kind."""
+    """For each value (A,) an index, the same for equal values, and the count of each index."""
     index = channel.astype(np.intp) - int(channel.min())
     if int(index.max()) >= SPAN_LIMIT:
         _, index = np.unique(channel, return_inverse=True)
@@ -72,7 +72,7 @@ def _frequencies(
 def most_useful_first(
     scene: QuantizedScene, importance: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.intp]:
-    """The anchors (A,) by ``importance`` (A,) for each bit of their cost, largest first."""
+    """The anchors (A,) by ``importance`` (A,) per bit of their cost, largest first."""
     return np.argsort(-importance / anchor_bits(scene.anchors), kind="stable")
 
 
@@ -83,7 +83,7 @@ def fit_size(
     encode: Callable[[QuantizedScene], bytes],
     whole: int | None = None,
 ) -> tuple[QuantizedScene, bytes]:
-    """As many of the anchors ``order`` (A,), first ones first, as ``target`` bytes hold; the file.
+    """The scene of as many anchors, taken in ``order`` (A,), as fit ``target`` bytes; and its file.
 
     False position over the number of anchors, with exact sizes: never above ``target``, and at
     least ENOUGH of it or within an anchor of it, if MAX_TRIALS suffice. ``whole``: about the

@@ -30,7 +30,7 @@ def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
 
     Args:
         data: a whole file.
-        threads: at most so many, by default one for each processor.
+        threads: at most this many, by default one per processor.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged anywhere.

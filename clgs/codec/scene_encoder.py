@@ -54,7 +54,7 @@ def encode(
         level: one of LEVELS; slower levels make smaller files.
         chunk: anchors that are decoded together, at most: 16 to 2^20. Small ones let a box of the
             scene be read without the rest, and cost bytes.
-        threads: at most so many, by default one for each processor; no byte depends on it.
+        threads: at most this many, by default one per processor; no byte depends on it.
         mlp: one of ``weights.MODES``, how the weights are stored; lossless either way.
 
     Raises:

@@ -40,7 +40,7 @@ def encode_positions(positions: npt.ArrayLike, threads: int | None = None) -> by
         positions: (N, 3) of any integer dtype and memory layout, in any order; every number in the
             range of int32, on each axis less than 2^21 from the least to the greatest. N = 0 is
             allowed.
-        threads: at most so many, by default one for each processor; no byte depends on it.
+        threads: at most this many, by default one per processor; no byte depends on it.
 
     Raises:
         TypeError: not an array of integers.
@@ -99,7 +99,7 @@ def _decode_octrees(
     parts = runs(count, POINTS)
     _, streams = _split(body, at, 0, len(parts))
     for part, (start, stream) in zip(parts, streams, strict=True):
-        if part.stop - part.start > len(stream) * position_coder.MAX_POINTS_A_BYTE:
+        if part.stop - part.start > len(stream) * position_coder.MAX_POINTS_PER_BYTE:
             raise _damage(start, f"{len(stream)} bytes cannot hold {part.stop - part.start} points")
 
     def decode_chunk(part: slice, stream: tuple[int, memoryview]) -> npt.NDArray[np.int32]:
@@ -135,7 +135,7 @@ def encode_attributes(
         values: (N, channels) of any integer dtype and memory layout, 1 to 256 channels, every
             number in the range of int32. N = 0 is allowed.
         level: "fast", "default", "max" or "paper": time against bytes, as `clgs encode --level`.
-        threads: at most so many, by default one for each processor; no byte depends on it.
+        threads: at most this many, by default one per processor; no byte depends on it.
 
     Raises:
         TypeError: not an array of integers, or a level that is no string.

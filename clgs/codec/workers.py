@@ -13,9 +13,9 @@ from clgs.errors import UsageError
 
 @contextmanager
 def workers(threads: int | None = None) -> Iterator[ThreadPoolExecutor]:
-    """A pool of ``threads``, by default one for each processor that this process may use.
+    """A pool of ``threads``, by default one per processor that this process may use.
 
-    On an error the tasks that have not begun are dropped.
+    On an error, tasks that have not begun are dropped.
 
     Raises:
         TypeError: ``threads`` is no integer.

@@ -240,6 +240,38 @@ static void test_largest_header(void)
     free(model);
 }
 
+/* Every function refuses a model that is out of range, and shapes that are. */
+static void test_bad_models(void)
+{
+    clgs_channel model = {.classes = 1, .gain = CLGS_MAX_GAIN + 1};
+    uint32_t *count = allocate(4 * COUNTS);
+    uint64_t bytes[1] = {0};
+    uint8_t out[256] = {0};
+    int32_t value[1] = {0};
+    void *workspace = allocate(clgs_attributes_workspace(1, 1));
+    void *chooser = allocate(clgs_attributes_choose_workspace());
+    model.frequency[0][0] = CLGS_SCALE;
+    CHECK(clgs_attributes_bound(&model, 1, 1) <= sizeof out);
+    CHECK(clgs_attributes_encode(&model, value, 1, 1, out, sizeof out, workspace) == 0);
+    CHECK(clgs_attributes_decode(&model, out, 1, value, 1, 1, workspace) == CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_attributes_count(&model, value, 1, 1, count, workspace) == CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_attributes_measure(&model, value, 1, 1, bytes, out, workspace) ==
+          CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_attributes_header_write(&model, 1, out, sizeof out, workspace) == 0);
+    CHECK(clgs_attributes_choose(&model, 1, count, 256, bytes, chooser) == CLGS_ERROR_ARGUMENT);
+    model.gain = 0;
+    CHECK(clgs_attributes_count(&model, value, 0, 1, count, workspace) == CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_attributes_measure(&model, value, 0, 1, bytes, out, workspace) ==
+          CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_attributes_header_write(&model, 0, out, sizeof out, workspace) == 0);
+    CHECK(clgs_attributes_header_write(&model, 1, out, 0, workspace) == 0);
+    CHECK(clgs_attributes_header_read(out, 1, &model, 257, workspace) == CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_attributes_choose(&model, 0, count, 256, bytes, chooser) == CLGS_ERROR_ARGUMENT);
+    free(chooser);
+    free(workspace);
+    free(count);
+}
+
 int main(void)
 {
     test_largest_header();
@@ -252,6 +284,7 @@ int main(void)
     test_stream(CLGS_LONG_ROWS, 1, 27, 0);
     CHECK(clgs_attributes_model_size(0) == 0 && clgs_attributes_model_size(257) == 0);
     CHECK(clgs_attributes_workspace(CLGS_MAX_POINTS + 1, 1) == 0);
+    test_bad_models();
     puts("attributes: all tests passed");
     return 0;
 }

@@ -253,6 +253,40 @@ static void test_octrees(void)
     free(bad.workspace);
 }
 
+/* What the header promises for shapes out of range. */
+static void test_shapes_out_of_range(void)
+{
+    const int32_t origin[3] = {0, 0, 0};
+    const clgs_layer wide = {1, CLGS_MAX_COLUMNS + 1}, one = {1, 1};
+    uint32_t word[1] = {0};
+    int32_t value[3] = {0, 0, 0};
+    uint8_t data[64] = {0};
+    size_t many = CLGS_MAX_POINTS + 1;
+    void *workspace = allocate(clgs_octree_workspace(1));
+    CHECK(clgs_octree_bound(many) == 0 && clgs_octree_workspace(many) == 0);
+    CHECK(clgs_octree_encode(value, 0, origin, data, sizeof data, workspace) == 0);
+    CHECK(clgs_octree_encode(value, many, origin, data, sizeof data, workspace) == 0);
+    CHECK(clgs_octree_decode(data, 1, value, 0, workspace) == CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_octree_decode(data, 1, value, many, workspace) == CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_planes_encode(word, many, data, sizeof data, workspace) == 0);
+    CHECK(clgs_planes_decode(data, 1, word, many, workspace) == CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_runlength_encode(value, 1, 0, data, sizeof data, workspace) == 0);
+    CHECK(clgs_runlength_decode(data, 1, value, 1, 0, workspace) == CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_paper_encode(value, many, 1, data, sizeof data) == 0);
+    CHECK(clgs_paper_decode(data, 1, value, 1, 257) == CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_weights_encode(word, &wide, 1, data, sizeof data, workspace) == 0);
+    CHECK(clgs_weights_encode(word, &one, 1, data, 4, workspace) == 0);
+    CHECK(clgs_weights_decode(data, 1, word, &wide, 1, workspace) == CLGS_ERROR_ARGUMENT);
+    free(workspace);
+}
+
+static void test_error_texts(void)
+{
+    for (int error = CLGS_ERROR_CORRUPT - 1; error <= CLGS_OK; error++)
+        CHECK(strlen(clgs_error_text((clgs_error)error)) > 7);
+    CHECK(strcmp(clgs_error_text(CLGS_ERROR_TRUNCATED), clgs_error_text(CLGS_OK)) != 0);
+}
+
 static void fill_values(int32_t *value, size_t count, uint32_t shift)
 {
     for (size_t i = 0; i < count; i++) {
@@ -337,6 +371,8 @@ static void test_checksums(void)
 int main(void)
 {
     test_checksums();
+    test_error_texts();
+    test_shapes_out_of_range();
     test_octrees();
     test_rows(RUNLENGTH);
     test_rows(PAPER);

@@ -115,6 +115,15 @@ def test_any_multiples_survive(n, exponent):
     np.testing.assert_array_equal(weights.decode(data, SHAPES).view(np.uint32), x.view(np.uint32))
 
 
+def test_after_many_zeros_the_least_is_expected():
+    """Magnitudes expected below 1/16 count as 1/16."""
+    x = np.zeros(4000, np.float32)
+    x[-1] = 0.5
+    data = weights.encode(x, matrices=((1000, 4),))
+    assert data == reference.encode(x, ((1000, 4),))
+    np.testing.assert_array_equal(weights.decode(data, ((1000, 4),)), x)
+
+
 def test_standard_sizes_cost_their_entropy():
     """Within 1 % of the entropy of the drawn normal law, 13,710 weights of twelve matrices."""
     x = drawn(2.0**-8, 0.1, MLP_SIZE)

@@ -24,7 +24,7 @@ from clgs.codec.attributes.taps import find_taps
 
 SAMPLE_BLOCKS, SAMPLE_ROWS = 8, 2048
 LONG_ROWS = 2048
-"""Chunks from so many rows on have eight lanes, shorter ones have one."""
+"""Chunks of at least this many rows have eight lanes, shorter ones have one."""
 
 TAP_COST = 24 << 16
 """Bits of a term in the header, in 2^-16 bits."""
@@ -39,11 +39,11 @@ WEIGHT_OF_OWN, WEIGHT_OF_ROW, WEIGHT_BESIDE = 1365, 4096, 2048
 """Weights that make the mean of weighted activity 64 x 1024, for one channel before."""
 
 MIXED_HEADER = 8
-"""Bytes of a mixed channel in the header, about."""
+"""About the bytes of a mixed channel in the header."""
 
 MIXED_SHARE = (0.4, 0.3, 0.3)
 SAMPLE_MARGIN = 1.005
-"""How much longer a mixed channel may be on the sample, to be tried on all rows."""
+"""A mixed channel is tried on all rows unless it is longer than this ratio on the sample."""
 
 SHARES = [
     (1.0, 0.0, 0.0),
@@ -57,7 +57,7 @@ SHARES = [
 
 
 def fit(values: Ints, chunks: list[slice], search: bool) -> tuple[Models, int]:
-    """The model of ``values`` (n, channels) and the bytes of all chunks, about."""
+    """The model of ``values`` (n, channels), and about the bytes of all chunks."""
     rows, channels = values.shape
     sample = take_sample(values)
     scale = rows * 256 // len(sample)
@@ -72,7 +72,7 @@ def fit(values: Ints, chunks: list[slice], search: bool) -> tuple[Models, int]:
 
 
 def overhead(chunk: slice) -> int:
-    """Bytes of a chunk besides its symbols, about."""
+    """About the bytes of a chunk besides its symbols."""
     return 20 if chunk.stop - chunk.start >= LONG_ROWS else 2
 
 

@@ -77,7 +77,7 @@ class Reader:
         listed = guarded(part, chunks.unpack_group, self.head, index)
         for chunk in listed:
             length, count = chunk.parts[ANCH].length, chunk.span.stop - chunk.span.start
-            if count > length * position_coder.MAX_POINTS_A_BYTE:
+            if count > length * position_coder.MAX_POINTS_PER_BYTE:
                 what = f"chunk {chunk.number}: {length} bytes cannot hold {count} points"
                 raise self.error(ANCH, what)
         return listed

@@ -1,6 +1,6 @@
 """Positions that lie on a coarser lattice: their differences share a factor on some axis.
 
-An octree pays for every level, also for those on which the points tell nothing. So coordinates are
+Every level of an octree costs bits, even one that carries no information. So coordinates are
 divided by the common factor first: q = c + (p - c) / f on each axis, with c the least p.
 """
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from clgs.codec.octree import position_coder
 
 SAMPLE = 64
-"""Points that mostly show already that there is no common factor."""
+"""Points that are tried first: mostly they show that there is no common factor."""
 
 Ints = npt.NDArray[np.int32]
 

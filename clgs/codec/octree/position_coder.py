@@ -18,14 +18,14 @@ SPARSE, BARE = 2, 3
 A stream of plain Morton codes begins with 0.
 """
 
-MAX_POINTS_A_BYTE = 1 << 15
+MAX_POINTS_PER_BYTE = 1 << 15
 """No octree stream holds more: a point costs a decision, a decision at least 1/22,711 byte."""
 
 
 class PositionsError(CodecError):
-    """Positions that no octree holds: ``wide``, too far apart, else alike.
+    """Positions that no octree holds: too far apart if ``wide``, otherwise repeated.
 
-    ``problem`` says so without a remedy, which depends on where the integers come from.
+    ``problem`` says so without a remedy, which depends on the source of the integers.
     """
 
     def __init__(self, problem: str, remedy: str, wide: bool) -> None:
@@ -119,7 +119,7 @@ def decode(data: bytes | memoryview, count: int) -> npt.NDArray[np.int32]:
     Raises:
         ValueError: the stream is damaged, or holds another number of points.
     """
-    if count > len(data) * MAX_POINTS_A_BYTE:
+    if count > len(data) * MAX_POINTS_PER_BYTE:
         raise ValueError(f"{len(data)} bytes cannot hold {count} points")
     position = np.empty((count, 3), np.int32)
     if count > 0:

@@ -12,7 +12,7 @@ from clgs.codec.octree import position_coder
 from clgs.codec.octree.position_coder import MAX_DEPTH
 
 COMPACT = 16_384
-"""Parts below this size follow the cells: they are there to be read alone, not for threads."""
+"""Points: smaller parts follow the cells, as they serve to be read alone, not for threads."""
 
 
 def runs(count: int, most: int) -> list[slice]:
@@ -103,7 +103,7 @@ def cell(least: Sequence[int], greatest: Sequence[int], origin: Corner) -> tuple
 
 
 def batches(parts: list[slice]) -> list[range]:
-    """Numbers of neighbouring parts that together are worth a thread's turn."""
+    """Indices of neighbouring parts, joined until they are worth a task of their own."""
     found: list[range] = []
     first = 0
     for index, part in enumerate(parts):

@@ -1,3 +1,4 @@
+/* One level of an octree: the decisions of every node, in both directions. */
 #include "octree/model.h"
 
 #define LIMIT 250

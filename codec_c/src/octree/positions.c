@@ -1,3 +1,5 @@
+/* Positions as a stream: its first bytes, then the levels of an octree or, if that is longer, plain
+ * Morton codes. */
 #include "common/bytes.h"
 #include "octree/morton.h"
 #include "octree/tree.h"

@@ -1,3 +1,4 @@
+/* Matrices by the plain run-length coder of the paper: channels in threes, 31 probabilities. */
 #include "runlength/matrix.h"
 
 #define GROUP 3       /* channels coded together; those that are left over are coded alone */

@@ -1,3 +1,4 @@
+/* Matrices as runs of equal rows, and rows of numbers in contexts of their neighbours. */
 #include <string.h>
 
 #include "runlength/matrix.h"

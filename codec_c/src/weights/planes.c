@@ -1,3 +1,4 @@
+/* Words byte by byte from the top; each byte in the context of the one above it. */
 #include "common/bytes.h"
 #include "entropy/mix.h"
 

@@ -1,3 +1,4 @@
+/* Weights as integer multiples of a power of two per layer, sized by their row and column. */
 #include <string.h>
 
 #include "common/bytes.h"

@@ -121,7 +121,19 @@ def test_wrong_counts_are_refused():
         with pytest.raises(ValueError, match="stream"):
             position_coder.decode(data, count)
     with pytest.raises(ValueError, match="cannot hold"):
-        position_coder.decode(data, len(data) * position_coder.MAX_POINTS_A_BYTE + 1)
+        position_coder.decode(data, len(data) * position_coder.MAX_POINTS_PER_BYTE + 1)
+
+
+def raw(*codes: int) -> bytes:
+    return bytes([0, 1]) + bytes(12) + np.array(codes, "<u8").tobytes()
+
+
+def test_damaged_raw_codes_are_refused():
+    good = raw(0, 4)
+    np.testing.assert_array_equal(position_coder.decode(good, 2), [[0, 0, 0], [1, 0, 0]])
+    for bad in (good[:-1], good + b"\0", good[:14], good[:13], raw(4, 0), raw(4, 4), raw(0, 2**63)):
+        with pytest.raises(ValueError, match="stream"):
+            position_coder.decode(bad, 2)
 
 
 def test_raw_positions_past_int32_are_refused():
