@@ -5,8 +5,8 @@
            (2 mu_x mu_y + C1)(2 cov_xy + C2) / ((mu_x^2 + mu_y^2 + C1)(var_x + var_y + C2))
 
 with moments under an 11 x 11 Gaussian window of sigma 1.5 and zero padding (Wang et al. 2004). The
-kernel takes the moments of centred pixels, patch by patch, and writes the maps that the backward pass
-blurs once more; kernels_cl/loss/forward.cl has the equations. The derivative of |x| at 0 is 0.
+kernel takes the moments of centred pixels, patch by patch, and writes the maps that the backward
+pass blurs once more; kernels_cl/loss/forward.cl has the equations. The derivative of |x| at 0 is 0.
 
 The volume term is the mean over Gaussians of the product of their scales (Scaffold-GS).
 """
@@ -54,8 +54,9 @@ class LossValue:
 class Loss:
     """What the forward pass leaves on the device, float32.
 
-    sums: per patch the sums of |x - y| and of 1 - SSIM; shift (patches, 2): the level about which the
-    moments of image and target were taken; maps: three of (3, H, W), see kernels_cl/loss/forward.cl.
+    sums: per patch the sums of |x - y| and of 1 - SSIM; shift (patches, 2): the level about which
+    the moments of image and target were taken; maps: three of (3, H, W), for their meaning see
+    kernels_cl/loss/forward.cl.
     """
 
     sums: BlockSums
