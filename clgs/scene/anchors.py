@@ -30,7 +30,6 @@ class Anchors(Generic[Array]):
 
     Raises:
         ValueError: a tensor has the wrong shape.
-        TypeError: the tensors have different dtypes.
     """
 
     position: Array
@@ -39,7 +38,9 @@ class Anchors(Generic[Array]):
     scaling: Array
 
     def __post_init__(self) -> None:
-        self.check(self.position.dtype)
+        shapes = Shapes(K=K_OFFSETS, F=FEATURE_DIM)
+        for name, array in self.items():
+            shapes.check(name, array, SPECS[name], array.dtype)
 
     def __len__(self) -> int:
         return self.position.shape[0]
@@ -53,10 +54,11 @@ class Anchors(Generic[Array]):
         return Anchors(*(change(array) for _, array in self.items()))
 
     def check(self, dtype: npt.DTypeLike) -> None:
-        """Raise ValueError or TypeError if a tensor has the wrong shape or another dtype."""
-        shapes = Shapes(K=K_OFFSETS, F=FEATURE_DIM)
+        """Raise TypeError if a tensor has another dtype; shapes are always right."""
+        wanted = np.dtype(dtype)
         for name, array in self.items():
-            shapes.check(name, array, SPECS[name], dtype)
+            if array.dtype != wanted:
+                raise TypeError(f"{name}: dtype is {array.dtype}, expected {wanted}")
 
 
 FIELDS = tuple(field.name for field in fields(Anchors))
