@@ -18,7 +18,6 @@ from clgs.codec import streams
 from clgs.codec.container import section_table
 from clgs.codec.container.reader import guarded
 from clgs.codec.container.section_table import SATR, SMUL, SPLT, SPOS, Section
-from clgs.codec.container.source import BytesSource
 from clgs.codec.octree.position_coder import MAX_EXTENT, PositionsError, morton_codes
 from clgs.errors import CodecError
 
@@ -96,7 +95,7 @@ def unpack(data: bytes, threads: int | None = None) -> Splats:
     Raises:
         CodecError: no file of splats, or damaged.
     """
-    sections = _sections(data)
+    _, sections = section_table.read_container(data, splats=True)
     splats, voxels, content = _read_head(sections[SPLT])
     expected = {SPOS: (voxels, 3), SMUL: (voxels, 1), SATR: (len(splats), len(splats.names) - 3)}
     for tag, shape in expected.items():
@@ -104,9 +103,9 @@ def unpack(data: bytes, threads: int | None = None) -> Splats:
             raise sections[tag].error(f"not the {shape[0]} rows of {shape[1]} that {SPLT} declares")
     position = _decode(sections[SPOS], streams.decode_positions, threads)
     count = _decode(sections[SMUL], streams.decode_attributes, threads)
-    rows = _decode(sections[SATR], streams.decode_attributes, threads)
-    if (count < 0).any() or count.sum(dtype=np.int64) + voxels != len(rows):
+    if (count < 0).any() or count.sum(dtype=np.int64) + voxels != len(splats):
         raise sections[SMUL].error("the voxels do not hold all splats")
+    rows = _decode(sections[SATR], streams.decode_attributes, threads)
     values = np.concatenate([np.repeat(position, count[:, 0] + 1, axis=0), rows], axis=1)
     if _hash(values) != content:
         raise sections[SPLT].error("the decoded integers do not match their hash")
@@ -134,7 +133,7 @@ def describe(data: bytes) -> dict[str, object]:
     Raises:
         CodecError: as ``unpack``, but for damage that only decoding can show.
     """
-    sections = _sections(data)
+    _, sections = section_table.read_container(data, splats=True)
     splats, voxels, content = _read_head(sections[SPLT])
     sizes = {tag: len(section.data) for tag, section in sections.items()}
     return {
@@ -180,14 +179,6 @@ def _larger(name: str, values: npt.NDArray[np.floating]) -> str:
     if least > MAX_STEP:
         return "no step holds it; correct it or leave the splat out"
     return f"a --step {name}=STEP of {least:.2g} or more holds it"
-
-
-def _sections(data: bytes) -> dict[str, Section]:
-    source = BytesSource(data)
-    table = section_table.read_table(source, splats=True)
-    return {
-        tag: section_table.read_section(source, table.entries[tag]) for tag in section_table.SPLATS
-    }
 
 
 def _decode(

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from clgs.cli.main import main
+from clgs.codec.container.section_table import write_container
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splats import Splats, pack, quantize, sort_splats, unpack
 from clgs.data.ply.table import Table, pack_ply, read_ply
 from clgs.errors import CodecError
+from tests.codec.container.damage import ENTRY, HEAD, contents, patched, rebuilt
 from tests.codec.scenes import random_scene
 
 NAMES = ["x", "y", "z", "f_dc_0", "opacity"]
@@ -58,6 +60,26 @@ def test_streams_of_other_counts_are_refused_before_they_are_decoded(
     monkeypatch.setattr("clgs.codec.streams.decode_positions", None)
     with pytest.raises(CodecError, match=r"SPOS .*not the 12 rows of 3 that SPLT declares"):
         unpack(data)
+
+
+def test_voxels_must_hold_all_splats_before_properties_are_decoded(
+    rng: np.random.Generator,
+) -> None:
+    data = pack(some_splats(rng, 12))
+    head = bytearray(contents(data)["SPLT"])
+    head[0] += 1
+    more = contents(pack(some_splats(rng, 13)))["SATR"]
+    with pytest.raises(CodecError, match=r"SMUL .*the voxels do not hold all splats"):
+        unpack(rebuilt(data, SPLT=bytes(head), SATR=more[:-4] + bytes(4)))
+
+
+def test_unknown_optional_sections_are_skipped_but_checked(rng: np.random.Generator) -> None:
+    data = pack(some_splats(rng, 12))
+    longer = write_container({**contents(data), "NOTE": b"hello"})
+    longer = patched(longer, HEAD + 4 * ENTRY + 4, b"\0")
+    np.testing.assert_array_equal(unpack(longer).values, unpack(data).values)
+    with pytest.raises(CodecError, match=r"section NOTE at byte .*checksum differs"):
+        unpack(longer[:-1] + b"0")
 
 
 def test_scenes_and_splats_are_told_apart(rng: np.random.Generator) -> None:

@@ -53,7 +53,7 @@ class Head:
 
     chunk: anchors per chunk, at most; count: number of chunks; headers: for each of TAGS the part
     that all its chunks share, with its CRC; groups (groups, COLUMNS); places: of every group its
-    part of CHNK, with its CRC.
+    part of CHNK, with its CRC; size: bytes of CHNK.
     """
 
     chunk: int
@@ -61,6 +61,7 @@ class Head:
     headers: dict[str, tuple[Part, int]]
     groups: Wide
     places: list[tuple[Part, int]]
+    size: int
 
     def length(self, tag: str) -> int:
         """Bytes of section ``tag``."""
@@ -215,7 +216,7 @@ def unpack_head(data: bytes | memoryview) -> Head:
         for column, tag in enumerate(TAGS)
     }
     rows = _absolute(coded, np.zeros(COLUMNS, np.int64))
-    return Head(chunk, count, headers, rows, places)
+    return Head(chunk, count, headers, rows, places, int(offsets[-1]))
 
 
 def check_head(head: Head, anchors: int, grid: Grid) -> None:

@@ -173,15 +173,12 @@ class Reader:
 
     def _check_lengths(self) -> None:
         """No count is believed before there are bytes that can hold it."""
-        end = max((place.offset + place.length for place, _ in self.head.places), default=None)
-        declared = {tag: self.head.length(tag) for tag in TAGS}
-        if end is not None:
-            declared[CHNK] = end
+        declared = {CHNK: self.head.size, **{tag: self.head.length(tag) for tag in TAGS}}
         for tag, size in declared.items():
             length = self._table.entries[tag].length
             if length != size:
                 raise self.error(tag, f"{length} bytes, its chunks have {size}")
-        if self.head.headers[ANCH][0].length > 0:
+        if self.head.headers[ANCH] != (Part(0, 0), 0):
             raise self.error(ANCH, "a header that must be empty")
 
     def _read(self, tag: str, part: Part) -> Section:

@@ -86,16 +86,18 @@ def write_container(contents: dict[str, bytes]) -> bytes:
     return b"".join([header, _CRC.pack(_codec.crc32c(header)), *contents.values()])
 
 
-def read_container(data: bytes) -> tuple[Table, dict[str, Section]]:
-    """The table of a whole scene file and its known sections, every section's checksum verified.
+def read_container(data: bytes, splats: bool = False) -> tuple[Table, dict[str, Section]]:
+    """The table of a whole file and its known sections, every section's checksum verified.
+
+    The file must hold a scene, or ``splats``.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged.
     """
     source = BytesSource(data)
-    table = read_table(source)
+    table = read_table(source, splats)
     sections = {tag: read_section(source, entry) for tag, entry in table.entries.items()}
-    return table, {tag: sections[tag] for tag in SCENE}
+    return table, {tag: sections[tag] for tag in (SPLATS if splats else SCENE)}
 
 
 def read_section(source: Source, entry: Entry) -> Section:
@@ -156,9 +158,10 @@ def _check_entry(
     """The entry at byte ``at``, added to ``entries``; refused if it is required and unknown."""
     raw_tag, flags, offset, length, crc, reserved = fields
     tag = raw_tag.decode("ascii", "replace")
-    if tag in entries or reserved != 0 or flags > REQUIRED:
+    malformed = not raw_tag.isalpha() or reserved != 0 or flags > REQUIRED
+    if malformed or tag in entries or (tag in known and flags != REQUIRED):
         raise damage(f"section table at byte {at}", f"entry {tag!r} is repeated or malformed")
-    if flags & REQUIRED and tag not in known:
+    if flags == REQUIRED and tag not in known:
         raise CodecError(f"section {tag} at byte {offset}: unknown; update clgs")
     entries[tag] = Entry(tag, offset, length, crc)
     return entries[tag]

@@ -96,13 +96,14 @@ size_t clgs_octree_encode(const int32_t *position, size_t count, const int32_t o
     return size > 0 ? first + size : encode_raw(&head, code, count, out);
 }
 
-static clgs_error decode_raw(const uint8_t *data, size_t size, uint64_t *code, size_t count)
+static clgs_error decode_raw(const uint8_t *data, size_t size, uint64_t *code, size_t count,
+                             uint32_t depth)
 {
     if (size != 8 * count)
         return size < 8 * count ? CLGS_ERROR_TRUNCATED : CLGS_ERROR_TRAILING;
     for (size_t i = 0; i < count; i++) {
         code[i] = clgs_load32(data + 8 * i) | (uint64_t)clgs_load32(data + 8 * i + 4) << 32;
-        if (code[i] >> 3 * CLGS_MAX_DEPTH || (i > 0 && code[i] <= code[i - 1]))
+        if (code[i] >> 3 * depth || (i > 0 && code[i] <= code[i - 1]))
             return CLGS_ERROR_CORRUPT;
     }
     return CLGS_OK;
@@ -170,7 +171,7 @@ clgs_error clgs_octree_decode(const uint8_t *data, size_t size, int32_t *positio
     data += head.size;
     size -= head.size;
     if (head.mode == MODE_RAW)
-        error = decode_raw(data, size, code, count);
+        error = decode_raw(data, size, code, count, head.depth);
     else
         error = clgs_tree_decode(data, size, code, count, head.depth, memory);
     return error ? error : store_positions(code, count, head.origin, position);

@@ -51,15 +51,15 @@ def cases(rng: np.random.Generator) -> Iterator[Case]:
             yield (_points, number) if kind < 0.04 else (_rows, number)
         elif kind < 0.25:
             function, stream = calls[rng.integers(len(calls))]
-            yield function, _changed(rng, stream)
+            yield function, changed(rng, stream)
         elif kind < 0.7:
-            file = _damaged_file(rng, files)
+            file = damaged_file(rng, files)
             of_splats = file[damage.HEAD : damage.HEAD + 4] == b"SPLT"
             scene = _READERS[rng.integers(len(_READERS))]
             yield _unpack if of_splats == (rng.random() < 0.95) else scene, file
         else:
             function, stream = streams[rng.integers(len(streams))]
-            body = _changed(rng, stream[:-4])
+            body = changed(rng, stream[:-4])
             yield function, body + struct.pack("<I", _codec.crc32c(body))
 
 
@@ -108,18 +108,18 @@ def _streams() -> list[Case]:
     return found
 
 
-def _damaged_file(rng: np.random.Generator, files: list[bytes]) -> bytes:
+def damaged_file(rng: np.random.Generator, files: list[bytes]) -> bytes:
     """A section changed, or exchanged for that of another file, or the section table changed."""
     file = files[rng.integers(len(files))]
     if rng.random() < 0.1:
         table = damage.HEAD + damage.ENTRY * int.from_bytes(file[12:16], "little")
-        return damage.patched(file, 0, _changed(rng, file[:table])[:table])
+        return damage.patched(file, 0, changed(rng, file[:table])[:table])
     sections = damage.contents(file)
     tag = str(rng.choice(list(sections)))
     if rng.random() < 0.1:
         other = damage.contents(files[rng.integers(len(files))])
         return damage.rebuilt(file, **{tag: other.get(tag, b"")})
-    section = _changed(rng, sections[tag])
+    section = changed(rng, sections[tag])
     if tag == CHNK:
         section = damage.sealed_directory(section)
     if tag in (SPOS, SMUL, SATR):
@@ -127,7 +127,7 @@ def _damaged_file(rng: np.random.Generator, files: list[bytes]) -> bytes:
     return damage.rebuilt(file, **{tag: section})
 
 
-def _changed(rng: np.random.Generator, data: bytes) -> bytes:
+def changed(rng: np.random.Generator, data: bytes) -> bytes:
     """One to four changes: bytes, numbers, bits, parts left out, repeated or put in.
 
     Mostly all bytes stay where they are and the head as it is: what follows is reached.

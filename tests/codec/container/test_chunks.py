@@ -137,9 +137,8 @@ def test_shared_headers_have_checksums_of_their_own(tag):
     def change(shared, crcs, table):
         shared[2 * chunks.TAGS.index(tag) + 1] ^= 1
 
-    if tag == "ANCH":
-        return  # its header is empty, and its checksum is not used
-    with pytest.raises(CodecError, match=rf"section {tag} at byte \d+: checksum of the header"):
+    what = "a header that must be empty" if tag == "ANCH" else "checksum of the header"
+    with pytest.raises(CodecError, match=rf"section {tag} at byte \d+: {what}"):
         decode(changed(change))
 
 
@@ -253,6 +252,9 @@ def test_a_file_of_nothing_declares_nothing():
     meta[164] = 1
     with pytest.raises(CodecError, match="a grid without anchors"):
         decode(rebuilt(empty, META=bytes(meta)))
+    longer = contents(empty)["CHNK"] + b"\0"
+    with pytest.raises(CodecError, match=r"section CHNK at byte \d+: 50 bytes, its chunks have 49"):
+        decode(rebuilt(empty, CHNK=longer))
 
 
 @pytest.mark.parametrize("size", [0, 1, 3, 4, 7, 8, 31, 32, 33, 63, 64, 69, 1000])

@@ -147,6 +147,21 @@ def test_unknown_optional_sections_are_skipped_but_checked():
         decode(longer[:-1] + b"0")
 
 
+@pytest.mark.parametrize("tag", [b"A1BC", b"NOT ", b"\xc4\xd6\xdc\xdf", bytes(4)])
+def test_tags_are_letters(tag):
+    longer = section_table.write_container({**contents(FILE), "NOTE": b"hello"})
+    entry = HEAD + len(contents(FILE)) * ENTRY
+    with pytest.raises(CodecError, match="is repeated or malformed"):
+        decode(patched(longer, entry, tag + bytes(4)))
+
+
+@pytest.mark.parametrize("flags", [0, 2, 3, 2**31])
+def test_required_sections_are_marked_so(flags):
+    for entry in range(HEAD, HEAD + len(contents(FILE)) * ENTRY, ENTRY):
+        with pytest.raises(CodecError, match="is repeated or malformed"):
+            decode(patched(FILE, entry + 4, struct.pack("<I", flags)))
+
+
 @pytest.mark.parametrize("field", ["offset", "length"])
 @pytest.mark.parametrize("value", [0, 1, 2**40, 2**63, 2**64 - 1])
 def test_hostile_offsets_and_lengths(field, value):

@@ -86,6 +86,16 @@ def test_raw_codes_stand_in_for_a_stream_that_grows():
     np.testing.assert_array_equal(reference.decode(raw, 2), position)
 
 
+def test_raw_codes_lie_in_the_cell_that_the_depth_gives():
+    origin = np.zeros(3, "<i4").tobytes()
+    for depth in range(22):
+        codes = [8**depth - 1, 8**depth]
+        data = [bytes([0, depth]) + origin + np.array([code], "<u8").tobytes() for code in codes]
+        assert position_coder.decode(data[0], 1).max() == 2**depth - 1
+        with pytest.raises(ValueError, match="holds what no encoder writes"):
+            position_coder.decode(data[1], 1)
+
+
 def test_morton_order_has_x_highest_and_sorts_negative_cells():
     position = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, 0, 0]], np.int32)
     order = position_coder.morton_order(position)
