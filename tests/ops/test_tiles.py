@@ -113,18 +113,18 @@ def test_small_images_and_scenes(device, rng, size, count):
 
 def test_large_gaussians_keep_their_order(device, rng):
     """Boxes of more tiles than fit a set of them, beside small ones."""
-    scene = projected_scene(rng, 400, 1300, 200, 3.0)
-    wide = projected_scene(rng, 400, 1300, 200, 250.0, 40.0)
+    scene = projected_scene(rng, 400, 1300, 100, 3.0)
+    wide = projected_scene(rng, 400, 1300, 100, 250.0, 40.0)
     mixed = ProjectedScene(
         **{
             name: np.where(np.arange(400).reshape(-1, *[1] * (one.ndim - 1)) % 3, one, other)
             for (name, one), other in zip(vars(scene).items(), vars(wide).values(), strict=True)
         }
     )
-    lists = on_host(device, lists_of(device, mixed, (1300, 200)))
-    expected = expected_lists(mixed, (1300, 200))
+    lists = on_host(device, lists_of(device, mixed, (1300, 100)))
+    expected = expected_lists(mixed, (1300, 100))
     found, wanted = entries(lists), entries(vars(expected))
-    assert touched(mixed, (1300, 200)) <= found
+    assert touched(mixed, (1300, 100)) <= found
     assert len(found - wanted) <= 1e-3 * len(wanted)
     sizes = np.diff(lists["row_range"])
     assert sizes.max() > 200

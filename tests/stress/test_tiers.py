@@ -68,14 +68,14 @@ def test_share_of_pixels_that_differ(device, flips, whole):
 
 @pytest.fixture(scope="module")
 def trained(open_device, tmp_path_factory):
-    """Scenes after 40 and 160 steps, float and quantised, and a held-out view."""
+    """Scenes after 20 and 80 steps, float and quantised, and a held-out view."""
     whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
     dataset = replace(whole, points=whole.points[::25])
     device = open_device("cpu")
-    config = replace(preset("default").scaled(160), voxel=0.02).for_dataset(dataset.kind)
+    config = replace(preset("default").scaled(80), voxel=0.02).for_dataset(dataset.kind)
     trainer = Trainer(device, dataset, config)
     scenes = {}
-    for steps in (40, 160):
+    for steps in (20, 80):
         while trainer.steps_done < steps:
             trainer.step()
         anchors = trainer.parameters.scene.anchors.map(device.download)
@@ -85,7 +85,7 @@ def trained(open_device, tmp_path_factory):
     return scenes, dataset.test
 
 
-@pytest.mark.parametrize(("which", "view"), [(40, 0), (160, 1), ("quantised", 2)])
+@pytest.mark.parametrize(("which", "view"), [(20, 0), (80, 1), ("quantised", 2)])
 def test_trained_scene(device, trained, which, view):
     """From parameters to the image of a test view, and back to their gradients."""
     scene, camera = trained[0][which], trained[1][view].camera
