@@ -34,17 +34,17 @@ TEXT = (ROOT / "codec_c" / "FORMAT.md").read_text(encoding="utf-8")
 HEX = r"(?:[0-9A-F]{2}(?:[ |\n]+|(?=`)))+"
 CELLS = np.array([[5, -2, 7], [5, -2, 8], [6, -1, 8]], np.int32)
 OCTREES = {
-    6: CELLS[:1],
-    7: CELLS,
-    8: np.array([[0, 0, 0], [0, 0, 1], [9, 9, 9]], np.int32),
-    9: np.array([[0, 0, 0], [1, 0, 0], [0, 0, 2], [0, 0, 4], [1, 0, 5]], np.int32),
+    7: CELLS[:1],
+    8: CELLS,
+    9: np.array([[0, 0, 0], [0, 0, 1], [9, 9, 9]], np.int32),
+    10: np.array([[0, 0, 0], [1, 0, 0], [0, 0, 2], [0, 0, 4], [1, 0, 5]], np.int32),
 }
 MATRICES = {
     2: np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32),
     3: np.array([[10], [11], [9], [10]], np.int32),
     4: np.zeros((1000, 3), np.int32),
-    15: np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32),
-    16: np.array([[10], [11], [9], [10]], np.int32),
+    17: np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32),
+    18: np.array([[10], [11], [9], [10]], np.int32),
 }
 
 
@@ -65,7 +65,7 @@ def test_examples_and_parts_are_numbered_in_order() -> None:
     listed = [int(number) for number in re.findall(r"^\| (\d+) \| [A-Z]", TEXT, re.MULTILINE)]
     examples = [int(number) for number in re.findall(r"\*\*Example (\d+)\.\*\*", TEXT)]
     assert parts == listed[: len(parts)] == list(range(1, 13))
-    assert examples == list(range(1, 24))
+    assert examples == list(range(1, 27))
     assert all(documented(number) for number in examples)
     assert max(map(len, TEXT.split("\n"))) <= 120
 
@@ -109,7 +109,7 @@ def test_example_of_varints() -> None:
 
 @pytest.mark.parametrize("number", MATRICES)
 def test_examples_of_run_lengths(number: int) -> None:
-    modules = (paper, paper_reference) if number >= 15 else (runlength, runlength_reference)
+    modules = (paper, paper_reference) if number >= 17 else (runlength, runlength_reference)
     for module in modules:
         assert module.encode(MATRICES[number]) == documented(number)[-1]
 
@@ -122,6 +122,16 @@ def test_example_of_the_directory() -> None:
     assert chunks.pack_directory(64, position, spans, headers, columns) == documented(5)[-1]
 
 
+def test_example_of_two_groups() -> None:
+    position = np.array([[x, 0, 0] for x in range(65)], np.int32)
+    columns = {tag: [bytes([k]) for k in range(65)] for tag in chunks.TAGS}
+    spans = [slice(k, k + 1) for k in range(65)]
+    data = chunks.pack_directory(1, position, spans, dict.fromkeys(chunks.TAGS, b""), columns)
+    head, rows, last = documented(6)
+    assert data[: len(head)] == head
+    assert data[len(head) + 512 :] == rows + last
+
+
 @pytest.mark.parametrize("number", OCTREES)
 def test_examples_of_octrees(number: int) -> None:
     position, data = OCTREES[number], documented(number)[0]
@@ -132,18 +142,20 @@ def test_examples_of_octrees(number: int) -> None:
 
 
 def test_examples_of_octrees_in_a_scene_and_of_bare_codes() -> None:
-    bare, corner = documented(7)[1], (5, -2, 7)
+    bare, corner = documented(8)[1], (5, -2, 7)
     assert position_coder.encode_in(CELLS, corner) == bare
     np.testing.assert_array_equal(position_coder.decode_in(bare, 3, corner, 1), CELLS)
     for module in (position_coder, octree_reference):
-        np.testing.assert_array_equal(module.decode(documented(10)[0], 3), CELLS)
+        np.testing.assert_array_equal(module.decode(documented(11)[0], 3), CELLS)
 
 
 def table_rows(number: int) -> npt.NDArray[np.int32]:
     """The rows of an example of attributes."""
-    if number == 11:
+    if number == 12:
         return np.array([[0, 0, 1, 0, -1, 0, 0, 200, 0, 0]], np.int32).T
-    if number == 13:
+    if number == 16:
+        return np.array([[1, -(2**31), 1, 2**31 - 1]], np.int32).T
+    if number == 14:
         rows = np.zeros((2050, 1), np.int32)
         rows[[0, 257, 1000, 2049]] = 1
         return rows
@@ -151,7 +163,7 @@ def table_rows(number: int) -> npt.NDArray[np.int32]:
     return np.array(pairs).astype(np.int32)
 
 
-@pytest.mark.parametrize("number", [11, 12, 13, 14])
+@pytest.mark.parametrize("number", [12, 13, 14, 15, 16])
 def test_examples_of_attributes(number: int) -> None:
     rows, (header, chunk) = table_rows(number), documented(number)
     model = row_coder.read(header, rows.shape[1])
@@ -164,12 +176,12 @@ def test_examples_of_attributes(number: int) -> None:
 
 
 def test_headers_of_the_examples_say_what_the_text_says() -> None:
-    first, second = attributes_reference.read_header(documented(12)[0], 2)
+    first, second = attributes_reference.read_header(documented(13)[0], 2)
     assert (first.centre, first.gain, first.frequency[0][:3]) == (10, 64, [2048, 1024, 1024])
     assert (second.taps, second.weight) == ([(0, 0, 128)], [0, 4096, 0])
     assert [table[:3] for table in second.frequency] == [[3584, 256, 256], [1024, 1024, 2048]]
     assert second.class_of == [0] + 31 * [1] + 32 * [0]
-    first, second = attributes_reference.read_header(documented(14)[0], 2)
+    first, second = attributes_reference.read_header(documented(15)[0], 2)
     assert (first.centre, first.gain, first.frequency[0][:3]) == (0, 64, [2048, 1024, 1024])
     assert (second.centre, second.mixed, second.taps) == (3, True, [])
     assert (second.weight, second.gain, second.span) == ([1365, 4096, 0], 0, 1)
@@ -177,21 +189,24 @@ def test_headers_of_the_examples_say_what_the_text_says() -> None:
 
 def test_examples_of_weights() -> None:
     pair = np.array([1.0, -1.0], np.float32)
-    assert weights.encode(pair, "float32") == planes_reference.encode(pair) == documented(17)[0]
+    assert b"\0" + pair.tobytes() == documented(19)[0]
+    np.testing.assert_array_equal(weights.decode(documented(19)[0], ((2, 1),)), pair)
+    np.testing.assert_array_equal(planes_reference.decode(documented(19)[0], 2), pair)
+    assert weights.encode(pair, "float32") == planes_reference.encode(pair) == documented(20)[0]
     multiples = np.array([0.5, -0.25, 0.0, 0.75, 0.0], np.float32)
     matrices = ((2, 2), (1, 1))
-    assert weights.encode(multiples, matrices=matrices) == documented(18)[0]
-    assert weights_reference.encode(multiples, matrices) == documented(18)[0]
+    assert weights.encode(multiples, matrices=matrices) == documented(21)[0]
+    assert weights_reference.encode(multiples, matrices) == documented(21)[0]
 
 
 def test_examples_of_arrays() -> None:
     lattice = [[0, 0, 0], [1000, 0, 0], [2000, 0, 4000], [0, 3000, 0], [3000, 3000, 2000]]
-    clouds = {19: np.empty((0, 3), int), 20: CELLS, 21: np.array(lattice)}
+    clouds = {22: np.empty((0, 3), int), 23: CELLS, 24: np.array(lattice)}
     for number, cloud in clouds.items():
         assert codec.encode_positions(cloud) == documented(number)[0]
         np.testing.assert_array_equal(codec.decode_positions(documented(number)[0]), cloud)
     column = np.array([[7], [7], [8]])
-    assert codec.encode_attributes(column) == documented(22)[-1]
+    assert codec.encode_attributes(column) == documented(25)[-1]
 
 
 def test_example_of_splats() -> None:
@@ -200,7 +215,7 @@ def test_example_of_splats() -> None:
     source = BytesSource(splats.pack(some))
     entries = section_table.read_table(source, splats=True).entries
     read = [section_table.read_section(source, entries[tag]) for tag in section_table.SPLATS]
-    assert [bytes(section.data) for section in read] == documented(23)
+    assert [bytes(section.data) for section in read] == documented(26)
     assert all(f"{_codec.crc32c(section.data):08X}" in TEXT for section in read[1:])
 
 

@@ -225,11 +225,11 @@ def decode(channels: list[Channel], data: bytes, count: int) -> npt.NDArray[np.i
     if _any_literals(channels):
         part, data = _take(data)
         literals = _Bits(part)
-    static = b""
+    states, source = rans.first_states(count), list[int]()
     if not all(channel.mixed for channel in channels):
         mixed = any(channel.mixed for channel in channels)
         static, data = _take(data) if mixed else (data, b"")
-    states, source = rans.split_words(static, count)
+        states, source = rans.split_words(static, count)
     coder = RangeDecoder(data)
     values: list[list[int]] = []
     symbols: list[list[int]] = []
