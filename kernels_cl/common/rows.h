@@ -2,14 +2,15 @@
 #ifndef CLGS_ROWS_H
 #define CLGS_ROWS_H
 
+#include "common/own_function.h"
 #include "common/real.h"
 
 /* Compilers make shuffles of private arrays with constant indices, as these functions have them.
  * The first reads rows `first` to `first + used - 1` of `values`, used > 0; the other lanes are
  * zero. */
 #define DEFINE_LOAD_ROWS(name, WIDTH)                                                              \
-    static inline void name(__global const float *values, const size_t first, const size_t used,   \
-                            fv columns[WIDTH])                                                     \
+    static inline OWN_FUNCTION void name(__global const float *values, const size_t first,         \
+                                         const size_t used, fv columns[WIDTH])                     \
     {                                                                                              \
         float rows[WIDTH * VEC];                                                                   \
         values += WIDTH * first;                                                                   \
@@ -34,8 +35,8 @@
 
 /* The mirror of DEFINE_LOAD_ROWS. */
 #define DEFINE_STORE_ROWS(name, WIDTH)                                                             \
-    static inline void name(const fv columns[WIDTH], __global float *values, const size_t first,   \
-                            const size_t used)                                                     \
+    static inline OWN_FUNCTION void name(const fv columns[WIDTH], __global float *values,          \
+                                         const size_t first, const size_t used)                    \
     {                                                                                              \
         float rows[WIDTH * VEC];                                                                   \
         values += WIDTH * first;                                                                   \

@@ -4,6 +4,7 @@
 #define CLGS_PROJECTED_GAUSSIANS_H
 
 #include "common/camera.h"
+#include "common/own_function.h"
 #include "common/real.h"
 #include "common/rows.h"
 #include "gaussian/projection.h"
@@ -76,8 +77,10 @@ static inline void blank(const iv keep, const int count, fv *columns)
 }
 
 /* Projected Gaussians of rotation `quaternion` and opacity `opaque`. */
-static inline ProjectedGaussians project_gaussians(const Projection *p, const fv quaternion[4],
-                                                   const fv opaque, __global const float *camera)
+static inline OWN_FUNCTION ProjectedGaussians project_gaussians(const Projection *p,
+                                                                const fv quaternion[4],
+                                                                const fv opaque,
+                                                                __global const float *camera)
 {
     ProjectedGaussians g;
     g.depth = p->z;

@@ -6,6 +6,7 @@
 #include "common/camera_space.h"
 #include "common/lane_math.h"
 #include "common/method.h"
+#include "common/own_function.h"
 #include "common/real.h"
 
 /* VEC Gaussians, one per lane. The factor and what follows from it are divided by powers of `unit`,
@@ -122,8 +123,9 @@ static inline void project_covariance(Projection *p)
 }
 
 /* The projection of Gaussians given by lanes. */
-static inline Projection make_projection(const fv mean[3], const fv scale[3],
-                                         const fv quaternion[4], __global const float *camera)
+static inline OWN_FUNCTION Projection make_projection(const fv mean[3], const fv scale[3],
+                                                      const fv quaternion[4],
+                                                      __global const float *camera)
 {
     Projection p;
     for (int i = 0; i < 3; ++i)

@@ -2,6 +2,7 @@
 #ifndef CLGS_SHAPES_H
 #define CLGS_SHAPES_H
 
+#include "common/own_function.h"
 #include "common/real.h"
 #include "gaussian/drawn_slots.h"
 #include "gaussian/output_rows.h"
@@ -44,8 +45,8 @@ typedef struct {
     float quaternion[4][SLOTS];
 } Shapes;
 
-static inline void gather_shapes(const AnchorLanes *a, const DrawnSlots *drawn,
-                                 const OutputRows *rows, Shapes *shapes)
+static inline OWN_FUNCTION void gather_shapes(const AnchorLanes *a, const DrawnSlots *drawn,
+                                              const OutputRows *rows, Shapes *shapes)
 {
     float size[3][VEC];
     for (int i = 0; i < 3; ++i)

@@ -4,6 +4,7 @@
 
 #include "common/lane_math.h"
 #include "common/method.h"
+#include "common/own_function.h"
 #include "common/prefetch.h"
 #include "common/real.h"
 #include "gaussian/drawn_slots.h"
@@ -69,8 +70,8 @@ static inline void copy_offsets(const AnchorLanes *a, __global const float *offs
 #endif
 
 /* Means of the Gaussians of the drawn slots: an offset away from their anchors. */
-static inline void gather_means(const VisibleAnchors *anchors, const AnchorLanes *a,
-                                const DrawnSlots *drawn, float mean[3][SLOTS])
+static inline OWN_FUNCTION void gather_means(const VisibleAnchors *anchors, const AnchorLanes *a,
+                                             const DrawnSlots *drawn, float mean[3][SLOTS])
 {
     float reach[3][VEC], centre[3][VEC];
 #if VEC == 1

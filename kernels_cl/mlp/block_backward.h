@@ -5,6 +5,7 @@
 #include "common/lane_math.h"
 #include "common/lanes.h"
 #include "common/method.h"
+#include "common/own_function.h"
 #include "common/prefetch.h"
 #include "common/real.h"
 #include "mlp/batch.h"
@@ -183,10 +184,10 @@ static inline void anchors_backward(const Inputs *inputs, const size_t first,
  * weight gradient needs. slots, next: the slots that are computed for this block and for the next
  * one. Call it for the heads in order: the first one gathers the inputs, the last one writes the
  * gradients by them. */
-static inline void block_backward(const Inputs *inputs, __global const float *weights,
-                                  const Outputs *outputs, const int head, const size_t first,
-                                  const int slots, const int next, __global float *column,
-                                  const AnchorGradients *d)
+static inline OWN_FUNCTION void block_backward(const Inputs *inputs, __global const float *weights,
+                                               const Outputs *outputs, const int head,
+                                               const size_t first, const int slots, const int next,
+                                               __global float *column, const AnchorGradients *d)
 {
     __global const float *weight = weights + head_start(head);
     float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK], d_hidden[HIDDEN_DIM * BLOCK];

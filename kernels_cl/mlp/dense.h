@@ -7,6 +7,7 @@
 #define CLGS_MLP_DENSE_H
 
 #include "common/method.h"
+#include "common/own_function.h"
 #include "common/real.h"
 #include "mlp/layout.h"
 
@@ -57,8 +58,8 @@ static inline void add_columns(fv sum[TILE][VECTORS], __global const float *weig
 }
 
 /* TILE units, from `unit` on, of one head's hidden layer; a NaN stays one. */
-static inline void hidden_units(__global const float *weight, const int unit, const float *x,
-                                float *hidden)
+static inline OWN_FUNCTION void hidden_units(__global const float *weight, const int unit,
+                                             const float *x, float *hidden)
 {
     __global const float *bias = weight + HIDDEN_DIM * INPUT_DIM;
     __global const float *weights[TILE];
@@ -91,9 +92,10 @@ static inline fv activate(const fv z, const int head)
 }
 
 /* The listed rows of one head's output layer. */
-static inline void output_layer(__global const float *weight, const int head, const float *hidden,
-                                const size_t *rows, const size_t count, OUTPUT_SPACE float *output,
-                                const size_t stride)
+static inline OWN_FUNCTION void output_layer(__global const float *weight, const int head,
+                                             const float *hidden, const size_t *rows,
+                                             const size_t count, OUTPUT_SPACE float *output,
+                                             const size_t stride)
 {
     __global const float *bias = weight + K_OFFSETS * slot_rows(head) * HIDDEN_DIM;
     for (size_t first = 0; first < count; first += TILE) {

@@ -5,6 +5,7 @@
 #include "common/camera.h"
 #include "common/lane_math.h"
 #include "common/lanes.h"
+#include "common/own_function.h"
 #include "common/prefetch.h"
 #include "common/real.h"
 #include "mlp/layout.h"
@@ -72,8 +73,8 @@ static inline void prefetch_features(const Inputs *inputs, const size_t first)
 
 /* Rows x of a block: feature, direction, and a row of ones, which multiplies the bias. A sample
  * without anchor, or with an input that is not finite, is zero in all of them. */
-static inline void gather_inputs(const Inputs *inputs, const size_t first,
-                                 float x[(INPUT_DIM + 1) * BLOCK])
+static inline OWN_FUNCTION void gather_inputs(const Inputs *inputs, const size_t first,
+                                              float x[(INPUT_DIM + 1) * BLOCK])
 {
     __global const float *feature[BLOCK], *position[BLOCK];
     prefetch_features(inputs, first + BLOCK);

@@ -11,6 +11,7 @@
 #include "common/form.h"
 #include "common/lanes.h"
 #include "common/method.h"
+#include "common/own_function.h"
 #include "common/real.h"
 #include "mlp/batch.h"
 #include "mlp/layout.h"
@@ -103,17 +104,16 @@ static inline void multiplied_rows(const WeightTile *tile, const int column,
                                  BATCH_STRIDE;
 }
 
-/* Vectors of samples go round the work-items of a group. A CPU's compiler keeps all the sums in
- * registers only if add_products is a function of its own. */
+/* The vectors of a batch go round the work-items of a group. */
 #if USE_LOCAL
 #define VECTOR_STEP GROUP_SIZE
-#define OWN_FUNCTION
 #else
 #define VECTOR_STEP 1
-#define OWN_FUNCTION __attribute__((noinline))
 #endif
 
-/* sum[o][c] += row o times column c, over every VECTOR_STEP-th vector of [begin, end). */
+/* sum[o][c] += row o times column c, over every VECTOR_STEP-th vector of [begin, end). A function
+ * of its own, and sums of its own, because only then a CPU's compiler keeps all of them in
+ * registers. */
 static inline OWN_FUNCTION void add_products(__global const float *rows,
                                              __global const float *columns[COLUMNS],
                                              const size_t begin, const size_t end,
