@@ -46,6 +46,11 @@ lint() {
     scripts/checks/lint_kernels.sh
 }
 
+docs() {
+    step "documentation and its links"
+    scripts/docs.sh --check
+}
+
 test_c() {
     step "C tests under sanitizers"
     command -v "$bin/cmake" >/dev/null || "$python" -m pip install --quiet 'cmake>=3.25' </dev/null
@@ -107,7 +112,8 @@ fi
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 step "tests of the checkout"
-"$python" -m pytest -q tests/house/test_architecture.py tests/house/test_packaging.py tests/house/test_rules.py
+"$python" -m pytest -q tests/house/test_{architecture,docs,packaging,rules}.py
+docs
 test_c
 fuzz
 build_wheel
