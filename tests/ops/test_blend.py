@@ -76,12 +76,11 @@ EXP2_ERROR = {6: 0.0, 5: 2e-7, 4: 3e-6, 3: 8e-5}
 
 
 def every_degree():
-    """Presets with their own degree, and the one that none has; others for a release.
+    """Presets with their own degree (parity's is compared above); others for a release.
 
-    Parity's own is compared above. Each pair is compiled anew.
+    Each pair is compiled anew.
     """
     quick = {(name, preset.exp2_degree) for name, preset in PRESETS.items() if name != "parity"}
-    quick.add(("parity", 5))
     for pair in product(PRESETS, EXP2_ERROR):
         yield pytest.param(*pair, marks=() if pair in quick else pytest.mark.release)
 
@@ -138,17 +137,20 @@ def test_exact_preset_is_close_to_no_truncation(device, rng):
 
 
 @pytest.mark.parametrize(
-    ("skip", "kind"),
+    ("form", "skip", "kind"),
     [
-        ("units", "needles"),
-        ("units", "huge"),
-        ("finished", "opaque"),
-        ("contributors", "opaque"),
-        ("empty_tiles", "few"),
+        ("cpu", "units", "needles"),
+        ("cpu", "units", "huge"),
+        ("cpu", "finished", "opaque"),
+        ("gpu", "finished", "opaque"),
+        ("cpu", "contributors", "opaque"),
+        ("gpu", "contributors", "opaque"),
+        ("cpu", "empty_tiles", "few"),
     ],
 )
-def test_skipped_work_changes_no_bit(device, rng, skip, kind):
-    size = (75, 53)
+def test_skipped_work_changes_no_bit(open_device, rng, form, skip, kind):
+    """All at once, in both forms: tests/stress/test_order.py."""
+    device, size = open_device(form), (75, 53)
     count, sigma, ratio = {
         "opaque": (3000, 4.0, 3.0),
         "needles": (800, 30.0, 400.0),
@@ -172,7 +174,7 @@ def test_skipped_work_changes_no_bit(device, rng, skip, kind):
     ]
     saved = [less.visited < more.visited for less, more in zip(*works, strict=True)]
     expected = {
-        "units": [device.specialisation == "cpu"] * 2,
+        "units": [True, True],
         "finished": [True, False],
         "contributors": [False, True],
         "empty_tiles": [False, False],

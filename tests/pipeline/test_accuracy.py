@@ -34,7 +34,8 @@ def test_one_pixel_enlarges_to_a_plain_picture():
     )
 
 
-def test_presets_render_the_same_scene(device):
+def test_presets_render_the_same_scene(open_device):
+    device = open_device("cpu")
     scene, camera = anchor_scene(3000, 75, 11)
     pictures = {
         name: Renderer(device, scene, render_options(name)).render(camera) for name in PRESETS
