@@ -1,6 +1,7 @@
 /* Blend the records of every tile front to back, GPU form.
  *
  *     color += alpha T c,  T *= 1 - alpha;  a pixel stops before T < TRANSMITTANCE_STOP.
+ * touch.h computes alpha, pixels.h blends; rays.h and moments.h take the derivatives.
  *
  * A work-group owns a tile, each of its TILE_SIZE^2 work-items a pixel. Local memory holds BATCH
  * records, which the work-items load together. Launch size: tiles * TILE_SIZE^2. */

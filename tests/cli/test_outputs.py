@@ -277,3 +277,35 @@ def test_a_run_needs_a_folder(work, capsys, folder):
     assert cli.main(["train", str(work), "-o", folder]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert not (work / "config.toml").exists()
+
+
+@pytest.mark.parametrize("output", ["data", "data/images"])
+def test_pictures_and_runs_stay_out_of_the_photos(tmp_path, monkeypatch, capsys, output):
+    monkeypatch.chdir(tmp_path)
+    photo = tmp_path / "data" / "images" / "one.png"
+    photo.parent.mkdir(parents=True)
+    photo.write_bytes(b"a photo")
+    for command in (["render", "s.clgs", "--data", "data"], ["train", "data"]):
+        assert cli.main([*command, "-o", output]) == 2
+        assert "is the folder of the photos" in capsys.readouterr().err
+    assert photo.read_bytes() == b"a photo"
+
+
+@pytest.mark.parametrize("output", ["s.clgs", "scores.txt", "data/transforms.json"])
+def test_scores_replace_neither_scene_nor_data(tmp_path, monkeypatch, capsys, output):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    for name in ("s.clgs", "data/transforms.json"):
+        (tmp_path / name).write_bytes(b"kept")
+    assert cli.main(["eval", "s.clgs", "--data", "data", "--json", output]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert (tmp_path / "s.clgs").read_bytes() == b"kept"
+    assert (tmp_path / "data" / "transforms.json").read_bytes() == b"kept"
+
+
+@pytest.mark.parametrize("command", ["encode", "pack"])
+@pytest.mark.parametrize("output", ["config.toml", "preview.png", "x.zip", "x"])
+def test_scene_files_end_in_clgs(tmp_path, monkeypatch, capsys, command, output):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main([command, "s.ply", "-o", output]) == 2
+    assert "name it so" in capsys.readouterr().err

@@ -41,7 +41,7 @@ def test_coincident_splats(device, count, opacity):
     scene = part(space_scene(np.random.default_rng(0), 1, CAMERA, 8.0), np.zeros(count, int))
     scene = changed(changed(scene, "mean", slice(None), 0.03), "opacity", slice(None), opacity)
     scene = replace(scene, color=np.random.default_rng(1).random((count, 3), np.float32))
-    # T of a pixel with 1,500 layers is off by 5e-6 (NUMERICS 2.1), and all splats share its error
+    # T of a pixel with 1,500 layers is off by 5e-6 (measured), and all splats share its error
     assert_matches(draw(device, scene, CAMERA), D_IMAGE, gradient=2e-5 if count > 200 else 1e-5)
 
 

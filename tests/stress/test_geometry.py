@@ -101,7 +101,7 @@ def test_needles_keep_their_digits(device, ratio, sigma):
     assert drawn["visible"].all()
     r1, slope, r2 = drawn["whitening"].astype(np.float64).T
     determinant = determinants(scene, WIDE)[1]
-    # NUMERICS 2.4: 2.4e-7 for the determinant; unit quaternions are so to 1e-7 only
+    # measured: 2.4e-7 for the determinant; unit quaternions are so to 1e-7 only
     assert np.abs((r1 * r2) ** -2 / determinant - 1).max() <= 1e-6
     e1, e_slope, e2 = exact_whitening(scene, WIDE)
     y1, y2 = 3.3 * np.random.default_rng(0).uniform(-0.7, 0.7, (2, len(r1)))
@@ -243,7 +243,7 @@ def test_camera_inside_of_a_splat(device, size, offset):
 
 @pytest.mark.family("N25")
 def test_geometry_keeps_more_than_half_precision(device):
-    """NUMERICS 2.6: half precision of centre and covariance would show; ours does not."""
+    """Half precision of centre and covariance would show; ours does not."""
     camera = straight_camera(96, 96)
     drawn = draw(device, space_scene(np.random.default_rng(0), 800, camera, 2.5), camera)
     d_image = image_gradient(camera)

@@ -32,19 +32,27 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate; exit code 0, or 1 if the hashes differ."""
     from clgs.cli.options.scene import read_scene
     from clgs.errors import UsageError
-    from clgs.files import check_target
+    from clgs.files import check_output
     from clgs.opencl.device import Device
 
     if args.data is None and args.hashes is None:
         raise UsageError("nothing to do: name the photos with --data, or hashes with --hashes")
     if args.json:
-        check_target(args.json)
+        if args.json.suffix.lower() != ".json":
+            raise UsageError(f"{args.json}: the scores are a .json file; name it so")
+        check_output(args.json, args.scene, *([args.hashes] if args.hashes else []))
+        if args.data is not None and args.json.exists() and _lies_in(args.json, args.data):
+            raise UsageError(f"{args.json}: is a file of the data set; choose another output")
     scene, size = read_scene(args.scene)
     device = Device(args.device)
     code = _compare_hashes(device, scene, args.hashes) if args.hashes else 0
     if args.data is not None:
         _score(args, device, scene, size)
     return code
+
+
+def _lies_in(path: Path, folder: Path) -> bool:
+    return folder.resolve() in path.resolve().parents
 
 
 def _score(

@@ -19,7 +19,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Render; exit code 0."""
     from clgs.cli.options.scene import read_scene
-    from clgs.cli.options.view import selected_options, selected_views
+    from clgs.cli.options.view import check_apart, selected_options, selected_views
     from clgs.cli.progress import track
     from clgs.export.image import picture_names, save_png
     from clgs.files import check_folder
@@ -28,6 +28,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.train.quality.metrics import to_8bit
 
     check_folder(args.output)
+    check_apart(args.output, args.data)
     scene, _ = read_scene(args.scene)
     views = selected_views(args, scene)
     renderer = Renderer(Device(args.device), scene.dequantize(), selected_options(args))

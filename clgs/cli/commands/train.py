@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.options.training import add_training_options, make_config
-from clgs.cli.options.view import named_path
+from clgs.cli.options.view import check_apart, named_path
 
 if TYPE_CHECKING:
     from clgs.train.run.session import Session
@@ -21,9 +21,10 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "train",
         help="train a scene from photos with poses",
         usage="%(prog)s DATA -o RUN [OPTION ...]",
-        description="Train a scene. RUN receives config.toml, progress.csv, scene.clgs, "
-        "results.json, per_view.json, hashes.json, test/ and preview.png. Of the options, (paper) "
-        "names values of Voxel-GS, arXiv 2512.17528, and (code) those of its implementation.",
+        description="Train a scene. RUN receives scene.clgs, scene.npz, config.toml, "
+        "progress.csv, results.json, per_view.json, hashes.json, test/, preview.png, checkpoint/ "
+        "and points-*.npz if points were triangulated. Of the options, (paper) names values of "
+        "Voxel-GS, arXiv 2512.17528, and (code) those of its implementation.",
     )
     add = parser.add_argument
     add("data", type=Path, metavar="DATA", help="Blender, transforms.json or COLMAP folder")
@@ -58,8 +59,7 @@ def run(args: argparse.Namespace) -> int:
     check_folder(args.output)
     if (args.output / "checkpoint").is_file():
         raise UsageError(f"{args.output / 'checkpoint'}: is not a folder; remove it")
-    if args.output.exists() and args.data.exists() and args.output.samefile(args.data):
-        raise UsageError(f"{args.output}: is the folder of the photos; name another with -o")
+    check_apart(args.output, args.data)
     if not args.resume and (args.output / "config.toml").exists():
         raise DataError(f"{args.output}: holds a run already; add --resume or name another folder")
     device = Device(args.device)

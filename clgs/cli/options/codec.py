@@ -32,11 +32,11 @@ def check_suffix(output: Path) -> None:
     """Refuse to write a .clgs file under the name of another kind of file.
 
     Raises:
-        UsageError: the name ends in .npz or .ply.
+        UsageError: the name does not end in .clgs.
     """
     from clgs.errors import UsageError
 
-    if output.suffix.lower() in (".npz", ".ply"):
+    if output.suffix.lower() != ".clgs":
         raise UsageError(f"{output}: the output is a .clgs file; name it so")
 
 

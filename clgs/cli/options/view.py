@@ -67,6 +67,23 @@ def add_memory_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def check_apart(output: Path, data: Path) -> None:
+    """Refuse an output folder whose files would mix with the photos of a data set.
+
+    Raises:
+        UsageError: ``output`` is ``data``, or a folder in it that holds photos and no run.
+    """
+    from clgs.data.images import list_images
+    from clgs.errors import UsageError
+
+    if not (output.is_dir() and data.is_dir()):
+        return
+    own, folder = output.resolve(), data.resolve()
+    inside = folder in own.parents and not (own / "config.toml").exists()
+    if own == folder or (inside and list_images(own)):
+        raise UsageError(f"{output}: is the folder of the photos; name another with -o")
+
+
 def selected_views(
     args: argparse.Namespace, scene: QuantizedScene, load_images: bool | Collection[str] = True
 ) -> list[View]:
