@@ -4,6 +4,7 @@
 #define CLGS_FOOTPRINTS_H
 
 #include "common/ellipses.h"
+#include "common/lane_math.h"
 #include "common/real.h"
 #include "common/rows.h"
 #include "common/tile_size.h"
@@ -29,12 +30,6 @@ typedef struct {
     fv margin;                   /* pixels, for the rounding of columns */
     iv left, right, top, bottom; /* tiles; none if left > right */
 } Footprints;
-
-static inline fv clamp_lanes(const fv x, const fv low, const fv high)
-{
-    const fv raised = x < low ? low : x;
-    return raised > high ? high : raised;
-}
 
 /* As clamp_lanes, but a NaN becomes `low`. */
 static inline iv pixel_of(const fv x, const float low, const float high)
