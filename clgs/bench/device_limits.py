@@ -1,4 +1,4 @@
-"""What a device reaches at most: bytes copied and float32 operations a second, measured."""
+"""What a device reaches at most: bytes copied and float32 operations per second, measured."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def main(name: str, specialisation: str, only: str = "") -> int:
     trainer.densifier = Densifier(device, config, trainer.parameters.count)
     result = trainer.step()
     bits = rate_of_rounded(trainer)
-    print(f"race_scene: {specialisation}: {result}, {bits} bits an anchor")
+    print(f"race_scene: {specialisation}: {result}, {bits} bits per anchor")
     if only == "--step":
         return 0 if np.isfinite(result.loss + bits) else 1
     largest = max(gradient_by_preset(trainer, camera, name) for name in ("exact", "fast"))
@@ -93,7 +93,7 @@ def without_room(trainer: Trainer, camera: Camera) -> None:
 
 
 def rate_of_rounded(trainer: Trainer) -> float:
-    """Round the parameters and run the rate proxy on them, forward and backward; bits an anchor."""
+    """Round the parameters, run the rate proxy forward and backward; bits per anchor."""
     rounded = rounded_anchors(
         trainer.device, trainer.parameters.scene.anchors, trainer.queue.scales
     )

@@ -67,7 +67,7 @@ class Enqueued:
 class StepQueue:
     """Enqueues steps. Once its stop flag is set they change nothing.
 
-    ``capacity`` None makes every array to measure, which waits for the device three times a step.
+    ``capacity`` None makes every array to measure, which waits for the device three times per step.
     """
 
     def __init__(self, device: Device, dataset: Dataset, config: TrainConfig) -> None:
