@@ -167,7 +167,7 @@ def make_report(outcome: Outcome) -> Report:
             "held-out views": str(scores["views"]),
             "background": str(scores["background"]),
             "size": f"{scores['bytes']:,} bytes, {8 * scores['bytes'] / max(anchors, 1):.1f} bits "
-            "an anchor",
+            "per anchor",
         },
     )
 
