@@ -129,5 +129,6 @@ def test_box_tells_all_numbers(tmp_path, capsys):
 
 def test_page_holds_the_numbers():
     page = report_html(make_report(outcome()), [])
-    for part in ("26.50 dB", "0.9000", "positions", "a device", "48 of 48", "800.0 bits per anchor"):
+    parts = ("26.50 dB", "0.9000", "positions", "a device", "48 of 48", "800.0 bits per anchor")
+    for part in parts:
         assert part in page
