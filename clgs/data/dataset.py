@@ -16,7 +16,7 @@ import numpy.typing as npt
 from clgs.data.images import Pixels, box_downscale, list_images, read_image
 from clgs.data.lens import Lens, undistort_lens, undistort_pixels
 from clgs.data.point_file import PointFile, read_points
-from clgs.data.points import keep_near, random_points, viewpoint
+from clgs.data.points import RandomStart, keep_near, random_points, viewpoint
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.errors import DataError
 from clgs.scene.camera import Camera
@@ -81,7 +81,7 @@ def load_dataset(
     cache: Path | None = None,
     seed: int = 0,
     load_images: bool | Collection[str] = True,
-    load_points: bool | PointFile = True,
+    load_points: bool | PointFile | RandomStart = True,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Dataset:
     """The data set in the folder ``path``: Blender, transforms.json or COLMAP.
@@ -95,7 +95,7 @@ def load_dataset(
         load_images: without, views have empty images, and points come from COLMAP models only; or
             the names of the photos that are loaded, the others stay empty.
         load_points: without, none are triangulated or drawn: enough to render and evaluate; or a
-            file to take the points from instead of the data set.
+            file to take the points from instead of the data set, or what to draw if it has none.
         on_stage: called with a line before work that takes minutes.
 
     Raises:
@@ -119,14 +119,15 @@ def load_dataset(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         views = list(pool.map(to_view, photos.train + photos.test))
     train, test = views[: len(photos.train)], views[len(photos.train) :]
-    make_points = load_images is True and load_points is True
+    make_points = load_images is True and load_points is not False and not source
     if make_points and photos.points is None and photos.kind != "blender":
         _triangulate(photos, cache, seed, on_stage)
     points, colors = _scene_points(photos, transform, radius)
     if make_points and len(points) < LEAST_POINTS:
         if photos.points is not None:
             _log.warning("%s: only %d usable points, starting from random ones", path, len(points))
-        points, colors = _random_points(path, photos.kind, train, radius, seed), None
+        start = load_points if isinstance(load_points, RandomStart) else RandomStart()
+        points, colors = _random_points(path, photos.kind, train, (radius, seed), start), None
     kind, skipped, points_file = photos.kind, photos.skipped, str(source.path) if source else ""
     return Dataset(
         train, test, points, colors, transform, radius, kind, skipped, downscale, points_file
@@ -147,11 +148,16 @@ def _take_points(
 
 
 def _random_points(
-    path: Path | str, kind: str, train: list[View], radius: float, seed: int
+    path: Path | str,
+    kind: str,
+    train: list[View],
+    radius_and_seed: tuple[float, int],
+    start: RandomStart,
 ) -> npt.NDArray[np.float32]:
     """Points (P, 3) in scene units in the volume that the training cameras share."""
+    radius, seed = radius_and_seed
     viewpoints = [viewpoint(view.camera, view.alpha) for view in train]
-    points = random_points(viewpoints, radius, kind == "blender", seed)
+    points = random_points(viewpoints, radius, kind == "blender", seed, start)
     if len(points) < LEAST_POINTS:
         raise DataError(
             f"{path}: no two photos look at the same place; check the poses and their axes"

@@ -16,11 +16,14 @@ from clgs.scene.camera import Camera
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-RANDOM_POINTS = 100_000
-"""Random points that are aimed at."""
-
 BLENDER_HALF_EDGE = 1.3
 """Half the edge of the cube around the origin that holds every Synthetic-NeRF object."""
+
+HULL_POINTS = 10_000
+"""Random points in the visual hull of a Blender scene; anchors grow from there."""
+
+RAY_POINTS = 100_000
+"""Random points among photos, most of them in empty space."""
 
 SEEN_SHARE = 0.5
 """A random point must lie in the image of at least this share of the cameras; if none does, as in a
@@ -54,10 +57,22 @@ def viewpoint(camera: Camera, alpha: npt.NDArray[np.uint8] | None) -> Viewpoint:
     return Viewpoint(camera, maximum_filter(alpha, size=2 * MASK_MARGIN + 1) > 0)
 
 
+@dataclass(frozen=True)
+class RandomStart:
+    """How many random points a data set without points starts from, and whether they are carved.
+
+    count 0: HULL_POINTS in Blender scenes, RAY_POINTS among photos. Not carved, those of a Blender
+    scene fill its cube, background or not (Voxel-GS).
+    """
+
+    count: int = 0
+    carved: bool = True
+
+
 def random_points(
-    viewpoints: list[Viewpoint], radius: float, blender: bool, seed: int
+    viewpoints: list[Viewpoint], radius: float, blender: bool, seed: int, start: RandomStart
 ) -> npt.NDArray[np.float32]:
-    """About RANDOM_POINTS points (P, 3) float32 in the volume that the cameras share.
+    """About as many points as ``start`` says (P, 3) float32 in the volume that the cameras share.
 
     A point is kept if at least SEEN_SHARE of the cameras, or else two of them, have it in their
     image and none of those shows background there; P is 0 if there is none. ``blender``: drawn
@@ -65,13 +80,17 @@ def random_points(
     depths of 0.2 to 5 times ``radius``. Scene units.
     """
     rng = np.random.default_rng(seed)
+    count = start.count or (HULL_POINTS if blender else RAY_POINTS)
+    if blender and not start.carved:
+        edge = BLENDER_HALF_EDGE
+        return rng.uniform(-edge, edge, (count, 3)).astype(np.float32)
     most = math.ceil(SEEN_SHARE * len(viewpoints))
-    points = _in_cube(rng, viewpoints, most) if blender else np.empty((0, 3))
+    points = _in_cube(rng, viewpoints, most, count) if blender else np.empty((0, 3))
     for needed in (most, min(2, most)):
         if not len(points):
             draw = partial(_on_rays, rng, viewpoints, radius)
-            points = _collect(draw, viewpoints, needed)
-    return points[:RANDOM_POINTS].astype(np.float32)
+            points = _collect(draw, viewpoints, needed, count)
+    return points[:count].astype(np.float32)
 
 
 def keep_near(points: Floats, centre: Floats, radius: float) -> Mask:
@@ -88,19 +107,23 @@ def keep_near(points: Floats, centre: Floats, radius: float) -> Mask:
     return np.asarray(usable & (distance <= limit))
 
 
-def _collect(draw: Callable[[], Floats], viewpoints: list[Viewpoint], needed: int) -> Floats:
-    """Batches of ``draw`` carved until RANDOM_POINTS are left, or none ever is."""
+def _collect(
+    draw: Callable[[], Floats], viewpoints: list[Viewpoint], needed: int, count: int
+) -> Floats:
+    """Batches of ``draw`` carved until ``count`` are left, or none ever is."""
     kept: list[Floats] = []
     for _ in range(_MAX_BATCHES):
         points = draw()
         kept.append(points[_shared(points, viewpoints, needed)])
         found = sum(map(len, kept))
-        if found == 0 or found >= RANDOM_POINTS:
+        if found == 0 or found >= count:
             break
     return np.concatenate(kept)
 
 
-def _in_cube(rng: np.random.Generator, viewpoints: list[Viewpoint], needed: int) -> Floats:
+def _in_cube(
+    rng: np.random.Generator, viewpoints: list[Viewpoint], needed: int, count: int
+) -> Floats:
     """Points of the cube of Synthetic-NeRF; after a first look only of the part that is full."""
     low, high = np.full(3, -BLENDER_HALF_EDGE), np.full(3, BLENDER_HALF_EDGE)
     first = rng.uniform(low, high, (_BATCH, 3))
@@ -110,7 +133,7 @@ def _in_cube(rng: np.random.Generator, viewpoints: list[Viewpoint], needed: int)
     margin = 0.05 * (first.max(axis=0) - first.min(axis=0)) + 0.01
     low = np.maximum(low, first.min(axis=0) - margin)
     high = np.minimum(high, first.max(axis=0) + margin)
-    return _collect(lambda: rng.uniform(low, high, (_BATCH, 3)), viewpoints, needed)
+    return _collect(lambda: rng.uniform(low, high, (_BATCH, 3)), viewpoints, needed, count)
 
 
 def _on_rays(rng: np.random.Generator, viewpoints: list[Viewpoint], radius: float) -> Floats:

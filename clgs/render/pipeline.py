@@ -91,10 +91,21 @@ def render_backward(
         d_image: (3, H, W) float32.
         volume_weight: weight of the volume term over all neural Gaussians of the frame.
     """
-    gaussians, camera = frame.gaussians, frame.view.camera
-    inputs = mlp.Inputs(scene.anchors, scene.weights, camera)
     with device.stage("blend backward"):
         d_projected = blend_backward(device, frame, d_image)
+    return scene_backward(device, scene, frame, d_projected, volume_weight)
+
+
+def scene_backward(
+    device: Device,
+    scene: DeviceScene,
+    frame: Frame,
+    d_projected: project.ProjectedGradients,
+    volume_weight: float = 0.0,
+) -> SceneGradients:
+    """The rest of :func:`render_backward`, from the gradients by the projected Gaussians on."""
+    gaussians, camera = frame.gaussians, frame.view.camera
+    inputs = mlp.Inputs(scene.anchors, scene.weights, camera)
     with device.stage("project backward"):
         d_gaussians = project.backward(device, gaussians, camera, frame.projected, d_projected)
         if volume_weight:

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from clgs.data.dataset import SCENE_RADIUS, View, composite, load_dataset
-from clgs.data.points import MAX_COORDINATE, keep_near
+from clgs.data.points import MAX_COORDINATE, RandomStart, keep_near
 from clgs.errors import DataError
 from clgs.scene.camera import Camera
 from tests.data.folders import (
@@ -92,12 +92,23 @@ def test_downscaled_intrinsics(tmp_path: Path, size: tuple[int, int], downscale:
     assert np.abs(project(small, points) - expected).max() <= 1e-9
 
 
+def test_a_start_has_the_number_of_points_that_is_asked_for(tmp_path: Path):
+    write_blender(tmp_path)
+    data = load_dataset(tmp_path, load_points=RandomStart(count=500))
+    assert len(data.points) == 500
+    cube = load_dataset(tmp_path, load_points=RandomStart(count=5000, carved=False)).points
+    assert len(cube) == 5000
+    assert np.abs(cube).max() <= 1.3
+    assert (np.abs(cube) > 1.2).any()  # where photos show background, too
+    np.testing.assert_allclose(cube.mean(axis=0), 0.0, atol=0.06)
+
+
 def test_blender_points_are_carved_and_seeded(tmp_path: Path):
     write_blender(tmp_path)
     data = load_dataset(tmp_path)
     assert (data.kind, len(data.train), len(data.test), data.skipped) == ("blender", 8, 3, 0)
     assert data.transform.scale == 1.0
-    assert 90_000 <= len(data.points) <= 100_000
+    assert 9_000 <= len(data.points) <= 10_000
     distance = np.linalg.norm(data.points, axis=1)
     # The masks are grown by 2 pixels of 40, about 0.2 units; views from one height only leave
     # cones above and below the ball.

@@ -23,7 +23,9 @@ from clgs.train.config import (
     preset,
     read_settings,
 )
+from clgs.train.config.describe import describe
 from clgs.train.config.option import Option, Pair, Range, Text, at_least, option, options_of
+from clgs.train.config.presets import PAPER_RATES
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -83,7 +85,7 @@ def test_every_option_has_help_range_and_unit(one: Option) -> None:
 @pytest.mark.parametrize("one", OPTIONS, ids=by_name)
 def test_option_file_and_set_give_the_same(one: Option, tmp_path: Path) -> None:
     value = other_value(one)
-    flag = f"--{one.name.replace('_', '-')}"
+    flag = describe(one).flag
     word = as_text(value)
     given = (
         [flag, word]
@@ -154,7 +156,7 @@ def test_what_counts_more(tmp_path: Path) -> None:
     config = parse_command("--config", str(file), "--near", "0.75", "--set", "adam=visible")
     assert (config.preset, config.proxy, config.normalize) == ("paper", "pooled", False)
     assert (config.near, config.voxel, config.adam) == (0.75, 0.25, "visible")
-    assert config.learning_rates == replace(TrainConfig().learning_rates, offset=(1.0, 2.0))
+    assert config.learning_rates == replace(PAPER_RATES, offset=(1.0, 2.0))
     assert parse_command("--preset", "quick", "--config", str(file)).preset == "quick"
     assert parse_command("--near", "1", "--set", "near=2", "--set", "near=3").near == 3.0
     assert parse_command("--loss-weights", "1", "0.5", "--l1-weight", "2") == replace(

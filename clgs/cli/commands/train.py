@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.progress import TrainingDisplay, print_summary
     from clgs.data.dataset import load_dataset
     from clgs.data.point_file import PointFile
+    from clgs.data.points import RandomStart
     from clgs.errors import DataError, UsageError
     from clgs.files import check_folder
     from clgs.opencl.device import Device
@@ -70,7 +71,9 @@ def run(args: argparse.Namespace) -> int:
         preset_units=not config.normalize,
         cache=args.output,
         seed=config.seed,
-        load_points=PointFile(Path(config.points), config.point_samples) if config.points else True,
+        load_points=PointFile(Path(config.points), config.point_samples)
+        if config.points
+        else RandomStart(config.start_points, config.start_volume == "hull"),
         on_stage=partial(print, file=sys.stderr, flush=True),
     )
     config = config.for_dataset(dataset.kind)

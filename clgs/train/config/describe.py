@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from clgs.train.config.option import Option, options_of
 from clgs.train.config.settings import TrainConfig
 
+FLAGS = {"size_lambda": "lambda"}
+"""Names on the command line that differ from those in a file: Python keeps the word lambda."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -36,7 +39,7 @@ def describe(one: Option) -> Row:
     remark = "; moves with steps" if one.scaled else ""
     return Row(
         name=one.name,
-        flag=f"--{one.name.replace('_', '-')}",
+        flag=f"--{FLAGS.get(one.name, one.name).replace('_', '-')}",
         group=one.group,
         default=one.open_default or _text(one.default),
         unit=one.unit,

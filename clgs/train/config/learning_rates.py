@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from clgs.errors import UsageError
 from clgs.train.config.option import POSITIVE, Pair, option, options_of
 
-SHORT_RUN_POWERS = {"feature": (0.75, -0.25), "offset": (0.5, 0.25)}
-"""A run n times shorter multiplies the first and the last of these learning rates by n to these
-powers.
-"""
-
 
 @dataclass(frozen=True)
 class LearningRates:
-    """(first, last) of each group, log-linear in between; equal ends stay constant (paper, code).
+    """(first, last) of each group, log-linear in between; equal ends stay constant.
 
     Positions have learning rate 0: no group.
     """
@@ -28,10 +23,16 @@ class LearningRates:
         group="learning rates",
     )
     feature: Pair = option(
-        (0.0075, 0.0075), "first and last learning rate of features", POSITIVE, unit="per step"
+        (0.015, 0.0015),
+        "first and last learning rate of features (code: 0.0075, which preset paper takes)",
+        POSITIVE,
+        unit="per step",
     )
     scaling: Pair = option(
-        (0.007, 0.007), "first and last learning rate of scalings", POSITIVE, unit="per step"
+        (0.007, 0.0007),
+        "first and last learning rate of scalings (code: 0.007, which preset paper takes)",
+        POSITIVE,
+        unit="per step",
     )
     mlp_opacity: Pair = option(
         (0.002, 2e-5), "first and last learning rate of the opacity MLP", POSITIVE, unit="per step"
@@ -52,19 +53,3 @@ class LearningRates:
                 object.__setattr__(self, name, one.check(getattr(self, name)))
             except UsageError as error:
                 raise UsageError(f"learning_rates.{error}") from None
-
-    def for_shorter_run(self, shorter: float) -> LearningRates:
-        """The rates of a run that is ``shorter`` times as short, as SHORT_RUN_POWERS says.
-
-        Features and offsets start at zero, and a short run would leave them small beside the
-        rounding to integers when that sets in; afterwards large steps would only rattle the
-        integers.
-        """
-        changed = {
-            name: tuple(
-                rate * shorter**power
-                for rate, power in zip(getattr(self, name), powers, strict=True)
-            )
-            for name, powers in SHORT_RUN_POWERS.items()
-        }
-        return replace(self, **changed)

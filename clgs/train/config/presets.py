@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from clgs.train.config.learning_rates import LearningRates
 from clgs.train.config.settings import TrainConfig
+
+PAPER_RATES = LearningRates(feature=(0.0075, 0.0075), scaling=(0.007, 0.007))
 
 Values = Mapping[str, Any]
 """Checked values by name; those of tables are dotted."""
@@ -27,7 +30,21 @@ def preset(name: str) -> TrainConfig:
     if name == "quick":
         return config.scaled(3_000)
     if name == "paper":
-        return replace(config, normalize=False, proxy="pooled")
+        return replace(
+            config,
+            normalize=False,
+            proxy="pooled",
+            size_lambda=0.0,
+            rate_weight=1e-4,
+            freeze_step=config.steps,
+            offset_q=1.0,
+            feature_q=1.0,
+            scaling_q=8.0,
+            mlp="float32",
+            learning_rates=PAPER_RATES,
+            start_points=100_000,
+            start_volume="cube",
+        )
     return config
 
 

@@ -19,7 +19,7 @@ from clgs.errors import UsageError
 from clgs.options import PRESETS, RenderOptions, render_options
 from clgs.train.config.learning_rates import LearningRates
 from clgs.train.config.option import ANY, POSITIVE, Range, Text, at_least, option, options_of
-from clgs.train.config.run_length import FULL_STEPS, check_order, scaled_moments, shortness
+from clgs.train.config.run_length import FULL_STEPS, check_order, scaled_moments
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
@@ -56,8 +56,7 @@ class TrainConfig:
     steps: int = option(
         FULL_STEPS,
         "training steps, one view each (paper); another number than the preset's also moves, in "
-        "proportion, the settings that say so, and in short runs it changes the learning rates of "
-        "features and offsets",
+        "proportion, the settings that say so",
         at_least(1),
         unit="steps",
     )
@@ -88,6 +87,19 @@ class TrainConfig:
         Range(4, MAX_SAMPLES),
         unit="points",
         in_digest=False,
+    )
+    start_points: int = option(
+        0,
+        "random points to start from if the data set has none (code: 100,000)",
+        Range(0, MAX_SAMPLES),
+        unit="points",
+        open_default="10,000 in Blender scenes, 100,000 among photos",
+    )
+    start_volume: str = option(
+        "hull",
+        "where random points of Blender scenes lie; hull: no photo shows background there; cube: "
+        "anywhere (code)",
+        ("hull", "cube"),
     )
     fixed_views: int = option(
         4, "training views on which PSNR is logged", at_least(0), unit="views"
@@ -157,17 +169,46 @@ class TrainConfig:
         unit="per cubic scene unit",
         open_default="0.01 on photos, 0 on Blender scenes",
     )
+    size_lambda: float = option(
+        1.0,
+        "what halving the file may cost, the one knob between size and quality: what saves less "
+        "than its share is left out; 0: nothing is",
+        WEIGHT,
+        unit="dB per halving",
+    )
+    target_size: int = option(
+        0,
+        "bytes of the file, which ends at most 2 % below, never above; lambda follows from it; 0: "
+        "as lambda has it",
+        at_least(0),
+        unit="bytes",
+    )
     rate_weight: float = option(
-        1e-4,
-        "weight of the rate proxy, the estimated size of an anchor (paper)",
+        0.0,
+        "weight of the bits of an anchor as the rate proxy estimates them, at every "
+        "rate_interval-th step after the switch (code: 1e-4, which preset paper takes)",
         WEIGHT,
         unit="per bit",
     )
     rate_interval: int = option(
         10,
-        "steps between those that add the rate proxy to the loss (code; the paper: every step)",
+        "steps between those at which the rate proxy looks at all anchors (code)",
         at_least(1),
         unit="steps",
+    )
+    prune_end: int = option(
+        22_500,
+        "last step after which anchors are left out that are not worth their bytes",
+        at_least(0),
+        unit="step number",
+        scaled=True,
+    )
+    freeze_step: int = option(
+        28_500,
+        "last step at which anchors learn; after it, only the MLPs do",
+        at_least(0),
+        unit="step number",
+        scaled=True,
     )
     proxy: str = option(
         "channel",
@@ -192,21 +233,21 @@ class TrainConfig:
         open_default="1 / voxel; preset paper: 1024 on Blender scenes, else 200",
     )
     offset_q: float = option(
-        1.0,
+        0.0,
         "integers per unit when offsets are rounded, Q_O (paper)",
-        POSITIVE,
+        at_least(0),
         unit="per unit of offset",
     )
     feature_q: float = option(
-        1.0,
+        0.0,
         "integers per unit when features are rounded, Q_A (paper)",
-        POSITIVE,
+        at_least(0),
         unit="per unit of feature",
     )
     scaling_q: float = option(
-        8.0,
+        0.0,
         "integers per unit when scalings are rounded, Q_S (paper)",
-        POSITIVE,
+        at_least(0),
         unit="per unit of log scale",
     )
     switch_step: int = option(
@@ -251,6 +292,9 @@ class TrainConfig:
         at_least(0),
         unit="step number",
         scaled=True,
+    )
+    max_anchors: int = option(
+        0, "growth stops at this many anchors; 0: no limit", at_least(0), unit="anchors"
     )
     growth_interval: int = option(
         100, "steps between changes of the anchors (code)", at_least(1), unit="steps"
@@ -343,19 +387,15 @@ class TrainConfig:
         """The same run squeezed or stretched to ``steps`` steps.
 
         Settings declared as ``scaled`` move in proportion: start of statistics, growth window,
-        switch steps, learning-rate horizon. The growth interval, the counts 40 and 80 and the
-        proxy's interval stay.
-
-        Learning rates change as :meth:`LearningRates.for_shorter_run` says.
+        switch steps, end of pruning, rest of the anchors, learning-rate horizon. The growth
+        interval, the counts 40 and 80 and the proxy's interval stay.
 
         Raises:
             UsageError: ``steps`` is not at least 1.
         """
         options_of(TrainConfig)["steps"].check(steps)
-        shorter = shortness(steps) / shortness(self.steps)
-        rates = self.learning_rates.for_shorter_run(shorter)
         moved = scaled_moments(options_of(TrainConfig), vars(self), steps)
-        return replace(self, steps=steps, learning_rates=rates, **moved)
+        return replace(self, steps=steps, **moved)
 
     def render_options(self) -> RenderOptions:
         """How the run renders."""

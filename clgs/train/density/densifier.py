@@ -10,7 +10,13 @@ from clgs.opencl.device import Device
 from clgs.ops import density as density_op
 from clgs.render.frame import Frame, SceneGradients
 from clgs.train.config import TrainConfig
-from clgs.train.density.grow_and_prune import TrainState, grow, mask_prune, merge_cells, prune
+from clgs.train.density.grow_and_prune import (
+    TrainState,
+    grow,
+    mask_prune,
+    merge_cells,
+    prune,
+)
 from clgs.train.state.parameters import Parameters
 
 
@@ -50,25 +56,26 @@ class Densifier:
 
         Nothing changes if the grid is that of the voxels, as it is by default.
         """
-        state = self._download(parameters)
+        state = self.download(parameters)
         merged = merge_cells(state, q_position)
-        return self._replace(parameters, state), merged
+        return self.replaced(parameters, state), merged
 
     def replace_anchors(
         self, parameters: Parameters, frame: Frame, rng: np.random.Generator
     ) -> Parameters:
         """Prune and grow after a step that rendered ``frame``."""
         device = self._device
-        state = self._download(parameters)
+        state = self.download(parameters)
         visible = device.download(frame.activations.visible)
         columns = np.flatnonzero(visible >= 0)
         opacity = device.download(frame.activations.output)[:K_OFFSETS, columns].T
         mask_prune(state, visible[columns], opacity)
         grow(state, self._config, rng)
         prune(state, self._config)
-        return self._replace(parameters, state)
+        return self.replaced(parameters, state)
 
-    def _download(self, parameters: Parameters) -> TrainState:
+    def download(self, parameters: Parameters) -> TrainState:
+        """Host copies of all that has a row per anchor."""
         device = self._device
         return TrainState(
             anchors=parameters.scene.anchors.map(device.download),
@@ -76,6 +83,7 @@ class Densifier:
             moments=parameters.download_moments(device),
         )
 
-    def _replace(self, parameters: Parameters, state: TrainState) -> Parameters:
+    def replaced(self, parameters: Parameters, state: TrainState) -> Parameters:
+        """The anchors of ``state``, with their statistics and moments, on the device."""
         self.statistics = state.statistics.map(self._device.upload)
         return parameters.with_anchors(self._device, state.anchors, state.moments)

@@ -95,7 +95,7 @@ def mask_prune(state: TrainState, visible: npt.NDArray[np.int32], opacity: Float
     state.anchors.offset[visible[rows], slots] = 0.0
     keep = np.ones(len(state.anchors), np.bool_)
     keep[visible] = drawn.any(axis=1)
-    return _keep_rows(state, keep)
+    return keep_rows(state, keep)
 
 
 def grow(state: TrainState, config: TrainConfig, rng: np.random.Generator) -> int:
@@ -107,9 +107,10 @@ def grow(state: TrainState, config: TrainConfig, rng: np.random.Generator) -> in
     and moments zero, feature the channel-wise maximum of the asking anchors' features, scaling
     log(cell edge). Levels with cells below a voxel are skipped, and those after a first level
     that added nothing. Accumulators of slots seen more than ``slot_seen`` times are then zeroed.
-    Cells more than 2^20 voxels from the middle of the anchors are not served.
+    Cells more than 2^20 voxels from the middle of the anchors are not served, and none once there
+    are ``max_anchors``: the first slots to ask are then those with the largest gradient.
     """
-    statistics = state.statistics
+    statistics, room = state.statistics, _room(len(state.anchors), config)
     seen = statistics.gradient_count > config.slot_seen
     mean = np.where(seen, statistics.gradient_sum, -1.0) / np.maximum(statistics.gradient_count, 1)
     added: list[AnchorSet] = []
@@ -121,6 +122,7 @@ def grow(state: TrainState, config: TrainConfig, rng: np.random.Generator) -> in
             break
         asking = np.flatnonzero(mean >= config.growth_threshold * THRESHOLD_FACTOR**level)
         asking = asking[rng.random(len(asking)) > 0.5 ** (level + 1)]
+        asking = _largest(mean, asking, room - sum(map(len, added)))
         cells, features = _new_cells(state.anchors, asking, occupied, grid, (factor, config.voxel))
         if len(cells):
             occupied = np.concatenate([occupied, cells * factor])
@@ -147,7 +149,7 @@ def prune(state: TrainState, config: TrainConfig) -> int:
     opaque = statistics.opacity_sum >= least
     statistics.opacity_sum[visited] = 0.0
     statistics.visits[visited] = 0
-    removed = _keep_rows(state, ~visited | opaque)
+    removed = keep_rows(state, ~visited | opaque)
     shape = state.anchors.scaling[:, 3:]
     np.minimum(shape, np.float32(config.scaling_cap), out=shape)
     return removed
@@ -169,10 +171,24 @@ def merge_cells(state: TrainState, q_position: float) -> int:
     first[1:] = keys[order[1:]] != keys[order[:-1]]
     keep = np.zeros(len(order), np.bool_)
     keep[order[first]] = True
-    merged = _keep_rows(state, keep)
+    merged = keep_rows(state, keep)
     position = (cells[keep] / np.float64(q_position)).astype(np.float32)
     state.anchors = replace(state.anchors, position=position)
     return merged
+
+
+def _room(anchors: int, config: TrainConfig) -> int:
+    """How many anchors may be added."""
+    return max(0, config.max_anchors - anchors) if config.max_anchors else 1 << 62
+
+
+def _largest(
+    mean: npt.NDArray[np.floating], asking: npt.NDArray[np.intp], room: int
+) -> npt.NDArray[np.intp]:
+    """At most ``room`` of the slots ``asking``, those with the largest ``mean``, ascending."""
+    if len(asking) <= room:
+        return asking
+    return np.sort(asking[np.argsort(-mean[asking], kind="stable")[:room]])
 
 
 def _cells_of(integers: Integers, factor: int) -> Integers:
@@ -233,7 +249,7 @@ def _new_anchors(integers: Integers, feature: Floats, factor: int, voxel: float)
     )
 
 
-def _keep_rows(state: TrainState, keep: npt.NDArray[np.bool_]) -> int:
+def keep_rows(state: TrainState, keep: npt.NDArray[np.bool_]) -> int:
     """Drop the other rows of the whole state; returns how many.
 
     Raises:

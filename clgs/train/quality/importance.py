@@ -11,42 +11,82 @@ do harm are needed by each other, and leaving out thousands of them by it costs 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import K_OFFSETS
 from clgs.opencl.device import Device
+from clgs.ops.project import ProjectedGradients
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import Frame, upload_scene
-from clgs.render.pipeline import blend_backward, render_forward
+from clgs.render.frame import DeviceScene, Frame
+from clgs.render.pipeline import blend_backward, render_forward, scene_backward
 from clgs.scene.camera import Camera
-from clgs.scene.scene import QuantizedScene
+from clgs.scene.scene import QuantizedScene, RenderSettings
 
 SEED = 0
 
 
 def importance(
     device: Device,
-    scene: QuantizedScene,
+    scene: DeviceScene,
+    settings: RenderSettings,
     cameras: Sequence[Camera],
     options: RenderOptions = DEFAULT,
-    on_render: Callable[[], None] = lambda: None,
+    on_render: Callable[[Frame], None] = lambda frame: None,
 ) -> npt.NDArray[np.float64]:
     """The squared error of the pictures from ``cameras`` that each anchor saves, (A,) float64.
 
-    At least 0. Summed over pixels and channels, colors in [0, 1]. ``on_render`` is called after
-    each camera.
+    At least 0. Summed over pixels and channels, colors in [0, 1]. ``on_render`` is called with
+    the frame of each camera.
     """
     total, rng = np.zeros(len(scene.anchors)), np.random.default_rng(SEED)
-    uploaded = upload_scene(device, scene.dequantize())
     for camera in cameras:
-        frame = render_forward(device, uploaded, camera, scene.settings, options)
-        signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
-        anchor, change = _change(device, frame, signs)
-        total[anchor] += np.square(change)
-        on_render()
+        frame = render_forward(device, scene, camera, settings, options)
+        gradients = blend_backward(device, frame, device.upload(_signs(rng, frame)))
+        _add_importance(device, frame, gradients, total)
+        on_render(frame)
     return total
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How the squared error of pictures, summed over them, goes with the anchors of a scene.
+
+    importance (A,): what leaving an anchor out adds to it; curvature: of offset (A, K, 3), feature
+    (A, F) and scaling (A, 6), what a change by d adds to it, divided by d squared. Float64.
+    """
+
+    importance: npt.NDArray[np.float64]
+    curvature: dict[str, npt.NDArray[np.float64]]
+
+
+def sensitivity(
+    device: Device,
+    scene: DeviceScene,
+    settings: RenderSettings,
+    cameras: Sequence[Camera],
+    options: RenderOptions = DEFAULT,
+    on_render: Callable[[Frame], None] = lambda frame: None,
+) -> Sensitivity:
+    """The importance of :func:`importance`, and the diagonal of the Gauss-Newton matrix.
+
+    The latter by the same random signs: the mean of <signs, d image / d x>^2 is the squared length
+    of d image / d x.
+    """
+    total, rng = np.zeros(len(scene.anchors)), np.random.default_rng(SEED)
+    curvature = {n: np.zeros(array.shape) for n, array in scene.anchors.items() if n != "position"}
+    for camera in cameras:
+        frame = render_forward(device, scene, camera, settings, options)
+        gradients = blend_backward(device, frame, device.upload(_signs(rng, frame)))
+        _add_importance(device, frame, gradients, total)
+        by_scene = scene_backward(device, scene, frame, gradients)
+        for name, sums in curvature.items():
+            change = device.download(getattr(by_scene, f"d_{name}")).reshape(sums.shape)
+            sums += np.square(change)
+        on_render(frame)
+    return Sensitivity(total, curvature)
 
 
 def importance_without_views(scene: QuantizedScene) -> npt.NDArray[np.float64]:
@@ -58,14 +98,21 @@ def importance_without_views(scene: QuantizedScene) -> npt.NDArray[np.float64]:
     return np.asarray(np.exp(np.clip(np.sort(shape, axis=1)[:, 1:].sum(axis=1), -80.0, 80.0)))
 
 
-def _change(
-    device: Device, frame: Frame, direction: npt.NDArray[np.float32]
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
-    """The anchors of the frame (n,), each once, and <d, ``direction``> of each."""
+def _signs(rng: np.random.Generator, frame: Frame) -> npt.NDArray[np.float32]:
+    return 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
+
+
+def _add_importance(
+    device: Device,
+    frame: Frame,
+    gradients: ProjectedGradients,
+    total: npt.NDArray[np.float64],
+) -> None:
+    """Add <d, signs>^2 of every anchor of the frame to ``total`` (A,)."""
     gaussians = frame.gaussians
-    gradients = blend_backward(device, frame, device.upload(direction))
     change = device.download(gaussians.opacity) * device.download(gradients.d_opacity)
     visible = device.download(frame.activations.visible)
     row = device.download(gaussians.slot) // K_OFFSETS
     seen = visible >= 0
-    return visible[seen], np.bincount(row, change, len(visible))[seen].astype(np.float64)
+    sums = np.bincount(row, change, len(visible))[seen].astype(np.float64)
+    total[visible[seen]] += np.square(sums)

@@ -25,6 +25,7 @@ from clgs.data.dataset import View
 from clgs.errors import UsageError
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
+from clgs.render.frame import upload_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
@@ -87,7 +88,15 @@ class Judge:
             camera.reduced(2 if camera.width * camera.height >= 4 * room else 1)
             for camera in self.cameras
         ]
-        return importance(self.device, scene, cameras, self.options, self.on_render)
+        uploaded = upload_scene(self.device, scene.dequantize())
+        return importance(
+            self.device,
+            uploaded,
+            scene.settings,
+            cameras,
+            self.options,
+            lambda frame: self.on_render(),
+        )
 
 
 @dataclass(frozen=True)

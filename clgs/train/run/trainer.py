@@ -24,6 +24,7 @@ from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
 from clgs.train.density.initial_anchors import initial_anchors
 from clgs.train.quality.metrics import psnr_8bit, to_8bit
+from clgs.train.rate.economy import Economy, Round
 from clgs.train.state.parameters import Parameters, new_parameters
 from clgs.train.step.queue import Enqueued, Plan, StepQueue
 from clgs.train.step.schedule import ViewSampler
@@ -79,6 +80,8 @@ class Trainer:
         self.sampler = ViewSampler(len(dataset.train), config.seed)
         self.steps_done = 0
         self.merged = 0
+        self.economy = Economy(device, dataset, config)
+        self.rounds: list[Round] = []
         self._ahead = ahead
         self._under_way: list[Enqueued] = []
         self._undrawn: int | None = 0
@@ -126,11 +129,20 @@ class Trainer:
 
     def _must_settle(self, step: int) -> bool:
         """Whether step number ``step`` begins with other anchors than the one before."""
-        return step == self.config.switch_step + 1 or self.densifier.replaces_anchors(step - 1)
+        return (
+            step == self.config.switch_step + 1
+            or step - 1 in self.economy.steps
+            or self.densifier.replaces_anchors(step - 1)
+        )
 
     def _begin(self, step: int) -> None:
         if step == self.config.switch_step + 1:
             self._align_positions()
+        if step - 1 in self.economy.steps:
+            self.parameters, done = self.economy.round(
+                self.parameters, self.queue, self.densifier, self.settings, step - 1
+            )
+            self.rounds.append(done)
         plan = Plan(step, self.sampler.next(), self.queue.color(self.rng))
         try:
             self._under_way.append(self.queue.enqueue(plan, self.parameters, self.densifier))

@@ -29,6 +29,7 @@ def save_checkpoint(folder: Path, trainer: Trainer) -> None:
         "sampler": trainer.sampler.state(),
     }
     host = {name: trainer.device.download(array) for name, array in arrays.items()}
+    host |= trainer.queue.rate.state()
     checkpoint.save(folder, host, scalars, run_digest(trainer.dataset, trainer.config))
 
 
@@ -39,7 +40,10 @@ def load_checkpoint(folder: Path, trainer: Trainer) -> None:
         DataError: all are damaged, or belong to a run with other settings or photos.
     """
     host, scalars = checkpoint.load(folder, run_digest(trainer.dataset, trainer.config))
-    arrays = {name: trainer.device.upload(array) for name, array in host.items()}
+    trainer.queue.rate.restore(host)
+    arrays = {
+        n: trainer.device.upload(array) for n, array in host.items() if not n.startswith("rate.")
+    }
     scene = DeviceScene(Anchors(*(arrays[name] for name in FIELDS)), arrays["weights"])
     moments = {
         name: Moments(arrays[f"first.{name}"], arrays[f"second.{name}"])

@@ -10,13 +10,14 @@ from clgs.data.dataset import Dataset
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
-from clgs.ops import adam, loss, quantize, rate, scan
-from clgs.render.frame import Capacity, DeviceScene, Frame, SceneGradients
+from clgs.ops import adam, loss, quantize, scan
+from clgs.render.frame import Capacity, DeviceScene, Frame
 from clgs.render.pipeline import check_capacity, render_backward, view_forward
 from clgs.scene.anchors import QuantizationScales
 from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
-from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
+from clgs.train.rate.rate_term import RateTerm
+from clgs.train.state.parameters import Parameters
 from clgs.train.step.optimizer import Optimizer
 from clgs.train.step.rounding import rounded_anchors, weight_scales
 from clgs.train.step.schedule import reduction
@@ -77,12 +78,18 @@ class StepQueue:
         self._targets = Targets(device, dataset.train, config.background, config.near)
         self._stop = adam.stop_flag(device)
         self.options = config.render_options()
-        self.scales = QuantizationScales(
-            config.position_q, config.offset_q, config.feature_q, config.scaling_q
+        scales = QuantizationScales(
+            config.position_q, config.offset_q or 1, config.feature_q or 1, config.scaling_q or 8
         )
+        self.rate = RateTerm(device, config, scales)
         quantized = config.mlp == "quantized"
         self._weight_scales = device.upload(weight_scales()) if quantized else None
         self.capacity: Capacity | None = None
+
+    @property
+    def scales(self) -> QuantizationScales:
+        """The integers per unit that attributes are rounded to."""
+        return self.rate.scales
 
     def color(self, rng: np.random.Generator) -> Color:
         """The background of the next step."""
@@ -102,10 +109,11 @@ class StepQueue:
         value, d_image = self._compare(frame, target.photo)
         weight = self._config.volume_weight or 0.0
         gradients = render_backward(device, scene, frame, d_image, weight)
-        bits = self._add_rate(parameters, gradients, plan.step)
+        bits = self.rate.add(parameters, gradients, plan.step)
         replaces = densifier.replaces_anchors(plan.step)
         with device.stage("adam"):
-            self._optimizer.step(parameters, gradients, plan.step, not replaces, self._stop)
+            learn = not replaces and plan.step <= self._config.freeze_step
+            self._optimizer.step(parameters, gradients, plan.step, learn, self._stop)
         with device.stage("density"):
             densifier.observe(frame, gradients, plan.step, self._stop)
         enqueued = Enqueued(
@@ -158,27 +166,6 @@ class StepQueue:
         with device.stage("loss backward"):
             return value, loss.backward(device, frame.image, photo, compared)
 
-    def _add_rate(
-        self, parameters: Parameters, gradients: SceneGradients, step: int
-    ) -> float | None:
-        """Add the rate proxy's gradient in place if it is due; returns bits per anchor."""
-        config = self._config
-        if step <= config.switch_step or step % config.rate_interval:
-            return None
-        total = 0.0
-        with self._device.stage("rate"):
-            for name in ANCHOR_GROUPS:
-                x, d_x = getattr(parameters.scene.anchors, name), getattr(gradients, f"d_{name}")
-                result = self._rate(parameters, name)
-                rate.backward(self._device, result, x, config.rate_weight, d_x)
-                total += result.bits
-        return total
-
-    def _rate(self, parameters: Parameters, name: str) -> rate.Rate:
-        x, q = getattr(parameters.scene.anchors, name), getattr(self.scales, name)
-        form: rate.Form = "pooled" if self._config.proxy == "pooled" else "channel"
-        return rate.forward(self._device, x, q, form)
-
     def estimated_bits(self, parameters: Parameters) -> float:
         """Bits per anchor of the rounded attributes under the proxy's model."""
-        return sum(self._rate(parameters, name).bits for name in ANCHOR_GROUPS)
+        return self.rate.measure(parameters, 0).bits

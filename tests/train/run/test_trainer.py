@@ -80,7 +80,7 @@ def test_non_finite_loss_leaves_parameters_alone(dataset, cpu):
 
 
 def test_coarser_position_grid_merges_at_the_switch(dataset, cpu):
-    trainer = Trainer(cpu, dataset, config(dataset, position_q=10.0))
+    trainer = Trainer(cpu, dataset, config(dataset, position_q=10.0, size_lambda=0.0))
     counts = [trainer.step().anchors for _ in range(STEPS // 2 + 1)]
     assert counts[-1] < counts[-2]
     assert trainer.merged == counts[-2] - counts[-1]

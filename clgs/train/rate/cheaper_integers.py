@@ -1,0 +1,115 @@
+"""Integers that are cheaper to store, if the loss forgives the difference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.ops import rate
+
+Floats = npt.NDArray[np.float64]
+
+LEAST_SCALE = 0.05
+"""Of the Laplace law of a channel, in integers: what is nearly constant stays so."""
+
+SCALES_PER_OCTAVE = 4
+"""Integers per unit are powers of the root of this order of 2."""
+
+LEAST_POWER, MOST_POWER = -2 * SCALES_PER_OCTAVE, 8 * SCALES_PER_OCTAVE
+"""From 1/4 to 256 integers per unit."""
+
+SAMPLED = 4096
+"""Rows that :func:`best_scale` looks at, at least if there are so many."""
+
+
+@dataclass(frozen=True)
+class LaplaceLaw:
+    """What integers of each channel cost in nats, see ``clgs.ops.rate``; all (channels,) float64.
+
+    Beyond half an integer from the mean the cost is linear in the distance, and only one integer,
+    ``centre``, is nearer.
+    """
+
+    mean: Floats
+    scale: Floats
+    centre: Floats
+    at_centre: Floats
+    edge: Floats
+
+    @classmethod
+    def of(cls, integers: Floats) -> LaplaceLaw:
+        """The law of the integers (A, channels): their mean, and mean distance from it."""
+        mean = integers.mean(axis=0)
+        scale = np.maximum(np.abs(integers - mean).mean(axis=0), LEAST_SCALE)
+        centre = np.rint(mean)
+        half = np.full_like(mean, 0.5)
+        return cls(
+            mean,
+            scale,
+            centre,
+            rate.cost(np.abs(centre - mean), scale).nats,
+            rate.cost(half, scale).nats,
+        )
+
+    def nats(self, integers: Floats) -> Floats:
+        """Of the integers (A, channels), each."""
+        far = (np.abs(integers - self.mean) - 0.5) / self.scale + self.edge
+        return np.where(integers == self.centre, self.at_centre, far)
+
+
+def cheaper_integers(
+    values: npt.NDArray[np.float32], curvature: Floats, q: float, price: float
+) -> Floats:
+    """The integers (A, ...) with the least sum of loss and bits, float64.
+
+    Away from the mean, costs are linear and the optimum between the integers is a soft threshold;
+    its neighbours are tried, the integer next to the mean, the one after it, and the nearest one.
+
+    Args:
+        values: (A, ...) an attribute before rounding; every index after the first is a channel,
+            and an integer costs what the Laplace law of its channel says.
+        curvature: of the loss by ``values``, as ``Judgement`` says.
+        q: integers per unit.
+        price: of a bit, in units of the loss.
+    """
+    exact = values.reshape(len(values), -1).astype(np.float64) * q
+    nearest = np.rint(exact)
+    law = LaplaceLaw.of(nearest)
+    weight, nat = curvature.reshape(exact.shape) / q**2, price / np.log(2.0)
+    distance = exact - law.mean
+    with np.errstate(divide="ignore", invalid="ignore"):
+        threshold = np.nan_to_num(nat / law.scale / (2.0 * weight), nan=0.0, posinf=np.inf)
+    side = np.sign(distance)
+    soft = law.mean + side * np.maximum(np.abs(distance) - threshold, 0.0)
+    middle = np.broadcast_to(law.centre, soft.shape)
+    best = nearest
+    least = weight * np.square(nearest - exact) + nat * law.nats(nearest)
+    for candidate in (np.floor(soft), np.ceil(soft), middle, middle + side):
+        cost = weight * np.square(candidate - exact) + nat * law.nats(candidate)
+        best = np.where(cost < least, candidate, best)
+        least = np.minimum(cost, least)
+    return np.asarray(best.reshape(values.shape))
+
+
+def best_scale(values: npt.NDArray[np.float32], curvature: Floats, price: float) -> float:
+    """The integers per unit with the least sum of loss and bits, a power of 2^(1/4).
+
+    Arguments as for :func:`cheaper_integers`. The sum has one minimum, and is followed down to it.
+    """
+    step = max(1, len(values) // SAMPLED)
+    flat = values.reshape(len(values), -1)[::step].astype(np.float64)
+    weight, nat = curvature.reshape(len(values), -1)[::step], price / np.log(2.0)
+
+    def cost(power: int) -> float:
+        q = 2.0 ** (power / SCALES_PER_OCTAVE)
+        integers = np.rint(flat * q)
+        nats = LaplaceLaw.of(integers).nats(integers)
+        return float((weight * np.square(integers / q - flat) + nat * nats).sum())
+
+    power, best = 0, cost(0)
+    for direction in (1, -1):
+        while LEAST_POWER < power < MOST_POWER and (trial := cost(power + direction)) < best:
+            power, best = power + direction, trial
+    return float(2.0 ** (power / SCALES_PER_OCTAVE))

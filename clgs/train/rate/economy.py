@@ -1,0 +1,136 @@
+"""Rounds in which anchors, and digits of anchors, go that are not worth their bytes.
+
+At the switch to integers the first round sets the price of a bit, and how many integers there are
+per unit of each attribute. In every round integers become cheaper ones if the loss hardly changes,
+and up to ``prune_end`` anchors go. Anchors gain importance as others go: at most a share of them
+goes in one round, and training repairs the pictures in between. After the last round anchors rest.
+
+If a size of the file is asked for, every round looks for the price that would leave that size at
+once, and the last one sees to it that it is met.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from clgs.codec.scene_encoder import encode, sort_anchors
+from clgs.data.dataset import Dataset
+from clgs.opencl.device import Device
+from clgs.ops import loss
+from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.mlps import Mlps
+from clgs.scene.scene import QuantizedScene, RenderSettings
+from clgs.train.config import TrainConfig
+from clgs.train.density.densifier import Densifier
+from clgs.train.quality.rate_control import spread
+from clgs.train.rate.judgement import Judge, Judgement
+from clgs.train.rate.plan import MOST, Situation, carry_out, plan_at, plan_for_size
+from clgs.train.state.parameters import Parameters
+from clgs.train.step.queue import StepQueue
+
+ROUNDS = 10
+
+VIEWS = 48
+"""At most this many views say what is useful."""
+
+ANCHOR_BITS = 223.4
+"""Bits of an anchor of the paper, a mean: with it anchors stand for bytes when the price is set."""
+
+SPARE = 0.995
+"""Share of the size asked for that is aimed at: the MLPs still change."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Round:
+    """What a round did: anchors before and after, integers changed, and the price of a bit."""
+
+    step: int
+    before: int
+    after: int
+    changed: int
+    price: float
+
+
+class Economy:
+    """The rounds of one run."""
+
+    def __init__(self, device: Device, dataset: Dataset, config: TrainConfig) -> None:
+        """As for :class:`clgs.train.run.trainer.Trainer`."""
+        self._device, self._dataset, self._config = device, dataset, config
+        moments = np.linspace(config.switch_step, config.freeze_step, ROUNDS)
+        active = config.size_lambda > 0 or config.target_size > 0
+        self.steps = sorted({round(moment) for moment in moments}) if active else []
+        """The steps after which there is a round."""
+
+    def round(
+        self,
+        parameters: Parameters,
+        queue: StepQueue,
+        densifier: Densifier,
+        settings: RenderSettings,
+        step: int,
+    ) -> tuple[Parameters, Round]:
+        """The round after ``step``: other parameters, and other scales and price in ``queue``.
+
+        Raises:
+            ClgsError: no anchor is left.
+        """
+        config = self._config
+        first, last = step == config.switch_step, step == self.steps[-1]
+        judged = self._judge(settings, queue).judge(queue.seen(parameters, step + (not first)))
+        state = densifier.download(parameters)
+        now = Situation(state, judged, queue.scales, self._free() if first else frozenset())
+        if first:
+            queue.rate.price = self._price(judged, len(state.anchors))
+        if config.target_size:
+            weights = Mlps(self._device.download(queue.final_weights(parameters)))
+            measure = partial(self._size, weights=weights, settings=settings)
+            plan = plan_for_size(int(SPARE * config.target_size), now, measure)
+        else:
+            plan = plan_at(queue.rate.price, now)
+        queue.rate.price, queue.rate.scales = plan.price, plan.scales
+        before = len(state.anchors)
+        changed = carry_out(plan, state, self._most(step, last))
+        done = Round(step, before, len(state.anchors), changed, plan.price)
+        _log.info("%s, %s, loss %.5f", done, plan.scales, judged.loss)
+        return densifier.replaced(parameters, state), done
+
+    def _size(
+        self,
+        anchors: QuantizedAnchors,
+        scales: QuantizationScales,
+        weights: Mlps,
+        settings: RenderSettings,
+    ) -> int:
+        """Bytes of the file of ``anchors``."""
+        anchors, transform = sort_anchors(anchors), self._dataset.transform
+        return len(encode(QuantizedScene(anchors, weights, scales, settings, transform)))
+
+    def _judge(self, settings: RenderSettings, queue: StepQueue) -> Judge:
+        views, config = self._dataset.train, self._config
+        chosen = [views[i] for i in spread([view.camera for view in views], VIEWS)]
+        weights = loss.Weights(config.l1_weight, config.ssim_weight)
+        return Judge(self._device, chosen, settings, queue.options, weights)
+
+    def _free(self) -> frozenset[str]:
+        names = ("offset", "feature", "scaling")
+        return frozenset(name for name in names if getattr(self._config, f"{name}_q") == 0)
+
+    def _price(self, judged: Judgement, anchors: int) -> float:
+        """Of a bit: lambda is what halving the file may cost in dB, at this loss and size."""
+        loss_per_decibel = judged.loss * math.log(10.0) / 20.0
+        bits = ANCHOR_BITS * anchors * math.log(2.0)
+        return self._config.size_lambda * loss_per_decibel / bits
+
+    def _most(self, step: int, last: bool) -> float:
+        """The share of the anchors that goes at most after ``step``."""
+        if step <= self._config.prune_end:
+            return MOST
+        return 1.0 if last and self._config.target_size else 0.0

@@ -1,0 +1,80 @@
+"""What changes of the anchors cost in terms of the loss, to second order.
+
+The loss goes with the root of the squared error E of the pictures, so that a change that adds e to
+E adds e / (2 E) of the loss. What adds to E is estimated by ``clgs.train.quality.importance``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.dataset import View
+from clgs.opencl.device import Device
+from clgs.ops import loss
+from clgs.options import RenderOptions
+from clgs.render.frame import DeviceScene
+from clgs.render.pipeline import render_forward
+from clgs.scene.scene import RenderSettings
+from clgs.train.quality.importance import sensitivity
+from clgs.train.step.targets import planar
+
+Floats = npt.NDArray[np.float64]
+
+COMPARED = 8
+"""Views on which the loss and the squared error are measured."""
+
+PIXELS = 2.0
+"""Pictures are drawn at half the resolution if this many pixels per anchor remain."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the loss gains by changes of the anchors.
+
+    loss: of a view, the mean; importance (A,): by leaving an anchor out; curvature: of offset
+    (A, K, 3), feature (A, F) and scaling (A, 6), by a change of d of one element, divided by d
+    squared. Float64, at least 0.
+    """
+
+    loss: float
+    importance: Floats
+    curvature: dict[str, Floats]
+
+
+@dataclass(frozen=True)
+class Judge:
+    """The views that anchors are judged by, and how they are rendered and compared."""
+
+    device: Device
+    views: Sequence[View]
+    settings: RenderSettings
+    options: RenderOptions
+    weights: loss.Weights
+
+    def judge(self, scene: DeviceScene) -> Judgement:
+        """The anchors of ``scene``."""
+        mean_loss, squared_error = self._compare(scene)
+        cameras = [view.camera for view in self.views]
+        least = min(camera.width * camera.height for camera in cameras)
+        factor = 2 if least >= 4 * PIXELS * len(scene.anchors) else 1
+        reduced = [camera.reduced(factor) for camera in cameras]
+        found = sensitivity(self.device, scene, self.settings, reduced, self.options)
+        worth = 0.5 * mean_loss / squared_error * factor**2 / len(cameras)
+        curvature = {name: array * worth for name, array in found.curvature.items()}
+        return Judgement(mean_loss, found.importance * worth, curvature)
+
+    def _compare(self, scene: DeviceScene) -> tuple[float, float]:
+        """Loss and squared error of a view, means over some of them."""
+        device, losses, errors = self.device, [], []
+        for view in self.views[:: -(-len(self.views) // COMPARED)]:
+            frame = render_forward(device, scene, view.camera, self.settings, self.options)
+            photo = planar(view, self.settings.background)
+            compared = loss.forward(device, frame.image, device.upload(photo), self.weights)
+            losses.append(compared.value_later(device).get().value)
+            residual = device.download(frame.image) - photo / np.float32(255)
+            errors.append(float(np.square(residual, dtype=np.float64).sum()))
+        return float(np.mean(losses)), max(float(np.mean(errors)), np.finfo(np.float64).tiny)

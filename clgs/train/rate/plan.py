@@ -1,0 +1,103 @@
+"""What is worth its bytes at a price per bit: which anchors, which digits, at which scales."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.codec.fit_size import anchor_bits
+from clgs.scene.anchors import QuantizationScales, QuantizedAnchors, take
+from clgs.train.density.grow_and_prune import TrainState, keep_rows, position_integers
+from clgs.train.rate.cheaper_integers import best_scale, cheaper_integers
+from clgs.train.rate.judgement import Judgement
+
+MOST = 0.2
+"""Share of the anchors that goes in one round."""
+
+LEAST_PRICE, MOST_PRICE = 1e-15, 1e-3
+"""Of a bit, when a price is searched."""
+
+PRICE_STEPS = 16
+
+Measure = Callable[[QuantizedAnchors, QuantizationScales], int]
+"""Bytes of the file of some anchors."""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What a plan is made of: anchors with what changes of them cost, and the scales so far.
+
+    free: names of the attributes whose scale may still be chosen.
+    """
+
+    state: TrainState
+    judged: Judgement
+    scales: QuantizationScales
+    free: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a price per bit leaves: integers of all anchors, their scales, worth per bit (A,)."""
+
+    price: float
+    integers: QuantizedAnchors
+    scales: QuantizationScales
+    worth: npt.NDArray[np.float64]
+
+    @property
+    def kept(self) -> QuantizedAnchors:
+        """The anchors that are worth their bytes."""
+        return take(self.integers, self.worth >= self.price)
+
+
+def plan_at(price: float, now: Situation) -> Plan:
+    """What ``price``, in units of the loss, leaves; ``now`` is not changed."""
+    integers, scales, anchors = {}, now.scales, now.state.anchors
+    for name, curvature in now.judged.curvature.items():
+        values = getattr(anchors, name)
+        if name in now.free:
+            scales = replace(scales, **{name: best_scale(values, curvature, price)})
+        cheap = cheaper_integers(values, curvature, getattr(scales, name), price)
+        integers[name] = cheap.astype(np.int32)
+    cells = position_integers(anchors.position, scales.position).astype(np.int32)
+    planned = QuantizedAnchors(position=cells, **integers)
+    return Plan(price, planned, scales, now.judged.importance / anchor_bits(planned))
+
+
+def plan_for_size(size: int, now: Situation, measure: Measure) -> Plan:
+    """What the least price leaves that leaves at most ``size`` bytes."""
+    low, high = np.log(LEAST_PRICE), np.log(MOST_PRICE)
+    best = plan_at(MOST_PRICE, now)
+    for _ in range(PRICE_STEPS):
+        middle = (low + high) / 2
+        trial = plan_at(float(np.exp(middle)), now)
+        if measure(trial.kept, trial.scales) <= size:
+            best, high = trial, middle
+        else:
+            low = middle
+    return best
+
+
+def carry_out(plan: Plan, state: TrainState, most: float) -> int:
+    """Change ``state`` to what ``plan`` leaves of it; returns how many integers changed.
+
+    ``most``: the share of the anchors that goes at most. What changes loses its momentum.
+
+    Raises:
+        ClgsError: no anchor is left.
+    """
+    changed = 0
+    for name, moments in state.moments.items():
+        values = getattr(state.anchors, name)
+        q, best = getattr(plan.scales, name), getattr(plan.integers, name)
+        moved = best != np.rint(values * np.float32(q))
+        values[moved] = (best[moved] / q).astype(np.float32)
+        moments.first[moved] = 0.0
+        changed += int(moved.sum())
+    if most > 0:
+        keep_rows(state, plan.worth >= min(plan.price, float(np.quantile(plan.worth, most))))
+    return changed

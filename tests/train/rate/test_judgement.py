@@ -1,0 +1,105 @@
+"""What changes of the anchors are said to cost, against what they do cost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.data.dataset import View
+from clgs.opencl.device import Device
+from clgs.ops import loss
+from clgs.options import DEFAULT
+from clgs.render.frame import DeviceScene, upload_scene
+from clgs.render.pipeline import render_forward
+from clgs.scene.scene import RenderSettings, Scene
+from clgs.synthetic.anchor_scene import anchor_scene
+from clgs.train.quality.importance import importance, sensitivity
+from clgs.train.quality.metrics import to_8bit
+from clgs.train.rate.judgement import Judge
+
+VIEWS = 24
+WEIGHTS = loss.Weights(0.8, 0.2)
+
+
+@pytest.fixture(scope="module")
+def seen(device: Device) -> tuple[Scene, View]:
+    """A scene, and a noisy photo of it."""
+    scene, camera = anchor_scene(300, 48)
+    frame = render_forward(device, upload_scene(device, scene), camera, RenderSettings())
+    image = to_8bit(device.download(frame.image))
+    noise = np.random.default_rng(1).integers(-6, 7, image.shape)
+    photo = np.clip(image + noise, 0, 255).astype(np.uint8)
+    return scene, View("front", camera, photo, None)
+
+
+def picture(device: Device, scene: Scene, view: View) -> np.ndarray:
+    uploaded = upload_scene(device, scene)
+    return device.download(render_forward(device, uploaded, view.camera, RenderSettings()).image)
+
+
+@pytest.mark.parametrize("name", ["offset", "feature", "scaling"])
+def test_curvature_is_the_squared_length_of_the_derivative(
+    device: Device, seen: tuple[Scene, View], name: str
+) -> None:
+    scene, view = seen
+    cameras = [view.camera] * VIEWS
+    uploaded = upload_scene(device, scene)
+    found = sensitivity(device, uploaded, RenderSettings(), cameras).curvature[name] / VIEWS
+    # The largest elements: there, differences of float32 pictures say most.
+    checked = np.argsort(found.reshape(-1))[-24:]
+    exact = []
+    for element in checked:
+        sides = []
+        for step in (-2e-3, 2e-3):
+            moved = getattr(scene.anchors, name).copy()
+            moved.reshape(-1)[element] += step
+            anchors = replace(scene.anchors, **{name: moved})
+            sides.append(picture(device, replace(scene, anchors=anchors), view))
+        derivative = (sides[1].astype(np.float64) - sides[0]) / 4e-3
+        exact.append(np.square(derivative).sum())
+    # 24 draws of one number have a standard error of sqrt(2 / 24) = 0.29; the largest are picked.
+    ratio = found.reshape(-1)[checked] / np.array(exact)
+    assert 0.6 < np.median(ratio) < 2.0
+
+
+def test_importance_is_that_of_the_quick_way(device: Device, seen: tuple[Scene, View]) -> None:
+    scene, view = seen
+    uploaded, settings = upload_scene(device, scene), RenderSettings()
+    both = sensitivity(device, uploaded, settings, [view.camera] * 2).importance
+    np.testing.assert_array_equal(both, importance(device, uploaded, settings, [view.camera] * 2))
+
+
+def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene):
+    judge = Judge(device, [seen[1]] * VIEWS, RenderSettings(), DEFAULT, WEIGHTS)
+    return judge.judge(scene)
+
+
+def test_the_loss_is_that_of_the_views(device: Device, seen: tuple[Scene, View]) -> None:
+    scene, view = seen
+    uploaded = upload_scene(device, scene)
+    frame = render_forward(device, uploaded, view.camera, RenderSettings())
+    photo = device.upload(np.ascontiguousarray(view.image.transpose(2, 0, 1)))
+    value = loss.forward(device, frame.image, photo, WEIGHTS).value_later(device).get().value
+    assert judged(device, seen, uploaded).loss == pytest.approx(value, rel=1e-6)
+
+
+def test_what_an_anchor_saves_in_units_of_the_loss(
+    device: Device, seen: tuple[Scene, View]
+) -> None:
+    """Leaving out an anchor adds about e / (2 E) of the loss while that is small."""
+    scene, view = seen
+    found = judged(device, seen, upload_scene(device, scene))
+    whole = picture(device, scene, view)
+    photo = view.image.transpose(2, 0, 1) / 255.0
+    error = np.square(whole - photo).sum()
+    order = np.argsort(found.importance)[::-1]
+    exact = []
+    for anchor in order[:12]:
+        kept = np.arange(len(scene.anchors)) != anchor
+        anchors = scene.anchors.map(lambda array, kept=kept: array[kept])
+        change = picture(device, replace(scene, anchors=anchors), view) - whole
+        exact.append(0.5 * found.loss * np.square(change).sum() / error)
+    ratio = found.importance[order[:12]] / np.array(exact)
+    assert 0.5 < np.median(ratio) < 2.0

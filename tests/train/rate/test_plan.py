@@ -1,0 +1,115 @@
+"""Plans: what a price leaves of anchors, the price of a size, and carrying a plan out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.errors import ClgsError
+from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.train.density.grow_and_prune import TrainState
+from clgs.train.rate.judgement import Judgement
+from clgs.train.rate.plan import Situation, carry_out, plan_at, plan_for_size
+from tests.train.density.density_cases import state_at
+
+COUNT = 40
+SCALES = QuantizationScales(position=2.0, offset=2.0, feature=2.0, scaling=2.0)
+
+
+@pytest.fixture
+def state(rng: np.random.Generator) -> TrainState:
+    state = state_at(np.arange(3 * COUNT).reshape(COUNT, 3))
+    for name, array in state.anchors.items():
+        if name != "position":
+            array[...] = rng.laplace(0, 2, array.shape)
+    return state
+
+
+@pytest.fixture
+def now(state: TrainState, rng: np.random.Generator) -> Situation:
+    shapes = {"offset": (K_OFFSETS, 3), "feature": (FEATURE_DIM,), "scaling": (6,)}
+    curvature = {
+        name: 10.0 ** rng.uniform(-9, -5, (COUNT, *shape)) for name, shape in shapes.items()
+    }
+    importance = 10.0 ** rng.uniform(-9, -3, COUNT)
+    return Situation(state, Judgement(0.1, importance, curvature), SCALES)
+
+
+def measure(anchors: QuantizedAnchors, scales: QuantizationScales) -> int:
+    """Stands in for the encoder: grows with the anchors and with the size of their integers."""
+    names = ("offset", "feature", "scaling")
+    return int(sum(np.log2(1 + np.abs(getattr(anchors, name))).sum() for name in names))
+
+
+def test_bits_for_nothing_change_nothing(now: Situation, state: TrainState) -> None:
+    plan = plan_at(0.0, now)
+    assert len(plan.kept) == COUNT
+    before = state.anchors.map(np.copy)
+    assert carry_out(plan, state, 0.2) == 0
+    for name, array in before.items():
+        np.testing.assert_array_equal(array, getattr(state.anchors, name))
+
+
+def test_dearer_bits_leave_less(now: Situation) -> None:
+    sizes = []
+    for price in (1e-9, 1e-7, 1e-5):
+        plan = plan_at(price, now)
+        sizes.append((len(plan.kept), measure(plan.integers, plan.scales)))
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] > sizes[-1]
+
+
+def test_only_free_scales_change(now: Situation) -> None:
+    free = Situation(now.state, now.judged, SCALES, frozenset({"feature"}))
+    plan = plan_at(1e-6, free)
+    assert plan.scales.feature != SCALES.feature
+    assert (plan.scales.offset, plan.scales.scaling) == (SCALES.offset, SCALES.scaling)
+
+
+@pytest.mark.parametrize("share", [0.9, 0.5, 0.2])
+def test_a_size_is_met_from_below(now: Situation, share: float) -> None:
+    whole = plan_at(0.0, now)
+    size = int(share * measure(whole.kept, whole.scales))
+    plan = plan_for_size(size, now, measure)
+    found = measure(plan.kept, plan.scales)
+    assert found <= size
+    cheaper = plan_at(plan.price * 0.9, now)
+    assert measure(cheaper.kept, cheaper.scales) >= found
+
+
+def test_what_is_carried_out(now: Situation, state: TrainState) -> None:
+    plan = plan_at(3e-6, now)
+    integers, rows = plan.integers, np.flatnonzero(plan.worth >= plan.price)
+    first = {name: moments.first.copy() for name, moments in state.moments.items()}
+    rounded = {name: np.rint(getattr(state.anchors, name) * 2.0) for name in first}
+    changed = carry_out(plan, state, 1.0)
+    assert changed == sum(int((rounded[n] != getattr(integers, n)).sum()) for n in first)
+    assert 0 < len(rows) < COUNT
+    for name, moments in first.items():
+        values, wanted = getattr(state.anchors, name), getattr(integers, name)
+        np.testing.assert_array_equal(np.rint(values * 2.0), wanted[rows])
+        still = (rounded[name] == wanted)[rows]
+        np.testing.assert_array_equal(state.moments[name].first[still], moments[rows][still])
+        assert (state.moments[name].first[~still] == 0).all()
+
+
+def test_at_most_a_share_goes(now: Situation, state: TrainState) -> None:
+    plan = plan_at(1.0, now)
+    assert len(plan.kept) == 0
+    carry_out(plan, state, 0.25)
+    assert len(state.anchors) == 0.75 * COUNT
+    np.testing.assert_array_equal(
+        np.sort(state.anchors.position[:, 0]),
+        np.sort(now.state.anchors.position[:, 0]),
+    )
+
+
+def test_something_must_be_left(now: Situation, state: TrainState) -> None:
+    plan = plan_at(1.0, now)
+    with pytest.raises(ClgsError, match="no anchors"):
+        carry_out(
+            plan.__class__(plan.price, plan.integers, plan.scales, np.full(COUNT, np.nan)),
+            state,
+            1.0,
+        )
