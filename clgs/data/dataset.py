@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.images import Pixels, box_downscale, list_images, read_image
-from clgs.data.lens import Lens, undistort_lens, undistort_pixels
+from clgs.data.images import Pixels, box_downscale, check_image, list_images, read_image
+from clgs.data.lens import Lens, forget_sources, undistort_lens, undistort_pixels
 from clgs.data.point_file import PointFile, read_points
 from clgs.data.points import RandomStart, keep_near, random_points, viewpoint
 from clgs.data.posed_photo import Photo, PhotoSet
+from clgs.data.stored_photo import PhotoMemory, StoredPhoto
+from clgs.data.view import View
 from clgs.errors import DataError
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
@@ -35,19 +37,6 @@ LEAST_POINTS = 4
 """Training cannot start from fewer."""
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class View:
-    """One photo, undistorted and downscaled, and its camera in scene units.
-
-    image (H, W, 3) uint8; alpha (H, W) uint8, None if opaque. H = W = 0 if images are not loaded.
-    """
-
-    name: str
-    camera: Camera
-    image: npt.NDArray[np.uint8]
-    alpha: npt.NDArray[np.uint8] | None
 
 
 @dataclass
@@ -80,7 +69,7 @@ def load_dataset(
     preset_units: bool = False,
     cache: Path | None = None,
     seed: int = 0,
-    load_images: bool | Collection[str] = True,
+    load_images: bool | PhotoMemory = True,
     load_points: bool | PointFile | RandomStart = True,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Dataset:
@@ -92,8 +81,9 @@ def load_dataset(
         preset_units: keep the given units instead of scaling to SCENE_RADIUS.
         cache: folder in which triangulated points are kept; never the data folder.
         seed: of random, sampled and triangulated points.
-        load_images: without, views have empty images, and points come from COLMAP models only; or
-            the names of the photos that are loaded, the others stay empty.
+        load_images: read the training photos now, and check the others; without, photos are read
+            when their pixels are asked for, and points come from COLMAP models only; or the memory
+            that the training photos may take, beyond which they are read again each time.
         load_points: without, none are triangulated or drawn: enough to render and evaluate; or a
             file to take the points from instead of the data set, or what to draw if it has none.
         on_stage: called with a line before work that takes minutes.
@@ -115,11 +105,14 @@ def load_dataset(
     source = load_points if isinstance(load_points, PointFile) else None
     if source:
         _take_points(photos, source, seed, transform, radius)
-    to_view = partial(_view, transform=transform, downscale=downscale, load_images=load_images)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        views = list(pool.map(to_view, photos.train + photos.test))
-    train, test = views[: len(photos.train)], views[len(photos.train) :]
-    make_points = load_images is True and load_points is not False and not source
+    memory = load_images if isinstance(load_images, PhotoMemory) else PhotoMemory()
+    train, test = (
+        [_view(photo, transform, downscale, memory) for photo in some]
+        for some in (photos.train, photos.test)
+    )
+    if load_images is not False:
+        _load(train, photos.test)
+    make_points = load_images is not False and load_points is not False and not source
     if make_points and photos.points is None and photos.kind != "blender":
         _triangulate(photos, cache, seed, on_stage)
     points, colors = _scene_points(photos, transform, radius)
@@ -156,23 +149,13 @@ def _random_points(
 ) -> npt.NDArray[np.float32]:
     """Points (P, 3) in scene units in the volume that the training cameras share."""
     radius, seed = radius_and_seed
-    viewpoints = [viewpoint(view.camera, view.alpha) for view in train]
+    viewpoints = [viewpoint(view.camera, view.photo.pixels().alpha) for view in train]
     points = random_points(viewpoints, radius, kind == "blender", seed, start)
     if len(points) < LEAST_POINTS:
         raise DataError(
             f"{path}: no two photos look at the same place; check the poses and their axes"
         )
     return points
-
-
-def composite(view: View, background: npt.ArrayLike) -> npt.NDArray[np.uint8]:
-    """The view's image over ``background`` (3,) in [0, 1], as (3, H, W) uint8 planes."""
-    image = view.image
-    if view.alpha is not None:
-        alpha = view.alpha[..., None].astype(np.float32) / np.float32(255)
-        color = np.asarray(background, np.float32) * np.float32(255)
-        image = np.rint(image * alpha + color * (1 - alpha)).astype(np.uint8)
-    return np.ascontiguousarray(image.transpose(2, 0, 1))
 
 
 def _read_photos(root: Path) -> PhotoSet:
@@ -211,26 +194,31 @@ def _normalise(photos: PhotoSet, keep_units: bool) -> tuple[SceneTransform, floa
     return SceneTransform((x, y, z), SCENE_RADIUS / radius), SCENE_RADIUS
 
 
-def _view(
-    photo: Photo,
-    *,
-    transform: SceneTransform,
-    downscale: int,
-    load_images: bool | Collection[str],
-) -> View:
+def _view(photo: Photo, transform: SceneTransform, downscale: int, memory: PhotoMemory) -> View:
     """The photo undistorted at full resolution, cropped to valid pixels, then downscaled."""
     try:
         lens, _ = undistort_lens(photo.lens)
     except DataError as error:
         raise DataError(f"{photo.path}: {error}; correct k1, k2, p1, p2") from error
     width, height = (max(1, round(size / downscale)) for size in (lens.width, lens.height))
-    image = Pixels(np.empty((0, 0, 3), np.uint8), None)
-    wanted = load_images if isinstance(load_images, bool) else photo.name in load_images
-    if wanted:
-        pixels = read_image(photo.path, (photo.lens.width, photo.lens.height))
-        image = box_downscale(undistort_pixels(pixels, photo.lens)[0], downscale)
     camera = _camera(photo, lens.resized(width, height), transform)
-    return View(photo.name, camera, image.color, image.alpha)
+    stored = StoredPhoto(partial(_pixels, photo, downscale), memory, str(photo.path))
+    return View(photo.name, camera, stored)
+
+
+def _pixels(photo: Photo, downscale: int) -> Pixels:
+    pixels = read_image(photo.path, (photo.lens.width, photo.lens.height))
+    return box_downscale(undistort_pixels(pixels, photo.lens)[0], downscale)
+
+
+def _load(train: list[View], test: list[Photo]) -> None:
+    """Read the photos to train on; see that the others can be read."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        read = pool.map(lambda view: view.photo.keep(), train)
+        checked = pool.map(lambda photo: check_image(photo.path), test)
+        for _ in (*read, *checked):
+            pass
+    forget_sources()
 
 
 def _camera(photo: Photo, lens: Lens, transform: SceneTransform) -> Camera:

@@ -20,6 +20,9 @@ SUFFIXES = (".jpg", ".jpeg", ".png")
 MAX_PIXELS = 100_000_000
 """Larger images are refused before they are decoded."""
 
+_BAND_COLUMNS = 64
+"""Columns that are averaged at a time."""
+
 _ORIENTATION = 0x0112
 _TRANSPOSED = (5, 6, 7, 8)
 _ROTATIONS = {
@@ -88,6 +91,20 @@ def is_plain(path: Path) -> bool:
         )
 
 
+def check_image(path: Path) -> None:
+    """See, in a fraction of the time of :func:`read_image`, that a photo is whole.
+
+    Raises:
+        DataError: as there; wrong pixels within a whole file are not found.
+    """
+    with _opened(path) as picture:
+        if picture.format == "PNG":
+            picture.verify()  # the checksums of all chunks
+        else:
+            picture.draft("L", (1, 1))  # decodes an eighth of the resolution
+            picture.load()
+
+
 def stored_size(path: Path, expected: tuple[int, int]) -> tuple[int, int]:
     """The size that ``read_image`` with the same arguments returns, from the header alone."""
     with _opened(path) as picture:
@@ -104,10 +121,10 @@ def box_downscale(pixels: Pixels, factor: int) -> Pixels:
         return pixels
     width, height = (max(1, round(size / factor)) for size in pixels.size)
     if pixels.alpha is None:
-        return Pixels(_to_uint8(_box(pixels.color.astype(np.float32), height, width)), None)
-    alpha = pixels.alpha.astype(np.float32)[..., None]
-    mean_alpha = _box(alpha, height, width)
-    color = _box(pixels.color * alpha, height, width) / np.maximum(mean_alpha, 1e-3)
+        return Pixels(_to_uint8(_box(pixels.color, None, height, width)), None)
+    mean_alpha = _box(pixels.alpha[..., None], None, height, width)
+    mean_color = _box(pixels.color, pixels.alpha, height, width)
+    color = mean_color / np.maximum(mean_alpha, 1e-3)
     return Pixels(_to_uint8(color), _to_uint8(mean_alpha)[..., 0])
 
 
@@ -172,14 +189,29 @@ def _to_8_bit(image: Image.Image) -> Pixels:
 
 
 def _to_uint8(values: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
-    return np.asarray(np.clip(np.rint(values), 0, 255), np.uint8)
+    return np.ascontiguousarray(np.clip(np.rint(values), 0, 255), np.uint8)
 
 
-def _box(values: npt.NDArray[np.float32], height: int, width: int) -> npt.NDArray[np.float32]:
-    """Area means of values (H, W, C) float32 on a (height, width) grid."""
+def _box(
+    values: npt.NDArray[np.uint8],
+    weight: npt.NDArray[np.uint8] | None,
+    height: int,
+    width: int,
+) -> npt.NDArray[np.float32]:
+    """Area means of values (H, W, C), times weight (H, W) if given, on a (height, width) grid.
+
+    A band of columns after the other, so that little of the photo is there as floats.
+    """
     rows, columns, channels = values.shape
-    down = _box_weights(rows, height) @ values.reshape(rows, -1)
-    across = down.reshape(height, columns, channels).transpose(1, 0, 2).reshape(columns, -1)
+    weights = _box_weights(rows, height)
+    down = np.empty((height, columns, channels), np.float32)
+    for start in range(0, columns, _BAND_COLUMNS):
+        part = slice(start, start + _BAND_COLUMNS)
+        band = values[:, part].astype(np.float32)
+        if weight is not None:
+            band *= weight[:, part, None]
+        down[:, part] = (weights @ band.reshape(rows, -1)).reshape(height, -1, channels)
+    across = down.transpose(1, 0, 2).reshape(columns, -1)
     mean = _box_weights(columns, width) @ across
     return np.asarray(mean.reshape(width, height, channels).transpose(1, 0, 2))
 

@@ -152,6 +152,11 @@ def undistort_pixels(pixels: Pixels, lens: Lens) -> tuple[Pixels, Lens]:
     return Pixels(np.ascontiguousarray(result[..., :3]), alpha), pinhole
 
 
+def forget_sources() -> None:
+    """Give back what is remembered of the last lenses: 12 bytes a pixel."""
+    _sources.cache_clear()
+
+
 @lru_cache(maxsize=2)
 def _sources(lens: Lens) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]:
     """For each output pixel the flat index (N,) of its upper left source pixel and the weights.

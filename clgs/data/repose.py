@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from clgs.data.dataset import Dataset, View
+from clgs.data.dataset import Dataset
+from clgs.data.view import View
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
 

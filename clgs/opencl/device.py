@@ -23,6 +23,9 @@ from clgs.opencl.profile import Profile
 from clgs.opencl.source import program_file, read_program
 from clgs.opencl.transfer import Download, Transfers
 
+POOL_BITS = {"cpu": 0, "gpu": 2}
+"""Leading bits of a size, after the first one, that tell apart what the memory pool reuses."""
+
 SPECIALISATIONS = ("cpu", "gpu")
 BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
 """Subnormals cost CPUs dearly; warnings are the lint's (scripts/checks/lint_kernels.sh)."""
@@ -55,7 +58,11 @@ class Device:
         self.profile = Profile()
         self._transfers = Transfers(self.queue)
         allocator = cl.tools.ImmediateAllocator(self.queue)
-        self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=2)
+        # Sizes are rounded up, so that more arrays share memory: on a CPU, where memory that
+        # nobody touches takes no room, to powers of two.
+        is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
+        bits = POOL_BITS["cpu" if is_cpu else "gpu"]
+        self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=bits)
         self._kernels: dict[tuple[Any, ...], cl.Kernel] = {}
         self._programs: dict[tuple[Any, ...], cl.Program] = {}
 
@@ -83,6 +90,10 @@ class Device:
     def reserved_bytes(self) -> int:
         """Device memory that the pool holds, in use or kept for reuse: the most ever needed."""
         return int(self._pool.managed_bytes)
+
+    def release_unused(self) -> None:
+        """Give back the memory that the pool keeps for reuse: arrays of other sizes come next."""
+        self._pool.free_held()
 
     def empty(self, shape: Sequence[int], dtype: npt.DTypeLike = np.float32) -> DeviceArray:
         """Uninitialised array.
@@ -146,6 +157,13 @@ class Device:
             raise ValueError(f"cannot write {host.dtype}{host.shape} to {array.dtype}{array.shape}")
         if array.nbytes:
             self._transfers.write(array.buffer, host)
+
+    def upload_constant(self, host: npt.NDArray[Any]) -> DeviceArray:
+        """As :meth:`upload`, but never waits and copies once; ``host`` must never change."""
+        array = self.empty(host.shape, host.dtype)
+        if array.nbytes:
+            self._transfers.write_constant(array.buffer, host)
+        return array
 
     def download(self, array: DeviceArray) -> npt.NDArray[Any]:
         """Copy of a device array on the host; waits for all work before it."""

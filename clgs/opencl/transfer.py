@@ -61,8 +61,12 @@ class Transfers:
         elif host.nbytes > WAITING_SIZE:
             cl.enqueue_copy(self._queue, buffer, np.ascontiguousarray(host))
         else:
-            private = np.array(host, order="C")
-            self._keep(cl.enqueue_copy(self._queue, buffer, private, is_blocking=False))
+            self.write_constant(buffer, np.array(host, order="C"))
+
+    def write_constant(self, buffer: Any, host: npt.NDArray[Any]) -> None:
+        """As :meth:`write`, of an array that never changes; does not wait."""
+        constant = np.ascontiguousarray(host)
+        self._keep(cl.enqueue_copy(self._queue, buffer, constant, is_blocking=False))
 
     def read(self, array: DeviceArray) -> Download:
         """Copy ``array`` to the host when the commands before are through."""

@@ -6,7 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS
-from clgs.data.dataset import Dataset, View
+from clgs.data.dataset import Dataset
+from clgs.data.images import Pixels
+from clgs.data.stored_photo import StoredPhoto
+from clgs.data.view import View
 from clgs.scene.anchors import AnchorSet
 from clgs.scene.camera import Camera
 from clgs.scene.mlps import Mlps, init_mlps, unpack_head
@@ -71,7 +74,8 @@ def photo_dataset(camera: Camera, points: npt.NDArray[np.float32], seed: int = 0
     rng = np.random.default_rng(seed)
     coarse = rng.integers(0, 256, (camera.height // 8 + 1, camera.width // 8 + 1, 3))
     image = np.kron(coarse, np.ones((8, 8, 1)))[: camera.height, : camera.width].astype(np.uint8)
-    view = View("synthetic", camera, np.ascontiguousarray(image), None)
+    photo = StoredPhoto.of(Pixels(np.ascontiguousarray(image), None))
+    view = View("synthetic", camera, photo)
     return Dataset(
         train=[view],
         test=[],

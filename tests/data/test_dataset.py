@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.data.dataset import SCENE_RADIUS, View, composite, load_dataset
+from clgs.data.dataset import SCENE_RADIUS, load_dataset
 from clgs.data.points import MAX_COORDINATE, RandomStart, keep_near
+from clgs.data.stored_photo import PhotoMemory
 from clgs.errors import DataError
 from clgs.scene.camera import Camera
 from tests.data.folders import (
@@ -66,14 +67,28 @@ def test_far_offset_costs_no_precision(tmp_path: Path):
     assert np.abs(project(views[0], points) - project(views[1], points)).max() <= 1e-4
 
 
-def test_photos_that_nobody_asks_for_stay_empty(tmp_path: Path):
-    write_transforms(tmp_path, 4)
+def test_photos_stay_in_memory_as_far_as_they_may(tmp_path: Path):
+    write_transforms(tmp_path, 5)
     whole = load_dataset(tmp_path, load_points=False).train
-    some = load_dataset(tmp_path, load_images={whole[1].name}, load_points=False).train
-    np.testing.assert_array_equal(some[1].image, whole[1].image)
-    assert [view.image.size > 0 for view in some] == [i == 1 for i in range(len(whole))]
-    for a, b in zip(some, whole, strict=True):
-        np.testing.assert_array_equal(a.camera.pack(0.2), b.camera.pack(0.2))
+    kept = []
+    for load_images in (True, False, PhotoMemory(0), PhotoMemory(2 * 40 * 30 * 3)):
+        some = load_dataset(tmp_path, load_images=load_images, load_points=False).train
+        kept.append(sum(view.photo.has(None, 1) for view in some))
+        for a, b in zip(some, whole, strict=True):
+            np.testing.assert_array_equal(a.camera.pack(0.2), b.camera.pack(0.2))
+            np.testing.assert_array_equal(a.photo.pixels().color, b.photo.pixels().color)
+    assert kept == [4, 0, 0, 2]
+
+
+def test_damaged_photos_are_found_before_training(tmp_path: Path):
+    write_transforms(tmp_path, 2)
+    for number in (0, 1):  # held out, trained on
+        path = tmp_path / "images" / f"{number:03d}.png"
+        whole = path.read_bytes()
+        path.write_bytes(whole[: len(whole) // 2])
+        with pytest.raises(DataError, match=rf"{path.name}: damaged image"):
+            load_dataset(tmp_path)
+        path.write_bytes(whole)
 
 
 @pytest.mark.parametrize("size", [(40, 30), (41, 31), (53, 39)])
@@ -115,7 +130,7 @@ def test_blender_points_are_carved_and_seeded(tmp_path: Path):
     assert np.hypot(*data.points[:, :2].T).max() <= 0.8
     assert distance.max() <= 1.3
     again = load_dataset(tmp_path, downscale=2, load_points=False)
-    assert again.train[0].image.shape == (20, 20, 3)
+    assert again.train[0].photo.pixels().color.shape == (20, 20, 3)
     assert len(again.points) == 0
     assert np.array_equal(load_dataset(tmp_path).points, data.points)
     assert not np.array_equal(load_dataset(tmp_path, seed=1).points, data.points)
@@ -183,19 +198,6 @@ def test_a_model_of_few_points_starts_from_random_ones(tmp_path: Path, caplog, c
     assert len(data.points) >= 50_000
     assert data.point_colors is None
     assert f"only {count} usable points, starting from random ones" in caplog.text
-
-
-def test_composite():
-    image = np.full((2, 3, 3), 200, np.uint8)
-    alpha = np.array([[0, 255, 51], [0, 255, 102]], np.uint8)
-    camera = Camera(np.eye(3), np.zeros(3), 1.0, 1.0, 1.0, 1.0, 3, 2)
-    planes = composite(View("a", camera, image, alpha), (1.0, 0.0, 0.5))
-    assert planes.shape == (3, 2, 3)
-    assert planes.flags.c_contiguous
-    assert planes[:, 0, 0].tolist() == [255, 0, 128]
-    assert planes[:, 0, 1].tolist() == [200, 200, 200]
-    assert planes[:, 0, 2].tolist() == [244, 40, 142]
-    assert composite(View("a", camera, image, None), (0, 0, 0))[0].min() == 200
 
 
 def test_far_points_are_dropped():

@@ -111,17 +111,17 @@ def _judge(
 ) -> tuple[Judge, int]:
     """The judge by the training views, and their number.
 
-    Only the photos that are looked at are loaded.
+    Only the photos that are looked at are read, once.
     """
     from clgs.cli.options.view import selected_options, selected_views, trained_downscale
     from clgs.opencl.device import Device
     from clgs.train.quality.rate_control import MAX_CAMERAS, MEASURED, Judge, spread
 
     args.downscale = args.downscale or trained_downscale(args.scene)
-    empty = selected_views(args, scene, load_images=False)
-    cameras = [view.camera for view in empty]
-    measured = spread(cameras, len(cameras) if args.all_views else MEASURED)
-    names = {empty[i].name for i in measured}
-    views = [view for view in selected_views(args, scene, names) if view.name in names]
+    every = selected_views(args, scene)
+    cameras = [view.camera for view in every]
+    views = [every[i] for i in spread(cameras, len(cameras) if args.all_views else MEASURED)]
+    for view in views:
+        view.photo.keep()
     seen = [cameras[i] for i in spread(cameras, MAX_CAMERAS)]
-    return Judge(Device(args.device), seen, views, selected_options(args), on_render), len(empty)
+    return Judge(Device(args.device), seen, views, selected_options(args), on_render), len(every)

@@ -65,7 +65,7 @@ def _score(
 
     views, options = selected_views(args, scene), selected_options(args)
     with bar(len(views), "evaluating") as advance:
-        scores = evaluate_views(device, scene, views, lambda _: advance(), options)
+        scores = evaluate_views(device, scene, views, lambda *_: advance(), options)
     summary = summarize(scene, scores, size)
     summary |= {
         "accuracy": options.accuracy.name,

@@ -50,12 +50,15 @@ def run(args: argparse.Namespace) -> int:
     from clgs.data.dataset import load_dataset
     from clgs.data.point_file import PointFile
     from clgs.data.points import RandomStart
+    from clgs.data.stored_photo import PhotoMemory
     from clgs.errors import DataError, UsageError
     from clgs.files import check_folder
+    from clgs.memory import return_freed_memory
     from clgs.opencl.device import Device
     from clgs.train.run.finished_run import finished_run
     from clgs.train.run.session import Session
 
+    return_freed_memory()
     config = make_config(args)
     check_folder(args.output)
     if (args.output / "checkpoint").is_file():
@@ -71,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
         preset_units=not config.normalize,
         cache=args.output,
         seed=config.seed,
+        load_images=PhotoMemory(config.photo_memory * 2**20),
         load_points=PointFile(Path(config.points), config.point_samples)
         if config.points
         else RandomStart(config.start_points, config.start_volume == "hull"),

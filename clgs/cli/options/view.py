@@ -14,9 +14,8 @@ from clgs.train.config import TrainConfig, from_toml
 from clgs.train.config.option import Option, options_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from clgs.data.dataset import Dataset, View
+    from clgs.data.dataset import Dataset
+    from clgs.data.view import View
     from clgs.options import RenderOptions
     from clgs.scene.scene import QuantizedScene
 
@@ -84,33 +83,25 @@ def check_apart(output: Path, data: Path) -> None:
         raise UsageError(f"{output}: is the folder of the photos; name another with -o")
 
 
-def selected_views(
-    args: argparse.Namespace, scene: QuantizedScene, load_images: bool | Collection[str] = True
-) -> list[View]:
-    """The views that the options name, posed in the scene's units.
-
-    ``load_images``: as for ``load_dataset``.
+def selected_views(args: argparse.Namespace, scene: QuantizedScene) -> list[View]:
+    """The views that the options name, posed in the scene's units; their photos are not read yet.
 
     Raises:
         DataError: the split is empty, or the dataset does not fit the scene.
     """
-    dataset = _load(args, scene, load_images)
+    dataset = _load(args, scene)
     views = dataset.test if args.split == "test" else dataset.train
     if not views:
         raise DataError(f"{args.data}: has no {args.split} views; try --split train")
     return views
 
 
-def _load(
-    args: argparse.Namespace, scene: QuantizedScene, load_images: bool | Collection[str]
-) -> Dataset:
+def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
     from clgs.data.dataset import load_dataset
     from clgs.data.repose import repose
 
     downscale = args.downscale or trained_downscale(args.scene)
-    dataset = load_dataset(
-        args.data, downscale=downscale, load_images=load_images, load_points=False
-    )
+    dataset = load_dataset(args.data, downscale=downscale, load_images=False, load_points=False)
     return repose(dataset, scene.transform)
 
 

@@ -1,23 +1,15 @@
-"""Structure from motion by pycolmap, in a process of its own.
-
-Native code that works for minutes hears of a signal only at its next pause; a process beside ends
-at once, and a crash of it is an error like others.
-"""
+"""Structure from motion by pycolmap, in a process of its own."""
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
-import threading
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from clgs.data.pycolmap_lazy import quiet_pycolmap
+from clgs.data.sfm.child import run_child, serve
 from clgs.errors import DataError
 
 MAX_SIFT_SIZE = 1600
@@ -65,65 +57,18 @@ def reconstruct(
     Raises:
         DataError: no reconstruction, no pycolmap, or it crashed.
     """
-    code = f"import sys; sys.path[:] = {sys.path!r}; from clgs.data.sfm.mapper import main; main()"
-    with subprocess.Popen(
-        [sys.executable, "-c", code],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,  # Ctrl-C in a terminal comes to this process alone
-    ) as child:
-        try:
-            return _follow(child, [str(target), sorted(sizes), seed], on_stage)
-        except BaseException:
-            child.kill()
-            raise
-
-
-def _follow(
-    child: subprocess.Popen[str], arguments: list[Any], on_stage: Callable[[str], None]
-) -> Model:
-    """Hand over the arguments, pass on the stages, return the result."""
-    assert child.stdin is not None
-    assert child.stdout is not None
-    with suppress(BrokenPipeError):
-        child.stdin.write(json.dumps(arguments) + "\n")
-        child.stdin.flush()
-    for line in child.stdout:
-        kind, value = json.loads(line)
-        if kind == "model":
-            return Model(**value)
-        if kind == "error":
-            raise DataError(value)
-        on_stage(value)
-    raise DataError(f"{_TASK}: pycolmap crashed (exit code {child.wait()}); try other photos")
+    arguments = [str(target), sorted(sizes), seed]
+    return Model(**run_child(__name__, _TASK, arguments, on_stage))
 
 
 def main() -> None:
-    """The process: arguments from the standard input, results to the standard output."""
-    output = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # whatever a library prints is no result
-    target, sizes, seed = json.loads(sys.stdin.readline())
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-    def say(kind: str, value: Any) -> None:
-        print(json.dumps([kind, value]), file=output, flush=True)
-
-    def on_stage(stage: str) -> None:
-        say("stage", stage)
-
-    try:
-        model = _reconstruct(Path(target), {(w, h) for w, h in sizes}, seed, on_stage)
-    except DataError as error:
-        say("error", str(error))
-    else:
-        say("model", asdict(model))
+    """The process that does the work."""
+    serve(_work)
 
 
-def _end_with_parent() -> None:
-    """Ends this process if its standard input ends, that is, if the parent has ended."""
-    sys.stdin.read()
-    os._exit(1)
+def _work(arguments: Any, on_stage: Callable[[str], None]) -> dict[str, Any]:
+    target, sizes, seed = arguments
+    return asdict(_reconstruct(Path(target), {(w, h) for w, h in sizes}, seed, on_stage))
 
 
 def _reconstruct(

@@ -3,16 +3,18 @@
 SIFT features and the triangulation are pycolmap's. The matches in between need no estimation,
 because the poses are known: mutual nearest neighbours that pass the ratio test and lie on each
 other's epipolar line. Descriptors are integers whose products are exact in float32, so that the
-points are the same for any number of threads.
+points are the same for any number of threads. A process of its own does the work (``child``): its
+memory is gone when training begins.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from clgs.data.images import read_image
 from clgs.data.lens import Lens
 from clgs.data.posed_photo import Photo
 from clgs.data.pycolmap_lazy import SEEDS, quiet_pycolmap
+from clgs.data.sfm.child import run_child, serve
 from clgs.errors import DataError
 from clgs.files import atomic_path
 
@@ -46,6 +49,10 @@ MAX_EPIPOLAR_ERROR = 3.0
 MAX_REPROJECTION_ERROR = 2.0
 """Points with a larger mean error are dropped, pixels at the size of the features."""
 
+BATCH = 8
+"""Photos that are in memory at a time, unless there are more processors."""
+
+_RESULT = "points.npz"
 _VERSION = 1
 """Raised with every change of the results, so that cached points are not stale."""
 
@@ -60,10 +67,10 @@ class Points:
 
 @dataclass(frozen=True)
 class _Features:
-    """Of one photo: pinhole pixels (M, 2) float64, descriptors (M, 128) float32, colors (M, 3)."""
+    """Of one photo: pinhole pixels (M, 2) float64, descriptors (M, 128) uint8, colors (M, 3)."""
 
     position: Floats
-    descriptor: npt.NDArray[np.float32]
+    descriptor: npt.NDArray[np.uint8]
     color: npt.NDArray[np.uint8]
 
 
@@ -88,12 +95,41 @@ def triangulate(
         return cached
     on_stage(f"finding points in {len(photos)} photos")
     with tempfile.TemporaryDirectory(prefix="clgs-") as folder:
-        points = _triangulate(photos, Path(folder), seed, on_stage)
+        plain = [_plain(photo) for photo in photos]
+        run_child(__name__, "triangulation", [plain, folder, seed], on_stage)
+        with np.load(Path(folder) / _RESULT, allow_pickle=False) as arrays:
+            points = Points(arrays["position"], arrays["color"])
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(file) as temporary:
             np.savez(temporary, position=points.position, color=points.color)
     return points
+
+
+def main() -> None:
+    """The process that does the work."""
+    serve(_work)
+
+
+def _work(arguments: Any, on_stage: Callable[[str], None]) -> None:
+    plain, folder, seed = arguments
+    points = _triangulate([_photo(one) for one in plain], Path(folder), seed, on_stage)
+    np.savez(Path(folder) / _RESULT, position=points.position, color=points.color)
+
+
+def _plain(photo: Photo) -> dict[str, Any]:
+    """A photo as JSON can hold it, exactly."""
+    arrays = {"rotation": photo.rotation.tolist(), "translation": photo.translation.tolist()}
+    return {"name": photo.name, "path": str(photo.path), "lens": asdict(photo.lens), **arrays}
+
+
+def _photo(plain: dict[str, Any]) -> Photo:
+    lens: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in plain["lens"].items()
+    }
+    pose = (np.array(plain[name], np.float64) for name in ("rotation", "translation"))
+    return Photo(plain["name"], Path(plain["path"]), Lens(**lens), *pose)
 
 
 def _triangulate(
@@ -142,9 +178,20 @@ def _shrink(lens: Lens) -> float:
 
 def _extract(pycolmap: Any, photos: list[Photo], folder: Path) -> list[_Features]:
     """SIFT features of every photo, in order."""
-    colors = []
     names = [f"{number:06d}.png" for number in range(len(photos))]
     (folder / "grey").mkdir()
+    features, size = [], max(BATCH, os.cpu_count() or 1)
+    for start in range(0, len(photos), size):
+        part = slice(start, start + size)
+        features += _extract_batch(pycolmap, photos[part], names[part], folder)
+    return features
+
+
+def _extract_batch(
+    pycolmap: Any, photos: list[Photo], names: list[str], folder: Path
+) -> list[_Features]:
+    """SIFT features of some photos, which are named ``names`` in the database."""
+    colors = []
     for photo, name in zip(photos, names, strict=True):
         pixels = read_image(photo.path, (photo.lens.width, photo.lens.height))
         picture = Image.fromarray(pixels.color)
@@ -175,7 +222,7 @@ def _read_features(database: Any, name: str, lens: Lens, image: npt.NDArray[np.u
     """Features of one image of the database, at the pixels at which a pinhole would see them."""
     image_id = database.read_image_with_name(name).image_id
     found = np.asarray(database.read_keypoints(image_id), np.float64)[:, :2]
-    descriptor = np.asarray(database.read_descriptors(image_id).data, np.float32)
+    descriptor = np.array(database.read_descriptors(image_id).data, np.uint8)
     column, row = np.minimum(found.astype(np.int64), (image.shape[1] - 1, image.shape[0] - 1)).T
     full_size = found * (lens.width / image.shape[1], lens.height / image.shape[0])
     focal, centre = np.array([lens.fx, lens.fy]), np.array([lens.cx, lens.cy])
@@ -258,7 +305,8 @@ def _match(
     """Matches (M, 2) of feature numbers that agree with the poses."""
     if min(len(features[first].position), len(features[second].position)) < 2:
         return np.empty((0, 2), np.uint32)
-    pairs = _nearest_both_ways(features[first].descriptor, features[second].descriptor)
+    descriptors = (features[i].descriptor.astype(np.float32) for i in (first, second))
+    pairs = _nearest_both_ways(*descriptors)
     rays = [
         (features[i].position[pairs[:, side]] - (photos[i].lens.cx, photos[i].lens.cy))
         / (photos[i].lens.fx, photos[i].lens.fy)

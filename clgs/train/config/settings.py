@@ -101,6 +101,14 @@ class TrainConfig:
         "anywhere (code)",
         ("hull", "cube"),
     )
+    photo_memory: int = option(
+        1024,
+        "training photos that stay in memory, 3 bytes a pixel; those beyond it are read again from "
+        "the disk, ahead of their steps",
+        at_least(0),
+        unit="MiB",
+        in_digest=False,
+    )
     fixed_views: int = option(
         4, "training views on which PSNR is logged", at_least(0), unit="views"
     )

@@ -21,7 +21,7 @@ from clgs.codec.fit_size import (
     most_useful_first,
     take,
 )
-from clgs.data.dataset import View
+from clgs.data.view import View
 from clgs.errors import UsageError
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
@@ -31,7 +31,6 @@ from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.importance import importance, importance_without_views
 from clgs.train.quality.metrics import psnr_8bit, to_8bit
-from clgs.train.step.targets import planar
 
 Encode = Callable[[QuantizedScene], bytes]
 
@@ -76,7 +75,7 @@ class Judge:
         renderer = Renderer(self.device, scene.dequantize(), self.options)
         scores = []
         for view in self.views[:: max(1, len(self.views) // count) if count else 1]:
-            photo = planar(view, scene.settings.background).transpose(1, 2, 0)
+            photo = view.photo.planes(scene.settings.background).transpose(1, 2, 0)
             scores.append(psnr_8bit(to_8bit(renderer.render(view.camera)), photo))
             self.on_render()
         return float(np.mean(scores))

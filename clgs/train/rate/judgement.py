@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.dataset import View
+from clgs.data.view import View
 from clgs.opencl.device import Device
 from clgs.ops import loss
 from clgs.options import RenderOptions
@@ -20,7 +20,6 @@ from clgs.render.frame import DeviceScene
 from clgs.render.pipeline import render_forward
 from clgs.scene.scene import RenderSettings
 from clgs.train.quality.importance import sensitivity
-from clgs.train.step.targets import planar
 
 Floats = npt.NDArray[np.float64]
 
@@ -72,7 +71,7 @@ class Judge:
         device, losses, errors = self.device, [], []
         for view in self.views[:: -(-len(self.views) // COMPARED)]:
             frame = render_forward(device, scene, view.camera, self.settings, self.options)
-            photo = planar(view, self.settings.background)
+            photo = view.photo.planes(self.settings.background)
             compared = loss.forward(device, frame.image, device.upload(photo), self.weights)
             losses.append(compared.value_later(device).get().value)
             residual = device.download(frame.image) - photo / np.float32(255)

@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 
 from clgs.codec.scene_encoder import encode
-from clgs.data.dataset import Dataset, View
+from clgs.data.dataset import Dataset
+from clgs.data.view import View
 from clgs.errors import DataError
 from clgs.export.image import comparison, picture_names, save_png
 from clgs.files import atomic_write
 from clgs.opencl.device import Device
 from clgs.scene.storage import save_scene
 from clgs.train.config import TrainConfig
-from clgs.train.quality.score_views import ViewScore, evaluate_views, summarize
+from clgs.train.quality.score_views import Pictures, ViewScore, evaluate_views, summarize
 from clgs.train.run.finished_run import RESULTS, RunResult, finished_run
 from clgs.train.run.full_disk import Keeper
 from clgs.train.run.progress_log import ProgressLog
@@ -167,7 +168,9 @@ class Session:
         bitstream = encode(scene)
         atomic_write(self.folder / "scene.clgs", bitstream)
         views = self.dataset.test or self.dataset.train
-        scores = evaluate_views(self.device, scene, views, options=self.trainer.options)
+        pictures = PictureFolder(self.folder, self.config.steps, [view.name for view in views])
+        options = self.trainer.options
+        scores = evaluate_views(self.device, scene, views, pictures.add, options)
         summary = summarize(scene, scores, len(bitstream))
         summary |= {
             "accuracy": self.config.accuracy,
@@ -182,15 +185,9 @@ class Session:
             "merged_anchors": self.trainer.merged,
             "switch_psnr": self.log.events,
         }
-        self._write_results(summary, scores)
-        return RunResult(self.folder, scene, bitstream, summary)
-
-    def _write_results(self, summary: dict[str, Any], scores: list[ViewScore]) -> None:
         write_json(self.folder / "per_view.json", [score.record() for score in scores])
-        write_pictures(self.folder / "test" / f"ours_{self.config.steps}", scores)
-        if scores:
-            save_png(self.folder / "preview.png", comparison(scores[0].photo, scores[0].render))
         write_json(self.folder / RESULTS, summary)
+        return RunResult(self.folder, scene, bitstream, summary)
 
 
 @contextmanager
@@ -238,13 +235,24 @@ def write_json(path: Path, value: Any) -> None:
     atomic_write(path, (json.dumps(value, indent=1) + "\n").encode())
 
 
-def write_pictures(folder: Path, scores: list[ViewScore]) -> None:
-    """Renders and photos as PNG in the layout that the 3DGS family's tools read."""
-    names = picture_names([score.name for score in scores])
-    for kind, attribute in (("renders", "render"), ("gt", "photo")):
-        (folder / kind).mkdir(parents=True, exist_ok=True)
-        for name, score in zip(names, scores, strict=True):
-            save_png(folder / kind / name, getattr(score, attribute))
+class PictureFolder:
+    """Renders and photos as PNG in the layout that the 3DGS family's tools read, and a preview."""
+
+    def __init__(self, run: Path, steps: int, names: list[str]) -> None:
+        """In the folder ``run``; ``names`` of all views."""
+        self._run, self._folder = run, run / "test" / f"ours_{steps}"
+        self._files = dict(zip(names, picture_names(names), strict=True))
+        for kind in ("renders", "gt"):
+            (self._folder / kind).mkdir(parents=True, exist_ok=True)
+
+    def add(self, score: ViewScore, pictures: Pictures) -> None:
+        """Write the pictures of one view; those of the first are the preview, too."""
+        file = self._files[score.name]
+        save_png(self._folder / "renders" / file, pictures.render)
+        save_png(self._folder / "gt" / file, pictures.photo)
+        if file == next(iter(self._files.values())):
+            strip = comparison(pictures.photo, pictures.render)
+            save_png(self._run / "preview.png", strip)
 
 
 def train_scene(

@@ -10,7 +10,8 @@ from typing import NoReturn
 import numpy as np
 
 from clgs.codec.scene_encoder import sort_anchors
-from clgs.data.dataset import Dataset, View
+from clgs.data.dataset import Dataset
+from clgs.data.view import View
 from clgs.errors import BudgetError, ClgsError
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
@@ -28,7 +29,10 @@ from clgs.train.rate.economy import Economy, Round
 from clgs.train.state.parameters import Parameters, new_parameters
 from clgs.train.step.queue import Enqueued, Plan, StepQueue
 from clgs.train.step.schedule import ViewSampler
-from clgs.train.step.targets import BACKGROUNDS, planar
+from clgs.train.step.targets import BACKGROUNDS
+
+PHOTOS_AHEAD = 2
+"""Steps whose photos are read while the step before them is under way."""
 
 UNDRAWN_STEPS = 10
 """Warn after this many steps at the start of a run that draw nothing."""
@@ -146,6 +150,7 @@ class Trainer:
         plan = Plan(step, self.sampler.next(), self.queue.color(self.rng))
         try:
             self._under_way.append(self.queue.enqueue(plan, self.parameters, self.densifier))
+            self.queue.prepare(self.sampler.upcoming(PHOTOS_AHEAD), step + 1)
         except BudgetError as error:
             name = self.dataset.train[plan.index].name
             raise BudgetError(f"step {step}, view {name}: {error}", error.needed) from error
@@ -245,7 +250,7 @@ class Trainer:
         values = []
         for view in views:
             image = renderer.render(view.camera)
-            photo = planar(view, settings.background).transpose(1, 2, 0)
+            photo = view.photo.planes(settings.background).transpose(1, 2, 0)
             values.append(psnr_8bit(to_8bit(image), photo))
         return float(np.mean(values))
 

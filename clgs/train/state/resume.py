@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zlib
 from pathlib import Path
 
 from clgs.data.dataset import Dataset
@@ -74,8 +73,9 @@ def run_digest(dataset: Dataset, config: TrainConfig) -> str:
     """SHA-256 of the settings, the training photos, their cameras and the initial points."""
     digest = hashlib.sha256(config.digest().encode())
     for view in dataset.train:
-        digest.update(f"{view.name} {view.image.shape}".encode())
-        digest.update(zlib.crc32(view.image.tobytes()).to_bytes(4, "little"))
+        shape = view.camera.height, view.camera.width, 3
+        digest.update(f"{view.name} {shape}".encode())
+        digest.update(view.photo.checksum().to_bytes(4, "little"))
         digest.update(view.camera.pack(config.near).tobytes())
     digest.update(dataset.points.tobytes())
     return digest.hexdigest()

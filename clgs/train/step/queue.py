@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clgs.data.dataset import Dataset
+from clgs.data.stored_photo import Color
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
@@ -21,7 +22,7 @@ from clgs.train.state.parameters import Parameters
 from clgs.train.step.optimizer import Optimizer
 from clgs.train.step.rounding import rounded_anchors, weight_scales
 from clgs.train.step.schedule import reduction
-from clgs.train.step.targets import Color, Target, Targets
+from clgs.train.step.targets import Target, Targets
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,7 @@ class StepQueue:
         quantized = config.mlp == "quantized"
         self._weight_scales = device.upload(weight_scales()) if quantized else None
         self.capacity: Capacity | None = None
+        self._sizes: tuple[Capacity | None, int] = None, 0
 
     @property
     def scales(self) -> QuantizationScales:
@@ -95,6 +97,10 @@ class StepQueue:
         """The background of the next step."""
         return self._targets.color(rng)
 
+    def prepare(self, indices: list[int], step: int) -> None:
+        """Have the photos of the steps from number ``step`` on read ahead of them."""
+        self._targets.prepare(indices, reduction(self._config, step))
+
     def clear(self) -> None:
         """Let the steps enqueued from now on change the parameters again."""
         self._device.fill_zero(self._stop)
@@ -102,6 +108,9 @@ class StepQueue:
     def enqueue(self, plan: Plan, parameters: Parameters, densifier: Densifier) -> Enqueued:
         """Enqueue a step; anchors that are about to be replaced are not updated."""
         device, capacity = self._device, self.capacity
+        if self._sizes != (capacity, parameters.count):
+            self._sizes = capacity, parameters.count
+            device.release_unused()
         target, scene = self._target(plan), self.seen(parameters, plan.step)
         frame = view_forward(device, scene, target.view, self.options, capacity)
         if capacity is not None:

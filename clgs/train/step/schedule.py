@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import fields
 from typing import Any
@@ -81,6 +82,13 @@ class ViewSampler:
             self._next = 0
         self._next += 1
         return self._order[self._next - 1]
+
+    def upcoming(self, count: int) -> list[int]:
+        """Numbers of the next ``count`` views, without taking them; at most one epoch ahead."""
+        coming = self._order[self._next : self._next + count]
+        if len(coming) < count:
+            coming += copy.deepcopy(self._rng).permutation(self._count).tolist()
+        return coming[:count]
 
     def state(self) -> dict[str, Any]:
         """All that :meth:`restore` needs to continue exactly, ready for JSON."""

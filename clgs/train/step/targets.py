@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from clgs.data.dataset import View, composite
-from clgs.data.images import Pixels, box_downscale
+from clgs.data.images import Pixels
+from clgs.data.stored_photo import Color, Planes, composite
+from clgs.data.view import View
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.render.frame import DeviceView, upload_view
 from clgs.scene.scene import RenderSettings
 
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
-Color = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -30,16 +31,15 @@ class Target:
 
 
 class Targets:
-    """Reduces and composites photos; what does not change is made and uploaded once and kept."""
+    """Reduces and composites photos, ahead of their steps if told; uploads each for its step."""
 
     def __init__(self, device: Device, views: list[View], background: str, near: float) -> None:
         """``background`` is "black", "white" or "random"; ``near`` of the cameras."""
         self._device, self._near = device, near
         self._views = views
         self._fixed = BACKGROUNDS.get(background)
-        self._factor = 1
-        self._reduced: dict[int, View] = {}
-        self._kept: dict[int, Target] = {}
+        self._worker = ThreadPoolExecutor(1, "photos")
+        self._coming: dict[tuple[int, int], Future[Pixels | Planes]] = {}
 
     def color(self, rng: np.random.Generator) -> Color:
         """The background of the next step: the fixed one, or a new random one."""
@@ -48,40 +48,36 @@ class Targets:
         red, green, blue = (float(np.float32(value)) for value in rng.random(3))
         return red, green, blue
 
+    def prepare(self, indices: Iterable[int], factor: int) -> None:
+        """Let a thread read what :meth:`get` will be asked for next; other photos are let go."""
+        wanted = {(index, factor) for index in indices}
+        for key in set(self._coming) - wanted:
+            self._coming.pop(key).cancel()
+        for index, _ in sorted(wanted - set(self._coming)):
+            if not self._views[index].photo.has(self._fixed, factor):
+                self._coming[index, factor] = self._worker.submit(self._read, index, factor)
+
     def get(self, index: int, background: Color, factor: int = 1) -> Target:
-        """View ``index`` reduced ``factor`` times, composited on ``background``."""
-        if factor != self._factor:
-            self._factor = factor
-            self._reduced.clear()
-            self._kept.clear()
-        if index not in self._reduced:
-            self._reduced[index] = reduced(self._views[index], factor)
-        view = self._reduced[index]
-        kept = self._kept.get(index)
-        if kept is None or background != self._fixed:
-            kept = self._kept[index] = self._upload(view, background, kept)
-        return kept
+        """View ``index`` reduced ``factor`` times, composited on ``background``.
 
-    def _upload(self, view: View, background: Color, before: Target | None) -> Target:
-        """A new target; the parts that no background changes are those of ``before``."""
-        if before is None:
-            seen = upload_view(self._device, view.camera, RenderSettings(background, self._near))
-        else:
-            color = self._device.upload(np.array(background, np.float32))
-            seen = replace(before.view, background=color)
-        if before is not None and view.alpha is None:
-            return Target(seen, before.photo)
-        return Target(seen, self._device.upload(planar(view, background)))
+        Raises:
+            DataError: the photo can no longer be read.
+        """
+        settings = RenderSettings(background, self._near)
+        seen = upload_view(self._device, self._views[index].camera.reduced(factor), settings)
+        planes = self._planes(index, background, factor)
+        return Target(seen, self._device.upload_constant(planes))
 
+    def _planes(self, index: int, background: Color, factor: int) -> Planes:
+        if self._fixed not in (None, background):
+            return self._views[index].photo.planes(background, factor)
+        coming = self._coming.pop((index, factor), None)
+        found = self._read(index, factor) if coming is None else coming.result()
+        return composite(found, background) if isinstance(found, Pixels) else found
 
-def reduced(view: View, factor: int) -> View:
-    """A view on a raster ``factor`` times smaller, by box means."""
-    if factor == 1:
-        return view
-    pixels = box_downscale(Pixels(view.image, view.alpha), factor)
-    return View(view.name, view.camera.reduced(factor), pixels.color, pixels.alpha)
-
-
-def planar(view: View, background: Color) -> npt.NDArray[np.uint8]:
-    """A photo composited on ``background``, (3, H, W) uint8."""
-    return composite(view, np.array(background))
+    def _read(self, index: int, factor: int) -> Pixels | Planes:
+        """A photo as far as it can be made without knowing a random background."""
+        photo = self._views[index].photo
+        if self._fixed is None:
+            return photo.reduced(factor)
+        return photo.planes(self._fixed, factor, final=True)

@@ -8,7 +8,9 @@ import pytest
 
 from clgs.codec.fit_size import take
 from clgs.codec.scene_encoder import encode, sort_anchors
-from clgs.data.dataset import View
+from clgs.data.images import Pixels
+from clgs.data.stored_photo import StoredPhoto
+from clgs.data.view import View
 from clgs.errors import UsageError
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
@@ -39,7 +41,7 @@ def seen(device: Device) -> tuple[QuantizedScene, View]:
     image = to_8bit(Renderer(device, quantized.dequantize()).render(camera))
     noise = np.random.default_rng(1).integers(-4, 5, image.shape)
     image = np.clip(image + noise, 0, 255).astype(np.uint8)
-    return quantized, View("front", camera, image, None)
+    return quantized, View("front", camera, StoredPhoto.of(Pixels(image, None)))
 
 
 def without(

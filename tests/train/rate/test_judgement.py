@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.data.dataset import View
+from clgs.data.images import Pixels
+from clgs.data.stored_photo import StoredPhoto
+from clgs.data.view import View
 from clgs.opencl.device import Device
 from clgs.ops import loss
 from clgs.options import DEFAULT
@@ -31,7 +33,7 @@ def seen(device: Device) -> tuple[Scene, View]:
     image = to_8bit(device.download(frame.image))
     noise = np.random.default_rng(1).integers(-6, 7, image.shape)
     photo = np.clip(image + noise, 0, 255).astype(np.uint8)
-    return scene, View("front", camera, photo, None)
+    return scene, View("front", camera, StoredPhoto.of(Pixels(photo, None)))
 
 
 def picture(device: Device, scene: Scene, view: View) -> np.ndarray:
@@ -80,7 +82,7 @@ def test_the_loss_is_that_of_the_views(device: Device, seen: tuple[Scene, View])
     scene, view = seen
     uploaded = upload_scene(device, scene)
     frame = render_forward(device, uploaded, view.camera, RenderSettings())
-    photo = device.upload(np.ascontiguousarray(view.image.transpose(2, 0, 1)))
+    photo = device.upload(np.ascontiguousarray(view.photo.pixels().color.transpose(2, 0, 1)))
     value = loss.forward(device, frame.image, photo, WEIGHTS).value_later(device).get().value
     assert judged(device, seen, uploaded).loss == pytest.approx(value, rel=1e-6)
 
@@ -92,7 +94,7 @@ def test_what_an_anchor_saves_in_units_of_the_loss(
     scene, view = seen
     found = judged(device, seen, upload_scene(device, scene))
     whole = picture(device, scene, view)
-    photo = view.image.transpose(2, 0, 1) / 255.0
+    photo = view.photo.pixels().color.transpose(2, 0, 1) / 255.0
     error = np.square(whole - photo).sum()
     order = np.argsort(found.importance)[::-1]
     exact = []

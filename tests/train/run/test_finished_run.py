@@ -11,6 +11,7 @@ import pytest
 
 from clgs.cli import main as cli
 from clgs.data.dataset import load_dataset
+from clgs.data.stored_photo import StoredPhoto
 from clgs.errors import BudgetError, DataError
 from clgs.render import tile_groups
 from clgs.train.config import preset
@@ -73,7 +74,9 @@ def test_the_command_says_that_a_run_is_finished(data, tmp_path, monkeypatch, ca
 
 def test_other_photos_are_noticed(finished, dataset, open_device):
     view = dataset.train[0]
-    other = replace(dataset, train=[replace(view, image=255 - view.image), *dataset.train[1:]])
+    pixels = view.photo.pixels()
+    negative = StoredPhoto.of(replace(pixels, color=255 - pixels.color))
+    other = replace(dataset, train=[replace(view, photo=negative), *dataset.train[1:]])
     before = files(finished.folder)
     with pytest.raises(DataError, match="other settings or photos"):
         train_scene(other, finished.folder, CONFIG, device=open_device("cpu"), resume=True)

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.data.dataset import View
+from clgs.data.images import Pixels
+from clgs.data.stored_photo import PhotoMemory, StoredPhoto
+from clgs.data.view import View
 from clgs.synthetic.anchor_scene import square_camera
 from clgs.train.config import preset
 from clgs.train.step.schedule import reduction
@@ -22,17 +24,18 @@ def cpu(open_device):
 @pytest.fixture
 def view(rng):
     image = rng.integers(0, 256, (16, 16, 3)).astype(np.uint8)
-    return View("photo", square_camera(16), image, rng.integers(0, 256, (16, 16)).astype(np.uint8))
+    pixels = Pixels(image, rng.integers(0, 256, (16, 16)).astype(np.uint8))
+    return View("photo", square_camera(16), StoredPhoto.of(pixels))
 
 
-def test_fixed_backgrounds_are_uploaded_once(cpu, view, rng):
+def test_photos_are_composited_on_a_fixed_background(cpu, view, rng):
     targets = Targets(cpu, [view], "white", 0.2)
     color = targets.color(rng)
     assert color == (1.0, 1.0, 1.0)
     first = targets.get(0, color)
-    assert targets.get(0, color) is first
-    share = view.alpha[..., None] / np.float32(255)
-    composited = np.rint(view.image * share + np.float32(255) * (1 - share)).astype(np.uint8)
+    pixels = view.photo.pixels()
+    share = pixels.alpha[..., None] / np.float32(255)
+    composited = np.rint(pixels.color * share + np.float32(255) * (1 - share)).astype(np.uint8)
     assert np.array_equal(cpu.download(first.photo), composited.transpose(2, 0, 1))
     assert np.array_equal(cpu.download(first.view.background), [1, 1, 1])
 
@@ -46,14 +49,38 @@ def test_random_backgrounds_change_photo_and_render_alike(cpu, view, rng):
     assert not np.array_equal(*photos)
     for target, color in zip(got, colors, strict=True):
         assert np.array_equal(cpu.download(target.view.background), np.float32(color))
-    assert got[0].view.camera is got[1].view.camera
+
+
+@pytest.mark.parametrize("background", ["white", "random"])
+@pytest.mark.parametrize("factor", [1, 2])
+def test_photos_read_ahead_are_the_same(cpu, view, rng, background, factor):
+    pixels, reads = view.photo.pixels(), []
+
+    def read():
+        reads.append(1)
+        return pixels
+
+    stored = StoredPhoto(read, PhotoMemory(0))
+    targets = Targets(cpu, [view, replace(view, photo=stored)], background, 0.2)
+    color = targets.color(rng)
+    targets.prepare([1], factor)
+    targets.prepare([1], factor)
+    first, second = (targets.get(index, color, factor) for index in (0, 1))
+    assert np.array_equal(cpu.download(first.photo), cpu.download(second.photo))
+    assert len(reads) == 1
+    targets.prepare([1], factor)
+    targets.prepare([0], factor)  # another view comes first: view 1 is let go
+    again = targets.get(1, color, factor)
+    assert np.array_equal(cpu.download(first.photo), cpu.download(again.photo))
 
 
 def test_reduced_targets_are_box_means(cpu, view, rng):
-    targets = Targets(cpu, [View("photo", view.camera, view.image, None)], "black", 0.2)
+    image = view.photo.pixels().color
+    opaque = StoredPhoto.of(Pixels(image, None))
+    targets = Targets(cpu, [replace(view, photo=opaque)], "black", 0.2)
     whole, quarter = targets.get(0, (0, 0, 0)), targets.get(0, (0, 0, 0), 4)
     assert quarter.view.size == (4, 4)
-    means = view.image.reshape(4, 4, 4, 4, 3).mean(axis=(1, 3)).transpose(2, 0, 1)
+    means = image.reshape(4, 4, 4, 4, 3).mean(axis=(1, 3)).transpose(2, 0, 1)
     assert np.abs(cpu.download(quarter.photo) - means).max() <= 0.5
     assert np.array_equal(cpu.download(quarter.view.camera), view.camera.resized(4, 4).pack(0.2))
     assert targets.get(0, (0, 0, 0)).view.size == whole.view.size == (16, 16)

@@ -1,0 +1,93 @@
+"""Work of pycolmap in a process of its own.
+
+Native code that works for minutes hears of a signal only at its next pause; a process beside ends
+at once, its memory goes with it, and a crash of it is an error like others.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from clgs.errors import DataError
+from clgs.memory import return_freed_memory
+
+OnStage = Callable[[str], None]
+
+
+def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
+    """What ``main()`` of a module, which calls :func:`serve`, makes of ``arguments``.
+
+    Args:
+        module: its dotted name.
+        task: what it does, for messages.
+        arguments: ready for JSON; the result comes as JSON, too.
+        on_stage: called with what the process says of its progress.
+
+    Raises:
+        DataError: the work failed, or the process crashed.
+    """
+    code = f"import sys; sys.path[:] = {sys.path!r}; from {module} import main; main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # Ctrl-C in a terminal comes to this process alone
+    ) as child:
+        try:
+            return _follow(child, task, arguments, on_stage)
+        except BaseException:
+            child.kill()
+            raise
+
+
+def _follow(child: subprocess.Popen[str], task: str, arguments: Any, on_stage: OnStage) -> Any:
+    """Hand over the arguments, pass on the stages, return the result."""
+    assert child.stdin is not None
+    assert child.stdout is not None
+    with suppress(BrokenPipeError):
+        child.stdin.write(json.dumps(arguments) + "\n")
+        child.stdin.flush()
+    for line in child.stdout:
+        kind, value = json.loads(line)
+        if kind == "result":
+            return value
+        if kind == "error":
+            raise DataError(value)
+        on_stage(value)
+    raise DataError(f"{task}: pycolmap crashed (exit code {child.wait()}); try other photos")
+
+
+def serve(work: Callable[[Any, OnStage], Any]) -> None:
+    """The process: arguments from the standard input, results to the standard output."""
+    return_freed_memory()
+    output = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # whatever a library prints is no result
+    arguments = json.loads(sys.stdin.readline())
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+    def say(kind: str, value: Any) -> None:
+        print(json.dumps([kind, value]), file=output, flush=True)
+
+    def on_stage(stage: str) -> None:
+        say("stage", stage)
+
+    try:
+        result = work(arguments, on_stage)
+    except DataError as error:
+        say("error", str(error))
+    else:
+        say("result", result)
+
+
+def _end_with_parent() -> None:
+    """Ends this process if its standard input ends, that is, if the parent has ended."""
+    sys.stdin.read()
+    os._exit(1)

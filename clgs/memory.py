@@ -1,0 +1,30 @@
+"""How the C library of this process keeps memory that was freed."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
+"""Parameters of glibc's mallopt, from its malloc.h."""
+
+LARGE = 1 << 20
+"""Bytes from which an array goes back to the system as soon as it is freed."""
+
+ARENAS = 2
+"""Heaps for all threads together: each keeps what was freed in it."""
+
+SETTINGS = {M_TRIM_THRESHOLD: LARGE, M_MMAP_THRESHOLD: LARGE, M_ARENA_MAX: ARENAS}
+
+
+def return_freed_memory() -> None:
+    """Let large arrays go back to the system when they are freed; glibc would keep many of them.
+
+    Where there is no glibc nothing happens.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    library = ctypes.CDLL(None)
+    if hasattr(library, "mallopt"):
+        for parameter, value in SETTINGS.items():
+            library.mallopt(parameter, value)
