@@ -18,12 +18,23 @@ from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.metrics import psnr_8bit, psnr_channel_mean, ssim, to_8bit
 from clgs.train.step.targets import planar
 
-PROTOCOL = "clgs-1: 8-bit, one MSE over all channels; SSIM 11x11 sigma 1.5, zero padding"
+PROTOCOL = (
+    "clgs-1: 8-bit pictures; psnr: one MSE over all pixels and channels; psnr_channel_mean: mean "
+    "of the three channels' PSNRs, of the render before clamping and rounding; ssim: 11x11, "
+    "sigma 1.5, zero padding"
+)
+LPIPS_PROTOCOL = "; lpips: VGG, version 0.1, pictures in [0, 1] not rescaled to [-1, 1]"
+
+Measure = Callable[[npt.NDArray[np.uint8], npt.NDArray[np.uint8]], float]
+"""A score of a render and a photo, both (H, W, 3) uint8."""
 
 
 @dataclass(frozen=True)
 class ViewScore:
-    """One view: its name, the scores, the render and the photo as (H, W, 3) uint8."""
+    """One view: its name, the scores, the render and the photo as (H, W, 3) uint8.
+
+    lpips: None if it was not measured.
+    """
 
     name: str
     psnr: float
@@ -32,11 +43,12 @@ class ViewScore:
     seconds: float
     render: npt.NDArray[np.uint8]
     photo: npt.NDArray[np.uint8]
+    lpips: float | None = None
 
     def record(self) -> dict[str, Any]:
         """The scores, ready for JSON."""
-        names = ("name", "psnr", "psnr_channel_mean", "ssim", "seconds")
-        return {name: getattr(self, name) for name in names}
+        names = ("name", "psnr", "psnr_channel_mean", "ssim", "lpips", "seconds")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
 
 def evaluate_views(
@@ -45,8 +57,11 @@ def evaluate_views(
     views: list[View],
     on_view: Callable[[ViewScore], None] | None = None,
     options: RenderOptions = DEFAULT,
+    lpips: Measure | None = None,
 ) -> list[ViewScore]:
     """Score ``scene`` on ``views`` over the scene's own background.
+
+    ``lpips``, such as a :class:`clgs.train.quality.lpips.Lpips`, is measured too if it is given.
 
     Raises:
         BudgetError: ``options.max_memory`` is too small for one of ``views``.
@@ -55,13 +70,18 @@ def evaluate_views(
     renderer.check_budget((view.name, view.camera) for view in views)
     scores = []
     for view in views:
-        scores.append(_score(renderer, view, scene.settings.background))
+        scores.append(_score(renderer, view, scene.settings.background, lpips))
         if on_view is not None:
             on_view(scores[-1])
     return scores
 
 
-def _score(renderer: Renderer, view: View, background: tuple[float, float, float]) -> ViewScore:
+def _score(
+    renderer: Renderer,
+    view: View,
+    background: tuple[float, float, float],
+    lpips: Measure | None,
+) -> ViewScore:
     start = time.perf_counter()
     image = renderer.render(view.camera)
     seconds = time.perf_counter() - start
@@ -75,6 +95,7 @@ def _score(renderer: Renderer, view: View, background: tuple[float, float, float
         seconds,
         picture,
         photo,
+        lpips(picture, photo) if lpips else None,
     )
 
 
@@ -84,12 +105,14 @@ def summarize(scene: QuantizedScene, scores: list[ViewScore], nbytes: int | None
     def mean(name: str) -> float:
         return float(np.mean([getattr(score, name) for score in scores]))
 
+    with_lpips = all(score.lpips is not None for score in scores)
     return {
-        "protocol": PROTOCOL,
+        "protocol": PROTOCOL + LPIPS_PROTOCOL * with_lpips,
         "views": len(scores),
         "psnr": mean("psnr"),
         "psnr_channel_mean": mean("psnr_channel_mean"),
         "ssim": mean("ssim"),
+        **({"lpips": mean("lpips")} if with_lpips else {}),
         "bytes": nbytes,
         "anchors": len(scene.anchors),
         "render_seconds": mean("seconds"),
