@@ -96,6 +96,16 @@ def work(tmp_path, monkeypatch):
         ("bench codec file", 3, "file: is no .npz archive with `values` or `positions`, and no"),
         ("eval s.clgs", 2, "nothing to do"),
         ("eval none.clgs --data none --json nodir/x.json", 2, "nodir/x.json: cannot be written"),
+        ("eval none.clgs --data none --csv nodir/x.csv", 2, "nodir/x.csv: cannot be written"),
+        ("eval s.clgs --data none --csv x.txt", 2, "x.txt: the table is a .csv file; name it so"),
+        ("eval s.clgs --csv x.csv", 2, "--csv: scores need photos; name them with --data"),
+        ("eval s.clgs --hashes file --inria new", 2, "--inria: scores need photos"),
+        ("eval s.clgs --data none --inria file", 2, "file: is no folder"),
+        ("eval s.clgs --data none --json n/results.json --inria n", 2, "n/results.json: cannot be"),
+        ("eval s.npz --data none --csv x.csv", 2, "s.npz: has no size in bytes for --csv"),
+        ("eval s.clgs --data none --submethod a", 2, "--submethod: names a row of --csv"),
+        ("eval s.clgs --data none --lpips none.npz", 3, "none.npz: no such file; name the .npz"),
+        ("eval s.clgs --data none --lpips s.npz", 3, "s.npz: not the weights of LPIPS with VGG-16"),
         ("bench step --json nodir/x.json", 2, "nodir/x.json: cannot be written"),
         ("render s.clgs --data none -o file", 2, "file: is no folder"),
         ("prepare folder -o new", 3, "folder: 0 JPEG or PNG photos"),
@@ -301,6 +311,23 @@ def test_scores_replace_neither_scene_nor_data(tmp_path, monkeypatch, capsys, ou
     assert capsys.readouterr().err.count("\n") == 1
     assert (tmp_path / "s.clgs").read_bytes() == b"kept"
     assert (tmp_path / "data" / "transforms.json").read_bytes() == b"kept"
+
+
+def test_tables_of_scores_replace_nothing_else(work, capsys):
+    (work / "run").mkdir()
+    (work / "run" / "config.toml").touch()
+    (work / "other.csv").write_text("a,b\n")
+    (work / "data").mkdir()
+    (work / "data" / "results.json").write_text("kept")
+    for option, said in (
+        ("--inria run", "run: is a run with scores of its own; name another folder"),
+        ("--inria data", "data/results.json: is a file of the data set; choose another output"),
+        ("--csv other.csv", "other.csv: line 1 is not Submethod,PSNR,"),
+        ("--json folder/results.json --inria folder", "folder/results.json: is written by --inria"),
+    ):
+        assert cli.main(f"eval s.clgs --data data {option}".split()) == 2
+        assert capsys.readouterr().err.startswith(f"clgs: error: {said}")
+    assert (work / "data" / "results.json").read_text() == "kept"
 
 
 @pytest.mark.parametrize("command", ["encode", "pack"])

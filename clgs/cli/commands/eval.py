@@ -5,76 +5,186 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from clgs.cli.options.view import add_view_options
+from clgs.cli.options.view import add_view_options, named_path
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from clgs.data.view import View
     from clgs.opencl.device import Device
+    from clgs.options import RenderOptions
     from clgs.scene.scene import QuantizedScene
+    from clgs.train.quality.score_views import Measure, ViewScore
+
+BASELINE = "Baseline"
+"""What the survey's tables call the results that need no name beside the method's."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command and its options."""
     parser = subparsers.add_parser(
         "eval",
-        help="PSNR and SSIM against the photos",
-        description="Scores of a scene. With --hashes: whether this process reproduces, bit for "
+        help="PSNR, SSIM and LPIPS against the photos",
+        description="Scores of a scene. psnr is that of 8-bit pictures, one MSE over all channels; "
+        "psnr_channel_mean, the form of Voxel-GS's code, is the mean of the three channels' PSNRs, "
+        "of the render before clamping. With --hashes: whether this process reproduces, bit for "
         "bit, the integers and renders that the trainer recorded (exit code 1 if not).",
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="run folder or .clgs file")
     add_view_options(parser, data_required=False)
-    parser.add_argument("--json", type=Path, metavar="F", help="write the scores to F")
+    parser.add_argument("--json", type=named_path, metavar="F", help="write the scores to F")
     parser.add_argument("--hashes", type=Path, metavar="F", help="hashes.json of the run")
+    _add_family_options(parser)
+
+
+def _add_family_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--lpips",
+        type=named_path,
+        metavar="F",
+        help="LPIPS too (VGG, pictures in [0, 1]), with the weights in F, an .npz; needs the extra "
+        "clgs[lpips]",
+    )
+    parser.add_argument(
+        "--inria",
+        type=named_path,
+        metavar="DIR",
+        help="write results.json and per_view.json to DIR as metrics.py of 3DGS does; PSNR is psnr",
+    )
+    parser.add_argument(
+        "--csv",
+        type=named_path,
+        metavar="F",
+        help="add a row to F, a table of the 3DGS compression survey; PSNR is psnr",
+    )
+    parser.add_argument(
+        "--submethod",
+        metavar="NAME",
+        help=f"the first cell of the row of --csv (default: {BASELINE})",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate; exit code 0, or 1 if the hashes differ."""
     from clgs.cli.options.scene import read_scene
     from clgs.errors import UsageError
-    from clgs.files import check_output
     from clgs.opencl.device import Device
 
-    if args.data is None and args.hashes is None:
-        raise UsageError("nothing to do: name the photos with --data, or hashes with --hashes")
-    if args.json:
-        if args.json.suffix.lower() != ".json":
-            raise UsageError(f"{args.json}: the scores are a .json file; name it so")
-        check_output(args.json, args.scene, *([args.hashes] if args.hashes else []))
-        if args.data is not None and args.json.exists() and _lies_in(args.json, args.data):
-            raise UsageError(f"{args.json}: is a file of the data set; choose another output")
+    _check(args)
+    lpips = _measure(args.lpips) if args.lpips else None
     scene, size = read_scene(args.scene)
+    if args.csv and size is None:
+        raise UsageError(f"{args.scene}: has no size in bytes for --csv; name a .clgs file")
     device = Device(args.device)
     code = _compare_hashes(device, scene, args.hashes) if args.hashes else 0
     if args.data is not None:
-        _score(args, device, scene, size)
+        _score(args, device, scene, size, lpips)
     return code
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse what cannot be done, before long work."""
+    from clgs.errors import UsageError
+
+    if args.data is None:
+        named = (f"--{name}" for name in ("lpips", "inria", "csv") if getattr(args, name))
+        if option := next(named, None):
+            raise UsageError(f"{option}: scores need photos; name them with --data")
+        if args.hashes is None:
+            raise UsageError("nothing to do: name the photos with --data, or hashes with --hashes")
+    if args.submethod is not None and not (args.csv and args.submethod.isprintable()):
+        raise UsageError("--submethod: names a row of --csv, in printable characters")
+    _check_outputs(args)
+
+
+def _check_outputs(args: argparse.Namespace) -> None:
+    from clgs.errors import UsageError
+    from clgs.files import check_folder, check_output
+    from clgs.train.quality.score_tables import FILES, check_survey
+
+    sources = [path for path in (args.scene, args.hashes, args.lpips) if path]
+    for path, suffix, what in ((args.json, ".json", "scores are"), (args.csv, ".csv", "table is")):
+        if path and path.suffix.lower() != suffix:
+            raise UsageError(f"{path}: the {what} a {suffix} file; name it so")
+    outputs = [path for path in (args.json, args.csv) if path]
+    for path in outputs:
+        check_output(path, *sources)
+    if args.inria:
+        check_folder(args.inria)
+        if (args.inria / "config.toml").exists():
+            raise UsageError(f"{args.inria}: is a run with scores of its own; name another folder")
+        outputs += [args.inria / name for name in FILES]
+        if args.json and args.json.resolve() in (path.resolve() for path in outputs[-2:]):
+            raise UsageError(f"{args.json}: is written by --inria; choose another name")
+    for path in outputs:
+        if args.data is not None and path.exists() and _lies_in(path, args.data):
+            raise UsageError(f"{path}: is a file of the data set; choose another output")
+    if args.csv:
+        check_survey(args.csv)
 
 
 def _lies_in(path: Path, folder: Path) -> bool:
     return folder.resolve() in path.resolve().parents
 
 
+def _measure(path: Path) -> Measure:
+    from clgs.train.quality.lpips import Lpips
+    from clgs.train.quality.lpips_weights import read_lpips_weights
+
+    return Lpips(read_lpips_weights(path))
+
+
 def _score(
-    args: argparse.Namespace, device: Device, scene: QuantizedScene, size: int | None
+    args: argparse.Namespace,
+    device: Device,
+    scene: QuantizedScene,
+    size: int | None,
+    lpips: Measure | None,
 ) -> None:
     from clgs.cli.options.view import selected_options, selected_views
     from clgs.cli.progress import bar
     from clgs.train.quality.score_views import evaluate_views, summarize
-    from clgs.train.run.session import write_json
 
     views, options = selected_views(args, scene), selected_options(args)
     with bar(len(views), "evaluating") as advance:
-        scores = evaluate_views(device, scene, views, lambda *_: advance(), options)
+        scores = evaluate_views(device, scene, views, lambda *_: advance(), options, lpips)
     summary = summarize(scene, scores, size)
+    if args.csv:
+        summary["gaussians"] = _count_gaussians(device, scene, views, options)
     summary |= {
         "accuracy": options.accuracy.name,
         "split": args.split,
         "device": device.name,
     }
     print(json.dumps(summary, indent=1))
+    _write(args, summary, scores)
+
+
+def _count_gaussians(
+    device: Device, scene: QuantizedScene, views: Sequence[View], options: RenderOptions
+) -> int:
+    from clgs.cli.progress import bar
+    from clgs.train.quality.drawn import count_drawn
+
+    with bar(len(views), "counting Gaussians") as advance:
+        return count_drawn(device, scene, [view.camera for view in views], options, advance)
+
+
+def _write(args: argparse.Namespace, summary: dict[str, Any], scores: Sequence[ViewScore]) -> None:
+    from clgs.cli.options.view import trained_steps
+    from clgs.train.quality.score_tables import append_survey, write_inria
+    from clgs.train.run.session import write_json
+
     if args.json:
         write_json(args.json, summary | {"per_view": [score.record() for score in scores]})
+    if args.inria:
+        steps = trained_steps(args.scene)
+        write_inria(args.inria, "ours" if steps is None else f"ours_{steps}", summary, scores)
+    if args.csv:
+        name = BASELINE if args.submethod is None else args.submethod
+        append_survey(args.csv, name, summary)
 
 
 def _compare_hashes(device: Device, scene: QuantizedScene, path: Path) -> int:

@@ -133,6 +133,12 @@ def trained_downscale(scene: Path) -> int:
     return 1
 
 
+def trained_steps(scene: Path) -> int | None:
+    """The --steps of the run that ``scene`` is of; None if that is not known."""
+    config = _trained_config(scene)
+    return config.steps if config is not None else None
+
+
 def value_of(one: Option) -> Callable[[str], Any]:
     """The type of arguments that take the values of a declared option."""
 

@@ -18,22 +18,31 @@ from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.metrics import psnr_8bit, psnr_channel_mean, ssim, to_8bit
 
-PROTOCOL = "clgs-1: 8-bit, one MSE over all channels; SSIM 11x11 sigma 1.5, zero padding"
+PROTOCOL = (
+    "clgs-1: 8-bit pictures; psnr: one MSE over all pixels and channels; psnr_channel_mean: mean "
+    "of the three channels' PSNRs, of the render before clamping and rounding; ssim: 11x11, "
+    "sigma 1.5, zero padding"
+)
+LPIPS_PROTOCOL = "; lpips: VGG, version 0.1, pictures in [0, 1] not rescaled to [-1, 1]"
+
+Measure = Callable[[npt.NDArray[np.uint8], npt.NDArray[np.uint8]], float]
+"""A score of a render and a photo, both (H, W, 3) uint8."""
 
 
 @dataclass(frozen=True)
 class ViewScore:
-    """One view: its name and the scores."""
+    """One view: its name and the scores; lpips is None if it was not measured."""
 
     name: str
     psnr: float
     psnr_channel_mean: float
     ssim: float
     seconds: float
+    lpips: float | None = None
 
     def record(self) -> dict[str, Any]:
         """The scores, ready for JSON."""
-        return asdict(self)
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -50,6 +59,7 @@ def evaluate_views(
     views: list[View],
     on_view: Callable[[ViewScore, Pictures], None] | None = None,
     options: RenderOptions = DEFAULT,
+    lpips: Measure | None = None,
 ) -> list[ViewScore]:
     """Score ``scene`` on ``views`` over the scene's own background.
 
@@ -59,6 +69,7 @@ def evaluate_views(
         views: with their photos, of which no more than two are in memory at a time.
         on_view: called after each view; nothing else keeps its pictures.
         options: of the renders.
+        lpips: measured too if it is given, such as a :class:`clgs.train.quality.lpips.Lpips`.
 
     Raises:
         DataError: a photo is damaged.
@@ -68,14 +79,16 @@ def evaluate_views(
     renderer.check_budget((view.name, view.camera) for view in views)
     scores = []
     for view, planes in with_photos(views, scene.settings.background):
-        score, pictures = _score(renderer, view, planes)
+        score, pictures = _score(renderer, view, planes, lpips)
         scores.append(score)
         if on_view is not None:
             on_view(score, pictures)
     return scores
 
 
-def _score(renderer: Renderer, view: View, planes: Planes) -> tuple[ViewScore, Pictures]:
+def _score(
+    renderer: Renderer, view: View, planes: Planes, lpips: Measure | None
+) -> tuple[ViewScore, Pictures]:
     start = time.perf_counter()
     image = renderer.render(view.camera)
     seconds = time.perf_counter() - start
@@ -87,6 +100,7 @@ def _score(renderer: Renderer, view: View, planes: Planes) -> tuple[ViewScore, P
         psnr_channel_mean(image, photo),
         ssim(picture, photo),
         seconds,
+        lpips(picture, photo) if lpips else None,
     )
     return score, Pictures(picture, photo)
 
@@ -97,12 +111,14 @@ def summarize(scene: QuantizedScene, scores: list[ViewScore], nbytes: int | None
     def mean(name: str) -> float:
         return float(np.mean([getattr(score, name) for score in scores]))
 
+    with_lpips = all(score.lpips is not None for score in scores)
     return {
-        "protocol": PROTOCOL,
+        "protocol": PROTOCOL + LPIPS_PROTOCOL * with_lpips,
         "views": len(scores),
         "psnr": mean("psnr"),
         "psnr_channel_mean": mean("psnr_channel_mean"),
         "ssim": mean("ssim"),
+        **({"lpips": mean("lpips")} if with_lpips else {}),
         "bytes": nbytes,
         "anchors": len(scene.anchors),
         "render_seconds": mean("seconds"),

@@ -1,0 +1,73 @@
+"""`clgs eval`, and the files that it writes for other tools."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from clgs.cli import main as cli
+from clgs.codec.scene_encoder import encode
+from clgs.train.config import TrainConfig
+from tests.codec.scenes import random_scene
+from tests.small_scene import write_scene
+from tests.train.quality.lpips_reference import random_weights
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A data set of two test views, and a scene and a table of settings beside each other."""
+    folder = tmp_path_factory.mktemp("eval")
+    write_scene(folder / "data", train=2, test=2)
+    (folder / "run").mkdir()
+    scene = random_scene(np.random.default_rng(1), 200)
+    (folder / "run" / "scene.clgs").write_bytes(encode(scene))
+    (folder / "run" / "config.toml").write_text(TrainConfig(steps=700).to_toml())
+    return folder
+
+
+def evaluate(folder, capsys, *options):
+    """What `clgs eval` prints."""
+    scene = folder / "run" / "scene.clgs"
+    code = cli.main(["eval", str(scene), "--data", str(folder / "data"), *map(str, options)])
+    out, err = capsys.readouterr()
+    assert code == 0, err
+    return json.loads(out)
+
+
+def test_all_files_hold_the_same_scores(folder, capsys, tmp_path):
+    pytest.importorskip("onnxruntime", reason='pip install "clgs[lpips]"')
+    np.savez(tmp_path / "weights.npz", **random_weights())
+    summary = evaluate(
+        folder, capsys, "--lpips", tmp_path / "weights.npz", "--json", tmp_path / "scores.json",
+        "--inria", tmp_path / "scores", "--csv", tmp_path / "scene.csv",
+    )  # fmt: skip
+    assert summary["lpips"] > 0
+    assert summary["psnr_channel_mean"] > summary["psnr"]
+    assert 0 < summary["gaussians"] < 10 * summary["anchors"]
+    ours = json.loads((tmp_path / "scores.json").read_text())
+    assert summary == {name: ours[name] for name in summary}
+    results = json.loads((tmp_path / "scores" / "results.json").read_text())
+    assert results == {
+        "ours_700": {
+            "SSIM": summary["ssim"],
+            "PSNR": summary["psnr"],
+            "LPIPS": summary["lpips"],
+            "PSNR channel mean": summary["psnr_channel_mean"],
+        }
+    }
+    views = json.loads((tmp_path / "scores" / "per_view.json").read_text())["ours_700"]
+    assert views["LPIPS"] == {f"r_{i}.png": ours["per_view"][i]["lpips"] for i in range(2)}
+    names = ("psnr", "ssim", "lpips", "bytes", "gaussians")
+    row = ",".join(["Baseline", *(str(summary[name]) for name in names)])
+    assert (tmp_path / "scene.csv").read_text().splitlines()[1:] == [row]
+
+
+def test_rows_without_lpips_are_added_by_name(folder, capsys, tmp_path):
+    for name in ("-small", ""):
+        summary = evaluate(folder, capsys, "--csv", tmp_path / "x.csv", f"--submethod={name}")
+        assert "lpips" not in summary
+    rows = (tmp_path / "x.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["Submethod", "-small", ""]
+    assert rows[1].split(",")[3] == ""
