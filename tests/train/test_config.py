@@ -73,6 +73,19 @@ def test_scaled_moves_moments_and_keeps_intervals() -> None:
     assert (short.slot_seen, short.anchor_visits) == (40, 80)
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"target_size": 12_999}, "target_size: 12999 bytes hardly hold the MLPs; give at least"),
+        ({"target_size": 40_000, "mlp": "float32"}, "give at least 50000"),
+        ({"max_anchors": 3}, "max_anchors: 3 is too few; give at least 4, or 0"),
+    ],
+)
+def test_what_cannot_be_met_is_refused(values: dict, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        TrainConfig(**values)
+
+
 def test_scaling_twice_is_scaling_once() -> None:
     once, twice = TrainConfig().scaled(900), TrainConfig().scaled(3000).scaled(900)
     assert twice == once
@@ -115,7 +128,7 @@ def test_toml_round_trip(config: TrainConfig) -> None:
     assert from_toml(text).to_toml() == text
     assert from_toml(text).digest() == config.digest()
     names = {field.name for field in dataclasses.fields(config)}
-    assert names - set(tomllib.loads(text)) <= {"volume_weight"}
+    assert names - set(tomllib.loads(text)) <= {"volume_weight", "size_lambda"}
 
 
 def test_digest_tells_settings_apart_but_not_spellings() -> None:

@@ -35,6 +35,12 @@ MAX_SAMPLES = 20_000_000
 
 WEIGHT = Range(0, MAX_WEIGHT)
 
+LEAST_TARGET = {"quantized": 13_000, "float32": 50_000}
+"""Bytes of the smallest file that may be asked for: the MLPs take most of it."""
+
+LEAST_ANCHORS = 4
+"""Fewer have no three neighbours, whose distance sets the first scale."""
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -177,12 +183,13 @@ class TrainConfig:
         unit="per cubic scene unit",
         open_default="0.01 on photos, 0 on Blender scenes",
     )
-    size_lambda: float = option(
-        1.0,
+    size_lambda: float | None = option(
+        None,
         "what halving the file may cost, the one knob between size and quality: what saves less "
         "than its share is left out; 0: nothing is",
         WEIGHT,
         unit="dB per halving",
+        open_default="2 on photos, 0.7 on Blender scenes",
     )
     target_size: int = option(
         0,
@@ -302,7 +309,10 @@ class TrainConfig:
         scaled=True,
     )
     max_anchors: int = option(
-        0, "growth stops at this many anchors; 0: no limit", at_least(0), unit="anchors"
+        0,
+        "most anchors at any time, which bounds memory; 0: no limit",
+        at_least(0),
+        unit="anchors",
     )
     growth_interval: int = option(
         100, "steps between changes of the anchors (code)", at_least(1), unit="steps"
@@ -377,10 +387,19 @@ class TrainConfig:
                 object.__setattr__(self, name, one.check(getattr(self, name)))
         if self.l1_weight == self.ssim_weight == 0:
             raise UsageError("l1_weight, ssim_weight: both are 0, so nothing would be learned")
+        least = LEAST_TARGET[self.mlp]
+        if 0 < self.target_size < least:
+            raise UsageError(
+                f"target_size: {self.target_size} bytes hardly hold the MLPs; give at least {least}"
+            )
+        if 0 < self.max_anchors < LEAST_ANCHORS:
+            raise UsageError(
+                f"max_anchors: {self.max_anchors} is too few; give at least {LEAST_ANCHORS}, or 0"
+            )
         check_order(vars(self))
 
     def for_dataset(self, kind: str) -> TrainConfig:
-        """Values left open (voxel, position_q, volume_weight) chosen for a kind of data set.
+        """Values left open (voxel, position_q, volume_weight, lambda) chosen for a kind of data set.
 
         Args:
             kind: "blender" for synthetic scenes; anything else is photos.
@@ -389,7 +408,14 @@ class TrainConfig:
         voxel = self.voxel or (0.001 if synthetic else 0.005)
         weight = (0.0 if synthetic else 0.01) if self.volume_weight is None else self.volume_weight
         position_q = self.position_q or _paper_position_q(self.preset, synthetic) or 1.0 / voxel
-        return replace(self, voxel=voxel, volume_weight=weight, position_q=position_q)
+        price = self.size_lambda
+        return replace(
+            self,
+            voxel=voxel,
+            volume_weight=weight,
+            position_q=position_q,
+            size_lambda=(0.7 if synthetic else 2.0) if price is None else price,
+        )
 
     def scaled(self, steps: int) -> TrainConfig:
         """The same run squeezed or stretched to ``steps`` steps.
