@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.progress import TrainingDisplay, print_summary
     from clgs.data.dataset import load_dataset
     from clgs.data.point_file import PointFile
+    from clgs.data.reduction import Reduction
     from clgs.data.stored_photo import PhotoMemory
     from clgs.errors import DataError, UsageError
     from clgs.files import check_folder
@@ -69,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     device.profile.enabled = args.profile
     dataset = load_dataset(
         args.data,
-        downscale=config.downscale,
+        downscale=Reduction(config.downscale, config.max_size),
         preset_units=not config.normalize,
         cache=args.output,
         seed=config.seed,

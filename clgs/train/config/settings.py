@@ -18,14 +18,21 @@ from clgs.constants import NEAR_PLANE
 from clgs.errors import UsageError
 from clgs.options import PRESETS, RenderOptions, render_options
 from clgs.train.config.learning_rates import LearningRates
-from clgs.train.config.option import ANY, POSITIVE, Range, Text, at_least, option, options_of
+from clgs.train.config.option import (
+    ANY,
+    POSITIVE,
+    WEIGHT,
+    Range,
+    Text,
+    at_least,
+    option,
+    options_of,
+)
+from clgs.train.config.photo_settings import PhotoSettings
 from clgs.train.config.run_length import FULL_STEPS, check_order, scaled_moments, shortness
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
-
-MAX_WEIGHT = 1e6
-"""Adam squares the gradients: with weights much above it they overflow, and nothing trains."""
 
 MAX_PIXELS = 65536
 """No picture is wider."""
@@ -33,11 +40,9 @@ MAX_PIXELS = 65536
 MAX_SAMPLES = 20_000_000
 """No device of today has memory for more anchors."""
 
-WEIGHT = Range(0, MAX_WEIGHT)
-
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(PhotoSettings):
     """Settings of one training run; ``clgs train --help`` explains each.
 
     Build it by :func:`clgs.train.config.preset`, then :meth:`for_dataset`, then :meth:`scaled`.
@@ -70,7 +75,6 @@ class TrainConfig:
     normalize: bool = option(
         True, "recentre the scene and scale it to a camera radius of 4.4; the paper keeps the units"
     )
-    downscale: int = option(1, "reduce the photos this many times", at_least(1), unit="times")
     coarse_to_fine: bool = option(
         False, "train on reduced photos first: a quarter of the size, then half"
     )
@@ -87,14 +91,6 @@ class TrainConfig:
         "points drawn from the surfaces in the file of points",
         Range(4, MAX_SAMPLES),
         unit="points",
-        in_digest=False,
-    )
-    photo_memory: int = option(
-        1024,
-        "training photos that stay in memory, 3 bytes a pixel; those beyond it are read again from "
-        "the disk, ahead of their steps",
-        at_least(0),
-        unit="MiB",
         in_digest=False,
     )
     fixed_views: int = option(

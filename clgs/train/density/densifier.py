@@ -70,6 +70,7 @@ class Densifier:
 
     def _download(self, parameters: Parameters) -> TrainState:
         device = self._device
+        device.release_unused()
         return TrainState(
             anchors=parameters.scene.anchors.map(device.download),
             statistics=self.statistics.map(device.download),

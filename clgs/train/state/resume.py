@@ -20,6 +20,7 @@ from clgs.train.step.schedule import ViewSampler
 
 def save_checkpoint(folder: Path, trainer: Trainer) -> None:
     """Write everything that the next steps depend on."""
+    trainer.device.release_unused()
     arrays = _by_name(trainer.parameters, trainer.densifier.statistics)
     scalars = {
         "step": trainer.steps_done,
