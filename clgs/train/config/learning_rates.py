@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from clgs.errors import UsageError
 from clgs.train.config.option import POSITIVE, Pair, option, options_of
 
-SHORT_RUN_POWERS = {"feature": (0.75, -0.25), "offset": (0.5, 0.25)}
+SHORT_RUN_POWERS = {"feature": (0.75, -0.25), "offset": (0.5, 0.25), "exposure": (0.5, 0.5)}
 """A run n times shorter multiplies the first and the last of these learning rates by n to these
 powers.
 """
@@ -45,6 +45,12 @@ class LearningRates:
     mlp_color: Pair = option(
         (0.008, 5e-5), "first and last learning rate of the color MLP", POSITIVE, unit="per step"
     )
+    exposure: Pair = option(
+        (0.01, 0.001),
+        "first and last learning rate of the exposure of photos (3DGS)",
+        POSITIVE,
+        unit="per step",
+    )
 
     def __post_init__(self) -> None:
         for name, one in options_of(LearningRates).items():
@@ -58,7 +64,7 @@ class LearningRates:
 
         Features and offsets start at zero, and a short run would leave them small beside the
         rounding to integers when that sets in; afterwards large steps would only rattle the
-        integers.
+        integers. The exposure of a photo moves only when that photo is seen.
         """
         changed = {
             name: tuple(

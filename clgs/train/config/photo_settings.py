@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from clgs.data.reduction import MAX_SIZE
-from clgs.train.config.option import at_least, option
+from clgs.train.config.option import WEIGHT, at_least, option
 
 
 @dataclass(frozen=True)
 class PhotoSettings:
-    """Size and memory of photos; :class:`TrainConfig` has them first."""
+    """Size, memory and exposure of photos; :class:`TrainConfig` has them first."""
 
     downscale: int = option(
         0,
@@ -32,4 +32,15 @@ class PhotoSettings:
         at_least(0),
         unit="MiB",
         in_digest=False,
+    )
+    exposure: bool = option(
+        False,
+        "learn the exposure of each training photo, an affine map of colors, from a fifth of the "
+        "steps on; the scene and the held-out views are without",
+    )
+    exposure_weight: float = option(
+        0.1,
+        "weight of the squared distance of a photo's map from none, with --exposure",
+        WEIGHT,
+        unit="none",
     )
