@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.data.dataset import load_dataset
     from clgs.data.point_file import PointFile
     from clgs.data.points import RandomStart
+    from clgs.data.reduction import Reduction
     from clgs.data.stored_photo import PhotoMemory
     from clgs.errors import DataError, UsageError
     from clgs.files import check_folder
@@ -70,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     device.profile.enabled = args.profile
     dataset = load_dataset(
         args.data,
-        downscale=config.downscale,
+        downscale=Reduction(config.downscale, config.max_size),
         preset_units=not config.normalize,
         cache=args.output,
         seed=config.seed,

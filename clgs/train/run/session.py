@@ -25,7 +25,7 @@ from clgs.opencl.device import Device
 from clgs.scene.storage import save_scene
 from clgs.train.config import TrainConfig
 from clgs.train.quality.score_views import Pictures, ViewScore, evaluate_views, summarize
-from clgs.train.run.finished_run import RESULTS, RunResult, finished_run
+from clgs.train.run.finished_run import RESULTS, RunResult, finished_run, settings_for
 from clgs.train.run.full_disk import Keeper
 from clgs.train.run.progress_log import ProgressLog
 from clgs.train.run.trainer import StepResult, Trainer
@@ -65,7 +65,7 @@ class Session:
         """
         if not dataset.train:
             raise DataError("the dataset has no training views; check the folder of images")
-        config = replace(config, downscale=dataset.downscale, points=dataset.points_file)
+        config = replace(settings_for(dataset, config), points=dataset.points_file)
         self.folder, self.config, self.device = folder, config, device
         self.dataset = dataset
         self.trainer = Trainer(device, dataset, config)
@@ -159,6 +159,7 @@ class Session:
 
     def _finish(self) -> RunResult:
         self.log.flush()
+        self.device.release_unused()
         scene = self.trainer.quantized_scene()
         save_scene(self.folder / "scene.npz", scene)
         views = (self.dataset.test or self.dataset.train)[:HASHED_VIEWS]
