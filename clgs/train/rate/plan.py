@@ -104,5 +104,6 @@ def carry_out(plan: Plan, state: TrainState, most: float) -> int:
         moments.first[moved] = 0.0
         changed += int(moved.sum())
     if most > 0:
-        keep_rows(state, plan.worth >= min(plan.price, float(np.quantile(plan.worth, most))))
+        limit = float(np.quantile(plan.worth, most, method="lower"))
+        keep_rows(state, plan.worth >= min(plan.price, limit))
     return changed

@@ -22,8 +22,10 @@ from clgs.errors import DataError
 from clgs.export.image import comparison, picture_names, save_png
 from clgs.files import atomic_write
 from clgs.opencl.device import Device
+from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
 from clgs.train.config import TrainConfig
+from clgs.train.quality.rate_control import MAX_CAMERAS, Judge, reduce_to_size, spread
 from clgs.train.quality.score_views import Pictures, ViewScore, evaluate_views, summarize
 from clgs.train.run.finished_run import RESULTS, RunResult, finished_run, settings_for
 from clgs.train.run.full_disk import Keeper
@@ -160,7 +162,7 @@ class Session:
     def _finish(self) -> RunResult:
         self.log.flush()
         self.device.release_unused()
-        scene = self.trainer.quantized_scene()
+        scene = self._within_size(self.trainer.quantized_scene())
         save_scene(self.folder / "scene.npz", scene)
         views = (self.dataset.test or self.dataset.train)[:HASHED_VIEWS]
         cameras = [view.camera for view in views]
@@ -189,6 +191,20 @@ class Session:
         write_json(self.folder / "per_view.json", [score.record() for score in scores])
         write_json(self.folder / RESULTS, summary)
         return RunResult(self.folder, scene, bitstream, summary)
+
+    def _within_size(self, scene: QuantizedScene) -> QuantizedScene:
+        """The scene, or so much of it as fits the size asked for.
+
+        The rounds of training see to the size; this is for runs of a few steps, which have none,
+        and for networks that grew after the last round.
+        """
+        target = self.config.target_size
+        if not target or len(encode(scene)) <= target:
+            return scene
+        cameras = [view.camera for view in self.dataset.train]
+        chosen = [cameras[i] for i in spread(cameras, MAX_CAMERAS)]
+        judge = Judge(self.device, chosen, self.fixed_views(), self.trainer.options)
+        return reduce_to_size(scene, target, encode, judge).scene
 
 
 @contextmanager

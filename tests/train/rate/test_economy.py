@@ -10,6 +10,7 @@ import pytest
 from clgs.codec.scene_encoder import encode
 from clgs.train.config import preset
 from clgs.train.rate.economy import ROUNDS
+from clgs.train.run.session import train_scene
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.resume import load_checkpoint, save_checkpoint
 
@@ -89,3 +90,9 @@ def test_resumes_to_the_bit(cpu, dataset, tmp_path, moment):
     for trainer in (whole, other):
         list(trainer.steps(STEPS - done))
     assert encode(whole.quantized_scene()) == encode(other.quantized_scene())
+
+
+def test_runs_too_short_for_rounds_meet_the_size_too(cpu, dataset, tmp_path):
+    settings = replace(preset("default").scaled(1), voxel=0.02, target_size=16_000)
+    result = train_scene(dataset, tmp_path, settings, device=cpu)
+    assert 0.98 * 16_000 <= len(result.bitstream) <= 16_000
