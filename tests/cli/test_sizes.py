@@ -20,7 +20,7 @@ def command(
     tmp_path: Path, open_device: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., int]:
     """A command on photos of 40 x 40 pixels."""
-    monkeypatch.setattr("clgs.data.points.RANDOM_POINTS", 3000)  # for speed
+    monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed
     data, device = write_scene(tmp_path / "data"), open_device("cpu").name
 
     def run(name: str, *words: object) -> int:

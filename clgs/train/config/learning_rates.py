@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from clgs.errors import UsageError
 from clgs.train.config.option import POSITIVE, Pair, option, options_of
 
-SHORT_RUN_POWERS = {"exposure": (0.5, 0.5)}
+SHORT_RUN_POWERS = {"feature": (0.5, 0.5), "offset": (0.25, 0.25), "exposure": (0.5, 0.5)}
 """A run n times shorter multiplies the first and the last of these learning rates by n to these
 powers.
 """
@@ -28,8 +28,8 @@ class LearningRates:
         group="learning rates",
     )
     feature: Pair = option(
-        (0.015, 0.0015),
-        "first and last learning rate of features (code: 0.0075, which preset paper takes)",
+        (0.0075, 0.00075),
+        "first and last learning rate of features (code: constant, which preset paper takes)",
         POSITIVE,
         unit="per step",
     )
@@ -68,7 +68,9 @@ class LearningRates:
     def for_shorter_run(self, shorter: float) -> LearningRates:
         """The rates of a run that is ``shorter`` times as short, as SHORT_RUN_POWERS says.
 
-        The exposure of a photo moves only when that photo is seen.
+        Features and offsets start at zero, and a short run would leave them small beside the
+        rounding to integers when that sets in. The exposure of a photo moves only when that photo
+        is seen.
         """
         changed = {
             name: tuple(

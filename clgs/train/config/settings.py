@@ -32,6 +32,13 @@ from clgs.train.config.size_settings import SizeSettings
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
 
+LAMBDA = {True: 0.7, False: 2.0}
+"""For Blender scenes and for photos, of runs of LAMBDA_STEPS; of others it goes with the root of
+the steps: what is not learned yet cannot show its worth.
+"""
+
+LAMBDA_STEPS = 3000
+
 LEAST_TARGET = {"quantized": 13_000, "float32": 50_000}
 """Bytes of the smallest file that may be asked for: the MLPs take most of it."""
 
@@ -168,12 +175,14 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         weight = (0.0 if synthetic else 0.01) if self.volume_weight is None else self.volume_weight
         position_q = self.position_q or _paper_position_q(self.preset, synthetic) or 1.0 / voxel
         price = self.size_lambda
+        if price is None:
+            price = LAMBDA[synthetic] * (self.steps / LAMBDA_STEPS) ** 0.5
         return replace(
             self,
             voxel=voxel,
             volume_weight=weight,
             position_q=position_q,
-            size_lambda=(0.7 if synthetic else 2.0) if price is None else price,
+            size_lambda=price,
         )
 
     def scaled(self, steps: int) -> TrainConfig:

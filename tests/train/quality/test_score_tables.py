@@ -13,14 +13,12 @@ from clgs.train.quality.score_tables import HEADER, append_survey, check_survey,
 from clgs.train.quality.score_views import ViewScore, summarize
 from tests.codec.scenes import random_scene
 
-PICTURE = np.zeros((2, 2, 3), np.uint8)
-
 
 def scored(lpips: bool = True) -> tuple[dict[str, Any], list[ViewScore]]:
     """Two views with scores that are easy to average."""
     scores = [
-        ViewScore("test/r_0.png", 30.0, 30.5, 0.9, 0.1, PICTURE, PICTURE, 0.25 if lpips else None),
-        ViewScore("test/r_1.png", 31.0, 31.5, 0.8, 0.1, PICTURE, PICTURE, 0.75 if lpips else None),
+        ViewScore("test/r_0.png", 30.0, 30.5, 0.9, 0.1, 0.25 if lpips else None),
+        ViewScore("test/r_1.png", 31.0, 31.5, 0.8, 0.1, 0.75 if lpips else None),
     ]
     return summarize(random_scene(np.random.default_rng(0)), scores, 1234), scores
 
