@@ -97,13 +97,7 @@ def load_dataset(
     if reduction.times < 0 or downscale == 0:
         raise DataError(f"downscale is {downscale}; give a whole number of at least 1")
     photos = _read_photos(Path(path))
-    if not photos.train:
-        raise DataError(f"{path}: no photo is left to train on; at least two are needed")
-    least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)
-    if reduction.times > least:
-        raise DataError(
-            f"downscale is {reduction.times}; the photos are {least} pixels, give at most that"
-        )
+    _check_photos(photos, reduction, path)
     transform, radius = _normalise(photos, preset_units)
     source = load_points if isinstance(load_points, PointFile) else None
     if source:
@@ -127,6 +121,17 @@ def load_dataset(
     return Dataset(
         train, test, points, colors, transform, radius, kind, skipped, reduction, points_file
     )
+
+
+def _check_photos(photos: PhotoSet, reduction: Reduction, path: Path | str) -> None:
+    """Raise DataError if there is none to train on, or they are too small for the reduction."""
+    if not photos.train:
+        raise DataError(f"{path}: no photo is left to train on; at least two are needed")
+    least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)
+    if reduction.times > least:
+        raise DataError(
+            f"downscale is {reduction.times}; the photos are {least} pixels, give at most that"
+        )
 
 
 def _take_points(

@@ -132,7 +132,8 @@ def test_the_help_of_the_command_holds_the_table() -> None:
         assert f"default: {row.default or 'none'}" in said
     known = {row.flag for row in describe_options()}
     extra = {"-h", "--help", "--config", "--set", "--loss-weights"}
-    assert set(by_flag) - known - extra == {"--no-normalize", "--no-coarse-to-fine"}
+    switches = {"--no-normalize", "--no-coarse-to-fine", "--no-exposure"}
+    assert set(by_flag) - known - extra == switches
 
 
 @pytest.mark.skipif(not DOCUMENTS, reason="needs a checkout")
