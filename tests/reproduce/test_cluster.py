@@ -70,7 +70,7 @@ def test_the_run_of_a_killed_worker_goes_on(work, tmp_path):
 
 
 def kill_when_saved(client, job, processes, killed):
-    """SIGKILL for the worker that runs the job, once there is a checkpoint of the unfinished run."""
+    """SIGKILL for the worker of the job, once there is a checkpoint of its unfinished run."""
     folder = Path(job["folder"])
     pause = threading.Event()
     while not list(folder.glob("checkpoint/*")):
