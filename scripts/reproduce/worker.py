@@ -37,6 +37,9 @@ TOPIC = "clgs-reproduce"
 INTERVAL = 1.0
 """Seconds between them."""
 
+TRAINING = "training"
+"""What a worker says that it does after a step."""
+
 FIELDS = ("run", "settings", "psnr", "ssim", "bytes", "anchors", "sections", "bits", "histograms")
 """What a row must have to be used."""
 
@@ -124,10 +127,12 @@ def _make_row(job: Job, folder: Path, tell: Tell) -> Row:
     device = _device()
     device.release_unused()
     forget_peak_memory()
-    config, start = config_of(job), time.perf_counter()
+    config = config_of(job)
+    told = Teller(job["run"], config.steps, tell)
+    told.now("reading photos")
+    start = time.perf_counter()
     dataset = load_for(config, job["data"], folder)
     load_seconds = time.perf_counter() - start
-    told = Teller(job["run"], config.steps, tell)
     result = train_scene(
         dataset, folder, config, device=device, resume=True, on_progress=told.progress
     )
@@ -153,20 +158,18 @@ class Teller:
     def __init__(self, run: str, steps: int, tell: Tell) -> None:
         """Of a run of ``steps`` steps."""
         self._run, self._steps, self._tell = run, steps, tell
-        self._told = self._step = 0.0
+        self._told, self._step = -INTERVAL, 0
 
     def progress(self, progress: Any) -> None:
         """After every step; ``progress`` as of :func:`clgs.train_scene`."""
         self._step = progress.result.step
         if time.monotonic() - self._told >= INTERVAL or self._step == self._steps:
-            self.now("training")
+            self.now(TRAINING)
 
     def now(self, doing: str) -> None:
-        """At once."""
-        self._told = time.monotonic()
-        self._tell(
-            {"run": self._run, "step": int(self._step), "steps": self._steps, "doing": doing}
-        )
+        """At once; the first step after other work is told at once, too."""
+        self._told = time.monotonic() if doing == TRAINING else -INTERVAL
+        self._tell({"run": self._run, "step": self._step, "steps": self._steps, "doing": doing})
 
 
 @cache

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,12 @@ pytest.importorskip("distributed")
 
 from reproduce.cluster import connected, run_jobs
 from reproduce.table import chosen, entries, jobs, read_table
-from reproduce.worker import ROW, run_job
+from reproduce.worker import ROW, TRAINING, run_job
 
+from clgs.train.state.checkpoint import checkpoints
+
+SAVED = 3
+"""Steps of the first checkpoint: a twentieth of 60."""
 FACTS = {"state": "of the test", "workers": 2}
 
 
@@ -56,26 +61,37 @@ def test_two_workers_make_the_same_scenes(work, tmp_path):
 @pytest.mark.slow
 def test_the_run_of_a_killed_worker_goes_on(work, tmp_path):
     expected = alone(work("alone")[:1], tmp_path)
-    killed = threading.Event()
     found, messages = work("killed")[:1], []
+    killed, ended = [], threading.Event()
     with connected(2, None) as client:
         processes = client.run(os.getpid)
-        kill = threading.Thread(target=kill_when_saved, args=(client, found[0], processes, killed))
-        kill.start()
-        rows = run_jobs(client, found, lambda row: None, messages.append)
-        kill.join()
-    assert killed.is_set()
+        words = (client, found[0], processes, killed, ended)
+        killer = threading.Thread(target=kill_when_saved, args=words)
+        killer.start()
+        try:
+            rows = run_jobs(client, found, lambda row: None, messages.append)
+        finally:
+            ended.set()
+            killer.join()
+    assert len(killed) == 1
     same(rows, expected)
-    assert [message["step"] for message in messages].count(1) == 1  # it did not start anew
+    first, second = first_steps(messages)
+    assert first == 1
+    assert second > SAVED  # it did not start anew
 
 
-def kill_when_saved(client, job, processes, killed):
+def first_steps(messages):
+    """The first step of every leg: the one told after another stage."""
+    told = [(one["doing"] == TRAINING, one["step"]) for one in messages]
+    return [step for (before, _), (now, step) in pairwise(told) if now and not before]
+
+
+def kill_when_saved(client, job, processes, killed, ended):
     """SIGKILL for the worker of the job, once there is a checkpoint of its unfinished run."""
     folder = Path(job["folder"])
-    pause = threading.Event()
-    while not list(folder.glob("checkpoint/*")):
-        pause.wait(0.02)
-    assert not (folder / ROW).exists()
-    at = [address for address, keys in client.processing().items() if keys]
-    os.kill(processes[at[0]], signal.SIGKILL)
-    killed.set()
+    while not ended.wait(0.02):
+        if checkpoints(folder / "checkpoint") and not (folder / ROW).exists():
+            (address,) = (address for address, keys in client.processing().items() if keys)
+            os.kill(processes[address], signal.SIGKILL)
+            killed.append(address)
+            return
