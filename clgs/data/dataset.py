@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.images import Pixels, box_downscale, check_image, list_images, read_image
+from clgs.data.images import Pixels, box_resized, check_image, list_images, read_image
 from clgs.data.lens import Lens, forget_sources, undistort_lens, undistort_pixels
 from clgs.data.point_file import PointFile, read_points
 from clgs.data.points import RandomStart, keep_near, random_points, viewpoint
 from clgs.data.posed_photo import Photo, PhotoSet
+from clgs.data.reduction import DEFAULT, Reduction
 from clgs.data.stored_photo import PhotoMemory, StoredPhoto
 from clgs.data.view import View
 from clgs.errors import DataError
@@ -46,7 +47,7 @@ class Dataset:
     points (P, 3) float32, may be empty; point_colors (P, 3) uint8 or None; radius: 1.1 times the
     largest distance of a training camera from their mean; transform: world to scene; kind:
     "blender", "transforms" or "colmap"; skipped: photos named by the data set but missing;
-    downscale: how many times the views were reduced; points_file: the file that the points come
+    reduction: what the views were reduced by; points_file: the file that the points come
     from, empty if that is the data set.
     """
 
@@ -58,14 +59,14 @@ class Dataset:
     radius: float
     kind: str
     skipped: int
-    downscale: int = 1
+    reduction: Reduction = DEFAULT
     points_file: str = ""
 
 
 def load_dataset(
     path: Path | str,
     *,
-    downscale: int = 1,
+    downscale: int | Reduction = DEFAULT,
     preset_units: bool = False,
     cache: Path | None = None,
     seed: int = 0,
@@ -77,7 +78,8 @@ def load_dataset(
 
     Args:
         path: the folder.
-        downscale: images are made this many times smaller, by box means, after undistortion.
+        downscale: images are made this many times smaller, by box means, after undistortion; by
+            default those wider than 1,600 pixels are reduced to that width.
         preset_units: keep the given units instead of scaling to SCENE_RADIUS.
         cache: folder in which triangulated points are kept; never the data folder.
         seed: of random, sampled and triangulated points.
@@ -91,23 +93,18 @@ def load_dataset(
     Raises:
         DataError: nothing usable there; one line with file, field and remedy.
     """
-    if downscale < 1:
+    reduction = downscale if isinstance(downscale, Reduction) else Reduction(downscale)
+    if reduction.times < 0 or downscale == 0:
         raise DataError(f"downscale is {downscale}; give a whole number of at least 1")
     photos = _read_photos(Path(path))
-    if not photos.train:
-        raise DataError(f"{path}: no photo is left to train on; at least two are needed")
-    least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)
-    if downscale > least:
-        raise DataError(
-            f"downscale is {downscale}; the photos are {least} pixels, give at most that"
-        )
+    _check_photos(path, photos, reduction)
     transform, radius = _normalise(photos, preset_units)
     source = load_points if isinstance(load_points, PointFile) else None
     if source:
         _take_points(photos, source, seed, transform, radius)
     memory = load_images if isinstance(load_images, PhotoMemory) else PhotoMemory()
     train, test = (
-        [_view(photo, transform, downscale, memory) for photo in some]
+        [_view(photo, transform, reduction, memory) for photo in some]
         for some in (photos.train, photos.test)
     )
     if load_images is not False:
@@ -120,11 +117,22 @@ def load_dataset(
         if photos.points is not None:
             _log.warning("%s: only %d usable points, starting from random ones", path, len(points))
         start = load_points if isinstance(load_points, RandomStart) else RandomStart()
-        points, colors = _random_points(path, photos.kind, train, (radius, seed), start), None
+        points, colors = _random_points(path, photos.kind, train, radius, start, seed), None
     kind, skipped, points_file = photos.kind, photos.skipped, str(source.path) if source else ""
     return Dataset(
-        train, test, points, colors, transform, radius, kind, skipped, downscale, points_file
+        train, test, points, colors, transform, radius, kind, skipped, reduction, points_file
     )
+
+
+def _check_photos(path: Path | str, photos: PhotoSet, reduction: Reduction) -> None:
+    """Raise DataError unless there is something to train on that can be reduced so."""
+    if not photos.train:
+        raise DataError(f"{path}: no photo is left to train on; at least two are needed")
+    least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)
+    if reduction.times > least:
+        raise DataError(
+            f"downscale is {reduction.times}; the photos are {least} pixels, give at most that"
+        )
 
 
 def _take_points(
@@ -144,11 +152,11 @@ def _random_points(
     path: Path | str,
     kind: str,
     train: list[View],
-    radius_and_seed: tuple[float, int],
+    radius: float,
     start: RandomStart,
+    seed: int,
 ) -> npt.NDArray[np.float32]:
     """Points (P, 3) in scene units in the volume that the training cameras share."""
-    radius, seed = radius_and_seed
     viewpoints = [viewpoint(view.camera, view.photo.pixels().alpha) for view in train]
     points = random_points(viewpoints, radius, kind == "blender", seed, start)
     if len(points) < LEAST_POINTS:
@@ -194,21 +202,23 @@ def _normalise(photos: PhotoSet, keep_units: bool) -> tuple[SceneTransform, floa
     return SceneTransform((x, y, z), SCENE_RADIUS / radius), SCENE_RADIUS
 
 
-def _view(photo: Photo, transform: SceneTransform, downscale: int, memory: PhotoMemory) -> View:
-    """The photo undistorted at full resolution, cropped to valid pixels, then downscaled."""
+def _view(
+    photo: Photo, transform: SceneTransform, reduction: Reduction, memory: PhotoMemory
+) -> View:
+    """The photo undistorted at full resolution, cropped to valid pixels, then reduced."""
     try:
         lens, _ = undistort_lens(photo.lens)
     except DataError as error:
         raise DataError(f"{photo.path}: {error}; correct k1, k2, p1, p2") from error
-    width, height = (max(1, round(size / downscale)) for size in (lens.width, lens.height))
-    camera = _camera(photo, lens.resized(width, height), transform)
-    stored = StoredPhoto(partial(_pixels, photo, downscale), memory, str(photo.path))
+    size = reduction.size(lens.width, lens.height)
+    camera = _camera(photo, lens.resized(*size), transform)
+    stored = StoredPhoto(partial(_pixels, photo, size), memory, str(photo.path))
     return View(photo.name, camera, stored)
 
 
-def _pixels(photo: Photo, downscale: int) -> Pixels:
+def _pixels(photo: Photo, size: tuple[int, int]) -> Pixels:
     pixels = read_image(photo.path, (photo.lens.width, photo.lens.height))
-    return box_downscale(undistort_pixels(pixels, photo.lens)[0], downscale)
+    return box_resized(undistort_pixels(pixels, photo.lens)[0], *size)
 
 
 def _load(train: list[View], test: list[Photo]) -> None:

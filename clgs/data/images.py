@@ -112,14 +112,19 @@ def stored_size(path: Path, expected: tuple[int, int]) -> tuple[int, int]:
 
 
 def box_downscale(pixels: Pixels, factor: int) -> Pixels:
-    """Each output pixel is the mean of its box of input pixels; sizes are rounded.
+    """The photo ``factor`` times smaller; sizes are rounded, see :func:`box_resized`."""
+    width, height = (max(1, round(size / factor)) for size in pixels.size)
+    return box_resized(pixels, width, height)
 
-    Boxes have fractional edges if a size is no multiple of ``factor``, so nothing is cropped and
+
+def box_resized(pixels: Pixels, width: int, height: int) -> Pixels:
+    """Each output pixel is the mean of its box of input pixels; at most as large as the input.
+
+    Boxes have fractional edges if a size is no multiple of the new one, so nothing is cropped and
     nothing is shifted. Color is averaged premultiplied by alpha.
     """
-    if factor == 1:
+    if pixels.size == (width, height):
         return pixels
-    width, height = (max(1, round(size / factor)) for size in pixels.size)
     if pixels.alpha is None:
         return Pixels(_to_uint8(_box(pixels.color, None, height, width)), None)
     mean_alpha = _box(pixels.alpha[..., None], None, height, width)

@@ -1,4 +1,4 @@
-"""The stages outside of a render: scan, sort, quantize, rate, adam, density."""
+"""The stages outside of a render: scan, sort, quantize, rate, adam, density, exposure."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from statistics import median
 import numpy as np
 
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
+from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, density, quantize, rate, scan, sort
+from clgs.ops import adam, density, exposure, quantize, rate, scan, sort
 from clgs.reference.stages import adam as adam_reference
 from clgs.reference.stages import density as density_reference
+from clgs.reference.stages import exposure as exposure_reference
 from clgs.reference.stages import quantize as quantize_reference
 from clgs.reference.stages import rate as rate_reference
 from clgs.reference.stages import scan as scan_reference
@@ -27,7 +29,7 @@ Found = tuple[str, str, float, float, float]
 def training_checks(device: Device, count: int = COUNT) -> Iterator[Found]:
     """(stage, quantity, error, limit, milliseconds) of every check, on ``count`` numbers."""
     rng = np.random.default_rng(SEED)
-    for check in (_scan, _sort, _quantize, _rate, _adam, _density):
+    for check in (_scan, _sort, _quantize, _rate, _adam, _density, _exposure):
         yield from check(device, rng, count)
 
 
@@ -143,3 +145,25 @@ def _density(device: Device, rng: np.random.Generator, count: int) -> Iterator[F
     ]
     milliseconds = _milliseconds(device, partial(density.accumulate, device, statistics, seen))
     yield "density", "sums and counts", max(errors), 1e-6, milliseconds
+
+
+def _exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    shape = 3, 50, count // 50
+    image, d_picture = rng.normal(size=(2, *shape)).astype(np.float32)
+    maps = (np.eye(3, 4) + rng.normal(0, 0.2, (2, 3, 4))).astype(np.float32)
+    uploaded, d_uploaded, on_device = map(device.upload, (image, d_picture, maps))
+    picture = device.download(exposure.forward(device, uploaded, on_device, 1))
+    d_maps, weight = device.zeros(maps.shape), 0.5
+
+    def backward() -> DeviceArray:
+        arrays = uploaded, d_uploaded, on_device
+        return exposure.backward(device, *arrays, 1, weight, d_maps)
+
+    milliseconds = _milliseconds(device, lambda: exposure.forward(device, uploaded, on_device, 1))
+    wide = image.astype(np.float64), d_picture.astype(np.float64), maps[1].astype(np.float64)
+    error = relative_l2(picture, exposure_reference.forward(wide[0], wide[2]))
+    yield "exposure", "picture", error, 1e-6, milliseconds
+    d_image, d_map = exposure_reference.backward(*wide, weight)
+    error = relative_l2(device.download(backward()), d_image)
+    error += relative_l2(device.download(d_maps)[1], d_map)
+    yield "exposure", "d_image and d_map", error, 1e-5, _milliseconds(device, backward)

@@ -17,6 +17,7 @@ from statistics import mean, median
 from clgs.bench.step import STILL
 from clgs.cli.options.scene import read_run
 from clgs.data.dataset import load_dataset
+from clgs.data.reduction import Reduction
 from clgs.data.repose import repose
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
@@ -59,7 +60,8 @@ def trainer(device: Device, args: argparse.Namespace, ahead: bool) -> Trainer:
     config = from_toml((args.run / "config.toml").read_text(encoding="utf-8"))
     config = replace(config, learning_rates=STILL, adam=args.adam)
     scene = read_run(args.run)[0]
-    loaded = load_dataset(args.data, downscale=config.downscale, cache=args.run)
+    reduction = Reduction(config.downscale, config.max_size)
+    loaded = load_dataset(args.data, downscale=reduction, cache=args.run)
     dataset = repose(loaded, scene.transform)
     one = Trainer(device, dataset, config, ahead)
     plain = scene.dequantize()

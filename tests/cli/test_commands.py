@@ -23,7 +23,7 @@ FEW_POINTS = """
 import sys
 from clgs.cli import main
 from clgs.data import points
-points.RANDOM_POINTS = 4000
+points.HULL_POINTS = 4000
 sys.exit(main.main())
 """
 """The command, but training starts from few points: quick, and learns as well."""
@@ -41,7 +41,7 @@ def clgs(*arguments):
     """The command in this process, which starts sooner."""
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err), pytest.MonkeyPatch.context() as patch:
-        patch.setattr("clgs.data.points.RANDOM_POINTS", 4000)
+        patch.setattr("clgs.data.points.HULL_POINTS", 4000)
         try:
             code = main([str(one) for one in arguments])
         except SystemExit as error:

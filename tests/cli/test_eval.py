@@ -9,7 +9,7 @@ import pytest
 
 from clgs.cli import main as cli
 from clgs.codec.scene_encoder import encode
-from clgs.train.config import TrainConfig
+from clgs.train.config import preset
 from tests.codec.scenes import random_scene
 from tests.small_scene import write_scene
 from tests.train.quality.lpips_reference import random_weights
@@ -23,7 +23,7 @@ def folder(tmp_path_factory):
     (folder / "run").mkdir()
     scene = random_scene(np.random.default_rng(1), 200)
     (folder / "run" / "scene.clgs").write_bytes(encode(scene))
-    (folder / "run" / "config.toml").write_text(TrainConfig(steps=700).to_toml())
+    (folder / "run" / "config.toml").write_text(preset("quick").scaled(700).to_toml())
     return folder
 
 

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from clgs.data.dataset import Dataset, load_dataset
+from clgs.data.points import RandomStart
 from tests.small_scene import write_scene
 
 
 @pytest.fixture(scope="session")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Twelve photos and three held-out ones of 40 x 40 pixels, 4,000 points."""
-    whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
-    return replace(whole, points=whole.points[::25])
+    return load_dataset(
+        write_scene(tmp_path_factory.mktemp("balls")), load_points=RandomStart(count=4000)
+    )
 
 
 @pytest.fixture

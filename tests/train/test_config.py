@@ -68,14 +68,35 @@ def test_scaled_moves_moments_and_keeps_intervals() -> None:
         "mlp_switch_step": 2400,
         "learning_rate_steps": 3000,
     }
-    assert short == dataclasses.replace(full, **moved)
+    rates = short.learning_rates
+    assert dataclasses.replace(short, learning_rates=full.learning_rates) == dataclasses.replace(
+        full, **moved
+    )
+    assert rates.exposure == pytest.approx(
+        [10**0.5 * rate for rate in full.learning_rates.exposure]
+    )
+    assert dataclasses.replace(rates, exposure=full.learning_rates.exposure) == full.learning_rates
     assert (short.growth_interval, short.rate_interval) == (100, 10)
     assert (short.slot_seen, short.anchor_visits) == (40, 80)
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"target_size": 12_999}, "target_size: 12999 bytes hardly hold the MLPs; give at least"),
+        ({"target_size": 40_000, "mlp": "float32"}, "give at least 50000"),
+        ({"max_anchors": 3}, "max_anchors: 3 is too few; give at least 4, or 0"),
+    ],
+)
+def test_what_cannot_be_met_is_refused(values: dict, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        TrainConfig(**values)
+
+
 def test_scaling_twice_is_scaling_once() -> None:
     once, twice = TrainConfig().scaled(900), TrainConfig().scaled(3000).scaled(900)
-    assert twice == once
+    assert twice.learning_rates.exposure == pytest.approx(once.learning_rates.exposure)
+    assert dataclasses.replace(twice, learning_rates=once.learning_rates) == once
 
 
 def test_scaled_rounds_to_the_nearest_step() -> None:
@@ -88,7 +109,7 @@ def test_any_number_of_steps_gives_a_valid_run(steps: int) -> None:
     config = TrainConfig().scaled(steps)
     assert config.steps == steps
     assert config.statistics_start <= config.growth_start <= config.growth_end
-    assert config.growth_end <= config.switch_step <= steps
+    assert config.growth_end <= config.switch_step <= config.freeze_step <= steps
     assert config.learning_rate_steps == steps
 
 
@@ -115,7 +136,7 @@ def test_toml_round_trip(config: TrainConfig) -> None:
     assert from_toml(text).to_toml() == text
     assert from_toml(text).digest() == config.digest()
     names = {field.name for field in dataclasses.fields(config)}
-    assert names - set(tomllib.loads(text)) <= {"volume_weight"}
+    assert names - set(tomllib.loads(text)) <= {"volume_weight", "size_lambda"}
 
 
 def test_digest_tells_settings_apart_but_not_spellings() -> None:

@@ -47,7 +47,8 @@ def other_value(one: Option) -> Any:
         return "other.ply"
     if one.kind == Pair:
         return tuple(2 * rate for rate in one.default)
-    return (one.default or 0) + (-1 if one.name == "growth_end" else 1)
+    steps = {"growth_end": -1, "target_size": 100_000, "max_anchors": 1000}
+    return (one.default or 0) + steps.get(one.name, 1)
 
 
 def as_text(value: Any) -> str:
@@ -134,7 +135,11 @@ def test_the_help_of_the_command_holds_the_table() -> None:
         assert f"default: {row.default or 'none'}" in said
     known = {row.flag for row in describe_options()}
     extra = {"-h", "--help", "--config", "--set", "--loss-weights"}
-    assert set(by_flag) - known - extra == {"--no-normalize", "--no-coarse-to-fine"}
+    assert set(by_flag) - known - extra == {
+        "--no-normalize",
+        "--no-coarse-to-fine",
+        "--no-exposure",
+    }
 
 
 @pytest.mark.skipif(not DOCUMENTS, reason="needs a checkout")

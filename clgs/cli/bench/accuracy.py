@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import positive_int, seed
+from clgs.cli.options.view import add_size_options, positive_int, seed
 from clgs.cli.options.workload import add_figure_options, check_figure_options
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     add("--data", type=Path, help="the dataset that it was trained on")
     add("--split", choices=("train", "test"), default="test", help="of the view (default: test)")
     add("--view", type=int, default=0, help="number of the view in the split (default: 0)")
-    add("--downscale", type=positive_int, metavar="N", help="as for `clgs eval`")
+    add_size_options(parser, "SCENE")
     add("--repeats", type=positive_int, default=20, help="rounds of times (default: 20)")
     add("--seed", type=seed, default=0, help="of the synthetic scenes (default: 0)")
     add("--device", help="number or part of the name, see `clgs devices`")

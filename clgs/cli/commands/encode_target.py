@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import positive_int
+from clgs.cli.options.view import add_size_options
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,12 +24,7 @@ def add_target_options(parser: argparse.ArgumentParser) -> None:
     targets.add_argument("--target-size", type=size, metavar="BYTES", help="such as 800k or 1.5M")
     targets.add_argument("--target-psnr", type=decibel, metavar="DB", help="such as 29.5")
     parser.add_argument("--data", type=Path, help="the dataset that RUN was trained on")
-    parser.add_argument(
-        "--downscale",
-        type=positive_int,
-        metavar="N",
-        help="of the photos (default: as the config.toml beside RUN says, else 1)",
-    )
+    add_size_options(parser, "RUN")
     parser.add_argument(
         "--all-views",
         action="store_true",
@@ -113,11 +108,10 @@ def _judge(
 
     Only the photos that are looked at are read, once.
     """
-    from clgs.cli.options.view import selected_options, selected_views, trained_downscale
+    from clgs.cli.options.view import selected_options, selected_views
     from clgs.opencl.device import Device
     from clgs.train.quality.rate_control import MAX_CAMERAS, MEASURED, Judge, spread
 
-    args.downscale = args.downscale or trained_downscale(args.scene)
     every = selected_views(args, scene)
     cameras = [view.camera for view in every]
     views = [every[i] for i in spread(cameras, len(cameras) if args.all_views else MEASURED)]

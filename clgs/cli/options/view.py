@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clgs.data.reduction import MAX_SIZE, Reduction
 from clgs.errors import DataError, UsageError
 from clgs.options import PRESETS
 from clgs.train.config import TrainConfig, from_toml
@@ -25,16 +26,29 @@ def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> No
     add = parser.add_argument
     add("--data", type=Path, required=data_required, help="the dataset that the scene was made of")
     add("--split", choices=("train", "test"), default="test", help="which views (default: test)")
-    add(
-        "--downscale",
-        type=positive_int,
-        metavar="N",
-        help="reduce the photos N times (default: as the config.toml beside SCENE says, else 1)",
-    )
+    add_size_options(parser, "SCENE")
     trained = "as the config.toml beside SCENE says, else"
     add_accuracy_options(parser, f"{trained} parity", f"{trained} 0")
     add_memory_option(parser)
     add("--device", help="number or part of the name, see `clgs devices`")
+
+
+def add_size_options(parser: argparse.ArgumentParser, scene: str) -> None:
+    """Add --downscale and --max-size; ``scene``: how the command calls the scene."""
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument(
+        "--downscale",
+        type=positive_int,
+        metavar="N",
+        help="reduce the photos N times",
+    )
+    size.add_argument(
+        "--max-size",
+        type=value_of(options_of(TrainConfig)["max_size"]),
+        metavar="PIXELS",
+        help="reduce photos that are wider to this width; 0: never (default of both: as the "
+        f"config.toml beside {scene} says, else {MAX_SIZE})",
+    )
 
 
 def add_accuracy_options(
@@ -100,8 +114,8 @@ def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
     from clgs.data.dataset import load_dataset
     from clgs.data.repose import repose
 
-    downscale = args.downscale or trained_downscale(args.scene)
-    dataset = load_dataset(args.data, downscale=downscale, load_images=False, load_points=False)
+    reduction = _reduction(args)
+    dataset = load_dataset(args.data, downscale=reduction, load_images=False, load_points=False)
     return repose(dataset, scene.transform)
 
 
@@ -124,13 +138,19 @@ def _trained_config(scene: Path) -> TrainConfig | None:
     return from_toml(path.read_text(encoding="utf-8"), str(path)) if path.is_file() else None
 
 
-def trained_downscale(scene: Path) -> int:
-    """The --downscale of the run that ``scene`` is of; 1, with a note, if that is not known."""
-    config = _trained_config(scene)
+def _reduction(args: argparse.Namespace) -> Reduction:
+    """As asked for, else that of the run; the default, with a note, if that is not known."""
+    if args.downscale is not None:
+        return Reduction(args.downscale)
+    if args.max_size is not None:
+        return Reduction(0, args.max_size)
+    config = _trained_config(args.scene)
     if config is not None:
-        return config.downscale
-    print("clgs: no config.toml beside the scene; --downscale 1 is assumed", file=sys.stderr)
-    return 1
+        return Reduction(config.downscale, config.max_size)
+    print(
+        f"clgs: no config.toml beside the scene; --max-size {MAX_SIZE} is assumed", file=sys.stderr
+    )
+    return Reduction()
 
 
 def trained_steps(scene: Path) -> int | None:

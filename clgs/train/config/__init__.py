@@ -2,8 +2,9 @@
 
 from clgs.train.config.describe import describe_options
 from clgs.train.config.learning_rates import LearningRates
+from clgs.train.config.option import MAX_WEIGHT
 from clgs.train.config.presets import layered, preset
-from clgs.train.config.settings import MAX_WEIGHT, TrainConfig
+from clgs.train.config.settings import TrainConfig
 from clgs.train.config.sources import from_toml, parse_word, read_settings
 
 __all__ = [

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from clgs.errors import UsageError
 from clgs.train.config.option import POSITIVE, Pair, option, options_of
+
+SHORT_RUN_POWERS = {"exposure": (0.5, 0.5)}
+"""A run n times shorter multiplies the first and the last of these learning rates by n to these
+powers.
+"""
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,12 @@ class LearningRates:
     mlp_color: Pair = option(
         (0.008, 5e-5), "first and last learning rate of the color MLP", POSITIVE, unit="per step"
     )
+    exposure: Pair = option(
+        (0.01, 0.001),
+        "first and last learning rate of the exposure of photos (3DGS)",
+        POSITIVE,
+        unit="per step",
+    )
 
     def __post_init__(self) -> None:
         for name, one in options_of(LearningRates).items():
@@ -53,3 +64,17 @@ class LearningRates:
                 object.__setattr__(self, name, one.check(getattr(self, name)))
             except UsageError as error:
                 raise UsageError(f"learning_rates.{error}") from None
+
+    def for_shorter_run(self, shorter: float) -> LearningRates:
+        """The rates of a run that is ``shorter`` times as short, as SHORT_RUN_POWERS says.
+
+        The exposure of a photo moves only when that photo is seen.
+        """
+        changed = {
+            name: tuple(
+                rate * shorter**power
+                for rate, power in zip(getattr(self, name), powers, strict=True)
+            )
+            for name, powers in SHORT_RUN_POWERS.items()
+        }
+        return replace(self, **changed)

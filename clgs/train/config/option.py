@@ -50,8 +50,12 @@ class Range:
         return f"{'above' if self.open_below else 'at least'} {self.least:g}"
 
 
+MAX_WEIGHT = 1e6
+"""Adam squares the gradients: with weights much above it they overflow, and nothing trains."""
+
 ANY = Range(-float("inf"))
 POSITIVE = Range(0, open_below=True)
+WEIGHT = Range(0, MAX_WEIGHT)
 
 
 def at_least(least: float) -> Range:

@@ -12,8 +12,16 @@ from clgs.train.config.option import Option
 FULL_STEPS = 30_000
 """Steps of a whole run (paper)."""
 
+MOST_SHORTENED = 30.0
+"""Learning rates change no more in runs that are shorter still."""
+
 ORDER = ("statistics_start", "growth_start", "growth_end", "switch_step", "freeze_step", "steps")
 """Anchors must be there before the switch, and learn after it."""
+
+
+def shortness(steps: int) -> float:
+    """How many times shorter than a whole run: 1 to MOST_SHORTENED."""
+    return min(max(FULL_STEPS / steps, 1.0), MOST_SHORTENED)
 
 
 def scaled_moments(

@@ -14,30 +14,33 @@ from dataclasses import asdict, dataclass, field, replace
 
 import tomli_w
 
-from clgs.constants import NEAR_PLANE
 from clgs.errors import UsageError
-from clgs.options import PRESETS, RenderOptions, render_options
+from clgs.options import RenderOptions, render_options
+from clgs.train.config.growth_settings import GrowthSettings
 from clgs.train.config.learning_rates import LearningRates
-from clgs.train.config.option import ANY, POSITIVE, Range, Text, at_least, option, options_of
-from clgs.train.config.run_length import FULL_STEPS, check_order, scaled_moments
+from clgs.train.config.option import (
+    WEIGHT,
+    at_least,
+    option,
+    options_of,
+)
+from clgs.train.config.photo_settings import PhotoSettings
+from clgs.train.config.run_length import check_order, scaled_moments, shortness
+from clgs.train.config.run_settings import RunSettings
+from clgs.train.config.size_settings import SizeSettings
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
 
-MAX_WEIGHT = 1e6
-"""Adam squares the gradients: with weights much above it they overflow, and nothing trains."""
+LEAST_TARGET = {"quantized": 13_000, "float32": 50_000}
+"""Bytes of the smallest file that may be asked for: the MLPs take most of it."""
 
-MAX_PIXELS = 65536
-"""No picture is wider."""
-
-MAX_SAMPLES = 20_000_000
-"""No device of today has memory for more anchors."""
-
-WEIGHT = Range(0, MAX_WEIGHT)
+LEAST_ANCHORS = 4
+"""Fewer have no three neighbours, whose distance sets the first scale."""
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
     """Settings of one training run; ``clgs train --help`` explains each.
 
     Build it by :func:`clgs.train.config.preset`, then :meth:`for_dataset`, then :meth:`scaled`.
@@ -45,120 +48,6 @@ class TrainConfig:
     Raises:
         UsageError: a value has the wrong type or range; names the setting and what to give.
     """
-
-    preset: str = option(
-        "default",
-        "where the other values start from; quick: 3,000 steps; paper: published constants and "
-        "the data's own units",
-        ("default", "quick", "paper"),
-        group="run",
-    )
-    steps: int = option(
-        FULL_STEPS,
-        "training steps, one view each (paper); another number than the preset's also moves, in "
-        "proportion, the settings that say so",
-        at_least(1),
-        unit="steps",
-    )
-    seed: int = option(
-        0,
-        "of all random choices: MLP weights, order of views, growth, random backgrounds, start",
-        at_least(0),
-        unit="none",
-    )
-    normalize: bool = option(
-        True, "recentre the scene and scale it to a camera radius of 4.4; the paper keeps the units"
-    )
-    downscale: int = option(1, "reduce the photos this many times", at_least(1), unit="times")
-    coarse_to_fine: bool = option(
-        False, "train on reduced photos first: a quarter of the size, then half"
-    )
-    points: str = option(
-        "",
-        "start from the points of this file instead of the data set's: PLY, OBJ, GLB, STL, OFF or "
-        "XYZ, in the data set's world units; surfaces are sampled, colors ignored, GLB turned from "
-        "y up as `clgs export` does",
-        Text("the name of a file"),
-        in_digest=False,  # the points themselves are in it
-    )
-    point_samples: int = option(
-        100_000,
-        "points drawn from the surfaces in the file of points",
-        Range(4, MAX_SAMPLES),
-        unit="points",
-        in_digest=False,
-    )
-    start_points: int = option(
-        0,
-        "random points to start from if the data set has none (code: 100,000)",
-        Range(0, MAX_SAMPLES),
-        unit="points",
-        open_default="10,000 in Blender scenes, 100,000 among photos",
-    )
-    start_volume: str = option(
-        "hull",
-        "where random points of Blender scenes lie; hull: no photo shows background there; cube: "
-        "anywhere (code)",
-        ("hull", "cube"),
-    )
-    photo_memory: int = option(
-        1024,
-        "training photos that stay in memory, 3 bytes a pixel; those beyond it are read again from "
-        "the disk, ahead of their steps",
-        at_least(0),
-        unit="MiB",
-        in_digest=False,
-    )
-    fixed_views: int = option(
-        4, "training views on which PSNR is logged", at_least(0), unit="views"
-    )
-    log_interval: int = option(
-        100,
-        "steps between rows of progress.csv, each with the PSNR of the fixed views",
-        at_least(1),
-        unit="steps",
-    )
-    checkpoint_interval: int = option(
-        1000,
-        "steps between checkpoints; 0: only when the run is interrupted",
-        at_least(0),
-        unit="steps",
-    )
-
-    background: str = option(
-        "black",
-        "color behind transparent photos and unfinished pixels (code: black); random: a new one "
-        "every step",
-        ("black", "white", "random"),
-        group="rendering",
-    )
-    accuracy: str = option(
-        "parity",
-        "exact: nearly nothing is truncated; parity: as in 3DGS; fast: below a third of a level "
-        "from it; preview: half the resolution, enlarged",
-        tuple(PRESETS),
-    )
-    smallest_anchor: float = option(
-        0.0,
-        "leave out anchors that are fewer pixels wide on the screen: faster, another picture; "
-        "0: none",
-        Range(0, MAX_PIXELS),
-        unit="pixels",
-    )
-    near: float = option(
-        NEAR_PLANE,
-        "distance of the near plane from the camera (code)",
-        POSITIVE,
-        unit="scene units",
-    )
-    max_memory: int = option(
-        0,
-        "draw in groups of tiles whose lists and gradients take at most this much; slower, the "
-        "same result; 0: no limit",
-        at_least(0),
-        unit="MiB",
-        in_digest=False,
-    )
 
     l1_weight: float = option(
         0.8,
@@ -177,54 +66,6 @@ class TrainConfig:
         unit="per cubic scene unit",
         open_default="0.01 on photos, 0 on Blender scenes",
     )
-    size_lambda: float = option(
-        1.0,
-        "what halving the file may cost, the one knob between size and quality: what saves less "
-        "than its share is left out; 0: nothing is",
-        WEIGHT,
-        unit="dB per halving",
-    )
-    target_size: int = option(
-        0,
-        "bytes of the file, which ends at most 2 % below, never above; lambda follows from it; 0: "
-        "as lambda has it",
-        at_least(0),
-        unit="bytes",
-    )
-    rate_weight: float = option(
-        0.0,
-        "weight of the bits of an anchor as the rate proxy estimates them, at every "
-        "rate_interval-th step after the switch (code: 1e-4, which preset paper takes)",
-        WEIGHT,
-        unit="per bit",
-    )
-    rate_interval: int = option(
-        10,
-        "steps between those at which the rate proxy looks at all anchors (code)",
-        at_least(1),
-        unit="steps",
-    )
-    prune_end: int = option(
-        22_500,
-        "last step after which anchors are left out that are not worth their bytes",
-        at_least(0),
-        unit="step number",
-        scaled=True,
-    )
-    freeze_step: int = option(
-        28_500,
-        "last step at which anchors learn; after it, only the MLPs do",
-        at_least(0),
-        unit="step number",
-        scaled=True,
-    )
-    proxy: str = option(
-        "channel",
-        "rate proxy; channel: one Laplace law per channel, b = std / sqrt(2); pooled: the code's "
-        "form, which preset paper takes",
-        ("channel", "pooled"),
-    )
-
     voxel: float = option(
         0.0,
         "edge of a voxel (code)",
@@ -278,78 +119,6 @@ class TrainConfig:
         unit="step number",
         scaled=True,
     )
-
-    statistics_start: int = option(
-        500,
-        "last step without statistics for growing and pruning (code)",
-        at_least(0),
-        unit="step number",
-        group="growing and pruning",
-        scaled=True,
-    )
-    growth_start: int = option(
-        1_500,
-        "last step at which anchors cannot change (paper); the first change is at 1,600",
-        at_least(0),
-        unit="step number",
-        scaled=True,
-    )
-    growth_end: int = option(
-        15_000,
-        "first step at which anchors cannot change any more (paper); the last change is at 14,900",
-        at_least(0),
-        unit="step number",
-        scaled=True,
-    )
-    max_anchors: int = option(
-        0, "growth stops at this many anchors; 0: no limit", at_least(0), unit="anchors"
-    )
-    growth_interval: int = option(
-        100, "steps between changes of the anchors (code)", at_least(1), unit="steps"
-    )
-    growth_threshold: float = option(
-        2e-4,
-        "mean screen gradient from which a slot asks for an anchor; doubles per level",
-        at_least(0),
-        unit="per NDC unit",
-    )
-    growth_levels: int = option(
-        3,
-        "levels of growth (code); those whose cell is smaller than a voxel are skipped",
-        at_least(1),
-        unit="levels",
-    )
-    growth_cell: int = option(
-        4,
-        "edge of a cell of level 0, a quarter per level (code; Scaffold-GS: 16 on large scenes)",
-        at_least(1),
-        unit="voxels",
-    )
-    slot_seen: int = option(
-        40,
-        "a slot may ask once it was seen more often than this (code: 100 * 0.8 * 0.5)",
-        at_least(0),
-        unit="views",
-    )
-    anchor_visits: int = option(
-        80,
-        "an anchor may be pruned once it was visited more often than this (code: 100 * 0.8)",
-        at_least(0),
-        unit="views",
-    )
-    prune_opacity: float = option(
-        0.005,
-        "summed opacity per visit below which an anchor is pruned (code)",
-        at_least(0),
-        unit="none",
-    )
-    scaling_cap: float = option(
-        0.05,
-        "largest log scale of a shape after pruning: exp(0.05) is 1.051 scene units (code)",
-        ANY,
-        unit="log of scene units",
-    )
-
     optimizer: str = option(
         "device",
         "where Adam runs; numpy: on the host, slower, with the same bits if the device rounds "
@@ -377,10 +146,19 @@ class TrainConfig:
                 object.__setattr__(self, name, one.check(getattr(self, name)))
         if self.l1_weight == self.ssim_weight == 0:
             raise UsageError("l1_weight, ssim_weight: both are 0, so nothing would be learned")
+        least = LEAST_TARGET[self.mlp]
+        if 0 < self.target_size < least:
+            raise UsageError(
+                f"target_size: {self.target_size} bytes hardly hold the MLPs; give at least {least}"
+            )
+        if 0 < self.max_anchors < LEAST_ANCHORS:
+            raise UsageError(
+                f"max_anchors: {self.max_anchors} is too few; give at least {LEAST_ANCHORS}, or 0"
+            )
         check_order(vars(self))
 
     def for_dataset(self, kind: str) -> TrainConfig:
-        """Values left open (voxel, position_q, volume_weight) chosen for a kind of data set.
+        """Values left open (voxel, position_q, volume_weight, lambda) for a kind of data set.
 
         Args:
             kind: "blender" for synthetic scenes; anything else is photos.
@@ -389,7 +167,14 @@ class TrainConfig:
         voxel = self.voxel or (0.001 if synthetic else 0.005)
         weight = (0.0 if synthetic else 0.01) if self.volume_weight is None else self.volume_weight
         position_q = self.position_q or _paper_position_q(self.preset, synthetic) or 1.0 / voxel
-        return replace(self, voxel=voxel, volume_weight=weight, position_q=position_q)
+        price = self.size_lambda
+        return replace(
+            self,
+            voxel=voxel,
+            volume_weight=weight,
+            position_q=position_q,
+            size_lambda=(0.7 if synthetic else 2.0) if price is None else price,
+        )
 
     def scaled(self, steps: int) -> TrainConfig:
         """The same run squeezed or stretched to ``steps`` steps.
@@ -402,8 +187,10 @@ class TrainConfig:
             UsageError: ``steps`` is not at least 1.
         """
         options_of(TrainConfig)["steps"].check(steps)
+        shorter = shortness(steps) / shortness(self.steps)
+        rates = self.learning_rates.for_shorter_run(shorter)
         moved = scaled_moments(options_of(TrainConfig), vars(self), steps)
-        return replace(self, steps=steps, **moved)
+        return replace(self, steps=steps, learning_rates=rates, **moved)
 
     def render_options(self) -> RenderOptions:
         """How the run renders."""

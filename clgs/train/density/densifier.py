@@ -77,6 +77,7 @@ class Densifier:
     def download(self, parameters: Parameters) -> TrainState:
         """Host copies of all that has a row per anchor."""
         device = self._device
+        device.release_unused()
         return TrainState(
             anchors=parameters.scene.anchors.map(device.download),
             statistics=self.statistics.map(device.download),

@@ -20,7 +20,9 @@ GRID_BITS = 21
 """Positions span less than 2^21 voxels on each axis, so that three fit a 63-bit key."""
 
 
-def initial_anchors(points: npt.NDArray[np.floating], voxel: float) -> AnchorSet:
+def initial_anchors(
+    points: npt.NDArray[np.floating], voxel: float, most: int = 0, seed: int = 0
+) -> AnchorSet:
     """Anchors at the voxels that hold points, rows ascending by (x, y, z).
 
     Position = float32(integer / Q_P) with Q_P = 1 / voxel, as ``dequantize`` computes it; offsets
@@ -30,11 +32,16 @@ def initial_anchors(points: npt.NDArray[np.floating], voxel: float) -> AnchorSet
     Args:
         points: (P, 3), scene units.
         voxel: edge of a voxel, scene units.
+        most: if there are more voxels than this, so many of them are drawn; 0: all.
+        seed: of that draw.
 
     Raises:
         DataError: points not finite, too far apart for the grid, or in fewer than 4 voxels.
     """
     integers = voxel_integers(points, voxel)
+    if 0 < most < len(integers):
+        drawn = np.random.default_rng(seed).choice(len(integers), most, replace=False)
+        integers = integers[np.sort(drawn)]
     position = (integers / np.float64(1.0 / voxel)).astype(np.float32)
     count = len(position)
     return AnchorSet(

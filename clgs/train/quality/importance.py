@@ -55,11 +55,13 @@ class Sensitivity:
     """How the squared error of pictures, summed over them, goes with the anchors of a scene.
 
     importance (A,): what leaving an anchor out adds to it; curvature: of offset (A, K, 3), feature
-    (A, F) and scaling (A, 6), what a change by d adds to it, divided by d squared. Float64.
+    (A, F) and scaling (A, 6), what a change by d adds to it, divided by d squared. Float64. seen
+    (A,): whether a picture shows the anchor's place.
     """
 
     importance: npt.NDArray[np.float64]
     curvature: dict[str, npt.NDArray[np.float64]]
+    seen: npt.NDArray[np.bool_]
 
 
 def sensitivity(
@@ -77,6 +79,7 @@ def sensitivity(
     """
     total, rng = np.zeros(len(scene.anchors)), np.random.default_rng(SEED)
     curvature = {n: np.zeros(array.shape) for n, array in scene.anchors.items() if n != "position"}
+    seen = np.zeros(len(scene.anchors), np.bool_)
     for camera in cameras:
         frame = render_forward(device, scene, camera, settings, options)
         gradients = blend_backward(device, frame, device.upload(_signs(rng, frame)))
@@ -85,8 +88,10 @@ def sensitivity(
         for name, sums in curvature.items():
             change = device.download(getattr(by_scene, f"d_{name}")).reshape(sums.shape)
             sums += np.square(change)
+        visible = device.download(frame.activations.visible)
+        seen[visible[visible >= 0]] = True
         on_render(frame)
-    return Sensitivity(total, curvature)
+    return Sensitivity(total, curvature, seen)
 
 
 def importance_without_views(scene: QuantizedScene) -> npt.NDArray[np.float64]:

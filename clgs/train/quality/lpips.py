@@ -45,6 +45,7 @@ class Lpips:
         onnx, runtime = require_onnx()
         options = runtime.SessionOptions()
         options.intra_op_num_threads = processors()
+        options.enable_mem_pattern = False  # it holds a second copy of all activations
         # Threads that wait must not take the processor from other programs.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         model = _Graph(onnx).lpips(weights)

@@ -64,8 +64,10 @@ class Economy:
     def __init__(self, device: Device, dataset: Dataset, config: TrainConfig) -> None:
         """As for :class:`clgs.train.run.trainer.Trainer`."""
         self._device, self._dataset, self._config = device, dataset, config
-        moments = np.linspace(config.switch_step, config.freeze_step, ROUNDS)
-        active = config.size_lambda > 0 or config.target_size > 0
+        last = min(config.freeze_step, config.steps - 1)
+        moments = np.linspace(config.switch_step, max(config.switch_step, last), ROUNDS)
+        self._lambda = config.size_lambda or 0.0
+        active = self._lambda > 0 or config.target_size > 0
         self.steps = sorted({round(moment) for moment in moments}) if active else []
         """The steps after which there is a round."""
 
@@ -117,7 +119,8 @@ class Economy:
         views, config = self._dataset.train, self._config
         chosen = [views[i] for i in spread([view.camera for view in views], VIEWS)]
         weights = loss.Weights(config.l1_weight, config.ssim_weight)
-        return Judge(self._device, chosen, settings, queue.options, weights)
+        every = len(chosen) == len(views)
+        return Judge(self._device, chosen, every, settings, queue.options, weights)
 
     def _free(self) -> frozenset[str]:
         names = ("offset", "feature", "scaling")
@@ -127,7 +130,7 @@ class Economy:
         """Of a bit: lambda is what halving the file may cost in dB, at this loss and size."""
         loss_per_decibel = judged.loss * math.log(10.0) / 20.0
         bits = ANCHOR_BITS * anchors * math.log(2.0)
-        return self._config.size_lambda * loss_per_decibel / bits
+        return self._lambda * loss_per_decibel / bits
 
     def _most(self, step: int, last: bool) -> float:
         """The share of the anchors that goes at most after ``step``."""

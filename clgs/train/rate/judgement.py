@@ -36,7 +36,8 @@ class Judgement:
 
     loss: of a view, the mean; importance (A,): by leaving an anchor out; curvature: of offset
     (A, K, 3), feature (A, F) and scaling (A, 6), by a change of d of one element, divided by d
-    squared. Float64, at least 0.
+    squared. Float64, at least 0. Of anchors that the judge could not see the importance is
+    infinite, and the curvature the mean of the others.
     """
 
     loss: float
@@ -46,10 +47,14 @@ class Judgement:
 
 @dataclass(frozen=True)
 class Judge:
-    """The views that anchors are judged by, and how they are rendered and compared."""
+    """The views that anchors are judged by, and how they are rendered and compared.
+
+    all_views: there are no others, so that what these do not see is seen by none.
+    """
 
     device: Device
     views: Sequence[View]
+    all_views: bool
     settings: RenderSettings
     options: RenderOptions
     weights: loss.Weights
@@ -63,8 +68,13 @@ class Judge:
         reduced = [camera.reduced(factor) for camera in cameras]
         found = sensitivity(self.device, scene, self.settings, reduced, self.options)
         worth = 0.5 * mean_loss / squared_error * factor**2 / len(cameras)
+        importance = found.importance * worth
         curvature = {name: array * worth for name, array in found.curvature.items()}
-        return Judgement(mean_loss, found.importance * worth, curvature)
+        if not self.all_views and found.seen.any():
+            importance[~found.seen] = np.inf
+            for array in curvature.values():
+                array[~found.seen] = array[found.seen].mean(axis=0)
+        return Judgement(mean_loss, importance, curvature)
 
     def _compare(self, scene: DeviceScene) -> tuple[float, float]:
         """Loss and squared error of a view, means over some of them."""

@@ -17,6 +17,11 @@ from clgs.train.rate.judgement import Judgement
 MOST = 0.2
 """Share of the anchors that goes in one round."""
 
+COARSE = 2.0
+"""Times the price at which scales are chosen: training then moves values to where rounding hurts
+less, which a finer scale would cost bytes for.
+"""
+
 LEAST_PRICE, MOST_PRICE = 1e-15, 1e-3
 """Of a bit, when a price is searched."""
 
@@ -60,7 +65,7 @@ def plan_at(price: float, now: Situation) -> Plan:
     for name, curvature in now.judged.curvature.items():
         values = getattr(anchors, name)
         if name in now.free:
-            scales = replace(scales, **{name: best_scale(values, curvature, price)})
+            scales = replace(scales, **{name: best_scale(values, curvature, COARSE * price)})
         cheap = cheaper_integers(values, curvature, getattr(scales, name), price)
         integers[name] = cheap.astype(np.int32)
     cells = position_integers(anchors.position, scales.position).astype(np.int32)
@@ -99,5 +104,6 @@ def carry_out(plan: Plan, state: TrainState, most: float) -> int:
         moments.first[moved] = 0.0
         changed += int(moved.sum())
     if most > 0:
-        keep_rows(state, plan.worth >= min(plan.price, float(np.quantile(plan.worth, most))))
+        limit = float(np.quantile(plan.worth, most, method="lower"))
+        keep_rows(state, plan.worth >= min(plan.price, limit))
     return changed

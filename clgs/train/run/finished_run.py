@@ -54,12 +54,18 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
             f"{folder}: a finished run, but damaged ({error}); remove {RESULTS} and resume again "
             "to make its files anew, or name another run folder"
         ) from error
-    if digest != run_digest(dataset, replace(config, downscale=dataset.downscale)):
+    if digest != run_digest(dataset, settings_for(dataset, config)):
         raise DataError(
             f"{folder}: holds a finished run with other settings or photos; give the same options "
             "(config.toml lists them) or choose another run folder"
         )
     return result
+
+
+def settings_for(dataset: Dataset, config: TrainConfig) -> TrainConfig:
+    """The settings with the size that the dataset's photos have."""
+    times, max_size = dataset.reduction.times, dataset.reduction.max_size
+    return replace(config, downscale=times, max_size=max_size)
 
 
 def _read(folder: Path) -> RunResult:

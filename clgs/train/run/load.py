@@ -8,6 +8,7 @@ from pathlib import Path
 from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.point_file import PointFile
 from clgs.data.points import RandomStart
+from clgs.data.reduction import Reduction
 from clgs.data.stored_photo import PhotoMemory
 from clgs.train.config import TrainConfig
 
@@ -36,7 +37,7 @@ def load_for(
         points = PointFile(Path(config.points), config.point_samples)
     return load_dataset(
         data,
-        downscale=config.downscale,
+        downscale=Reduction(config.downscale, config.max_size),
         preset_units=not config.normalize,
         cache=cache,
         seed=config.seed,

@@ -22,10 +22,12 @@ from clgs.errors import DataError
 from clgs.export.image import comparison, picture_names, save_png
 from clgs.files import atomic_write
 from clgs.opencl.device import Device
+from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
 from clgs.train.config import TrainConfig
+from clgs.train.quality.rate_control import MAX_CAMERAS, Judge, reduce_to_size, spread
 from clgs.train.quality.score_views import Pictures, ViewScore, evaluate_views, summarize
-from clgs.train.run.finished_run import RESULTS, RunResult, finished_run
+from clgs.train.run.finished_run import RESULTS, RunResult, finished_run, settings_for
 from clgs.train.run.full_disk import Keeper
 from clgs.train.run.progress_log import ProgressLog
 from clgs.train.run.trainer import StepResult, Trainer
@@ -65,7 +67,7 @@ class Session:
         """
         if not dataset.train:
             raise DataError("the dataset has no training views; check the folder of images")
-        config = replace(config, downscale=dataset.downscale, points=dataset.points_file)
+        config = replace(settings_for(dataset, config), points=dataset.points_file)
         self.folder, self.config, self.device = folder, config, device
         self.dataset = dataset
         self.trainer = Trainer(device, dataset, config)
@@ -159,7 +161,8 @@ class Session:
 
     def _finish(self) -> RunResult:
         self.log.flush()
-        scene = self.trainer.quantized_scene()
+        self.device.release_unused()
+        scene = self._within_size(self.trainer.quantized_scene())
         save_scene(self.folder / "scene.npz", scene)
         views = (self.dataset.test or self.dataset.train)[:HASHED_VIEWS]
         cameras = [view.camera for view in views]
@@ -188,6 +191,20 @@ class Session:
         write_json(self.folder / "per_view.json", [score.record() for score in scores])
         write_json(self.folder / RESULTS, summary)
         return RunResult(self.folder, scene, bitstream, summary)
+
+    def _within_size(self, scene: QuantizedScene) -> QuantizedScene:
+        """The scene, or so much of it as fits the size asked for.
+
+        The rounds of training see to the size; this is for runs of a few steps, which have none,
+        and for networks that grew after the last round.
+        """
+        target = self.config.target_size
+        if not target or len(encode(scene)) <= target:
+            return scene
+        cameras = [view.camera for view in self.dataset.train]
+        chosen = [cameras[i] for i in spread(cameras, MAX_CAMERAS)]
+        judge = Judge(self.device, chosen, self.fixed_views(), self.trainer.options)
+        return reduce_to_size(scene, target, encode, judge).scene
 
 
 @contextmanager

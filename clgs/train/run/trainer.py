@@ -77,7 +77,7 @@ class Trainer:
         """
         self.device, self.dataset, self.config = device, dataset, config
         self.rng = np.random.default_rng(config.seed)
-        anchors = initial_anchors(dataset.points, config.voxel)
+        anchors = initial_anchors(dataset.points, config.voxel, config.max_anchors, config.seed)
         self.parameters: Parameters = new_parameters(device, anchors, init_mlps(self.rng))
         self.queue = StepQueue(device, dataset, config)
         self.densifier = Densifier(device, config, self.parameters.count)

@@ -20,7 +20,10 @@ from clgs.train.step.schedule import ViewSampler
 
 def save_checkpoint(folder: Path, trainer: Trainer) -> None:
     """Write everything that the next steps depend on."""
+    trainer.device.release_unused()
     arrays = _by_name(trainer.parameters, trainer.densifier.statistics)
+    if trainer.queue.exposures is not None:
+        arrays |= dict(trainer.queue.exposures.items())
     scalars = {
         "step": trainer.steps_done,
         "merged": trainer.merged,
@@ -49,6 +52,8 @@ def load_checkpoint(folder: Path, trainer: Trainer) -> None:
         for name in (*ANCHOR_GROUPS, "weights")
     }
     trainer.parameters = Parameters(scene, moments)
+    if trainer.queue.exposures is not None:
+        trainer.queue.exposures.restore(arrays)
     trainer.densifier.statistics = Statistics(
         *(arrays[f"statistics.{name}"] for name, _ in trainer.densifier.statistics.items())
     )

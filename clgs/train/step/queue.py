@@ -19,6 +19,7 @@ from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
 from clgs.train.rate.rate_term import RateTerm
 from clgs.train.state.parameters import Parameters
+from clgs.train.step.exposures import Exposures
 from clgs.train.step.optimizer import Optimizer
 from clgs.train.step.rounding import rounded_anchors, weight_scales
 from clgs.train.step.schedule import reduction
@@ -77,6 +78,7 @@ class StepQueue:
         self._device, self._config = device, config
         self._optimizer = Optimizer(device, config, dataset.radius)
         self._targets = Targets(device, dataset.train, config.background, config.near)
+        self.exposures = Exposures(device, config, len(dataset.train)) if config.exposure else None
         self._stop = adam.stop_flag(device)
         self.options = config.render_options()
         scales = QuantizationScales(
@@ -115,7 +117,7 @@ class StepQueue:
         frame = view_forward(device, scene, target.view, self.options, capacity)
         if capacity is not None:
             check_capacity(device, frame, capacity, self._stop)
-        value, d_image = self._compare(frame, target.photo)
+        value, d_image = self._compare(frame, target.photo, plan)
         weight = self._config.volume_weight or 0.0
         gradients = render_backward(device, scene, frame, d_image, weight)
         bits = self.rate.add(parameters, gradients, plan.step)
@@ -123,6 +125,8 @@ class StepQueue:
         with device.stage("adam"):
             learn = not replaces and plan.step <= self._config.freeze_step
             self._optimizer.step(parameters, gradients, plan.step, learn, self._stop)
+            if self.exposures is not None:
+                self.exposures.step(plan.index, plan.step, self._stop)
         with device.stage("density"):
             densifier.observe(frame, gradients, plan.step, self._stop)
         enqueued = Enqueued(
@@ -164,16 +168,31 @@ class StepQueue:
             return parameters.scene.weights
         return quantize.elements(self._device, parameters.scene.weights, self._weight_scales)
 
-    def _compare(self, frame: Frame, photo: DeviceArray) -> tuple[loss.LaterValue, DeviceArray]:
+    def _compare(
+        self, frame: Frame, photo: DeviceArray, plan: Plan
+    ) -> tuple[loss.LaterValue, DeviceArray]:
+        """The value of the loss and its gradient by the render."""
+        exposures, index = self.exposures, plan.index
+        if exposures is None or not exposures.learn_at(plan.step):
+            return self._loss(frame.image, photo)
+        with self._device.stage("exposure"):
+            picture = exposures.expose(frame.image, index)
+        value, d_picture = self._loss(picture, photo)
+        with self._device.stage("exposure"):
+            return value, exposures.backward(frame.image, d_picture, index, self._stop)
+
+    def _loss(
+        self, picture: DeviceArray, photo: DeviceArray
+    ) -> tuple[loss.LaterValue, DeviceArray]:
         """The value of the loss and its gradient by the picture."""
         device = self._device
         weights = loss.Weights(self._config.l1_weight, self._config.ssim_weight)
         with device.stage("loss forward"):
-            compared = loss.forward(device, frame.image, photo, weights)
+            compared = loss.forward(device, picture, photo, weights)
             adam.check_finite(device, [compared.sums.partials], self._stop)
             value = compared.value_later(device)
         with device.stage("loss backward"):
-            return value, loss.backward(device, frame.image, photo, compared)
+            return value, loss.backward(device, picture, photo, compared)
 
     def estimated_bits(self, parameters: Parameters) -> float:
         """Bits per anchor of the rounded attributes under the proxy's model."""

@@ -13,6 +13,7 @@ from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
 from clgs.errors import UsageError
 from clgs.opencl.device import Device
+from clgs.render.frame import upload_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.scene import QuantizedScene
@@ -57,7 +58,8 @@ def test_importance_is_what_leaving_out_costs(
 ) -> None:
     scene, view = seen
     repeats = 24
-    estimate = importance(device, scene, [view.camera] * repeats) / repeats
+    uploaded = upload_scene(device, scene.dequantize())
+    estimate = importance(device, uploaded, scene.settings, [view.camera] * repeats) / repeats
     whole = Renderer(device, scene.dequantize()).render(view.camera)
     some = rng.permutation(len(scene.anchors))[:24]
     exact = [float(np.square(without(device, scene, view, i) - whole).sum()) for i in some]
@@ -74,7 +76,8 @@ def test_importance_is_the_same_every_time(
     device: Device, seen: tuple[QuantizedScene, View]
 ) -> None:
     scene, view = seen
-    first, second = (importance(device, scene, [view.camera]) for _ in range(2))
+    uploaded = upload_scene(device, scene.dequantize())
+    first, second = (importance(device, uploaded, scene.settings, [view.camera]) for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert (first >= 0).all()
 
@@ -161,7 +164,7 @@ def test_pictures_with_room_are_judged_at_half_the_resolution(
     widths: list[int] = []
 
     def note(*arguments: object) -> npt.NDArray[np.float64]:
-        cameras = arguments[2]
+        cameras = arguments[3]
         assert isinstance(cameras, list)
         widths.extend(camera.width for camera in cameras)
         return np.zeros(len(scene.anchors))

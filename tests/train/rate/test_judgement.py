@@ -73,8 +73,8 @@ def test_importance_is_that_of_the_quick_way(device: Device, seen: tuple[Scene, 
     np.testing.assert_array_equal(both, importance(device, uploaded, settings, [view.camera] * 2))
 
 
-def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene):
-    judge = Judge(device, [seen[1]] * VIEWS, RenderSettings(), DEFAULT, WEIGHTS)
+def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene, all_views: bool = True):
+    judge = Judge(device, [seen[1]] * VIEWS, all_views, RenderSettings(), DEFAULT, WEIGHTS)
     return judge.judge(scene)
 
 
@@ -105,3 +105,19 @@ def test_what_an_anchor_saves_in_units_of_the_loss(
         exact.append(0.5 * found.loss * np.square(change).sum() / error)
     ratio = found.importance[order[:12]] / np.array(exact)
     assert 0.5 < np.median(ratio) < 2.0
+
+
+def test_what_some_views_do_not_see_is_kept(device: Device, seen: tuple[Scene, View]) -> None:
+    scene, view = seen
+    position = scene.anchors.position.copy()
+    position[:7] = view.camera.centre - 50.0 * view.camera.rotation[2]  # behind the camera
+    hidden = replace(scene, anchors=replace(scene.anchors, position=position))
+    uploaded = upload_scene(device, hidden)
+    every, some = (judged(device, seen, uploaded, all_views) for all_views in (True, False))
+    assert (every.importance[:7] == 0).all()
+    assert not any(array[:7].any() for array in every.curvature.values())
+    assert np.isinf(some.importance[:7]).all()
+    assert np.isfinite(some.importance[7:]).all()
+    for name, array in some.curvature.items():
+        np.testing.assert_array_equal(array[7:], every.curvature[name][7:])
+        assert array[0].max() > 0

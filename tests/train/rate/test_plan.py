@@ -98,7 +98,7 @@ def test_at_most_a_share_goes(now: Situation, state: TrainState) -> None:
     plan = plan_at(1.0, now)
     assert len(plan.kept) == 0
     carry_out(plan, state, 0.25)
-    assert len(state.anchors) == 0.75 * COUNT
+    assert 0.75 * COUNT <= len(state.anchors) <= 0.75 * COUNT + 1
     np.testing.assert_array_equal(
         np.sort(state.anchors.position[:, 0]),
         np.sort(now.state.anchors.position[:, 0]),

@@ -60,7 +60,7 @@ def test_a_finished_run_is_read_and_left_alone(finished, dataset, open_device, m
 
 
 def test_the_command_says_that_a_run_is_finished(data, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("clgs.data.points.RANDOM_POINTS", 3000)  # for speed
+    monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed
     command = ["train", str(data), "-o", str(tmp_path / "run"), "--steps", "3", "--resume"]
     assert cli.main(command) == 0
     before = files(tmp_path / "run")

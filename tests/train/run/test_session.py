@@ -79,7 +79,7 @@ def test_python_example_of_the_readme_runs(tmp_path, monkeypatch):
     assert example is not None
     write_scene(tmp_path / "DATA")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("clgs.data.points.RANDOM_POINTS", 3000)  # for speed
+    monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed
     code = example[1].replace('preset("quick")', 'preset("quick").scaled(20)')
     names: dict[str, object] = {}
     exec(compile(code, "README.md", "exec"), names)

@@ -103,7 +103,9 @@ STEPS = 120
 
 def config(optimizer, rows):
     short = preset("default").scaled(STEPS)
-    return replace(short, voxel=0.05, optimizer=optimizer, adam=rows, log_interval=40)
+    return replace(
+        short, voxel=0.05, optimizer=optimizer, adam=rows, log_interval=40, size_lambda=0.05
+    )
 
 
 @pytest.mark.parametrize("rows", ["dense", "visible"])

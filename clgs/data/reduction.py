@@ -1,0 +1,31 @@
+"""How large the photos are that training and scoring see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+MAX_SIZE = 1600
+"""Pixels; wider photos are reduced to this width, as the reference code of 3DGS does."""
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """What photos are reduced by, after the distortion was taken out.
+
+    times: both sides by this number; 0: by none, but photos wider than ``max_size`` pixels are
+    reduced to that width; max_size 0: they stay as they are, too.
+    """
+
+    times: int = 0
+    max_size: int = MAX_SIZE
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """(width, height) that a photo of ``width`` x ``height`` pixels gets."""
+        if self.times:
+            return max(1, round(width / self.times)), max(1, round(height / self.times))
+        if 0 < self.max_size < width:
+            return self.max_size, max(1, round(height * self.max_size / width))
+        return width, height
+
+
+DEFAULT = Reduction()

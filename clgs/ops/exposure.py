@@ -1,0 +1,117 @@
+"""Exposure of photos: an affine map of colors between a render and the loss, one for each photo.
+
+    picture = M image + b,    map = (M | b), 3 x 4, at first the identity (1 | 0)
+
+The loss compares the picture with the photo; a penalty, weight * |map - identity|^2, holds what the
+photos leave open, and :func:`centre` what all of them have in common, which is the scene's. The
+affine map for each photo is that of the reference code of 3DGS ("exposure"), which has neither.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device, round_up
+from clgs.shapes import Shapes
+
+MAP_SIZE = 12
+BLOCK = 2048
+"""Pixels that are summed by one work-group; as in kernels_cl/loss/exposure.cl."""
+
+GROUP_SIZE = 64
+BLOCK_GROUP_SIZE = {"cpu": 1, "gpu": 256}
+
+
+def identity(device: Device, photos: int) -> DeviceArray:
+    """Maps (photos, 3, 4) float32 that change nothing."""
+    return device.upload(np.tile(np.eye(3, 4, dtype=np.float32), (photos, 1, 1)))
+
+
+def forward(device: Device, image: DeviceArray, maps: DeviceArray, photo: int) -> DeviceArray:
+    """The image as photo number ``photo`` exposes it, (3, H, W) float32.
+
+    Args:
+        device: where the arrays live.
+        image: (3, H, W) float32.
+        maps: (P, 3, 4) float32.
+        photo: below P.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype, or there is no such photo.
+    """
+    total = _check(image, maps, photo)
+    picture = device.empty(image.shape)
+    device.run(
+        device.kernel("loss/exposure", "exposure_forward"),
+        (round_up(-(-total // device.vec), GROUP_SIZE),),
+        (GROUP_SIZE,),
+        *(image, np.uint32(total), maps, np.uint32(photo), picture),
+    )
+    return picture
+
+
+def backward(
+    device: Device,
+    image: DeviceArray,
+    d_picture: DeviceArray,
+    maps: DeviceArray,
+    photo: int,
+    weight: float,
+    d_maps: DeviceArray,
+) -> DeviceArray:
+    """d_image (3, H, W) float32; the gradient of one photo's map goes into ``d_maps``.
+
+    Args:
+        device: where the arrays live.
+        image: as given to :func:`forward`.
+        d_picture: (3, H, W) float32, gradient by what :func:`forward` returned.
+        maps: as given to :func:`forward`.
+        photo: as given to :func:`forward`.
+        weight: of the penalty.
+        d_maps: (P, 3, 4) float32; row ``photo`` is overwritten, the others stay.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype, or there is no such photo.
+    """
+    total = _check(image, maps, photo)
+    shapes = Shapes(H=image.shape[1], W=image.shape[2], P=len(maps))
+    shapes.check("d_picture", d_picture, "3 H W", np.float32)
+    shapes.check("d_maps", d_maps, "P 3 4", np.float32)
+    blocks = -(-total // BLOCK)
+    d_image, sums = device.empty(image.shape), device.empty((blocks, MAP_SIZE))
+    group, number = BLOCK_GROUP_SIZE[device.specialisation], np.uint32(photo)
+    device.run(
+        device.kernel("loss/exposure", "exposure_backward"),
+        (blocks * group,),
+        (group,),
+        *(image, d_picture, np.uint32(total), maps, number, d_image, sums),
+    )
+    last: tuple[Any, ...] = (sums, np.uint32(blocks), maps, number, np.float32(2 * weight), d_maps)
+    device.run(device.kernel("loss/exposure", "exposure_sum"), (MAP_SIZE,), None, *last)
+    return d_image
+
+
+def centre(device: Device, maps: DeviceArray, stop: DeviceArray) -> None:
+    """Move all ``maps`` (P, 3, 4) float32 alike, so that their mean is the identity.
+
+    ``stop`` (1,) int32: unless it holds 0 nothing changes.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    Shapes().check("maps", maps, "P 3 4", np.float32)
+    kernel = device.kernel("loss/exposure", "exposure_centre")
+    device.run(kernel, (MAP_SIZE,), None, maps, np.uint32(len(maps)), stop)
+
+
+def _check(image: DeviceArray, maps: DeviceArray, photo: int) -> int:
+    """The number of pixels."""
+    shapes = Shapes()
+    shapes.check("image", image, "3 H W", np.float32)
+    shapes.check("maps", maps, "P 3 4", np.float32)
+    if not 0 <= photo < len(maps):
+        raise ValueError(f"photo: {photo}, there are {len(maps)}")
+    return shapes.axes["H"] * shapes.axes["W"]

@@ -1,0 +1,125 @@
+"""The settings of a run as a whole, and of how it renders: part of the settings of training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from clgs.constants import NEAR_PLANE
+from clgs.options import PRESETS
+from clgs.train.config.option import POSITIVE, Range, Text, at_least, option
+from clgs.train.config.run_length import FULL_STEPS
+
+MAX_PIXELS = 65536
+"""No picture is wider."""
+
+MAX_SAMPLES = 20_000_000
+"""No device of today has memory for more anchors."""
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Length, start, log and renders; :class:`TrainConfig` has them first."""
+
+    preset: str = option(
+        "default",
+        "where the other values start from; quick: 3,000 steps; paper: published constants and "
+        "the data's own units",
+        ("default", "quick", "paper"),
+        group="run",
+    )
+    steps: int = option(
+        FULL_STEPS,
+        "training steps, one view each (paper); another number than the preset's also moves, in "
+        "proportion, the settings that say so",
+        at_least(1),
+        unit="steps",
+    )
+    seed: int = option(
+        0,
+        "of all random choices: MLP weights, order of views, growth, random backgrounds, start",
+        at_least(0),
+        unit="none",
+    )
+    normalize: bool = option(
+        True, "recentre the scene and scale it to a camera radius of 4.4; the paper keeps the units"
+    )
+    coarse_to_fine: bool = option(
+        False, "train on reduced photos first: a quarter of the size, then half"
+    )
+    points: str = option(
+        "",
+        "start from the points of this file instead of the data set's: PLY, OBJ, GLB, STL, OFF or "
+        "XYZ, in the data set's world units; surfaces are sampled, colors ignored, GLB turned from "
+        "y up as `clgs export` does",
+        Text("the name of a file"),
+        in_digest=False,  # the points themselves are in it
+    )
+    point_samples: int = option(
+        100_000,
+        "points drawn from the surfaces in the file of points",
+        Range(4, MAX_SAMPLES),
+        unit="points",
+        in_digest=False,
+    )
+    start_points: int = option(
+        0,
+        "random points to start from if the data set has none (code: 100,000)",
+        Range(0, MAX_SAMPLES),
+        unit="points",
+        open_default="10,000 in Blender scenes, 100,000 among photos",
+    )
+    start_volume: str = option(
+        "hull",
+        "where random points of Blender scenes lie; hull: no photo shows background there; cube: "
+        "anywhere (code)",
+        ("hull", "cube"),
+    )
+    fixed_views: int = option(
+        4, "training views on which PSNR is logged", at_least(0), unit="views"
+    )
+    log_interval: int = option(
+        100,
+        "steps between rows of progress.csv, each with the PSNR of the fixed views",
+        at_least(1),
+        unit="steps",
+    )
+    checkpoint_interval: int = option(
+        1000,
+        "steps between checkpoints; 0: only when the run is interrupted",
+        at_least(0),
+        unit="steps",
+    )
+    background: str = option(
+        "black",
+        "color behind transparent photos and unfinished pixels (code: black); random: a new one "
+        "every step",
+        ("black", "white", "random"),
+        group="rendering",
+    )
+    accuracy: str = option(
+        "parity",
+        "exact: nearly nothing is truncated; parity: as in 3DGS; fast: below a third of a level "
+        "from it; preview: half the resolution, enlarged",
+        tuple(PRESETS),
+    )
+    smallest_anchor: float = option(
+        0.0,
+        "leave out anchors that are fewer pixels wide on the screen: faster, another picture; "
+        "0: none",
+        Range(0, MAX_PIXELS),
+        unit="pixels",
+    )
+    near: float = option(
+        NEAR_PLANE,
+        "distance of the near plane from the camera (code)",
+        POSITIVE,
+        unit="scene units",
+    )
+    max_memory: int = option(
+        0,
+        "draw in groups of tiles whose lists and gradients take at most this much; slower, the "
+        "same result; 0: no limit",
+        at_least(0),
+        unit="MiB",
+        in_digest=False,
+    )

@@ -1,0 +1,68 @@
+"""The settings that decide about the size of the file: part of the settings of training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from clgs.train.config.option import WEIGHT, at_least, option
+
+
+@dataclass(frozen=True)
+class SizeSettings:
+    """The price of bytes, and when what is not worth it goes."""
+
+    size_lambda: float | None = option(
+        None,
+        "what halving the file may cost, the one knob between size and quality: what saves less "
+        "than its share is left out; 0: nothing is",
+        WEIGHT,
+        unit="dB per halving",
+        group="size",
+        open_default="2 on photos, 0.7 on Blender scenes",
+    )
+    target_size: int = option(
+        0,
+        "bytes of the file, which ends at most 2 % below, never above; lambda follows from it; 0: "
+        "as lambda has it",
+        at_least(0),
+        unit="bytes",
+    )
+    max_anchors: int = option(
+        0,
+        "most anchors at any time, which bounds memory; 0: no limit",
+        at_least(0),
+        unit="anchors",
+    )
+    prune_end: int = option(
+        22_500,
+        "last step after which anchors are left out that are not worth their bytes",
+        at_least(0),
+        unit="step number",
+        scaled=True,
+    )
+    freeze_step: int = option(
+        28_500,
+        "last step at which anchors learn; after it, only the MLPs do",
+        at_least(0),
+        unit="step number",
+        scaled=True,
+    )
+    proxy: str = option(
+        "channel",
+        "rate proxy; channel: one Laplace law per channel, b = std / sqrt(2); pooled: the code's "
+        "form, which preset paper takes",
+        ("channel", "pooled"),
+    )
+    rate_weight: float = option(
+        0.0,
+        "weight of the bits of an anchor as the rate proxy estimates them, at every "
+        "rate_interval-th step after the switch (code: 1e-4, which preset paper takes)",
+        WEIGHT,
+        unit="per bit",
+    )
+    rate_interval: int = option(
+        10,
+        "steps between those at which the rate proxy looks at all anchors (code)",
+        at_least(1),
+        unit="steps",
+    )

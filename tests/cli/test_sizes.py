@@ -1,0 +1,65 @@
+"""What a run was trained on is what its scene is drawn for and scored on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from clgs.cli.main import main
+from clgs.train.config import from_toml
+from tests.small_scene import write_scene
+
+
+@pytest.fixture
+def command(
+    tmp_path: Path, open_device: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., int]:
+    """A command on photos of 40 x 40 pixels."""
+    monkeypatch.setattr("clgs.data.points.RANDOM_POINTS", 3000)  # for speed
+    data, device = write_scene(tmp_path / "data"), open_device("cpu").name
+
+    def run(name: str, *words: object) -> int:
+        about = [] if name == "train" else ["--data", data]
+        first = [data] if name == "train" else []
+        return main([name, *map(str, [*first, *words, *about, "--device", device])])
+
+    return run
+
+
+def test_the_largest_width_goes_with_a_run(command, tmp_path: Path):
+    run, drawn = tmp_path / "run", tmp_path / "drawn"
+    assert command("train", "-o", run, "--steps", 2, "--max-size", 24) == 0
+    config = from_toml((run / "config.toml").read_text())
+    assert (config.downscale, config.max_size) == (0, 24)
+    assert command("render", run, "-o", drawn) == 0
+    assert {Image.open(path).size for path in drawn.iterdir()} == {(24, 24)}
+    assert command("eval", run, "--json", tmp_path / "scores.json") == 0
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    assert scores["psnr"] == json.loads((run / "results.json").read_text())["psnr"]
+    assert command("render", run, "-o", tmp_path / "larger", "--max-size", 0) == 0
+    assert Image.open(next((tmp_path / "larger").iterdir())).size == (40, 40)
+
+
+def test_another_width_is_another_run(command, tmp_path: Path, capsys):
+    run = tmp_path / "run"
+    assert command("train", "-o", run, "--steps", 2, "--downscale", 2) == 0
+    again = ("train", "-o", run, "--steps", 2, "--resume")
+    assert command(*again, "--downscale", 2) == 0
+    capsys.readouterr()
+    assert command(*again, "--max-size", 20) == 3
+    assert "other settings" in capsys.readouterr().err
+
+
+def test_a_scene_alone_is_drawn_at_the_default_size(command, tmp_path: Path, capsys):
+    assert command("train", "-o", tmp_path / "run", "--steps", 1, "--downscale", 2) == 0
+    file = tmp_path / "scene.clgs"
+    file.write_bytes((tmp_path / "run" / "scene.clgs").read_bytes())
+    capsys.readouterr()
+    assert command("render", file, "-o", tmp_path / "drawn") == 0
+    assert "--max-size 1600 is assumed" in capsys.readouterr().err
+    assert Image.open(next((tmp_path / "drawn").iterdir())).size == (40, 40)

@@ -1,0 +1,98 @@
+"""Rounds of a run: what lambda leaves, sizes that are met, anchors that are not exceeded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.codec.scene_encoder import encode
+from clgs.train.config import preset
+from clgs.train.rate.economy import ROUNDS
+from clgs.train.run.session import train_scene
+from clgs.train.run.trainer import Trainer
+from clgs.train.state.resume import load_checkpoint, save_checkpoint
+
+STEPS = 120
+
+
+def config(dataset, **changes):
+    settings = replace(preset("default").scaled(STEPS), voxel=0.02, **changes)
+    return settings.for_dataset(dataset.kind)
+
+
+def trained(cpu, dataset, **changes) -> Trainer:
+    trainer = Trainer(cpu, dataset, config(dataset, **changes))
+    for _ in trainer.steps(STEPS):
+        pass
+    return trainer
+
+
+@pytest.fixture(scope="module")
+def untouched(open_device, dataset):
+    """A run in which nothing is left out."""
+    return trained(open_device("cpu"), dataset, size_lambda=0.0)
+
+
+def test_without_lambda_there_are_no_rounds(untouched):
+    assert untouched.rounds == []
+    assert (untouched.queue.scales.feature, untouched.queue.scales.scaling) == (1.0, 8.0)
+
+
+def test_lambda_trades_size_for_quality(cpu, dataset, untouched):
+    small, smaller = (trained(cpu, dataset, size_lambda=value) for value in (2.0, 20.0))
+    sizes = [len(encode(one.quantized_scene())) for one in (untouched, small, smaller)]
+    assert sizes[0] > sizes[1] > sizes[2]
+    assert small.psnr(dataset.train) > smaller.psnr(dataset.train)
+    assert len(small.rounds) == ROUNDS
+    assert small.rounds[-1].after < small.rounds[0].before
+    assert small.rounds[0].price < smaller.rounds[0].price
+    ended = [one for one in small.rounds if one.step > small.config.prune_end]
+    assert ended
+    assert all(one.before == one.after for one in ended)
+
+
+def test_anchors_rest_after_the_last_round(cpu, dataset):
+    trainer = Trainer(cpu, dataset, config(dataset))
+    for _ in trainer.steps(trainer.config.freeze_step + 1):
+        pass
+    feature, weights = (trainer.parameters.scene.anchors.feature, trainer.parameters.scene.weights)
+    before, weights_before = cpu.download(feature), cpu.download(weights)
+    trainer.step()
+    np.testing.assert_array_equal(cpu.download(feature), before)
+    assert not np.array_equal(cpu.download(weights), weights_before)
+
+
+@pytest.mark.parametrize("share", [0.8, 0.6])
+def test_a_size_is_met_and_never_exceeded(cpu, dataset, untouched, share):
+    target = int(share * len(encode(untouched.quantized_scene())))
+    size = len(encode(trained(cpu, dataset, target_size=target).quantized_scene()))
+    assert 0.98 * target <= size <= target
+
+
+def test_growth_stops_at_the_most_anchors(cpu, dataset, untouched):
+    most = untouched.parameters.count - 100
+    trainer = Trainer(cpu, dataset, config(dataset, max_anchors=most, size_lambda=0.0))
+    counts = [trainer.step().anchors for _ in range(STEPS // 2 + 1)]
+    assert max(counts) <= most
+
+
+@pytest.mark.parametrize("moment", ["before the first round", "after it", "between tables"])
+def test_resumes_to_the_bit(cpu, dataset, tmp_path, moment):
+    settings = config(dataset)
+    done = settings.switch_step + {"before the first round": 0, "after it": 1}.get(moment, 7)
+    whole = Trainer(cpu, dataset, settings)
+    list(whole.steps(done))
+    save_checkpoint(tmp_path, whole)
+    other = Trainer(cpu, dataset, settings)
+    load_checkpoint(tmp_path, other)
+    for trainer in (whole, other):
+        list(trainer.steps(STEPS - done))
+    assert encode(whole.quantized_scene()) == encode(other.quantized_scene())
+
+
+def test_runs_too_short_for_rounds_meet_the_size_too(cpu, dataset, tmp_path):
+    settings = replace(preset("default").scaled(1), voxel=0.02, target_size=16_000)
+    result = train_scene(dataset, tmp_path, settings, device=cpu)
+    assert 0.98 * 16_000 <= len(result.bitstream) <= 16_000

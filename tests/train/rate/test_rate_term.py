@@ -1,0 +1,119 @@
+"""The price of bytes in the gradient: its size, its kept tables, and what a checkpoint holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.opencl.device import Device
+from clgs.reference.stages import rate as reference
+from clgs.render.frame import SceneGradients
+from clgs.scene.anchors import AnchorSet, QuantizationScales
+from clgs.scene.mlps import init_mlps
+from clgs.train.config import TrainConfig
+from clgs.train.rate.rate_term import PUSH, RateTerm
+from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters, new_parameters
+
+COUNT = 300
+SCALES = QuantizationScales(offset=4.0, feature=2.0, scaling=16.0)
+CONFIG = TrainConfig(switch_step=0, growth_end=0, growth_start=0, statistics_start=0)
+
+
+@pytest.fixture
+def parameters(device: Device, rng: np.random.Generator) -> Parameters:
+    shapes = ((COUNT, 3), (COUNT, 10, 3), (COUNT, 50), (COUNT, 6))
+    anchors = AnchorSet(*(rng.laplace(0, 2, shape).astype(np.float32) for shape in shapes))
+    return new_parameters(device, anchors, init_mlps(rng))
+
+
+def term_of(device: Device, price: float, config: TrainConfig = CONFIG) -> RateTerm:
+    term = RateTerm(device, config, SCALES)
+    term.price = price
+    return term
+
+
+def added(device: Device, term: RateTerm, parameters: Parameters, step: int) -> dict:
+    """What a step adds to gradients of zero, and the bits that it reports."""
+    tensors = dict(parameters.scene.items())
+    zeros = {f"d_{name}": device.zeros(tensors[name].shape) for name in ANCHOR_GROUPS}
+    gradients = SceneGradients(**zeros, d_weights=None, d_mean2d=None)  # type: ignore[arg-type]
+    bits = term.add(parameters, gradients, step)
+    return {"bits": bits, **{name: device.download(zeros[f"d_{name}"]) for name in ANCHOR_GROUPS}}
+
+
+def test_the_gradient_is_that_of_the_price_of_all_bits(
+    device: Device, parameters: Parameters
+) -> None:
+    price = 1e-6
+    found = added(device, term_of(device, price), parameters, 10)
+    total = 0.0
+    for name in ANCHOR_GROUPS:
+        x, q = device.download(getattr(parameters.scene.anchors, name)), getattr(SCALES, name)
+        symbols = reference.symbols(x.reshape(COUNT, -1), q)
+        total += reference.forward(symbols)
+        wanted = PUSH * price * q * COUNT * reference.backward(symbols)
+        scale = np.abs(wanted).max()
+        np.testing.assert_allclose(found[name].reshape(COUNT, -1), wanted, atol=2e-4 * scale)
+    assert found["bits"] == pytest.approx(total, rel=1e-4)
+
+
+def test_every_step_gets_it_and_only_some_look_at_all_anchors(
+    device: Device, parameters: Parameters
+) -> None:
+    term = term_of(device, 1e-6)
+    assert added(device, term, parameters, 10)["bits"] is not None
+    between = added(device, term, parameters, 13)
+    assert between["bits"] is None
+    assert np.abs(between["feature"]).max() > 0
+
+
+@pytest.mark.parametrize(("step", "due"), [(0, False), (1, True), (28_500, True), (28_501, False)])
+def test_between_the_switch_and_the_rest(
+    device: Device, parameters: Parameters, step: int, due: bool
+) -> None:
+    found = added(device, term_of(device, 1e-6), parameters, step)
+    assert (np.abs(found["feature"]).max() > 0) == due
+
+
+def test_no_price_no_gradient(device: Device, parameters: Parameters) -> None:
+    assert not added(device, term_of(device, 0.0), parameters, 10)["feature"].any()
+
+
+def test_the_code_weighs_the_bits_of_an_anchor_now_and_then(
+    device: Device, parameters: Parameters
+) -> None:
+    config = TrainConfig(
+        switch_step=0, growth_end=0, growth_start=0, statistics_start=0, rate_weight=1e-4
+    )
+    term = term_of(device, 0.0, config)
+    assert not added(device, term, parameters, 9)["feature"].any()
+    per_anchor = added(device, term, parameters, 10)["feature"]
+    x = device.download(parameters.scene.anchors.feature)
+    wanted = 1e-4 * 2.0 * reference.backward(reference.symbols(x, 2.0))
+    np.testing.assert_allclose(per_anchor, wanted, atol=2e-4 * np.abs(wanted).max())
+
+
+def test_a_step_done_again_gets_the_table_of_before(device: Device, parameters: Parameters) -> None:
+    term = term_of(device, 1e-6)
+    added(device, term, parameters, 10)
+    first = added(device, term, parameters, 19)
+    offset = parameters.scene.anchors.offset
+    device.write(offset, 3 * device.download(offset))
+    added(device, term, parameters, 20)
+    device.write(offset, device.download(offset) / np.float32(3))
+    again = added(device, term, parameters, 19)
+    np.testing.assert_array_equal(again["scaling"], first["scaling"])
+    np.testing.assert_array_equal(again["feature"], first["feature"])
+
+
+def test_what_a_checkpoint_holds_is_enough(device: Device, parameters: Parameters) -> None:
+    term = term_of(device, 1e-6)
+    added(device, term, parameters, 10)
+    other = RateTerm(device, CONFIG, QuantizationScales())
+    other.restore(term.state())
+    assert (other.scales, other.price) == (term.scales, term.price)
+    feature = parameters.scene.anchors.feature
+    device.write(feature, 3 * device.download(feature))
+    mine, theirs = (added(device, one, parameters, 14) for one in (term, other))
+    for name in ANCHOR_GROUPS:
+        np.testing.assert_array_equal(mine[name], theirs[name])
