@@ -47,16 +47,12 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Train; exit code 0."""
     from clgs.cli.progress import TrainingDisplay, print_summary
-    from clgs.data.dataset import load_dataset
-    from clgs.data.point_file import PointFile
-    from clgs.data.points import RandomStart
-    from clgs.data.reduction import Reduction
-    from clgs.data.stored_photo import PhotoMemory
     from clgs.errors import DataError, UsageError
     from clgs.files import check_folder
     from clgs.memory import return_freed_memory
     from clgs.opencl.device import Device
     from clgs.train.run.finished_run import finished_run
+    from clgs.train.run.load import load_for
     from clgs.train.run.session import Session
 
     return_freed_memory()
@@ -69,18 +65,7 @@ def run(args: argparse.Namespace) -> int:
         raise DataError(f"{args.output}: holds a run already; add --resume or name another folder")
     device = Device(args.device)
     device.profile.enabled = args.profile
-    dataset = load_dataset(
-        args.data,
-        downscale=Reduction(config.downscale, config.max_size),
-        preset_units=not config.normalize,
-        cache=args.output,
-        seed=config.seed,
-        load_images=PhotoMemory(config.photo_memory * 2**20),
-        load_points=PointFile(Path(config.points), config.point_samples)
-        if config.points
-        else RandomStart(config.start_points, config.start_volume == "hull"),
-        on_stage=partial(print, file=sys.stderr, flush=True),
-    )
+    dataset = load_for(config, args.data, args.output, partial(print, file=sys.stderr, flush=True))
     config = config.for_dataset(dataset.kind)
     if args.resume and (finished := finished_run(args.output, dataset, config)):
         print(f"{args.output}: is finished already, after {config.steps} steps; nothing is changed")

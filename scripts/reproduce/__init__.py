@@ -1,0 +1,1 @@
+"""The parts of ``scripts/reproduce.py``: a table of runs, trained as tasks, and their report."""

@@ -1,0 +1,107 @@
+"""The report: results.md with its plots, results.csv, results.json and the files of main rows."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from clgs.files import atomic_write
+from reproduce import tables
+from reproduce.baseline import Point, read_published
+from reproduce.figures import draw_all
+from reproduce.results import Results, compare
+from reproduce.table import run_folder
+
+NAME = "results"
+"""Of the files, and of the folder beside them that holds plots and scenes."""
+
+KEPT_BYTES = 1_000_000
+"""Scenes of main rows up to this size are copied for others to score; of all there is a hash."""
+
+LEFT_OUT = ("histograms", "settings")
+"""Fields of a row that only its ``row.json`` has; an entry has the settings already."""
+
+COLUMNS = (
+    "experiment", "scene", "label", "seed", "steps", "psnr", "psnr_channel_mean", "ssim", "bytes",
+    "anchors", "views", "split", "seconds", "load_seconds", "train_seconds", "encode_seconds",
+    "decode_seconds", "pictures_per_second", "peak_memory_bytes", "workers", "device", "state",
+    "run", "sha256", "scene_hash",
+)  # fmt: skip
+SECTIONS = ("ANCH", "OFFS", "FEAT", "SCAL", "MLPS", "META", "CHNK", "container")
+BITS = ("proxy_channel", "proxy_pooled", "paper", "default")
+
+
+def write_report(
+    folder: Path, results: Results, output: Path, command: str, baseline: Sequence[Point] = ()
+) -> list[Path]:
+    """Write the report of what is finished; returns its files.
+
+    Args:
+        folder: receives results.md, results.csv, results.json and the folder results.
+        results: as read from the runs.
+        output: the folder of the runs.
+        command: what makes the report again.
+        baseline: points of another state.
+    """
+    inner = folder / NAME
+    inner.mkdir(parents=True, exist_ok=True)
+    published = read_published()
+    plots = draw_all(inner, results, baseline, published)
+    kept = _keep_scenes(inner, results, output)
+    compared = compare(results, baseline) if baseline else []
+    text = tables.page(results, command, plots, kept, compared, published)
+    rows = [_record(cell.entry, cell.row) for cell in results.cells]
+    whole = {
+        "command": command,
+        "rows": rows,
+        "missing": sorted({one.run for one in results.missing}),
+        "baseline": [asdict(one) for one in compared],
+        "proxy": tables.proxy_records(results),
+    }
+    contents = {
+        folder / f"{NAME}.md": text,
+        folder / f"{NAME}.csv": _csv(rows),
+        folder / f"{NAME}.json": json.dumps(whole, indent=1) + "\n",
+    }
+    for path, content in contents.items():
+        atomic_write(path, content.encode())
+    return [*contents, *(inner / name for name in (*plots.values(), *kept.values()))]
+
+
+def _keep_scenes(folder: Path, results: Results, output: Path) -> dict[str, str]:
+    """Copy the small files of main rows; the copies' names by run."""
+    found = {}
+    for one in results.experiments("main"):
+        for cell in results.cells:
+            entry, row = cell.entry, cell.row
+            if entry.experiment == one.name and row["bytes"] <= KEPT_BYTES:
+                name = f"{entry.scene}_{one.name}_{entry.seed}.clgs"
+                data = (run_folder(output, entry.run) / "scene.clgs").read_bytes()
+                atomic_write(folder / name, data)
+                found[entry.run] = name
+    return found
+
+
+def _record(entry: Any, row: dict[str, Any]) -> dict[str, Any]:
+    """An entry with its row, without what is long."""
+    rest = {name: value for name, value in row.items() if name not in LEFT_OUT}
+    return {**asdict(entry), **rest}
+
+
+def _csv(rows: list[dict[str, Any]]) -> str:
+    """A line an entry; sections are bytes, bits are of the whole file and all attributes."""
+    text = io.StringIO(newline="")
+    columns = [*COLUMNS, *(f"bytes_{name}" for name in SECTIONS), *(f"bits_{one}" for one in BITS)]
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        sections = {f"bytes_{name}": row["sections"].get(name, 0) for name in SECTIONS}
+        bits = {f"bits_{one}": sum(row["bits"].get(one, {}).values()) for one in BITS}
+        device = row["machine"]["device"]["name"]
+        writer.writerow({**row, **sections, **bits, "device": device})
+    return text.getvalue()

@@ -1,0 +1,169 @@
+"""Reports of stored rows, without training; what is compared with other states."""
+
+from __future__ import annotations
+
+import csv
+import json
+from itertools import product
+
+import pytest
+from reproduce.baseline import Point, read_baseline, read_published
+from reproduce.report import write_report
+from reproduce.results import compare, read_results
+from reproduce.table import entries, read_table, run_folder
+from reproduce.worker import ROW
+
+from clgs.errors import DataError
+
+pytest.importorskip("matplotlib")
+
+
+@pytest.fixture
+def stored(table_file, tmp_path, row):
+    """The table and a folder with all of its runs but the ablation's."""
+    table = read_table(table_file)
+    figures = {
+        ("main", 0): (30.0, 1000), ("main", 1): (31.0, 2000), ("lambda", 0): (29.0, 500),
+    }  # fmt: skip
+    for one in entries(table):
+        folder = run_folder(tmp_path / "out", one.run)
+        if (one.experiment, one.seed) in figures and not folder.exists():
+            psnr, size = figures[one.experiment, one.seed]
+            folder.mkdir(parents=True)
+            found = row(one.run, psnr, size, size // 100, settings=one.settings)
+            (folder / ROW).write_text(json.dumps(found))
+            (folder / "scene.clgs").write_bytes(bytes(size))
+    return table
+
+
+def results_of(table, tmp_path):
+    return read_results(table, entries(table), tmp_path / "out")
+
+
+def test_a_report_has_all_that_is_stored(stored, tmp_path):
+    made = write_report(tmp_path / "docs", results_of(stored, tmp_path), tmp_path / "out", "x --y")
+    assert all(path.is_file() for path in made)
+    text = (tmp_path / "docs" / "results.md").read_text()
+    assert "Made by `x --y`" in text
+    # means over seeds with their range, beside each other
+    assert "| balls | main | 60 | 2 | 30.50 (30.00 to 31.00) | 30.60 (30.10 to 31.10) |" in text
+    assert "1,500 (1,000 to 2,000)" in text
+    assert "balls: tiny." in text
+    assert "1 runs are missing: taken-away of balls." in text
+    # 100 bytes of positions, 15 anchors on average, 1,500 bytes
+    assert "| 53.3 (6.7 %) |" in text
+    for name in ("curve_lambda.svg", "proxy.svg", "histograms.svg"):
+        assert f"](results/{name})" in text
+        assert (tmp_path / "docs" / "results" / name).stat().st_size > 1000
+    kept = tmp_path / "docs" / "results" / "balls_main_1.clgs"
+    assert len(kept.read_bytes()) == 2000
+
+
+def test_the_line_of_the_proxy_is_the_rows(stored, tmp_path):
+    write_report(tmp_path / "docs", results_of(stored, tmp_path), tmp_path / "out", "x")
+    whole = json.loads((tmp_path / "docs" / "results.json").read_text())
+    lines = {(one["proxy"], one["level"]): one for one in whole["proxy"]}
+    assert set(lines) == set(product(("channel", "pooled"), ("paper", "default")))
+    for one in lines.values():
+        assert (one["slope"], one["correlation"], one["count"]) == pytest.approx((0.9, 1.0, 3))
+
+
+def test_files_of_one_state_are_the_baseline_of_another(stored, tmp_path):
+    results = results_of(stored, tmp_path)
+    write_report(tmp_path / "docs", results, tmp_path / "out", "x")
+    for name in ("results.json", "results.csv"):
+        points = read_baseline(tmp_path / "docs" / name)
+        assert len(points) == len(results.cells) == 5  # of which one run is in three experiments
+        assert Point("balls", "lambda", 60, 500.0, 29.0) in points
+        (found,) = compare(results, points)
+        assert (found.kind, found.change) == ("BD-rate", pytest.approx(0.0, abs=1e-12))
+    with (tmp_path / "docs" / "results.csv").open() as file:
+        (first, *_) = csv.DictReader(file)
+    assert (first["bytes_FEAT"], first["bits_default"], first["device"]) == (
+        "300",
+        "13680.0",
+        "a device",
+    )
+
+
+def test_a_baseline_of_twice_the_bytes_is_minus_half(stored, tmp_path):
+    results = results_of(stored, tmp_path)
+    theirs = [Point("balls", "", None, 1000, 29.0), Point("balls", "", 60, 2000, 30.0)]
+    other = [Point("balls", "", 61, 9, 29.5), Point("balls", "main", 60, 9, 29.6)]
+    (found,) = compare(results, [*theirs, *other])
+    assert found.change == pytest.approx(-0.5)
+    write_report(tmp_path / "docs", results, tmp_path / "out", "x", theirs)
+    assert "| balls | lambda | BD-rate | -50.0 % |" in (tmp_path / "docs/results.md").read_text()
+
+
+def test_one_point_is_compared_at_its_psnr(stored, tmp_path):
+    (found,) = compare(results_of(stored, tmp_path), [Point("balls", "", None, 2000, 30.0)])
+    assert (found.kind, found.change) == ("bytes at its PSNR", pytest.approx(-0.5))
+
+
+def test_what_cannot_be_compared_says_why(stored, tmp_path):
+    results = results_of(stored, tmp_path)
+    (found,) = compare(results, [Point("other", "", None, 2000, 30.0)])
+    assert (found.change, found.reason) == (None, "the baseline has no point of it")
+    (found,) = compare(results, [Point("balls", "", None, 2000, 50.0)])
+    assert (found.change, found.reason) == (None, "the curve does not reach 50.00 dB")
+
+
+def test_nothing_finished_is_a_report_too(table_file, tmp_path):
+    results = results_of(read_table(table_file), tmp_path)
+    write_report(tmp_path, results, tmp_path / "out", "x")
+    assert "Nothing is finished." in (tmp_path / "results.md").read_text()
+
+
+def test_damaged_rows_are_missing(stored, tmp_path):
+    before = len(results_of(stored, tmp_path).missing)
+    for number, path in enumerate(sorted(tmp_path.glob("out/runs/*/row.json"))):
+        path.write_text(["{", "[]", '{"run": "x"}'][number])
+    found = results_of(stored, tmp_path)
+    assert not found.cells
+    assert len(found.missing) == before + 5
+
+
+BASELINES = [
+    ("a.json", "{", "is no JSON object with a field 'rows'"),
+    ("a.json", '{"rows": 1}', "rows: is not a list"),
+    ("a.json", '{"rows": [1]}', "row 1: is not an object"),
+    ("a.json", '{"rows": []}', "has no rows"),
+    ("a.csv", "scene,bytes\nmic,1\n", "row 1: psnr: None is no finite number"),
+    ("a.csv", "scene,bytes,psnr\nmic,1,30\nmic,x,30\n", "row 2: bytes: 'x' is no finite number"),
+    ("a.csv", "scene,bytes,psnr\nmic,0,30\n", "row 1: bytes: 0 is no size"),
+    ("a.csv", "scene,bytes,psnr\n,1,30\n", "row 1: scene: is missing"),
+    ("a.csv", "scene,bytes,psnr,steps\nmic,1,30,many\n", "row 1: steps: 'many' is no finite"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "message"), BASELINES, ids=[x[2] for x in BASELINES])
+def test_a_wrong_baseline_is_one_line(tmp_path, name, text, message):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(DataError) as error:
+        read_baseline(path)
+    line = str(error.value)
+    assert line.startswith(f"{path}: {message}")
+    assert "\n" not in line
+
+
+def test_a_plain_csv_is_a_baseline(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("scene,psnr,bytes,steps\nmic,34.3,1361921,3000\nmic,33.16,597725,\n")
+    assert read_baseline(path) == [
+        Point("mic", "", 3000, 1361921.0, 34.3),
+        Point("mic", "", None, 597725.0, 33.16),
+    ]
+    with pytest.raises(DataError, match=r"absent.csv: No such file"):
+        read_baseline(tmp_path / "absent.csv")
+
+
+def test_published_figures_have_what_tables_read():
+    found = read_published()
+    assert all(isinstance(line, str) for line in found["protocol"])
+    for method in found["methods"].values():
+        assert method["source"]
+        for one in method["scenes"].values():
+            assert one["psnr"] > 20
+            assert one["megabytes"] * method["megabyte"] > 1e5
