@@ -72,10 +72,11 @@ def test_scaled_moves_moments_and_keeps_intervals() -> None:
     assert dataclasses.replace(short, learning_rates=full.learning_rates) == dataclasses.replace(
         full, **moved
     )
-    assert rates.exposure == pytest.approx(
-        [10**0.5 * rate for rate in full.learning_rates.exposure]
-    )
-    assert dataclasses.replace(rates, exposure=full.learning_rates.exposure) == full.learning_rates
+    grown = {"feature": 0.5, "offset": 0.25, "exposure": 0.5}
+    for one in dataclasses.fields(rates):
+        before = getattr(full.learning_rates, one.name)
+        wanted = [10 ** grown.get(one.name, 0.0) * rate for rate in before]
+        assert getattr(rates, one.name) == pytest.approx(wanted)
     assert (short.growth_interval, short.rate_interval) == (100, 10)
     assert (short.slot_seen, short.anchor_visits) == (40, 80)
 
@@ -95,7 +96,11 @@ def test_what_cannot_be_met_is_refused(values: dict, message: str) -> None:
 
 def test_scaling_twice_is_scaling_once() -> None:
     once, twice = TrainConfig().scaled(900), TrainConfig().scaled(3000).scaled(900)
-    assert twice.learning_rates.exposure == pytest.approx(once.learning_rates.exposure)
+    for one in dataclasses.fields(LearningRates):
+        name = one.name
+        assert getattr(twice.learning_rates, name) == pytest.approx(
+            getattr(once.learning_rates, name)
+        )
     assert dataclasses.replace(twice, learning_rates=once.learning_rates) == once
 
 

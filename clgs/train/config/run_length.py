@@ -12,7 +12,7 @@ from clgs.train.config.option import Option
 FULL_STEPS = 30_000
 """Steps of a whole run (paper)."""
 
-MOST_SHORTENED = 30.0
+MOST_SHORTENED = 100.0
 """Learning rates change no more in runs that are shorter still."""
 
 ORDER = ("statistics_start", "growth_start", "growth_end", "switch_step", "freeze_step", "steps")

@@ -18,7 +18,7 @@ def test_rates_at_start_middle_and_end() -> None:
     assert start == pytest.approx(
         {
             "offset": 0.04,
-            "feature": 0.015,
+            "feature": 0.0075,
             "scaling": 0.007,
             "mlp_opacity": 0.002,
             "mlp_covariance": 0.004,
@@ -48,7 +48,8 @@ def test_constant_groups_stay_exactly_constant() -> None:
 def test_horizon_scales_with_steps() -> None:
     full, short = TrainConfig(), TrainConfig().scaled(3000)
     at_a_third, short_third = learning_rates(full, 10_000, 1.0), learning_rates(short, 1_000, 1.0)
-    wanted = {**at_a_third, "exposure": at_a_third["exposure"] * 10**0.5}
+    grown = {"feature": 10**0.5, "offset": 10**0.25, "exposure": 10**0.5}
+    wanted = {name: rate * grown.get(name, 1.0) for name, rate in at_a_third.items()}
     assert short_third == pytest.approx(wanted)
 
 
