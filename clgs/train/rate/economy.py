@@ -41,11 +41,6 @@ VIEWS = 48
 ANCHOR_BITS = 223.4
 """Bits of an anchor of the paper, a mean: with it anchors stand for bytes when the price is set."""
 
-RAMP = 5
-"""Rounds until integers become cheaper at the whole price: many small changes at once add up to
-more than the sum of what each would cost.
-"""
-
 SPARE = 0.995
 """Share of the size asked for that is aimed at: the MLPs still change."""
 
@@ -93,9 +88,8 @@ class Economy:
         first, last = step == config.switch_step, step == self.steps[-1]
         judged = self._judge(settings, queue).judge(queue.seen(parameters, step + (not first)))
         state = densifier.download(parameters)
-        ramp = min(1.0, (self.steps.index(step) + 1) / RAMP)
         free = self._free() if first else frozenset()
-        now = Situation(state, judged, queue.scales, free, ramp)
+        now = Situation(state, judged, queue.scales, free)
         if first:
             queue.rate.price = self._price(judged, len(state.anchors))
         if config.target_size:

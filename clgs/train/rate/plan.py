@@ -35,15 +35,13 @@ Measure = Callable[[QuantizedAnchors, QuantizationScales], int]
 class Situation:
     """What a plan is made of: anchors with what changes of them cost, and the scales so far.
 
-    free: names of the attributes whose scale may still be chosen; ramp: share of the price at
-    which integers become cheaper.
+    free: names of the attributes whose scale may still be chosen.
     """
 
     state: TrainState
     judged: Judgement
     scales: QuantizationScales
     free: frozenset[str] = frozenset()
-    ramp: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ def plan_at(price: float, now: Situation) -> Plan:
         values = getattr(anchors, name)
         if name in now.free:
             scales = replace(scales, **{name: best_scale(values, curvature, COARSE * price)})
-        cheap = cheaper_integers(values, curvature, getattr(scales, name), now.ramp * price)
+        cheap = cheaper_integers(values, curvature, getattr(scales, name), price)
         integers[name] = cheap.astype(np.int32)
     cells = position_integers(anchors.position, scales.position).astype(np.int32)
     planned = QuantizedAnchors(position=cells, **integers)
