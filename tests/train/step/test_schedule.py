@@ -23,6 +23,7 @@ def test_rates_at_start_middle_and_end() -> None:
             "mlp_opacity": 0.002,
             "mlp_covariance": 0.004,
             "mlp_color": 0.008,
+            "exposure": 0.01,
         }
     )
     middle = learning_rates(config, 15_000, radius)
@@ -49,6 +50,7 @@ def test_horizon_scales_with_steps() -> None:
     at_a_third, short_third = learning_rates(full, 10_000, 1.0), learning_rates(short, 1_000, 1.0)
     # between the powers at the start and at the end of a run of a tenth
     grown = {"feature": 10 ** (0.75 - 1.0 / 3), "offset": 10 ** (0.5 - 0.25 / 3)}
+    grown["exposure"] = 10**0.5
     for name, rate in at_a_third.items():
         assert short_third[name] == pytest.approx(rate * grown.get(name, 1.0))
 
