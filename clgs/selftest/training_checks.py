@@ -148,7 +148,7 @@ def _density(device: Device, rng: np.random.Generator, count: int) -> Iterator[F
 
 
 def _exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
-    shape = 3, 50, count // 50
+    shape = 3, 1, count
     image, d_picture = rng.normal(size=(2, *shape)).astype(np.float32)
     maps = (np.eye(3, 4) + rng.normal(0, 0.2, (2, 3, 4))).astype(np.float32)
     uploaded, d_uploaded, on_device = map(device.upload, (image, d_picture, maps))

@@ -32,7 +32,7 @@ from clgs.train.config.size_settings import SizeSettings
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
 
-LAMBDA = {True: 0.7, False: 2.0}
+LAMBDA = {True: 0.55, False: 1.8}
 """For Blender scenes and for photos, of runs of LAMBDA_STEPS; of others it goes with the root of
 the steps: what is not learned yet cannot show its worth.
 """
