@@ -15,7 +15,7 @@ sys.path.insert(0, str(SCRIPTS))
 TABLE = """
 [scene.balls]
 data = "balls"
-settings = { voxel = 0.05, start_points = 2000, steps = 60 }
+settings = { voxel = 0.05, start_points = 2000, steps = 60, size_lambda = 1.0 }
 protocol = "tiny"
 
 [experiment.main]

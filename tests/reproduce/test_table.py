@@ -30,7 +30,7 @@ def test_equal_runs_are_one(table_file, tmp_path):
     table = read_table(table_file)
     found = entries(table)
     run = {(one.experiment, one.label, one.seed): one.run for one in found}
-    # 1 is the default of lambda, so that this is the main row, too
+    # 1 is the lambda of the scene, so that this is the main row, too
     assert run["main", "", 0] == run["lambda", "1", 0] == run["taken-away", "as it is", 0]
     tasks = jobs(table, found, tmp_path, tmp_path / "out", {"state": "x"})
     assert len(tasks) == len(set(run.values())) == 4
