@@ -128,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
 
 def train(args: argparse.Namespace, table: Table, wanted: list[Entry]) -> list[Row]:
     """Train the runs of some entries that are not finished; the rows of those that failed."""
-    facts = {"state": state(), "workers": args.scheduler or args.workers}
+    facts = {"state": state(), "workers": "cluster" if args.scheduler else args.workers}
     waiting = [
         job
         for job in jobs(table, wanted, args.data, args.output, facts)

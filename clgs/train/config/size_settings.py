@@ -18,7 +18,7 @@ class SizeSettings:
         WEIGHT,
         unit="dB per halving",
         group="size",
-        open_default="2 on photos and 0.7 on Blender scenes, times the root of steps / 3,000",
+        open_default="1.8 on photos and 0.55 on Blender scenes, times the root of steps / 3,000",
     )
     target_size: int = option(
         0,

@@ -48,7 +48,7 @@ def uneven(tmp_path_factory):
 
 
 def trainer(device, dataset, **settings):
-    config = replace(preset("default").scaled(STEPS), voxel=0.02, **settings)
+    config = replace(preset("default").scaled(STEPS), voxel=0.02, size_lambda=0.0, **settings)
     return Trainer(device, dataset, config.for_dataset(dataset.kind))
 
 
