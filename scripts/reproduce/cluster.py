@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,10 +24,8 @@ Message = dict[str, Any]
 
 def require_distributed() -> None:
     """Raise ClgsError if dask.distributed is not installed."""
-    try:
-        import distributed  # noqa: F401 - whether it is there
-    except ImportError:
-        raise ClgsError('tasks need dask: pip install "clgs[reproduce]"') from None
+    if importlib.util.find_spec("distributed") is None:
+        raise ClgsError('tasks need dask: pip install "clgs[reproduce]"')
 
 
 @contextmanager

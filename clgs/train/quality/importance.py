@@ -10,7 +10,7 @@ do harm are needed by each other, and leaving out thousands of them by it costs 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,19 +34,17 @@ def importance(
     settings: RenderSettings,
     cameras: Sequence[Camera],
     options: RenderOptions = DEFAULT,
-    on_render: Callable[[Frame], None] = lambda frame: None,
+    on_render: Callable[[], None] = lambda: None,
 ) -> npt.NDArray[np.float64]:
     """The squared error of the pictures from ``cameras`` that each anchor saves, (A,) float64.
 
-    At least 0. Summed over pixels and channels, colors in [0, 1]. ``on_render`` is called with
-    the frame of each camera.
+    At least 0. Summed over pixels and channels, colors in [0, 1]. ``on_render`` is called after
+    each camera.
     """
-    total, rng = np.zeros(len(scene.anchors)), np.random.default_rng(SEED)
-    for camera in cameras:
-        frame = render_forward(device, scene, camera, settings, options)
-        gradients = blend_backward(device, frame, device.upload(_signs(rng, frame)))
+    total = np.zeros(len(scene.anchors))
+    for frame, gradients in _sign_passes(device, scene, settings, cameras, options):
         _add_importance(device, frame, gradients, total)
-        on_render(frame)
+        on_render()
     return total
 
 
@@ -70,19 +68,16 @@ def sensitivity(
     settings: RenderSettings,
     cameras: Sequence[Camera],
     options: RenderOptions = DEFAULT,
-    on_render: Callable[[Frame], None] = lambda frame: None,
 ) -> Sensitivity:
     """The importance of :func:`importance`, and the diagonal of the Gauss-Newton matrix.
 
     The latter by the same random signs: the mean of <signs, d image / d x>^2 is the squared length
     of d image / d x.
     """
-    total, rng = np.zeros(len(scene.anchors)), np.random.default_rng(SEED)
+    total = np.zeros(len(scene.anchors))
     curvature = {n: np.zeros(array.shape) for n, array in scene.anchors.items() if n != "position"}
     seen = np.zeros(len(scene.anchors), np.bool_)
-    for camera in cameras:
-        frame = render_forward(device, scene, camera, settings, options)
-        gradients = blend_backward(device, frame, device.upload(_signs(rng, frame)))
+    for frame, gradients in _sign_passes(device, scene, settings, cameras, options):
         _add_importance(device, frame, gradients, total)
         by_scene = scene_backward(device, scene, frame, gradients)
         for name, sums in curvature.items():
@@ -90,7 +85,6 @@ def sensitivity(
             sums += np.square(change)
         visible = device.download(frame.activations.visible)
         seen[visible[visible >= 0]] = True
-        on_render(frame)
     return Sensitivity(total, curvature, seen)
 
 
@@ -103,8 +97,19 @@ def importance_without_views(scene: QuantizedScene) -> npt.NDArray[np.float64]:
     return np.asarray(np.exp(np.clip(np.sort(shape, axis=1)[:, 1:].sum(axis=1), -80.0, 80.0)))
 
 
-def _signs(rng: np.random.Generator, frame: Frame) -> npt.NDArray[np.float32]:
-    return 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
+def _sign_passes(
+    device: Device,
+    scene: DeviceScene,
+    settings: RenderSettings,
+    cameras: Sequence[Camera],
+    options: RenderOptions,
+) -> Iterator[tuple[Frame, ProjectedGradients]]:
+    """The frame of each camera, and what its backward pass makes of random signs."""
+    rng = np.random.default_rng(SEED)
+    for camera in cameras:
+        frame = render_forward(device, scene, camera, settings, options)
+        signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
+        yield frame, blend_backward(device, frame, device.upload(signs))
 
 
 def _add_importance(

@@ -94,7 +94,7 @@ class Judge:
             scene.settings,
             cameras,
             self.options,
-            lambda frame: self.on_render(),
+            self.on_render,
         )
 
 

@@ -62,7 +62,7 @@ def test_small_and_other_pictures_are_errors(network: Lpips) -> None:
     with pytest.raises(ValueError, match="photo: shape"):
         network(x, y[:, :-1])
     with pytest.raises(TypeError, match="render: dtype"):
-        network(x / 255.0, y)  # type: ignore[arg-type]
+        network(x / 255.0, y)  # type: ignore[arg-type]  # what is refused
 
 
 KERNEL = "VGG16_0/Conv_0/kernel"

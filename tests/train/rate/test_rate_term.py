@@ -36,7 +36,8 @@ def added(device: Device, term: RateTerm, parameters: Parameters, step: int) -> 
     """What a step adds to gradients of zero, and the bits that it reports."""
     tensors = dict(parameters.scene.items())
     zeros = {f"d_{name}": device.zeros(tensors[name].shape) for name in ANCHOR_GROUPS}
-    gradients = SceneGradients(**zeros, d_weights=None, d_mean2d=None)  # type: ignore[arg-type]
+    unused = device.zeros((1,))
+    gradients = SceneGradients(**zeros, d_weights=unused, d_mean2d=unused)
     bits = term.add(parameters, gradients, step)
     return {"bits": bits, **{name: device.download(zeros[f"d_{name}"]) for name in ANCHOR_GROUPS}}
 
