@@ -3,6 +3,7 @@
 #define CLGS_ATTRIBUTES_COLUMNS_H
 
 #include "attributes/model.h"
+#include "common/bytes.h"
 
 #define CLGS_LANES 8        /* a long column is cut into so many runs of rows, coded in turn */
 #define CLGS_LONG_ROWS 2048 /* shorter columns are one run: every lane costs bytes */
@@ -13,7 +14,10 @@ typedef struct clgs_columns {
     size_t rows, channels, lanes;
     size_t pitch; /* entries from column to column; an odd number of 64, so that caches serve all */
     const int32_t *source; /* encoder: (rows, channels), as the caller has them */
+    const int32_t *near;   /* (rows, CLGS_NEAR): earlier rows, the first ones have fewer */
     int32_t *value;        /* (channels, rows), minus centre, modulo 2^32; only if `apart` */
+    int32_t *around;       /* (channels, rows): sums of values of near rows; only if `served` */
+    int32_t *rows_before;  /* (rows, CLGS_NEAR): near rows of an array without positions */
     uint8_t *symbol;       /* (channels, rows) */
     uint8_t *cell;         /* (rows): cells of the column at hand */
     int32_t *residual;     /* (rows): of the column at hand */
@@ -22,6 +26,7 @@ typedef struct clgs_columns {
     uint8_t *level;     /* of each activity, CLGS_MAX_ACTIVITY + 1 of them */
     uint8_t *tile;      /* some rows of symbols on their way from rows to columns or back */
     uint8_t apart[CLGS_MAX_CHANNELS];   /* the column's values differ from its symbols' */
+    uint8_t served[CLGS_MAX_CHANNELS];  /* a term looks at near rows of the column */
     uint32_t zigzag[CLGS_MAX_CHANNELS]; /* encoder: all bits that occur, unless `apart` */
 } clgs_columns;
 
@@ -41,7 +46,8 @@ size_t clgs_pitch(size_t rows);
 /* Bytes that `clgs_columns_place` hands out. */
 size_t clgs_columns_size(size_t rows, size_t channels);
 
-/* Lay the arrays out in `memory`, aligned as malloc does; activity becomes zero. The end. */
+/* Lay the arrays out in `memory`, aligned as malloc does; activity becomes zero. `near` may be
+ * NULL. The end, or NULL if a near row is not an earlier one. */
 uint8_t *clgs_columns_place(clgs_columns *columns, void *memory);
 
 /* Row-major values to columns: to values if `apart`, otherwise straight to symbols. */
@@ -55,14 +61,43 @@ void clgs_columns_predict(clgs_columns *columns, size_t j);
 void clgs_columns_restore(clgs_columns *columns, size_t j);
 
 /* The parts of a prediction: sums over other columns, to `residual`; factors of own rows, by how
- * far back; a sum of both as a value. */
-void clgs_columns_add_taps(clgs_columns *columns, size_t j);
-void clgs_columns_own_factors(const clgs_columns *columns, size_t j,
-                              int32_t own[CLGS_TAP_REACH + 1]);
+ * far back, and of own near rows at -CLGS_TAP_NEAR. Sums are in 1 / (CLGS_NEAR << FACTOR_BITS). */
+#define CLGS_OWN (1 - CLGS_TAP_NEAR)
+#define CLGS_SUM_BITS (CLGS_FACTOR_BITS + 2)
+_Static_assert(CLGS_NEAR << CLGS_FACTOR_BITS == 1 << CLGS_SUM_BITS, "sums of near rows are means");
+_Static_assert((int64_t)CLGS_TAPS * CLGS_NEAR * CLGS_MAX_FACTOR * CLGS_TAP_CLAMP + 1024 < INT32_MAX,
+               "sums fit");
 
+void clgs_columns_add_taps(clgs_columns *columns, size_t j);
+void clgs_columns_own_factors(const clgs_columns *columns, size_t j, int32_t own[CLGS_OWN]);
+
+/* Keep the sums over near rows of column j, whose values must be known, for terms. */
+void clgs_columns_serve(clgs_columns *columns, size_t j);
+
+/* Sum of the values of the rows near row i of a column. */
+int32_t clgs_columns_around(const clgs_columns *columns, const int32_t *value, size_t i);
+
+/* The prediction: a sum rounded, halves up. */
 static inline int32_t clgs_tap_rounded(int32_t sum)
 {
-    return (sum + (1 << (CLGS_FACTOR_BITS - 1))) >> CLGS_FACTOR_BITS;
+    return (sum + (1 << (CLGS_SUM_BITS - 1))) >> CLGS_SUM_BITS;
+}
+
+/* A value minus its prediction, or the reverse if that was rounded up: so the residual's likelier
+ * sign is plus. */
+static inline int32_t clgs_tap_residual(int32_t value, int32_t sum)
+{
+    uint32_t off = (uint32_t)value - (uint32_t)clgs_tap_rounded(sum);
+    int up = !(((uint32_t)sum + (1 << (CLGS_SUM_BITS - 1))) >> (CLGS_SUM_BITS - 1) & 1);
+    return clgs_signed(up ? 0 - off : off);
+}
+
+/* The value of such a residual. */
+static inline int32_t clgs_tap_value(int32_t residual, int32_t sum)
+{
+    int up = !(((uint32_t)sum + (1 << (CLGS_SUM_BITS - 1))) >> (CLGS_SUM_BITS - 1) & 1);
+    uint32_t off = up ? 0 - (uint32_t)residual : (uint32_t)residual;
+    return clgs_signed(off + (uint32_t)clgs_tap_rounded(sum));
 }
 
 /* Cells of column j but for the own column's part in its activity, which goes to `partial`. */

@@ -53,6 +53,7 @@ void clgs_literals_split(clgs_columns *columns, size_t j, clgs_literals *literal
     const int32_t *residual = columns->residual;
     if (!columns->apart[j])
         return;
+    clgs_columns_serve(columns, j);
     clgs_columns_predict(columns, j);
     for (size_t i = 0; i < columns->rows; i++) {
         uint32_t zigzag = clgs_zigzag(residual[i]);

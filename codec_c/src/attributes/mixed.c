@@ -35,7 +35,7 @@ typedef struct walk {
     const uint8_t *left, *further; /* symbols of the two columns before, or NULL */
     uint8_t *symbol;
     int32_t *value;
-    int32_t own[CLGS_TAP_REACH + 1], before[CLGS_TAP_REACH + 1]; /* factors and values, by row */
+    int32_t own[CLGS_OWN], before[CLGS_TAP_REACH + 1];           /* factors and values, by row */
     int32_t quick, slow;                                         /* averages, in 1/256 */
 } walk;
 
@@ -108,6 +108,8 @@ static void code_row(walk *w, clgs_mixed *m, clgs_symbol *symbol, size_t i)
     int32_t sum = w->columns->residual[i];
     for (int back = 1; back <= CLGS_TAP_REACH; back++)
         sum += w->own[back] * w->before[back];
+    if (w->own[-CLGS_TAP_NEAR])
+        sum += w->own[-CLGS_TAP_NEAR] * clgs_columns_around(w->columns, w->value, i);
     int32_t predicted = clgs_tap_rounded(sum);
     find_contexts(w, i, w->channel->taps > 0 ? predicted : (w->before[1] + w->before[2]) >> 1, cell,
                   context);
@@ -116,9 +118,9 @@ static void code_row(walk *w, clgs_mixed *m, clgs_symbol *symbol, size_t i)
     symbol->weight = m->weight[cell % CLGS_LEVELS / 8];
     int32_t residual = 0; /* what a decoder finds out */
     if (!symbol->mix.coder->decoding)
-        residual = clgs_signed((uint32_t)w->value[i] - (uint32_t)predicted);
+        residual = clgs_tap_residual(w->value[i], sum);
     residual = clgs_signed((uint32_t)clgs_symbol_value(symbol, residual));
-    w->value[i] = clgs_signed((uint32_t)residual + (uint32_t)predicted);
+    w->value[i] = clgs_tap_value(residual, sum);
     w->symbol[i] = clgs_symbol_of(clgs_zigzag(residual));
     w->before[3] = w->before[2];
     w->before[2] = w->before[1];

@@ -77,7 +77,7 @@ static void code_taps(header *h, clgs_channel *channel, int32_t j)
         int32_t back = code_within(h, FIELD_TAP_CHANNEL, j - tap->channel, 0, j);
         int32_t last = back == 0 ? -1 : CLGS_TAP_REACH;
         tap->channel = j - back;
-        tap->row = code_within(h, FIELD_TAP_ROW, tap->row, -CLGS_TAP_REACH, last);
+        tap->row = code_within(h, FIELD_TAP_ROW, tap->row, CLGS_TAP_NEAR, last);
         tap->factor =
             code_within(h, FIELD_TAP_FACTOR, tap->factor, -CLGS_MAX_FACTOR, CLGS_MAX_FACTOR);
     }
@@ -242,7 +242,7 @@ static int taps_valid(const clgs_channel *channel, int32_t j)
     for (int32_t t = 0; t < channel->taps; t++) {
         const clgs_tap *tap = channel->tap + t;
         if (!within(tap->channel, 0, j) ||
-            !within(tap->row, -CLGS_TAP_REACH, tap->channel == j ? -1 : CLGS_TAP_REACH) ||
+            !within(tap->row, CLGS_TAP_NEAR, tap->channel == j ? -1 : CLGS_TAP_REACH) ||
             !within(tap->factor, -CLGS_MAX_FACTOR, CLGS_MAX_FACTOR))
             return 0;
     }

@@ -10,6 +10,7 @@
 
 #define CLGS_TAPS 8        /* terms of a prediction */
 #define CLGS_TAP_REACH 3   /* rows that a term may lie before or after */
+#define CLGS_TAP_NEAR (-4) /* in place of a row: the mean of the near rows */
 #define CLGS_FACTOR_BITS 8 /* factors are in 1/256 */
 #define CLGS_MAX_FACTOR 2047
 #define CLGS_TAP_CLAMP 32767 /* predictions use values within this of their centre */
@@ -33,7 +34,7 @@ enum { CLGS_STATIC = 0, CLGS_MIXED = 1 };
 
 typedef struct clgs_tap {
     int32_t channel; /* this one or an earlier one */
-    int32_t row;     /* relative; an earlier one if the channel is this one */
+    int32_t row;     /* relative; an earlier one if the channel is this one; or CLGS_TAP_NEAR */
     int32_t factor;
 } clgs_tap;
 
