@@ -141,7 +141,7 @@ clgs_error clgs_paper_decode(const uint8_t *data, size_t size, int32_t *value, s
  * from `_header_read`. Every function checks a model before it follows it: one that is out of
  * range is refused, whatever its bytes. */
 
-/* 8,388 bytes per channel, or 0 unless there are 1 to CLGS_MAX_CHANNELS. */
+/* 8,484 bytes per channel, or 0 unless there are 1 to CLGS_MAX_CHANNELS. */
 size_t clgs_attributes_model_size(size_t channels);
 
 /* Bytes that `_header_write` never exceeds, about 108 kilobytes per channel; mostly it takes
@@ -194,7 +194,8 @@ size_t clgs_attributes_workspace(size_t rows, size_t channels);
  * near: as clgs_near fills it; any earlier rows do. NULL: the rows just before each row.
  * capacity: at least clgs_attributes_bound(model, rows, channels).
  * Returns the bytes written, at least 1; 0 if shape or model are out of range, a near row is not
- * an earlier one, `capacity` is too small, or a table gives no frequency to a symbol that occurs. */
+ * an earlier one, `capacity` is too small, or a table gives no frequency to a symbol that occurs.
+ */
 size_t clgs_attributes_encode(const void *model, const int32_t *value, const int32_t *near,
                               size_t rows, size_t channels, uint8_t *out, size_t capacity,
                               void *workspace);

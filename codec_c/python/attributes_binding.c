@@ -141,9 +141,8 @@ static PyObject *run_decode(const Py_buffer *model, const Py_buffer *data, const
     void *workspace = workspace_new(clgs_attributes_workspace(rows, channels));
     if (!workspace)
         return PyErr_NoMemory();
-    Py_BEGIN_ALLOW_THREADS error =
-        clgs_attributes_decode(model->buf, data->buf, (size_t)data->len, value->buf, near, rows,
-                               channels, workspace);
+    Py_BEGIN_ALLOW_THREADS error = clgs_attributes_decode(
+        model->buf, data->buf, (size_t)data->len, value->buf, near, rows, channels, workspace);
     Py_END_ALLOW_THREADS PyMem_Free(workspace);
     return result_of(error);
 }
@@ -198,7 +197,7 @@ PyObject *attributes_count(PyObject *module, PyObject *args)
 }
 
 static PyObject *run_measure(const Py_buffer *model, const Py_buffer *value, const Py_buffer *bytes,
-                           const Py_buffer *close)
+                             const Py_buffer *close)
 {
     size_t channels, rows;
     const int32_t *near;

@@ -10,7 +10,7 @@ import numpy.typing as npt
 Ints: TypeAlias = npt.NDArray[np.int32]
 Models: TypeAlias = npt.NDArray[Any]
 
-TAPS, CELLS, CLASSES, TABLE, SCALE = 8, 64, 16, 256, 4096
+TAPS, CELLS, CLASSES, TABLE, SCALE = 16, 64, 16, 256, 4096
 NEAR = -4
 """The row of a tap that looks at the near rows."""
 

@@ -21,7 +21,7 @@ ROWS = (0, -1, 1, -2)
 NEAR_ROWS = (0, NEAR)
 """The same of rows that have positions."""
 
-LEAST_GAIN = 0.01
+LEAST_GAIN = 0.003
 """A term must explain this part of what is left of a channel's variance."""
 
 LEAST_LEFT = 1e-6

@@ -32,7 +32,8 @@ size_t clgs_columns_size(size_t rows, size_t channels)
 {
     size_t cells = clgs_pitch(rows) * channels;
     return 2 * aligned(4 * cells) + aligned(cells) + 2 * aligned(4 * rows) + aligned(rows) +
-           aligned(4 * CLGS_NEAR * rows) + aligned(2 * (rows + 2)) + aligned(CLGS_MAX_ACTIVITY + 1) + TILE * stride(channels);
+           aligned(4 * CLGS_NEAR * rows) + aligned(2 * (rows + 2)) +
+           aligned(CLGS_MAX_ACTIVITY + 1) + TILE * stride(channels);
 }
 
 static void *take(uint8_t **memory, size_t size)
@@ -268,17 +269,19 @@ static void add_tap(clgs_columns *columns, const clgs_tap *tap)
     size_t rows = columns->rows, back = tap->row < 0 ? (size_t)-tap->row : 0;
     size_t ahead = tap->row > 0 ? (size_t)tap->row : 0;
     const int32_t *source = clgs_values(columns, (size_t)tap->channel);
+    uint32_t factor = (uint32_t)tap->factor * CLGS_NEAR, *sum = clgs_columns_sums(columns);
     if (back + ahead >= rows)
         return;
     for (size_t i = 0; i < rows - back - ahead; i++)
-        columns->residual[i + back] += tap->factor * CLGS_NEAR * clamp(source[i + ahead]);
+        sum[i + back] += factor * (uint32_t)clamp(source[i + ahead]);
 }
 
 static void add_near_tap(clgs_columns *columns, const clgs_tap *tap)
 {
     const int32_t *around = columns->around + (size_t)tap->channel * columns->pitch;
+    uint32_t factor = (uint32_t)tap->factor, *sum = clgs_columns_sums(columns);
     for (size_t i = 0; i < columns->rows; i++)
-        columns->residual[i] += tap->factor * around[i];
+        sum[i] += factor * (uint32_t)around[i];
 }
 
 /* Sums of the terms of column j, those of the column itself only if `own`. */
@@ -302,14 +305,14 @@ void clgs_columns_add_taps(clgs_columns *columns, size_t j)
     add_taps(columns, j, 0);
 }
 
-void clgs_columns_own_factors(const clgs_columns *columns, size_t j, int32_t own[CLGS_OWN])
+void clgs_columns_own_factors(const clgs_columns *columns, size_t j, uint32_t own[CLGS_OWN])
 {
     const clgs_channel *channel = columns->channel + j;
     memset(own, 0, CLGS_OWN * sizeof own[0]);
     for (int32_t t = 0; t < channel->taps; t++) {
         const clgs_tap *tap = channel->tap + t;
         if ((size_t)tap->channel == j)
-            own[-tap->row] += tap->row == CLGS_TAP_NEAR ? tap->factor : tap->factor * CLGS_NEAR;
+            own[-tap->row] += (uint32_t)tap->factor * (tap->row == CLGS_TAP_NEAR ? 1 : CLGS_NEAR);
     }
 }
 
@@ -322,27 +325,27 @@ void clgs_columns_predict(clgs_columns *columns, size_t j)
     }
     add_taps(columns, j, 1);
     for (size_t i = 0; i < columns->rows; i++)
-        columns->residual[i] = clgs_tap_residual(value[i], columns->residual[i]);
+        columns->residual[i] = clgs_tap_residual(value[i], clgs_columns_sums(columns)[i]);
 }
 
 void clgs_columns_restore(clgs_columns *columns, size_t j)
 {
-    int32_t *value = clgs_values(columns, j), own[CLGS_OWN];
-    int32_t before[CLGS_TAP_REACH + 1] = {0};
+    int32_t *value = clgs_values(columns, j);
+    uint32_t own[CLGS_OWN], before[CLGS_TAP_REACH + 1] = {0};
     if (columns->channel[j].taps == 0)
         return;
     clgs_columns_add_taps(columns, j);
     clgs_columns_own_factors(columns, j, own);
     for (size_t i = 0; i < columns->rows; i++) {
-        int32_t sum = columns->residual[i];
+        uint32_t sum = clgs_columns_sums(columns)[i];
         for (int back = 1; back <= CLGS_TAP_REACH; back++)
             sum += own[back] * before[back];
         if (own[-CLGS_TAP_NEAR])
-            sum += own[-CLGS_TAP_NEAR] * clgs_columns_around(columns, value, i);
+            sum += own[-CLGS_TAP_NEAR] * (uint32_t)clgs_columns_around(columns, value, i);
         value[i] = clgs_tap_value(value[i], sum);
         for (int back = CLGS_TAP_REACH; back > 1; back--)
             before[back] = before[back - 1];
-        before[1] = clamp(value[i]);
+        before[1] = (uint32_t)clamp(value[i]);
     }
 }
 

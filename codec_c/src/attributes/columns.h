@@ -20,7 +20,7 @@ typedef struct clgs_columns {
     int32_t *rows_before;  /* (rows, CLGS_NEAR): near rows of an array without positions */
     uint8_t *symbol;       /* (channels, rows) */
     uint8_t *cell;         /* (rows): cells of the column at hand */
-    int32_t *residual;     /* (rows): of the column at hand */
+    int32_t *residual;     /* (rows): of the column at hand; sums of its prediction before */
     uint16_t *activity; /* (rows + 2): magnitudes of the earlier channels, summed; zero borders */
     uint32_t *partial;  /* (rows): weighted activity without the own column's part */
     uint8_t *level;     /* of each activity, CLGS_MAX_ACTIVITY + 1 of them */
@@ -60,16 +60,20 @@ void clgs_columns_store(const clgs_columns *columns, int32_t *value);
 void clgs_columns_predict(clgs_columns *columns, size_t j);
 void clgs_columns_restore(clgs_columns *columns, size_t j);
 
+static inline uint32_t *clgs_columns_sums(const clgs_columns *columns)
+{
+    return (uint32_t *)columns->residual;
+}
+
 /* The parts of a prediction: sums over other columns, to `residual`; factors of own rows, by how
- * far back, and of own near rows at -CLGS_TAP_NEAR. Sums are in 1 / (CLGS_NEAR << FACTOR_BITS). */
+ * far back, and of own near rows at -CLGS_TAP_NEAR. Sums are in 1 / (CLGS_NEAR << FACTOR_BITS), and
+ * modulo 2^32. */
 #define CLGS_OWN (1 - CLGS_TAP_NEAR)
 #define CLGS_SUM_BITS (CLGS_FACTOR_BITS + 2)
 _Static_assert(CLGS_NEAR << CLGS_FACTOR_BITS == 1 << CLGS_SUM_BITS, "sums of near rows are means");
-_Static_assert((int64_t)CLGS_TAPS * CLGS_NEAR * CLGS_MAX_FACTOR * CLGS_TAP_CLAMP + 1024 < INT32_MAX,
-               "sums fit");
 
 void clgs_columns_add_taps(clgs_columns *columns, size_t j);
-void clgs_columns_own_factors(const clgs_columns *columns, size_t j, int32_t own[CLGS_OWN]);
+void clgs_columns_own_factors(const clgs_columns *columns, size_t j, uint32_t own[CLGS_OWN]);
 
 /* Keep the sums over near rows of column j, whose values must be known, for terms. */
 void clgs_columns_serve(clgs_columns *columns, size_t j);
@@ -78,25 +82,28 @@ void clgs_columns_serve(clgs_columns *columns, size_t j);
 int32_t clgs_columns_around(const clgs_columns *columns, const int32_t *value, size_t i);
 
 /* The prediction: a sum rounded, halves up. */
-static inline int32_t clgs_tap_rounded(int32_t sum)
+static inline int32_t clgs_tap_rounded(uint32_t sum)
 {
-    return (sum + (1 << (CLGS_SUM_BITS - 1))) >> CLGS_SUM_BITS;
+    return clgs_signed(sum + (1 << (CLGS_SUM_BITS - 1))) >> CLGS_SUM_BITS;
+}
+
+static inline int clgs_tap_rounds_up(uint32_t sum)
+{
+    return !((sum + (1 << (CLGS_SUM_BITS - 1))) >> (CLGS_SUM_BITS - 1) & 1);
 }
 
 /* A value minus its prediction, or the reverse if that was rounded up: so the residual's likelier
  * sign is plus. */
-static inline int32_t clgs_tap_residual(int32_t value, int32_t sum)
+static inline int32_t clgs_tap_residual(int32_t value, uint32_t sum)
 {
     uint32_t off = (uint32_t)value - (uint32_t)clgs_tap_rounded(sum);
-    int up = !(((uint32_t)sum + (1 << (CLGS_SUM_BITS - 1))) >> (CLGS_SUM_BITS - 1) & 1);
-    return clgs_signed(up ? 0 - off : off);
+    return clgs_signed(clgs_tap_rounds_up(sum) ? 0 - off : off);
 }
 
 /* The value of such a residual. */
-static inline int32_t clgs_tap_value(int32_t residual, int32_t sum)
+static inline int32_t clgs_tap_value(int32_t residual, uint32_t sum)
 {
-    int up = !(((uint32_t)sum + (1 << (CLGS_SUM_BITS - 1))) >> (CLGS_SUM_BITS - 1) & 1);
-    uint32_t off = up ? 0 - (uint32_t)residual : (uint32_t)residual;
+    uint32_t off = clgs_tap_rounds_up(sum) ? 0 - (uint32_t)residual : (uint32_t)residual;
     return clgs_signed(off + (uint32_t)clgs_tap_rounded(sum));
 }
 

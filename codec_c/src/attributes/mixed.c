@@ -35,8 +35,9 @@ typedef struct walk {
     const uint8_t *left, *further; /* symbols of the two columns before, or NULL */
     uint8_t *symbol;
     int32_t *value;
-    int32_t own[CLGS_OWN], before[CLGS_TAP_REACH + 1];           /* factors and values, by row */
-    int32_t quick, slow;                                         /* averages, in 1/256 */
+    uint32_t own[CLGS_OWN];             /* factors by row */
+    int32_t before[CLGS_TAP_REACH + 1]; /* values by row */
+    int32_t quick, slow;                /* averages, in 1/256 */
 } walk;
 
 size_t clgs_mixed_size(void)
@@ -105,11 +106,11 @@ static uint32_t find_cell(const walk *w, size_t i)
 static void code_row(walk *w, clgs_mixed *m, clgs_symbol *symbol, size_t i)
 {
     uint32_t context[INPUTS], cell = find_cell(w, i);
-    int32_t sum = w->columns->residual[i];
+    uint32_t sum = clgs_columns_sums(w->columns)[i];
     for (int back = 1; back <= CLGS_TAP_REACH; back++)
-        sum += w->own[back] * w->before[back];
+        sum += w->own[back] * (uint32_t)w->before[back];
     if (w->own[-CLGS_TAP_NEAR])
-        sum += w->own[-CLGS_TAP_NEAR] * clgs_columns_around(w->columns, w->value, i);
+        sum += w->own[-CLGS_TAP_NEAR] * (uint32_t)clgs_columns_around(w->columns, w->value, i);
     int32_t predicted = clgs_tap_rounded(sum);
     find_contexts(w, i, w->channel->taps > 0 ? predicted : (w->before[1] + w->before[2]) >> 1, cell,
                   context);

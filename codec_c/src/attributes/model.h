@@ -8,7 +8,7 @@
 
 #include "clgs_codec.h"
 
-#define CLGS_TAPS 8        /* terms of a prediction */
+#define CLGS_TAPS 16       /* terms of a prediction */
 #define CLGS_TAP_REACH 3   /* rows that a term may lie before or after */
 #define CLGS_TAP_NEAR (-4) /* in place of a row: the mean of the near rows */
 #define CLGS_FACTOR_BITS 8 /* factors are in 1/256 */
@@ -52,7 +52,7 @@ typedef struct clgs_channel {
     uint16_t frequency[CLGS_CLASSES][CLGS_TABLE];
 } clgs_channel;
 
-_Static_assert(sizeof(clgs_channel) == 33 * 4 + CLGS_CELLS + CLGS_CLASSES * CLGS_TABLE * 2,
+_Static_assert(sizeof(clgs_channel) == 57 * 4 + CLGS_CELLS + CLGS_CLASSES * CLGS_TABLE * 2,
                "the caller's array has this layout");
 
 /* Whether every field is in range, so that chunks can follow the model without further checks. */
