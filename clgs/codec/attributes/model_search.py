@@ -74,8 +74,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Rows:
-    """What a model is fitted to: ``values`` (n, channels) int32 in chunks, with or without
-    positions."""
+    """What a model is fitted to: ``values`` (n, channels) int32 in chunks, ``near`` by position."""
 
     values: Ints
     chunks: list[slice]

@@ -41,7 +41,9 @@ class PaperModel:
         """The mode alone."""
         return bytes([self.MODE])
 
-    def encode(self, rows: npt.NDArray[np.int32], near: npt.NDArray[np.int32] | None = None) -> bytes:
+    def encode(
+        self, rows: npt.NDArray[np.int32], near: npt.NDArray[np.int32] | None = None
+    ) -> bytes:
         """The stream of the rows (n, channels) int32."""
         return encode(rows)
 

@@ -151,7 +151,7 @@ def fit(
         return PaperModel(channels)
     values = np.ascontiguousarray(values, np.int32)
     chunks = runs(rows, chunk) if isinstance(chunk, int) else chunk
-    all_rows = model_search.Rows(values, chunks, near)
+    all_rows = Rows(values, chunks, near)
     model, size = model_search.fit(all_rows, search=level in ("default", "max"))
     tables = TableModel(_codec.attributes_header(model), model)
     paper = PaperModel(channels)
@@ -180,7 +180,7 @@ def _plain_is_smaller(plain: Model, tables: Model, size: int, rows: Rows) -> boo
 def _size(model: Model, rows: Rows) -> int:
     """Bytes of the header and of all chunks."""
     chunks = enumerate(rows.chunks)
-    near = (rows.near.of if rows.near and model.looks_near else lambda index: None)
+    near = rows.near.of if rows.near and model.looks_near else lambda index: None
     return len(model.header) + sum(len(model.encode(rows.values[c], near(i))) for i, c in chunks)
 
 

@@ -8,7 +8,7 @@
 #define LIMIT 250 /* states of the header */
 
 /* Bytes at most: a decision costs 12 bits. A number of 32 bits has 36 of them and 28 plain bits, a
- * frequency 18 and 9. Before its tables a channel has 56 numbers, then a decision per cell. */
+ * frequency 18 and 9. Before its tables a channel has 57 numbers, then a decision per cell. */
 #define NUMBER_MOST 62
 #define FREQUENCY_MOST 29
 #define TABLES_MOST (2 * CLGS_CELLS + FREQUENCY_MOST * CLGS_CLASSES * CLGS_ALPHABET)
@@ -190,7 +190,7 @@ size_t clgs_attributes_model_size(size_t channels)
 size_t clgs_attributes_header_bound(size_t channels)
 {
     int fits = channels >= 1 && channels <= CLGS_MAX_CHANNELS;
-    return fits ? 8 + channels * (56 * NUMBER_MOST + TABLES_MOST) : 0;
+    return fits ? 8 + channels * (57 * NUMBER_MOST + TABLES_MOST) : 0;
 }
 
 size_t clgs_attributes_header_workspace(void)
