@@ -184,7 +184,7 @@ clgs_error clgs_near(const int32_t *position, size_t rows, int32_t *near, void *
  * Here alone the model is not checked: `channels` of it must be there. */
 size_t clgs_attributes_bound(const void *model, size_t rows, size_t channels);
 
-/* About 12 bytes per value, 27 per row, and 1.6 megabytes; 0 as clgs_attributes_bound. For
+/* About 14 bytes per value, 27 per row, and 1.6 megabytes; 0 as clgs_attributes_bound. For
  * `_encode`, `_decode`, `_count` and `_measure`. */
 size_t clgs_attributes_workspace(size_t rows, size_t channels);
 

@@ -6,6 +6,7 @@
 #include "common/bytes.h"
 #include "attributes/literals.h"
 #include "attributes/mixed.h"
+#include "attributes/predict.h"
 #include "attributes/rans.h"
 
 #define PREFIX (2 * CLGS_MAX_VARINT) /* lengths of the literals and of the words, at most */

@@ -31,8 +31,8 @@ size_t clgs_pitch(size_t rows)
 size_t clgs_columns_size(size_t rows, size_t channels)
 {
     size_t cells = clgs_pitch(rows) * channels;
-    return 2 * aligned(4 * cells) + aligned(cells) + 2 * aligned(4 * rows) + aligned(rows) +
-           aligned(4 * CLGS_NEAR * rows) + aligned(2 * (rows + 2)) +
+    return 2 * aligned(4 * cells) + aligned(2 * cells) + aligned(cells) + 2 * aligned(4 * rows) +
+           aligned(rows) + aligned(4 * CLGS_NEAR * rows) + aligned(2 * (rows + 2)) +
            aligned(CLGS_MAX_ACTIVITY + 1) + TILE * stride(channels);
 }
 
@@ -54,7 +54,8 @@ static void find_apart(clgs_columns *columns)
         for (int32_t t = 0; t < channel->taps; t++) {
             const clgs_tap *tap = channel->tap + t;
             columns->apart[tap->channel] = 1;
-            columns->served[tap->channel] |= tap->row == CLGS_TAP_NEAR;
+            columns->served[tap->channel] |=
+                tap->row == CLGS_TAP_NEAR ? CLGS_SERVES_NEAR : CLGS_SERVES;
         }
     }
 }
@@ -94,6 +95,7 @@ uint8_t *clgs_columns_place(clgs_columns *columns, void *memory)
     columns->pitch = clgs_pitch(rows);
     columns->value = take(&next, 4 * cells);
     columns->around = take(&next, 4 * cells);
+    columns->clamped = take(&next, 2 * cells);
     columns->symbol = take(&next, cells);
     columns->residual = take(&next, 4 * rows);
     columns->partial = take(&next, 4 * rows);
@@ -237,116 +239,6 @@ void clgs_columns_store(const clgs_columns *columns, int32_t *value)
         for (size_t i = 0; i < rows && columns->apart[j]; i++)
             value[i * channels + j] =
                 clgs_signed((uint32_t)clgs_values(columns, j)[i] + (uint32_t)centre[j]);
-}
-
-static int32_t clamp(int32_t value)
-{
-    return value < -CLGS_TAP_CLAMP  ? -CLGS_TAP_CLAMP
-           : value > CLGS_TAP_CLAMP ? CLGS_TAP_CLAMP
-                                    : value;
-}
-
-int32_t clgs_columns_around(const clgs_columns *columns, const int32_t *value, size_t i)
-{
-    const int32_t *near = columns->near + CLGS_NEAR * i;
-    int32_t sum = 0;
-    for (size_t k = 0; k < CLGS_NEAR && k < i; k++)
-        sum += clamp(value[near[k]]);
-    return sum;
-}
-
-void clgs_columns_serve(clgs_columns *columns, size_t j)
-{
-    const int32_t *value = clgs_values(columns, j);
-    int32_t *around = columns->around + j * columns->pitch;
-    for (size_t i = 0; i < columns->rows && columns->served[j]; i++)
-        around[i] = clgs_columns_around(columns, value, i);
-}
-
-/* Add a term's part to the sums in `residual`; rows outside of the chunk count as 0. */
-static void add_tap(clgs_columns *columns, const clgs_tap *tap)
-{
-    size_t rows = columns->rows, back = tap->row < 0 ? (size_t)-tap->row : 0;
-    size_t ahead = tap->row > 0 ? (size_t)tap->row : 0;
-    const int32_t *source = clgs_values(columns, (size_t)tap->channel);
-    uint32_t factor = (uint32_t)tap->factor * CLGS_NEAR, *sum = clgs_columns_sums(columns);
-    if (back + ahead >= rows)
-        return;
-    for (size_t i = 0; i < rows - back - ahead; i++)
-        sum[i + back] += factor * (uint32_t)clamp(source[i + ahead]);
-}
-
-static void add_near_tap(clgs_columns *columns, const clgs_tap *tap)
-{
-    const int32_t *around = columns->around + (size_t)tap->channel * columns->pitch;
-    uint32_t factor = (uint32_t)tap->factor, *sum = clgs_columns_sums(columns);
-    for (size_t i = 0; i < columns->rows; i++)
-        sum[i] += factor * (uint32_t)around[i];
-}
-
-/* Sums of the terms of column j, those of the column itself only if `own`. */
-static void add_taps(clgs_columns *columns, size_t j, int own)
-{
-    const clgs_channel *channel = columns->channel + j;
-    memset(columns->residual, 0, 4 * columns->rows);
-    for (int32_t t = 0; t < channel->taps; t++) {
-        const clgs_tap *tap = channel->tap + t;
-        if (!own && (size_t)tap->channel == j)
-            continue;
-        if (tap->row == CLGS_TAP_NEAR)
-            add_near_tap(columns, tap);
-        else
-            add_tap(columns, tap);
-    }
-}
-
-void clgs_columns_add_taps(clgs_columns *columns, size_t j)
-{
-    add_taps(columns, j, 0);
-}
-
-void clgs_columns_own_factors(const clgs_columns *columns, size_t j, uint32_t own[CLGS_OWN])
-{
-    const clgs_channel *channel = columns->channel + j;
-    memset(own, 0, CLGS_OWN * sizeof own[0]);
-    for (int32_t t = 0; t < channel->taps; t++) {
-        const clgs_tap *tap = channel->tap + t;
-        if ((size_t)tap->channel == j)
-            own[-tap->row] += (uint32_t)tap->factor * (tap->row == CLGS_TAP_NEAR ? 1 : CLGS_NEAR);
-    }
-}
-
-void clgs_columns_predict(clgs_columns *columns, size_t j)
-{
-    const int32_t *value = clgs_values(columns, j);
-    if (columns->channel[j].taps == 0) {
-        memcpy(columns->residual, value, 4 * columns->rows);
-        return;
-    }
-    add_taps(columns, j, 1);
-    for (size_t i = 0; i < columns->rows; i++)
-        columns->residual[i] = clgs_tap_residual(value[i], clgs_columns_sums(columns)[i]);
-}
-
-void clgs_columns_restore(clgs_columns *columns, size_t j)
-{
-    int32_t *value = clgs_values(columns, j);
-    uint32_t own[CLGS_OWN], before[CLGS_TAP_REACH + 1] = {0};
-    if (columns->channel[j].taps == 0)
-        return;
-    clgs_columns_add_taps(columns, j);
-    clgs_columns_own_factors(columns, j, own);
-    for (size_t i = 0; i < columns->rows; i++) {
-        uint32_t sum = clgs_columns_sums(columns)[i];
-        for (int back = 1; back <= CLGS_TAP_REACH; back++)
-            sum += own[back] * before[back];
-        if (own[-CLGS_TAP_NEAR])
-            sum += own[-CLGS_TAP_NEAR] * (uint32_t)clgs_columns_around(columns, value, i);
-        value[i] = clgs_tap_value(value[i], sum);
-        for (int back = CLGS_TAP_REACH; back > 1; back--)
-            before[back] = before[back - 1];
-        before[1] = (uint32_t)clamp(value[i]);
-    }
 }
 
 void clgs_columns_partial(clgs_columns *columns, size_t j)

@@ -8,6 +8,8 @@
 #define CLGS_LANES 8        /* a long column is cut into so many runs of rows, coded in turn */
 #define CLGS_LONG_ROWS 2048 /* shorter columns are one run: every lane costs bytes */
 
+enum { CLGS_SERVES = 1, CLGS_SERVES_NEAR = 3 }; /* terms look at a column; at its near rows, too */
+
 /* One chunk in the caller's workspace. Columns follow each other, `pitch` entries apart. */
 typedef struct clgs_columns {
     const clgs_channel *channel;
@@ -16,7 +18,8 @@ typedef struct clgs_columns {
     const int32_t *source; /* encoder: (rows, channels), as the caller has them */
     const int32_t *near;   /* (rows, CLGS_NEAR): earlier rows, the first ones have fewer */
     int32_t *value;        /* (channels, rows), minus centre, modulo 2^32; only if `apart` */
-    int32_t *around;       /* (channels, rows): sums of values of near rows; only if `served` */
+    int16_t *clamped;      /* (channels, rows): values as terms use them; only if `served` */
+    int32_t *around;       /* (channels, rows): their sums over near rows; only if `served` so */
     int32_t *rows_before;  /* (rows, CLGS_NEAR): near rows of an array without positions */
     uint8_t *symbol;       /* (channels, rows) */
     uint8_t *cell;         /* (rows): cells of the column at hand */
@@ -26,7 +29,7 @@ typedef struct clgs_columns {
     uint8_t *level;     /* of each activity, CLGS_MAX_ACTIVITY + 1 of them */
     uint8_t *tile;      /* some rows of symbols on their way from rows to columns or back */
     uint8_t apart[CLGS_MAX_CHANNELS];   /* the column's values differ from its symbols' */
-    uint8_t served[CLGS_MAX_CHANNELS];  /* a term looks at near rows of the column */
+    uint8_t served[CLGS_MAX_CHANNELS];  /* terms look at the column */
     uint32_t zigzag[CLGS_MAX_CHANNELS]; /* encoder: all bits that occur, unless `apart` */
 } clgs_columns;
 
@@ -55,57 +58,6 @@ void clgs_columns_load(clgs_columns *columns, const int32_t *value);
 
 /* Columns to row-major values: from values if `apart`, otherwise from symbols. */
 void clgs_columns_store(const clgs_columns *columns, int32_t *value);
-
-/* Residuals of column j from its values, and the reverse. */
-void clgs_columns_predict(clgs_columns *columns, size_t j);
-void clgs_columns_restore(clgs_columns *columns, size_t j);
-
-static inline uint32_t *clgs_columns_sums(const clgs_columns *columns)
-{
-    return (uint32_t *)columns->residual;
-}
-
-/* The parts of a prediction: sums over other columns, to `residual`; factors of own rows, by how
- * far back, and of own near rows at -CLGS_TAP_NEAR. Sums are in 1 / (CLGS_NEAR << FACTOR_BITS), and
- * modulo 2^32. */
-#define CLGS_OWN (1 - CLGS_TAP_NEAR)
-#define CLGS_SUM_BITS (CLGS_FACTOR_BITS + 2)
-_Static_assert(CLGS_NEAR << CLGS_FACTOR_BITS == 1 << CLGS_SUM_BITS, "sums of near rows are means");
-
-void clgs_columns_add_taps(clgs_columns *columns, size_t j);
-void clgs_columns_own_factors(const clgs_columns *columns, size_t j, uint32_t own[CLGS_OWN]);
-
-/* Keep the sums over near rows of column j, whose values must be known, for terms. */
-void clgs_columns_serve(clgs_columns *columns, size_t j);
-
-/* Sum of the values of the rows near row i of a column. */
-int32_t clgs_columns_around(const clgs_columns *columns, const int32_t *value, size_t i);
-
-/* The prediction: a sum rounded, halves up. */
-static inline int32_t clgs_tap_rounded(uint32_t sum)
-{
-    return clgs_signed(sum + (1 << (CLGS_SUM_BITS - 1))) >> CLGS_SUM_BITS;
-}
-
-static inline int clgs_tap_rounds_up(uint32_t sum)
-{
-    return !((sum + (1 << (CLGS_SUM_BITS - 1))) >> (CLGS_SUM_BITS - 1) & 1);
-}
-
-/* A value minus its prediction, or the reverse if that was rounded up: so the residual's likelier
- * sign is plus. */
-static inline int32_t clgs_tap_residual(int32_t value, uint32_t sum)
-{
-    uint32_t off = (uint32_t)value - (uint32_t)clgs_tap_rounded(sum);
-    return clgs_signed(clgs_tap_rounds_up(sum) ? 0 - off : off);
-}
-
-/* The value of such a residual. */
-static inline int32_t clgs_tap_value(int32_t residual, uint32_t sum)
-{
-    uint32_t off = clgs_tap_rounds_up(sum) ? 0 - (uint32_t)residual : (uint32_t)residual;
-    return clgs_signed(off + (uint32_t)clgs_tap_rounded(sum));
-}
 
 /* Cells of column j but for the own column's part in its activity, which goes to `partial`. */
 void clgs_columns_partial(clgs_columns *columns, size_t j);

@@ -1,5 +1,6 @@
 #include "attributes/literals.h"
 
+#include "attributes/predict.h"
 #include "common/bytes.h"
 
 static void put_bits(clgs_literals *b, uint32_t value, uint32_t count)

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "attributes/predict.h"
 #include "common/bytes.h"
 #include "entropy/symbol.h"
 

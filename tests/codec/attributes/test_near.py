@@ -13,10 +13,12 @@ from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.reference.codec import attributes as reference
 from clgs.reference.codec.prediction import near_rows
+from clgs.scene.anchors import QuantizedAnchors
+from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene
 from tests.codec.from_document.container import read_container
 from tests.codec.from_document.scene import SceneDecoder
-from tests.codec.scenes import assert_same, random_scene
+from tests.codec.scenes import assert_same
 
 CLOUDS = {
     "none": np.empty((0, 3), np.int32),
@@ -50,20 +52,20 @@ def test_near_rows_of_another_number_are_refused() -> None:
 
 
 def smooth_scene(side: int) -> QuantizedScene:
-    """Features that change slowly over a bent sheet, and noise."""
+    """Features that change slowly over a bent sheet, and noise; rows in random order."""
     rng = np.random.default_rng(3)
-    scene = random_scene(rng, 10)
     u, v = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
-    position = np.stack([3 * u, 3 * v, (u - v) ** 2 // side], -1).reshape(-1, 3).astype(np.int32)
-    wave = np.sin(position @ rng.normal(0, 0.05, (3, 50)))
-    anchors = scene.anchors
-    anchors.position = rng.permutation(position)
-    wave = np.sin(anchors.position @ rng.normal(0, 0.05, (3, 50)))
+    sheet = np.stack([3 * u, 3 * v, (u - v) ** 2 // side], -1).reshape(-1, 3)
+    position = rng.permutation(sheet).astype(np.int32)
     count = len(position)
-    anchors.feature = np.rint(6 * wave + rng.normal(0, 1, (count, 50))).astype(np.int32)
-    anchors.offset = np.rint(rng.laplace(0, 0.5, (count, 10, 3))).astype(np.int32)
-    anchors.scaling = np.rint(rng.normal(-30, 3, (count, 6))).astype(np.int32)
-    return scene
+    wave = np.sin(position @ rng.normal(0, 0.05, (3, 50)))
+    anchors = QuantizedAnchors(
+        position,
+        np.rint(rng.laplace(0, 0.5, (count, 10, 3))).astype(np.int32),
+        np.rint(6 * wave + rng.normal(0, 1, (count, 50))).astype(np.int32),
+        np.rint(rng.normal(-30, 3, (count, 6))).astype(np.int32),
+    )
+    return QuantizedScene(anchors, Mlps(np.zeros(MLP_SIZE, np.float32)))
 
 
 def test_a_smooth_scene_takes_less_with_positions() -> None:

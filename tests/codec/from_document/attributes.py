@@ -22,6 +22,7 @@ from tests.codec.from_document.common import (
 )
 from tests.codec.from_document.entropy import RangeDecoder, SoloNumbers
 from tests.codec.from_document.mixed import MixedChannel
+from tests.codec.from_document.prediction import Prediction, rows_before
 from tests.codec.from_document.rows import decode_run_lengths
 
 THRESHOLDS = [
@@ -223,28 +224,6 @@ def symbol_of(residual: int) -> int:
     return 128 + 4 * (t - 7) + (z >> t - 2 & 3)
 
 
-class Prediction:
-    """A prediction (7.2), of the sum of its terms and one half."""
-
-    def __init__(self, total: int) -> None:
-        self.rounded = total >> 10
-        self.up = total % 1024 < 512
-
-    def value(self, residual: int) -> int:
-        """The value that has this residual."""
-        return wrap(self.rounded - residual if self.up else self.rounded + residual)
-
-
-def near_rows(positions: list[list[int]]) -> list[list[int]]:
-    """The near rows (7.2) of every row of a chunk."""
-    points = np.array(positions, np.int64).reshape(-1, 3)
-    near: list[list[int]] = []
-    for i in range(len(points)):
-        off = ((points[:i] - points[i]) ** 2).sum(axis=1)[::-1]
-        near.append([i - 1 - int(k) for k in np.argsort(off, kind="stable")[:4]])
-    return near
-
-
 class Chunk:
     """A chunk of mode 1: all its channels, one after another."""
 
@@ -402,5 +381,5 @@ class Attributes:
         if self.mode == 2:
             return np.array(decode_run_lengths(data, n, self.columns, what), np.int32)
         if near is None:
-            near = [list(range(i - 1, max(i - 5, -1), -1)) for i in range(n)]
+            near = rows_before(n)
         return Chunk(data, n, self.channels, near, what).decode()

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tests.codec.from_document.attributes import Attributes, near_rows
+from tests.codec.from_document.attributes import Attributes
 from tests.codec.from_document.chunks import SECTIONS, Chunks, Part, read_chunks
 from tests.codec.from_document.common import ByteReader, check, crc32c, morton_code, xxh64
 from tests.codec.from_document.octree import decode_octree
+from tests.codec.from_document.prediction import near_rows
 from tests.codec.from_document.weights import COUNT, decode_weights
 
 CHANNELS = {"OFFS": 30, "FEAT": 50, "SCAL": 6}
