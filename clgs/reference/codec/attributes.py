@@ -20,6 +20,7 @@ from clgs.reference.codec.prediction import (
     sum_of_terms,
     value_of,
     wrap,
+    wrapped_difference,
 )
 from clgs.reference.codec.runlength import CORRUPT, Symbol
 from clgs.reference.codec.varint import read_varint, varint
@@ -199,7 +200,8 @@ def _any_literals(channels: list[Channel]) -> bool:
 def _zigzags(channel: Channel, values: list[list[int]], near: list[list[int]], j: int) -> list[int]:
     """Zigzag numbers of the residuals of column j."""
     sums = (sum_of_terms(channel.taps, values, near, i) for i in range(len(values[j])))
-    residuals = [residual_of(value, total) for value, total in zip(values[j], sums, strict=True)]
+    residual = wrapped_difference if channel.mixed else residual_of
+    residuals = [residual(value, total) for value, total in zip(values[j], sums, strict=True)]
     return [2 * r if r >= 0 else -2 * r - 1 for r in residuals]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from clgs.reference.codec.coding import Coder, Curve, State, code_mixed
-from clgs.reference.codec.prediction import clamp, residual_of, rounded, value_of, wrap
+from clgs.reference.codec.prediction import clamp, rounded, wrap, wrapped_difference
 from clgs.reference.codec.runlength import Symbol, level, small_level
 
 LIMITS = (1000, 30, 250, 250, 250, 250, 250, 250, 250)
@@ -62,10 +62,19 @@ def code_column(coder: Coder, column: Column) -> None:
         near = _place(expected, NEAR)
         joint = 16 * near + cell % 32 // 2
         neighbours = _neighbours(column, i)
-        decisions.contexts = (0, 0, cell, near, *neighbours, joint, 2 * DRIFT * trend[0] + trend[1])
+        fraction = total % 1024 // 128
+        decisions.contexts = (
+            0,
+            fraction,
+            cell,
+            near,
+            *neighbours,
+            joint,
+            2 * DRIFT * trend[0] + trend[1],
+        )
         decisions.set = cell % 32 // 8
-        residual = wrap(decisions.value(coder, residual_of(values[i], total)))
-        values[i] = value_of(residual, total)
+        residual = wrap(decisions.value(coder, wrapped_difference(values[i], total)))
+        values[i] = wrap(residual + rounded(total))
         zigzag = 2 * residual if residual >= 0 else -2 * residual - 1
         column.symbols[column.j][i] = column.symbol_of(zigzag)
         quick += (256 * clamp(values[i]) - quick) >> 3

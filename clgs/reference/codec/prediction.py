@@ -47,8 +47,13 @@ def rounded(total: int) -> int:
     return total >> 10
 
 
+def wrapped_difference(value: int, total: int) -> int:
+    """The residual of a mixed channel."""
+    return wrap(value - rounded(total))
+
+
 def residual_of(value: int, total: int) -> int:
-    """Value minus prediction, or the reverse if the prediction was rounded up."""
+    """With tables: value minus prediction, or the reverse if the prediction was rounded up."""
     residual = value - rounded(total)
     return wrap(residual if total & 512 else -residual)
 

@@ -20,11 +20,11 @@ enum { PLAIN, QUICK, CELL, EXPECTED, OWN, CROSS, BESIDE, JOINT, TREND, INPUTS };
 _Static_assert(INPUTS <= CLGS_MAX_INPUTS, "a mix holds all inputs");
 
 /* Contexts of each input, and where the first one's states are. */
-static const uint16_t FIRST[INPUTS + 1] = {0, 1, 2, 66, 130, 194, 258, 322, 1346, 2370};
+static const uint16_t FIRST[INPUTS + 1] = {0, 1, 9, 73, 137, 201, 265, 329, 1353, 2377};
 
 struct clgs_mixed {
     clgs_tables tables;
-    uint32_t state[2370][CLGS_NODES];
+    uint32_t state[2377][CLGS_NODES];
     int32_t weight[WEIGHT_SETS][CLGS_NODES * INPUTS];
     uint16_t curve[CLGS_NODES][CLGS_CURVE_KNOTS];
 };
@@ -83,7 +83,7 @@ static void find_contexts(const walk *w, size_t i, int32_t expected, uint32_t ce
     int32_t further = w->further ? signed_symbol(w->further, i) : 0;
     int32_t above = w->left && i > 0 ? signed_symbol(w->left, i - 1) : 0;
     int32_t below = w->left && i + 1 < rows ? signed_symbol(w->left, i + 1) : 0;
-    context[PLAIN] = context[QUICK] = 0;
+    context[PLAIN] = 0;
     context[CELL] = cell;
     context[EXPECTED] = place(expected, NEAR);
     context[OWN] = clgs_signed_level(one) * 4 + clgs_small_level(two);
@@ -115,14 +115,15 @@ static void code_row(walk *w, clgs_mixed *m, clgs_symbol *symbol, size_t i)
     int32_t predicted = clgs_tap_rounded(sum);
     find_contexts(w, i, w->channel->taps > 0 ? predicted : (w->before[1] + w->before[2]) >> 1, cell,
                   context);
+    context[QUICK] = clgs_tap_fraction(sum);
     for (size_t k = 0; k < INPUTS; k++)
         symbol->base[k] = m->state[FIRST[k] + context[k]];
     symbol->weight = m->weight[cell % CLGS_LEVELS / 8];
     int32_t residual = 0; /* what a decoder finds out */
     if (!symbol->mix.coder->decoding)
-        residual = clgs_tap_residual(w->value[i], sum);
+        residual = clgs_signed((uint32_t)w->value[i] - (uint32_t)predicted);
     residual = clgs_signed((uint32_t)clgs_symbol_value(symbol, residual));
-    w->value[i] = clgs_tap_value(residual, sum);
+    w->value[i] = clgs_signed((uint32_t)residual + (uint32_t)predicted);
     w->symbol[i] = clgs_symbol_of(clgs_zigzag(residual));
     w->before[3] = w->before[2];
     w->before[2] = w->before[1];

@@ -38,13 +38,19 @@ static inline int32_t clgs_tap_rounded(uint32_t sum)
     return clgs_signed(sum + (1 << (CLGS_SUM_BITS - 1))) >> CLGS_SUM_BITS;
 }
 
+/* What was rounded off, in eighths from -4 to 3, plus 4. */
+static inline uint32_t clgs_tap_fraction(uint32_t sum)
+{
+    return (sum + (1 << (CLGS_SUM_BITS - 1))) >> (CLGS_SUM_BITS - 3) & 7;
+}
+
 static inline int clgs_tap_rounds_up(uint32_t sum)
 {
     return !((sum + (1 << (CLGS_SUM_BITS - 1))) >> (CLGS_SUM_BITS - 1) & 1);
 }
 
-/* A value minus its prediction, or the reverse if that was rounded up: so the residual's likelier
- * sign is plus. */
+/* Of channels with tables: a value minus its prediction, or the reverse if that was rounded up: so
+ * the residual's likelier sign is plus. */
 static inline int32_t clgs_tap_residual(int32_t value, uint32_t sum)
 {
     uint32_t off = (uint32_t)value - (uint32_t)clgs_tap_rounded(sum);

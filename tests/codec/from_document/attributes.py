@@ -340,9 +340,9 @@ class Chunk:
         for i in range(self.n):
             predicted = prediction(i)
             expected = predicted.rounded if channel.taps else model.expected(i)
-            residual = wrap(model.residual(i, cell(i, 0), expected))
+            residual = wrap(model.residual(i, cell(i, 0), expected, predicted.eighths))
             self.symbols[-1][i] = symbol_of(residual)
-            self.set_value(i, predicted.value(residual))
+            self.set_value(i, wrap(residual + predicted.rounded))
             model.learn(i)
 
 

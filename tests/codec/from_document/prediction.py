@@ -13,6 +13,7 @@ class Prediction:
     def __init__(self, total: int) -> None:
         self.rounded = total >> 10
         self.up = total % 1024 < 512
+        self.eighths = total % 1024 // 128
 
     def value(self, residual: int) -> int:
         """The value that has this residual."""
