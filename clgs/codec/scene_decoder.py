@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clgs.codec.attributes.near import NearRows
 from clgs.codec.attributes.row_coder import Model
 from clgs.codec.container import section_table
 from clgs.codec.container.chunks import Chunk
@@ -83,10 +84,12 @@ def decode_chunks(
     spans = [slice(*ends) for ends in pairwise(stops)]
     streams = [reader.streams(one.chunk) for one in opened]
     rows = {tag: np.empty((len(position), CHANNELS[tag]), np.int32) for tag in CHANNELS}
+    near = NearRows(position, spans)
 
     def fill(tag: str, model: Model, batch: range) -> None:
         for i in batch:
-            rows[tag][spans[i]] = reader.rows(model, streams[i][tag], opened[i].chunk)
+            near_rows = near.of(i) if model.looks_near else None
+            rows[tag][spans[i]] = reader.rows(model, streams[i][tag], opened[i].chunk, near_rows)
 
     tasks: list[Future[None]] = []
     for tag in (FEAT, OFFS, SCAL):

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from clgs.codec.arguments import check_choice, check_integer
 from clgs.codec.attributes import row_coder
+from clgs.codec.attributes.near import NearRows
 from clgs.codec.container import section_table
 from clgs.codec.container.chunks import (
     DEFAULT_CHUNK,
@@ -106,11 +107,12 @@ def _encode_sections(
     """The sections but META; what takes longest is begun first."""
     rows = {FEAT: anchors.feature, OFFS: flatten(anchors.offset), SCAL: anchors.scaling}
     parts = cut(anchors.position, chunk)
-    models = {tag: pool.submit(row_coder.fit, rows[tag], level, parts) for tag in rows}
+    near = NearRows(anchors.position, parts)
+    models = {tag: pool.submit(row_coder.fit, rows[tag], level, parts, near) for tag in rows}
     tasks = {ANCH: _encode_positions(anchors.position, parts, pool)}
     packed = pool.submit(encode_weights, weights, mlp)
     for tag, model in models.items():
-        tasks[tag] = _encode_rows(model.result(), rows[tag], parts, pool)
+        tasks[tag] = _encode_rows(model.result(), rows[tag], parts, near, pool)
     streams = {tag: [data for task in tasks[tag] for data in task.result()] for tag in TAGS}
     headers = {ANCH: b"", **{tag: model.result().header for tag, model in models.items()}}
     return {
@@ -136,11 +138,14 @@ def _encode_rows(
     model: row_coder.Model,
     rows: npt.NDArray[np.int32],
     parts: list[slice],
+    near: NearRows,
     pool: ThreadPoolExecutor,
 ) -> list[Future[list[bytes]]]:
     """The attributes of all parts, some of them per task."""
 
     def encode_batch(batch: range) -> list[bytes]:
+        if model.looks_near:
+            return [model.encode(rows[parts[i]], near.of(i)) for i in batch]
         return [model.encode(rows[parts[i]]) for i in batch]
 
     return [pool.submit(encode_batch, batch) for batch in batches(parts)]

@@ -1,18 +1,20 @@
-/* Attributes: two bytes of rows, one of channels, two of the header's length, header, chunk. */
+/* Attributes: two bytes of rows, one of channels and whether there are near rows, two of the
+ * header's length, header, chunk. */
 #include "fuzz.h"
 
-static void decode(void *model, fuzz_input chunk, size_t rows, size_t channels)
+static void decode(void *model, fuzz_input chunk, const int32_t *near, size_t rows, size_t channels)
 {
     int32_t *value = fuzz_block(FUZZ_VALUE, 4 * rows * channels);
     void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_workspace(rows, channels));
-    clgs_attributes_decode(model, chunk.at, chunk.size, value, rows, channels, workspace);
+    clgs_attributes_decode(model, chunk.at, chunk.size, value, near, rows, channels, workspace);
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     fuzz_input input = {data, size};
     size_t rows = fuzz_take_count(&input, 256, 4096) + 1;
-    size_t channels = fuzz_channels(fuzz_take(&input, 1));
+    uint32_t shape = fuzz_take(&input, 1);
+    size_t channels = fuzz_channels(shape);
     size_t length = fuzz_take(&input, 2);
     if (length > input.size)
         length = input.size;
@@ -22,6 +24,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     memset(model, 0, model_size);
     fuzz_input chunk = {input.at + length, input.size - length};
     if (clgs_attributes_header_read(input.at, length, model, channels, workspace) == CLGS_OK)
-        decode(model, chunk, rows, channels);
+        decode(model, chunk, shape & 4 ? fuzz_near(rows) : NULL, rows, channels);
     return 0;
 }

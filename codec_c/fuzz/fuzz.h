@@ -59,6 +59,7 @@ typedef enum fuzz_slot {
     FUZZ_VALUE,
     FUZZ_DECODED,
     FUZZ_OUTPUT,
+    FUZZ_NEAR,
     FUZZ_SLOTS
 } fuzz_slot;
 
@@ -79,6 +80,16 @@ static inline void *fuzz_block(fuzz_slot slot, size_t size)
     FUZZ_OPEN(block[slot], capacity[slot]);
     FUZZ_CLOSE(block[slot] + size, capacity[slot] - size);
     return block[slot];
+}
+
+/* Near rows of rows without positions: any earlier ones, the same for every input. */
+static inline const int32_t *fuzz_near(size_t rows)
+{
+    int32_t *near = (int32_t *)fuzz_block(FUZZ_NEAR, 4 * CLGS_NEAR * rows);
+    for (size_t i = 0; i < rows; i++)
+        for (size_t k = 0; k < CLGS_NEAR; k++)
+            near[CLGS_NEAR * i + k] = i > k ? (int32_t)((i * 7919 + k * 31) % i) : -1;
+    return near;
 }
 
 static inline void fuzz_check(int holds)

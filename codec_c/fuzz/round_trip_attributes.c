@@ -13,10 +13,11 @@ static void round_trip(void *model, const int32_t *value, size_t rows, size_t ch
     uint8_t *out = fuzz_block(FUZZ_OUTPUT, bound);
     int32_t *decoded = fuzz_block(FUZZ_DECODED, 4 * rows * channels);
     void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_workspace(rows, channels));
-    size_t size = clgs_attributes_encode(model, value, rows, channels, out, bound, workspace);
+    size_t size = clgs_attributes_encode(model, value, NULL, rows, channels, out, bound, workspace);
     fuzz_check(size <= bound);
     if (size > 0) { /* 0: a symbol that the tables lack */
-        fuzz_check(!clgs_attributes_decode(model, out, size, decoded, rows, channels, workspace));
+        fuzz_check(
+            !clgs_attributes_decode(model, out, size, decoded, NULL, rows, channels, workspace));
         fuzz_check(memcmp(value, decoded, 4 * rows * channels) == 0);
     }
 }

@@ -1,7 +1,8 @@
 /* Attributes under any predictions and activity, with the encoder's own tables: the header comes
  * back as it was written, and so do the values.
  *
- * One byte of channels and how wide values are; fields of each channel; values of a byte or four.
+ * One byte of channels, how wide values are, and whether there are near rows; fields of each
+ * channel; values of a byte or four.
  */
 #include "attributes/model.h"
 #include "fuzz.h"
@@ -31,7 +32,7 @@ static void take_taps(fuzz_input *input, clgs_channel *channel, int32_t j)
         uint32_t place = fuzz_take(input, 1);
         clgs_tap *tap = channel->tap + t;
         tap->channel = (int32_t)place % (j + 1);
-        tap->row = (int32_t)(place >> 2) % (2 * CLGS_TAP_REACH + 1) - CLGS_TAP_REACH;
+        tap->row = (int32_t)(place >> 2) % (CLGS_TAP_REACH + 1 - CLGS_TAP_NEAR) + CLGS_TAP_NEAR;
         if (tap->channel == j && tap->row >= 0)
             tap->row = -1;
         tap->factor = take_below(input, 2 * CLGS_MAX_FACTOR + 1) - CLGS_MAX_FACTOR;
@@ -54,14 +55,15 @@ static void take_channel(fuzz_input *input, clgs_channel *channel, int32_t j)
 }
 
 /* Tables from the values; mixed channels have none. */
-static void fit(clgs_channel *model, const int32_t *value, size_t rows, size_t channels)
+static void fit(clgs_channel *model, const int32_t *value, const int32_t *near, size_t rows,
+                size_t channels)
 {
     size_t size = sizeof(uint32_t) * channels * CLGS_CELLS * CLGS_TABLE;
     uint32_t *count = fuzz_block(FUZZ_OUTPUT, size);
     uint64_t cost[MAX_CHANNELS];
     memset(count, 0, size);
     void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_workspace(rows, channels));
-    fuzz_check(!clgs_attributes_count(model, value, rows, channels, count, workspace));
+    fuzz_check(!clgs_attributes_count(model, value, near, rows, channels, count, workspace));
     workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_choose_workspace());
     fuzz_check(!clgs_attributes_choose(model, channels, count, SCALE_ONE, cost, workspace));
     for (size_t j = 0; j < channels; j++)
@@ -85,28 +87,29 @@ static void check_header(clgs_channel *model, size_t channels)
     fuzz_check(memcmp(model, again, size) == 0);
 }
 
-static void check_measure(const clgs_channel *model, const int32_t *value, size_t rows,
-                          size_t channels)
+static void check_measure(const clgs_channel *model, const int32_t *value, const int32_t *near,
+                          size_t rows, size_t channels)
 {
     uint64_t measured[MAX_CHANNELS] = {0};
     void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_workspace(rows, channels));
     uint8_t *out = fuzz_block(FUZZ_OUTPUT, clgs_attributes_measure_bound(rows));
-    fuzz_check(!clgs_attributes_measure(model, value, rows, channels, measured, out, workspace));
+    fuzz_check(
+        !clgs_attributes_measure(model, value, near, rows, channels, measured, out, workspace));
     for (size_t j = 0; j < channels; j++)
         fuzz_check((measured[j] > 0) == (model[j].coder == CLGS_MIXED));
 }
 
-static void check_chunk(const clgs_channel *model, const int32_t *value, size_t rows,
-                        size_t channels)
+static void check_chunk(const clgs_channel *model, const int32_t *value, const int32_t *near,
+                        size_t rows, size_t channels)
 {
     size_t bound = clgs_attributes_bound(model, rows, channels);
     uint8_t *out = fuzz_block(FUZZ_OUTPUT, bound);
     int32_t *decoded = fuzz_block(FUZZ_DECODED, 4 * rows * channels);
     void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_workspace(rows, channels));
-    size_t size = clgs_attributes_encode(model, value, rows, channels, out, bound, workspace);
+    size_t size = clgs_attributes_encode(model, value, near, rows, channels, out, bound, workspace);
     fuzz_check(size > 0 && size <= bound);
     workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_workspace(rows, channels));
-    fuzz_check(!clgs_attributes_decode(model, out, size, decoded, rows, channels, workspace));
+    fuzz_check(!clgs_attributes_decode(model, out, size, decoded, near, rows, channels, workspace));
     fuzz_check(memcmp(value, decoded, 4 * rows * channels) == 0);
 }
 
@@ -128,10 +131,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     int32_t *value = fuzz_block(FUZZ_VALUE, 4 * rows * channels);
     for (size_t i = 0; i < rows * channels; i++)
         value[i] = take_value(&input, shape & 128);
-    fit(model, value, rows, channels);
+    const int32_t *near = shape & 32 ? fuzz_near(rows) : NULL;
+    fit(model, value, near, rows, channels);
     check_header(model, channels);
     if (shape & 64)
-        check_measure(model, value, rows, channels);
-    check_chunk(model, value, rows, channels);
+        check_measure(model, value, near, rows, channels);
+    check_chunk(model, value, near, rows, channels);
     return 0;
 }

@@ -39,6 +39,7 @@ typedef enum clgs_error {
 #define CLGS_MAX_ROWS ((uint32_t)1 << 20) /* of a layer */
 #define CLGS_MAX_COLUMNS 1024             /* of a layer */
 #define CLGS_MAX_DEPTH 21                 /* octree levels: 3 * 21 bits fit a Morton code */
+#define CLGS_NEAR 4                       /* near rows of a row of attributes */
 
 /* An English phrase for an error code, such as "the stream ends before its last symbol".
  *
@@ -140,7 +141,7 @@ clgs_error clgs_paper_decode(const uint8_t *data, size_t size, int32_t *value, s
  * from `_header_read`. Every function checks a model before it follows it: one that is out of
  * range is refused, whatever its bytes. */
 
-/* 8,388 bytes per channel, or 0 unless there are 1 to CLGS_MAX_CHANNELS. */
+/* 8,484 bytes per channel, or 0 unless there are 1 to CLGS_MAX_CHANNELS. */
 size_t clgs_attributes_model_size(size_t channels);
 
 /* Bytes that `_header_write` never exceeds, about 108 kilobytes per channel; mostly it takes
@@ -165,40 +166,56 @@ size_t clgs_attributes_header_write(void *model, size_t channels, uint8_t *out, 
 clgs_error clgs_attributes_header_read(const uint8_t *data, size_t size, void *model,
                                        size_t channels, void *workspace);
 
+/* About 3.5 bytes per row, or 0 if there are more than CLGS_MAX_POINTS. */
+size_t clgs_near_workspace(size_t rows);
+
+/* The near rows of each row: the CLGS_NEAR earlier rows at the least distance from it, nearest
+ * first, of equal distances the later rows.
+ *
+ * position: (rows, 3), in any order; in Morton order it takes least time. A row is compared with
+ *     those before it in blocks, seldom with many.
+ * near: (rows, CLGS_NEAR); -1 where there are fewer earlier rows.
+ * Returns CLGS_ERROR_ARGUMENT if there are more than CLGS_MAX_POINTS rows, or positions span 2^21
+ * or more on an axis. */
+clgs_error clgs_near(const int32_t *position, size_t rows, int32_t *near, void *workspace);
+
 /* 58 bytes and 6 per value, 62 instead of 6 in the channels that the model mixes; or 0 unless there
  * are 1 to CLGS_MAX_CHANNELS channels, and at least 1 and at most 2^28 values.
  * Here alone the model is not checked: `channels` of it must be there. */
 size_t clgs_attributes_bound(const void *model, size_t rows, size_t channels);
 
-/* About 8 bytes per value, 11 per row, and 1.6 megabytes; 0 as clgs_attributes_bound. For
- * `_encode`,
- * `_decode`, `_count` and `_measure`. */
+/* About 14 bytes per value, 27 per row, and 1.6 megabytes; 0 as clgs_attributes_bound. For
+ * `_encode`, `_decode`, `_count` and `_measure`. */
 size_t clgs_attributes_workspace(size_t rows, size_t channels);
 
 /* One chunk of a matrix of any int32.
  *
  * value: (rows, channels), row-major, at least one row.
+ * near: as clgs_near fills it; any earlier rows do. NULL: the rows just before each row.
  * capacity: at least clgs_attributes_bound(model, rows, channels).
- * Returns the bytes written, at least 1; 0 if shape or model are out of range, `capacity` is too
- * small, or a table gives no frequency to a symbol that occurs. */
-size_t clgs_attributes_encode(const void *model, const int32_t *value, size_t rows, size_t channels,
-                              uint8_t *out, size_t capacity, void *workspace);
+ * Returns the bytes written, at least 1; 0 if shape or model are out of range, a near row is not
+ * an earlier one, `capacity` is too small, or a table gives no frequency to a symbol that occurs.
+ */
+size_t clgs_attributes_encode(const void *model, const int32_t *value, const int32_t *near,
+                              size_t rows, size_t channels, uint8_t *out, size_t capacity,
+                              void *workspace);
 
-/* The rows of a chunk, to (rows, channels) of `value`; the shape is the encoder's.
+/* The rows of a chunk, to (rows, channels) of `value`; shape and near rows are the encoder's.
  *
  * A chunk of constant channels takes a byte: `size` does not bound `rows`. Damaged input: an error,
- * or other numbers. Returns CLGS_ERROR_ARGUMENT if shape or model are out of range. */
+ * or other numbers. Returns CLGS_ERROR_ARGUMENT if shape, model or near rows are out of range. */
 clgs_error clgs_attributes_decode(const void *model, const uint8_t *data, size_t size,
-                                  int32_t *value, size_t rows, size_t channels, void *workspace);
+                                  int32_t *value, const int32_t *near, size_t rows, size_t channels,
+                                  void *workspace);
 
 /* Count the symbols of a chunk, by the cell that chooses their table.
  *
  * model: in range; its tables are not used.
  * count: (channels, 64 cells, 256 symbols); the chunk's symbols are added. The caller sets it to
  *     zero before the first chunk, and counts fewer than 2^32 rows.
- * Returns CLGS_ERROR_ARGUMENT if shape or model are out of range. */
-clgs_error clgs_attributes_count(const void *model, const int32_t *value, size_t rows,
-                                 size_t channels, uint32_t *count, void *workspace);
+ * Returns CLGS_ERROR_ARGUMENT if shape, model or near rows are out of range. */
+clgs_error clgs_attributes_count(const void *model, const int32_t *value, const int32_t *near,
+                                 size_t rows, size_t channels, uint32_t *count, void *workspace);
 
 /* 8 + 62 * rows bytes: what one mixed channel takes at most. For `rows` up to CLGS_MAX_POINTS. */
 size_t clgs_attributes_measure_bound(size_t rows);
@@ -207,9 +224,10 @@ size_t clgs_attributes_measure_bound(size_t rows);
  * stay as they are.
  *
  * out: scratch memory of clgs_attributes_measure_bound(rows) bytes.
- * Returns CLGS_ERROR_ARGUMENT if shape or model are out of range. */
-clgs_error clgs_attributes_measure(const void *model, const int32_t *value, size_t rows,
-                                   size_t channels, uint64_t *bytes, uint8_t *out, void *workspace);
+ * Returns CLGS_ERROR_ARGUMENT if shape, model or near rows are out of range. */
+clgs_error clgs_attributes_measure(const void *model, const int32_t *value, const int32_t *near,
+                                   size_t rows, size_t channels, uint64_t *bytes, uint8_t *out,
+                                   void *workspace);
 
 /* About 64 kilobytes, for clgs_attributes_choose. */
 size_t clgs_attributes_choose_workspace(void);

@@ -21,6 +21,16 @@ static int measure(const Py_buffer *model, const Py_buffer *value, size_t *chann
     return 0;
 }
 
+/* The near rows, or NULL if there are none; 0 and an exception if they do not fit. */
+static int near_of(const Py_buffer *near, size_t rows, const int32_t **result)
+{
+    *result = near->buf;
+    if (!near->buf || (size_t)near->len == 4 * CLGS_NEAR * rows)
+        return 1;
+    PyErr_SetString(PyExc_ValueError, "the near rows are not as many as the rows");
+    return 0;
+}
+
 static PyObject *result_of(clgs_error error)
 {
     if (error == CLGS_OK)
@@ -84,11 +94,12 @@ PyObject *attributes_read(PyObject *module, PyObject *args)
     return result;
 }
 
-static PyObject *run_encode(const Py_buffer *model, const Py_buffer *value)
+static PyObject *run_encode(const Py_buffer *model, const Py_buffer *value, const Py_buffer *close)
 {
     size_t channels, rows, size = 0;
+    const int32_t *near;
     PyObject *result = NULL;
-    if (!measure(model, value, &channels, &rows))
+    if (!measure(model, value, &channels, &rows) || !near_of(close, rows, &near))
         return NULL;
     size_t bound = clgs_attributes_bound(model->buf, rows, channels);
     uint8_t *out = PyMem_Malloc(bound);
@@ -96,8 +107,8 @@ static PyObject *run_encode(const Py_buffer *model, const Py_buffer *value)
     if (!out || !workspace) {
         PyErr_NoMemory();
     } else {
-        Py_BEGIN_ALLOW_THREADS size =
-            clgs_attributes_encode(model->buf, value->buf, rows, channels, out, bound, workspace);
+        Py_BEGIN_ALLOW_THREADS size = clgs_attributes_encode(model->buf, value->buf, near, rows,
+                                                             channels, out, bound, workspace);
         Py_END_ALLOW_THREADS result = bytes_of(out, size);
     }
     PyMem_Free(workspace);
@@ -105,53 +116,59 @@ static PyObject *run_encode(const Py_buffer *model, const Py_buffer *value)
     return result;
 }
 
-/* (model, value) -> bytes */
+/* (model, value, near or None) -> bytes */
 PyObject *attributes_encode(PyObject *module, PyObject *args)
 {
-    Py_buffer model, value;
+    Py_buffer model, value, near;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*y*", &model, &value))
+    if (!PyArg_ParseTuple(args, "y*y*z*", &model, &value, &near))
         return NULL;
-    PyObject *result = run_encode(&model, &value);
+    PyObject *result = run_encode(&model, &value, &near);
+    PyBuffer_Release(&near);
     PyBuffer_Release(&value);
     PyBuffer_Release(&model);
     return result;
 }
 
-static PyObject *run_decode(const Py_buffer *model, const Py_buffer *data, const Py_buffer *value)
+static PyObject *run_decode(const Py_buffer *model, const Py_buffer *data, const Py_buffer *value,
+                            const Py_buffer *close)
 {
     size_t channels, rows;
+    const int32_t *near;
     clgs_error error;
-    if (!measure(model, value, &channels, &rows))
+    if (!measure(model, value, &channels, &rows) || !near_of(close, rows, &near))
         return NULL;
     void *workspace = workspace_new(clgs_attributes_workspace(rows, channels));
     if (!workspace)
         return PyErr_NoMemory();
-    Py_BEGIN_ALLOW_THREADS error = clgs_attributes_decode(model->buf, data->buf, (size_t)data->len,
-                                                          value->buf, rows, channels, workspace);
+    Py_BEGIN_ALLOW_THREADS error = clgs_attributes_decode(
+        model->buf, data->buf, (size_t)data->len, value->buf, near, rows, channels, workspace);
     Py_END_ALLOW_THREADS PyMem_Free(workspace);
     return result_of(error);
 }
 
-/* (model, data, value) -> None, the values filled */
+/* (model, data, value, near or None) -> None, the values filled */
 PyObject *attributes_decode(PyObject *module, PyObject *args)
 {
-    Py_buffer model, data, value;
+    Py_buffer model, data, value, near;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*y*w*", &model, &data, &value))
+    if (!PyArg_ParseTuple(args, "y*y*w*z*", &model, &data, &value, &near))
         return NULL;
-    PyObject *result = run_decode(&model, &data, &value);
+    PyObject *result = run_decode(&model, &data, &value, &near);
+    PyBuffer_Release(&near);
     PyBuffer_Release(&value);
     PyBuffer_Release(&data);
     PyBuffer_Release(&model);
     return result;
 }
 
-static PyObject *run_count(const Py_buffer *model, const Py_buffer *value, const Py_buffer *count)
+static PyObject *run_count(const Py_buffer *model, const Py_buffer *value, const Py_buffer *count,
+                           const Py_buffer *close)
 {
     size_t channels, rows;
+    const int32_t *near;
     clgs_error error = CLGS_ERROR_ARGUMENT;
-    if (!measure(model, value, &channels, &rows))
+    if (!measure(model, value, &channels, &rows) || !near_of(close, rows, &near))
         return NULL;
     if ((size_t)count->len != 4 * COUNTS * channels)
         return result_of(error);
@@ -159,31 +176,34 @@ static PyObject *run_count(const Py_buffer *model, const Py_buffer *value, const
     if (!workspace)
         return PyErr_NoMemory();
     Py_BEGIN_ALLOW_THREADS error =
-        clgs_attributes_count(model->buf, value->buf, rows, channels, count->buf, workspace);
+        clgs_attributes_count(model->buf, value->buf, near, rows, channels, count->buf, workspace);
     Py_END_ALLOW_THREADS PyMem_Free(workspace);
     return result_of(error);
 }
 
-/* (model, value, count) -> None, the counts increased */
+/* (model, value, count, near or None) -> None, the counts increased */
 PyObject *attributes_count(PyObject *module, PyObject *args)
 {
-    Py_buffer model, value, count;
+    Py_buffer model, value, count, near;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*y*w*", &model, &value, &count))
+    if (!PyArg_ParseTuple(args, "y*y*w*z*", &model, &value, &count, &near))
         return NULL;
-    PyObject *result = run_count(&model, &value, &count);
+    PyObject *result = run_count(&model, &value, &count, &near);
+    PyBuffer_Release(&near);
     PyBuffer_Release(&count);
     PyBuffer_Release(&value);
     PyBuffer_Release(&model);
     return result;
 }
 
-static PyObject *run_measure(const Py_buffer *model, const Py_buffer *value, const Py_buffer *bytes)
+static PyObject *run_measure(const Py_buffer *model, const Py_buffer *value, const Py_buffer *bytes,
+                             const Py_buffer *close)
 {
     size_t channels, rows;
+    const int32_t *near;
     clgs_error error = CLGS_ERROR_ARGUMENT;
     PyObject *result = NULL;
-    if (!measure(model, value, &channels, &rows))
+    if (!measure(model, value, &channels, &rows) || !near_of(close, rows, &near))
         return NULL;
     if ((size_t)bytes->len != 8 * channels)
         return result_of(error);
@@ -193,7 +213,7 @@ static PyObject *run_measure(const Py_buffer *model, const Py_buffer *value, con
         PyErr_NoMemory();
     } else {
         Py_BEGIN_ALLOW_THREADS error = clgs_attributes_measure(
-            model->buf, value->buf, rows, channels, bytes->buf, out, workspace);
+            model->buf, value->buf, near, rows, channels, bytes->buf, out, workspace);
         Py_END_ALLOW_THREADS result = result_of(error);
     }
     PyMem_Free(workspace);
@@ -201,14 +221,15 @@ static PyObject *run_measure(const Py_buffer *model, const Py_buffer *value, con
     return result;
 }
 
-/* (model, value, bytes) -> None, the bytes of mixed channels added */
+/* (model, value, bytes, near or None) -> None, the bytes of mixed channels added */
 PyObject *attributes_measure(PyObject *module, PyObject *args)
 {
-    Py_buffer model, value, bytes;
+    Py_buffer model, value, bytes, near;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*y*w*", &model, &value, &bytes))
+    if (!PyArg_ParseTuple(args, "y*y*w*z*", &model, &value, &bytes, &near))
         return NULL;
-    PyObject *result = run_measure(&model, &value, &bytes);
+    PyObject *result = run_measure(&model, &value, &bytes, &near);
+    PyBuffer_Release(&near);
     PyBuffer_Release(&bytes);
     PyBuffer_Release(&value);
     PyBuffer_Release(&model);
@@ -240,5 +261,30 @@ PyObject *attributes_choose(PyObject *module, PyObject *args)
     PyBuffer_Release(&cost);
     PyBuffer_Release(&count);
     PyBuffer_Release(&model);
+    return result;
+}
+
+/* (position, near) -> None, the near rows filled */
+PyObject *attributes_near(PyObject *module, PyObject *args)
+{
+    Py_buffer position, near;
+    PyObject *result = NULL;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*w*", &position, &near))
+        return NULL;
+    size_t rows = (size_t)position.len / 12;
+    void *workspace = workspace_new(clgs_near_workspace(rows));
+    if (!workspace) {
+        PyErr_NoMemory();
+    } else if ((size_t)position.len != 12 * rows || (size_t)near.len != 4 * CLGS_NEAR * rows) {
+        result = result_of(CLGS_ERROR_ARGUMENT);
+    } else {
+        clgs_error error;
+        Py_BEGIN_ALLOW_THREADS error = clgs_near(position.buf, rows, near.buf, workspace);
+        Py_END_ALLOW_THREADS result = result_of(error);
+    }
+    PyMem_Free(workspace);
+    PyBuffer_Release(&near);
+    PyBuffer_Release(&position);
     return result;
 }

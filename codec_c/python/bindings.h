@@ -19,6 +19,7 @@ PyObject *attributes_decode(PyObject *module, PyObject *args);
 PyObject *attributes_count(PyObject *module, PyObject *args);
 PyObject *attributes_measure(PyObject *module, PyObject *args);
 PyObject *attributes_choose(PyObject *module, PyObject *args);
+PyObject *attributes_near(PyObject *module, PyObject *args);
 
 PyObject *weights_encode(PyObject *module, PyObject *args);
 PyObject *weights_decode(PyObject *module, PyObject *args);

@@ -139,6 +139,7 @@ def point_seeds() -> Iterator[Seed]:
         yield "octree", f"points_{name}", count(len(position) - 1, 512) + stream
         code = position_coder.morton_codes(position)
         yield "round_trip_octree", name, bytes([7, 0, 0, 0, 0]) + code.astype("<u8").tobytes()
+        yield "near", name, b"\0" + (position[:150] & 255).astype(np.uint8).tobytes()
         yield "models", name, position.astype("<i2").tobytes()
         yield "ranges", name, position.astype("<i2").tobytes()
 

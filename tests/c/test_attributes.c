@@ -17,7 +17,7 @@
 
 typedef struct stream {
     size_t rows, channels;
-    int32_t *value;
+    int32_t *value, *near;
     clgs_channel *model;
     void *workspace;
     uint8_t *header, *data;
@@ -72,7 +72,8 @@ static void make_model(stream *s, int mixed)
         c->centre = before - 1;
         c->taps = before % 4;
         for (int32_t t = 0; t < c->taps; t++)
-            c->tap[t] = (clgs_tap){t < before ? t : before, t - 2, 100 - 60 * t};
+            c->tap[t] =
+                (clgs_tap){t < before ? t : before, t == 0 ? CLGS_TAP_NEAR : t - 2, 100 - 60 * t};
         c->gain = 40;
         c->weight[0] = before % 2 ? 1000 : 0;
         c->weight[1] = c->weight[2] = before % 3 ? 500 : 0;
@@ -80,8 +81,8 @@ static void make_model(stream *s, int mixed)
         c->classes = 1;
         c->frequency[0][0] = CLGS_SCALE;
     }
-    CHECK(clgs_attributes_count(s->model, s->value, s->rows, s->channels, count, s->workspace) ==
-          CLGS_OK);
+    CHECK(clgs_attributes_count(s->model, s->value, s->near, s->rows, s->channels, count,
+                                s->workspace) == CLGS_OK);
     CHECK(clgs_attributes_choose(s->model, s->channels, count, 25600, cost, chooser) == CLGS_OK);
     for (size_t j = 1; mixed && j < s->channels; j += 2) {
         s->model[j].coder = CLGS_MIXED;
@@ -110,8 +111,8 @@ static clgs_error decode(const stream *s, const void *model, const uint8_t *data
     uint8_t *exact = allocate(size);
     int32_t *value = allocate(4 * s->rows * s->channels);
     memcpy(exact, data, size);
-    clgs_error error =
-        clgs_attributes_decode(model, exact, size, value, s->rows, s->channels, s->workspace);
+    clgs_error error = clgs_attributes_decode(model, exact, size, value, s->near, s->rows,
+                                              s->channels, s->workspace);
     if (error == CLGS_OK && size == s->size && memcmp(data, s->data, size) == 0)
         CHECK(memcmp(value, s->value, 4 * s->rows * s->channels) == 0);
     free(value);
@@ -133,11 +134,11 @@ static void test_round_trip(stream *s)
     CHECK(memcmp(again, s->model, size) == 0);
     capacity = clgs_attributes_bound(s->model, s->rows, s->channels);
     s->data = allocate(capacity);
-    s->size = clgs_attributes_encode(s->model, s->value, s->rows, s->channels, s->data, capacity,
-                                     s->workspace);
+    s->size = clgs_attributes_encode(s->model, s->value, s->near, s->rows, s->channels, s->data,
+                                     capacity, s->workspace);
     CHECK(s->size > 0 && s->size <= capacity);
-    CHECK(clgs_attributes_encode(s->model, s->value, s->rows, s->channels, s->data, capacity - 1,
-                                 s->workspace) == 0);
+    CHECK(clgs_attributes_encode(s->model, s->value, s->near, s->rows, s->channels, s->data,
+                                 capacity - 1, s->workspace) == 0);
     CHECK(decode(s, again, s->data, s->size) == CLGS_OK);
     free(again);
     free(workspace);
@@ -186,9 +187,22 @@ static void test_header_damage(const stream *s)
     free(bad);
 }
 
+/* The near rows of points in no order. */
+static int32_t *scattered(size_t rows)
+{
+    int32_t *position = allocate(12 * rows), *near = allocate(4 * CLGS_NEAR * rows);
+    void *workspace = allocate(clgs_near_workspace(rows));
+    for (size_t i = 0; i < 3 * rows; i++)
+        position[i] = (int32_t)(random_u32() % 64);
+    CHECK(clgs_near(position, rows, near, workspace) == CLGS_OK);
+    free(workspace);
+    free(position);
+    return near;
+}
+
 static void test_stream(size_t rows, size_t channels, uint32_t shift, int mixed)
 {
-    stream s = {.rows = rows, .channels = channels};
+    stream s = {.rows = rows, .channels = channels, .near = mixed ? NULL : scattered(rows)};
     s.value = allocate(4 * rows * channels);
     s.model = allocate(clgs_attributes_model_size(channels));
     s.workspace = allocate(clgs_attributes_workspace(rows, channels));
@@ -202,6 +216,7 @@ static void test_stream(size_t rows, size_t channels, uint32_t shift, int mixed)
     free(s.data);
     free(s.workspace);
     free(s.model);
+    free(s.near);
     free(s.value);
 }
 
@@ -252,16 +267,19 @@ static void test_bad_models(void)
     void *chooser = allocate(clgs_attributes_choose_workspace());
     model.frequency[0][0] = CLGS_SCALE;
     CHECK(clgs_attributes_bound(&model, 1, 1) <= sizeof out);
-    CHECK(clgs_attributes_encode(&model, value, 1, 1, out, sizeof out, workspace) == 0);
-    CHECK(clgs_attributes_decode(&model, out, 1, value, 1, 1, workspace) == CLGS_ERROR_ARGUMENT);
-    CHECK(clgs_attributes_count(&model, value, 1, 1, count, workspace) == CLGS_ERROR_ARGUMENT);
-    CHECK(clgs_attributes_measure(&model, value, 1, 1, bytes, out, workspace) ==
+    CHECK(clgs_attributes_encode(&model, value, NULL, 1, 1, out, sizeof out, workspace) == 0);
+    CHECK(clgs_attributes_decode(&model, out, 1, value, NULL, 1, 1, workspace) ==
+          CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_attributes_count(&model, value, NULL, 1, 1, count, workspace) ==
+          CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_attributes_measure(&model, value, NULL, 1, 1, bytes, out, workspace) ==
           CLGS_ERROR_ARGUMENT);
     CHECK(clgs_attributes_header_write(&model, 1, out, sizeof out, workspace) == 0);
     CHECK(clgs_attributes_choose(&model, 1, count, 256, bytes, chooser) == CLGS_ERROR_ARGUMENT);
     model.gain = 0;
-    CHECK(clgs_attributes_count(&model, value, 0, 1, count, workspace) == CLGS_ERROR_ARGUMENT);
-    CHECK(clgs_attributes_measure(&model, value, 0, 1, bytes, out, workspace) ==
+    CHECK(clgs_attributes_count(&model, value, NULL, 0, 1, count, workspace) ==
+          CLGS_ERROR_ARGUMENT);
+    CHECK(clgs_attributes_measure(&model, value, NULL, 0, 1, bytes, out, workspace) ==
           CLGS_ERROR_ARGUMENT);
     CHECK(clgs_attributes_header_write(&model, 0, out, sizeof out, workspace) == 0);
     CHECK(clgs_attributes_header_write(&model, 1, out, 0, workspace) == 0);
@@ -270,6 +288,66 @@ static void test_bad_models(void)
     free(chooser);
     free(workspace);
     free(count);
+}
+
+static int64_t distance_of(const int32_t *a, const int32_t *b)
+{
+    int64_t sum = 0;
+    for (int axis = 0; axis < 3; axis++)
+        sum += ((int64_t)a[axis] - b[axis]) * ((int64_t)a[axis] - b[axis]);
+    return sum;
+}
+
+/* Row `row` is near row `place` of row i: so many earlier rows are nearer, or as near and later. */
+static void check_near(const int32_t *position, size_t i, size_t place, int32_t row)
+{
+    size_t before = 0;
+    CHECK(place < i ? row >= 0 && (size_t)row < i : row == -1);
+    for (size_t other = 0; row >= 0 && other < i; other++) {
+        int64_t mine = distance_of(position + 3 * i, position + 3 * row);
+        int64_t its = distance_of(position + 3 * i, position + 3 * other);
+        before += its < mine || (its == mine && other > (size_t)row);
+    }
+    CHECK(row < 0 || before == place);
+}
+
+static void test_near(size_t rows, uint32_t extent)
+{
+    int32_t *position = allocate(12 * rows), *near = allocate(4 * CLGS_NEAR * rows);
+    void *workspace = allocate(clgs_near_workspace(rows));
+    for (size_t i = 0; i < 3 * rows; i++)
+        position[i] = INT32_MIN + (int32_t)(random_u32() % extent);
+    CHECK(clgs_near(position, rows, near, workspace) == CLGS_OK);
+    for (size_t i = 0; i < CLGS_NEAR * rows; i++)
+        check_near(position, i / CLGS_NEAR, i % CLGS_NEAR, near[i]);
+    if (rows > 1) {
+        position[0] = INT32_MIN + (1 << CLGS_MAX_DEPTH);
+        position[3] = INT32_MIN;
+        CHECK(clgs_near(position, rows, near, workspace) == CLGS_ERROR_ARGUMENT);
+    }
+    CHECK(clgs_near(position, CLGS_MAX_POINTS + 1, near, workspace) == CLGS_ERROR_ARGUMENT);
+    free(workspace);
+    free(near);
+    free(position);
+}
+
+/* A near row must be an earlier one; that of a model without such terms is not looked at. */
+static void test_bad_near(void)
+{
+    clgs_channel model = {.taps = 1, .tap = {{0, CLGS_TAP_NEAR, 100}}, .classes = 1};
+    int32_t value[6] = {0}, near[6 * CLGS_NEAR];
+    uint8_t out[256];
+    void *workspace = allocate(clgs_attributes_workspace(6, 1));
+    model.frequency[0][0] = CLGS_SCALE;
+    for (int32_t bad = -1; bad <= 7; bad++) {
+        memset(near, 0, sizeof near);
+        near[5 * CLGS_NEAR + 3] = bad;
+        size_t size = clgs_attributes_encode(&model, value, near, 6, 1, out, sizeof out, workspace);
+        CHECK((size > 0) == (bad >= 0 && bad < 5));
+        clgs_error error = clgs_attributes_decode(&model, out, size, value, near, 6, 1, workspace);
+        CHECK((error == CLGS_ERROR_ARGUMENT) == (size == 0));
+    }
+    free(workspace);
 }
 
 int main(void)
@@ -285,6 +363,10 @@ int main(void)
     CHECK(clgs_attributes_model_size(0) == 0 && clgs_attributes_model_size(257) == 0);
     CHECK(clgs_attributes_workspace(CLGS_MAX_POINTS + 1, 1) == 0);
     test_bad_models();
+    test_bad_near();
+    for (size_t rows = 0; rows < 40; rows++)
+        test_near(rows, rows % 3 == 0 ? 4 : 1 << CLGS_MAX_DEPTH);
+    test_near(700, 12);
     puts("attributes: all tests passed");
     return 0;
 }

@@ -140,7 +140,8 @@ static void rows(const char *name, const int32_t *value, size_t count, size_t ch
 }
 
 /* A model as the encoder's search makes them: terms of predictions, activity, tables by counts. */
-static void make_model(clgs_channel *model, const int32_t *value, size_t count, size_t channels)
+static void make_model(clgs_channel *model, const int32_t *value, const int32_t *near, size_t count,
+                       size_t channels)
 {
     size_t counts = CLGS_CELLS * CLGS_TABLE * channels;
     uint32_t *counted = allocate(4 * counts);
@@ -151,7 +152,7 @@ static void make_model(clgs_channel *model, const int32_t *value, size_t count, 
         clgs_channel *c = model + j;
         c->centre = value[j];
         c->taps = j % 3 > 0;
-        c->tap[0] = (clgs_tap){(int32_t)j, -1, 128};
+        c->tap[0] = (clgs_tap){(int32_t)j, j % 3 > 1 ? CLGS_TAP_NEAR : -1, 128};
         c->gain = 64;
         c->weight[0] = 1365;
         c->weight[1] = j > 0 ? 4096 / (int32_t)j : 0;
@@ -159,7 +160,7 @@ static void make_model(clgs_channel *model, const int32_t *value, size_t count, 
         c->classes = 1;
         c->frequency[0][0] = CLGS_SCALE;
     }
-    if (clgs_attributes_count(model, value, count, channels, counted, workspace) ||
+    if (clgs_attributes_count(model, value, near, count, channels, counted, workspace) ||
         clgs_attributes_choose(model, channels, counted, 256, cost, chooser))
         fail("attributes", "model");
     free(chooser);
@@ -168,8 +169,27 @@ static void make_model(clgs_channel *model, const int32_t *value, size_t count, 
     free(counted);
 }
 
+/* Near rows of points on a bent sheet. */
+static int32_t *near_rows(size_t count)
+{
+    int32_t *position = allocate(12 * count), *near = allocate(4 * CLGS_NEAR * count);
+    void *workspace = allocate(clgs_near_workspace(count));
+    for (size_t i = 0; i < count; i++) {
+        int32_t x = (int32_t)(i / 7), y = (int32_t)(i % 7);
+        position[3 * i] = x;
+        position[3 * i + 1] = y * 3;
+        position[3 * i + 2] = x * y / 2;
+    }
+    if (clgs_near(position, count, near, workspace) != CLGS_OK)
+        fail("near", "rows");
+    free(workspace);
+    free(position);
+    return near;
+}
+
 static void attributes(const char *name, const int32_t *value, size_t count, size_t channels)
 {
+    int32_t *near = near_rows(count);
     size_t model_size = clgs_attributes_model_size(channels);
     size_t room = clgs_attributes_header_bound(channels);
     clgs_channel *model = allocate(model_size), *read = allocate(model_size);
@@ -177,15 +197,15 @@ static void attributes(const char *name, const int32_t *value, size_t count, siz
     int32_t *decoded = allocate(4 * count * channels);
     void *work = allocate(clgs_attributes_workspace(count, channels));
     void *header_work = allocate(clgs_attributes_header_workspace());
-    make_model(model, value, count, channels);
+    make_model(model, value, near, count, channels);
     size_t length = clgs_attributes_header_write(model, channels, header, room, header_work);
     if (clgs_attributes_header_read(header, length, read, channels, header_work) != CLGS_OK)
         fail("header", name);
     report("header", name, header, length, 0);
     size_t bound = clgs_attributes_bound(read, count, channels);
     uint8_t *out = allocate(bound);
-    size_t size = clgs_attributes_encode(read, value, count, channels, out, bound, work);
-    if (clgs_attributes_decode(read, out, size, decoded, count, channels, work) != CLGS_OK)
+    size_t size = clgs_attributes_encode(read, value, near, count, channels, out, bound, work);
+    if (clgs_attributes_decode(read, out, size, decoded, near, count, channels, work) != CLGS_OK)
         fail("attributes", name);
     report("attributes", name, out, size, hash_words(decoded, count * channels));
     free(header_work);
@@ -195,6 +215,7 @@ static void attributes(const char *name, const int32_t *value, size_t count, siz
     free(out);
     free(read);
     free(model);
+    free(near);
 }
 
 static void fill(int32_t *value, size_t count, uint32_t shift)

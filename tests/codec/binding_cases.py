@@ -83,7 +83,7 @@ def _model(data: bytes) -> None:
     for byte in data[:1]:  # a model that no header describes: every function checks it
         raw[byte * 31 % raw.size] ^= byte
     chunk = np.zeros((9, 1), np.int32)
-    _refused(_codec.attributes_decode, model, data, chunk)
+    _refused(_codec.attributes_decode, model, data, chunk, None)
 
 
 def there_and_back(rng: np.random.Generator) -> None:

@@ -11,6 +11,7 @@ import pytest
 from clgs import _codec, codec
 from clgs.codec import splats, streams, weights
 from clgs.codec.attributes import paper, row_coder, runlength
+from clgs.codec.attributes.near import find_near
 from clgs.codec.container import chunks, section_table
 from clgs.codec.container.source import BytesSource
 from clgs.codec.octree import position_coder
@@ -21,6 +22,7 @@ from clgs.reference.codec import coding, octree_sparse
 from clgs.reference.codec import octree as octree_reference
 from clgs.reference.codec import paper as paper_reference
 from clgs.reference.codec import planes as planes_reference
+from clgs.reference.codec import prediction as prediction_reference
 from clgs.reference.codec import runlength as runlength_reference
 from clgs.reference.codec import weights as weights_reference
 from clgs.reference.codec.varint import read_varint, varint
@@ -43,8 +45,8 @@ MATRICES = {
     2: np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32),
     3: np.array([[10], [11], [9], [10]], np.int32),
     4: np.zeros((1000, 3), np.int32),
-    17: np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32),
-    18: np.array([[10], [11], [9], [10]], np.int32),
+    18: np.array([[0, 0, 0], [0, 0, 0], [1, -2, 0]], np.int32),
+    19: np.array([[10], [11], [9], [10]], np.int32),
 }
 
 
@@ -65,7 +67,7 @@ def test_examples_and_parts_are_numbered_in_order() -> None:
     listed = [int(number) for number in re.findall(r"^\| (\d+) \| [A-Z]", TEXT, re.MULTILINE)]
     examples = [int(number) for number in re.findall(r"\*\*Example (\d+)\.\*\*", TEXT)]
     assert parts == listed[: len(parts)] == list(range(1, 13))
-    assert examples == list(range(1, 27))
+    assert examples == list(range(1, 28))
     assert all(documented(number) for number in examples)
     assert max(map(len, TEXT.split("\n"))) <= 120
 
@@ -109,7 +111,7 @@ def test_example_of_varints() -> None:
 
 @pytest.mark.parametrize("number", MATRICES)
 def test_examples_of_run_lengths(number: int) -> None:
-    modules = (paper, paper_reference) if number >= 17 else (runlength, runlength_reference)
+    modules = (paper, paper_reference) if number >= 18 else (runlength, runlength_reference)
     for module in modules:
         assert module.encode(MATRICES[number]) == documented(number)[-1]
 
@@ -175,6 +177,24 @@ def test_examples_of_attributes(number: int) -> None:
     np.testing.assert_array_equal(attributes_reference.decode(channels, chunk, len(rows)), rows)
 
 
+def test_example_of_near_rows() -> None:
+    text, (header, chunk) = section_of(17), documented(17)
+    triples = re.findall(r"\((\d) (\d) (\d)\)", text)
+    position = np.array(triples).astype(np.int32)
+    near = prediction_reference.near_rows(position)
+    assert ["".join(f"{k} " for k in rows).strip() for rows in near[1:]] == [
+        "0", "0 1", "0 2 1", "3 2 1 0", "4 3 2 1",
+    ]  # fmt: skip
+    rows = np.array([[4, 4, 6, 3, -9, -9]], np.int32).T
+    model, channels = row_coder.read(header, 1), attributes_reference.read_header(header, 1)
+    assert (channels[0].mixed, channels[0].taps) == (True, [(0, -4, 256)])
+    assert attributes_reference.write_header(channels) == header
+    assert model.encode(rows, find_near(position)) == chunk
+    np.testing.assert_array_equal(model.decode(chunk, 6, find_near(position)), rows)
+    assert attributes_reference.encode(channels, rows, near) == chunk
+    np.testing.assert_array_equal(attributes_reference.decode(channels, chunk, 6, near), rows)
+
+
 def test_headers_of_the_examples_say_what_the_text_says() -> None:
     first, second = attributes_reference.read_header(documented(13)[0], 2)
     assert (first.centre, first.gain, first.frequency[0][:3]) == (10, 64, [2048, 1024, 1024])
@@ -189,24 +209,24 @@ def test_headers_of_the_examples_say_what_the_text_says() -> None:
 
 def test_examples_of_weights() -> None:
     pair = np.array([1.0, -1.0], np.float32)
-    assert b"\0" + pair.tobytes() == documented(19)[0]
-    np.testing.assert_array_equal(weights.decode(documented(19)[0], ((2, 1),)), pair)
-    np.testing.assert_array_equal(planes_reference.decode(documented(19)[0], 2), pair)
-    assert weights.encode(pair, "float32") == planes_reference.encode(pair) == documented(20)[0]
+    assert b"\0" + pair.tobytes() == documented(20)[0]
+    np.testing.assert_array_equal(weights.decode(documented(20)[0], ((2, 1),)), pair)
+    np.testing.assert_array_equal(planes_reference.decode(documented(20)[0], 2), pair)
+    assert weights.encode(pair, "float32") == planes_reference.encode(pair) == documented(21)[0]
     multiples = np.array([0.5, -0.25, 0.0, 0.75, 0.0], np.float32)
     matrices = ((2, 2), (1, 1))
-    assert weights.encode(multiples, matrices=matrices) == documented(21)[0]
-    assert weights_reference.encode(multiples, matrices) == documented(21)[0]
+    assert weights.encode(multiples, matrices=matrices) == documented(22)[0]
+    assert weights_reference.encode(multiples, matrices) == documented(22)[0]
 
 
 def test_examples_of_arrays() -> None:
     lattice = [[0, 0, 0], [1000, 0, 0], [2000, 0, 4000], [0, 3000, 0], [3000, 3000, 2000]]
-    clouds = {22: np.empty((0, 3), int), 23: CELLS, 24: np.array(lattice)}
+    clouds = {23: np.empty((0, 3), int), 24: CELLS, 25: np.array(lattice)}
     for number, cloud in clouds.items():
         assert codec.encode_positions(cloud) == documented(number)[0]
         np.testing.assert_array_equal(codec.decode_positions(documented(number)[0]), cloud)
     column = np.array([[7], [7], [8]])
-    assert codec.encode_attributes(column) == documented(25)[-1]
+    assert codec.encode_attributes(column) == documented(26)[-1]
 
 
 def test_example_of_splats() -> None:
@@ -215,7 +235,7 @@ def test_example_of_splats() -> None:
     source = BytesSource(splats.pack(some))
     entries = section_table.read_table(source, splats=True).entries
     read = [section_table.read_section(source, entries[tag]) for tag in section_table.SPLATS]
-    assert [bytes(section.data) for section in read] == documented(26)
+    assert [bytes(section.data) for section in read] == documented(27)
     assert all(f"{_codec.crc32c(section.data):08X}" in TEXT for section in read[1:])
 
 

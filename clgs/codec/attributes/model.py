@@ -10,7 +10,10 @@ import numpy.typing as npt
 Ints: TypeAlias = npt.NDArray[np.int32]
 Models: TypeAlias = npt.NDArray[Any]
 
-TAPS, CELLS, CLASSES, TABLE, SCALE = 8, 64, 16, 256, 4096
+TAPS, CELLS, CLASSES, TABLE, SCALE = 16, 64, 16, 256, 4096
+NEAR = -4
+"""The row of a tap that looks at the near rows."""
+
 MAX_FACTOR, TAP_CLAMP, MAX_GAIN, MAX_WEIGHT, MAX_SPAN = 2047, 32767, 65535, 8191, 2
 
 CHANNEL = np.dtype(

@@ -7,6 +7,8 @@ writes the same bytes.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -15,11 +17,14 @@ from clgs.codec.attributes.model import (
     CELLS,
     MAX_GAIN,
     MAX_WEIGHT,
+    NEAR,
     TABLE,
+    TAPS,
     Ints,
     Models,
     empty_model,
 )
+from clgs.codec.attributes.near import NearRows, find_near
 from clgs.codec.attributes.taps import find_taps
 
 SAMPLE_BLOCKS, SAMPLE_ROWS = 8, 2048
@@ -56,19 +61,57 @@ SHARES = [
 """Shares of the own column, of the row and of the rows beside it that are tried."""
 
 
-def fit(values: Ints, chunks: list[slice], search: bool) -> tuple[Models, int]:
-    """The model of ``values`` (n, channels), and about the bytes of all chunks."""
-    rows, channels = values.shape
-    sample = take_sample(values)
-    scale = rows * 256 // len(sample)
+@dataclass(frozen=True)
+class Sample:
+    """Rows that stand for all, as one chunk, and their near rows if they have positions."""
+
+    values: Ints
+    near: Ints | None = None
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What a model is fitted to: ``values`` (n, channels) int32 in chunks, ``near`` by position."""
+
+    values: Ints
+    chunks: list[slice]
+    near: NearRows | None = None
+
+    def near_of(self, model: Models, index: int) -> Ints | None:
+        """Near rows of a chunk, or None if ``model`` does not look at them."""
+        return self.near.of(index) if self.near and looks_near(model) else None
+
+    def sample(self) -> Sample:
+        """All rows, or blocks of neighbouring rows that lie evenly apart."""
+        if self.near is None:
+            return Sample(take_sample(self.values))
+        if len(self.chunks) == 1 and len(self.values) <= SAMPLE_BLOCKS * SAMPLE_ROWS:
+            return Sample(self.values, self.near.of(0))
+        return Sample(take_sample(self.values), find_near(take_sample(self.near.position)))
+
+
+def looks_near(model: Models) -> bool:
+    """Whether ``model`` looks at near rows."""
+    used = np.arange(TAPS) < model["taps"][:, None]
+    return bool((used & (model["tap"][:, :, 1] == NEAR)).any())
+
+
+def fit(rows: Rows, search: bool) -> tuple[Models, int]:
+    """The model of ``rows``, and about the bytes of all chunks."""
+    count, channels = rows.values.shape
+    sample = rows.sample()
+    scale = count * 256 // len(sample)
     model = empty_model(channels)
-    model["centre"] = find_centres(sample)
+    model["centre"] = find_centres(sample.values)
     if search:
         choose_taps(model, sample, scale)
         choose_activity(model, sample, scale)
-    cost = count_and_choose(model, values, chunks, 256)
+    cost = count_all_and_choose(model, rows)
     drop_unused(model)
-    return model, int(cost.sum()) // (8 << 16) + sum(map(overhead, chunks))
+    return model, int(cost.sum()) // (8 << 16) + sum(map(overhead, rows.chunks))
 
 
 def overhead(chunk: slice) -> int:
@@ -91,14 +134,25 @@ def find_centres(sample: Ints) -> Ints:
     return np.where(4 * (sample == 0).sum(axis=0) >= len(sample), 0, centres).astype(np.int32)
 
 
-def count_and_choose(
-    model: Models, values: Ints, chunks: list[slice], scale: int
-) -> npt.NDArray[np.uint64]:
-    """Set classes and tables of ``model`` from ``values``; costs (channels,) in 2^-16 bits."""
+def count_all_and_choose(model: Models, rows: Rows) -> npt.NDArray[np.uint64]:
+    """Set classes and tables of ``model`` from all rows; costs (channels,) in 2^-16 bits."""
     count = np.zeros((len(model), CELLS, TABLE), np.uint32)
-    for chunk in chunks:
-        _codec.attributes_count(model, values[chunk], count)
+    for index, chunk in enumerate(rows.chunks):
+        _codec.attributes_count(model, rows.values[chunk], count, rows.near_of(model, index))
+    return choose(model, count, 256)
+
+
+def count_and_choose(model: Models, sample: Sample, scale: int) -> npt.NDArray[np.uint64]:
+    """The same from a sample of 256 / ``scale`` of all rows."""
+    count = count_sample(model, sample)
     return choose(model, count, scale)
+
+
+def count_sample(model: Models, sample: Sample) -> npt.NDArray[np.uint32]:
+    """Counts (channels, CELLS, TABLE) of symbols by cell."""
+    count = np.zeros((len(model), CELLS, TABLE), np.uint32)
+    _codec.attributes_count(model, sample.values, count, sample.near)
+    return count
 
 
 def choose(model: Models, count: npt.NDArray[np.uint32], scale: int) -> npt.NDArray[np.uint64]:
@@ -108,16 +162,16 @@ def choose(model: Models, count: npt.NDArray[np.uint32], scale: int) -> npt.NDAr
     return cost
 
 
-def choose_taps(model: Models, sample: Ints, scale: int) -> None:
+def choose_taps(model: Models, sample: Sample, scale: int) -> None:
     """Set the terms of predictions that save more bits than they take."""
     trial = model.copy()
-    find_taps(trial, sample)
+    find_taps(trial, sample.values, sample.near)
     if not trial["taps"].any():
         return
     trial["gain"] = model["gain"] = TRIAL_GAIN
     trial["weight"][:, 0] = model["weight"][:, 0] = WEIGHT_OF_OWN
-    cost = count_and_choose(model, sample, [slice(len(sample))], scale)
-    trial_cost = count_and_choose(trial, sample, [slice(len(sample))], scale)
+    cost = count_and_choose(model, sample, scale)
+    trial_cost = count_and_choose(trial, sample, scale)
     trial_cost += (TAP_COST * trial["taps"]).astype(np.uint64)
     better = trial_cost < cost
     for field in ("taps", "tap"):
@@ -125,11 +179,10 @@ def choose_taps(model: Models, sample: Ints, scale: int) -> None:
     model["weight"] = 0
 
 
-def choose_activity(model: Models, sample: Ints, scale: int) -> None:
+def choose_activity(model: Models, sample: Sample, scale: int) -> None:
     """Set gains, weights and spans of ``model`` by what costs least on the sample."""
     plain = model.copy()
-    count = np.zeros((len(model), CELLS, TABLE), np.uint32)
-    _codec.attributes_count(plain, sample, count)
+    count = count_sample(plain, sample)
     best_cost = choose(plain, count, scale)
     model["gain"] = find_gains(count)
     best = model.copy()
@@ -166,10 +219,10 @@ def weights_of(share: tuple[float, float, float], channels: int) -> Ints:
 
 
 def keep_better(
-    best: Models, best_cost: npt.NDArray[np.uint64], trial: Models, sample: Ints, scale: int
+    best: Models, best_cost: npt.NDArray[np.uint64], trial: Models, sample: Sample, scale: int
 ) -> None:
     """Replace the channels of ``best`` that ``trial`` codes in fewer bits."""
-    cost = count_and_choose(trial, sample, [slice(len(sample))], scale)
+    cost = count_and_choose(trial, sample, scale)
     better = cost < best_cost
     best[better] = trial[better]
     best_cost[better] = cost[better]
@@ -185,35 +238,35 @@ def drop_unused(model: Models) -> None:
     model["gain"][~(needed | (model["weight"][:, 0] > 0))] = 0
 
 
-def choose_mixed(model: Models, values: Ints, chunks: list[slice]) -> Models:
+def choose_mixed(model: Models, rows: Rows) -> Models:
     """``model`` with those channels mixed that take fewer bytes so than by tables.
 
     Channels that gain nothing on the sample, on which contexts learn less, are not tried on
     all rows.
     """
-    sample = take_sample(values)
-    size = count_and_choose(model.copy(), values, chunks, 256) // (8 << 16)
+    sample = rows.sample()
+    size = count_all_and_choose(model.copy(), rows) // (8 << 16)
     mixed = all_mixed(model, sample)
-    trial_size = measure(mixed, sample, [slice(len(sample))])
-    promising = trial_size * len(values) < size * len(sample) * SAMPLE_MARGIN
+    trial_size = np.zeros(len(model), np.uint64)
+    _codec.attributes_measure(mixed, sample.values, trial_size, sample.near)
+    promising = trial_size * len(rows.values) < size * len(sample) * SAMPLE_MARGIN
     if not promising.any():
         return model
     trial = np.where(promising, mixed, model)
     trial["gain"] = mixed["gain"]
-    better = promising & (measure(trial, values, chunks) + MIXED_HEADER < size)
+    better = promising & (measure(trial, rows) + MIXED_HEADER < size)
     result = np.where(better, mixed, model)
     last = np.flatnonzero(better)[-1] if better.any() else -1
     result["gain"][: last + 1] = mixed["gain"][: last + 1]
     return result
 
 
-def all_mixed(model: Models, sample: Ints) -> Models:
+def all_mixed(model: Models, sample: Sample) -> Models:
     """``model`` with every channel mixed, and with activity if it had none.
 
     Gains are 0 only after the last channel whose classes depend on them, so no class changes.
     """
-    count = np.zeros((len(model), CELLS, TABLE), np.uint32)
-    _codec.attributes_count(model, sample, count)
+    count = count_sample(model, sample)
     mixed = model.copy()
     mixed["coder"], mixed["classes"], mixed["class_of"], mixed["frequency"] = 1, 1, 0, 0
     mixed["gain"] = np.where(model["gain"] == 0, find_gains(count), model["gain"])
@@ -224,9 +277,9 @@ def all_mixed(model: Models, sample: Ints) -> Models:
     return mixed
 
 
-def measure(model: Models, values: Ints, chunks: list[slice]) -> npt.NDArray[np.uint64]:
+def measure(model: Models, rows: Rows) -> npt.NDArray[np.uint64]:
     """Bytes (channels,) of the channels that are mixed."""
     size = np.zeros(len(model), np.uint64)
-    for chunk in chunks:
-        _codec.attributes_measure(model, values[chunk], size)
+    for index, chunk in enumerate(rows.chunks):
+        _codec.attributes_measure(model, rows.values[chunk], size, rows.near_of(model, index))
     return size

@@ -34,17 +34,22 @@ class PaperModel:
     channels: int
     MODE: ClassVar[int] = 2
     """The first byte of the header: the chunks are plain run-length streams."""
+    looks_near: ClassVar[bool] = False
 
     @property
     def header(self) -> bytes:
         """The mode alone."""
         return bytes([self.MODE])
 
-    def encode(self, rows: npt.NDArray[np.int32]) -> bytes:
+    def encode(
+        self, rows: npt.NDArray[np.int32], near: npt.NDArray[np.int32] | None = None
+    ) -> bytes:
         """The stream of the rows (n, channels) int32."""
         return encode(rows)
 
-    def decode(self, data: bytes | memoryview, count: int) -> npt.NDArray[np.int32]:
+    def decode(
+        self, data: bytes | memoryview, count: int, near: npt.NDArray[np.int32] | None = None
+    ) -> npt.NDArray[np.int32]:
         """The rows (count, channels) int32 of a stream.
 
         Raises:

@@ -10,14 +10,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.attributes.model import MAX_FACTOR, TAP_CLAMP, TAPS, Ints, Models
+from clgs.codec.attributes.model import MAX_FACTOR, NEAR, TAP_CLAMP, TAPS, Ints, Models
+from clgs.codec.attributes.near import COUNT
 
 Floats = npt.NDArray[np.float64]
 
 ROWS = (0, -1, 1, -2)
 """Rows of earlier channels, and (if negative) of the channel itself, that are tried."""
 
-LEAST_GAIN = 0.01
+NEAR_ROWS = (0, NEAR)
+"""The same of rows that have positions."""
+
+LEAST_GAIN = 0.003
 """A term must explain this part of what is left of a channel's variance."""
 
 LEAST_LEFT = 1e-6
@@ -30,25 +34,34 @@ FACTOR = 256
 """Factors are stored in units of 1/256."""
 
 
-def find_taps(model: Models, sample: Ints) -> None:
-    """Set the terms of every channel of ``model``, for values ``sample`` (n, channels)."""
+def find_taps(model: Models, sample: Ints, near: Ints | None) -> None:
+    """Set the terms of every channel of ``model``, for values ``sample`` (n, channels).
+
+    ``near`` (n, COUNT): the near rows, if they are known by positions.
+    """
     channels = len(model)
-    products = _products(sample.astype(np.int64) - model["centre"])
+    rows = ROWS if near is None else NEAR_ROWS
+    products = _products(sample.astype(np.int64) - model["centre"], near)
     for j in range(channels):
-        allowed = np.zeros((len(ROWS), channels), bool)
+        allowed = np.zeros((len(rows), channels), bool)
         allowed[:, :j] = True
-        allowed[:, j] = np.array(ROWS) < 0
+        allowed[:, j] = np.array(rows) < 0
         chosen = _pursue(products, np.flatnonzero(allowed), j)
         factors = _solve(products, chosen, j)
         taps = [(int(c), f) for c, f in zip(chosen, factors, strict=True) if f != 0]
         model["taps"][j] = len(taps)
         for t, (c, factor) in enumerate(taps):
-            model["tap"][j, t] = c % channels, ROWS[c // channels], factor
+            model["tap"][j, t] = c % channels, rows[c // channels], factor
 
 
-def _products(value: npt.NDArray[np.int64]) -> Floats:
+def _products(value: npt.NDArray[np.int64], near: Ints | None) -> Floats:
     """Sums of products of all columns, shifted by ROWS: candidate row * channels + column."""
     clamped = np.clip(value, -TAP_CLAMP, TAP_CLAMP).astype(np.float64)
+    if near is not None:
+        around = np.zeros_like(clamped)
+        for k in range(COUNT):
+            around[k + 1 :] += clamped[near[k + 1 :, k]]
+        return _gram(np.concatenate([clamped, around / COUNT], axis=1))
     inner = clamped[2:-1] if len(clamped) > 3 else clamped[:0]
     shifted = [clamped[2 + row : 2 + row + len(inner)] for row in ROWS]
     stacked = np.concatenate(shifted, axis=1)

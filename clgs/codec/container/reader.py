@@ -134,13 +134,21 @@ class Reader:
             raise part.error("checksum of the header differs")
         return guarded(part, row_coder.read, CHANNELS[tag])
 
-    def rows(self, model: row_coder.Model, stream: Section, chunk: Chunk) -> npt.NDArray[np.int32]:
+    def rows(
+        self,
+        model: row_coder.Model,
+        stream: Section,
+        chunk: Chunk,
+        near: npt.NDArray[np.int32] | None,
+    ) -> npt.NDArray[np.int32]:
         """Attributes (n, channels) int32 of a chunk, of one of its ``streams``.
+
+        ``near``: its near rows if the model looks at them.
 
         Raises:
             CodecError: the chunk is damaged.
         """
-        return _in_chunk(stream, chunk, model.decode)
+        return _in_chunk(stream, chunk, lambda data, count: model.decode(data, count, near))
 
     def weights(self) -> npt.NDArray[np.float32]:
         """The weights of the MLPs (13710,) float32.

@@ -13,18 +13,27 @@ import numpy.typing as npt
 from clgs.reference.codec import rans
 from clgs.reference.codec.coding import Coder, RangeDecoder, RangeEncoder
 from clgs.reference.codec.mixed import Column, code_column
+from clgs.reference.codec.prediction import (
+    NEAR,
+    residual_of,
+    rows_before,
+    sum_of_terms,
+    value_of,
+    wrap,
+    wrapped_difference,
+)
 from clgs.reference.codec.runlength import CORRUPT, Symbol
 from clgs.reference.codec.varint import read_varint, varint
 
-ALPHABET, DIRECT, CELLS, CLASSES, TAPS, REACH = 228, 128, 64, 16, 8, 3
-MAX_FACTOR, CLAMP, MAX_GAIN, MAX_WEIGHT = 2047, 32767, 65535, 8191
+ALPHABET, DIRECT, CELLS, CLASSES, TAPS, REACH = 228, 128, 64, 16, 16, 3
+MAX_FACTOR, MAX_GAIN, MAX_WEIGHT = 2047, 65535, 8191
 THRESHOLDS = [4, 5, 6, 7, 8, 10, 11, 13, 16, 19, 23, 27, 32, 38, 45, 54, 64, 76, 91, 108, 128]
 THRESHOLDS += [152, 181, 215, 256, 304, 362, 431, 512, 609, 724]
 
 
 @dataclass
 class Channel:
-    """What the header says of a channel. A tap is (channel, row, factor)."""
+    """What the header says of a channel. A tap is (channel, row or NEAR, factor)."""
 
     centre: int = 0
     taps: list[tuple[int, int, int]] = field(default_factory=list)
@@ -104,7 +113,7 @@ def _code_taps(fields: _Fields, channel: Channel, j: int) -> None:
     channel.taps = []
     for source, row, factor in taps:
         source = j - fields.number("tap channel", j - source, 0, j)
-        row = fields.number("tap row", row, -REACH, -1 if source == j else REACH)
+        row = fields.number("tap row", row, NEAR, -1 if source == j else REACH)
         factor = fields.number("tap factor", factor, -MAX_FACTOR, MAX_FACTOR)
         channel.taps.append((source, row, factor))
 
@@ -146,17 +155,23 @@ def _expected(frequency: list[int], s: int) -> int:
     return (last * last // before if before > last else last) // 2
 
 
-def encode(channels: list[Channel], rows: npt.NDArray[np.int32]) -> bytes:
-    """The chunk of ``rows`` (n, channels) int32, n > 0."""
+def encode(
+    channels: list[Channel], rows: npt.NDArray[np.int32], near: list[list[int]] | None = None
+) -> bytes:
+    """The chunk of ``rows`` (n, channels) int32, n > 0.
+
+    ``near``: the near rows of each by its position; without positions the rows before it.
+    """
+    near = rows_before(len(rows)) if near is None else near
     columns = [[int(x) for x in column] for column in rows.T]
     values = [
-        [_wrap(x - c.centre) for x in column] for c, column in zip(channels, columns, strict=True)
+        [wrap(x - c.centre) for x in column] for c, column in zip(channels, columns, strict=True)
     ]
     symbols: list[list[int]] = []
     literals, bits = 0, 0
     order: list[tuple[list[int], int]] = []
     for j, channel in enumerate(channels):
-        zigzags = _zigzags(channel, values, j)
+        zigzags = _zigzags(channel, values, near, j)
         symbols.append([_symbol(zigzag) for zigzag in zigzags])
         if channel.mixed:
             continue
@@ -174,7 +189,7 @@ def encode(channels: list[Channel], rows: npt.NDArray[np.int32]) -> bytes:
         symbols_coded = rans.encode_symbols(order, len(rows))
         mixed = any(channel.mixed for channel in channels)
         data += (varint(len(symbols_coded)) if mixed else b"") + symbols_coded
-    return data + _encode_mixed(channels, values, symbols)
+    return data + _encode_mixed(channels, values, symbols, near)
 
 
 def _any_literals(channels: list[Channel]) -> bool:
@@ -182,14 +197,19 @@ def _any_literals(channels: list[Channel]) -> bool:
     return any(any(table[DIRECT:]) for c in channels if not c.mixed for table in c.frequency)
 
 
-def _zigzags(channel: Channel, values: list[list[int]], j: int) -> list[int]:
+def _zigzags(channel: Channel, values: list[list[int]], near: list[list[int]], j: int) -> list[int]:
     """Zigzag numbers of the residuals of column j."""
-    residuals = [_wrap(value - _predict(channel, values, i)) for i, value in enumerate(values[j])]
+    sums = (sum_of_terms(channel.taps, values, near, i) for i in range(len(values[j])))
+    residual = wrapped_difference if channel.mixed else residual_of
+    residuals = [residual(value, total) for value, total in zip(values[j], sums, strict=True)]
     return [2 * r if r >= 0 else -2 * r - 1 for r in residuals]
 
 
 def _encode_mixed(
-    channels: list[Channel], values: list[list[int]], symbols: list[list[int]]
+    channels: list[Channel],
+    values: list[list[int]],
+    symbols: list[list[int]],
+    near: list[list[int]],
 ) -> bytes:
     """Decisions of all mixed channels."""
     if not any(channel.mixed for channel in channels):
@@ -197,30 +217,37 @@ def _encode_mixed(
     coder = RangeEncoder()
     for j, channel in enumerate(channels):
         if channel.mixed:
-            code_column(coder, _column(channels, values, symbols, j))
+            code_column(coder, _column(channels, values, symbols, near, j))
     return coder.finish()
 
 
 def _column(
-    channels: list[Channel], values: list[list[int]], symbols: list[list[int]], j: int
+    channels: list[Channel],
+    values: list[list[int]],
+    symbols: list[list[int]],
+    near: list[list[int]],
+    j: int,
 ) -> Column:
     return Column(
         j,
         values,
         symbols,
         has_taps=bool(channels[j].taps),
-        predict=lambda i: _predict(channels[j], values, i),
+        sum_of_terms=lambda i: sum_of_terms(channels[j].taps, values, near, i),
         cell=lambda i: _cell(channels, symbols, j, i, first=0),
         symbol_of=_symbol,
     )
 
 
-def decode(channels: list[Channel], data: bytes, count: int) -> npt.NDArray[np.int32]:
-    """The rows (count, channels) int32 of a chunk, count > 0.
+def decode(
+    channels: list[Channel], data: bytes, count: int, near: list[list[int]] | None = None
+) -> npt.NDArray[np.int32]:
+    """The rows (count, channels) int32 of a chunk, count > 0; ``near`` as the encoder had it.
 
     Raises:
         ValueError: the chunk is damaged.
     """
+    near = rows_before(count) if near is None else near
     literals = _Bits(b"")
     if _any_literals(channels):
         part, data = _take(data)
@@ -237,7 +264,7 @@ def decode(channels: list[Channel], data: bytes, count: int) -> npt.NDArray[np.i
         symbols.append([0] * count)
         values.append([0] * count)
         if channel.mixed:
-            code_column(coder, _column(channels, values, symbols, j))
+            code_column(coder, _column(channels, values, symbols, near, j))
             continue
         for i in rans.coding_order(count):
             lane, table = rans.lane_of(count, i), _table(channels, symbols, j, i)
@@ -245,28 +272,15 @@ def decode(channels: list[Channel], data: bytes, count: int) -> npt.NDArray[np.i
         for i, symbol in enumerate(symbols[j]):
             zigzag = symbol if symbol < DIRECT else _large(symbol, literals)
             residual = zigzag >> 1 if zigzag % 2 == 0 else ~(zigzag >> 1)
-            values[j][i] = _wrap(residual + _predict(channel, values, i))
+            values[j][i] = value_of(residual, sum_of_terms(channel.taps, values, near, i))
     if any(channel.mixed for channel in channels):
         coder.finish()
     if source or states != rans.first_states(count) or literals.rest():
         raise ValueError(CORRUPT)
     columns = [
-        [_wrap(x + c.centre) for x in column] for c, column in zip(channels, values, strict=True)
+        [wrap(x + c.centre) for x in column] for c, column in zip(channels, values, strict=True)
     ]
     return np.array(columns, np.int32).T.copy()
-
-
-def _wrap(value: int) -> int:
-    """Modulo 2^32, as a signed number."""
-    return (value + 2**31) % 2**32 - 2**31
-
-
-def _predict(channel: Channel, values: list[list[int]], i: int) -> int:
-    rows, total = len(values[0]), 0
-    for source, row, factor in channel.taps:
-        if 0 <= i + row < rows:
-            total += factor * min(max(values[source][i + row], -CLAMP), CLAMP)
-    return (total + 128) >> 8
 
 
 def _symbol(zigzag: int) -> int:

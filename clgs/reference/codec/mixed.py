@@ -7,10 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from clgs.reference.codec.coding import Coder, Curve, State, code_mixed
+from clgs.reference.codec.prediction import clamp, rounded, wrap, wrapped_difference
 from clgs.reference.codec.runlength import Symbol, level, small_level
 
 LIMITS = (1000, 30, 250, 250, 250, 250, 250, 250, 250)
-FIRST_WEIGHT, SHIFT, NEAR, DRIFT, CLAMP = 65536 * 16 // 100, 14, 32, 16, 32767
+FIRST_WEIGHT, SHIFT, NEAR, DRIFT = 65536 * 16 // 100, 14, 32, 16
 
 
 class Decisions(Symbol):
@@ -37,14 +38,14 @@ class Decisions(Symbol):
 class Column:
     """Column j of a chunk, to be coded: values and symbols of it and of all earlier ones.
 
-    predict and cell give the prediction and the cell of a row from what is known before it.
+    sum_of_terms and cell give those of a row from what is known before it.
     """
 
     j: int
     values: list[list[int]]
     symbols: list[list[int]]
     has_taps: bool
-    predict: Callable[[int], int]
+    sum_of_terms: Callable[[int], int]
     cell: Callable[[int], int]
     symbol_of: Callable[[int], int]
 
@@ -54,21 +55,30 @@ def code_column(coder: Coder, column: Column) -> None:
     decisions, values = Decisions(), column.values[column.j]
     quick = slow = 0
     for i in range(len(values)):
-        predicted, cell = column.predict(i), column.cell(i)
-        one, two = (_clamp(values[i - back]) if i >= back else 0 for back in (1, 2))
-        expected = predicted if column.has_taps else (one + two) >> 1
+        total, cell = column.sum_of_terms(i), column.cell(i)
+        one, two = (clamp(values[i - back]) if i >= back else 0 for back in (1, 2))
+        expected = rounded(total) if column.has_taps else (one + two) >> 1
         trend = [_place((a >> 8) - expected, DRIFT) for a in (quick, slow)]
         near = _place(expected, NEAR)
         joint = 16 * near + cell % 32 // 2
         neighbours = _neighbours(column, i)
-        decisions.contexts = (0, 0, cell, near, *neighbours, joint, 2 * DRIFT * trend[0] + trend[1])
+        fraction = total % 1024 // 128
+        decisions.contexts = (
+            0,
+            fraction,
+            cell,
+            near,
+            *neighbours,
+            joint,
+            2 * DRIFT * trend[0] + trend[1],
+        )
         decisions.set = cell % 32 // 8
-        residual = _wrap(decisions.value(coder, _wrap(values[i] - predicted)))
-        values[i] = _wrap(residual + predicted)
+        residual = wrap(decisions.value(coder, wrapped_difference(values[i], total)))
+        values[i] = wrap(residual + rounded(total))
         zigzag = 2 * residual if residual >= 0 else -2 * residual - 1
         column.symbols[column.j][i] = column.symbol_of(zigzag)
-        quick += (256 * _clamp(values[i]) - quick) >> 3
-        slow += (256 * _clamp(values[i]) - slow) >> 6
+        quick += (256 * clamp(values[i]) - quick) >> 3
+        slow += (256 * clamp(values[i]) - slow) >> 6
 
 
 def _neighbours(column: Column, i: int) -> tuple[int, int, int]:
@@ -93,11 +103,3 @@ def _neighbours(column: Column, i: int) -> tuple[int, int, int]:
 
 def _place(value: int, limit: int) -> int:
     return min(max(value, -limit), limit - 1) + limit
-
-
-def _clamp(value: int) -> int:
-    return min(max(value, -CLAMP), CLAMP)
-
-
-def _wrap(value: int) -> int:
-    return (value + 2**31) % 2**32 - 2**31

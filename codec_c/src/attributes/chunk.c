@@ -6,6 +6,7 @@
 #include "common/bytes.h"
 #include "attributes/literals.h"
 #include "attributes/mixed.h"
+#include "attributes/predict.h"
 #include "attributes/rans.h"
 
 #define PREFIX (2 * CLGS_MAX_VARINT) /* lengths of the literals and of the words, at most */
@@ -42,7 +43,7 @@ size_t clgs_attributes_bound(const void *model, size_t rows, size_t channels)
     return PREFIX + STATES + 6 * rows * (channels - mixed) + 8 + CLGS_MIXED_MOST * rows * mixed + 8;
 }
 
-/* Parts of the workspace; `words` and `cell` are an encoder's. */
+/* Parts of the workspace; `words` and `cell` are an encoder's. Without tables: bad near rows. */
 typedef struct parts {
     void *tables;
     clgs_mixed *mixed;
@@ -63,6 +64,8 @@ size_t clgs_attributes_workspace(size_t rows, size_t channels)
 static parts place(clgs_columns *columns, void *workspace)
 {
     uint8_t *next = clgs_columns_place(columns, workspace);
+    if (!next)
+        return (parts){.tables = NULL};
     size_t cells = columns->rows * columns->channels;
     parts p = {.tables = next, .mixed = (clgs_mixed *)(next + TABLES_SIZE)};
     p.words = (uint16_t *)(next + TABLES_SIZE + clgs_mixed_size());
@@ -138,15 +141,18 @@ static uint8_t *encode_mixed(clgs_columns *columns, clgs_mixed *mixed, uint8_t *
     return coder.out;
 }
 
-size_t clgs_attributes_encode(const void *model, const int32_t *value, size_t rows, size_t channels,
-                              uint8_t *out, size_t capacity, void *workspace)
+size_t clgs_attributes_encode(const void *model, const int32_t *value, const int32_t *near,
+                              size_t rows, size_t channels, uint8_t *out, size_t capacity,
+                              void *workspace)
 {
-    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels};
+    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels, .near = near};
     if (cell_count(rows, channels) == 0 || !clgs_model_valid(model, channels) ||
         capacity < clgs_attributes_bound(model, rows, channels))
         return 0;
     size_t mixed = mixed_channels(model, channels);
     parts p = place(&columns, workspace);
+    if (!p.tables)
+        return 0;
     clgs_columns_load(&columns, value);
     uint8_t *at = encode_literals(&columns, p.cell, out);
     if (mixed < channels)
@@ -201,6 +207,7 @@ static clgs_error decode_columns(clgs_columns *columns, decoder *d)
         }
         if (!fine)
             return CLGS_ERROR_TRUNCATED;
+        clgs_columns_serve(columns, j);
         clgs_columns_activate(columns, j);
     }
     clgs_error error = mixed > 0 ? clgs_range_end_decode(&d->range) : CLGS_OK;
@@ -241,13 +248,16 @@ static clgs_error open_chunk(decoder *d, const clgs_columns *columns, const uint
 }
 
 clgs_error clgs_attributes_decode(const void *model, const uint8_t *data, size_t size,
-                                  int32_t *value, size_t rows, size_t channels, void *workspace)
+                                  int32_t *value, const int32_t *near, size_t rows, size_t channels,
+                                  void *workspace)
 {
-    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels};
+    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels, .near = near};
     decoder d = {.literals = {.failed = 0}};
     if (cell_count(rows, channels) == 0 || !clgs_model_valid(model, channels))
         return CLGS_ERROR_ARGUMENT;
     parts p = place(&columns, workspace);
+    if (!p.tables)
+        return CLGS_ERROR_ARGUMENT;
     d.rans.table = p.tables;
     d.mixed = p.mixed;
     clgs_error error = open_chunk(&d, &columns, data, data + size);

@@ -31,8 +31,9 @@ size_t clgs_pitch(size_t rows)
 size_t clgs_columns_size(size_t rows, size_t channels)
 {
     size_t cells = clgs_pitch(rows) * channels;
-    return aligned(4 * cells) + aligned(cells) + 2 * aligned(4 * rows) + aligned(rows) +
-           aligned(2 * (rows + 2)) + aligned(CLGS_MAX_ACTIVITY + 1) + TILE * stride(channels);
+    return 2 * aligned(4 * cells) + aligned(2 * cells) + aligned(cells) + 2 * aligned(4 * rows) +
+           aligned(rows) + aligned(4 * CLGS_NEAR * rows) + aligned(2 * (rows + 2)) +
+           aligned(CLGS_MAX_ACTIVITY + 1) + TILE * stride(channels);
 }
 
 static void *take(uint8_t **memory, size_t size)
@@ -46,12 +47,44 @@ static void *take(uint8_t **memory, size_t size)
 static void find_apart(clgs_columns *columns)
 {
     memset(columns->apart, 0, sizeof columns->apart);
+    memset(columns->served, 0, sizeof columns->served);
     for (size_t j = 0; j < columns->channels; j++) {
         const clgs_channel *channel = columns->channel + j;
         columns->apart[j] |= channel->taps > 0 || channel->coder == CLGS_MIXED;
-        for (int32_t t = 0; t < channel->taps; t++)
-            columns->apart[channel->tap[t].channel] = 1;
+        for (int32_t t = 0; t < channel->taps; t++) {
+            const clgs_tap *tap = channel->tap + t;
+            columns->apart[tap->channel] = 1;
+            columns->served[tap->channel] |=
+                tap->row == CLGS_TAP_NEAR ? CLGS_SERVES_NEAR : CLGS_SERVES;
+        }
     }
+}
+
+/* The rows before each row as its near ones. */
+static void fill_rows_before(int32_t *near, size_t rows)
+{
+    for (size_t i = 0; i < rows; i++)
+        for (size_t k = 0; k < CLGS_NEAR; k++)
+            near[CLGS_NEAR * i + k] = (int32_t)i - (int32_t)k - 1;
+}
+
+/* Whether all near rows are earlier ones; the first rows have as many as there are. */
+static int near_valid(const int32_t *near, size_t rows)
+{
+    uint32_t wrong = 0;
+    for (size_t i = 1; i < rows; i++)
+        for (size_t k = 0; k < CLGS_NEAR; k++)
+            wrong |= k < i && (uint32_t)near[CLGS_NEAR * i + k] >= i;
+    return !wrong;
+}
+
+static int looks_near(const clgs_columns *columns)
+{
+    for (size_t j = 0; j < columns->channels; j++)
+        for (int32_t t = 0; t < columns->channel[j].taps; t++)
+            if (columns->channel[j].tap[t].row == CLGS_TAP_NEAR)
+                return 1;
+    return 0;
 }
 
 uint8_t *clgs_columns_place(clgs_columns *columns, void *memory)
@@ -61,14 +94,24 @@ uint8_t *clgs_columns_place(clgs_columns *columns, void *memory)
     columns->lanes = rows < CLGS_LONG_ROWS ? 1 : CLGS_LANES;
     columns->pitch = clgs_pitch(rows);
     columns->value = take(&next, 4 * cells);
+    columns->around = take(&next, 4 * cells);
+    columns->clamped = take(&next, 2 * cells);
     columns->symbol = take(&next, cells);
     columns->residual = take(&next, 4 * rows);
     columns->partial = take(&next, 4 * rows);
     columns->cell = take(&next, rows);
+    columns->rows_before = take(&next, 4 * CLGS_NEAR * rows);
     columns->activity = (uint16_t *)take(&next, 2 * (rows + 2)) + 1;
     columns->level = take(&next, CLGS_MAX_ACTIVITY + 1);
     columns->tile = take(&next, TILE * stride(columns->channels));
     find_apart(columns);
+    if (looks_near(columns)) {
+        if (!columns->near)
+            fill_rows_before(columns->rows_before, rows);
+        else if (!near_valid(columns->near, rows))
+            return NULL;
+        columns->near = columns->near ? columns->near : columns->rows_before;
+    }
     memset(columns->activity - 1, 0, 2 * (rows + 2));
     for (uint32_t activity = 0, level = 0; activity <= CLGS_MAX_ACTIVITY; activity++) {
         while (level < CLGS_LEVELS - 1 && THRESHOLD[level] <= activity)
@@ -196,83 +239,6 @@ void clgs_columns_store(const clgs_columns *columns, int32_t *value)
         for (size_t i = 0; i < rows && columns->apart[j]; i++)
             value[i * channels + j] =
                 clgs_signed((uint32_t)clgs_values(columns, j)[i] + (uint32_t)centre[j]);
-}
-
-static int32_t clamp(int32_t value)
-{
-    return value < -CLGS_TAP_CLAMP  ? -CLGS_TAP_CLAMP
-           : value > CLGS_TAP_CLAMP ? CLGS_TAP_CLAMP
-                                    : value;
-}
-
-/* Add a term's part to the sums in `residual`; rows outside of the chunk count as 0. */
-static void add_tap(clgs_columns *columns, const clgs_tap *tap)
-{
-    size_t rows = columns->rows, back = tap->row < 0 ? (size_t)-tap->row : 0;
-    size_t ahead = tap->row > 0 ? (size_t)tap->row : 0;
-    const int32_t *source = clgs_values(columns, (size_t)tap->channel);
-    if (back + ahead >= rows)
-        return;
-    for (size_t i = 0; i < rows - back - ahead; i++)
-        columns->residual[i + back] += tap->factor * clamp(source[i + ahead]);
-}
-
-/* Sums of the terms of column j, those of the column itself only if `own`. */
-static void add_taps(clgs_columns *columns, size_t j, int own)
-{
-    const clgs_channel *channel = columns->channel + j;
-    memset(columns->residual, 0, 4 * columns->rows);
-    for (int32_t t = 0; t < channel->taps; t++)
-        if (own || (size_t)channel->tap[t].channel != j)
-            add_tap(columns, channel->tap + t);
-}
-
-void clgs_columns_add_taps(clgs_columns *columns, size_t j)
-{
-    add_taps(columns, j, 0);
-}
-
-void clgs_columns_own_factors(const clgs_columns *columns, size_t j,
-                              int32_t own[CLGS_TAP_REACH + 1])
-{
-    const clgs_channel *channel = columns->channel + j;
-    memset(own, 0, (CLGS_TAP_REACH + 1) * sizeof own[0]);
-    for (int32_t t = 0; t < channel->taps; t++)
-        if ((size_t)channel->tap[t].channel == j)
-            own[-channel->tap[t].row] += channel->tap[t].factor;
-}
-
-void clgs_columns_predict(clgs_columns *columns, size_t j)
-{
-    const int32_t *value = clgs_values(columns, j);
-    if (columns->channel[j].taps == 0) {
-        memcpy(columns->residual, value, 4 * columns->rows);
-        return;
-    }
-    add_taps(columns, j, 1);
-    for (size_t i = 0; i < columns->rows; i++) {
-        uint32_t predicted = (uint32_t)clgs_tap_rounded(columns->residual[i]);
-        columns->residual[i] = clgs_signed((uint32_t)value[i] - predicted);
-    }
-}
-
-void clgs_columns_restore(clgs_columns *columns, size_t j)
-{
-    int32_t *value = clgs_values(columns, j), own[CLGS_TAP_REACH + 1];
-    int32_t before[CLGS_TAP_REACH + 1] = {0};
-    if (columns->channel[j].taps == 0)
-        return;
-    clgs_columns_add_taps(columns, j);
-    clgs_columns_own_factors(columns, j, own);
-    for (size_t i = 0; i < columns->rows; i++) {
-        int32_t sum = columns->residual[i];
-        for (int back = 1; back <= CLGS_TAP_REACH; back++)
-            sum += own[back] * before[back];
-        value[i] = clgs_signed((uint32_t)value[i] + (uint32_t)clgs_tap_rounded(sum));
-        for (int back = CLGS_TAP_REACH; back > 1; back--)
-            before[back] = before[back - 1];
-        before[1] = clamp(value[i]);
-    }
 }
 
 void clgs_columns_partial(clgs_columns *columns, size_t j)

@@ -3,9 +3,12 @@
 #define CLGS_ATTRIBUTES_COLUMNS_H
 
 #include "attributes/model.h"
+#include "common/bytes.h"
 
 #define CLGS_LANES 8        /* a long column is cut into so many runs of rows, coded in turn */
 #define CLGS_LONG_ROWS 2048 /* shorter columns are one run: every lane costs bytes */
+
+enum { CLGS_SERVES = 1, CLGS_SERVES_NEAR = 3 }; /* terms look at a column; at its near rows, too */
 
 /* One chunk in the caller's workspace. Columns follow each other, `pitch` entries apart. */
 typedef struct clgs_columns {
@@ -13,15 +16,20 @@ typedef struct clgs_columns {
     size_t rows, channels, lanes;
     size_t pitch; /* entries from column to column; an odd number of 64, so that caches serve all */
     const int32_t *source; /* encoder: (rows, channels), as the caller has them */
+    const int32_t *near;   /* (rows, CLGS_NEAR): earlier rows, the first ones have fewer */
     int32_t *value;        /* (channels, rows), minus centre, modulo 2^32; only if `apart` */
+    int16_t *clamped;      /* (channels, rows): values as terms use them; only if `served` */
+    int32_t *around;       /* (channels, rows): their sums over near rows; only if `served` so */
+    int32_t *rows_before;  /* (rows, CLGS_NEAR): near rows of an array without positions */
     uint8_t *symbol;       /* (channels, rows) */
     uint8_t *cell;         /* (rows): cells of the column at hand */
-    int32_t *residual;     /* (rows): of the column at hand */
+    int32_t *residual;     /* (rows): of the column at hand; sums of its prediction before */
     uint16_t *activity; /* (rows + 2): magnitudes of the earlier channels, summed; zero borders */
     uint32_t *partial;  /* (rows): weighted activity without the own column's part */
     uint8_t *level;     /* of each activity, CLGS_MAX_ACTIVITY + 1 of them */
     uint8_t *tile;      /* some rows of symbols on their way from rows to columns or back */
     uint8_t apart[CLGS_MAX_CHANNELS];   /* the column's values differ from its symbols' */
+    uint8_t served[CLGS_MAX_CHANNELS];  /* terms look at the column */
     uint32_t zigzag[CLGS_MAX_CHANNELS]; /* encoder: all bits that occur, unless `apart` */
 } clgs_columns;
 
@@ -41,7 +49,8 @@ size_t clgs_pitch(size_t rows);
 /* Bytes that `clgs_columns_place` hands out. */
 size_t clgs_columns_size(size_t rows, size_t channels);
 
-/* Lay the arrays out in `memory`, aligned as malloc does; activity becomes zero. The end. */
+/* Lay the arrays out in `memory`, aligned as malloc does; activity becomes zero. `near` may be
+ * NULL. The end, or NULL if a near row is not an earlier one. */
 uint8_t *clgs_columns_place(clgs_columns *columns, void *memory);
 
 /* Row-major values to columns: to values if `apart`, otherwise straight to symbols. */
@@ -49,21 +58,6 @@ void clgs_columns_load(clgs_columns *columns, const int32_t *value);
 
 /* Columns to row-major values: from values if `apart`, otherwise from symbols. */
 void clgs_columns_store(const clgs_columns *columns, int32_t *value);
-
-/* Residuals of column j from its values, and the reverse. */
-void clgs_columns_predict(clgs_columns *columns, size_t j);
-void clgs_columns_restore(clgs_columns *columns, size_t j);
-
-/* The parts of a prediction: sums over other columns, to `residual`; factors of own rows, by how
- * far back; a sum of both as a value. */
-void clgs_columns_add_taps(clgs_columns *columns, size_t j);
-void clgs_columns_own_factors(const clgs_columns *columns, size_t j,
-                              int32_t own[CLGS_TAP_REACH + 1]);
-
-static inline int32_t clgs_tap_rounded(int32_t sum)
-{
-    return (sum + (1 << (CLGS_FACTOR_BITS - 1))) >> CLGS_FACTOR_BITS;
-}
 
 /* Cells of column j but for the own column's part in its activity, which goes to `partial`. */
 void clgs_columns_partial(clgs_columns *columns, size_t j);

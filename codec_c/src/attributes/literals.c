@@ -1,5 +1,6 @@
 #include "attributes/literals.h"
 
+#include "attributes/predict.h"
 #include "common/bytes.h"
 
 static void put_bits(clgs_literals *b, uint32_t value, uint32_t count)
@@ -53,6 +54,7 @@ void clgs_literals_split(clgs_columns *columns, size_t j, clgs_literals *literal
     const int32_t *residual = columns->residual;
     if (!columns->apart[j])
         return;
+    clgs_columns_serve(columns, j);
     clgs_columns_predict(columns, j);
     for (size_t i = 0; i < columns->rows; i++) {
         uint32_t zigzag = clgs_zigzag(residual[i]);

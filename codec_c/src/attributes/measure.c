@@ -12,13 +12,14 @@ static void count_symbols(const uint8_t *symbol, size_t rows, uint32_t *count)
         count[s] += part[0][s] + part[1][s] + part[2][s] + part[3][s];
 }
 
-clgs_error clgs_attributes_count(const void *model, const int32_t *value, size_t rows,
-                                 size_t channels, uint32_t *count, void *workspace)
+clgs_error clgs_attributes_count(const void *model, const int32_t *value, const int32_t *near,
+                                 size_t rows, size_t channels, uint32_t *count, void *workspace)
 {
-    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels};
+    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels, .near = near};
     if (clgs_attributes_workspace(rows, channels) == 0 || !clgs_model_valid(model, channels))
         return CLGS_ERROR_ARGUMENT;
-    clgs_columns_place(&columns, workspace);
+    if (!clgs_columns_place(&columns, workspace))
+        return CLGS_ERROR_ARGUMENT;
     clgs_columns_load(&columns, value);
     for (size_t j = 0; j < channels; j++) {
         const clgs_channel *channel = columns.channel + j;
@@ -42,13 +43,16 @@ size_t clgs_attributes_measure_bound(size_t rows)
     return CLGS_MIXED_MOST * rows + 8;
 }
 
-clgs_error clgs_attributes_measure(const void *model, const int32_t *value, size_t rows,
-                                   size_t channels, uint64_t *bytes, uint8_t *out, void *workspace)
+clgs_error clgs_attributes_measure(const void *model, const int32_t *value, const int32_t *near,
+                                   size_t rows, size_t channels, uint64_t *bytes, uint8_t *out,
+                                   void *workspace)
 {
-    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels};
+    clgs_columns columns = {.channel = model, .rows = rows, .channels = channels, .near = near};
     if (clgs_attributes_workspace(rows, channels) == 0 || !clgs_model_valid(model, channels))
         return CLGS_ERROR_ARGUMENT;
     clgs_mixed *mixed = (clgs_mixed *)clgs_columns_place(&columns, workspace);
+    if (!mixed)
+        return CLGS_ERROR_ARGUMENT;
     clgs_columns_load(&columns, value);
     clgs_mixed_init(mixed);
     for (size_t j = 0; j < channels; j++) {

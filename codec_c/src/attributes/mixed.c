@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "attributes/predict.h"
 #include "common/bytes.h"
 #include "entropy/symbol.h"
 
@@ -19,11 +20,11 @@ enum { PLAIN, QUICK, CELL, EXPECTED, OWN, CROSS, BESIDE, JOINT, TREND, INPUTS };
 _Static_assert(INPUTS <= CLGS_MAX_INPUTS, "a mix holds all inputs");
 
 /* Contexts of each input, and where the first one's states are. */
-static const uint16_t FIRST[INPUTS + 1] = {0, 1, 2, 66, 130, 194, 258, 322, 1346, 2370};
+static const uint16_t FIRST[INPUTS + 1] = {0, 1, 9, 73, 137, 201, 265, 329, 1353, 2377};
 
 struct clgs_mixed {
     clgs_tables tables;
-    uint32_t state[2370][CLGS_NODES];
+    uint32_t state[2377][CLGS_NODES];
     int32_t weight[WEIGHT_SETS][CLGS_NODES * INPUTS];
     uint16_t curve[CLGS_NODES][CLGS_CURVE_KNOTS];
 };
@@ -35,8 +36,9 @@ typedef struct walk {
     const uint8_t *left, *further; /* symbols of the two columns before, or NULL */
     uint8_t *symbol;
     int32_t *value;
-    int32_t own[CLGS_TAP_REACH + 1], before[CLGS_TAP_REACH + 1]; /* factors and values, by row */
-    int32_t quick, slow;                                         /* averages, in 1/256 */
+    uint32_t own[CLGS_OWN];             /* factors by row */
+    int32_t before[CLGS_TAP_REACH + 1]; /* values by row */
+    int32_t quick, slow;                /* averages, in 1/256 */
 } walk;
 
 size_t clgs_mixed_size(void)
@@ -81,7 +83,7 @@ static void find_contexts(const walk *w, size_t i, int32_t expected, uint32_t ce
     int32_t further = w->further ? signed_symbol(w->further, i) : 0;
     int32_t above = w->left && i > 0 ? signed_symbol(w->left, i - 1) : 0;
     int32_t below = w->left && i + 1 < rows ? signed_symbol(w->left, i + 1) : 0;
-    context[PLAIN] = context[QUICK] = 0;
+    context[PLAIN] = 0;
     context[CELL] = cell;
     context[EXPECTED] = place(expected, NEAR);
     context[OWN] = clgs_signed_level(one) * 4 + clgs_small_level(two);
@@ -105,12 +107,15 @@ static uint32_t find_cell(const walk *w, size_t i)
 static void code_row(walk *w, clgs_mixed *m, clgs_symbol *symbol, size_t i)
 {
     uint32_t context[INPUTS], cell = find_cell(w, i);
-    int32_t sum = w->columns->residual[i];
+    uint32_t sum = clgs_columns_sums(w->columns)[i];
     for (int back = 1; back <= CLGS_TAP_REACH; back++)
-        sum += w->own[back] * w->before[back];
+        sum += w->own[back] * (uint32_t)w->before[back];
+    if (w->own[-CLGS_TAP_NEAR])
+        sum += w->own[-CLGS_TAP_NEAR] * (uint32_t)clgs_columns_around(w->columns, w->value, i);
     int32_t predicted = clgs_tap_rounded(sum);
     find_contexts(w, i, w->channel->taps > 0 ? predicted : (w->before[1] + w->before[2]) >> 1, cell,
                   context);
+    context[QUICK] = clgs_tap_fraction(sum);
     for (size_t k = 0; k < INPUTS; k++)
         symbol->base[k] = m->state[FIRST[k] + context[k]];
     symbol->weight = m->weight[cell % CLGS_LEVELS / 8];

@@ -8,7 +8,7 @@
 #define LIMIT 250 /* states of the header */
 
 /* Bytes at most: a decision costs 12 bits. A number of 32 bits has 36 of them and 28 plain bits, a
- * frequency 18 and 9. Before its tables a channel has 32 numbers, then a decision per cell. */
+ * frequency 18 and 9. Before its tables a channel has 57 numbers, then a decision per cell. */
 #define NUMBER_MOST 62
 #define FREQUENCY_MOST 29
 #define TABLES_MOST (2 * CLGS_CELLS + FREQUENCY_MOST * CLGS_CLASSES * CLGS_ALPHABET)
@@ -77,7 +77,7 @@ static void code_taps(header *h, clgs_channel *channel, int32_t j)
         int32_t back = code_within(h, FIELD_TAP_CHANNEL, j - tap->channel, 0, j);
         int32_t last = back == 0 ? -1 : CLGS_TAP_REACH;
         tap->channel = j - back;
-        tap->row = code_within(h, FIELD_TAP_ROW, tap->row, -CLGS_TAP_REACH, last);
+        tap->row = code_within(h, FIELD_TAP_ROW, tap->row, CLGS_TAP_NEAR, last);
         tap->factor =
             code_within(h, FIELD_TAP_FACTOR, tap->factor, -CLGS_MAX_FACTOR, CLGS_MAX_FACTOR);
     }
@@ -190,7 +190,7 @@ size_t clgs_attributes_model_size(size_t channels)
 size_t clgs_attributes_header_bound(size_t channels)
 {
     int fits = channels >= 1 && channels <= CLGS_MAX_CHANNELS;
-    return fits ? 8 + channels * (32 * NUMBER_MOST + TABLES_MOST) : 0;
+    return fits ? 8 + channels * (57 * NUMBER_MOST + TABLES_MOST) : 0;
 }
 
 size_t clgs_attributes_header_workspace(void)
@@ -242,7 +242,7 @@ static int taps_valid(const clgs_channel *channel, int32_t j)
     for (int32_t t = 0; t < channel->taps; t++) {
         const clgs_tap *tap = channel->tap + t;
         if (!within(tap->channel, 0, j) ||
-            !within(tap->row, -CLGS_TAP_REACH, tap->channel == j ? -1 : CLGS_TAP_REACH) ||
+            !within(tap->row, CLGS_TAP_NEAR, tap->channel == j ? -1 : CLGS_TAP_REACH) ||
             !within(tap->factor, -CLGS_MAX_FACTOR, CLGS_MAX_FACTOR))
             return 0;
     }

@@ -8,8 +8,9 @@
 
 #include "clgs_codec.h"
 
-#define CLGS_TAPS 8        /* terms of a prediction */
+#define CLGS_TAPS 16       /* terms of a prediction */
 #define CLGS_TAP_REACH 3   /* rows that a term may lie before or after */
+#define CLGS_TAP_NEAR (-4) /* in place of a row: the mean of the near rows */
 #define CLGS_FACTOR_BITS 8 /* factors are in 1/256 */
 #define CLGS_MAX_FACTOR 2047
 #define CLGS_TAP_CLAMP 32767 /* predictions use values within this of their centre */
@@ -33,7 +34,7 @@ enum { CLGS_STATIC = 0, CLGS_MIXED = 1 };
 
 typedef struct clgs_tap {
     int32_t channel; /* this one or an earlier one */
-    int32_t row;     /* relative; an earlier one if the channel is this one */
+    int32_t row;     /* relative; an earlier one if the channel is this one; or CLGS_TAP_NEAR */
     int32_t factor;
 } clgs_tap;
 
@@ -51,7 +52,7 @@ typedef struct clgs_channel {
     uint16_t frequency[CLGS_CLASSES][CLGS_TABLE];
 } clgs_channel;
 
-_Static_assert(sizeof(clgs_channel) == 33 * 4 + CLGS_CELLS + CLGS_CLASSES * CLGS_TABLE * 2,
+_Static_assert(sizeof(clgs_channel) == 57 * 4 + CLGS_CELLS + CLGS_CLASSES * CLGS_TABLE * 2,
                "the caller's array has this layout");
 
 /* Whether every field is in range, so that chunks can follow the model without further checks. */

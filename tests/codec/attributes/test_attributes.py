@@ -119,14 +119,14 @@ def test_unknown_levels_are_refused():
 
 def tables(value: np.ndarray, chunk: int = row_coder.CHUNK) -> row_coder.TableModel:
     """The model of level ``default`` if no other coder is shorter."""
-    model, _ = model_search.fit(value, runs(len(value), chunk), search=True)
+    model, _ = model_search.fit(model_search.Rows(value, runs(len(value), chunk)), search=True)
     return row_coder.TableModel(_codec.attributes_header(model), model)
 
 
 def mixed_model(value: np.ndarray) -> row_coder.TableModel:
     """The model of level ``max``, with every channel but the first mixed."""
     model = tables(value).model.copy()
-    mixed = model_search.all_mixed(model, value)
+    mixed = model_search.all_mixed(model, model_search.Sample(value))
     mixed[:1] = model[:1]
     return row_coder.TableModel(_codec.attributes_header(mixed), mixed)
 

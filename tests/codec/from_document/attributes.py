@@ -22,6 +22,7 @@ from tests.codec.from_document.common import (
 )
 from tests.codec.from_document.entropy import RangeDecoder, SoloNumbers
 from tests.codec.from_document.mixed import MixedChannel
+from tests.codec.from_document.prediction import Prediction, rows_before
 from tests.codec.from_document.rows import decode_run_lengths
 
 THRESHOLDS = [
@@ -87,9 +88,9 @@ class HeaderReader:
         """Channel j."""
         channel = Channel(self.number("centre", INT32_MIN, INT32_MAX))
         if self.number("rich", 0, 1):
-            for _ in range(self.number("taps", 0, 8)):
+            for _ in range(self.number("taps", 0, 16)):
                 back = self.number("tap channel", 0, j)
-                row = self.number("tap row", -3, 3 if back else -1)
+                row = self.number("tap row", -4, 3 if back else -1)
                 channel.taps.append((j - back, row, self.number("tap factor", -2047, 2047)))
             channel.gain = self.number("gain", 0, 65535)
             w0, w1, w2 = (self.number(f"weight {k}", 0, 8191) for k in range(3))
@@ -226,9 +227,12 @@ def symbol_of(residual: int) -> int:
 class Chunk:
     """A chunk of mode 1: all its channels, one after another."""
 
-    def __init__(self, data: bytes, n: int, channels: list[Channel], what: str) -> None:
+    def __init__(
+        self, data: bytes, n: int, channels: list[Channel], near: list[list[int]], what: str
+    ) -> None:
         self.n = n
         self.channels = channels
+        self.near = near
         reader = ByteReader(data, what)
         tables = [table for channel in channels for table in channel.tables]
         literal = any(f for table in tables for f in table.frequencies[128:])
@@ -264,17 +268,19 @@ class Chunk:
         self.literals.finish()
         return decoded
 
-    def predictor(self, channel: Channel) -> Callable[[int], int]:
+    def predictor(self, channel: Channel) -> Callable[[int], Prediction]:
         """The prediction at row i, v' of earlier rows being known."""
-        n = self.n
+        n, near = self.n, self.near
         taps = [(self.clamped[k], row, factor) for k, row, factor in channel.taps]
 
-        def prediction(i: int) -> int:
-            total = 128
+        def prediction(i: int) -> Prediction:
+            total = 512
             for values, row, factor in taps:
-                if 0 <= i + row < n:
-                    total += factor * values[i + row]
-            return total >> 8
+                if row == -4:
+                    total += factor * sum(values[e] for e in near[i])
+                elif 0 <= i + row < n:
+                    total += 4 * factor * values[i + row]
+            return Prediction(wrap(total))
 
         return prediction
 
@@ -322,7 +328,7 @@ class Chunk:
             if s >= 128:
                 count = 5 + (s - 128) // 4
                 z = (4 + (s - 128) % 4 << count) + self.literals.take(count)
-            self.set_value(i, wrap(unzigzag(z) + prediction(i)))
+            self.set_value(i, prediction(i).value(unzigzag(z)))
 
     def mixed_channel(self, channel: Channel) -> None:
         """A mixed channel."""
@@ -333,10 +339,10 @@ class Chunk:
         cell = self.cell_finder(channel)
         for i in range(self.n):
             predicted = prediction(i)
-            expected = predicted if channel.taps else model.expected(i)
-            residual = wrap(model.residual(i, cell(i, 0), expected))
+            expected = predicted.rounded if channel.taps else model.expected(i)
+            residual = wrap(model.residual(i, cell(i, 0), expected, predicted.eighths))
             self.symbols[-1][i] = symbol_of(residual)
-            self.set_value(i, wrap(residual + predicted))
+            self.set_value(i, wrap(residual + predicted.rounded))
             model.learn(i)
 
 
@@ -358,8 +364,15 @@ class Attributes:
         if self.mode == 1:
             self.channels = HeaderReader(header[1:], f"{what} header").read(channels)
 
-    def decode(self, data: bytes, n: int, number: int) -> np.ndarray:
-        """Chunk `number`, of n rows, as int32."""
+    @property
+    def looks_near(self) -> bool:
+        """Whether a term looks at near rows."""
+        return any(row == -4 for channel in self.channels for _, row, _ in channel.taps)
+
+    def decode(
+        self, data: bytes, n: int, number: int, near: list[list[int]] | None = None
+    ) -> np.ndarray:
+        """Chunk `number`, of n rows, as int32; `near`: by positions, if there are any."""
         what = f"{self.what} chunk {number}"
         check(n * self.columns <= 2**28, f"{what}: too many values")
         if self.mode == 0:
@@ -367,4 +380,6 @@ class Attributes:
             return np.frombuffer(data, "<i4").reshape(n, self.columns)
         if self.mode == 2:
             return np.array(decode_run_lengths(data, n, self.columns, what), np.int32)
-        return Chunk(data, n, self.channels, what).decode()
+        if near is None:
+            near = rows_before(n)
+        return Chunk(data, n, self.channels, near, what).decode()

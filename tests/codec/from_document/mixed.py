@@ -76,14 +76,14 @@ class MixedChannel:
         """The symbol at row i as a signed number."""
         return unzigzag(symbols[i]) if 0 <= i < self.n else 0
 
-    def residual(self, i: int, cell: int, expected: int) -> int:
+    def residual(self, i: int, cell: int, expected: int, fraction: int) -> int:
         """The residual at row i."""
         own1 = self.signed(self.own, i - 1)
         around = self.signed(self.beside, i - 1) + self.signed(self.beside, i + 1)
         cross = level(self.signed(self.beside, i)), small(self.signed(self.beside2, i))
         contexts: tuple[object, ...] = (
             0,
-            0,
+            fraction,
             cell,
             place(expected, 32),
             (level(own1), small(self.signed(self.own, i - 2))),

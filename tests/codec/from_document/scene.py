@@ -11,6 +11,7 @@ from tests.codec.from_document.attributes import Attributes
 from tests.codec.from_document.chunks import SECTIONS, Chunks, Part, read_chunks
 from tests.codec.from_document.common import ByteReader, check, crc32c, morton_code, xxh64
 from tests.codec.from_document.octree import decode_octree
+from tests.codec.from_document.prediction import near_rows
 from tests.codec.from_document.weights import COUNT, decode_weights
 
 CHANNELS = {"OFFS": 30, "FEAT": 50, "SCAL": 6}
@@ -136,11 +137,14 @@ class SceneDecoder:
             bytes_of = {
                 tag: self.readers[tag].take(s) for tag, s in zip(SECTIONS, chunk.sizes, strict=True)
             }
-            positions += self.positions(chunk, bytes_of.pop("ANCH"), number)
+            points = self.positions(chunk, bytes_of.pop("ANCH"), number)
+            positions += points
             check(crc32c(b"".join(bytes_of.values())) == chunk.crc_others,
                   f"chunk {number}: CRC differs")  # fmt: skip
             for tag, data in bytes_of.items():
-                parts[tag].append(self.decoders[tag].decode(data, chunk.anchors, number))
+                decoder = self.decoders[tag]
+                near = near_rows(points) if decoder.looks_near else None
+                parts[tag].append(decoder.decode(data, chunk.anchors, number, near))
         scene = Scene(self.meta, np.array(positions, "<i4").reshape(-1, 3))
         for tag, columns in CHANNELS.items():
             empty = np.empty((0, columns), "<i4")
