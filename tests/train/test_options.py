@@ -57,6 +57,18 @@ def as_text(value: Any) -> str:
     return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
+def test_bytes_may_have_a_suffix() -> None:
+    target = options_of(TrainConfig)["target_size"]
+    assert [target.parse(text) for text in ("800k", "1.5M", "700000")] == [
+        800_000,
+        1_500_000,
+        700_000,
+    ]
+    for text in ("k", "-1k", "5x", "1e400k"):
+        with pytest.raises(UsageError, match="target_size"):
+            target.parse(text)
+
+
 def parse_command(*words: str) -> TrainConfig:
     parser = Parser(prog="clgs train")
     training.add_training_options(parser)

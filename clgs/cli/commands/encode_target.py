@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clgs.byte_count import byte_count
 from clgs.cli.options.view import add_size_options
 
 if TYPE_CHECKING:
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
 
     from clgs.scene.scene import QuantizedScene
     from clgs.train.quality.rate_control import Judge
-
-UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9}
 
 
 def add_target_options(parser: argparse.ArgumentParser) -> None:
@@ -37,14 +36,10 @@ def add_target_options(parser: argparse.ArgumentParser) -> None:
 
 def size(text: str) -> int:
     """An argument of bytes: a number, and k, M or G for 10^3, 10^6 or 10^9 of them."""
-    number, unit = (text[:-1], text[-1].lower()) if text[-1:].isalpha() else (text, "")
-    try:
-        value = float(number) * UNITS[unit]
-    except (ValueError, KeyError):
-        value = math.nan
-    if not 1 <= value < 2**63:
+    value = byte_count(text)
+    if value is None:
         raise argparse.ArgumentTypeError(f"{text} is not a size such as 800k or 1.5M")
-    return int(value)
+    return value
 
 
 def decibel(text: str) -> float:

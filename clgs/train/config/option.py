@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from typing import Any, get_type_hints
 
+from clgs.byte_count import byte_count
 from clgs.errors import UsageError
 
 METADATA = "option"
@@ -174,6 +175,8 @@ class Option:
             value = tuple(map(_number, text.strip("[]").split(",")))
         elif isinstance(self.allowed, Range):
             value = _number(text)
+            if self.unit == "bytes" and isinstance(value, str):
+                value = byte_count(text) or text
         elif isinstance(self.allowed, Text) and not text.strip():
             value = None  # the default, an empty name, cannot be asked for by accident
         return self.check(value)

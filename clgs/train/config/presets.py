@@ -44,6 +44,8 @@ def preset(name: str) -> TrainConfig:
             learning_rates=PAPER_RATES,
             start_points=100_000,
             start_volume="cube",
+            start_pixels=0.0,
+            start_mlps="random",
         )
     return config
 

@@ -74,6 +74,19 @@ class RunSettings:
         "anywhere (code)",
         ("hull", "cube"),
     )
+    start_pixels: float = option(
+        3.0,
+        "the data set's points are thinned to at most one for so many pixels of a photo; 0: all of "
+        "them stay (code)",
+        at_least(0),
+        unit="pixels",
+    )
+    start_mlps: str = option(
+        "trained",
+        "the MLPs to start from; trained: on another scene, shipped; random: as PyTorch (code); or "
+        "those of a scene: its .clgs or .npz file",
+        Text("trained, random or the name of a file"),
+    )
     fixed_views: int = option(
         4, "training views on which PSNR is logged", at_least(0), unit="views"
     )

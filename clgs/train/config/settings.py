@@ -32,12 +32,15 @@ from clgs.train.config.size_settings import SizeSettings
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
 
-LAMBDA = {True: 0.55, False: 1.8}
-"""For Blender scenes and for photos, of runs of LAMBDA_STEPS; of others it goes with the root of
-the steps: what is not learned yet cannot show its worth.
-"""
+LAMBDA = {True: 0.6, False: 1.8}
+"""For Blender scenes and for photos, of runs of LAMBDA_STEPS."""
 
 LAMBDA_STEPS = 3000
+
+LAMBDA_POWER = 0.8
+"""Of the steps: what is not learned yet cannot show its worth, and longer runs give both better
+pictures and smaller files.
+"""
 
 LEAST_TARGET = {"quantized": 13_000, "float32": 50_000}
 """Bytes of the smallest file that may be asked for: the MLPs take most of it."""
@@ -176,7 +179,7 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         position_q = self.position_q or _paper_position_q(self.preset, synthetic) or 1.0 / voxel
         price = self.size_lambda
         if price is None:
-            price = LAMBDA[synthetic] * (self.steps / LAMBDA_STEPS) ** 0.5
+            price = LAMBDA[synthetic] * (self.steps / LAMBDA_STEPS) ** LAMBDA_POWER
         return replace(
             self,
             voxel=voxel,

@@ -18,12 +18,12 @@ class SizeSettings:
         WEIGHT,
         unit="dB per halving",
         group="size",
-        open_default="1.8 on photos and 0.55 on Blender scenes, times the root of steps / 3,000",
+        open_default="1.8 on photos and 0.6 on Blender scenes, times (steps / 3,000)^0.8",
     )
     target_size: int = option(
         0,
-        "bytes of the file, which ends at most 2 % below, never above; lambda follows from it; 0: "
-        "as lambda has it",
+        "bytes of the file, such as 800k or 1.5M; it ends at most 2 % below, never above; lambda "
+        "follows from it; 0: as lambda has it",
         at_least(0),
         unit="bytes",
     )

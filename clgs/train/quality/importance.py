@@ -50,16 +50,33 @@ def importance(
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How the squared error of pictures, summed over them, goes with the anchors of a scene.
+    """How the squared error of pictures goes with the anchors of a scene.
 
     importance (A,): what leaving an anchor out adds to it; curvature: of offset (A, K, 3), feature
-    (A, F) and scaling (A, 6), what a change by d adds to it, divided by d squared. Float64. seen
+    (A, F) and scaling (A, 6), what a change by d adds to it, divided by d squared. Float32. seen
     (A,): whether a picture shows the anchor's place.
     """
 
-    importance: npt.NDArray[np.float64]
-    curvature: dict[str, npt.NDArray[np.float64]]
+    importance: npt.NDArray[np.float32]
+    curvature: dict[str, npt.NDArray[np.float32]]
     seen: npt.NDArray[np.bool_]
+
+    def times(self, factor: float) -> Sensitivity:
+        """In units that are smaller by ``factor``."""
+        scaled = {name: array * np.float32(factor) for name, array in self.curvature.items()}
+        return Sensitivity(self.importance * np.float32(factor), scaled, self.seen)
+
+    def mean(self, other: Sensitivity) -> Sensitivity:
+        """Of two looks at the same anchors."""
+        half = np.float32(0.5)
+        curvature = {n: half * (array + other.curvature[n]) for n, array in self.curvature.items()}
+        importance = half * (self.importance + other.importance)
+        return Sensitivity(importance, curvature, self.seen | other.seen)
+
+    def rows(self, kept: npt.NDArray[np.bool_]) -> Sensitivity:
+        """Of the anchors that ``kept`` (A,) says."""
+        curvature = {name: array[kept] for name, array in self.curvature.items()}
+        return Sensitivity(self.importance[kept], curvature, self.seen[kept])
 
 
 def sensitivity(
@@ -71,8 +88,8 @@ def sensitivity(
 ) -> Sensitivity:
     """The importance of :func:`importance`, and the diagonal of the Gauss-Newton matrix.
 
-    The latter by the same random signs: the mean of <signs, d image / d x>^2 is the squared length
-    of d image / d x.
+    Both are summed over the pictures. The latter by the same random signs: the mean of
+    <signs, d image / d x>^2 is the squared length of d image / d x.
     """
     total = np.zeros(len(scene.anchors))
     curvature = {n: np.zeros(array.shape) for n, array in scene.anchors.items() if n != "position"}
@@ -85,7 +102,8 @@ def sensitivity(
             sums += np.square(change)
         visible = device.download(frame.activations.visible)
         seen[visible[visible >= 0]] = True
-    return Sensitivity(total, curvature, seen)
+    narrow = {name: sums.astype(np.float32) for name, sums in curvature.items()}
+    return Sensitivity(total.astype(np.float32), narrow, seen)
 
 
 def importance_without_views(scene: QuantizedScene) -> npt.NDArray[np.float64]:

@@ -5,6 +5,9 @@ per unit of each attribute. In every round integers become cheaper ones if the l
 and up to ``prune_end`` anchors go. Anchors gain importance as others go: at most a share of them
 goes in one round, and training repairs the pictures in between. After the last round anchors rest.
 
+The first round looks at the anchors from all the views that it asks. Later ones ask half of them by
+turns, and mix what they find with what is known; those that let no anchor go only remember.
+
 If a size of the file is asked for, every round looks for the price that would leave that size at
 once, and the last one sees to it that it is met.
 """
@@ -13,27 +16,37 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.data.dataset import Dataset
 from clgs.opencl.device import Device
 from clgs.ops import loss
+from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
+from clgs.train.quality.importance import Sensitivity
 from clgs.train.quality.rate_control import spread
 from clgs.train.rate.judgement import Judge, Judgement
 from clgs.train.rate.plan import MOST, Situation, carry_out, plan_at, plan_for_size
-from clgs.train.state.parameters import Parameters
+from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 from clgs.train.step.queue import StepQueue
 
 ROUNDS = 10
+
+LEAST_ROUNDS = 3
+
+ROUND_STEPS = 40
+"""Steps between rounds at least, if there are more than LEAST_ROUNDS."""
 
 VIEWS = 48
 """At most this many views say what is useful."""
@@ -65,11 +78,15 @@ class Economy:
         """As for :class:`clgs.train.run.trainer.Trainer`."""
         self._device, self._dataset, self._config = device, dataset, config
         last = min(config.freeze_step, config.steps - 1)
-        moments = np.linspace(config.switch_step, max(config.switch_step, last), ROUNDS)
+        last = max(config.switch_step, last)
+        rounds = (last - config.switch_step) // ROUND_STEPS
+        rounds = min(max(rounds, LEAST_ROUNDS), ROUNDS)
+        moments = np.linspace(config.switch_step, last, rounds)
         self._lambda = config.size_lambda or 0.0
         active = self._lambda > 0 or config.target_size > 0
         self.steps = sorted({round(moment) for moment in moments}) if active else []
         """The steps after which there is a round."""
+        self._found: Sensitivity | None = None
 
     def round(
         self,
@@ -86,7 +103,9 @@ class Economy:
         """
         config = self._config
         first, last = step == config.switch_step, step == self.steps[-1]
-        judged = self._judge(settings, queue).judge(queue.seen(parameters, step + (not first)))
+        judge, scene = self._judge(settings, queue), queue.seen(parameters, step + (not first))
+        found = self._look(judge, scene, step)
+        judged = judge.judge(scene, found)
         state = densifier.download(parameters)
         free = self._free() if first else frozenset()
         now = Situation(state, judged, queue.scales, free)
@@ -100,10 +119,33 @@ class Economy:
             plan = plan_at(queue.rate.price, now)
         queue.rate.price, queue.rate.scales = plan.price, plan.scales
         before = len(state.anchors)
-        changed = carry_out(plan, state, self._most(step, last))
+        changed, kept = carry_out(plan, state, self._most(step, last))
+        self._found = found.rows(kept)
         done = Round(step, before, len(state.anchors), changed, plan.price)
         _log.info("%s, %s, loss %.5f", done, plan.scales, judged.loss)
         return densifier.replaced(parameters, state), done
+
+    def state(self) -> dict[str, npt.NDArray[Any]]:
+        """All that :meth:`restore` needs to continue exactly, by name."""
+        if self._found is None:
+            return {}
+        known = {"importance": self._found.importance, "seen": self._found.seen}
+        return {f"known.{name}": array for name, array in (known | self._found.curvature).items()}
+
+    def restore(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Take what :meth:`state` gave; other arrays are ignored."""
+        if "known.seen" in arrays:
+            curvature = {name: arrays[f"known.{name}"] for name in ANCHOR_GROUPS}
+            self._found = Sensitivity(arrays["known.importance"], curvature, arrays["known.seen"])
+
+    def _look(self, judge: Judge, scene: DeviceScene, step: int) -> Sensitivity:
+        """What is known of the anchors of ``scene`` in the round after ``step``."""
+        known = self._found
+        if known is None:
+            return judge.look(scene)
+        if step > self._config.prune_end:
+            return known
+        return known.mean(judge.look(scene, self.steps.index(step) % 2, 2))
 
     def _size(
         self,

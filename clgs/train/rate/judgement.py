@@ -19,7 +19,7 @@ from clgs.options import RenderOptions
 from clgs.render.frame import DeviceScene
 from clgs.render.pipeline import render_forward
 from clgs.scene.scene import RenderSettings
-from clgs.train.quality.importance import sensitivity
+from clgs.train.quality.importance import Sensitivity, sensitivity
 
 Floats = npt.NDArray[np.float64]
 
@@ -59,17 +59,21 @@ class Judge:
     options: RenderOptions
     weights: loss.Weights
 
-    def judge(self, scene: DeviceScene) -> Judgement:
-        """The anchors of ``scene``."""
-        mean_loss, squared_error = self._compare(scene)
-        cameras = [view.camera for view in self.views]
+    def look(self, scene: DeviceScene, first: int = 0, every: int = 1) -> Sensitivity:
+        """How a view, the mean, goes with the anchors, seen from the views [first::every]."""
+        cameras = [view.camera for view in self.views[first::every]]
         least = min(camera.width * camera.height for camera in cameras)
         factor = 2 if least >= 4 * PIXELS * len(scene.anchors) else 1
         reduced = [camera.reduced(factor) for camera in cameras]
         found = sensitivity(self.device, scene, self.settings, reduced, self.options)
-        worth = 0.5 * mean_loss / squared_error * factor**2 / len(cameras)
-        importance = found.importance * worth
-        curvature = {name: array * worth for name, array in found.curvature.items()}
+        return found.times(factor**2 / len(cameras))
+
+    def judge(self, scene: DeviceScene, found: Sensitivity) -> Judgement:
+        """The anchors of ``scene``, by what :meth:`look` found of them."""
+        mean_loss, squared_error = self._compare(scene)
+        worth = 0.5 * mean_loss / squared_error
+        importance = found.importance.astype(np.float64) * worth
+        curvature = {n: array.astype(np.float64) * worth for n, array in found.curvature.items()}
         if not self.all_views and found.seen.any():
             importance[~found.seen] = np.inf
             for array in curvature.values():

@@ -87,10 +87,11 @@ def plan_for_size(size: int, now: Situation, measure: Measure) -> Plan:
     return best
 
 
-def carry_out(plan: Plan, state: TrainState, most: float) -> int:
-    """Change ``state`` to what ``plan`` leaves of it; returns how many integers changed.
+def carry_out(plan: Plan, state: TrainState, most: float) -> tuple[int, npt.NDArray[np.bool_]]:
+    """Change ``state`` to what ``plan`` leaves of it.
 
-    ``most``: the share of the anchors that goes at most. What changes loses its momentum.
+    ``most``: the share of the anchors that goes at most. What changes loses its momentum. Returns
+    how many integers changed, and which anchors (A,) are kept.
 
     Raises:
         ClgsError: no anchor is left.
@@ -103,7 +104,9 @@ def carry_out(plan: Plan, state: TrainState, most: float) -> int:
         values[moved] = (best[moved] / q).astype(np.float32)
         moments.first[moved] = 0.0
         changed += int(moved.sum())
+    kept = np.ones(len(plan.worth), np.bool_)
     if most > 0:
         limit = float(np.quantile(plan.worth, most, method="lower"))
-        keep_rows(state, plan.worth >= min(plan.price, limit))
-    return changed
+        kept = plan.worth >= min(plan.price, limit)
+        keep_rows(state, kept)
+    return changed, kept

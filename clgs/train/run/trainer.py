@@ -19,13 +19,15 @@ from clgs.render.budget import check_budget
 from clgs.render.frame import Capacity, Frame
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import quantize
-from clgs.scene.mlps import Mlps, init_mlps
+from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
+from clgs.train.config.settings import BLENDER, LEAST_ANCHORS
 from clgs.train.density.densifier import Densifier
 from clgs.train.density.initial_anchors import initial_anchors
 from clgs.train.quality.metrics import psnr_8bit, to_8bit
 from clgs.train.rate.economy import Economy, Round
+from clgs.train.run.start_mlps import start_mlps
 from clgs.train.state.parameters import Parameters, new_parameters
 from clgs.train.step.queue import Enqueued, Plan, StepQueue
 from clgs.train.step.schedule import ViewSampler
@@ -77,8 +79,11 @@ class Trainer:
         """
         self.device, self.dataset, self.config = device, dataset, config
         self.rng = np.random.default_rng(config.seed)
-        anchors = initial_anchors(dataset.points, config.voxel, config.max_anchors, config.seed)
-        self.parameters: Parameters = new_parameters(device, anchors, init_mlps(self.rng))
+        most = _most_at_start(dataset, config)
+        anchors = initial_anchors(dataset.points, config.voxel, most, config.seed)
+        self.parameters: Parameters = new_parameters(
+            device, anchors, start_mlps(config.start_mlps, self.rng)
+        )
         self.queue = StepQueue(device, dataset, config)
         self.densifier = Densifier(device, config, self.parameters.count)
         self.sampler = ViewSampler(len(dataset.train), config.seed)
@@ -264,3 +269,12 @@ class Trainer:
             self.settings,
             self.dataset.transform,
         )
+
+
+def _most_at_start(dataset: Dataset, config: TrainConfig) -> int:
+    """Anchors to start from at most; 0: as many as there are voxels with points."""
+    limits = [config.max_anchors] if config.max_anchors else []
+    if config.start_pixels and dataset.kind != BLENDER:
+        pixels = max(view.camera.width * view.camera.height for view in dataset.train)
+        limits.append(max(LEAST_ANCHORS, int(pixels / config.start_pixels)))
+    return min(limits, default=0)

@@ -31,7 +31,7 @@ def save_checkpoint(folder: Path, trainer: Trainer) -> None:
         "sampler": trainer.sampler.state(),
     }
     host = {name: trainer.device.download(array) for name, array in arrays.items()}
-    host |= trainer.queue.rate.state()
+    host |= trainer.queue.rate.state() | trainer.economy.state()
     checkpoint.save(folder, host, scalars, run_digest(trainer.dataset, trainer.config))
 
 
@@ -43,9 +43,9 @@ def load_checkpoint(folder: Path, trainer: Trainer) -> None:
     """
     host, scalars = checkpoint.load(folder, run_digest(trainer.dataset, trainer.config))
     trainer.queue.rate.restore(host)
-    arrays = {
-        n: trainer.device.upload(array) for n, array in host.items() if not n.startswith("rate.")
-    }
+    trainer.economy.restore(host)
+    on_host = ("rate.", "known.")
+    arrays = {n: trainer.device.upload(a) for n, a in host.items() if not n.startswith(on_host)}
     scene = DeviceScene(Anchors(*(arrays[name] for name in FIELDS)), arrays["weights"])
     moments = {
         name: Moments(arrays[f"first.{name}"], arrays[f"second.{name}"])

@@ -9,7 +9,7 @@ import pytest
 
 from clgs.codec.scene_encoder import encode
 from clgs.train.config import preset
-from clgs.train.rate.economy import ROUNDS
+from clgs.train.rate.economy import LEAST_ROUNDS, ROUNDS, Economy
 from clgs.train.run.session import train_scene
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.resume import load_checkpoint, save_checkpoint
@@ -45,12 +45,20 @@ def test_lambda_trades_size_for_quality(cpu, dataset, untouched):
     sizes = [len(encode(one.quantized_scene())) for one in (untouched, small, smaller)]
     assert sizes[0] > sizes[1] > sizes[2]
     assert small.psnr(dataset.train) > smaller.psnr(dataset.train)
-    assert len(small.rounds) == ROUNDS
+    assert len(small.rounds) == LEAST_ROUNDS
     assert small.rounds[-1].after < small.rounds[0].before
     assert small.rounds[0].price < smaller.rounds[0].price
     ended = [one for one in small.rounds if one.step > small.config.prune_end]
     assert ended
     assert all(one.before == one.after for one in ended)
+
+
+def test_long_runs_have_more_rounds(cpu, dataset):
+    counts = [
+        len(Economy(cpu, dataset, preset("default").scaled(steps).for_dataset("colmap")).steps)
+        for steps in (1, STEPS, 600, 30_000)
+    ]
+    assert counts == [1, LEAST_ROUNDS, 6, ROUNDS]
 
 
 def test_anchors_rest_after_the_last_round(cpu, dataset):

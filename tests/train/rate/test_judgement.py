@@ -70,12 +70,35 @@ def test_importance_is_that_of_the_quick_way(device: Device, seen: tuple[Scene, 
     scene, view = seen
     uploaded, settings = upload_scene(device, scene), RenderSettings()
     both = sensitivity(device, uploaded, settings, [view.camera] * 2).importance
-    np.testing.assert_array_equal(both, importance(device, uploaded, settings, [view.camera] * 2))
+    quick = importance(device, uploaded, settings, [view.camera] * 2)
+    np.testing.assert_allclose(both, quick, rtol=1e-6)
 
 
 def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene, all_views: bool = True):
     judge = Judge(device, [seen[1]] * VIEWS, all_views, RenderSettings(), DEFAULT, WEIGHTS)
-    return judge.judge(scene)
+    return judge.judge(scene, judge.look(scene))
+
+
+def test_looks_are_means_over_the_views_asked(device: Device, seen: tuple[Scene, View]) -> None:
+    scene, view = seen
+    uploaded = upload_scene(device, scene)
+    other = replace(view, camera=replace(view.camera, cx=view.camera.cx + 5.0))
+    judge = Judge(device, [view, other] * 2, True, RenderSettings(), DEFAULT, WEIGHTS)
+    firsts, seconds = (judge.look(uploaded, first, 2) for first in (0, 1))
+    for found, camera in ((firsts, view.camera), (seconds, other.camera)):
+        halved = camera.reduced(2)  # there are many pixels for so few anchors
+        sums = sensitivity(device, uploaded, RenderSettings(), [halved] * 2)
+        np.testing.assert_allclose(found.importance, 4 * sums.importance / 2, rtol=1e-6)
+    mixed = firsts.mean(seconds)
+    np.testing.assert_allclose(
+        mixed.curvature["feature"],
+        (firsts.curvature["feature"] + seconds.curvature["feature"]) / 2,
+        rtol=1e-6,
+    )
+    kept = np.arange(len(scene.anchors)) % 3 == 0
+    left = mixed.rows(kept)
+    np.testing.assert_array_equal(left.importance, mixed.importance[kept])
+    np.testing.assert_array_equal(left.seen, (firsts.seen | seconds.seen)[kept])
 
 
 def test_the_loss_is_that_of_the_views(device: Device, seen: tuple[Scene, View]) -> None:

@@ -46,7 +46,9 @@ def test_bits_for_nothing_change_nothing(now: Situation, state: TrainState) -> N
     plan = plan_at(0.0, now)
     assert len(plan.kept) == COUNT
     before = state.anchors.map(np.copy)
-    assert carry_out(plan, state, 0.2) == 0
+    changed, kept = carry_out(plan, state, 0.2)
+    assert changed == 0
+    assert kept.all()
     for name, array in before.items():
         np.testing.assert_array_equal(array, getattr(state.anchors, name))
 
@@ -83,7 +85,8 @@ def test_what_is_carried_out(now: Situation, state: TrainState) -> None:
     integers, rows = plan.integers, np.flatnonzero(plan.worth >= plan.price)
     first = {name: moments.first.copy() for name, moments in state.moments.items()}
     rounded = {name: np.rint(getattr(state.anchors, name) * 2.0) for name in first}
-    changed = carry_out(plan, state, 1.0)
+    changed, kept = carry_out(plan, state, 1.0)
+    np.testing.assert_array_equal(np.flatnonzero(kept), rows)
     assert changed == sum(int((rounded[n] != getattr(integers, n)).sum()) for n in first)
     assert 0 < len(rows) < COUNT
     for name, moments in first.items():

@@ -1,0 +1,74 @@
+"""Train the MLPs that runs start from: ``python scripts/train_start_mlps.py DATA... -o FILE.npy``.
+
+Each data set in turn trains on from the MLPs of the one before; the first starts from random ones.
+Features begin with zeros every time, so that what remains is how to read features, not a scene.
+At the end the mean feature joins the biases, so that zeros stand for a mean anchor.
+
+Those that ship were made of the photos of the demonstration (``data`` in its folder), and of a
+capture of its exhibits:
+
+    python scripts/demo/object_capture.py object
+    python scripts/train_start_mlps.py demo object -o clgs/train/run/trained_mlps.npy
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from clgs.constants import FEATURE_DIM, HEAD_DIMS
+from clgs.files import atomic_path
+from clgs.scene.mlps import Mlps
+from clgs.scene.scene import QuantizedScene
+from clgs.train.config import preset
+from clgs.train.run.load import load_for
+from clgs.train.run.session import train_scene
+from clgs.train.run.start_mlps import RANDOM
+
+
+def main() -> int:
+    """Write the MLPs."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path, nargs="+", metavar="DATA", help="prepared data sets")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.npy")
+    parser.add_argument("--steps", type=int, default=3000, help="of every run")
+    args = parser.parse_args()
+    with TemporaryDirectory() as folder:
+        start = RANDOM
+        for number, data in enumerate(args.data):
+            run = Path(folder) / str(number)
+            scene = train(data, start, number, args.steps, run)
+            start = str(run / "scene.npz")
+    with atomic_path(args.output) as temporary, temporary.open("wb") as file:
+        np.save(file, centred(scene).flat, allow_pickle=False)
+    return 0
+
+
+def train(data: Path, start: str, seed: int, steps: int, folder: Path) -> QuantizedScene:
+    """The scene of one run on ``data`` from the MLPs called ``start``."""
+    config = preset("default").scaled(steps)
+    config = replace(config, seed=seed, mlp="float32", start_mlps=start)
+    folder.mkdir()
+    result = train_scene(load_for(config, data, folder), folder, config)
+    print(f"{data.name}: {result.summary['psnr']:.2f} dB, {result.summary['bytes']:,} bytes")
+    return result.scene
+
+
+def centred(scene: QuantizedScene) -> Mlps:
+    """The scene's MLPs for features from which their mean is taken."""
+    mean = (scene.anchors.feature / scene.scales.feature).mean(axis=0)
+    mlps = Mlps(scene.mlps.flat.copy())
+    for name in HEAD_DIMS:
+        head = mlps.head(name)
+        shift = head["hidden_weight"][:, :FEATURE_DIM].astype(np.float64) @ mean
+        head["hidden_bias"][:] += shift.astype(np.float32)
+    return mlps
+
+
+if __name__ == "__main__":
+    sys.exit(main())
