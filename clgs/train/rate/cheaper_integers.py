@@ -20,6 +20,9 @@ SCALES_PER_OCTAVE = 4
 LEAST_POWER, MOST_POWER = -2 * SCALES_PER_OCTAVE, 8 * SCALES_PER_OCTAVE
 """From 1/4 to 256 integers per unit."""
 
+BLOCK = 2048
+"""Rows looked at at once, which bounds the memory."""
+
 SAMPLED = 4096
 """Rows that :func:`best_scale` looks at, at least if there are so many."""
 
@@ -74,11 +77,22 @@ def cheaper_integers(
         q: integers per unit.
         price: of a bit, in units of the loss.
     """
-    exact = values.reshape(len(values), -1).astype(np.float64) * q
-    nearest = np.rint(exact)
-    law = LaplaceLaw.of(nearest)
-    weight, nat = curvature.reshape(exact.shape) / q**2, price / np.log(2.0)
-    distance = exact - law.mean
+    rows, weights = values.reshape(len(values), -1), curvature.reshape(len(values), -1)
+    law = LaplaceLaw.of(np.rint(rows.astype(np.float64) * q))
+    best = np.empty(rows.shape)
+    for start in range(0, len(rows), BLOCK):
+        block = slice(start, start + BLOCK)
+        exact, weight = rows[block].astype(np.float64) * q, weights[block] / q**2
+        best[block] = _cheapest(exact, weight, price / np.log(2.0), law)
+    return best.reshape(values.shape)
+
+
+def _cheapest(exact: Floats, weight: Floats, nat: float, law: LaplaceLaw) -> Floats:
+    """Of the integers near ``exact`` (A, channels), those with the least sum.
+
+    ``weight``: the curvature of the loss by integers; ``nat``: the price of a nat.
+    """
+    nearest, distance = np.rint(exact), exact - law.mean
     with np.errstate(divide="ignore", invalid="ignore"):
         threshold = np.nan_to_num(nat / law.scale / (2.0 * weight), nan=0.0, posinf=np.inf)
     side = np.sign(distance)
@@ -90,7 +104,7 @@ def cheaper_integers(
         cost = weight * np.square(candidate - exact) + nat * law.nats(candidate)
         best = np.where(cost < least, candidate, best)
         least = np.minimum(cost, least)
-    return np.asarray(best.reshape(values.shape))
+    return best
 
 
 def best_scale(values: npt.NDArray[np.float32], curvature: Floats, price: float) -> float:

@@ -103,9 +103,12 @@ class Economy:
         """
         config = self._config
         first, last = step == config.switch_step, step == self.steps[-1]
+        self._device.release_unused()
         judge, scene = self._judge(settings, queue), queue.seen(parameters, step + (not first))
         found = self._look(judge, scene, step)
         judged = judge.judge(scene, found)
+        del scene
+        self._device.release_unused()
         state = densifier.download(parameters)
         free = self._free() if first else frozenset()
         now = Situation(state, judged, queue.scales, free)
