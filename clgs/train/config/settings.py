@@ -32,12 +32,12 @@ from clgs.train.config.size_settings import SizeSettings
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
 
-LAMBDA = {True: 0.6, False: 1.8}
+LAMBDA = {True: 0.33, False: 0.9}
 """For Blender scenes and for photos, of runs of LAMBDA_STEPS."""
 
 LAMBDA_STEPS = 3000
 
-LAMBDA_POWER = 0.8
+LAMBDA_POWER = 0.5
 """Of the steps: what is not learned yet cannot show its worth, and longer runs give both better
 pictures and smaller files.
 """

@@ -1,5 +1,8 @@
 """Rounds in which anchors, and digits of anchors, go that are not worth their bytes.
 
+While anchors still grow, those go that do not earn the bytes of a mean anchor: growth adds more
+than is needed, and each costs time.
+
 At the switch to integers the first round sets the price of a bit, and how many integers there are
 per unit of each attribute. In every round integers become cheaper ones if the loss hardly changes,
 and up to ``prune_end`` anchors go. Anchors gain importance as others go: at most a share of them
@@ -17,7 +20,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -34,6 +37,7 @@ from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
+from clgs.train.density.grow_and_prune import keep_rows
 from clgs.train.quality.importance import Sensitivity
 from clgs.train.quality.rate_control import spread
 from clgs.train.rate.judgement import Judge, Judgement
@@ -47,6 +51,15 @@ LEAST_ROUNDS = 3
 
 ROUND_STEPS = 40
 """Steps between rounds at least, if there are more than LEAST_ROUNDS."""
+
+THINNED = (0.5, 0.7, 0.9)
+"""Shares of the steps before the switch after which anchors go."""
+
+MOST_THINNED = 0.3
+"""Share of the anchors that goes at most each time: they gain importance as others go."""
+
+AMPLE = 1.5
+"""If a size is asked for: times the anchors that it holds, about, stay before the switch."""
 
 VIEWS = 48
 """At most this many views say what is useful."""
@@ -84,7 +97,8 @@ class Economy:
         moments = np.linspace(config.switch_step, last, rounds)
         self._lambda = config.size_lambda or 0.0
         active = self._lambda > 0 or config.target_size > 0
-        self.steps = sorted({round(moment) for moment in moments}) if active else []
+        thinned = [share * config.switch_step for share in THINNED]
+        self.steps = sorted({round(each) for each in (*thinned, *moments)}) if active else []
         """The steps after which there is a round."""
         self._found: Sensitivity | None = None
 
@@ -102,6 +116,8 @@ class Economy:
             ClgsError: no anchor is left.
         """
         config = self._config
+        if step < config.switch_step:
+            return self._thin(parameters, queue, densifier, settings, step)
         first, last = step == config.switch_step, step == self.steps[-1]
         self._device.release_unused()
         judge, scene = self._judge(settings, queue), queue.seen(parameters, step + (not first))
@@ -127,6 +143,40 @@ class Economy:
         done = Round(step, before, len(state.anchors), changed, plan.price)
         _log.info("%s, %s, loss %.5f", done, plan.scales, judged.loss)
         return densifier.replaced(parameters, state), done
+
+    def _thin(
+        self,
+        parameters: Parameters,
+        queue: StepQueue,
+        densifier: Densifier,
+        settings: RenderSettings,
+        step: int,
+    ) -> tuple[Parameters, Round]:
+        """A round before the switch, by half of the views; what they do not see stays."""
+        self._device.release_unused()
+        judge = replace(self._judge(settings, queue), all_views=False)
+        scene = queue.seen(parameters, step)
+        judged = judge.judge(scene, judge.look(scene, self.steps.index(step) % 2, 2))
+        del scene
+        self._device.release_unused()
+        state = densifier.download(parameters)
+        before = len(state.anchors)
+        price = self._price(judged, before)
+        keep_rows(state, self._earning(judged.importance / ANCHOR_BITS, price))
+        done = Round(step, before, len(state.anchors), 0, price)
+        _log.info("%s", done)
+        return densifier.replaced(parameters, state), done
+
+    def _earning(self, worth: npt.NDArray[np.float64], price: float) -> npt.NDArray[np.bool_]:
+        """Which anchors stay before the switch, by their worth per bit (A,)."""
+        least = len(worth) - int(MOST_THINNED * len(worth))
+        if self._config.target_size:
+            held = 8 * self._config.target_size / ANCHOR_BITS
+            least, price = max(least, math.ceil(AMPLE * held)), math.inf
+        if least >= len(worth):
+            return np.ones(len(worth), np.bool_)
+        limit = float(np.partition(worth, -least)[-least])
+        return worth >= min(price, limit)
 
     def state(self) -> dict[str, npt.NDArray[Any]]:
         """All that :meth:`restore` needs to continue exactly, by name."""

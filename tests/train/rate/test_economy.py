@@ -9,7 +9,7 @@ import pytest
 
 from clgs.codec.scene_encoder import encode
 from clgs.train.config import preset
-from clgs.train.rate.economy import LEAST_ROUNDS, ROUNDS, Economy
+from clgs.train.rate.economy import ANCHOR_BITS, LEAST_ROUNDS, ROUNDS, THINNED, Economy
 from clgs.train.run.session import train_scene
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.resume import load_checkpoint, save_checkpoint
@@ -45,9 +45,12 @@ def test_lambda_trades_size_for_quality(cpu, dataset, untouched):
     sizes = [len(encode(one.quantized_scene())) for one in (untouched, small, smaller)]
     assert sizes[0] > sizes[1] > sizes[2]
     assert small.psnr(dataset.train) > smaller.psnr(dataset.train)
-    assert len(small.rounds) == LEAST_ROUNDS
+    assert len(small.rounds) == len(THINNED) + LEAST_ROUNDS
     assert small.rounds[-1].after < small.rounds[0].before
     assert small.rounds[0].price < smaller.rounds[0].price
+    early = [one for one in smaller.rounds if one.step < smaller.config.switch_step]
+    assert [one.changed for one in early] == [0] * len(THINNED)
+    assert all(0.7 * one.before <= one.after < one.before for one in early)
     ended = [one for one in small.rounds if one.step > small.config.prune_end]
     assert ended
     assert all(one.before == one.after for one in ended)
@@ -58,7 +61,7 @@ def test_long_runs_have_more_rounds(cpu, dataset):
         len(Economy(cpu, dataset, preset("default").scaled(steps).for_dataset("colmap")).steps)
         for steps in (1, STEPS, 600, 30_000)
     ]
-    assert counts == [1, LEAST_ROUNDS, 6, ROUNDS]
+    assert counts == [2, *(len(THINNED) + n for n in (LEAST_ROUNDS, 6, ROUNDS))]
 
 
 def test_anchors_rest_after_the_last_round(cpu, dataset):
@@ -79,6 +82,15 @@ def test_a_size_is_met_and_never_exceeded(cpu, dataset, untouched, share):
     assert 0.98 * target <= size <= target
 
 
+def test_sizes_keep_ample_anchors_before_the_switch(cpu, dataset):
+    target = 40_000
+    trainer = Trainer(cpu, dataset, config(dataset, target_size=target))
+    for _ in trainer.steps(trainer.config.switch_step):
+        pass
+    assert trainer.rounds[0].after < trainer.rounds[0].before
+    assert trainer.parameters.count >= 1.5 * 8 * target / ANCHOR_BITS
+
+
 def test_growth_stops_at_the_most_anchors(cpu, dataset, untouched):
     most = untouched.parameters.count - 100
     trainer = Trainer(cpu, dataset, config(dataset, max_anchors=most, size_lambda=0.0))
@@ -86,10 +98,13 @@ def test_growth_stops_at_the_most_anchors(cpu, dataset, untouched):
     assert max(counts) <= most
 
 
-@pytest.mark.parametrize("moment", ["before the first round", "after it", "between tables"])
+@pytest.mark.parametrize(
+    "moment", ["before anchors go", "before the first round", "after it", "between tables"]
+)
 def test_resumes_to_the_bit(cpu, dataset, tmp_path, moment):
     settings = config(dataset)
-    done = settings.switch_step + {"before the first round": 0, "after it": 1}.get(moment, 7)
+    after = {"before anchors go": -30, "before the first round": 0, "after it": 1}
+    done = settings.switch_step + after.get(moment, 7)
     whole = Trainer(cpu, dataset, settings)
     list(whole.steps(done))
     save_checkpoint(tmp_path, whole)
