@@ -98,6 +98,8 @@ class Economy:
         self._lambda = config.size_lambda or 0.0
         active = self._lambda > 0 or config.target_size > 0
         thinned = [share * config.switch_step for share in THINNED]
+        if config.switch_step < ROUND_STEPS:
+            thinned = []  # nothing has grown or learned yet
         self.steps = sorted({round(each) for each in (*thinned, *moments)}) if active else []
         """The steps after which there is a round."""
         self._found: Sensitivity | None = None

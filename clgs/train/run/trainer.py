@@ -148,10 +148,7 @@ class Trainer:
         if step == self.config.switch_step + 1:
             self._align_positions()
         if step - 1 in self.economy.steps:
-            self.parameters, done = self.economy.round(
-                self.parameters, self.queue, self.densifier, self.settings, step - 1
-            )
-            self.rounds.append(done)
+            self._round(step - 1)
         plan = Plan(step, self.sampler.next(), self.queue.color(self.rng))
         try:
             self._under_way.append(self.queue.enqueue(plan, self.parameters, self.densifier))
@@ -159,6 +156,16 @@ class Trainer:
         except BudgetError as error:
             name = self.dataset.train[plan.index].name
             raise BudgetError(f"step {step}, view {name}: {error}", error.needed) from error
+
+    def _round(self, step: int) -> None:
+        """Leave out what is not worth its bytes after ``step``."""
+        try:
+            self.parameters, done = self.economy.round(
+                self.parameters, self.queue, self.densifier, self.settings, step
+            )
+        except BudgetError as error:
+            raise BudgetError(f"after step {step}: {error}", error.needed) from error
+        self.rounds.append(done)
 
     def _settle(self) -> StepResult:
         """Wait for the oldest step under way; repeat it if it lacked room."""
