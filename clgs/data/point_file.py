@@ -104,6 +104,8 @@ def _parse(data: bytes, suffix: str, samples: int, seed: int) -> Floats:
         if suffix == ".ply":
             _check_ply(data, sum(len(one.vertices) for one in scene.geometry.values()))
         clouds, corners = _gather(scene)
+        if suffix == ".stl" and not len(corners):
+            raise ValueError("no triangles")  # some versions of trimesh read noise as none
         return np.concatenate([*clouds, _sample(corners, samples, seed)])
 
 

@@ -37,11 +37,11 @@ from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
-from clgs.train.density.grow_and_prune import keep_rows
+from clgs.train.density.grow_and_prune import TrainState, keep_rows
 from clgs.train.quality.importance import Sensitivity
 from clgs.train.quality.rate_control import spread
 from clgs.train.rate.judgement import Judge, Judgement
-from clgs.train.rate.plan import MOST, Situation, carry_out, plan_at, plan_for_size
+from clgs.train.rate.plan import MOST, Measure, Situation, carry_out, plan_at, plan_for_size
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 from clgs.train.step.queue import StepQueue
 
@@ -117,57 +117,48 @@ class Economy:
         Raises:
             ClgsError: no anchor is left.
         """
-        config = self._config
-        if step < config.switch_step:
-            return self._thin(parameters, queue, densifier, settings, step)
-        first, last = step == config.switch_step, step == self.steps[-1]
         self._device.release_unused()
-        judge, scene = self._judge(settings, queue), queue.seen(parameters, step + (not first))
+        judge = self._judge(settings, queue, step)
+        scene = queue.seen(parameters, step + (step > self._config.switch_step))
         found = self._look(judge, scene, step)
         judged = judge.judge(scene, found)
         del scene
         self._device.release_unused()
         state = densifier.download(parameters)
-        free = self._free() if first else frozenset()
-        now = Situation(state, judged, queue.scales, free)
-        if first:
-            queue.rate.price = self._price(judged, len(state.anchors))
-        if config.target_size:
+        if step < self._config.switch_step:
+            done = self._thin(state, judged, step)
+        else:
             weights = Mlps(self._device.download(queue.final_weights(parameters)))
             measure = partial(self._size, weights=weights, settings=settings)
+            done, kept = self._economise(
+                Situation(state, judged, queue.scales), queue, measure, step
+            )
+            self._found = found.rows(kept)
+        _log.info("%s, %s, loss %.5f", done, queue.scales, judged.loss)
+        return densifier.replaced(parameters, state), done
+
+    def _economise(
+        self, now: Situation, queue: StepQueue, measure: Measure, step: int
+    ) -> tuple[Round, npt.NDArray[np.bool_]]:
+        """Change ``now.state`` to what is worth its bytes; which anchors (A,) are kept."""
+        config, before = self._config, len(now.state.anchors)
+        if step == config.switch_step:
+            now = replace(now, free=self._free())
+            queue.rate.price = self._price(now.judged, before)
+        if config.target_size:
             plan = plan_for_size(int(SPARE * config.target_size), now, measure)
         else:
             plan = plan_at(queue.rate.price, now)
         queue.rate.price, queue.rate.scales = plan.price, plan.scales
-        before = len(state.anchors)
-        changed, kept = carry_out(plan, state, self._most(step, last))
-        self._found = found.rows(kept)
-        done = Round(step, before, len(state.anchors), changed, plan.price)
-        _log.info("%s, %s, loss %.5f", done, plan.scales, judged.loss)
-        return densifier.replaced(parameters, state), done
+        changed, kept = carry_out(plan, now.state, self._most(step, step == self.steps[-1]))
+        return Round(step, before, len(now.state.anchors), changed, plan.price), kept
 
-    def _thin(
-        self,
-        parameters: Parameters,
-        queue: StepQueue,
-        densifier: Densifier,
-        settings: RenderSettings,
-        step: int,
-    ) -> tuple[Parameters, Round]:
-        """A round before the switch, by half of the views; what they do not see stays."""
-        self._device.release_unused()
-        judge = replace(self._judge(settings, queue), all_views=False)
-        scene = queue.seen(parameters, step)
-        judged = judge.judge(scene, judge.look(scene, self.steps.index(step) % 2, 2))
-        del scene
-        self._device.release_unused()
-        state = densifier.download(parameters)
+    def _thin(self, state: TrainState, judged: Judgement, step: int) -> Round:
+        """Leave out of ``state`` what does not earn the bytes of a mean anchor."""
         before = len(state.anchors)
         price = self._price(judged, before)
         keep_rows(state, self._earning(judged.importance / ANCHOR_BITS, price))
-        done = Round(step, before, len(state.anchors), 0, price)
-        _log.info("%s", done)
-        return densifier.replaced(parameters, state), done
+        return Round(step, before, len(state.anchors), 0, price)
 
     def _earning(self, worth: npt.NDArray[np.float64], price: float) -> npt.NDArray[np.bool_]:
         """Which anchors stay before the switch, by their worth per bit (A,)."""
@@ -195,12 +186,14 @@ class Economy:
 
     def _look(self, judge: Judge, scene: DeviceScene, step: int) -> Sensitivity:
         """What is known of the anchors of ``scene`` in the round after ``step``."""
-        known = self._found
+        known, turn = self._found, self.steps.index(step) % 2
+        if step < self._config.switch_step:
+            return judge.look(scene, turn, 2)
         if known is None:
             return judge.look(scene)
         if step > self._config.prune_end:
             return known
-        return known.mean(judge.look(scene, self.steps.index(step) % 2, 2))
+        return known.mean(judge.look(scene, turn, 2))
 
     def _size(
         self,
@@ -213,11 +206,11 @@ class Economy:
         anchors, transform = sort_anchors(anchors), self._dataset.transform
         return len(encode(QuantizedScene(anchors, weights, scales, settings, transform)))
 
-    def _judge(self, settings: RenderSettings, queue: StepQueue) -> Judge:
+    def _judge(self, settings: RenderSettings, queue: StepQueue, step: int) -> Judge:
         views, config = self._dataset.train, self._config
         chosen = [views[i] for i in spread([view.camera for view in views], VIEWS)]
         weights = loss.Weights(config.l1_weight, config.ssim_weight)
-        every = len(chosen) == len(views)
+        every = len(chosen) == len(views) and step >= config.switch_step
         return Judge(self._device, chosen, every, settings, queue.options, weights)
 
     def _free(self) -> frozenset[str]:
