@@ -100,8 +100,8 @@ def load_dataset(
     if reduction.times < 0 or downscale == 0:
         raise DataError(f"downscale is {downscale}; give a whole number of at least 1")
     photos = _read_photos(Path(path))
-    _check_photos(path, photos, reduction)
     _name_missing(path, photos)
+    _check_photos(path, photos, reduction)
     transform, radius = _normalise(photos, preset_units)
     source = load_points if isinstance(load_points, PointFile) else None
     if source:
@@ -122,10 +122,9 @@ def load_dataset(
             _log.warning("%s: only %d usable points, starting from random ones", path, len(points))
         start = load_points if isinstance(load_points, RandomStart) else RandomStart()
         points, colors = _random_points(path, photos.kind, train, radius, start, seed), None
-    kind, skipped = photos.kind, len(photos.missing)
-    points_file = str(source.path) if source else ""
+    skipped, points_file = len(photos.missing), str(source.path) if source else ""
     return Dataset(
-        train, test, points, colors, transform, radius, kind, skipped, reduction, points_file
+        train, test, points, colors, transform, radius, photos.kind, skipped, reduction, points_file
     )
 
 
