@@ -25,6 +25,12 @@ class DataError(ClgsError):
     exit_code = 3
 
 
+class ExistsError(OutputError, DataError):
+    """What would be written exists already and was not to be replaced. Exit code 2."""
+
+    exit_code = UsageError.exit_code
+
+
 class CodecError(DataError):
     """A bitstream is not a .clgs file, or is damaged; names the section and offset. Exit code 3."""
 

@@ -8,10 +8,10 @@ import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from errno import EACCES, EDQUOT, ENOSPC
+from errno import EDQUOT, ENOSPC
 from pathlib import Path
 
-from clgs.errors import OutputError, UsageError
+from clgs.errors import ExistsError, OutputError, UsageError
 
 STEM_KEPT = 48
 """Characters of a name that its temporary name keeps: it must not grow too long for a folder."""
@@ -72,7 +72,7 @@ def check_output(path: Path, *sources: Path) -> None:
     """As :func:`check_target`; moreover ``path`` must be none of ``sources``, also through links.
 
     Raises:
-        OutputError, PermissionError: as there.
+        OutputError: as there.
         UsageError: writing to ``path`` would destroy what is read.
     """
     check_target(path)
@@ -88,8 +88,8 @@ def check_target(path: Path) -> Path:
 
     Raises:
         OutputError: the folder is missing, ``path`` is a folder, a device or another thing that is
-            no regular file, or the name is none (too long, links in a circle).
-        PermissionError: the folder is not writable.
+            no regular file, the name is none (too long, links in a circle), or the folder is not
+            writable.
     """
     mode = _mode(path)
     if stat.S_ISDIR(mode):
@@ -107,14 +107,12 @@ def _mode(path: Path) -> int:
         return os.stat(path).st_mode
     except (FileNotFoundError, NotADirectoryError):
         return stat.S_IFREG
-    except PermissionError:
-        raise
     except OSError as error:
         raise OutputError(f"{path}: {error.strerror}; choose another name") from None
 
 
 def check_folder(path: Path) -> None:
-    """Raise OutputError if ``path`` is, or lies in, something that is no folder.
+    """Raise OutputError if ``path`` is, or lies in, what is no folder or may not be written to.
 
     Folders that are missing can be made, and are no error.
     """
@@ -122,15 +120,21 @@ def check_folder(path: Path) -> None:
     nearest = next((folder for folder in (path, *path.parents) if folder.exists()), None)
     if nearest and not nearest.is_dir():
         raise OutputError(f"{nearest}: is no folder; choose another name")
+    if nearest:
+        _check_writable(path, nearest)
 
 
 def _check_parent(path: Path, parent: Path) -> None:
     if not parent.is_dir():
         remedy = "choose another name" if parent.exists() else "make it first"
         raise OutputError(f"{path}: cannot be written: there is no folder {parent}; {remedy}")
-    if not os.access(parent, os.W_OK | os.X_OK):
-        problem = f"cannot be written: no permission in {parent}; choose another folder"
-        raise PermissionError(EACCES, problem, str(path))
+    _check_writable(path, parent)
+
+
+def _check_writable(path: Path, folder: Path) -> None:
+    if not os.access(folder, os.W_OK | os.X_OK):
+        problem = f"cannot be written: no permission in {folder}; choose another folder"
+        raise OutputError(f"{path}: {problem}")
 
 
 @contextmanager
@@ -186,19 +190,22 @@ def _keep(target: Path, old: Path) -> None:
 
 
 @contextmanager
-def atomic_folder(path: Path) -> Iterator[Path]:
+def atomic_folder(path: Path, overwrite: bool = False) -> Iterator[Path]:
     """A new folder beside ``path`` to fill; it takes the name ``path`` on success.
 
-    On any failure it is removed with all that it holds.
+    On any failure it is removed with all that it holds, and what was at ``path`` is there still.
 
     Raises:
-        OutputError: ``path`` is a file, or a folder that is not empty; nothing is overwritten. Or
-            its parent is missing.
-        PermissionError: its parent is not writable.
+        ExistsError: ``path`` is a file, or without ``overwrite`` a folder that is not empty.
+        OutputError: its parent is missing, or not writable.
     """
     path = Path(path)
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise OutputError(f"{path}: exists and is not an empty folder; choose another")
+    if path.exists() and not path.is_dir():
+        raise ExistsError(f"{path}: exists and is no folder; choose another")
+    if path.exists() and not overwrite and any(path.iterdir()):
+        raise ExistsError(
+            f"{path}: exists and is not an empty folder; add --overwrite or choose another"
+        )
     target = Path(os.path.realpath(path))
     _check_parent(path, target.parent)
     temporary = _temporary(path, target.parent)
@@ -209,13 +216,26 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             for entry in temporary.rglob("*"):
                 _sync_folder(entry) if entry.is_dir() else _sync(entry)
             _sync_folder(temporary)
-            if target.exists():
-                target.rmdir()
-            temporary.rename(target)
+            _take_name(temporary, target)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
     _sync_folder(target.parent)
+
+
+def _take_name(folder: Path, target: Path) -> None:
+    """Rename ``folder`` to ``target``; a folder of that name is removed afterwards."""
+    if not target.exists():
+        folder.rename(target)
+        return
+    old = _temporary(target, target.parent)
+    target.rename(old)
+    try:
+        folder.rename(target)
+    except BaseException:
+        old.rename(target)
+        raise
+    shutil.rmtree(old)
 
 
 def _temporary(path: Path, folder: Path) -> Path:

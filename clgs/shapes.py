@@ -1,4 +1,4 @@
-"""Check array shapes against short specifications such as ``"N 3"``."""
+"""Check array shapes against short specifications such as ``"N 3"``, and types of arguments."""
 
 from __future__ import annotations
 
@@ -18,6 +18,12 @@ class Shaped(Protocol):
     @property
     def dtype(self) -> np.dtype[np.generic]:
         """Element type."""
+
+
+def check_type(name: str, value: object, kind: type, remedy: str) -> None:
+    """Raise TypeError, one line with ``remedy``, unless ``value`` is of the class ``kind``."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name}: is {type(value).__name__}, {kind.__name__} is needed; {remedy}")
 
 
 class Shapes:

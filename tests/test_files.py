@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from clgs.errors import OutputError, UsageError
+from clgs.errors import ExistsError, OutputError, UsageError
 from clgs.files import (
     append,
     atomic_folder,
@@ -107,7 +107,7 @@ def test_a_full_folder_and_a_file_are_not_overwritten(tmp_path):
     (tmp_path / "run" / "mine").write_bytes(b"1")
     (tmp_path / "file").write_bytes(b"2")
     for name in ("run", "file"):
-        with pytest.raises(OutputError, match="not an empty folder"):
+        with pytest.raises(OutputError, match="exists and is n"):
             atomic_folder(tmp_path / name).__enter__()
     assert names(tmp_path) == ["file", "run"]
 
@@ -156,10 +156,30 @@ def test_a_bad_name_is_wrong_usage_and_an_error_of_the_system():
     assert str(OutputError("x: is a folder")) == "x: is a folder"
 
 
-def test_no_permission_is_no_matter_of_the_name(tmp_path, monkeypatch):
+def test_no_permission_is_one_error_for_files_and_folders(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(PermissionError, match=r"no permission in .*; choose another folder"):
+    no_permission = pytest.raises(OutputError, match=r"no permission in .*; choose another folder")
+    with no_permission:
         atomic_write(tmp_path / "x", b"data")
+    with no_permission:
+        check_folder(tmp_path / "x" / "y")
+    with no_permission, atomic_folder(tmp_path / "x"):
+        pass
+
+
+def test_a_folder_is_replaced_only_if_asked_for_and_only_by_a_whole_one(tmp_path):
+    target = tmp_path / "data"
+    target.mkdir()
+    (target / "old").touch()
+    with pytest.raises(ExistsError, match="add --overwrite"), atomic_folder(target):
+        pass
+    with pytest.raises(FileNotFoundError), atomic_folder(target, overwrite=True) as folder:
+        (folder / "half" / "x").touch()
+    assert names(target) == ["old"]
+    with atomic_folder(target, overwrite=True) as folder:
+        (folder / "new").touch()
+    assert names(target) == ["new"]
+    assert names(tmp_path) == ["data"]
 
 
 def test_errors_of_the_temporary_file_name_the_path(tmp_path):

@@ -41,26 +41,36 @@ COMMANDS = (
 """Each is a module of ``clgs.cli.commands`` with ``register(subparsers)`` and ``run(args)``."""
 
 EPILOG = """\
-exit codes: 0 success, 1 failure, 2 usage, 3 data, 4 device
-environment: PYOPENCL_CTX chooses a device as --device does; CLGS_DEBUG=1 shows tracebacks"""
+exit codes: 0 success, 1 failure, 2 usage, 3 data, 4 device, 130 interrupted
+
+An output that exists is replaced with --overwrite alone.
+
+Environment: PYOPENCL_CTX chooses a device as --device does; CLGS_DEBUG=1 shows tracebacks."""
 
 
 def build_parser() -> argparse.ArgumentParser:
     """The parser of all commands; the commands' heavy imports wait until they run."""
-    import argparse
-
+    from clgs.cli.completion import SHELLS, Completion
+    from clgs.cli.examples import EXAMPLES, epilog
     from clgs.cli.parser import Parser
 
     parser = Parser(
         prog="clgs",
         description="Gaussian splatting on OpenCL: from photos to one compressed file and back.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"clgs {__version__}")
+    parser.add_argument(
+        "--completion",
+        action=Completion,
+        choices=SHELLS,
+        help='print a script for your shell, as in: eval "$(clgs --completion bash)"',
+    )
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in COMMANDS:
         importlib.import_module(f"clgs.cli.commands.{command}").register(subparsers)
+        if command in EXAMPLES:
+            subparsers.choices[command].epilog = epilog(command)
     return parser
 
 
@@ -76,8 +86,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader went away, as in `clgs devices | head -1`: keep Python from complaining later.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except KeyboardInterrupt:
-        print("clgs: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        print(f"clgs: interrupted{error}", file=sys.stderr)  # a command may say how to go on
         return 130
     except Exception as error:
         return _complain(error)
@@ -102,7 +112,7 @@ def _terminations_interrupt() -> Iterator[None]:
 
 
 def _run(argv: Sequence[str] | None) -> int:
-    args = build_parser().parse_args(argv)
+    args = build_parser().parse_args(_with_help(sys.argv[1:] if argv is None else argv))
     import logging
 
     logging.basicConfig(format="clgs: warning: %(message)s", level=logging.WARNING)
@@ -115,6 +125,11 @@ def _run(argv: Sequence[str] | None) -> int:
         less = getattr(module, "LESS_MEMORY", "try a larger --downscale")
         raise ClgsError(f"out of memory; {less}") from error
     return code
+
+
+def _with_help(words: Sequence[str]) -> list[str]:
+    """``help`` and ``help COMMAND`` as the option of that name."""
+    return [*words[1:], "--help"] if list(words[:1]) == ["help"] else list(words)
 
 
 def _lacked_memory(error: BaseException | None) -> bool:

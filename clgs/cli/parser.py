@@ -5,11 +5,33 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
+
+RAW = ("examples:", "exit codes:")
+"""How paragraphs begin whose lines stay as they are."""
 
 _NUMBERS = re.compile(r"-(\d|\.\d|inf)")
 """The start of a word that is a negative number, or a list that begins with one."""
+
+
+class Help(argparse.RawDescriptionHelpFormatter):
+    """Descriptions as paragraphs as wide as the terminal; lists of examples line by line."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        """Fill paragraphs; a line that begins with an option begins a new one."""
+        import textwrap
+
+        parts = re.split(r"\n{2,}", text.strip())
+        filled = []
+        for part in parts:
+            if part.startswith(RAW):
+                filled.append(part)
+                continue
+            items = [" ".join(item.split()) for item in re.split(r"\n(?=--[\w-]+:)", part)]
+            lines = (textwrap.fill(item, width, break_on_hyphens=False) for item in items)
+            filled.append("\n".join(lines))
+        return textwrap.indent("\n\n".join(filled), indent)
 
 
 class Parser(argparse.ArgumentParser):
@@ -17,6 +39,18 @@ class Parser(argparse.ArgumentParser):
 
     The standard one of a command hands such arguments back to that of ``clgs``.
     """
+
+    def __init__(self, **options: Any) -> None:
+        options.setdefault("formatter_class", Help)
+        super().__init__(**options)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """As in the base class, but an unknown command is answered by the one most like it."""
+        if not isinstance(action, argparse._SubParsersAction) or value in action.choices:
+            super()._check_value(action, value)
+            return
+        near = _nearest(value, action.choices)
+        self.error(f"{action.metavar} {value!r} is unknown{near}")
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
@@ -38,11 +72,16 @@ class Parser(argparse.ArgumentParser):
 
     def _suggestion(self, unknown: list[str]) -> str:
         """The option most like the first unknown one, in brackets; empty if none is near."""
-        from difflib import get_close_matches
-
         options = (word.partition("=")[0] for word in unknown if word.startswith("--"))
-        near = get_close_matches(next(options, ""), self._option_string_actions, n=1)
-        return f" (did you mean {near[0]}?)" if near else ""
+        return _nearest(next(options, ""), self._option_string_actions)
+
+
+def _nearest(word: str, known: Iterable[str]) -> str:
+    """The one of ``known`` that is most like ``word``, in brackets; empty if none is near."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(word, list(known), n=1)
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def _join_numbers(words: list[str]) -> list[str]:

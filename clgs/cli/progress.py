@@ -25,6 +25,9 @@ from clgs.train.run.finished_run import RunResult
 from clgs.train.run.session import Progress as TrainingProgress
 
 Item = TypeVar("Item")
+WIDE = 120
+"""Columns of a terminal from which the bar of training is long; a short one leaves room in 80."""
+
 PLAIN_SECONDS = 15.0
 """Without a terminal, training prints one line this often."""
 
@@ -57,12 +60,12 @@ class TrainingDisplay:
     def __init__(self, steps: int, done: int) -> None:
         """A run of ``steps``, of which ``done`` are done already."""
         self._console = Console(stderr=True)
+        wide = self._console.width >= WIDE
         self._progress = Progress(
-            TextColumn("training"),
-            BarColumn(),
+            BarColumn(40 if wide else 8),
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}"),
-            TimeElapsedColumn(),
+            *((TimeElapsedColumn(),) if wide else ()),
             TimeRemainingColumn(),
             TextColumn("{task.fields[note]}"),
             console=self._console,

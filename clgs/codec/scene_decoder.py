@@ -35,7 +35,11 @@ def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged anywhere.
+        TypeError: ``data`` is no bytes, such as the name of a file.
     """
+    if not isinstance(data, bytes | bytearray | memoryview):
+        wanted = "bytes are needed; Path(name).read_bytes() reads a file"
+        raise TypeError(f"data: is {type(data).__name__}, {wanted}")
     table, _ = section_table.read_container(data)
     reader = Reader(BytesSource(data), table)
     with workers(threads) as pool:

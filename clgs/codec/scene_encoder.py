@@ -38,7 +38,7 @@ from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
 from clgs.scene.scene import QuantizedScene
-from clgs.shapes import Shapes
+from clgs.shapes import Shapes, check_type
 
 
 def encode(
@@ -62,8 +62,10 @@ def encode(
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
             number; the message names the field and the remedy.
         UsageError: no such level or mode, or a chunk or number of threads out of range.
-        TypeError: a chunk or number of threads is no integer, or a level or mode no string.
+        TypeError: ``scene`` is no quantised scene, a chunk or number of threads no integer, or a
+            level or mode no string.
     """
+    check_type("scene", scene, QuantizedScene, "a run has it as .scene, clgs.load_scene reads one")
     check_options(level, chunk, mlp)
     _check_scene(scene)
     with workers(threads) as pool:

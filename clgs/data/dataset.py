@@ -37,6 +37,9 @@ MIN_POINTS = 100
 LEAST_POINTS = 4
 """Training cannot start from fewer."""
 
+MISSING_NAMED = 8
+"""Of missing photos, at most so many are named."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -97,6 +100,7 @@ def load_dataset(
     if reduction.times < 0 or downscale == 0:
         raise DataError(f"downscale is {downscale}; give a whole number of at least 1")
     photos = _read_photos(Path(path))
+    _name_missing(path, photos)
     _check_photos(path, photos, reduction)
     transform, radius = _normalise(photos, preset_units)
     source = load_points if isinstance(load_points, PointFile) else None
@@ -118,9 +122,9 @@ def load_dataset(
             _log.warning("%s: only %d usable points, starting from random ones", path, len(points))
         start = load_points if isinstance(load_points, RandomStart) else RandomStart()
         points, colors = _random_points(path, photos.kind, train, radius, start, seed), None
-    kind, skipped, points_file = photos.kind, photos.skipped, str(source.path) if source else ""
+    skipped, points_file = len(photos.missing), str(source.path) if source else ""
     return Dataset(
-        train, test, points, colors, transform, radius, kind, skipped, reduction, points_file
+        train, test, points, colors, transform, radius, photos.kind, skipped, reduction, points_file
     )
 
 
@@ -133,6 +137,17 @@ def _check_photos(path: Path | str, photos: PhotoSet, reduction: Reduction) -> N
         raise DataError(
             f"downscale is {reduction.times}; the photos are {least} pixels, give at most that"
         )
+
+
+def _name_missing(path: Path | str, photos: PhotoSet) -> None:
+    """Warn of the photos that the data set names but lacks, with the first of their names."""
+    missing = photos.missing
+    if not missing:
+        return
+    total = len(missing) + len(photos.train) + len(photos.test)
+    shown = [name[:80] if name.isprintable() else repr(name[:80]) for name in missing]
+    named = ", ".join(shown[:MISSING_NAMED]) + ", ..." * (len(missing) > MISSING_NAMED)
+    _log.warning("%s: %d of %d photos are missing: %s", path, len(missing), total, named)
 
 
 def _take_points(
@@ -171,6 +186,8 @@ def _read_photos(root: Path) -> PhotoSet:
     from clgs.data.colmap.model import find_model, read_colmap
     from clgs.data.transforms import read_blender, read_transforms
 
+    if root.is_file():
+        raise DataError(f"{root}: is a file; name the folder of the data set")
     if not root.is_dir():
         raise DataError(f"{root}: no such folder; check the path")
     if (root / "transforms_train.json").is_file():
@@ -180,12 +197,25 @@ def _read_photos(root: Path) -> PhotoSet:
     model = find_model(root)
     if model is not None:
         return read_colmap(root, model)
+    if (root / "config.toml").is_file():
+        raise DataError(f"{root}: is a run, no data set; name the photos that it was trained on")
+    above = next(filter(_is_posed, list(root.absolute().parents)[:2]), None)
+    if above is not None:
+        raise DataError(f"{root}: is a part of a data set; name the whole of it: {above}")
     folders = [root, root / "images"]
     if any(list_images(folder) for folder in folders if folder.is_dir()):
         raise DataError(f"{root}: photos without poses; run: clgs prepare {root} -o DATA")
     raise DataError(
         f"{root}: no transforms.json, transforms_train.json, sparse/0 or photos; check the path"
     )
+
+
+def _is_posed(folder: Path) -> bool:
+    """Whether ``folder`` is a data set with poses."""
+    from clgs.data.colmap.model import find_model
+
+    names = ("transforms_train.json", "transforms.json")
+    return any((folder / name).is_file() for name in names) or find_model(folder) is not None
 
 
 def _normalise(photos: PhotoSet, keep_units: bool) -> tuple[SceneTransform, float]:

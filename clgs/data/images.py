@@ -34,7 +34,7 @@ _ROTATIONS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-_FAILURES = (OSError, SyntaxError, ValueError, Image.DecompressionBombError)
+_FAILURES = (OSError, SyntaxError, ValueError)
 
 
 @dataclass(frozen=True)
@@ -133,17 +133,21 @@ def box_resized(pixels: Pixels, width: int, height: int) -> Pixels:
     return Pixels(_to_uint8(color), _to_uint8(mean_alpha)[..., 0])
 
 
+def _too_large(path: Path, pixels: str) -> str:
+    limit = f"{MAX_PIXELS // 10**6} megapixels"
+    return f"{path}: {pixels} exceed the limit of {limit}; downscale the image first"
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
     """An image whose header has been checked; every failure of Pillow becomes a DataError."""
     try:
         with Image.open(path, formats=FORMATS) as picture:
             if picture.width * picture.height > MAX_PIXELS:
-                raise DataError(
-                    f"{path}: {picture.width}x{picture.height} pixels exceed the limit of "
-                    f"{MAX_PIXELS // 10**6} megapixels; downscale the image first"
-                )
+                raise DataError(_too_large(path, f"{picture.width}x{picture.height} pixels"))
             yield picture
+    except Image.DecompressionBombError:  # Pillow's own limit, before the size is known here
+        raise DataError(_too_large(path, "its pixels")) from None
     except UnidentifiedImageError:
         raise DataError(f"{path}: not a JPEG or PNG image; convert or remove it") from None
     except _FAILURES as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
@@ -39,14 +39,14 @@ class Photo:
 class PhotoSet:
     """A data set before its images are decoded.
 
-    kind: "blender", "transforms" or "colmap"; skipped: photos named but missing on disk;
+    kind: "blender", "transforms" or "colmap"; missing: names of photos that are not on disk;
     points (P, 3) float64 world units and point_colors (P, 3) uint8, or None if the set has none.
     """
 
     kind: str
     train: list[Photo]
     test: list[Photo]
-    skipped: int = 0
+    missing: list[str] = field(default_factory=list)
     points: npt.NDArray[np.float64] | None = None
     point_colors: npt.NDArray[np.uint8] | None = None
 

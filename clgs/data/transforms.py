@@ -46,11 +46,11 @@ def read_blender(root: Path) -> PhotoSet:
     Raises:
         DataError: naming file, frame and field.
     """
-    train, skipped = _read_photos(root, root / "transforms_train.json")
+    train, missing = _read_photos(root, root / "transforms_train.json")
     if not (root / "transforms_test.json").is_file():
-        return PhotoSet("blender", *hold_out(train), skipped)
-    test, more_skipped = _read_photos(root, root / "transforms_test.json")
-    return PhotoSet("blender", train, test, skipped + more_skipped)
+        return PhotoSet("blender", *hold_out(train), missing)
+    test, more_missing = _read_photos(root, root / "transforms_test.json")
+    return PhotoSet("blender", train, test, missing + more_missing)
 
 
 def read_transforms(root: Path) -> PhotoSet:
@@ -61,17 +61,17 @@ def read_transforms(root: Path) -> PhotoSet:
     """
     file = root / "transforms.json"
     document = _parse(file)
-    photos, skipped = _read_photos(root, file)
+    photos, missing = _read_photos(root, file)
     test_key = "test_filenames" if "test_filenames" in document else "val_filenames"
     if test_key not in document:
-        return PhotoSet("transforms", *hold_out(photos), skipped)
+        return PhotoSet("transforms", *hold_out(photos), missing)
     test_names = _names(document, test_key, file)
     test = [photo for photo in photos if _listed(photo, test_names)]
     train = [photo for photo in photos if not _listed(photo, test_names)]
     if "train_filenames" in document:
         train_names = _names(document, "train_filenames", file)
         train = [photo for photo in train if _listed(photo, train_names)]
-    return PhotoSet("transforms", train, test, skipped)
+    return PhotoSet("transforms", train, test, missing)
 
 
 @dataclass(frozen=True)
@@ -120,28 +120,29 @@ class _Fields:
         return rotation, -rotation @ centre
 
 
-def _read_photos(root: Path, file: Path) -> tuple[list[Photo], int]:
-    """Photos that exist in file order, and the number of missing ones."""
+def _read_photos(root: Path, file: Path) -> tuple[list[Photo], list[str]]:
+    """Photos that exist in file order, and the names of missing ones."""
     shared = _parse(file)
     frames = shared.get("frames")
     if not isinstance(frames, list) or not frames:
         raise DataError(f"{file}: frames is missing or empty; list one entry for each photo")
     photos: dict[str, Photo] = {}
-    skipped = 0
+    missing: list[str] = []
     for number, frame in enumerate(frames):
         source = f"{file}: frame {number}"
         if not isinstance(frame, dict):
             raise DataError(f"{source} is not an object; correct it")
-        photo = _read_photo(root, _Fields(frame, shared, source))
+        fields = _Fields(frame, shared, source)
+        photo = _read_photo(root, fields)
         if photo is None:
-            skipped += 1
+            missing.append(fields.text("file_path", ""))
         elif photo.name in photos:
             raise DataError(f"{source}: file_path {photo.name!r} occurs twice; keep one of the two")
         else:
             photos[photo.name] = photo
     if not photos:
         raise DataError(f"{file}: none of the {len(frames)} images of frames exists; add them")
-    return list(photos.values()), skipped
+    return list(photos.values()), missing
 
 
 def _read_photo(root: Path, fields: _Fields) -> Photo | None:

@@ -22,6 +22,7 @@ from clgs.opencl.choose import choose_device, is_emulator
 from clgs.opencl.profile import Profile
 from clgs.opencl.source import program_file, read_program
 from clgs.opencl.transfer import Download, Transfers
+from clgs.shapes import check_type
 
 POOL_BITS = {"cpu": 0, "gpu": 2}
 """Leading bits of a size, after the first one, that tell apart what the memory pool reuses."""
@@ -48,7 +49,10 @@ class Device:
         Raises:
             DeviceError: no such device.
             UsageError: CLGS_SPECIALISATION is neither "cpu" nor "gpu".
+            TypeError: ``name`` is no string.
         """
+        if name is not None:
+            check_type("name", name, str, 'a number is one, too: clgs.Device("0")')
         chosen = specialisation or _wanted_specialisation()
         self.cl_device = choose_device(name)
         self.context = cl.Context([self.cl_device])

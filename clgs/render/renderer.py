@@ -14,6 +14,9 @@ from clgs.render.frame import Capacity, DeviceScene, upload_scene, upload_view
 from clgs.render.picture import draw
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene
+from clgs.shapes import check_type
+
+CAMERA_REMEDY = "of a view give view.camera"
 
 Image = npt.NDArray[np.float32]
 
@@ -22,7 +25,14 @@ class Renderer:
     """Keeps a scene on a device and renders it from any camera."""
 
     def __init__(self, device: Device, scene: Scene, options: RenderOptions = DEFAULT) -> None:
-        """Upload ``scene`` once; ``options`` from :func:`clgs.options.render_options`."""
+        """Upload ``scene`` once; ``options`` from :func:`clgs.options.render_options`.
+
+        Raises:
+            TypeError: an argument is of another class.
+        """
+        check_type("device", device, Device, "clgs.Device() opens one")
+        check_type("scene", scene, Scene, "of a quantised one give scene.dequantize()")
+        check_type("options", options, RenderOptions, "clgs.render_options(accuracy) makes some")
         self._keep(device, upload_scene(device, scene), scene.settings, options)
 
     @classmethod
@@ -54,7 +64,12 @@ class Renderer:
         check_budget(self._device, self._scene, views, self._settings, self._options)
 
     def render(self, camera: Camera) -> Image:
-        """Picture (3, H, W) float32 from a camera in scene units; not clamped to [0, 1]."""
+        """Picture (3, H, W) float32 from a camera in scene units; not clamped to [0, 1].
+
+        Raises:
+            TypeError: ``camera`` is of another class.
+        """
+        check_type("camera", camera, Camera, CAMERA_REMEDY)
         device, options = self._device, self._options
         view = upload_view(device, camera.reduced(options.accuracy.downscale), self._settings)
         while True:
@@ -82,7 +97,11 @@ def render_view(
     """One picture (3, H, W) float32 of a scene; see :class:`Renderer` for many.
 
     ``accuracy`` is "exact", "parity", "fast" or "preview".
+
+    Raises:
+        TypeError: an argument is of another class.
     """
+    check_type("camera", camera, Camera, CAMERA_REMEDY)
     return Renderer(device or Device(), scene, render_options(accuracy)).render(camera)
 
 

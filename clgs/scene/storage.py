@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from clgs.errors import DataError
+from clgs.errors import DataError, UsageError
 from clgs.files import atomic_write
 from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.ranges import check_ranges
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
-from clgs.shapes import Shapes
+from clgs.shapes import Shapes, check_type
 
 GROUPS: dict[str, Any] = {
     "scales": QuantizationScales(),
@@ -42,16 +42,28 @@ DAMAGE = (
 )
 """What NumPy and zipfile raise on damaged archives; NotImplementedError is a RuntimeError."""
 
+SUFFIX = ".npz"
+"""What the name of an archive ends in."""
+
 MOST_FOR_A_BYTE = 1032
 """Bytes that one byte of an archive expands to, at most, in the usual compression (deflate)."""
 
 
-def save_scene(path: Path, scene: QuantizedScene) -> None:
+def save_scene(path: Path | str, scene: QuantizedScene) -> None:
     """Write integers, float32 MLP weights and settings to ``path`` (.npz), atomically.
 
     For readers without this package it also holds ``world_position`` (A, 3) float64, the anchor
     positions in the units of the input data.
+
+    Raises:
+        UsageError: the name does not end in .npz.
+        TypeError: ``scene`` is no quantised scene.
+        OutputError, OSError: as of :func:`clgs.files.atomic_write`.
     """
+    path = Path(path)
+    if path.suffix.lower() != SUFFIX:
+        raise UsageError(f"{path}: a scene is kept as a NumPy archive; name it {SUFFIX}")
+    check_type("scene", scene, QuantizedScene, "one comes from clgs.train_scene or clgs.decode")
     arrays: dict[str, Any] = dict(scene.anchors.items())
     arrays["mlps"] = scene.mlps.flat
     for group in GROUPS:
@@ -64,7 +76,7 @@ def save_scene(path: Path, scene: QuantizedScene) -> None:
     atomic_write(path, buffer.getvalue())
 
 
-def load_scene(path: Path) -> QuantizedScene:
+def load_scene(path: Path | str) -> QuantizedScene:
     """Read what :func:`save_scene` wrote.
 
     Raises:
@@ -72,12 +84,15 @@ def load_scene(path: Path) -> QuantizedScene:
             sense.
         MemoryError: there is no room for the scene.
     """
+    path = Path(path)
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in ARRAY_NAMES if name in archive.files}
         return _scene(arrays)
     except FileNotFoundError:
         raise DataError(f"{path}: no such file; train first or name a .clgs file") from None
+    except PermissionError:
+        raise DataError(f"{path}: may not be read; give yourself the permission") from None
     except DAMAGE as error:
         if isinstance(error, MemoryError) and _can_hold(path, error):
             raise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import textwrap
 from collections.abc import Iterator
 from itertools import groupby
 
@@ -34,6 +35,9 @@ def _command(parser: argparse.ArgumentParser, level: int) -> str:
     text = re.sub(r"\n(--[a-z-]+:)", r"\n\n\1", parser.description or "")  # a paragraph per option
     parts = [f"{'#' * level} {parser.prog}", _escape(text)]
     parts += [_code(parser.format_usage()), _options(parser)]
+    if parser.epilog:
+        head, _, lines = parser.epilog.partition("\n")
+        parts += [head.capitalize(), _code(textwrap.dedent(lines))]
     parts += [_command(child, level + 1) for child in _children(parser)]
     return "\n\n".join(part for part in parts if part)
 

@@ -122,9 +122,9 @@ def test_accuracy_is_that_of_the_run_unless_another_is_named(data, tmp_path):
     assert json.loads((run / "hashes.json").read_text())["accuracy"] == "preview"
     assert "all equal" in succeed("eval", run, "--hashes", run / "hashes.json")
     results = json.loads((run / "results.json").read_text())
-    scores = json.loads(succeed("eval", run, "--data", data))
+    scores = json.loads(succeed("eval", run, "--data", data, "--json"))
     assert (scores["accuracy"], scores["psnr"]) == ("preview", results["psnr"])
-    other = json.loads(succeed("eval", run, "--data", data, "--accuracy", "parity"))
+    other = json.loads(succeed("eval", run, "--data", data, "--accuracy", "parity", "--json"))
     assert other["accuracy"] == "parity"
     assert other["psnr"] != scores["psnr"]
 
@@ -141,7 +141,7 @@ def test_profile_tells_times_and_savings(data, tmp_path):
 def test_a_memory_budget_changes_nothing(data, run):
     """Two MiB; the pictures, and so the scores: all but the time."""
     whole, grouped = (
-        json.loads(succeed("eval", run, "--data", data, *budget))
+        json.loads(succeed("eval", run, "--data", data, "--json", *budget))
         for budget in ((), ("--max-memory", 2))
     )
     assert whole.pop("render_seconds") > 0
@@ -185,7 +185,16 @@ def test_bad_input_is_one_line(run, tmp_path):
 
 
 def test_run_folder_is_not_overwritten(run, data):
-    one_line(clgs("train", data, "-o", run, "--steps", 5), 3, "--resume")
+    one_line(clgs("train", data, "-o", run, "--steps", 5), 2, "--resume", "--overwrite")
+
+
+def test_an_interrupted_run_says_how_to_go_on(data, tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("clgs.train.run.session.Session.run", interrupt)
+    done = clgs("train", data, "-o", tmp_path / "run", "--steps", 5)
+    one_line(done, 130, "clgs: interrupted; repeat the command with --resume to go on")
 
 
 def test_no_device_is_exit_code_4(run, tmp_path):

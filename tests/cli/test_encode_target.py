@@ -64,7 +64,8 @@ def test_without_a_dataset_the_cost_is_not_measured(
     assert main(["encode", str(scene), "-o", str(target)]) == 0
     wanted = target.stat().st_size * 6 // 10
     capsys.readouterr()
-    assert main(["encode", str(scene), "-o", str(target), "--target-size", str(wanted)]) == 0
+    smaller = ["--target-size", str(wanted), "--overwrite"]
+    assert main(["encode", str(scene), "-o", str(target), *smaller]) == 0
     assert 0.98 * wanted <= target.stat().st_size <= wanted
     assert "PSNR cost: not measured" in capsys.readouterr().out
 
@@ -108,7 +109,8 @@ def test_an_interrupted_run_leaves_nothing(
         return encode(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr("clgs.codec.scene_encoder.encode", interrupted)
-    assert main(["encode", str(scene), "-o", str(target), "--target-size", "60k"]) == 130
+    command = ["encode", str(scene), "-o", str(target), "--target-size", "60k", "--overwrite"]
+    assert main(command) == 130
     assert len(trials) == 3
     assert target.read_bytes() == b"before"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.clgs", "s.npz"]
@@ -128,5 +130,5 @@ def test_photos_of_a_dataset_say_what_it_costs(
     assert main(command) == 0
     assert "PSNR on 12 of 14 training views: " in capsys.readouterr().out
     assert 0.98 * 50_000 <= target.stat().st_size <= 50_000
-    assert main([*command, "--all-views"]) == 0
+    assert main([*command, "--all-views", "--overwrite"]) == 0
     assert "PSNR on 14 of 14 training views: " in capsys.readouterr().out

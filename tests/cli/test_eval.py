@@ -27,27 +27,45 @@ def folder(tmp_path_factory):
     return folder
 
 
-def evaluate(folder, capsys, *options):
+def printed(folder, capsys, *options):
     """What `clgs eval` prints."""
     scene = folder / "run" / "scene.clgs"
     code = cli.main(["eval", str(scene), "--data", str(folder / "data"), *map(str, options)])
     out, err = capsys.readouterr()
     assert code == 0, err
-    return json.loads(out)
+    return out
+
+
+def evaluate(folder, capsys, *options):
+    """What `clgs eval --json` prints."""
+    return json.loads(printed(folder, capsys, *options, "--json"))
+
+
+def test_people_get_a_table_and_programs_a_file(folder, capsys, tmp_path):
+    rows = printed(folder, capsys, "--json", tmp_path / "scores.json").splitlines()
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    assert [row.split("  ", 1)[0] for row in rows] == [
+        *("views", "PSNR", "PSNR, channel mean", "SSIM", "bytes", "anchors"),
+    ]
+    assert rows[0].endswith("  2 (test)")
+    assert rows[1].endswith(f"  {scores['psnr']:.2f} dB")
+    assert rows[4].endswith(f"  {scores['bytes']:,}")
+    assert len({row.rindex("  ") for row in rows}) == 1
+    assert len(scores["per_view"]) == 2
 
 
 def test_all_files_hold_the_same_scores(folder, capsys, tmp_path):
     pytest.importorskip("onnxruntime", reason='pip install "clgs[lpips]"')
     np.savez(tmp_path / "weights.npz", **random_weights())
-    summary = evaluate(
+    shown = printed(
         folder, capsys, "--lpips", tmp_path / "weights.npz", "--json", tmp_path / "scores.json",
         "--inria", tmp_path / "scores", "--csv", tmp_path / "scene.csv",
     )  # fmt: skip
+    summary = json.loads((tmp_path / "scores.json").read_text())
+    assert f"{summary['lpips']:.4f}" in shown
     assert summary["lpips"] > 0
     assert summary["psnr_channel_mean"] > summary["psnr"]
     assert 0 < summary["gaussians"] < 10 * summary["anchors"]
-    ours = json.loads((tmp_path / "scores.json").read_text())
-    assert summary == {name: ours[name] for name in summary}
     results = json.loads((tmp_path / "scores" / "results.json").read_text())
     assert results == {
         "ours_700": {
@@ -58,7 +76,7 @@ def test_all_files_hold_the_same_scores(folder, capsys, tmp_path):
         }
     }
     views = json.loads((tmp_path / "scores" / "per_view.json").read_text())["ours_700"]
-    assert views["LPIPS"] == {f"r_{i}.png": ours["per_view"][i]["lpips"] for i in range(2)}
+    assert views["LPIPS"] == {f"r_{i}.png": summary["per_view"][i]["lpips"] for i in range(2)}
     names = ("psnr", "ssim", "lpips", "bytes", "gaussians")
     row = ",".join(["Baseline", *(str(summary[name]) for name in names)])
     assert (tmp_path / "scene.csv").read_text().splitlines()[1:] == [row]

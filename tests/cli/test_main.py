@@ -15,6 +15,7 @@ import pytest
 
 from clgs import __version__
 from clgs.cli import main as cli
+from clgs.cli.examples import EXAMPLES
 from clgs.errors import ClgsError, CodecError, DataError, DeviceError
 
 
@@ -67,6 +68,7 @@ def cl_error(name):
         (ModuleNotFoundError("No module", name="rich"), 1, "rich cannot be loaded"),
         (KeyError("oops"), 1, "KeyError: 'oops' (this is a bug"),
         (KeyboardInterrupt(), 130, "clgs: interrupted"),
+        (KeyboardInterrupt("; go on"), 130, "clgs: interrupted; go on"),
     ],
 )
 def test_an_error_is_one_line_and_a_code(run_raising, monkeypatch, capsys, error, code, line):
@@ -131,10 +133,49 @@ def test_help_names_every_command():
 
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
-def test_every_command_has_help(command):
-    result = clgs(command, "--help")
-    assert (result.returncode, result.stderr) == (0, "")
-    assert f"usage: clgs {command}" in result.stdout
+def test_every_command_has_help_with_examples_within_80_columns(command, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit) as done:
+        cli.main([command, "--help"])
+    out, err = capsys.readouterr()
+    assert (done.value.code, err) == (0, "")
+    assert f"usage: clgs {command}" in out
+    assert f"\nexamples:\n  clgs {command}" in out
+    assert max(map(len, out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_examples_are_understood(command, capsys):
+    for line in EXAMPLES[command]:
+        words = line.split()[1:]
+        if "--help" not in words:
+            assert cli.build_parser().parse_args(words).command == command
+
+
+@pytest.mark.parametrize(
+    ("words", "usage"),
+    [(["help"], "usage: clgs "), (["help", "bench", "ops"], "usage: clgs bench ops")],
+)
+def test_help_is_a_command_too(words, usage, capsys):
+    with pytest.raises(SystemExit) as done:
+        cli.main(words)
+    assert done.value.code == 0
+    assert capsys.readouterr().out.startswith(usage)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["tran"], "COMMAND 'tran' is unknown (did you mean train?); see clgs --help"),
+        (["xyzzy"], "COMMAND 'xyzzy' is unknown; see clgs --help"),
+        (["bench", "stp"], "WHAT 'stp' is unknown (did you mean step?); see clgs bench --help"),
+    ],
+)
+def test_a_mistyped_command_is_answered_by_the_nearest(words, said, capsys):
+    with pytest.raises(SystemExit) as done:
+        cli.main(words)
+    assert done.value.code == 2
+    assert capsys.readouterr().err == f"clgs: error: {said}\n"
 
 
 @pytest.mark.parametrize(

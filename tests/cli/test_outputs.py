@@ -54,6 +54,17 @@ def work(tmp_path, monkeypatch):
         ("decode s.clgs -o file/x.npz", 2, "file/x.npz: cannot be written: there is no folder"),
         ("decode s.clgs -o x", 2, "x: the output must end in .npz"),
         ("decode s.clgs -o nodir/x.npz", 2, "nodir/x.npz: cannot be written"),
+        ("decode s.clgs -o s.npz", 2, "s.npz: exists already; add --overwrite or choose another"),
+        ("decode s.clgs -o s.ply", 2, "s.ply: exists already; add --overwrite or choose another"),
+        ("encode s.npz -o s.clgs", 2, "s.clgs: exists already; add --overwrite or choose another"),
+        ("pack s.ply -o s.clgs", 2, "s.clgs: exists already; add --overwrite or choose another"),
+        ("unpack s.clgs -o s.ply", 2, "s.ply: exists already; add --overwrite or choose another"),
+        ("unpack s.clgs -o x.spz", 2, "x.spz: the output is a .ply file; name it so"),
+        ("encode s.npz -o y.zip", 2, "y.zip: the output is a .clgs file; name it so"),
+        ("pack s.ply -o x.clgs", 3, "s.ply: holds anchors, no splats; `clgs encode` takes it"),
+        ("train folder -o x --resume --overwrite", 2, "--resume goes on with a run and"),
+        ("prepare file -o new", 3, "file: is a file; name the folder of the photos"),
+        ("train file -o new", 3, "file: is a file; name the folder of the data set"),
         ("decode folder -o x.npz", 3, "folder: is a folder; name a .clgs file"),
         ("decode folder -o x.npz --box 0,0,0,1,1,1", 3, "folder: is a folder; name a .clgs file"),
         ("decode s.clgs -o x.npz --box 0,0,0,1,1", 2, "--box 0,0,0,1,1: six numbers are needed"),
@@ -119,6 +130,27 @@ def test_refusals_are_one_line(work, capsys, command, code, said):
     assert err.startswith(f"clgs: error: {said}")
     assert err.count("\n") == 1
     assert sorted(work.iterdir()) == before
+
+
+def test_what_exists_is_replaced_with_overwrite(work, capsys):
+    whole = (work / "s.clgs").read_bytes()
+    for name in ("x.clgs", "x.npz", "x.ply", "x.mlps.npz"):
+        (work / name).write_bytes(b"mine")
+    assert cli.main(["encode", "s.npz", "-o", "x.clgs", "--overwrite"]) == 0
+    assert (work / "x.clgs").read_bytes() == whole
+    for name in ("x.npz", "x.ply"):
+        assert cli.main(["decode", "s.clgs", "-o", name, "--overwrite"]) == 0
+        assert cli.main(["encode", name, "-o", "x.clgs", "--overwrite"]) == 0
+        assert (work / "x.clgs").read_bytes() == whole
+
+
+def test_an_input_without_permission_is_bad_data(work, capsys, monkeypatch):
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied", "s.clgs")
+
+    monkeypatch.setattr("pathlib.Path.read_bytes", refuse)
+    assert cli.main(["info", "s.clgs"]) == 3
+    assert capsys.readouterr().err.startswith("clgs: error: s.clgs: may not be read; give")
 
 
 def test_encode_writes_through_a_link(work, capsys):

@@ -235,4 +235,4 @@ def test_commands_refuse(rng: np.random.Generator, tmp_path: Path) -> None:
     assert main(["unpack", source, "-o", str(tmp_path / "t.ply")]) == 3
     table.columns["x"][3] = np.nan
     Path(source).write_bytes(pack_ply(table))
-    assert main(["pack", source, "-o", packed]) == 3
+    assert main(["pack", source, "-o", packed, "--overwrite"]) == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -233,6 +234,33 @@ def test_bad_folders_are_one_line(tmp_path: Path):
         load_dataset(tmp_path)
     with pytest.raises(DataError, match="downscale"):
         load_dataset(tmp_path, downscale=0)
+
+
+def test_parts_of_a_data_set_and_runs_are_named_as_what_they_are(tmp_path: Path):
+    data, run = tmp_path / "data", tmp_path / "run"
+    write_transforms(data, 3)
+    run.mkdir()
+    (run / "config.toml").touch()
+    said = rf"is a part of a data set; name the whole of it: {re.escape(str(data))}$"
+    (data / "sparse" / "0").mkdir(parents=True)
+    for part in ("images", "sparse/0"):
+        with pytest.raises(DataError, match=said):
+            load_dataset(data / part)
+    with pytest.raises(DataError, match="is a run, no data set"):
+        load_dataset(run)
+    with pytest.raises(DataError, match="is a file; name the folder of the data set"):
+        load_dataset(data / "images" / "000.png")
+
+
+def test_missing_photos_are_named(tmp_path: Path, caplog):
+    write_transforms(tmp_path, 12)
+    for number in range(2, 12):
+        (tmp_path / "images" / f"{number:03d}.png").unlink()
+    load_dataset(tmp_path, load_images=False)
+    first = ", ".join(f"images/{number:03d}.png" for number in range(2, 10))
+    assert [one.getMessage() for one in caplog.records] == [
+        f"{tmp_path}: 10 of 12 photos are missing: {first}, ..."
+    ]
 
 
 def test_truncated_image_and_impossible_lens(tmp_path: Path):

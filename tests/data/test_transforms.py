@@ -48,7 +48,7 @@ def test_every_eighth_after_missing_ones_is_held_out(tmp_path: Path):
     (tmp_path / "images" / "000.png").unlink()
     (tmp_path / "images" / "005.png").unlink()
     photos = read_transforms(tmp_path)
-    assert photos.skipped == 2
+    assert photos.missing == ["images/000.png", "images/005.png"]
     assert [p.name[-7:-4] for p in photos.test] == ["001", "010", "018"]
     assert len(photos.train) == 15
 

@@ -8,7 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
-from clgs.errors import DataError
+from clgs.errors import DataError, UsageError
 from clgs.scene.storage import ARRAY_NAMES, load_scene, save_scene
 from tests.codec.scenes import assert_same, random_scene
 
@@ -37,6 +37,17 @@ def refusal(path):
 def test_a_scene_comes_back_exactly(scene, tmp_path):
     save_scene(tmp_path / "scene.npz", scene)
     assert_same(load_scene(tmp_path / "scene.npz"), scene)
+    save_scene(str(tmp_path / "other.npz"), scene)
+    assert_same(load_scene(str(tmp_path / "other.npz")), scene)
+
+
+def test_a_missing_file_and_another_kind_are_named(scene, tmp_path):
+    assert "no such file" in refusal(str(tmp_path / "none.npz"))
+    with pytest.raises(UsageError, match=r"foo\.txt: .* name it \.npz"):
+        save_scene(str(tmp_path / "foo.txt"), scene)
+    with pytest.raises(TypeError, match="scene: is NoneType, QuantizedScene is needed"):
+        save_scene(tmp_path / "x.npz", None)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ARRAY_NAMES)

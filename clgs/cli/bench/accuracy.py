@@ -33,7 +33,6 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         "accuracy",
         help="run time against error, every preset and knob",
         description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add(

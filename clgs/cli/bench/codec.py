@@ -28,7 +28,6 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         "codec",
         help="the codec's levels: bytes, and times to encode and decode",
         description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add("data", type=Path, nargs="*", metavar="DATA", help="files or folders")

@@ -27,7 +27,6 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         "ops",
         help="every stage: time, error, share of the device's limits",
         description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add(

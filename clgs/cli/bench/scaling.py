@@ -29,7 +29,6 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         "scaling",
         help="growth of time and memory with Gaussians and pixels",
         description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add("--gaussians", type=gaussian_count, nargs="+", help="other numbers; two give an exponent")

@@ -28,7 +28,6 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "conformance",
         help="compare the bits of devices",
         description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
     add("-o", "--output", type=named_path, metavar="FILE", help="write the hashes to FILE (JSON)")
@@ -74,8 +73,6 @@ def _read(path: Path) -> Any:
             text = file.read(LARGEST_RECORD + 1)
     except IsADirectoryError:
         raise DataError(f"{path}: is a folder; name the JSON file in it") from None
-    except PermissionError:
-        raise
     except OSError as error:
         remedy = "`clgs conformance -o` makes one"
         raise DataError(f"{path}: {error.strerror}; {remedy}") from None

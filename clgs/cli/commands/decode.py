@@ -15,8 +15,8 @@ Decompress a .clgs file into a NumPy archive, or into a PLY file as the referenc
 
 X.ply receives the anchors as numbers, X.quantized.ply as integers, and X.mlps.npz beside it the
 MLPs; all in the scene's own units, with scales, transform and settings as comments. Properties are
-float32, or float64 if float32 would not give every integer back. An X.mlps.npz with other MLPs
-is replaced only if the PLY file of that name is replaced too.
+float32, or float64 if float32 would not give every integer back. An X.mlps.npz with the same MLPs
+stays; one with others is replaced by --overwrite alone.
 
 --box: only the anchors with x0 <= x < x1, y0 <= y < y1 and z0 <= z < z1, in the units of the input
 data. Of the file, only the header, the MLPs and the chunks that the box meets are read: see
@@ -31,7 +31,6 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "decode",
         help="decompress a .clgs file into a NumPy archive",
         description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_files(parser, "scene", "FILE.clgs", "FILE.npz|FILE.ply")
     parser.add_argument("--box", metavar="x0,y0,z0,x1,y1,z1", help="only the part in this box")
@@ -40,6 +39,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
+    from clgs.cli.options.output import check_new
     from clgs.cli.options.scene import read_bitstream, read_box
     from clgs.data.ply.anchors import save_scaffold
     from clgs.data.ply.mlps_archive import mlps_path
@@ -48,19 +48,22 @@ def run(args: argparse.Namespace) -> int:
     from clgs.scene.storage import save_scene
 
     suffix = args.output.suffix.lower()
-    save = {".npz": save_scene, ".ply": save_scaffold}.get(suffix)
-    if save is None:
+    if suffix not in (".npz", ".ply"):
         raise UsageError(f"{args.output}: the output must end in .npz or .ply; name it so")
     box = None if args.box is None else parse_box(args.box)
     for output in [args.output] + [mlps_path(args.output)] * (suffix == ".ply"):
         check_output(output, args.scene)
+    check_new(args, args.output, args.scene)
     if box is None:
         scene, _ = read_bitstream(args.scene, args.threads)
         read = ""
     else:
         scene, count, size = read_box(args.scene, box, args.threads)
         read = f" in the box, {count:,} of {size:,} bytes read"
-    save(args.output, scene)
+    if suffix == ".ply":
+        save_scaffold(args.output, scene, args.overwrite)
+    else:
+        save_scene(args.output, scene)
     beside = f"; MLPs in {mlps_path(args.output)}" if suffix == ".ply" else ""
     print(f"{args.output}: {len(scene.anchors):,} anchors{read}{beside}")
     return 0

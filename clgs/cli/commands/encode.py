@@ -49,7 +49,6 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "encode",
         help="compress a trained scene into one .clgs file",
         description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_files(parser, "scene", "RUN", "FILE.clgs")
     add_level(parser)
@@ -136,13 +135,13 @@ def in_words_of_options(path: Path) -> Iterator[None]:
 def run(args: argparse.Namespace) -> int:
     """Encode; exit code 0."""
     from clgs.cli.commands.encode_target import check_targets, reduce
-    from clgs.cli.options.codec import check_suffix
+    from clgs.cli.options.output import check_new, check_suffix
     from clgs.codec.scene_encoder import check_options, encode
-    from clgs.files import atomic_write, check_output
+    from clgs.files import atomic_write
 
     check_options(args.level, args.chunk, args.mlp)
-    check_output(args.output, *sources(args))
-    check_suffix(args.output)
+    check_new(args, args.output, *sources(args))
+    check_suffix(args.output, ".clgs")
     check_targets(args)
     scene = read_source(args)
 

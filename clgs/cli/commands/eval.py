@@ -18,6 +18,20 @@ if TYPE_CHECKING:
     from clgs.scene.scene import QuantizedScene
     from clgs.train.quality.score_views import Measure, ViewScore
 
+STDOUT = Path("-")
+"""What --json alone means."""
+
+SHOWN = {
+    "psnr": ("PSNR", "{:.2f} dB"),
+    "psnr_channel_mean": ("PSNR, channel mean", "{:.2f} dB"),
+    "ssim": ("SSIM", "{:.4f}"),
+    "lpips": ("LPIPS", "{:.4f}"),
+    "bytes": ("bytes", "{:,}"),
+    "anchors": ("anchors", "{:,}"),
+    "gaussians": ("Gaussians", "{:,}"),
+}
+"""What the table shows of the scores, and how."""
+
 BASELINE = "Baseline"
 """What the survey's tables call the results that need no name beside the method's."""
 
@@ -34,7 +48,14 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="run folder or .clgs file")
     add_view_options(parser, data_required=False)
-    parser.add_argument("--json", type=named_path, metavar="F", help="write the scores to F")
+    parser.add_argument(
+        "--json",
+        type=named_path,
+        nargs="?",
+        const=STDOUT,
+        metavar="F",
+        help="print the scores as JSON, not as a table; with F, write them, and each view's, to F",
+    )
     parser.add_argument("--hashes", type=Path, metavar="F", help="hashes.json of the run")
     _add_family_options(parser)
 
@@ -105,10 +126,11 @@ def _check_outputs(args: argparse.Namespace) -> None:
     from clgs.train.quality.score_tables import FILES, check_survey
 
     sources = [path for path in (args.scene, args.hashes, args.lpips) if path]
-    for path, suffix, what in ((args.json, ".json", "scores are"), (args.csv, ".csv", "table is")):
+    file = None if args.json == STDOUT else args.json
+    for path, suffix, what in ((file, ".json", "scores are"), (args.csv, ".csv", "table is")):
         if path and path.suffix.lower() != suffix:
             raise UsageError(f"{path}: the {what} a {suffix} file; name it so")
-    outputs = [path for path in (args.json, args.csv) if path]
+    outputs = [path for path in (file, args.csv) if path]
     for path in outputs:
         check_output(path, *sources)
     if args.inria:
@@ -116,8 +138,8 @@ def _check_outputs(args: argparse.Namespace) -> None:
         if (args.inria / "config.toml").exists():
             raise UsageError(f"{args.inria}: is a run with scores of its own; name another folder")
         outputs += [args.inria / name for name in FILES]
-        if args.json and args.json.resolve() in (path.resolve() for path in outputs[-2:]):
-            raise UsageError(f"{args.json}: is written by --inria; choose another name")
+        if file and file.resolve() in (path.resolve() for path in outputs[-2:]):
+            raise UsageError(f"{file}: is written by --inria; choose another name")
     for path in outputs:
         if args.data is not None and path.exists() and _lies_in(path, args.data):
             raise UsageError(f"{path}: is a file of the data set; choose another output")
@@ -158,8 +180,22 @@ def _score(
         "split": args.split,
         "device": device.name,
     }
-    print(json.dumps(summary, indent=1))
+    if args.json == STDOUT:
+        print(json.dumps(summary, indent=1))
+    else:
+        _show(summary)
     _write(args, summary, scores)
+
+
+def _show(summary: dict[str, Any]) -> None:
+    """The table for people."""
+    rows = [("views", f"{summary['views']} ({summary['split']})")]
+    for name, (title, form) in SHOWN.items():
+        if summary.get(name) is not None:
+            rows.append((title, form.format(summary[name])))
+    width = max(len(title) for title, _ in rows)
+    for title, text in rows:
+        print(f"{title:<{width}}  {text}")
 
 
 def _count_gaussians(
@@ -177,7 +213,7 @@ def _write(args: argparse.Namespace, summary: dict[str, Any], scores: Sequence[V
     from clgs.train.quality.score_tables import append_survey, write_inria
     from clgs.train.run.session import write_json
 
-    if args.json:
+    if args.json not in (None, STDOUT):
         write_json(args.json, summary | {"per_view": [score.record() for score in scores]})
     if args.inria:
         steps = trained_steps(args.scene)

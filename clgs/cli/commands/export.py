@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from clgs.cli.options.output import add_overwrite, check_new, check_suffix
 from clgs.cli.options.view import named_path
 
 
@@ -23,18 +24,17 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "-o", "--output", type=named_path, required=True, metavar="cameras.glb", help="new file"
     )
+    add_overwrite(parser, "the file if it exists (default: refuse)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the file and print one line; exit code 0."""
     from clgs.data.dataset import load_dataset
-    from clgs.errors import UsageError
     from clgs.export.cameras import cameras_glb
-    from clgs.files import atomic_write, check_output
+    from clgs.files import atomic_write
 
-    if args.output.suffix.lower() != ".glb":
-        raise UsageError(f"{args.output}: the output is a GLB file; name it so (cameras.glb)")
-    check_output(args.output)
+    check_suffix(args.output, ".glb")
+    check_new(args, args.output)
     dataset = load_dataset(args.data, load_images=False)
     data = cameras_glb(dataset)
     atomic_write(args.output, data)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.codec import add_files, add_level, add_threads, check_suffix, in_range
+from clgs.cli.options.codec import add_files, add_level, add_threads, in_range
 
 if TYPE_CHECKING:
     from clgs.codec.splats import Splats
@@ -31,7 +31,6 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "pack",
         help="compress an ordinary 3DGS PLY file",
         description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_files(parser, "splats", "FILE.ply", "FILE.clgs")
     parser.add_argument(
@@ -72,14 +71,15 @@ def steps_by_group(splats: Splats) -> dict[str, str]:
 
 def run(args: argparse.Namespace) -> int:
     """Pack; exit code 0."""
+    from clgs.cli.options.output import check_new, check_suffix
     from clgs.codec.octree.position_coder import PositionsError
     from clgs.codec.splats import pack
     from clgs.data.ply.splats import read_splats
     from clgs.errors import CodecError, UsageError
-    from clgs.files import atomic_write, check_output
+    from clgs.files import atomic_write
 
-    check_output(args.output, args.splats)
-    check_suffix(args.output)
+    check_new(args, args.output, args.splats)
+    check_suffix(args.output, ".clgs")
     names = [name for name, _ in args.step]
     for name in {name for name in names if names.count(name) > 1}:
         raise UsageError(f"--step {name}: is given more than once; leave one")

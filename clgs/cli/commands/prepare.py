@@ -6,6 +6,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
+from clgs.cli.options.output import add_overwrite
 from clgs.cli.options.view import named_path, seed
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ def register(subparsers: Subparsers) -> None:
         "-o", "--output", type=named_path, metavar="DATA", required=True, help="new folder"
     )
     parser.add_argument("--seed", type=seed, default=0, help="random seed (default: %(default)s)")
+    add_overwrite(parser, "DATA if an earlier run of this command made it (default: refuse)")
     parser.set_defaults(run=run)
 
 
@@ -49,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         def on_stage(stage: str) -> None:
             progress.update(task, description=stage, completed=STAGES.index(stage))
 
-        summary = prepare(args.photos, args.output, args.seed, on_stage)
+        summary = prepare(args.photos, args.output, args.seed, on_stage, args.overwrite)
     seconds = time.perf_counter() - start
     print(
         f"{args.output}: registered {summary.registered} of {summary.total} photos, "

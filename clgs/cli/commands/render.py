@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from clgs.cli.options.output import add_overwrite, check_new
 from clgs.cli.options.view import add_view_options, named_path
 
 
@@ -14,6 +15,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("scene", type=Path, metavar="SCENE", help="run folder or .clgs file")
     add_view_options(parser, data_required=True)
     parser.add_argument("-o", "--output", type=named_path, required=True, metavar="DIR")
+    add_overwrite(parser, "pictures in DIR (default: refuse)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -31,10 +33,13 @@ def run(args: argparse.Namespace) -> int:
     check_apart(args.output, args.data)
     scene, _ = read_scene(args.scene)
     views = selected_views(args, scene)
+    names = picture_names([view.name for view in views])
+    if args.output.exists():
+        for name in names:
+            check_new(args, args.output / name)
     renderer = Renderer(Device(args.device), scene.dequantize(), selected_options(args))
     renderer.check_budget((view.name, view.camera) for view in views)
     args.output.mkdir(parents=True, exist_ok=True)
-    names = picture_names([view.name for view in views])
     for name, view in track(list(zip(names, views, strict=True)), "rendering"):
         save_png(args.output / name, to_8bit(renderer.render(view.camera)))
     print(f"{args.output}: {len(views)} pictures")

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clgs.cli.options.output import add_overwrite
 from clgs.cli.options.training import add_training_options, make_config
 from clgs.cli.options.view import check_apart, named_path
 
@@ -36,6 +37,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="continue an interrupted run from its checkpoint, with the same options; start it if "
         "there is none yet; leave a finished one as it is",
     )
+    add_overwrite(parser, "a run in RUN")
     add(
         "--profile",
         action="store_true",
@@ -47,11 +49,11 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Train; exit code 0."""
     from clgs.cli.progress import TrainingDisplay, print_summary
-    from clgs.errors import DataError, UsageError
+    from clgs.errors import UsageError
     from clgs.files import check_folder
     from clgs.memory import return_freed_memory
     from clgs.opencl.device import Device
-    from clgs.train.run.finished_run import finished_run
+    from clgs.train.run.finished_run import check_run_folder, finished_run
     from clgs.train.run.load import load_for
     from clgs.train.run.session import Session
 
@@ -61,8 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if (args.output / "checkpoint").is_file():
         raise UsageError(f"{args.output / 'checkpoint'}: is not a folder; remove it")
     check_apart(args.output, args.data)
-    if not args.resume and (args.output / "config.toml").exists():
-        raise DataError(f"{args.output}: holds a run already; add --resume or name another folder")
+    check_run_folder(args.output, args.resume, args.overwrite)
     device = Device(args.device)
     device.profile.enabled = args.profile
     dataset = load_for(config, args.data, args.output, partial(print, file=sys.stderr, flush=True))
@@ -72,8 +73,11 @@ def run(args: argparse.Namespace) -> int:
         print_summary(finished)
         return 0
     session = Session(dataset, args.output, config, device, resume=args.resume)
-    with TrainingDisplay(config.steps, session.trainer.steps_done) as display:
-        result = session.run(display.update)
+    try:
+        with TrainingDisplay(config.steps, session.trainer.steps_done) as display:
+            result = session.run(display.update)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
     if args.profile:
         _report_profile(session)
     print_summary(result)

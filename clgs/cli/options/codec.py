@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import argparse
 import math
-from pathlib import Path
 
+from clgs.cli.options.output import add_overwrite
 from clgs.cli.options.view import named_path
 
 
 def add_files(parser: argparse.ArgumentParser, name: str, source: str, output: str) -> None:
-    """Add the argument ``name`` and the option ``--output``, shown as ``source`` and ``output``.
+    """Add the argument ``name``, --output, shown as ``source`` and ``output``, and --overwrite.
 
-    The command must pass both to ``clgs.files.check_output``.
+    The command must pass both files to ``clgs.cli.options.output.check_new``.
     """
     parser.add_argument(name, type=named_path, metavar=source)
     parser.add_argument("-o", "--output", type=named_path, required=True, metavar=output)
+    add_overwrite(parser, "the output if it exists (default: refuse)")
 
 
 def add_level(parser: argparse.ArgumentParser) -> None:
@@ -26,18 +27,6 @@ def add_level(parser: argparse.ArgumentParser) -> None:
 def add_threads(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--threads``."""
     parser.add_argument("--threads", type=int, metavar="N", help="default: one per processor")
-
-
-def check_suffix(output: Path) -> None:
-    """Refuse to write a .clgs file under the name of another kind of file.
-
-    Raises:
-        UsageError: the name does not end in .clgs.
-    """
-    from clgs.errors import UsageError
-
-    if output.suffix.lower() != ".clgs":
-        raise UsageError(f"{output}: the output is a .clgs file; name it so")
 
 
 def in_range(text: str) -> float:

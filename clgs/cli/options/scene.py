@@ -62,7 +62,7 @@ def read_box(path: Path, box: Box, threads: int | None) -> tuple[QuantizedScene,
         data = path.read_bytes()
         with naming(path):
             return decode_box(BytesSource(data), box, threads), len(data), len(data)
-    with path.open("rb", buffering=0) as file, naming(path):
+    with _readable(path), path.open("rb", buffering=0) as file, naming(path):
         source = FileSource(file)
         scene = decode_box(source, box, threads)
         return scene, source.bytes_read, source.size
@@ -84,7 +84,17 @@ def read_bytes(path: Path) -> bytes:
         DataError: there is no file, or it is neither a file nor a pipe.
     """
     _mode(path)
-    return path.read_bytes()
+    with _readable(path):
+        return path.read_bytes()
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Let a lack of permission be a DataError."""
+    try:
+        yield
+    except PermissionError:
+        raise DataError(f"{path}: may not be read; give yourself the permission") from None
 
 
 def _mode(path: Path) -> int:

@@ -28,7 +28,7 @@ def check_figure_options(args: argparse.Namespace) -> None:
 
     Raises:
         UsageError: the plot is not an .svg file, or matplotlib is missing.
-        OutputError, PermissionError: as from ``clgs.files.check_target``.
+        OutputError: as from ``clgs.files.check_target``.
     """
     from clgs.bench.plots import require_pyplot
     from clgs.errors import UsageError

@@ -46,15 +46,15 @@ def read_colmap(root: Path, model: Path) -> PhotoSet:
     Raises:
         DataError: naming file, field and remedy.
     """
-    photos, skipped, points, colors = _read_model(root, model)
+    photos, missing, points, colors = _read_model(root, model)
     train, test = hold_out(photos)
-    return PhotoSet("colmap", train, test, skipped, points, colors)
+    return PhotoSet("colmap", train, test, missing, points, colors)
 
 
 def _read_model(
     root: Path, model: Path
-) -> tuple[list[Photo], int, npt.NDArray[np.float64], npt.NDArray[np.uint8]]:
-    """Photos that exist, the number of missing ones, points (P, 3) and colors (P, 3)."""
+) -> tuple[list[Photo], list[str], npt.NDArray[np.float64], npt.NDArray[np.uint8]]:
+    """Photos that exist, the names of missing ones, points (P, 3) and colors (P, 3)."""
     suffix = ".bin" if (model / "cameras.bin").is_file() else ".txt"
     for name in _FILES:
         file = model / f"{name}{suffix}"
@@ -69,9 +69,9 @@ def _read_model(
         else:
             _read_text(reconstruction, model)
         folder = root / "images" if (root / "images").is_dir() else root
-        photos, skipped = _photos(reconstruction, folder, model)
+        photos, missing = _photos(reconstruction, folder, model)
         points, colors = _points(reconstruction)
-    return photos, skipped, points, colors
+    return photos, missing, points, colors
 
 
 def _read_text(reconstruction: Any, model: Path) -> None:
@@ -84,9 +84,9 @@ def _read_text(reconstruction: Any, model: Path) -> None:
         raise
 
 
-def _photos(reconstruction: Any, folder: Path, model: Path) -> tuple[list[Photo], int]:
+def _photos(reconstruction: Any, folder: Path, model: Path) -> tuple[list[Photo], list[str]]:
     posed = [image for image in reconstruction.images.values() if image.has_pose]
-    photos, names = [], set()
+    photos, names, missing = [], set(), []
     for image in posed:
         source = f"{model}: image {image.name[:80]!r}"
         check_name(image.name, str(model))
@@ -96,9 +96,11 @@ def _photos(reconstruction: Any, folder: Path, model: Path) -> tuple[list[Photo]
         path = inside(folder, image.name, source)
         if path.is_file():
             photos.append(_photo(image, path, source))
+        else:
+            missing.append(image.name)
     if not photos:
         raise DataError(f"{folder}: none of the {len(posed)} posed images of {model} is there")
-    return photos, len(posed) - len(photos)
+    return photos, missing
 
 
 def _photo(image: Any, path: Path, source: str) -> Photo:

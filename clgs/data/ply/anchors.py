@@ -44,11 +44,11 @@ def is_quantized(path: Path) -> bool:
     return ".quantized" in path.name.lower()
 
 
-def save_scaffold(path: Path, scene: QuantizedScene) -> None:
+def save_scaffold(path: Path, scene: QuantizedScene, overwrite: bool = False) -> None:
     """Write the anchors to ``path`` and the MLPs to ``mlps_path(path)``, in scene units.
 
     Both are written or none. An archive that holds these MLPs already stays as it is; one that
-    holds others is replaced together with ``path`` alone.
+    holds others is replaced with ``overwrite`` or together with ``path`` alone.
 
     Raises:
         OutputError: the file for the MLPs of ``path`` exists already, but ``path`` does not.
@@ -58,7 +58,7 @@ def save_scaffold(path: Path, scene: QuantizedScene) -> None:
     check_target(beside)
     files = {path: pack_scaffold(scene, is_quantized(path))}
     if not (beside.exists() and holds(beside, scene.mlps)):
-        if beside.exists() and not path.exists():
+        if beside.exists() and not (path.exists() or overwrite):
             problem = "exists and holds other MLPs; remove it or choose another output"
             raise OutputError(f"{beside}: {problem}")
         files[beside] = pack_mlps(scene.mlps)

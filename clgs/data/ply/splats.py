@@ -16,6 +16,9 @@ from clgs.data.ply.splat_steps import POSITION, choose_steps, group_of
 from clgs.data.ply.table import Table, narrowest, pack_ply, read_ply
 from clgs.errors import ClgsError, DataError
 
+FEATURE_OF_ANCHORS = "f_anchor_feat_0"
+"""A property that files of anchors have, and files of splats have not."""
+
 ROTATION = [f"rot_{i}" for i in range(4)]
 
 
@@ -31,6 +34,8 @@ def read_splats(path: Path, steps: dict[str, float]) -> tuple[Splats, dict[str, 
         UsageError: a property without a step, or a step for none.
     """
     table = read_ply(path)
+    if FEATURE_OF_ANCHORS in table.columns:
+        raise DataError(f"{path}: holds anchors, no splats; `clgs encode` takes it")
     missing = [name for name in POSITION if name not in table.columns]
     if missing or len(table.columns) < 4:
         raise DataError(f"{path}: property {(missing or ['after z'])[0]} is missing; no splats")

@@ -16,6 +16,7 @@ from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
+from clgs.shapes import check_type
 from clgs.train.quality.metrics import psnr_8bit, psnr_channel_mean, ssim, to_8bit
 
 PROTOCOL = (
@@ -74,7 +75,9 @@ def evaluate_views(
     Raises:
         DataError: a photo is damaged.
         BudgetError: ``options.max_memory`` is too small for one of ``views``.
+        TypeError: ``scene`` is no quantised scene.
     """
+    check_type("scene", scene, QuantizedScene, "a run has it as .scene, clgs.load_scene reads one")
     renderer = Renderer(device, scene.dequantize(), options)
     renderer.check_budget((view.name, view.camera) for view in views)
     scores = []

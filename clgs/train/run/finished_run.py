@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from clgs.codec.scene_decoder import decode
 from clgs.data.dataset import Dataset
-from clgs.errors import DataError
+from clgs.errors import DataError, ExistsError, UsageError
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig
+from clgs.train.state.checkpoint import checkpoints
 from clgs.train.state.hashes import read_fingerprint, scene_hash
 from clgs.train.state.resume import run_digest
 
 RESULTS = "results.json"
 """The last file of a run: a folder that has it is finished."""
+
+SETTINGS = "config.toml"
+"""The first file of a run."""
+
+FILES = (
+    *("scene.clgs", "scene.npz", "progress.csv", "per_view.json", "hashes.json", "preview.png"),
+    *("profile.json", RESULTS, SETTINGS),
+)
+"""What a run writes, besides its folders and points; SETTINGS, by which it is known, at the end."""
 
 SHOWN = {"split", "psnr", "ssim", "bytes", "anchors", "train_seconds", "digest"}
 """The fields of it that are read again."""
@@ -31,6 +42,12 @@ class RunResult:
     scene: QuantizedScene
     bitstream: bytes
     summary: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """One line: the fields would be megabytes."""
+        psnr = f", {self.summary['psnr']:.2f} dB" if "psnr" in self.summary else ""
+        size = f"{len(self.bitstream):,} bytes, {len(self.scene.anchors):,} anchors"
+        return f"<RunResult {self.folder}: {size}{psnr}>"
 
 
 def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResult | None:
@@ -60,6 +77,32 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
             "(config.toml lists them) or choose another run folder"
         )
     return result
+
+
+def check_run_folder(folder: Path, resume: bool, overwrite: bool) -> None:
+    """See that a run may go to ``folder``.
+
+    Raises:
+        ExistsError: it holds a run, which is neither to be resumed nor overwritten.
+        UsageError: it is to be both.
+    """
+    if resume and overwrite:
+        raise UsageError("--resume goes on with a run and --overwrite replaces it; give one")
+    if (folder / SETTINGS).exists() and not (resume or overwrite):
+        raise ExistsError(
+            f"{folder}: holds a run already; go on with it (--resume), replace it (--overwrite), "
+            "or choose another folder"
+        )
+
+
+def remove_run(folder: Path) -> None:
+    """Remove the files of a run, but not the points that it triangulated, nor anything else."""
+    if not (folder / SETTINGS).exists():
+        return
+    for path in (folder / "test").glob("ours_*"):
+        shutil.rmtree(path)
+    for path in (*(folder / name for name in FILES), *checkpoints(folder / "checkpoint")):
+        path.unlink(missing_ok=True)
 
 
 def settings_for(dataset: Dataset, config: TrainConfig) -> TrainConfig:

@@ -24,10 +24,18 @@ from clgs.files import atomic_write
 from clgs.opencl.device import Device
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
+from clgs.shapes import check_type
 from clgs.train.config import TrainConfig
 from clgs.train.quality.rate_control import MAX_CAMERAS, Judge, reduce_to_size, spread
 from clgs.train.quality.score_views import Pictures, ViewScore, evaluate_views, summarize
-from clgs.train.run.finished_run import RESULTS, RunResult, finished_run, settings_for
+from clgs.train.run.finished_run import (
+    RESULTS,
+    RunResult,
+    check_run_folder,
+    finished_run,
+    remove_run,
+    settings_for,
+)
 from clgs.train.run.full_disk import Keeper
 from clgs.train.run.progress_log import ProgressLog
 from clgs.train.run.trainer import StepResult, Trainer
@@ -59,7 +67,7 @@ class Session:
     def __init__(
         self, dataset: Dataset, folder: Path, config: TrainConfig, device: Device, resume: bool
     ) -> None:
-        """Prepare a new run or the continuation of an interrupted one.
+        """Prepare a new run, in place of one in ``folder``, or the continuation of one.
 
         Raises:
             DataError: there is nothing to train on, or the checkpoints are of another run.
@@ -76,6 +84,8 @@ class Session:
         self.keeper = Keeper(folder, self.trainer)
         self.trainer.check_budget()
         folder.mkdir(parents=True, exist_ok=True)
+        if not resume:
+            remove_run(folder)
         (folder / RESULTS).unlink(missing_ok=True)
         atomic_write(folder / "config.toml", config.to_toml().encode())
         self.log = ProgressLog(folder / "progress.csv", self.trainer.steps_done)
@@ -279,6 +289,7 @@ def train_scene(
     *,
     device: Device | None = None,
     resume: bool = False,
+    overwrite: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> RunResult:
     """Train a scene; the run folder receives everything, ``scene.clgs`` included.
@@ -290,13 +301,20 @@ def train_scene(
         device: default: chosen as ``clgs devices`` shows.
         resume: continue from the folder's checkpoint if it has one; a run that is finished is
             read, and nothing is changed.
+        overwrite: replace a run that the folder holds.
         on_progress: called after every step; the device may be a step ahead.
 
     Raises:
         DataError: nothing to train on, or the folder holds another run.
+        ExistsError: it holds a run, which is neither to be resumed nor overwritten; a DataError.
+        UsageError: ``resume`` and ``overwrite`` contradict each other.
         BudgetError: the memory budget is too small for some view.
         NonFiniteLossError: the loss is not finite; names step and view.
+        TypeError: ``dataset`` or ``config`` is of another class.
     """
+    check_type("dataset", dataset, Dataset, "clgs.load_dataset(folder) reads one")
+    check_type("config", config or TrainConfig(), TrainConfig, "clgs.preset(name) makes one")
+    check_run_folder(Path(folder), resume, overwrite)
     resolved = (config or TrainConfig()).for_dataset(dataset.kind)
     finished = finished_run(Path(folder), dataset, resolved) if resume else None
     if finished is not None:

@@ -59,7 +59,7 @@ def test_missing_images_are_counted_before_the_split(tmp_path: Path):
     write_colmap(tmp_path)
     (tmp_path / "images" / "001.png").unlink()
     photos = load(tmp_path)
-    assert photos.skipped == 1
+    assert photos.missing == ["001.png"]
     assert [p.name for p in photos.test] == ["002.png", "010.png"]
 
 

@@ -10,9 +10,10 @@ import pytest
 from PIL import Image
 
 from clgs.cli.commands import prepare as command
+from clgs.cli.main import explain
 from clgs.data.dataset import load_dataset
 from clgs.data.sfm.prepare import STAGES, prepare
-from clgs.errors import DataError, OutputError
+from clgs.errors import DataError, ExistsError, OutputError
 from tests.data.folders import noise_image, room_image, room_poses
 
 pycolmap = pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
@@ -69,6 +70,37 @@ def test_unrelated_photos_leave_nothing(tmp_path: Path):
         prepare(photos, tmp_path / "data", on_stage=stages.append)
     assert stages == list(STAGES[:4])
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
+
+
+def test_a_full_disk_is_no_fault_of_a_photo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for number in range(3):
+        Image.fromarray(noise_image(64, 48, number)).save(photos / f"{number}.png")
+
+    def fail(source: Path, target: Path) -> None:
+        raise OSError(28, "No space left on device", str(source))
+
+    monkeypatch.setattr("clgs.data.sfm.prepare.shutil.copyfile", fail)
+    with pytest.raises(OSError, match="No space left") as caught:
+        prepare(photos, tmp_path / "data")
+    assert caught.value.filename == str(tmp_path / "data")
+    assert explain(caught.value)[1] == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["photos"]
+
+
+def test_only_results_of_the_same_command_are_overwritten(tmp_path: Path):
+    photos = tmp_path / "images"
+    photos.mkdir()
+    for number in range(3):
+        Image.fromarray(noise_image(64, 48, number)).save(photos / f"{number}.png")
+    with pytest.raises(ExistsError, match="was not made by clgs prepare"):
+        prepare(photos, photos, overwrite=True)
+    (tmp_path / "sparse" / "0").mkdir(parents=True)
+    (tmp_path / "sparse" / "0" / "cameras.bin").touch()
+    with pytest.raises(ExistsError, match="holds the photos that are read"):
+        prepare(tmp_path, tmp_path, overwrite=True)
+    assert len(list(photos.iterdir())) == 3
 
 
 def test_bad_folders(tmp_path: Path):

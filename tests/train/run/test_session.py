@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import clgs
-from clgs.errors import DataError
+from clgs.errors import DataError, ExistsError
+from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.config import preset
 from clgs.train.run.session import interruptions, train_scene
 from tests.small_scene import write_scene
@@ -57,6 +58,43 @@ def test_interrupted_runs_end_alike(dataset, open_device, tmp_path):
     other = replace(dataset, points=dataset.points[:-5])
     with pytest.raises(DataError, match="other settings or photos"):
         train_scene(other, tmp_path / "legs", config(), device=device, resume=True)
+
+
+def test_a_run_is_replaced_only_if_asked_for_and_leaves_no_mixture(dataset, open_device, tmp_path):
+    folder, device = tmp_path / "run", open_device("cpu")
+    train_scene(dataset, folder, config().scaled(6), device=device)
+    (folder / "notes.txt").touch()
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    with pytest.raises(DataError, match="holds a run already") as caught:
+        train_scene(dataset, folder, config().scaled(4), device=device)
+    assert isinstance(caught.value, ExistsError)
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+    run = train_scene(dataset, str(folder), config().scaled(4), device=device, overwrite=True)
+    assert [path.name for path in (folder / "test").iterdir()] == ["ours_4"]
+    assert [path.name for path in (folder / "checkpoint").iterdir()] == ["step_00000004.npz"]
+    assert (folder / "notes.txt").exists()
+    assert len(repr(run)) < 200
+    assert repr(run).startswith(f"<RunResult {folder}: {len(run.bitstream):,} bytes, ")
+
+
+def test_arguments_of_other_classes_are_one_line(dataset, open_device, tmp_path):
+    device, view = open_device("cpu"), dataset.train[0]
+    scene, _ = anchor_scene(100, 20, 1)
+    for call, said in (
+        (lambda: clgs.train_scene("DATA", tmp_path / "x"), r"dataset: is str.*load_dataset"),
+        (lambda: clgs.train_scene(dataset, tmp_path / "x", "quick"), r"config: is str.*preset"),
+        (lambda: clgs.encode(None), "scene: is NoneType, QuantizedScene is needed"),
+        (lambda: clgs.decode("x.clgs"), r"data: is str, bytes are needed; .*read_bytes"),
+        (lambda: clgs.Device(0), r'name: is int, str is needed; .*Device\("0"\)'),
+        (lambda: clgs.render_view(scene, view), r"camera: is View.*view\.camera"),
+        (lambda: clgs.Renderer(device, scene).render(view), r"camera: is View.*view\.camera"),
+        (lambda: clgs.Renderer(device, None), r"scene: is NoneType.*dequantize"),
+        (lambda: clgs.Renderer("0", scene), r"device: is str, Device is needed"),
+        (lambda: clgs.evaluate_views(device, scene, []), "scene: is Scene, QuantizedScene is"),
+    ):
+        with pytest.raises(TypeError, match=said):
+            call()
+    assert not (tmp_path / "x").exists()
 
 
 def test_signals_wait_for_the_step():

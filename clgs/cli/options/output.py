@@ -1,0 +1,39 @@
+"""What a command writes: the option --overwrite, and the one rule of what may be replaced."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def add_overwrite(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add --overwrite; ``what`` it replaces, in words."""
+    parser.add_argument("--overwrite", action="store_true", help=f"replace {what}")
+
+
+def check_new(args: argparse.Namespace, path: Path, *sources: Path) -> None:
+    """Refuse, before long work, an output that cannot be written, is read, or exists already.
+
+    Raises:
+        ExistsError: there is such a file, and --overwrite was not given.
+        UsageError: ``path`` is one of ``sources``.
+        OutputError: as of :func:`clgs.files.check_target`.
+    """
+    from clgs.errors import ExistsError
+    from clgs.files import check_output
+
+    check_output(path, *sources)
+    if path.exists() and not args.overwrite:
+        raise ExistsError(f"{path}: exists already; add --overwrite or choose another name")
+
+
+def check_suffix(output: Path, suffix: str) -> None:
+    """Refuse to write a file under the name of another kind.
+
+    Raises:
+        UsageError: the name does not end in ``suffix``.
+    """
+    from clgs.errors import UsageError
+
+    if output.suffix.lower() != suffix:
+        raise UsageError(f"{output}: the output is a {suffix} file; name it so")

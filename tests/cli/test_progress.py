@@ -1,0 +1,28 @@
+"""What is shown while a scene is trained."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from clgs.cli.progress import TrainingDisplay
+from clgs.train.run.session import Progress
+from clgs.train.run.trainer import StepResult
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_nothing_is_cut_on_a_terminal_of_80_columns(monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    display = TrainingDisplay(30_000, 0)
+    display._start -= 1000  # seconds: about 12 steps each
+    result = StepResult(12_345, "view", 0.1, 0.1, 0.9, None, 125_000)
+    display.update(Progress(result, psnr=31.25, estimated_bytes=12_340_000))
+    shown = io.StringIO()
+    progress = display._progress
+    Console(file=shown, width=width).print(progress.make_tasks_table(progress.tasks))
+    lines = shown.getvalue().rstrip().splitlines()
+    assert len(lines) == 1
+    for part in ("12345/30000", "it/s", "-:--:--", "31.25 dB  125,000 anchors  ~12.34 MB"):
+        assert part in lines[0]
