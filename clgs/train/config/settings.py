@@ -37,7 +37,7 @@ LAMBDA = {True: 0.33, False: 0.9}
 
 LAMBDA_STEPS = 3000
 
-LAMBDA_POWER = 0.5
+LAMBDA_POWER = 0.55
 """Of the steps: what is not learned yet cannot show its worth, and longer runs give both better
 pictures and smaller files.
 """

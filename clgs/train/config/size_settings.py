@@ -18,7 +18,7 @@ class SizeSettings:
         WEIGHT,
         unit="dB per halving",
         group="size",
-        open_default="0.9 on photos and 0.33 on Blender scenes, times the root of steps / 3,000",
+        open_default="0.9 on photos and 0.33 on Blender scenes, times (steps / 3,000)^0.55",
     )
     target_size: int = option(
         0,
