@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
+    "run": (
+        "clgs run PHOTOS -o scene --time 5m",
+        "clgs run data -o scene --steps 3000 --max-size 800",
+    ),
     "devices": ("clgs devices", "clgs devices --json"),
     "prepare": ("clgs prepare PHOTOS -o data",),
     "train": (

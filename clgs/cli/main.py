@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     import argparse
 
 COMMANDS = (
+    "run",
     "devices",
     "prepare",
     "train",
@@ -112,7 +114,9 @@ def _terminations_interrupt() -> Iterator[None]:
 
 
 def _run(argv: Sequence[str] | None) -> int:
-    args = build_parser().parse_args(_with_help(sys.argv[1:] if argv is None else argv))
+    words = list(sys.argv[1:] if argv is None else argv)
+    args = build_parser().parse_args(_with_help(words))
+    args.command_line = shlex.join(["clgs", *words])
     import logging
 
     logging.basicConfig(format="clgs: warning: %(message)s", level=logging.WARNING)

@@ -26,7 +26,7 @@ from clgs.train.run.session import Progress as TrainingProgress
 
 Item = TypeVar("Item")
 WIDE = 120
-"""Columns of a terminal from which the bar of training is long; a short one leaves room in 80."""
+"""Columns of a terminal from which training has a bar; without it, its figures fit in 80."""
 
 PLAIN_SECONDS = 15.0
 """Without a terminal, training prints one line this often."""
@@ -62,7 +62,7 @@ class TrainingDisplay:
         self._console = Console(stderr=True)
         wide = self._console.width >= WIDE
         self._progress = Progress(
-            BarColumn(40 if wide else 8),
+            *((BarColumn(40),) if wide else ()),
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}"),
             *((TimeElapsedColumn(),) if wide else ()),
@@ -92,7 +92,7 @@ class TrainingDisplay:
     def update(self, progress: TrainingProgress) -> None:
         """Show the state after a step."""
         if progress.psnr is not None:
-            self._psnr = f"{progress.psnr:.2f} dB"
+            self._psnr = f"train {progress.psnr:.2f} dB"
         if progress.estimated_bytes is not None:
             self._size = f"~{progress.estimated_bytes / 1e6:.2f} MB"
         now = time.perf_counter()
@@ -130,8 +130,10 @@ def print_profile(rows: list[tuple[str, int, float, float]], saved: list[Saving]
 def print_summary(result: RunResult) -> None:
     """One line with the scores, and one with the files."""
     summary = result.summary
+    trained = f" ({summary['train_psnr']:.2f} in training)" if "train_psnr" in summary else ""
+    split = "held-out" if summary["split"] == "test" else "training"
     print(
-        f"{summary['split']} views: PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.4f}; "
+        f"{split} views: PSNR {summary['psnr']:.2f} dB{trained}, SSIM {summary['ssim']:.4f}; "
         f"{summary['bytes']:,} bytes, {summary['anchors']:,} anchors, "
         f"{summary['train_seconds']:.0f} s"
     )

@@ -51,7 +51,7 @@ class Dataset:
     largest distance of a training camera from their mean; transform: world to scene; kind:
     "blender", "transforms" or "colmap"; skipped: photos named by the data set but missing;
     reduction: what the views were reduced by; points_file: the file that the points come
-    from, empty if that is the data set.
+    from, empty if that is the data set; folder: where it was read, None if it was made in memory.
     """
 
     train: list[View]
@@ -64,6 +64,7 @@ class Dataset:
     skipped: int
     reduction: Reduction = DEFAULT
     points_file: str = ""
+    folder: Path | None = None
 
 
 def load_dataset(
@@ -100,11 +101,9 @@ def load_dataset(
     if reduction.times < 0 or downscale == 0:
         raise DataError(f"downscale is {downscale}; give a whole number of at least 1")
     photos = _read_photos(Path(path))
-    _name_missing(path, photos)
     _check_photos(path, photos, reduction)
     transform, radius = _normalise(photos, preset_units)
-    source = load_points if isinstance(load_points, PointFile) else None
-    if source:
+    if source := load_points if isinstance(load_points, PointFile) else None:
         _take_points(photos, source, seed, transform, radius)
     memory = load_images if isinstance(load_images, PhotoMemory) else PhotoMemory()
     train, test = (
@@ -122,14 +121,17 @@ def load_dataset(
             _log.warning("%s: only %d usable points, starting from random ones", path, len(points))
         start = load_points if isinstance(load_points, RandomStart) else RandomStart()
         points, colors = _random_points(path, photos.kind, train, radius, start, seed), None
-    skipped, points_file = len(photos.missing), str(source.path) if source else ""
     return Dataset(
-        train, test, points, colors, transform, radius, photos.kind, skipped, reduction, points_file
+        *(train, test, points, colors, transform, radius, photos.kind, len(photos.missing)),
+        reduction=reduction,
+        points_file=str(source.path) if source else "",
+        folder=Path(path),
     )
 
 
 def _check_photos(path: Path | str, photos: PhotoSet, reduction: Reduction) -> None:
     """Raise DataError unless there is something to train on that can be reduced so."""
+    _name_missing(path, photos)
     if not photos.train:
         raise DataError(f"{path}: no photo is left to train on; at least two are needed")
     least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)

@@ -11,6 +11,9 @@ from clgs.data.view import View
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
 
+UNLIKE = 0.25
+"""Scenes whose centres lie further apart, or whose units differ by more, are not of one capture."""
+
 
 def repose(dataset: Dataset, transform: SceneTransform) -> Dataset:
     """The dataset with cameras in the units of ``transform``; unchanged if it has them already.
@@ -30,6 +33,19 @@ def repose(dataset: Dataset, transform: SceneTransform) -> Dataset:
         test=[move(view) for view in dataset.test],
         transform=transform,
     )
+
+
+def alike(one: SceneTransform, other: SceneTransform, radius: float) -> bool:
+    """Whether two transforms may be of the same photos, but for a few added or removed.
+
+    Args:
+        one: world to scene.
+        other: likewise.
+        radius: of the cameras in the units of ``one``.
+    """
+    apart = one.scale * np.linalg.norm(np.subtract(one.centre, other.centre))
+    ratio = max(one.scale, other.scale) / min(one.scale, other.scale)
+    return bool(apart < UNLIKE * radius and ratio < 1 + UNLIKE)
 
 
 def _move(camera: Camera, old: SceneTransform, new: SceneTransform) -> Camera:

@@ -7,16 +7,20 @@ Every text goes through ``html.escape``.
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.export.image import ERROR_GAIN, jpeg_bytes
+from clgs.export.image import ERROR_GAIN, error_map, jpeg_bytes
 from clgs.files import atomic_write
+
+MOST_PICTURES = 12
+"""Views whose pictures are in the page."""
 
 STYLE = """\
 :root { color-scheme: light dark; --ink: #1c2430; --soft: #667085; --line: #e3e6ec;
@@ -45,19 +49,25 @@ td.bar { width: 36%; padding-right: 0; } td.bar svg { display: block; width: 100
 rect, .curve { fill: var(--mark); } .curve { fill: none; stroke: var(--mark); stroke-width: 2.5; }
 .chart { width: 100%; height: auto; } .chart line { stroke: var(--line); }
 .chart text { fill: var(--soft); font-size: 13px; }
-figure { margin: 0 0 1.6rem; } figure img { display: block; width: 100%; border-radius: .3rem; }
+figure { margin: 0 0 1.6rem; } figure div { display: flex; gap: .3rem; }
+label { flex: 1; min-width: 0; cursor: zoom-in; } label input { position: absolute; opacity: 0; }
+label img { display: block; width: 100%; border-radius: .3rem; }
+label input:focus-visible + img { outline: 2px solid var(--mark); }
+label input:checked + img { position: fixed; inset: 0; z-index: 1; width: 100%; height: 100%;
+  object-fit: contain; background: #000e; border-radius: 0; cursor: zoom-out; }
+code { font-size: .9rem; overflow-wrap: anywhere; }
 figcaption { font-size: .9rem; padding-top: .3rem; }
 """
 
 
 @dataclass(frozen=True)
 class ReportView:
-    """One held-out view: its name, scores, and the strip photo | render | error (H, W, 3) uint8."""
+    """A view: its name, scores, and what reads its photo and render, both (H, W, 3) uint8."""
 
     name: str
     psnr: float
     ssim: float
-    strip: npt.NDArray[np.uint8]
+    pictures: Callable[[], tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]]
 
 
 @dataclass(frozen=True)
@@ -65,7 +75,8 @@ class Report:
     """What the page tells.
 
     headline: (label, value) of the large figures; sections: bytes of the file by section;
-    seconds: by stage; curve: (step, PSNR in dB) while training; facts: small print.
+    seconds: by stage; curve: (step, PSNR in dB) while training; facts: small print; held_out:
+    whether training never saw the views; links: (label, file beside the page).
     """
 
     title: str
@@ -75,6 +86,8 @@ class Report:
     seconds: Mapping[str, float] = field(default_factory=dict)
     curve: Sequence[tuple[int, float]] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
+    held_out: bool = True
+    links: Sequence[tuple[str, str]] = ()
 
 
 def write_report(path: str | Path, report: Report, views: Sequence[ReportView]) -> None:
@@ -91,13 +104,14 @@ def report_html(report: Report, views: Sequence[ReportView]) -> str:
     parts = [
         f"<h1>{escape(report.title)}</h1>",
         f'<p class="soft">{escape(report.lead)}</p>',
+        _links(report.links),
         _cards(report.headline),
         '<div class="pair">',
         _bars("Bytes by section", report.sections, "{:,.0f}", "bytes"),
         _bars("Seconds by stage", report.seconds, "{:,.1f}", "s"),
         "</div>",
         _curve(report.curve),
-        _pictures(views),
+        _pictures(shown(views), report.held_out),
         _scores(views),
         _facts(report.facts),
     ]
@@ -108,6 +122,19 @@ def report_html(report: Report, views: Sequence[ReportView]) -> str:
         f"<title>{escape(report.title)}</title>\n<style>\n{STYLE}</style>\n</head>\n"
         f"<body>\n{body}\n</body>\n</html>\n"
     )
+
+
+def shown(views: Sequence[ReportView]) -> list[ReportView]:
+    """The views whose pictures a page shows: all, or a few from the worst to the best."""
+    if len(views) <= MOST_PICTURES:
+        return list(views)
+    ranked = sorted(views, key=lambda view: view.psnr)
+    return [ranked[i] for i in np.linspace(0, len(ranked) - 1, MOST_PICTURES).round().astype(int)]
+
+
+def _links(links: Sequence[tuple[str, str]]) -> str:
+    named = (f'<a href="{escape(quote(file))}">{escape(label)}</a>' for label, file in links)
+    return f"<p>{' · '.join(named)}</p>" if links else ""
 
 
 def _cards(headline: Sequence[tuple[str, str]]) -> str:
@@ -179,22 +206,34 @@ def _round_ticks(low: float, high: float) -> list[float]:
     return [step * tick for tick in range(first, max(int(np.ceil(high / step)), first + 1) + 1)]
 
 
-def _pictures(views: Sequence[ReportView]) -> str:
+def _pictures(views: Sequence[ReportView], held_out: bool) -> str:
     if not views:
         return ""
     figures = []
     for view in views:
-        data = base64.b64encode(jpeg_bytes(view.strip)).decode()
         caption = f"{view.name}: {view.psnr:.2f} dB, SSIM {view.ssim:.4f}"
+        photo, render = view.pictures()
+        trio = (("photo", photo), ("render", render), ("error", error_map(photo, render)))
+        images = "".join(_image(f"{name} of {view.name}", picture) for name, picture in trio)
         figures.append(
-            f'<figure><img alt="{escape(caption)}" src="data:image/jpeg;base64,{data}">'
-            f"<figcaption>{escape(caption)}</figcaption></figure>"
+            f"<figure><div>{images}</div><figcaption>{escape(caption)}</figcaption></figure>"
         )
     text = (
-        "Left the photo, which training never saw; in the middle the render from the decoded file; "
-        f"right their difference, magnified {ERROR_GAIN:g} times."
+        f"Left the photo{', which training never saw' * held_out}; in the middle the render from "
+        f"the decoded file; right their difference, magnified {ERROR_GAIN:g} times. Click to "
+        "enlarge."
     )
-    return f'<section><h2>Held-out views</h2><p class="soft">{text}</p>{"".join(figures)}</section>'
+    title = "Held-out views" if held_out else "Training views"
+    return f'<section><h2>{title}</h2><p class="soft">{text}</p>{"".join(figures)}</section>'
+
+
+def _image(name: str, picture: npt.NDArray[np.uint8]) -> str:
+    """A picture that fills the window while its hidden box is checked: no script is needed."""
+    data = base64.b64encode(jpeg_bytes(picture)).decode()
+    return (
+        f'<label><input type="checkbox" aria-label="enlarge">'
+        f'<img alt="{escape(name)}" src="data:image/jpeg;base64,{data}"></label>'
+    )
 
 
 def _scores(views: Sequence[ReportView]) -> str:

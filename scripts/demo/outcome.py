@@ -1,8 +1,7 @@
-"""What came out of the demonstration: its numbers, its page, and the box at the end."""
+"""What came out of the demonstration: its numbers, its bar, and its picture."""
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,43 +11,25 @@ import numpy as np
 import numpy.typing as npt
 from picture import Showcase, draw_showcase
 
+from clgs.cli.run.source import measure_data
+from clgs.data.images import list_images
 from clgs.errors import DataError
-from clgs.export.image import comparison, picture_names, save_png
-from clgs.export.report import Report, ReportView, write_report
-
-PAGE, PICTURE = "report.html", "comparison.png"
-
-SECTIONS = {
-    "META": "header",
-    "CHNK": "chunk table",
-    "ANCH": "positions",
-    "OFFS": "offsets",
-    "FEAT": "features",
-    "SCAL": "scaling",
-    "MLPS": "networks",
-}
-"""The file's section tags in words."""
+from clgs.export.image import picture_names, save_png
+from clgs.export.run_report import sections
 
 
 @dataclass(frozen=True)
 class Outcome:
     """The demonstration in numbers.
 
-    photos given and registered: counts; scores: as ``clgs eval --json`` writes them; sections:
-    bytes of the file; seconds by stage; curve: (step, PSNR) while training.
+    folder: of `clgs run`; photos given and registered: counts; scores: as ``clgs eval --json``
+    writes them.
     """
 
+    folder: Path
     photos: int
     registered: int
     scores: dict[str, Any]
-    sections: dict[str, int]
-    seconds: dict[str, float]
-    curve: list[tuple[int, float]]
-
-    @property
-    def total_seconds(self) -> float:
-        """Of all stages."""
-        return sum(self.seconds.values())
 
 
 @dataclass(frozen=True)
@@ -69,137 +50,29 @@ class Target:
         return found
 
 
-def gather(out: Path, info: str, photos: int, seconds: dict[str, float]) -> Outcome:
-    """Read the numbers that the stages left in folder ``out``; info: JSON of ``clgs info``."""
-    scores = json.loads((out / "scores.json").read_text(encoding="utf-8"))
-    return Outcome(
-        photos,
-        registered_photos(out / "data"),
-        scores,
-        section_bytes(json.loads(info)),
-        seconds,
-        read_curve(out / "run" / "progress.csv"),
-    )
+def gather(folder: Path, photos: Path) -> Outcome:
+    """Read the numbers that `clgs run` left in ``folder``."""
+    scores = json.loads((folder / "scores.json").read_text(encoding="utf-8"))
+    registered = measure_data(folder / "data").count
+    return Outcome(folder, len(list_images(photos)), registered, scores)
 
 
-def registered_photos(data: Path) -> int:
-    """Photos that found their pose, of a folder that ``clgs prepare`` made."""
-    from clgs.data.dataset import load_dataset
-
-    dataset = load_dataset(data, load_images=False)
-    return len(dataset.train) + len(dataset.test)
-
-
-def section_bytes(info: dict[str, Any]) -> dict[str, int]:
-    """Bytes by section, in words, of a .clgs file as ``clgs info --json`` describes it."""
-    return {SECTIONS.get(tag, tag): int(size) for tag, size in info["sections"].items()}
-
-
-def read_curve(path: Path) -> list[tuple[int, float]]:
-    """(step, PSNR) of the regular rows of progress.csv; rows of single events are left out."""
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["psnr"] and not row["event"]]
-    return [(int(row["step"]), float(row["psnr"])) for row in rows]
-
-
-@dataclass(frozen=True)
-class HeldOutView:
-    """A held-out view: its score as ``clgs eval --json`` writes it, photo and render (H, W, 3)."""
-
-    score: dict[str, Any]
-    photo: npt.NDArray[np.uint8]
-    render: npt.NDArray[np.uint8]
-
-
-def held_out_views(out: Path, outcome: Outcome) -> list[HeldOutView]:
-    """Every held-out view with its pictures, from the PNG files of folder ``out``."""
-    photos = {path.name: path for path in (out / "run" / "test").glob("*/gt/*.png")}
+def draw_comparison(path: Path, outcome: Outcome) -> None:
+    """The held-out view of median PSNR, neither the best nor the worst, with the file's bytes."""
     scores = outcome.scores["per_view"]
-    views = []
-    for score, name in zip(scores, picture_names([s["name"] for s in scores]), strict=True):
-        if name not in photos:
-            raise DataError(f"{out / 'run' / 'test'}: no photo {name}; run the demo again")
-        views.append(HeldOutView(score, _read(photos[name]), _read(out / "renders" / name)))
-    return views
+    names = picture_names([score["name"] for score in scores])
+    ranked = sorted(zip(scores, names, strict=True), key=lambda pair: float(pair[0]["psnr"]))
+    score, name = ranked[len(ranked) // 2]
+    photo, render = (_picture(outcome.folder, kind, name) for kind in ("gt", "renders"))
+    parts = sections(outcome.folder / "run")
+    save_png(path, draw_showcase(Showcase(photo, render, score["psnr"], parts)))
 
 
-def _read(path: Path) -> npt.NDArray[np.uint8]:
+def _picture(folder: Path, kind: str, name: str) -> npt.NDArray[np.uint8]:
     from PIL import Image
 
-    with Image.open(path) as picture:
+    found = next((folder / "run" / "test").glob(f"*/{kind}/{name}"), None)
+    if found is None:
+        raise DataError(f"{folder / 'run' / 'test'}: no picture {name}; run the demo again")
+    with Image.open(found) as picture:
         return np.array(picture.convert("RGB"))
-
-
-def write_pages(out: Path, outcome: Outcome) -> None:
-    """report.html, and comparison.png: the view of median PSNR, neither the best nor the worst."""
-    views = held_out_views(out, outcome)
-    typical = sorted(views, key=lambda view: float(view.score["psnr"]))[len(views) // 2]
-    show = Showcase(typical.photo, typical.render, typical.score["psnr"], outcome.sections)
-    save_png(out / PICTURE, draw_showcase(show))
-    strips = [
-        ReportView(v.score["name"], v.score["psnr"], v.score["ssim"], comparison(v.photo, v.render))
-        for v in views
-    ]
-    write_report(out / PAGE, make_report(outcome), strips)
-
-
-def make_report(outcome: Outcome) -> Report:
-    """The page's content."""
-    scores = outcome.scores
-    anchors = int(scores["anchors"])
-    return Report(
-        title="From photos to one compressed file and back",
-        lead=f"{outcome.registered} of {outcome.photos} photos found their pose; every 8th was "
-        "held out of training, and rendered from the decoded file alone.",
-        headline=[
-            ("PSNR", f"{scores['psnr']:.2f} dB"),
-            ("SSIM", f"{scores['ssim']:.4f}"),
-            ("scene.clgs", f"{scores['bytes'] / 2**10:,.0f} KiB"),
-            ("anchors", f"{anchors:,}"),
-            ("seconds", f"{outcome.total_seconds:,.0f}"),
-        ],
-        sections=outcome.sections,
-        seconds=outcome.seconds,
-        curve=outcome.curve,
-        facts={
-            "protocol": str(scores["protocol"]),
-            "device": str(scores["device"]),
-            "held-out views": str(scores["views"]),
-            "background": str(scores["background"]),
-            "size": f"{scores['bytes']:,} bytes, {8 * scores['bytes'] / max(anchors, 1):.1f} bits "
-            "per anchor",
-        },
-    )
-
-
-def print_box(outcome: Outcome, out: Path, target: Target | None) -> None:
-    """The last thing on the screen."""
-    from rich.console import Console
-    from rich.panel import Panel
-    from rich.table import Table
-    from rich.text import Text
-
-    misses = target.misses(outcome) if target else []
-    table = Table.grid(padding=(0, 2))
-    for name, value in box_rows(outcome, out):
-        table.add_row(Text(name, style="dim"), Text(value))
-    for miss in misses:
-        table.add_row(Text("missed", style="bold red"), Text(miss, style="red"))
-    title = "short of its target" if misses else "done"
-    style = "red" if misses else "green"
-    Console().print(Panel(table, title=f"clgs demo: {title}", border_style=style, expand=False))
-
-
-def box_rows(outcome: Outcome, out: Path) -> list[tuple[str, str]]:
-    """Labels and values of the box."""
-    scores = outcome.scores
-    stages = "  ".join(f"{name} {seconds:.1f}" for name, seconds in outcome.seconds.items())
-    return [
-        ("photos", f"{outcome.registered} of {outcome.photos} registered"),
-        ("PSNR", f"{scores['psnr']:.2f} dB on {scores['views']} held-out views, decoded file"),
-        ("SSIM", f"{scores['ssim']:.4f}"),
-        ("bytes", f"{scores['bytes']:,} for {scores['anchors']:,} anchors"),
-        ("seconds", f"{outcome.total_seconds:.1f}:  {stages}"),
-        ("look at", f"{out / PAGE}"),
-        ("", f"{out / PICTURE}"),
-    ]

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
-from outcome import Outcome, write_pages
+from outcome import Outcome, draw_comparison
 from picture import CAPTION, GAP, MIN_HEIGHT, WIDTH, Showcase, draw_showcase
 from PIL import Image
+
+from clgs.codec.scene_encoder import encode
+from clgs.errors import DataError
+from tests.codec.scenes import random_scene
 
 RED, BLUE = (200, 30, 40), (30, 40, 200)
 SECTIONS = {"features": 600, "offsets": 300, "header": 5}
@@ -50,15 +52,20 @@ def test_view_of_median_score_is_shown(tmp_path):
     per_view = []
     for index, color in enumerate(colors):
         name = f"photo_{index}.png"
-        for folder in (tmp_path / "run" / "test" / "ours_1" / "gt", tmp_path / "renders"):
+        for kind in ("gt", "renders"):
+            folder = tmp_path / "run" / "test" / "ours_1" / kind
             folder.mkdir(parents=True, exist_ok=True)
             Image.fromarray(flat(color)).save(folder / name)
         per_view.append({"name": name, "psnr": [31.0, 25.0, 28.0][index], "ssim": 0.9})
-    scores = {
-        "psnr": 28.0, "ssim": 0.9, "bytes": 905, "anchors": 10, "views": 3, "protocol": "p",
-        "device": "d", "background": [0, 0, 0], "per_view": per_view,
-    }  # fmt: skip
-    write_pages(tmp_path, Outcome(3, 3, json.loads(json.dumps(scores)), SECTIONS, {"a": 1.0}, []))
-    page = np.array(Image.open(tmp_path / "comparison.png"))
+    scene = random_scene(np.random.default_rng(0), 20)
+    (tmp_path / "run" / "scene.clgs").write_bytes(encode(scene))
+    draw_comparison(tmp_path / "out.png", Outcome(tmp_path, 3, 3, {"per_view": per_view}))
+    page = np.array(Image.open(tmp_path / "out.png"))
     assert tuple(page[100, 100]) == colors[2]
-    assert (tmp_path / "report.html").read_text(encoding="utf-8").count("data:image/jpeg") == 3
+
+
+def test_lost_picture_is_named(tmp_path):
+    (tmp_path / "run").mkdir()
+    outcome = Outcome(tmp_path, 1, 1, {"per_view": [{"name": "a.png", "psnr": 1.0}]})
+    with pytest.raises(DataError, match=r"no picture a\.png; run the demo again"):
+        draw_comparison(tmp_path / "out.png", outcome)

@@ -13,8 +13,14 @@ from PIL import Image
 
 from clgs.export.report import Report, ReportView, report_html, write_report
 
-STRIP = np.random.default_rng(2).integers(0, 256, (12, 40, 3), dtype=np.uint8)
-VIEWS = [ReportView("one.jpg", 26.125, 0.91234, STRIP), ReportView("two.jpg", 30.0, 0.95, STRIP)]
+PICTURE = np.random.default_rng(2).integers(0, 256, (12, 40, 3), dtype=np.uint8)
+
+
+def pair():
+    return PICTURE, PICTURE
+
+
+VIEWS = [ReportView("one.jpg", 26.125, 0.91234, pair), ReportView("two.jpg", 30.0, 0.95, pair)]
 REPORT = Report(
     title="A title",
     lead="A sentence.",
@@ -24,7 +30,7 @@ REPORT = Report(
     curve=[(0, 11.0), (100, 20.0), (200, 24.5)],
     facts={"device": "a device"},
 )
-VOID = {"meta", "img", "rect", "line", "polyline", "!doctype"}
+VOID = {"meta", "img", "input", "rect", "line", "polyline", "!doctype"}
 
 
 class Balance(HTMLParser):
@@ -69,7 +75,7 @@ def test_page_loads_nothing_and_runs_nothing():
     assert "url(" not in page
     assert "@import" not in page
     links = [value for name, value in parse(page).attributes if name in {"src", "href"}]
-    assert len(links) == 2
+    assert len(links) == 2 * 3
     assert all(link.startswith("data:image/jpeg;base64,") for link in links)
     assert not re.search(r"https?://", page)
 
@@ -87,7 +93,7 @@ def test_every_text_is_escaped(text):
     report = Report(
         hostile, hostile, [(hostile, hostile)], {hostile: 1}, {hostile: 1.0}, [], {hostile: hostile}
     )
-    page = report_html(report, [ReportView(hostile, 1.0, 1.0, STRIP)])
+    page = report_html(report, [ReportView(hostile, 1.0, 1.0, pair)])
     assert "<script" not in page
     assert page.count("</style>") == 1
     texts = parse(page).texts

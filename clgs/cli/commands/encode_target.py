@@ -55,14 +55,17 @@ def decibel(text: str) -> float:
 
 def check_targets(args: argparse.Namespace) -> None:
     """Raise UsageError if options do not fit each other."""
+    from clgs.cli.options.view import data_is_known, name_data
     from clgs.errors import UsageError
 
-    if args.target_psnr is not None and args.data is None:
-        raise UsageError("--target-psnr is measured on the training views: name them with --data")
-    if args.data is not None and args.target_psnr is None and args.target_size is None:
+    targets = args.target_psnr is not None or args.target_size is not None
+    if args.data is not None and not targets:
         raise UsageError("--data serves --target-size and --target-psnr; give one of them")
-    if args.all_views and args.data is None:
-        raise UsageError("--all-views are those of a dataset: name it with --data")
+    if args.all_views and not targets:
+        raise UsageError("--all-views serves --target-size and --target-psnr; give one of them")
+    needed = args.target_psnr is not None or args.all_views
+    if args.data is None and (needed or (targets and data_is_known(args.scene))):
+        name_data(args)
 
 
 def reduce(

@@ -47,7 +47,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "bit, the integers and renders that the trainer recorded (exit code 1 if not).",
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="run folder or .clgs file")
-    add_view_options(parser, data_required=False)
+    add_view_options(parser)
     parser.add_argument(
         "--json",
         type=named_path,
@@ -106,15 +106,18 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Refuse what cannot be done, before long work."""
+    """Refuse what cannot be done, before long work; with --hashes alone there are no scores."""
+    from clgs.cli.options.view import data_is_known, name_data
     from clgs.errors import UsageError
 
-    if args.data is None:
-        named = (f"--{name}" for name in ("lpips", "inria", "csv") if getattr(args, name))
-        if option := next(named, None):
-            raise UsageError(f"{option}: scores need photos; name them with --data")
+    named = [f"--{name}" for name in ("lpips", "inria", "csv") if getattr(args, name)]
+    if args.data is None and not data_is_known(args.scene):
+        if named:
+            raise UsageError(f"{named[0]}: scores need photos; name them with --data")
         if args.hashes is None:
             raise UsageError("nothing to do: name the photos with --data, or hashes with --hashes")
+    elif args.data is None and (args.hashes is None or named or args.json):
+        name_data(args)
     if args.submethod is not None and not (args.csv and args.submethod.isprintable()):
         raise UsageError("--submethod: names a row of --csv, in printable characters")
     _check_outputs(args)

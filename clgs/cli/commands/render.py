@@ -13,7 +13,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     """Add the command and its options."""
     parser = subparsers.add_parser("render", help="render the views of a dataset as PNG files")
     parser.add_argument("scene", type=Path, metavar="SCENE", help="run folder or .clgs file")
-    add_view_options(parser, data_required=True)
+    add_view_options(parser)
     parser.add_argument("-o", "--output", type=named_path, required=True, metavar="DIR")
     add_overwrite(parser, "pictures in DIR (default: refuse)")
 
@@ -21,7 +21,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Render; exit code 0."""
     from clgs.cli.options.scene import read_scene
-    from clgs.cli.options.view import check_apart, selected_options, selected_views
+    from clgs.cli.options.view import check_apart, name_data, selected_options, selected_views
     from clgs.cli.progress import track
     from clgs.export.image import picture_names, save_png
     from clgs.files import check_folder
@@ -30,6 +30,8 @@ def run(args: argparse.Namespace) -> int:
     from clgs.train.quality.metrics import to_8bit
 
     check_folder(args.output)
+    if args.data is None:
+        name_data(args)
     check_apart(args.output, args.data)
     scene, _ = read_scene(args.scene)
     views = selected_views(args, scene)

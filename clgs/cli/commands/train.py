@@ -23,9 +23,9 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="train a scene from photos with poses",
         usage="%(prog)s DATA -o RUN [OPTION ...]",
         description="Train a scene. RUN receives scene.clgs, scene.npz, config.toml, "
-        "progress.csv, results.json, per_view.json, hashes.json, test/, preview.png, checkpoint/ "
-        "and points-*.npz if points were triangulated. Of the options, (paper) names values of "
-        "Voxel-GS, arXiv 2512.17528, and (code) those of its implementation.",
+        "progress.csv, results.json, per_view.json, hashes.json, data.json, report.html, test/, "
+        "preview.png, checkpoint/ and points-*.npz if points were triangulated. Of the options, "
+        "(paper) names values of Voxel-GS, arXiv 2512.17528, and (code) those of its code.",
     )
     add = parser.add_argument
     add("data", type=Path, metavar="DATA", help="Blender, transforms.json or COLMAP folder")
@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
     """Train; exit code 0."""
     from clgs.cli.progress import TrainingDisplay, print_summary
     from clgs.errors import UsageError
+    from clgs.export.run_report import RunStory, write_run_report
     from clgs.files import check_folder
     from clgs.memory import return_freed_memory
     from clgs.opencl.device import Device
@@ -80,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
     if args.profile:
         _report_profile(session)
+    write_run_report(args.output, RunStory(args.command_line, f"Trained on {args.data}."))
     print_summary(result)
     return 0
 

@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from clgs.scene.scene import QuantizedScene
 
 
-def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> None:
+def add_view_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose views, their rendering and the device."""
     add = parser.add_argument
-    add("--data", type=Path, required=data_required, help="the dataset that the scene was made of")
+    where = "that which the run folder of SCENE names"
+    add("--data", type=Path, help=f"the data set that the scene was made of (default: {where})")
     add("--split", choices=("train", "test"), default="test", help="which views (default: test)")
     add_size_options(parser, "SCENE")
     trained = "as the config.toml beside SCENE says, else"
@@ -101,8 +102,11 @@ def selected_views(args: argparse.Namespace, scene: QuantizedScene) -> list[View
     """The views that the options name, posed in the scene's units; their photos are not read yet.
 
     Raises:
-        DataError: the split is empty, or the dataset does not fit the scene.
+        UsageError: no data set is named, neither by the options nor by the run.
+        DataError: the split is empty, or the data set is that of another scene.
     """
+    if args.data is None:
+        name_data(args)
     dataset = _load(args, scene)
     views = dataset.test if args.split == "test" else dataset.train
     if not views:
@@ -112,11 +116,46 @@ def selected_views(args: argparse.Namespace, scene: QuantizedScene) -> list[View
 
 def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
     from clgs.data.dataset import load_dataset
-    from clgs.data.repose import repose
+    from clgs.data.origin import read_origin
+    from clgs.data.repose import alike, repose
 
     reduction = _reduction(args)
     dataset = load_dataset(args.data, downscale=reduction, load_images=False, load_points=False)
-    return repose(dataset, scene.transform)
+    posed = repose(dataset, scene.transform)
+    origin = read_origin(_run_folder(args.scene))
+    if origin is not None:
+        origin.check(posed.train + posed.test, args.data)
+    elif not alike(dataset.transform, scene.transform, dataset.radius):
+        print(
+            f"clgs: the cameras of {args.data} are placed unlike those that the scene was trained "
+            "with; if it shows another scene, name the right one with --data",
+            file=sys.stderr,
+        )
+    return posed
+
+
+def data_is_known(scene: Path) -> bool:
+    """Whether the run folder of ``scene`` names a data set that is there."""
+    from clgs.data.origin import read_origin
+
+    origin = read_origin(_run_folder(scene))
+    return origin is not None and origin.folder.is_dir()
+
+
+def name_data(args: argparse.Namespace) -> None:
+    """Set ``args.data`` to the data set that the run folder of ``args.scene`` names.
+
+    Raises:
+        UsageError: it names none, or that is gone.
+    """
+    from clgs.data.origin import read_origin
+
+    origin = read_origin(_run_folder(args.scene))
+    if origin is None:
+        raise UsageError("the photos are not known; name their data set with --data")
+    if not origin.folder.exists():
+        raise UsageError(f"the data set {origin.folder} is gone; name it with --data")
+    args.data = origin.folder
 
 
 def selected_options(args: argparse.Namespace) -> RenderOptions:
@@ -132,9 +171,14 @@ def selected_options(args: argparse.Namespace) -> RenderOptions:
     )
 
 
+def _run_folder(scene: Path) -> Path:
+    """The folder that is, or holds, ``scene``."""
+    return scene if scene.is_dir() else scene.parent
+
+
 def _trained_config(scene: Path) -> TrainConfig | None:
     """The settings in the run folder that ``scene`` is or lies in."""
-    path = (scene if scene.is_dir() else scene.parent) / "config.toml"
+    path = _run_folder(scene) / "config.toml"
     return from_toml(path.read_text(encoding="utf-8"), str(path)) if path.is_file() else None
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from clgs.codec.scene_decoder import decode
 from clgs.data.dataset import Dataset
+from clgs.data.origin import ORIGIN
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
@@ -26,7 +27,7 @@ SETTINGS = "config.toml"
 
 FILES = (
     *("scene.clgs", "scene.npz", "progress.csv", "per_view.json", "hashes.json", "preview.png"),
-    *("profile.json", RESULTS, SETTINGS),
+    *("profile.json", "report.html", ORIGIN, RESULTS, SETTINGS),
 )
 """What a run writes, besides its folders and points; SETTINGS, by which it is known, at the end."""
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
+from clgs.data.origin import write_origin
 from clgs.data.view import View
 from clgs.errors import DataError
 from clgs.export.image import comparison, picture_names, save_png
@@ -47,6 +48,9 @@ HASHED_VIEWS = 3
 MLP_BYTES = {"quantized": 12_000, "float32": 46_000}
 POSITION_BITS = 12.0
 """Bits that an anchor's position takes, for the size estimate shown while training."""
+
+TRAINING_VIEWS = 16
+"""Of the training views, at most so many are scored at the end."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 """Those that end a run once the step under way is done."""
@@ -88,6 +92,7 @@ class Session:
             remove_run(folder)
         (folder / RESULTS).unlink(missing_ok=True)
         atomic_write(folder / "config.toml", config.to_toml().encode())
+        write_origin(folder, dataset)
         self.log = ProgressLog(folder / "progress.csv", self.trainer.steps_done)
 
     def run(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
@@ -185,6 +190,7 @@ class Session:
         options = self.trainer.options
         scores = evaluate_views(self.device, scene, views, pictures.add, options)
         summary = summarize(scene, scores, len(bitstream))
+        summary |= self._training_psnr(scene)
         summary |= {
             "accuracy": self.config.accuracy,
             "split": "test" if self.dataset.test else "train",
@@ -201,6 +207,16 @@ class Session:
         write_json(self.folder / "per_view.json", [score.record() for score in scores])
         write_json(self.folder / RESULTS, summary)
         return RunResult(self.folder, scene, bitstream, summary)
+
+    def _training_psnr(self, scene: QuantizedScene) -> dict[str, Any]:
+        """PSNR on some of the training views, to set beside that of the held-out ones."""
+        views = self.dataset.train
+        if not self.dataset.test:
+            return {}
+        chosen = [views[i] for i in spread([view.camera for view in views], TRAINING_VIEWS)]
+        scores = evaluate_views(self.device, scene, chosen, options=self.trainer.options)
+        mean = float(np.mean([score.psnr for score in scores]))
+        return {"train_psnr": mean, "train_views": len(chosen)}
 
     def _within_size(self, scene: QuantizedScene) -> QuantizedScene:
         """The scene, or so much of it as fits the size asked for.

@@ -1,0 +1,60 @@
+"""`clgs run PHOTOS -o OUT`: from photos to a scene, a report and what one shows to others."""
+
+from __future__ import annotations
+
+import argparse
+
+from clgs.cli.options.output import add_overwrite
+from clgs.cli.options.view import named_path, positive_int, seed
+from clgs.cli.run.duration import duration
+
+DESCRIPTION = """\
+The whole way, each stage a command of clgs that is shown as it runs: find the poses of the photos
+(`prepare`), train, encode, score the held-out views from the file alone, and write a report. The
+plan is told first: resolution and steps are chosen so that all of it fits --time on this device,
+unless --steps or --max-size say otherwise.
+
+OUT receives data/ (if poses had to be found), run/, scene.clgs, scores.json and report.html."""
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "run",
+        help="photos to scene, report, page and video in one go",
+        usage="%(prog)s PHOTOS|VIDEO|DATA -o OUT [OPTION ...]",
+        description=DESCRIPTION,
+    )
+    add = parser.add_argument
+    add("input", type=named_path, metavar="INPUT", help="folder of photos, video, or data set")
+    add("-o", "--output", type=named_path, required=True, metavar="OUT", help="folder for all")
+    add(
+        "--time",
+        type=duration,
+        default=600.0,
+        metavar="T",
+        help="for everything, such as 90s, 5m or 1h (default: 10m)",
+    )
+    add("--steps", type=positive_int, metavar="N", help="of training (default: what T allows)")
+    add(
+        "--max-size",
+        type=positive_int,
+        metavar="PIXELS",
+        help="reduce wider photos to this width (default: what T allows)",
+    )
+    add("--seed", type=seed, default=0, help="random seed (default: %(default)s)")
+    add("--device", help="number or part of the name, see `clgs devices`")
+    add(
+        "--resume",
+        action="store_true",
+        help="go on with a run that was interrupted, by its plan; start it if there is none yet",
+    )
+    add("--plan", action="store_true", help="only tell the plan")
+    add_overwrite(parser, "what an earlier run of this command left in OUT")
+
+
+def run(args: argparse.Namespace) -> int:
+    """All stages; exit code 0, or that of the stage that failed."""
+    from clgs.cli.run.job import Job
+
+    return Job(args).run()

@@ -1,0 +1,221 @@
+"""The whole of `clgs run`: look, plan, and work through the stages."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import shutil
+import time
+from dataclasses import asdict
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clgs.cli.run.duration import in_words
+from clgs.cli.run.plan import Photos, Plan, Speed, fit_speed, make_plan, prepare_seconds
+from clgs.cli.run.source import Source, find_source, measure_data
+from clgs.cli.run.stages import Stages
+from clgs.cli.run.summary import print_box
+from clgs.errors import DataError, ExistsError, UsageError
+from clgs.files import atomic_write, check_folder
+
+if TYPE_CHECKING:
+    from clgs.opencl.device import Device
+
+PLAN = "plan.json"
+"""What OUT is known by: the plan of the run that made it."""
+
+MADE = ("data", "run", "scene.clgs", "scores.json", "report.html")
+
+TYPICAL_GAUSSIANS = 50_000
+"""Gaussians of the synthetic scene that the speed is measured on."""
+
+EDGES = (160, 480)
+"""Pixels of its pictures' edges."""
+
+REPEATS = 12
+"""Steps that are timed on each."""
+
+
+class Job:
+    """One call of the command."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._args = args
+        self._out: Path = args.output
+        self._stages = Stages()
+        self._start = time.perf_counter()
+
+    def run(self) -> int:
+        """All stages; the exit code."""
+        check_folder(self._out)
+        kept = self._kept_plan()
+        source = find_source(self._args.input)
+        if kept:
+            data, settings = self._data(source), kept
+        else:
+            plan = self._plan(source.photos, 0.0 if source.posed else self._preparing(source))
+            _tell(source, plan, self._device.name)
+            if self._args.plan:
+                return 0
+            self._clear(source)
+            data = self._data(source)
+            settings = self._settings(source, data, plan)
+        self._train(data, settings)
+        self._report(source)
+        return 0
+
+    @cached_property
+    def _device(self) -> Device:
+        from clgs.opencl.device import Device
+
+        return Device(self._args.device)
+
+    @cached_property
+    def _speed(self) -> Speed:
+        """Of a training step on this device."""
+        from statistics import median
+
+        from clgs.bench.step import stream_times, synthetic_trainer
+
+        def seconds(edge: int) -> float:
+            trainer = synthetic_trainer(self._device, TYPICAL_GAUSSIANS, edge, 0)
+            return median(stream_times(trainer, REPEATS)) / 1e3
+
+        return fit_speed(seconds, EDGES)
+
+    def _plan(self, photos: Photos, preparing: float) -> Plan:
+        args = self._args
+        left = args.time - (time.perf_counter() - self._start)
+        return make_plan(photos, self._speed, preparing, left, args.steps, args.max_size)
+
+    def _preparing(self, source: Source) -> float:
+        return prepare_seconds(source.photos.count, os.cpu_count() or 1)
+
+    def _kept_plan(self) -> dict[str, Any]:
+        """The settings of the run that is to go on; none if it is to begin.
+
+        Raises:
+            ExistsError: OUT holds other things, or a run that is neither resumed nor replaced.
+            UsageError: options contradict each other.
+        """
+        args, path = self._args, self._out / PLAN
+        if args.resume and args.overwrite:
+            raise UsageError("--resume goes on with a run and --overwrite replaces it; give one")
+        if not path.is_file():
+            if self._out.is_dir() and any(self._out.iterdir()):
+                raise ExistsError(f"{self._out}: holds other files; choose another folder")
+            return {}
+        if args.plan or args.overwrite:
+            return {}
+        if not args.resume:
+            raise ExistsError(
+                f"{self._out}: holds a run already; go on with it (--resume), replace it "
+                "(--overwrite), or choose another folder"
+            )
+        try:
+            settings: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["settings"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise DataError(f"{path}: is damaged ({error}); start anew with --overwrite") from error
+        return settings
+
+    def _clear(self, source: Source) -> None:
+        """Make OUT, without what an earlier run left there.
+
+        Raises:
+            UsageError: the input lies in it.
+        """
+        doomed = [self._out / name for name in MADE]
+        inside = {source.path.resolve(), *source.path.resolve().parents}
+        if any(path.resolve() in inside for path in doomed):
+            raise UsageError(f"{source.path}: lies in the folder that is written to; copy it first")
+        self._out.mkdir(parents=True, exist_ok=True)
+        atomic_write(self._out / PLAN, b"{}\n")
+        for path in doomed:
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+
+    def _data(self, source: Source) -> Path:
+        """The data set: the input, or what `prepare` makes of it."""
+        if source.posed:
+            return source.path
+        data = self._out / "data"
+        if not data.is_dir():
+            seed = ("--seed", str(self._args.seed))
+            self._stages.run("prepare", "prepare", source.path, "-o", data, *seed)
+        return data
+
+    def _settings(self, source: Source, data: Path, plan: Plan) -> dict[str, Any]:
+        """Steps and size of training, planned again once it is known how long the poses took."""
+        if not source.posed:
+            plan = self._plan(measure_data(data), 0.0)
+            print(f"training: {_training(plan)}")
+        settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self._args.seed}
+        record = {"settings": settings, "plan": asdict(plan)}
+        atomic_write(self._out / PLAN, (json.dumps(record, indent=1) + "\n").encode())
+        return settings
+
+    def _train(self, data: Path, settings: dict[str, Any]) -> None:
+        """Train, encode, and score the file."""
+        run, scene = self._out / "run", self._out / "scene.clgs"
+        on = ("--device", self._device.name)
+        options = [f"--{name.replace('_', '-')}={value}" for name, value in settings.items()]
+        words: list[str | Path] = [data, "-o", run, "--preset", "quick", *options, *on, "--resume"]
+        self._stages.run("train", "train", *words)
+        self._stages.run("encode", "encode", run, "-o", scene, "--overwrite")
+        views = ("--max-size", str(settings["max_size"]), *self._split(run), *on)
+        into = ("--data", data, "--json", self._out / "scores.json")
+        self._stages.run("eval", "eval", scene, *into, *views)
+
+    def _split(self, run: Path) -> tuple[str, ...]:
+        """Which views the run was scored on."""
+        summary = json.loads((run / "results.json").read_text(encoding="utf-8"))
+        return ("--split", str(summary["split"]))
+
+    def _report(self, source: Source) -> None:
+        from clgs.export.run_report import RunStory, write_run_report
+
+        links = [("scene.clgs", "scene.clgs")]
+        seconds, photos = self._stages.seconds, self._photos(source)
+        story = RunStory(_command(self._args), f"{photos}.", seconds, links)
+        write_run_report(self._out / "run", story, self._out / "report.html")
+        scores = json.loads((self._out / "scores.json").read_text(encoding="utf-8"))
+        print_box(self._out, photos, scores, seconds)
+
+    def _photos(self, source: Source) -> str:
+        """How many photos were used, in words."""
+        if source.posed:
+            return f"{source.photos.count} of the data set {source.path}"
+        found = measure_data(self._out / "data").count
+        return f"{found} of {source.photos.count} found their pose"
+
+
+def _tell(source: Source, plan: Plan, device: str) -> None:
+    """Print the plan."""
+    photos = source.photos
+    kind = "data set" if source.posed else "photos"
+    print(f"{source.path}: {kind}, {photos.count} of {photos.width} x {photos.height} pixels")
+    if not source.posed:
+        print(f"poses:    about {in_words(plan.prepare_seconds)}")
+    print(f"training: {_training(plan)}")
+    print(f"in all:   about {in_words(plan.seconds)} on {device}")
+
+
+def _training(plan: Plan) -> str:
+    return (
+        f"{plan.steps:,} steps on photos at most {plan.max_size} wide, "
+        f"about {in_words(plan.train_seconds)}"
+    )
+
+
+def _command(args: argparse.Namespace) -> str:
+    """What repeats the run."""
+    words = ["clgs", "run", str(args.input), "-o", str(args.output), "--seed", str(args.seed)]
+    for name in ("steps", "max_size", "device"):
+        if (value := getattr(args, name)) is not None:
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    return shlex.join(words)

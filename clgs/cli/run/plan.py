@@ -1,0 +1,116 @@
+"""What `clgs run` intends: resolution and steps that fit the time, by the speed of this device."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+SIZES = (1600, 1280, 960, 800, 640, 480, 400, 320, 240)
+"""Widths that photos are reduced to, of which the largest that leaves enough steps is taken."""
+
+ENOUGH_STEPS = 1500
+"""Below this, smaller pictures with more steps give the better scene (docs/guide/run.md)."""
+
+MOST_STEPS = 30_000
+LEAST_STEPS = 300
+"""Fewer give nothing that is worth looking at."""
+
+MATCHING_SECONDS = 0.012
+"""Per pair of photos; and FEATURE_SECONDS per photo: structure from motion on a core."""
+
+FEATURE_SECONDS = 0.9
+ROUNDS = 1.3
+"""A step of a whole run takes so many times that of a quiet stream: rounds, growth, reading."""
+
+AFTERWARDS = 0.15
+"""Share of the time that is kept for encoding, scores, page, video and export."""
+
+
+@dataclass(frozen=True)
+class Photos:
+    """The photos of a run: their number, and the size of the first."""
+
+    count: int
+    width: int
+    height: int
+
+    def at(self, width: int) -> int:
+        """Pixels of a photo that is at most ``width`` wide."""
+        reduced = min(width, self.width)
+        return reduced * max(1, round(self.height * reduced / self.width))
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Seconds of a step: fixed, and per pixel of a photo."""
+
+    fixed: float
+    pixel: float
+
+    def step(self, pixels: int) -> float:
+        """Seconds of a step on a photo of ``pixels``."""
+        return self.fixed + self.pixel * pixels
+
+
+@dataclass(frozen=True)
+class Plan:
+    """max_size: photos wider than that are reduced; steps of training; seconds by stage."""
+
+    max_size: int
+    steps: int
+    prepare_seconds: float
+    train_seconds: float
+    other_seconds: float
+
+    @property
+    def seconds(self) -> float:
+        """Of the whole."""
+        return self.prepare_seconds + self.train_seconds + self.other_seconds
+
+
+def fit_speed(measure: Callable[[int], float], edges: tuple[int, int]) -> Speed:
+    """The line through the seconds of a step at two square pictures of ``edges`` pixels."""
+    small, large = edges
+    first, second = measure(small), measure(large)
+    pixel = max(0.0, second - first) / (large**2 - small**2)
+    return Speed(max(1e-4, first - pixel * small**2), pixel)
+
+
+def prepare_seconds(count: int, cores: int) -> float:
+    """What structure from motion takes for ``count`` photos, as a rule."""
+    pairs = min(count * (count - 1) / 2, 40.0 * count)
+    return (count * FEATURE_SECONDS + pairs * MATCHING_SECONDS) * 2 / max(1, min(cores, 8))
+
+
+def make_plan(
+    photos: Photos,
+    speed: Speed,
+    preparing: float,
+    seconds: float,
+    steps: int | None = None,
+    max_size: int | None = None,
+) -> Plan:
+    """The plan that fits ``seconds``, or has the ``steps`` and the ``max_size`` that are given.
+
+    Args:
+        photos: to train on.
+        speed: of a step.
+        preparing: seconds that the poses take; 0 if they are known.
+        seconds: for the whole.
+        steps: of training, if chosen by the user.
+        max_size: of the photos, likewise.
+    """
+    left = max(0.0, (1 - AFTERWARDS) * seconds - preparing)
+
+    def affordable(width: int) -> int:
+        return math.floor(left / (ROUNDS * speed.step(photos.at(width))))
+
+    if max_size is None:
+        wanted = steps if steps is not None else ENOUGH_STEPS
+        fitting = (size for size in SIZES if affordable(size) >= wanted)
+        max_size = min(next(fitting, SIZES[-1]), photos.width)
+    if steps is None:
+        steps = min(max(affordable(max_size), LEAST_STEPS), MOST_STEPS)
+    training = steps * ROUNDS * speed.step(photos.at(max_size))
+    return Plan(max_size, steps, preparing, training, AFTERWARDS * seconds)

@@ -1,0 +1,61 @@
+"""What `clgs run` is given: photos, a video, or a data set; and how much of it there is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from clgs.cli.run.plan import Photos
+from clgs.errors import DataError
+
+
+@dataclass(frozen=True)
+class Source:
+    """path: as named; posed: whether it is a data set, so that no poses have to be found."""
+
+    path: Path
+    posed: bool
+    photos: Photos
+
+
+def find_source(path: Path) -> Source:
+    """Look at ``path``.
+
+    Raises:
+        DataError: there is nothing that can be trained on.
+    """
+    if not path.exists():
+        raise DataError(f"{path}: no such file or folder; name photos, a video or a data set")
+    if path.is_dir() and _is_data(path):
+        return Source(path, True, measure_data(path))
+    return Source(path, False, _measure_photos(path))
+
+
+def measure_data(folder: Path) -> Photos:
+    """Number and size of the photos of a data set."""
+    from clgs.data.dataset import load_dataset
+    from clgs.data.reduction import Reduction
+
+    whole = Reduction(0, 0)
+    dataset = load_dataset(folder, downscale=whole, load_images=False, load_points=False)
+    first = dataset.train[0].camera
+    return Photos(len(dataset.train) + len(dataset.test), first.width, first.height)
+
+
+def _is_data(folder: Path) -> bool:
+    from clgs.data.colmap.model import find_model
+
+    named = ("transforms_train.json", "transforms.json")
+    return any((folder / name).is_file() for name in named) or find_model(folder) is not None
+
+
+def _measure_photos(folder: Path) -> Photos:
+    from clgs.data.images import image_size, list_images
+
+    found = list_images(folder) if folder.is_dir() else []
+    if not found and (folder / "images").is_dir():
+        found = list_images(folder / "images")
+    if not found:
+        raise DataError(f"{folder}: holds no photos and is no data set; name a folder that does")
+    width, height = image_size(found[0])
+    return Photos(len(found), width, height)

@@ -1,0 +1,59 @@
+"""The stages of `clgs run`: commands of clgs, one after the other, timed and announced."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from clgs.errors import ClgsError
+
+
+class StageError(ClgsError):
+    """A command failed, and has said why; its exit code is passed on."""
+
+    def __init__(self, name: str, code: int) -> None:
+        super().__init__(f"{name} failed; mend that and repeat the command with --resume")
+        self.exit_code = code
+
+
+@dataclass
+class Stages:
+    """Runs commands in this process and keeps the seconds of each stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def run(self, name: str, *words: str | Path) -> None:
+        """Run ``clgs NAME WORDS`` as stage ``name``.
+
+        Raises:
+            StageError: it failed.
+        """
+        code = self.attempt(name, *words)
+        if code:
+            raise StageError(name, code)
+
+    def attempt(self, name: str, *words: str | Path) -> int:
+        """As :meth:`run`, but the exit code is returned.
+
+        Raises:
+            KeyboardInterrupt: the command was interrupted.
+        """
+        from clgs.cli.main import main
+
+        command = [str(word) for word in words]
+        print(f"\n[{name}] {shlex.join(['clgs', *command])}", flush=True)
+        start = time.perf_counter()
+        try:
+            code = main(command)
+        except SystemExit as error:  # of the parser
+            code = int(error.code or 0)
+        self.seconds[name] = time.perf_counter() - start
+        if code == INTERRUPTED:
+            raise KeyboardInterrupt("; repeat the command with --resume to go on")
+        return code
+
+
+INTERRUPTED = 130
+"""The exit code of a command that was interrupted."""

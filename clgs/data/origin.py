@@ -1,0 +1,111 @@
+"""Which data set a run was trained on: its folder, and a few cameras by which it is known again."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.dataset import Dataset
+from clgs.data.view import View
+from clgs.errors import DataError
+from clgs.files import atomic_write
+
+ORIGIN = "data.json"
+"""The file of a run folder that names its data set."""
+
+KNOWN_BY = 8
+"""Cameras that are kept, evenly spread over the training views."""
+
+TOLERANCE = 0.05
+"""Cameras of the same data differ by less: rotation by entry, centre as a share of the radius.
+
+Photos that were added or removed since move the scene's units by less than this.
+"""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """A data set that a run was trained on.
+
+    folder: as it was named, made absolute, or relative to the run if both have moved; radius: of
+    the cameras, scene units; cameras: by the photo's name, (3, 4) float64 rotation and centre,
+    scene units.
+    """
+
+    folder: Path
+    radius: float
+    cameras: dict[str, npt.NDArray[np.float64]]
+
+    def check(self, views: list[View], data: Path) -> None:
+        """See that ``views``, posed in the run's units, are of this data set.
+
+        Views of other names say nothing: they may be new photos of the same place.
+
+        Raises:
+            DataError: a view of the same name has another camera.
+        """
+        for view in views:
+            known = self.cameras.get(view.name)
+            if known is None:
+                continue
+            apart = np.abs(_pose(view) - known)
+            if apart[:, :3].max() > TOLERANCE or apart[:, 3].max() > TOLERANCE * self.radius:
+                raise DataError(
+                    f"{data}: the camera of {view.name} is not the one that the scene was trained "
+                    f"with, so these photos show another scene; name {self.folder} with --data"
+                )
+
+
+def write_origin(run: Path, dataset: Dataset) -> None:
+    """Write ORIGIN to the folder ``run``; nothing if the data set was not read from a folder."""
+    if dataset.folder is None:
+        return
+    views = dataset.train
+    chosen = {int(i) for i in np.linspace(0, len(views) - 1, min(KNOWN_BY, len(views))).round()}
+    record = {
+        "folder": str(dataset.folder.resolve()),
+        "relative": _relative(dataset.folder, run),
+        "radius": dataset.radius,
+        "cameras": {views[i].name: _pose(views[i]).tolist() for i in sorted(chosen)},
+    }
+    atomic_write(run / ORIGIN, (json.dumps(record, indent=1) + "\n").encode())
+
+
+def read_origin(run: Path) -> Origin | None:
+    """The data set of the run in the folder ``run``; None if it does not say.
+
+    Raises:
+        DataError: ORIGIN is damaged.
+    """
+    path = run / ORIGIN
+    if not path.is_file():
+        return None
+    try:
+        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        named, moved = Path(record["folder"]), run / record["relative"]
+        cameras = {
+            name: np.array(pose, np.float64).reshape(3, 4)
+            for name, pose in record["cameras"].items()
+        }
+        folder = moved if moved.is_dir() and not named.is_dir() else named
+        return Origin(folder, float(record["radius"]), cameras)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise DataError(f"{path}: is damaged ({error}); remove it and use --data") from error
+
+
+def _relative(folder: Path, run: Path) -> str:
+    """The way from ``run`` to ``folder``; on another drive there is none but the whole path."""
+    try:
+        return os.path.relpath(folder.resolve(), run.resolve())
+    except ValueError:
+        return str(folder.resolve())
+
+
+def _pose(view: View) -> npt.NDArray[np.float64]:
+    return np.column_stack([view.camera.rotation, view.camera.centre])

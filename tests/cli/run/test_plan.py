@@ -1,0 +1,96 @@
+"""Plans of `clgs run` fit the time, and take what the user chose."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from clgs.cli.run.duration import duration, in_words
+from clgs.cli.run.plan import (
+    ENOUGH_STEPS,
+    LEAST_STEPS,
+    MOST_STEPS,
+    SIZES,
+    Photos,
+    Speed,
+    fit_speed,
+    make_plan,
+    prepare_seconds,
+)
+
+PHOTOS = Photos(50, 4000, 3000)
+SPEED = Speed(0.02, 2e-7)
+
+
+@given(st.floats(20, 1e5), st.floats(0, 1e3))
+def test_plan_fits_the_time_or_is_the_least(seconds, preparing):
+    plan = make_plan(PHOTOS, SPEED, preparing, seconds)
+    least = plan.max_size == SIZES[-1] and plan.steps == LEAST_STEPS
+    assert least or plan.seconds <= seconds * 1.001
+    assert LEAST_STEPS <= plan.steps <= MOST_STEPS
+
+
+@given(st.floats(20, 1e5), st.floats(1, 10))
+def test_more_time_is_never_spent_on_smaller_pictures(seconds, times):
+    plans = [make_plan(PHOTOS, SPEED, 0.0, one) for one in (seconds, times * seconds)]
+    assert plans[0].max_size <= plans[1].max_size
+    if plans[0].max_size == plans[1].max_size:
+        assert plans[0].steps <= plans[1].steps
+
+
+def test_largest_pictures_that_leave_enough_steps():
+    plan = make_plan(PHOTOS, SPEED, 0.0, 300.0)
+    larger = SIZES[SIZES.index(plan.max_size) - 1]
+    assert plan.steps >= ENOUGH_STEPS
+    assert 300 * 0.85 / (1.3 * SPEED.step(PHOTOS.at(larger))) < ENOUGH_STEPS
+
+
+def test_what_the_user_chose_stays():
+    plan = make_plan(PHOTOS, SPEED, 0.0, 60.0, steps=7000, max_size=1234)
+    assert (plan.steps, plan.max_size) == (7000, 1234)
+    assert make_plan(PHOTOS, SPEED, 0.0, 60.0, max_size=1600).max_size == 1600
+    assert make_plan(PHOTOS, SPEED, 0.0, 600.0, steps=1000).steps == 1000
+
+
+def test_small_photos_are_not_enlarged():
+    small = replace(PHOTOS, width=200, height=100)
+    assert make_plan(small, SPEED, 0.0, 1e4).max_size == 200
+    assert small.at(1600) == 200 * 100
+
+
+def test_speed_is_the_line_through_two_pictures():
+    found = fit_speed(lambda edge: SPEED.step(edge**2), (100, 300))
+    assert found.fixed == pytest.approx(SPEED.fixed)
+    assert found.pixel == pytest.approx(SPEED.pixel)
+
+
+def test_noise_never_gives_a_speed_below_zero():
+    found = fit_speed(lambda edge: 1.0 / edge, (100, 300))
+    assert found.pixel == 0
+    assert found.fixed > 0
+
+
+def test_more_photos_take_longer_to_pose_and_more_cores_less():
+    assert prepare_seconds(50, 2) < prepare_seconds(100, 2) < prepare_seconds(1000, 2)
+    assert prepare_seconds(50, 8) < prepare_seconds(50, 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("90s", 90), ("5m", 300), ("1.5h", 5400), ("45", 45), (" 2M ", 120)]
+)
+def test_times_are_read(text, seconds):
+    assert duration(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1m", "5 minutes", "1e3s", "nan", "9" * 20])
+def test_no_times_are_refused(text):
+    with pytest.raises(argparse.ArgumentTypeError, match="is not a time such as"):
+        duration(text)
+
+
+def test_times_are_told_in_fitting_units():
+    assert [in_words(s) for s in (45, 150, 7200)] == ["45 s", "2.5 min", "2.0 h"]

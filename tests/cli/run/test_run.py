@@ -1,0 +1,87 @@
+"""`clgs run` on a tiny data set: plan, stages, resuming, refusals."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from clgs.cli import main as cli
+from clgs.cli.run.stages import Stages
+from tests.small_scene import write_scene
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return write_scene(tmp_path_factory.mktemp("run") / "data", train=6, test=2)
+
+
+def words(data, out, *more):
+    return ["run", str(data), "-o", str(out), "--steps", "30", *map(str, more)]
+
+
+@pytest.fixture(scope="module")
+def finished(data, tmp_path_factory):
+    """The output folder of a run."""
+    out = tmp_path_factory.mktemp("run") / "out"
+    assert cli.main(words(data, out)) == 0
+    return out
+
+
+def test_plan_alone_writes_nothing(data, tmp_path, capsys):
+    assert cli.main(words(data, tmp_path / "out", "--plan")) == 0
+    printed = capsys.readouterr().out
+    assert "8 of 40 x 40 pixels" in printed
+    assert "30 steps on photos at most 40 wide" in printed
+    assert not (tmp_path / "out").exists()
+
+
+def test_everything_is_there(finished):
+    for name in ("run", "scene.clgs", "scores.json", "report.html", "plan.json"):
+        assert (finished / name).exists(), name
+    scores = json.loads((finished / "scores.json").read_text())
+    assert scores["split"] == "test"
+    assert scores["bytes"] == (finished / "scene.clgs").stat().st_size
+    assert (finished / "report.html").read_text().count("data:image/jpeg") == 2 * 3
+
+
+def test_run_is_neither_replaced_nor_continued_unasked(data, finished, capsys):
+    assert cli.main(words(data, finished)) == 2
+    assert "--resume" in capsys.readouterr().err
+
+
+def test_finished_run_is_left_as_it_is(data, finished, capsys):
+    before = (finished / "scene.clgs").read_bytes()
+    assert cli.main(words(data, finished, "--resume")) == 0
+    assert "is finished already" in capsys.readouterr().out
+    assert (finished / "scene.clgs").read_bytes() == before
+
+
+def test_foreign_folder_is_refused(data, tmp_path, capsys):
+    (tmp_path / "mine.txt").touch()
+    assert cli.main(words(data, tmp_path, "--overwrite")) == 2
+    assert "holds other files" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["missing", "empty"])
+def test_nothing_to_train_on_is_named(tmp_path, capsys, name):
+    (tmp_path / "empty").mkdir()
+    assert cli.main(words(tmp_path / name, tmp_path / "out")) == 3
+    assert name in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_contradiction_is_refused(data, tmp_path, capsys):
+    assert cli.main(words(data, tmp_path / "out", "--resume", "--overwrite")) == 2
+    assert "give one" in capsys.readouterr().err
+
+
+def test_failing_stage_passes_its_exit_code_on(tmp_path, capsys):
+    from clgs.cli.run.stages import StageError
+
+    stages = Stages()
+    with pytest.raises(StageError, match="decode failed") as caught:
+        stages.run("decode", "decode", tmp_path / "no.clgs", "-o", tmp_path / "x.npz")
+    assert caught.value.exit_code == 3
+    assert "[decode] clgs decode" in capsys.readouterr().out
+    assert list(stages.seconds) == ["decode"]
