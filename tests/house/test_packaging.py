@@ -100,7 +100,8 @@ DISTRIBUTIONS = {"PIL": "pillow", "tomli_w": "tomli-w"}
 def test_every_library_that_the_package_imports_is_declared_and_used():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    needed = project["dependencies"] + extras["plot"] + extras["lpips"]
+    features = ("plot", "lpips", "tensorboard")
+    needed = project["dependencies"] + [one for name in features for one in extras[name]]
     declared = {re.match(r"[\w-]+", one)[0] for one in needed}
     imported = {
         name.split(".")[0]

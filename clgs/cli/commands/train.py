@@ -13,7 +13,9 @@ from clgs.cli.options.training import add_training_options, make_config
 from clgs.cli.options.view import check_apart, named_path
 
 if TYPE_CHECKING:
-    from clgs.train.run.session import Session
+    from clgs.cli.progress import TrainingDisplay
+    from clgs.cli.tensorboard import EventLog
+    from clgs.train.run.session import Progress, Session
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -43,12 +45,18 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="store_true",
         help="show the time of every stage and what each skip saved; writes profile.json (slower)",
     )
+    add(
+        "--tensorboard",
+        action="store_true",
+        help="write RUN/tensorboard/ as training goes on; needs the extra clgs[tensorboard]",
+    )
     add_training_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Train; exit code 0."""
     from clgs.cli.progress import TrainingDisplay, print_summary
+    from clgs.cli.tensorboard import EventLog, check_tensorboard
     from clgs.errors import UsageError
     from clgs.export.run_report import RunStory, write_run_report
     from clgs.files import check_folder
@@ -60,6 +68,8 @@ def run(args: argparse.Namespace) -> int:
 
     return_freed_memory()
     config = make_config(args)
+    if args.tensorboard:
+        check_tensorboard()
     check_folder(args.output)
     if (args.output / "checkpoint").is_file():
         raise UsageError(f"{args.output / 'checkpoint'}: is not a folder; remove it")
@@ -76,7 +86,8 @@ def run(args: argparse.Namespace) -> int:
     session = Session(dataset, args.output, config, device, resume=args.resume)
     try:
         with TrainingDisplay(config.steps, session.trainer.steps_done) as display:
-            result = session.run(display.update)
+            events = EventLog(args.output / "tensorboard") if args.tensorboard else None
+            result = session.run(partial(_follow, display, events))
     except KeyboardInterrupt:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
     if args.profile:
@@ -84,6 +95,13 @@ def run(args: argparse.Namespace) -> int:
     write_run_report(args.output, RunStory(args.command_line, f"Trained on {args.data}."))
     print_summary(result)
     return 0
+
+
+def _follow(display: TrainingDisplay, events: EventLog | None, progress: Progress) -> None:
+    """Show a step, and log it."""
+    display.update(progress)
+    if events is not None:
+        events.update(progress)
 
 
 def _report_profile(session: Session) -> None:
