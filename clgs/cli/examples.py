@@ -4,7 +4,8 @@ from __future__ import annotations
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
     "devices": ("clgs devices", "clgs devices --json"),
-    "prepare": ("clgs prepare PHOTOS -o data",),
+    "doctor": ("clgs doctor", "clgs doctor data", "clgs doctor data --json"),
+    "prepare": ("clgs prepare PHOTOS -o data", "clgs prepare clip.mp4 -o data --frames 80"),
     "train": (
         "clgs train data -o run --preset quick --downscale 4",
         "clgs train data -o run --preset quick --downscale 4 --resume",

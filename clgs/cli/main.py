@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 COMMANDS = (
     "devices",
+    "doctor",
     "prepare",
     "train",
     "encode",
