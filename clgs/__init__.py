@@ -17,6 +17,8 @@ The names of this module do the whole job; nothing heavy is imported before one 
 from __future__ import annotations
 
 import importlib
+import sys
+import warnings
 from typing import Any
 
 __version__ = "0.1.0"
@@ -49,5 +51,20 @@ def __getattr__(name: str) -> Any:
     return getattr(importlib.import_module(_HOMES[name]), name)
 
 
+def _warn_of_order() -> None:
+    """Warn if pycolmap was imported before Pillow, whose PNG writer then corrupts the heap."""
+    loaded = {name: place for place, name in enumerate(sys.modules)}
+    if "pycolmap" in loaded and loaded["pycolmap"] < loaded.get("PIL.Image", len(loaded)):
+        warnings.warn(
+            "pycolmap was imported before Pillow: saving a PNG may crash; import PIL.Image, or "
+            "clgs, first",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
 def __dir__() -> list[str]:
     return [*__all__, "__version__"]
+
+
+_warn_of_order()

@@ -8,7 +8,8 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "clgs run data -o scene --steps 3000 --max-size 800",
     ),
     "devices": ("clgs devices", "clgs devices --json"),
-    "prepare": ("clgs prepare PHOTOS -o data",),
+    "doctor": ("clgs doctor", "clgs doctor data", "clgs doctor data --json"),
+    "prepare": ("clgs prepare PHOTOS -o data", "clgs prepare clip.mp4 -o data --frames 80"),
     "train": (
         "clgs train data -o run --preset quick --downscale 4",
         "clgs train data -o run --preset quick --downscale 4 --resume",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 COMMANDS = (
     "run",
     "devices",
+    "doctor",
     "prepare",
     "train",
     "encode",

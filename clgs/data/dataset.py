@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from clgs.data.images import Pixels, box_resized, check_image, list_images, read_image
 from clgs.data.lens import Lens, forget_sources, undistort_lens, undistort_pixels
+from clgs.data.photos.masks import StoredMask, read_mask
 from clgs.data.point_file import PointFile, read_points
 from clgs.data.points import RandomStart, keep_near, random_points, viewpoint
 from clgs.data.posed_photo import Photo, PhotoSet
@@ -100,7 +101,7 @@ def load_dataset(
     reduction = downscale if isinstance(downscale, Reduction) else Reduction(downscale)
     if reduction.times < 0 or downscale == 0:
         raise DataError(f"downscale is {downscale}; give a whole number of at least 1")
-    photos = _read_photos(Path(path))
+    photos = read_photo_set(Path(path))
     _check_photos(path, photos, reduction)
     transform, radius = _normalise(photos, preset_units)
     if source := load_points if isinstance(load_points, PointFile) else None:
@@ -111,7 +112,7 @@ def load_dataset(
         for some in (photos.train, photos.test)
     )
     if load_images is not False:
-        _load(train, photos.test)
+        _load(train, test, photos.test)
     make_points = load_images is not False and load_points is not False and not source
     if make_points and photos.points is None and photos.kind != "blender":
         _triangulate(photos, cache, seed, on_stage)
@@ -183,8 +184,12 @@ def _random_points(
     return points
 
 
-def _read_photos(root: Path) -> PhotoSet:
-    """Dispatch on the files that are there."""
+def read_photo_set(root: Path) -> PhotoSet:
+    """The photos with poses in ``root`` by the files that are there; no picture is decoded.
+
+    Raises:
+        DataError: no data set, or a damaged one.
+    """
     from clgs.data.colmap.model import find_model, read_colmap
     from clgs.data.transforms import read_blender, read_transforms
 
@@ -245,7 +250,8 @@ def _view(
     size = reduction.size(lens.width, lens.height)
     camera = _camera(photo, lens.resized(*size), transform)
     stored = StoredPhoto(partial(_pixels, photo, size), memory, str(photo.path))
-    return View(photo.name, camera, stored)
+    mask = StoredMask(partial(_mask_pixels, photo, size)) if photo.mask else None
+    return View(photo.name, camera, stored, mask)
 
 
 def _pixels(photo: Photo, size: tuple[int, int]) -> Pixels:
@@ -253,12 +259,21 @@ def _pixels(photo: Photo, size: tuple[int, int]) -> Pixels:
     return box_resized(undistort_pixels(pixels, photo.lens)[0], *size)
 
 
-def _load(train: list[View], test: list[Photo]) -> None:
-    """Read the photos to train on; see that the others can be read."""
+def _mask_pixels(photo: Photo, size: tuple[int, int]) -> Pixels:
+    """A photo's mask as 0 and 255 in one channel, resampled as the photo is."""
+    assert photo.mask is not None
+    mask = read_mask(photo.mask, (photo.lens.width, photo.lens.height))
+    level = Pixels(mask[..., None] * np.uint8(255), None)
+    return box_resized(undistort_pixels(level, photo.lens)[0], *size)
+
+
+def _load(train: list[View], test: list[View], unread: list[Photo]) -> None:
+    """Read the photos to train on, and all masks; see that the others can be read."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         read = pool.map(lambda view: view.photo.keep(), train)
-        checked = pool.map(lambda photo: check_image(photo.path), test)
-        for _ in (*read, *checked):
+        checked = pool.map(lambda photo: check_image(photo.path), unread)
+        masked = pool.map(lambda view: view.used(), train + test)
+        for _ in (*read, *checked, *masked):
             pass
     forget_sources()
 

@@ -15,10 +15,16 @@ from scipy import sparse
 
 from clgs.errors import DataError
 
-FORMATS = ("JPEG", "PNG")
-SUFFIXES = (".jpg", ".jpeg", ".png")
+FORMATS = ("JPEG", "PNG", "WEBP")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
+HEIF_SUFFIXES = (".heic", ".heif", ".hif")
+"""Read by pillow-heif, which is an extra."""
+
 MAX_PIXELS = 100_000_000
 """Larger images are refused before they are decoded."""
+
+PLAIN_SUFFIXES = {"JPEG": (".jpg", ".jpeg"), "PNG": (".png",)}
+"""By format: the names under which other programs know it."""
 
 _BAND_COLUMNS = 64
 """Columns that are averaged at a time."""
@@ -34,7 +40,7 @@ _ROTATIONS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-_FAILURES = (OSError, SyntaxError, ValueError)
+_FAILURES = (OSError, SyntaxError, ValueError, EOFError, RuntimeError)
 
 
 @dataclass(frozen=True)
@@ -51,18 +57,19 @@ class Pixels:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """JPEG and PNG files directly in ``folder``, sorted by name."""
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+    """Photos directly in ``folder`` by their suffixes, sorted by name."""
+    known = SUFFIXES + HEIF_SUFFIXES
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in known and p.is_file())
 
 
 def image_size(path: Path) -> tuple[int, int]:
     """(width, height) after the EXIF rotation, from the header alone.
 
     Raises:
-        DataError: the file is no JPEG or PNG, or larger than MAX_PIXELS.
+        DataError: the file is of another format, or larger than MAX_PIXELS.
     """
-    with _opened(path) as picture:
-        return _upright_size(picture)
+    with open_image(path) as picture:
+        return upright_size(picture)
 
 
 def read_image(path: Path, expected: tuple[int, int] | None = None) -> Pixels:
@@ -72,9 +79,9 @@ def read_image(path: Path, expected: tuple[int, int] | None = None) -> Pixels:
     made for the unrotated pixels, and these are returned.
 
     Raises:
-        DataError: no JPEG or PNG, larger than MAX_PIXELS, truncated or damaged.
+        DataError: of another format, larger than MAX_PIXELS, truncated or damaged.
     """
-    with _opened(path) as picture:
+    with open_image(path) as picture:
         rotate = expected is None or not _only_unrotated(picture, expected)
         operation = _ROTATIONS.get(_orientation(picture)) if rotate else None
         picture.load()
@@ -82,12 +89,15 @@ def read_image(path: Path, expected: tuple[int, int] | None = None) -> Pixels:
 
 
 def is_plain(path: Path) -> bool:
-    """Whether the file is upright 8-bit RGB or grey already, as other programs expect it."""
-    with _opened(path) as picture:
+    """Whether the file is an upright 8-bit JPEG or PNG already, RGB or grey, named as one."""
+    with open_image(path) as picture:
+        deep = any("16" in str(tile[3]) for tile in getattr(picture, "tile", ()))
         return (
-            _orientation(picture) == 1
+            path.suffix.lower() in PLAIN_SUFFIXES.get(picture.format or "", ())
+            and _orientation(picture) == 1
             and picture.mode in ("RGB", "L")
-            and (not picture.has_transparency_data)
+            and not deep
+            and not picture.has_transparency_data
         )
 
 
@@ -97,7 +107,7 @@ def check_image(path: Path) -> None:
     Raises:
         DataError: as there; wrong pixels within a whole file are not found.
     """
-    with _opened(path) as picture:
+    with open_image(path) as picture:
         if picture.format == "PNG":
             picture.verify()  # the checksums of all chunks
         else:
@@ -107,8 +117,8 @@ def check_image(path: Path) -> None:
 
 def stored_size(path: Path, expected: tuple[int, int]) -> tuple[int, int]:
     """The size that ``read_image`` with the same arguments returns, from the header alone."""
-    with _opened(path) as picture:
-        return picture.size if _only_unrotated(picture, expected) else _upright_size(picture)
+    with open_image(path) as picture:
+        return picture.size if _only_unrotated(picture, expected) else upright_size(picture)
 
 
 def box_downscale(pixels: Pixels, factor: int) -> Pixels:
@@ -139,19 +149,33 @@ def _too_large(path: Path, pixels: str) -> str:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
+def open_image(path: Path) -> Iterator[Image.Image]:
     """An image whose header has been checked; every failure of Pillow becomes a DataError."""
     try:
-        with Image.open(path, formats=FORMATS) as picture:
+        with Image.open(path, formats=_formats(path)) as picture:
             if picture.width * picture.height > MAX_PIXELS:
                 raise DataError(_too_large(path, f"{picture.width}x{picture.height} pixels"))
             yield picture
     except Image.DecompressionBombError:  # Pillow's own limit, before the size is known here
         raise DataError(_too_large(path, "its pixels")) from None
     except UnidentifiedImageError:
-        raise DataError(f"{path}: not a JPEG or PNG image; convert or remove it") from None
+        raise DataError(f"{path}: not a JPEG, PNG or WebP image; convert or remove it") from None
     except _FAILURES as error:
         raise DataError(f"{path}: damaged image ({_one_line(error)}); replace it") from error
+
+
+def _formats(path: Path) -> tuple[str, ...]:
+    """The formats that a file may have."""
+    if path.suffix.lower() not in HEIF_SUFFIXES:
+        return FORMATS
+    try:
+        from pillow_heif import register_heif_opener
+    except ImportError as error:
+        raise DataError(
+            f'{path}: HEIC needs pillow-heif; pip install "clgs[heif]", or convert it to JPEG'
+        ) from error
+    register_heif_opener()
+    return (*FORMATS, "HEIF")
 
 
 def _one_line(error: Exception) -> str:
@@ -176,13 +200,14 @@ def _orientation(picture: Image.Image) -> int:
     return int(read_exif(picture).get(_ORIENTATION, 1))
 
 
-def _upright_size(picture: Image.Image) -> tuple[int, int]:
+def upright_size(picture: Image.Image) -> tuple[int, int]:
+    """(width, height) of an opened picture after the EXIF rotation."""
     transposed = _orientation(picture) in _TRANSPOSED
     return (picture.height, picture.width) if transposed else picture.size
 
 
 def _only_unrotated(picture: Image.Image, expected: tuple[int, int]) -> bool:
-    return picture.size == expected != _upright_size(picture)
+    return picture.size == expected != upright_size(picture)
 
 
 def _to_8_bit(image: Image.Image) -> Pixels:

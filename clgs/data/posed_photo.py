@@ -20,7 +20,8 @@ class Photo:
     """One photo with its pose: x_cam = rotation @ x_world + translation, OpenCV axes.
 
     name: unique, relative to the data set, forward slashes; lens: for the pixels in the file;
-    rotation (3, 3), translation (3,) float64 in the data's world units.
+    rotation (3, 3), translation (3,) float64 in the data's world units; mask: the file that says
+    which pixels are of use, if there is one.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Photo:
     lens: Lens
     rotation: npt.NDArray[np.float64]
     translation: npt.NDArray[np.float64]
+    mask: Path | None = None
 
     @property
     def centre(self) -> npt.NDArray[np.float64]:

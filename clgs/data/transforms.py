@@ -6,6 +6,7 @@ Poses are OpenGL camera-to-world matrices: y and z of the camera are flipped to 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, NoReturn
@@ -122,27 +123,45 @@ class _Fields:
 
 def _read_photos(root: Path, file: Path) -> tuple[list[Photo], list[str]]:
     """Photos that exist in file order, and the names of missing ones."""
-    shared = _parse(file)
-    frames = shared.get("frames")
-    if not isinstance(frames, list) or not frames:
-        raise DataError(f"{file}: frames is missing or empty; list one entry for each photo")
     photos: dict[str, Photo] = {}
     missing: list[str] = []
+    for number, found in enumerate(each_frame(root, file, _parse(file))):
+        if isinstance(found, DataError):
+            raise found
+        if isinstance(found, str):
+            missing.append(found)
+        elif found.name in photos:
+            name = f"file_path {found.name!r}"
+            raise DataError(f"{file}: frame {number}: {name} occurs twice; keep one of the two")
+        else:
+            photos[found.name] = found
+    if not photos:
+        raise DataError(f"{file}: none of the {len(missing)} images of frames exists; add them")
+    return list(photos.values()), missing
+
+
+def each_frame(
+    root: Path, file: Path, document: dict[str, Any]
+) -> Iterator[Photo | str | DataError]:
+    """Each frame by itself: its photo, the name of a missing one, or what is wrong with it.
+
+    Raises:
+        DataError: there are no frames.
+    """
+    frames = document.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise DataError(f"{file}: frames is missing or empty; list one entry for each photo")
     for number, frame in enumerate(frames):
         source = f"{file}: frame {number}"
         if not isinstance(frame, dict):
-            raise DataError(f"{source} is not an object; correct it")
-        fields = _Fields(frame, shared, source)
-        photo = _read_photo(root, fields)
-        if photo is None:
-            missing.append(fields.text("file_path", ""))
-        elif photo.name in photos:
-            raise DataError(f"{source}: file_path {photo.name!r} occurs twice; keep one of the two")
-        else:
-            photos[photo.name] = photo
-    if not photos:
-        raise DataError(f"{file}: none of the {len(frames)} images of frames exists; add them")
-    return list(photos.values()), missing
+            yield DataError(f"{source} is not an object; correct it")
+            continue
+        fields = _Fields(frame, document, source)
+        try:
+            photo = _read_photo(root, fields)
+            yield fields.text("file_path", "") if photo is None else photo
+        except DataError as error:
+            yield error
 
 
 def _read_photo(root: Path, fields: _Fields) -> Photo | None:
@@ -157,7 +176,17 @@ def _read_photo(root: Path, fields: _Fields) -> Photo | None:
     actual = image_size(path) if declared is None else stored_size(path, declared)
     lens = fit_lens(_read_lens(fields, *actual) if declared is None else lens, actual, path)
     name = path.relative_to(root).as_posix()
-    return Photo(name, path, lens, rotation, translation)
+    return Photo(name, path, lens, rotation, translation, _find_mask(root, fields))
+
+
+def _find_mask(root: Path, fields: _Fields) -> Path | None:
+    """The file of ``mask_path``, if the frame has one."""
+    if "mask_path" not in fields.frame:
+        return None
+    path = inside(root, fields.text("mask_path", ""), f"{fields.source}: mask_path")
+    if not path.is_file():
+        fields.fail("mask_path", f"names no file ({path.name[:80]!r}); add it or remove the field")
+    return path
 
 
 def _find_image(root: Path, fields: _Fields) -> Path | None:
@@ -239,8 +268,17 @@ def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, flo
     return fx, fy
 
 
-def _parse(file: Path) -> dict[str, Any]:
-    """The JSON object in ``file``; NaN and Infinity are refused."""
+def parse_leniently(file: Path) -> dict[str, Any]:
+    """The JSON object in ``file``, NaN and Infinity as they are.
+
+    Raises:
+        DataError: missing, too large, no JSON object.
+    """
+    return _parse(file, refused=False)
+
+
+def _parse(file: Path, refused: bool = True) -> dict[str, Any]:
+    """The JSON object in ``file``; NaN and Infinity are ``refused``."""
     if not file.is_file():
         raise DataError(f"{file}: missing; the data set needs it")
     if file.stat().st_size > MAX_BYTES:
@@ -249,8 +287,9 @@ def _parse(file: Path) -> dict[str, Any]:
     def refuse(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is not a number")
 
+    constants = refuse if refused else None
     try:
-        document = json.loads(file.read_bytes(), parse_constant=refuse)
+        document = json.loads(file.read_bytes(), parse_constant=constants)
     except RecursionError:
         raise DataError(f"{file}: nested too deeply; it is no transforms file") from None
     except ValueError as error:

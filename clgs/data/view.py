@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import chain
 
+from clgs.data.photos.masks import Mask, StoredMask
 from clgs.data.stored_photo import Color, Planes, StoredPhoto
 from clgs.scene.camera import Camera
 
@@ -15,12 +16,22 @@ from clgs.scene.camera import Camera
 class View:
     """One photo, undistorted and reduced, and its camera in scene units.
 
-    ``photo.pixels()`` has the pixels: color (H, W, 3) uint8, and alpha (H, W) uint8 or None.
+    ``photo.pixels()`` has the pixels: color (H, W, 3) uint8, and alpha (H, W) uint8 or None; mask
+    says which of them are compared with renders, all if it is None.
     """
 
     name: str
     camera: Camera
     photo: StoredPhoto
+    mask: StoredMask | None = None
+
+    def used(self, factor: int = 1) -> Mask | None:
+        """The mask (H, W) uint8 of 0 and 1, ``factor`` times smaller; None: every pixel is used.
+
+        Raises:
+            DataError: it is damaged.
+        """
+        return None if self.mask is None else self.mask.used(factor)
 
 
 def with_photos(views: Sequence[View], color: Color) -> Iterator[tuple[View, Planes]]:

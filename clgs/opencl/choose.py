@@ -8,11 +8,7 @@ from typing import Any
 import pyopencl as cl
 
 from clgs.errors import DeviceError, UsageError
-
-REMEDY = (
-    "install one: on Debian or Ubuntu `apt-get install pocl-opencl-icd`, "
-    'elsewhere `pip install "pyopencl[pocl]"`, or a GPU vendor\'s driver'
-)
+from clgs.opencl.absence import explain
 
 
 def list_devices() -> list[Any]:
@@ -65,7 +61,7 @@ def choose_device(name: str | None = None) -> Any:
         raise UsageError("--device: the name is empty; `clgs devices` shows what there is")
     devices = list_devices()
     if not devices:
-        raise DeviceError(f"no OpenCL device found; {REMEDY}")
+        raise DeviceError(f"no OpenCL device found; {explain()}")
     if name:
         return _pick(devices, name, f"--device {name}")
     if wanted := os.environ.get("PYOPENCL_CTX"):

@@ -1,4 +1,4 @@
-"""The stages outside of a render: scan, sort, quantize, rate, adam, density, exposure."""
+"""The stages outside of a render: scan, sort, quantize, rate, adam, density, exposure, mask."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import numpy as np
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, density, exposure, quantize, rate, scan, sort
+from clgs.ops import adam, density, exposure, mask, quantize, rate, scan, sort
 from clgs.reference.stages import adam as adam_reference
 from clgs.reference.stages import density as density_reference
 from clgs.reference.stages import exposure as exposure_reference
+from clgs.reference.stages import mask as mask_reference
 from clgs.reference.stages import quantize as quantize_reference
 from clgs.reference.stages import rate as rate_reference
 from clgs.reference.stages import scan as scan_reference
@@ -29,7 +30,7 @@ Found = tuple[str, str, float, float, float]
 def training_checks(device: Device, count: int = COUNT) -> Iterator[Found]:
     """(stage, quantity, error, limit, milliseconds) of every check, on ``count`` numbers."""
     rng = np.random.default_rng(SEED)
-    for check in (_scan, _sort, _quantize, _rate, _adam, _density, _exposure):
+    for check in (_scan, _sort, _quantize, _rate, _adam, _density, _exposure, _mask):
         yield from check(device, rng, count)
 
 
@@ -167,3 +168,16 @@ def _exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[
     error = relative_l2(device.download(backward()), d_image)
     error += relative_l2(device.download(d_maps)[1], d_map)
     yield "exposure", "d_image and d_map", error, 1e-5, _milliseconds(device, backward)
+
+
+def _mask(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    image = rng.normal(size=(3, 1, count)).astype(np.float32)
+    used = rng.integers(0, 2, (1, count)).astype(np.uint8)
+    uploaded = device.upload(image), device.upload(used)
+    milliseconds = _milliseconds(device, lambda: mask.forward(device, *uploaded))
+    wide = image.astype(np.float64)
+    found = device.download(mask.forward(device, *uploaded))
+    error = largest(found, mask_reference.forward(wide, used))
+    found = device.download(mask.backward(device, *uploaded))
+    error += largest(found, mask_reference.backward(wide, used))
+    yield "mask", "picture and d_image", error, 0.0, milliseconds

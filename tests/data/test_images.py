@@ -100,7 +100,7 @@ def test_other_formats_and_text_are_refused(tmp_path: Path):
     (tmp_path / "a.bmp").rename(tmp_path / "a.png")
     (tmp_path / "b.png").write_bytes(b"")
     for name in ("a.png", "b.png"):
-        with pytest.raises(DataError, match="not a JPEG or PNG"):
+        with pytest.raises(DataError, match="not a JPEG, PNG or WebP"):
             read_image(tmp_path / name)
 
 

@@ -1,4 +1,4 @@
-"""``clgs prepare``: a folder of photos to a data set with camera poses."""
+"""``clgs prepare``: a folder of photos, or a video, to a data set with camera poses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 from clgs.cli.options.output import add_overwrite
-from clgs.cli.options.view import named_path, seed
+from clgs.cli.options.view import named_path, positive_int, seed
 
 if TYPE_CHECKING:
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -17,10 +17,22 @@ def register(subparsers: Subparsers) -> None:
     """Add the command to the parser of ``clgs``."""
     parser = subparsers.add_parser(
         "prepare",
-        help="find the camera poses of a folder of photos",
-        description="Structure from motion: writes DATA/images (undistorted) and DATA/sparse/0.",
+        help="find the camera poses of a folder of photos, or of a video",
+        description="Structure from motion: writes DATA/images (undistorted) and DATA/sparse/0, "
+        "and DATA/masks if photos have masks (PHOTOS/masks/NAME.png, black where a photo is not "
+        "to be used, or an alpha channel).",
     )
-    parser.add_argument("photos", metavar="PHOTOS", help="folder of JPEG or PNG photos")
+    parser.add_argument(
+        "photos",
+        metavar="PHOTOS",
+        help="folder of photos (JPEG, PNG, WebP, HEIC), or a video",
+    )
+    parser.add_argument(
+        "--frames",
+        type=positive_int,
+        metavar="N",
+        help="take so many sharp, evenly spread frames of a video (default: 100)",
+    )
     parser.add_argument(
         "-o", "--output", type=named_path, metavar="DATA", required=True, help="new folder"
     )
@@ -51,7 +63,9 @@ def run(args: argparse.Namespace) -> int:
         def on_stage(stage: str) -> None:
             progress.update(task, description=stage, completed=STAGES.index(stage))
 
-        summary = prepare(args.photos, args.output, args.seed, on_stage, args.overwrite)
+        summary = prepare(
+            args.photos, args.output, args.seed, on_stage, args.overwrite, args.frames
+        )
     seconds = time.perf_counter() - start
     print(
         f"{args.output}: registered {summary.registered} of {summary.total} photos, "

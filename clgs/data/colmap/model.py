@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from clgs.data.colmap.binary_check import check_binary_model, check_name
 from clgs.data.colmap.text_check import check_text_poses, explain_text_model
 from clgs.data.images import stored_size
 from clgs.data.lens import Lens
+from clgs.data.photos.find import find_mask
 from clgs.data.posed_photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
 from clgs.data.pycolmap_lazy import quiet_pycolmap
 from clgs.errors import DataError
@@ -41,7 +43,7 @@ def find_model(root: Path) -> Path | None:
 
 
 def read_colmap(root: Path, model: Path) -> PhotoSet:
-    """Photos of ``root``/images posed by ``model``; every 8th by name is held out.
+    """Photos of ``root``/images posed by ``model``, with masks; every 8th by name is held out.
 
     Raises:
         DataError: naming file, field and remedy.
@@ -69,7 +71,7 @@ def _read_model(
         else:
             _read_text(reconstruction, model)
         folder = root / "images" if (root / "images").is_dir() else root
-        photos, missing = _photos(reconstruction, folder, model)
+        photos, missing = _photos(reconstruction, root, folder, model)
         points, colors = _points(reconstruction)
     return photos, missing, points, colors
 
@@ -84,7 +86,9 @@ def _read_text(reconstruction: Any, model: Path) -> None:
         raise
 
 
-def _photos(reconstruction: Any, folder: Path, model: Path) -> tuple[list[Photo], list[str]]:
+def _photos(
+    reconstruction: Any, root: Path, folder: Path, model: Path
+) -> tuple[list[Photo], list[str]]:
     posed = [image for image in reconstruction.images.values() if image.has_pose]
     photos, names, missing = [], set(), []
     for image in posed:
@@ -95,7 +99,7 @@ def _photos(reconstruction: Any, folder: Path, model: Path) -> tuple[list[Photo]
         names.add(image.name)
         path = inside(folder, image.name, source)
         if path.is_file():
-            photos.append(_photo(image, path, source))
+            photos.append(replace(_photo(image, path, source), mask=find_mask(root, image.name)))
         else:
             missing.append(image.name)
     if not photos:

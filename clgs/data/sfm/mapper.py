@@ -8,6 +8,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from clgs.data.photos.cameras import camera_numbers
+from clgs.data.photos.find import MASKS
+from clgs.data.photos.masks import undistort_masks
 from clgs.data.pycolmap_lazy import quiet_pycolmap
 from clgs.data.sfm.child import run_child, serve
 from clgs.errors import DataError
@@ -100,10 +103,12 @@ def _extract(pycolmap: Any, database: Path, images: Path, sizes: set[tuple[int, 
     options.sift.max_num_features = MAX_FEATURES_SMALL if small else MAX_FEATURES
     options.sift.first_octave = -1 if small else 0
     options.sift.peak_threshold = PEAK_THRESHOLD
-    shared = len(sizes) == 1
+    shared = len(set(camera_numbers(sorted(images.iterdir())))) == 1
     mode = pycolmap.CameraMode.SINGLE if shared else pycolmap.CameraMode.AUTO
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = "SIMPLE_RADIAL"
+    if (images.parent / MASKS).is_dir():
+        reader.mask_path = images.parent / MASKS
     pycolmap.extract_features(
         database,
         images,
@@ -158,5 +163,6 @@ def _undistort(pycolmap: Any, model: Any, images: Path, work: Path, target: Path
         work / "undistorted", work / "model", images, jpeg_quality=JPEG_QUALITY
     )
     (work / "undistorted" / "images").rename(target / "images")
+    undistort_masks(pycolmap, model, work / MASKS, target / "images", target / MASKS)
     (target / "sparse").mkdir()
     (work / "undistorted" / "sparse").rename(target / "sparse" / "0")

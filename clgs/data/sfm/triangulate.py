@@ -24,6 +24,7 @@ from PIL import Image
 
 from clgs.data.images import read_image
 from clgs.data.lens import Lens
+from clgs.data.photos.masks import read_mask, save_mask
 from clgs.data.posed_photo import Photo
 from clgs.data.pycolmap_lazy import SEEDS, quiet_pycolmap
 from clgs.data.sfm.child import run_child, serve
@@ -120,7 +121,9 @@ def _work(arguments: Any, on_stage: Callable[[str], None]) -> None:
 def _plain(photo: Photo) -> dict[str, Any]:
     """A photo as JSON can hold it, exactly."""
     arrays = {"rotation": photo.rotation.tolist(), "translation": photo.translation.tolist()}
-    return {"name": photo.name, "path": str(photo.path), "lens": asdict(photo.lens), **arrays}
+    mask = None if photo.mask is None else str(photo.mask)
+    files = {"path": str(photo.path), "mask": mask}
+    return {"name": photo.name, "lens": asdict(photo.lens), **files, **arrays}
 
 
 def _photo(plain: dict[str, Any]) -> Photo:
@@ -128,8 +131,11 @@ def _photo(plain: dict[str, Any]) -> Photo:
         name: tuple(value) if isinstance(value, list) else value
         for name, value in plain["lens"].items()
     }
-    pose = (np.array(plain[name], np.float64) for name in ("rotation", "translation"))
-    return Photo(plain["name"], Path(plain["path"]), Lens(**lens), *pose)
+    rotation, translation = (
+        np.array(plain[name], np.float64) for name in ("rotation", "translation")
+    )
+    mask = None if plain["mask"] is None else Path(plain["mask"])
+    return Photo(plain["name"], Path(plain["path"]), Lens(**lens), rotation, translation, mask)
 
 
 def _triangulate(
@@ -180,6 +186,7 @@ def _extract(pycolmap: Any, photos: list[Photo], folder: Path) -> list[_Features
     """SIFT features of every photo, in order."""
     names = [f"{number:06d}.png" for number in range(len(photos))]
     (folder / "grey").mkdir()
+    (folder / "masks").mkdir()
     features, size = [], max(BATCH, os.cpu_count() or 1)
     for start in range(0, len(photos), size):
         part = slice(start, start + size)
@@ -191,9 +198,14 @@ def _extract_batch(
     pycolmap: Any, photos: list[Photo], names: list[str], folder: Path
 ) -> list[_Features]:
     """SIFT features of some photos, which are named ``names`` in the database."""
-    colors = []
+    colors, masked = [], any(photo.mask for photo in photos)
     for photo, name in zip(photos, names, strict=True):
-        pixels = read_image(photo.path, (photo.lens.width, photo.lens.height))
+        size = photo.lens.width, photo.lens.height
+        pixels = read_image(photo.path, size)
+        if masked:
+            # All photos need one then; COLMAP brings them to the size of the image it searches.
+            used = read_mask(photo.mask, size) if photo.mask else np.ones(size[::-1], np.uint8)
+            save_mask(used, folder / "masks" / f"{name}.png")
         picture = Image.fromarray(pixels.color)
         picture.thumbnail((SIFT_SIZE, SIFT_SIZE), Image.Resampling.BOX)
         picture.convert("L").save(folder / "grey" / name, compress_level=1)
@@ -203,11 +215,15 @@ def _extract_batch(
     options.sift.max_num_features = MAX_FEATURES
     options.sift.first_octave = 0
     options.sift.peak_threshold = 0.004
+    reader = pycolmap.ImageReaderOptions()
+    if masked:
+        reader.mask_path = folder / "masks"
     pycolmap.extract_features(
         folder / "features.db",
         folder / "grey",
         image_names=names,
         camera_mode=pycolmap.CameraMode.PER_IMAGE,
+        reader_options=reader,
         extraction_options=options,
         device=pycolmap.Device.cpu,
     )
@@ -359,7 +375,8 @@ def _key(photos: list[Photo], seed: int) -> str:
     for photo in photos:
         digest.update(f"{photo.name} {photo.lens}".encode())
         digest.update(np.vstack([photo.rotation, photo.translation]).tobytes())
-        digest.update(hashlib.blake2b(photo.path.read_bytes()).digest())
+        for file in filter(None, (photo.path, photo.mask)):
+            digest.update(hashlib.blake2b(file.read_bytes()).digest())
     return digest.hexdigest()
 
 

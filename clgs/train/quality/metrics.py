@@ -1,4 +1,8 @@
-"""PSNR and SSIM between a render and a photo, in the forms that papers report."""
+"""PSNR and SSIM between a render and a photo, in the forms that papers report.
+
+Of a photo with a mask, ``used`` (H, W) of 0 and 1, both pictures are black where it is 0, and only
+the pixels where it is 1 count.
+"""
 
 from __future__ import annotations
 
@@ -26,16 +30,33 @@ def to_8bit(image: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
     return np.ascontiguousarray(levels.astype(np.uint8).transpose(1, 2, 0))
 
 
-def psnr_8bit(render: npt.NDArray[np.uint8], photo: npt.NDArray[np.uint8]) -> float:
+Used = npt.NDArray[np.uint8] | None
+
+
+def psnr_8bit(
+    render: npt.NDArray[np.uint8], photo: npt.NDArray[np.uint8], used: Used = None
+) -> float:
     """-10 log10 of one MSE over all pixels and channels, data range 1, in dB.
 
     The literature's form. Both (H, W, 3) uint8; equal pictures give infinity.
     """
     x, y = _unit_pair(render, photo)
-    return float(_decibel(np.square(x - y).mean()))
+    return float(_decibel(_chosen(np.square(x - y), used).mean()))
 
 
-def psnr_channel_mean(render: npt.NDArray[np.floating], photo: npt.NDArray[np.uint8]) -> float:
+def blackened(picture: npt.NDArray[np.uint8], used: Used) -> npt.NDArray[np.uint8]:
+    """The picture (H, W, 3) uint8, black where it is masked."""
+    return picture if used is None else picture * used[..., None]
+
+
+def _chosen(values: npt.NDArray[np.float64], used: Used) -> npt.NDArray[np.float64]:
+    """Those of ``values`` (H, W, C) that count; (N, C) if there is a mask."""
+    return values if used is None or not used.any() else values[used != 0]
+
+
+def psnr_channel_mean(
+    render: npt.NDArray[np.floating], photo: npt.NDArray[np.uint8], used: Used = None
+) -> float:
     """Mean of the three channels' PSNRs on the unclamped render, in dB.
 
     The form of the reference code. render (3, H, W) float; photo (H, W, 3) uint8. Never below
@@ -45,16 +66,18 @@ def psnr_channel_mean(render: npt.NDArray[np.floating], photo: npt.NDArray[np.ui
     shapes.check("photo", photo, "H W 3", np.uint8)
     shapes.check("render", render, "3 H W", render.dtype)
     squared = np.square(render.astype(np.float64) - (photo / 255.0).transpose(2, 0, 1))
+    if used is not None and used.any():
+        return float(np.mean(_decibel(squared[:, used != 0].mean(axis=1))))
     return float(np.mean(_decibel(squared.mean(axis=(1, 2)))))
 
 
-def ssim(render: npt.NDArray[np.uint8], photo: npt.NDArray[np.uint8]) -> float:
+def ssim(render: npt.NDArray[np.uint8], photo: npt.NDArray[np.uint8], used: Used = None) -> float:
     """Mean structural similarity over pixels and channels (Wang et al. 2004).
 
     11x11 Gaussian window of sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, data range 1,
     float64. Both (H, W, 3) uint8.
     """
-    return float(ssim_map(render, photo).mean())
+    return float(_chosen(ssim_map(blackened(render, used), blackened(photo, used)), used).mean())
 
 
 def ssim_map(

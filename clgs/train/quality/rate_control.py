@@ -76,7 +76,7 @@ class Judge:
         scores = []
         for view in self.views[:: max(1, len(self.views) // count) if count else 1]:
             photo = view.photo.planes(scene.settings.background).transpose(1, 2, 0)
-            scores.append(psnr_8bit(to_8bit(renderer.render(view.camera)), photo))
+            scores.append(psnr_8bit(to_8bit(renderer.render(view.camera)), photo, view.used()))
             self.on_render()
         return float(np.mean(scores))
 

@@ -17,7 +17,7 @@ from clgs.options import DEFAULT, RenderOptions
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.shapes import check_type
-from clgs.train.quality.metrics import psnr_8bit, psnr_channel_mean, ssim, to_8bit
+from clgs.train.quality.metrics import blackened, psnr_8bit, psnr_channel_mean, ssim, to_8bit
 
 PROTOCOL = (
     "clgs-1: 8-bit pictures; psnr: one MSE over all pixels and channels; psnr_channel_mean: mean "
@@ -95,15 +95,15 @@ def _score(
     start = time.perf_counter()
     image = renderer.render(view.camera)
     seconds = time.perf_counter() - start
-    photo = np.ascontiguousarray(planes.transpose(1, 2, 0))
+    photo, used = np.ascontiguousarray(planes.transpose(1, 2, 0)), view.used()
     picture = to_8bit(image)
     score = ViewScore(
         view.name,
-        psnr_8bit(picture, photo),
-        psnr_channel_mean(image, photo),
-        ssim(picture, photo),
+        psnr_8bit(picture, photo, used),
+        psnr_channel_mean(image, photo, used),
+        ssim(picture, photo, used),
         seconds,
-        lpips(picture, photo) if lpips else None,
+        lpips(blackened(picture, used), blackened(photo, used)) if lpips else None,
     )
     return score, Pictures(picture, photo)
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from clgs.data.view import View
 from clgs.opencl.device import Device
-from clgs.ops import loss
+from clgs.ops import loss, mask
 from clgs.options import RenderOptions
 from clgs.render.frame import DeviceScene
 from clgs.render.pipeline import render_forward
@@ -86,8 +86,11 @@ class Judge:
         for view in self.views[:: -(-len(self.views) // COMPARED)]:
             frame = render_forward(device, scene, view.camera, self.settings, self.options)
             photo = view.photo.planes(self.settings.background)
-            compared = loss.forward(device, frame.image, device.upload(photo), self.weights)
+            image, used = frame.image, view.used()
+            if used is not None:
+                image, photo = mask.forward(device, image, device.upload(used)), photo * used
+            compared = loss.forward(device, image, device.upload(photo), self.weights)
             losses.append(compared.value_later(device).get().value)
-            residual = device.download(frame.image) - photo / np.float32(255)
+            residual = device.download(image) - photo / np.float32(255)
             errors.append(float(np.square(residual, dtype=np.float64).sum()))
         return float(np.mean(losses)), max(float(np.mean(errors)), np.finfo(np.float64).tiny)

@@ -263,7 +263,7 @@ class Trainer:
         for view in views:
             image = renderer.render(view.camera)
             photo = view.photo.planes(settings.background).transpose(1, 2, 0)
-            values.append(psnr_8bit(to_8bit(image), photo))
+            values.append(psnr_8bit(to_8bit(image), photo, view.used()))
         return float(np.mean(values))
 
     def quantized_scene(self) -> QuantizedScene:

@@ -11,7 +11,7 @@ from clgs.data.stored_photo import Color
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
-from clgs.ops import adam, loss, quantize, scan
+from clgs.ops import adam, loss, mask, quantize, scan
 from clgs.render.frame import Capacity, DeviceScene, Frame
 from clgs.render.pipeline import check_capacity, render_backward, view_forward
 from clgs.scene.anchors import QuantizationScales
@@ -117,7 +117,7 @@ class StepQueue:
         frame = view_forward(device, scene, target.view, self.options, capacity)
         if capacity is not None:
             check_capacity(device, frame, capacity, self._stop)
-        value, d_image = self._compare(frame, target.photo, plan)
+        value, d_image = self._compare(frame, target, plan)
         weight = self._config.volume_weight or 0.0
         gradients = render_backward(device, scene, frame, d_image, weight)
         bits = self.rate.add(parameters, gradients, plan.step)
@@ -169,30 +169,30 @@ class StepQueue:
         return quantize.elements(self._device, parameters.scene.weights, self._weight_scales)
 
     def _compare(
-        self, frame: Frame, photo: DeviceArray, plan: Plan
+        self, frame: Frame, target: Target, plan: Plan
     ) -> tuple[loss.LaterValue, DeviceArray]:
         """The value of the loss and its gradient by the render."""
         exposures, index = self.exposures, plan.index
         if exposures is None or not exposures.learn_at(plan.step):
-            return self._loss(frame.image, photo)
+            return self._loss(frame.image, target)
         with self._device.stage("exposure"):
             picture = exposures.expose(frame.image, index)
-        value, d_picture = self._loss(picture, photo)
+        value, d_picture = self._loss(picture, target)
         with self._device.stage("exposure"):
             return value, exposures.backward(frame.image, d_picture, index, self._stop)
 
-    def _loss(
-        self, picture: DeviceArray, photo: DeviceArray
-    ) -> tuple[loss.LaterValue, DeviceArray]:
+    def _loss(self, picture: DeviceArray, target: Target) -> tuple[loss.LaterValue, DeviceArray]:
         """The value of the loss and its gradient by the picture."""
-        device = self._device
+        device, photo, used = self._device, target.photo, target.used
         weights = loss.Weights(self._config.l1_weight, self._config.ssim_weight)
         with device.stage("loss forward"):
+            picture = picture if used is None else mask.forward(device, picture, used)
             compared = loss.forward(device, picture, photo, weights)
             adam.check_finite(device, [compared.sums.partials], self._stop)
             value = compared.value_later(device)
         with device.stage("loss backward"):
-            return value, loss.backward(device, picture, photo, compared)
+            d_picture = loss.backward(device, picture, photo, compared)
+            return value, d_picture if used is None else mask.backward(device, d_picture, used)
 
     def estimated_bits(self, parameters: Parameters) -> float:
         """Bits per anchor of the rounded attributes under the proxy's model."""

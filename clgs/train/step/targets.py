@@ -23,11 +23,13 @@ BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 class Target:
     """What one step trains on: the camera with its background, and the photo.
 
-    photo (3, H, W) uint8, composited on the background.
+    photo (3, H, W) uint8, composited on the background, zero where it is masked; used (H, W) uint8
+    of 0 and 1, None if nothing is masked.
     """
 
     view: DeviceView
     photo: DeviceArray
+    used: DeviceArray | None
 
 
 class Targets:
@@ -66,7 +68,11 @@ class Targets:
         settings = RenderSettings(background, self._near)
         seen = upload_view(self._device, self._views[index].camera.reduced(factor), settings)
         planes = self._planes(index, background, factor)
-        return Target(seen, self._device.upload_constant(planes))
+        used = self._views[index].used(factor)
+        if used is None:
+            return Target(seen, self._device.upload_constant(planes), None)
+        photo, mask = map(self._device.upload_constant, (planes * used, used))
+        return Target(seen, photo, mask)
 
     def _planes(self, index: int, background: Color, factor: int) -> Planes:
         if self._fixed not in (None, background):

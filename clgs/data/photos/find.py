@@ -1,0 +1,193 @@
+"""The photos in a folder and below it, their masks, and what else lies there."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from clgs.data.images import HEIF_SUFFIXES, SUFFIXES
+from clgs.errors import DataError
+
+MASKS = "masks"
+"""The folder of masks: NAME.png for the photo NAME, or NAME without its suffix."""
+
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".mts", ".3gp")
+RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
+UNREAD_SUFFIXES = (".tif", ".tiff", ".bmp", ".gif", ".avif", ".jxl", *RAW_SUFFIXES)
+
+NAME_LENGTH = 120
+"""Characters of a photo's own name that its name in the data set keeps, the last ones."""
+
+NAMED = 5
+"""Of the files that are skipped for one reason, so many are named."""
+
+_FOREIGN_FOLDERS = (MASKS, "__MACOSX", "@eaDir")
+_UNSAFE = re.compile(r"[^\w.+=@()\[\] -]|[\ud800-\udfff]")
+
+
+@dataclass(frozen=True)
+class Found:
+    """A photo: its file, its name in the data set to be made, the file of its mask if any."""
+
+    path: Path
+    name: str
+    mask: Path | None = None
+
+
+@dataclass
+class Collection:
+    """The photos below ``root`` in order; skipped: (name below it, reason) of all other files."""
+
+    root: Path
+    photos: list[Found] = field(default_factory=list)
+    skipped: list[tuple[str, str]] = field(default_factory=list)
+
+    def lines(self) -> list[str]:
+        """One line for each reason that files were skipped for, with the first of their names."""
+        reasons: dict[str, list[str]] = {}
+        for name, reason in self.skipped:
+            shown = name[-80:] if name.isprintable() else repr(name[-80:])
+            reasons.setdefault(reason, []).append(shown)
+        return [
+            f"{self.root}: skipped {len(names)}, {reason}: {', '.join(names[:NAMED])}"
+            + ", ..." * (len(names) > NAMED)
+            for reason, names in reasons.items()
+        ]
+
+
+def is_video(path: Path) -> bool:
+    """Whether ``path`` is a file that is named as a video."""
+    return path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES
+
+
+def find_photos(folder: Path) -> Collection:
+    """Photos in ``folder``, else in its images/, and in all folders below; nothing is decoded.
+
+    Hidden files, files of other kinds, empty ones and second copies of the same bits are skipped.
+
+    Raises:
+        DataError: ``folder`` is none.
+    """
+    if folder.is_file():
+        raise DataError(f"{folder}: is a file; name the folder of the photos ({folder.parent})")
+    if not folder.is_dir():
+        raise DataError(f"{folder}: no such folder; check the path")
+    images = folder / "images"
+    own = any(_is_photo(path) for path in folder.iterdir())
+    collection = Collection(images if images.is_dir() and not own else folder)
+    masks = _masks(folder, collection.root)
+    kept = _without_copies(list(_files(collection)), collection)
+    taken: set[str] = set()
+    for path in kept:
+        below = path.relative_to(collection.root).as_posix()
+        mask = next((masks[key] for key in _mask_keys(below) if key in masks), None)
+        collection.photos.append(Found(path, _new_name(below, taken), mask))
+    used = {found.mask for found in collection.photos}
+    collection.skipped += [
+        (f"{MASKS}/{key}.png", "masks of no photo") for key, m in masks.items() if m not in used
+    ]
+    return collection
+
+
+def _is_photo(path: Path) -> bool:
+    known = path.suffix.lower() in SUFFIXES + HEIF_SUFFIXES
+    return known and not path.name.startswith(".") and path.is_file()
+
+
+def _files(collection: Collection) -> Iterator[Path]:
+    """Files that are photos by their names; what is skipped is noted."""
+    root = collection.root
+    for where, folders, names in os.walk(root):
+        here = Path(where)
+        for name in sorted(folders):
+            if (here / name).is_symlink() and name not in _FOREIGN_FOLDERS:
+                below = (here / name).relative_to(root).as_posix()
+                collection.skipped.append((below, "links to folders; copy what they hold"))
+        folders[:] = sorted(
+            name for name in folders if name not in _FOREIGN_FOLDERS and not name.startswith(".")
+        )
+        for name in sorted(names):
+            reason = _reason(here / name)
+            if reason:
+                collection.skipped.append(((here / name).relative_to(root).as_posix(), reason))
+            else:
+                yield here / name
+
+
+def _reason(path: Path) -> str:
+    """Why a file is skipped; empty if it is a photo by its name."""
+    suffix = path.suffix.lower()
+    if path.name.startswith("."):
+        return "hidden files"
+    if suffix in UNREAD_SUFFIXES:
+        return "of formats that are not read; convert them to JPEG or PNG"
+    if suffix in VIDEO_SUFFIXES:
+        return "videos; give each to clgs prepare by itself"
+    if suffix not in SUFFIXES + HEIF_SUFFIXES:
+        return "no photos"
+    if not path.exists():
+        return "broken links"
+    if not path.is_file():
+        return "no regular files"
+    return "" if path.stat().st_size else "empty files"
+
+
+def _without_copies(paths: list[Path], collection: Collection) -> list[Path]:
+    """``paths`` without files that hold the same bytes as an earlier one."""
+    by_size: dict[int, list[Path]] = {}
+    for path in paths:
+        by_size.setdefault(path.stat().st_size, []).append(path)
+    copies: set[Path] = set()
+    for same in by_size.values():
+        seen: set[bytes] = set()
+        for path in same if len(same) > 1 else ():
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "blake2b").digest()
+            if digest in seen:
+                copies.add(path)
+            seen.add(digest)
+    collection.skipped += [
+        (path.relative_to(collection.root).as_posix(), "second copies of the same bytes")
+        for path in paths
+        if path in copies
+    ]
+    return [path for path in paths if path not in copies]
+
+
+def _masks(folder: Path, root: Path) -> dict[str, Path]:
+    """The masks beside the photos or beside images/, by path below masks/ without .png."""
+    found: dict[str, Path] = {}
+    for place in dict.fromkeys((folder / MASKS, root / MASKS)):
+        if place.is_dir():
+            for path in sorted(place.rglob("*.png")):
+                if path.is_file() and not path.name.startswith("."):
+                    below = path.relative_to(place).as_posix()
+                    found.setdefault(below.removesuffix(".png"), path)
+    return found
+
+
+def _mask_keys(name: str) -> tuple[str, str]:
+    """What the mask of the photo ``name`` may be called, without .png."""
+    return name, name.rpartition(".")[0]
+
+
+def find_mask(root: Path, name: str) -> Path | None:
+    """The mask of the photo ``name`` of a data set: masks/NAME.png, NAME with or without suffix."""
+    paths = (root / MASKS / f"{key}.png" for key in _mask_keys(name))
+    return next((path for path in paths if path.is_file()), None)
+
+
+def _new_name(below: str, taken: set[str]) -> str:
+    """A name for the data set, without folders, that no other photo has; suffix as it was."""
+    plain = _UNSAFE.sub("_", below.replace("/", "_"))[-NAME_LENGTH:].lstrip(". ") or "photo.jpg"
+    stem, dot, suffix = plain.rpartition(".")
+    number, name = 1, plain
+    while name.rpartition(".")[0].lower() in taken:
+        number += 1
+        name = f"{stem}-{number}{dot}{suffix}"
+    taken.add(name.rpartition(".")[0].lower())
+    return name

@@ -1,0 +1,164 @@
+"""Sharp frames of a video, evenly spread.
+
+The program ffmpeg, which the package imageio-ffmpeg ships, decodes. It hands on up to CANDIDATES
+frames for each that is wanted, at even times; the sharpest of those near the middle of each span
+of time is written, so that neighbours are never much closer or farther than others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from clgs.data.images import MAX_PIXELS
+from clgs.errors import DataError
+
+CANDIDATES = 8
+"""Frames that each one is chosen from, if the video has so many."""
+
+MIDDLE = 0.75
+"""Share of its span of time that a frame is chosen from."""
+
+MEASURED_SIZE = 960
+"""Frames are reduced to about this width before sharpness is measured: noise is none."""
+
+JPEG_QUALITY = 95
+MAX_FRAMES = 10_000
+
+_ONLY_FILES = ["-protocol_whitelist", "file", "-nostdin"]
+"""A video may name others, even in the network; ffmpeg is to open none of them."""
+
+
+def check_video(path: Path) -> None:
+    """Raise DataError unless there is a program that reads videos."""
+    _library(path)
+
+
+def _library(path: Path) -> Any:
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise DataError(
+            f'{path}: videos need imageio-ffmpeg; pip install "clgs[video]", or give a folder of '
+            "photos"
+        ) from error
+    return imageio_ffmpeg
+
+
+def extract_frames(
+    path: Path, folder: Path, count: int, on_frame: Callable[[int], None] = lambda done: None
+) -> int:
+    """Write ``count`` frames, or as many as there are, to ``folder`` as JPEG, in order.
+
+    Args:
+        path: of the video; the rotation that it asks for is applied.
+        folder: for frame_0001.jpg and so on.
+        count: of frames, 1 to MAX_FRAMES.
+        on_frame: called with the number of frames written so far.
+
+    Returns:
+        The number of frames.
+
+    Raises:
+        DataError: no video, a damaged one, or no program that reads it.
+    """
+    seconds, rate = _length(path)
+    candidates = min(seconds * rate, CANDIDATES * count)
+    best: tuple[float, npt.NDArray[np.uint8]] | None = None
+    current = written = 0
+    for number, frame in enumerate(_frames(path, candidates / seconds)):
+        place = (number + 0.5) / candidates * count
+        if int(place) != current and best is not None:
+            written = _write(folder, best[1], written, on_frame)
+            best = None
+        current = int(place)
+        if current >= count:
+            break
+        if candidates > 2 * count and abs(place % 1 - 0.5) > MIDDLE / 2:
+            continue
+        measured = sharpness(frame)
+        if best is None or measured > best[0]:
+            best = measured, frame
+    if best is not None:
+        written = _write(folder, best[1], written, on_frame)
+    if not written:
+        raise DataError(f"{path}: no frame can be decoded; is it a whole video? record it again")
+    return written
+
+
+def sharpness(frame: npt.NDArray[np.uint8]) -> float:
+    """Variance of the Laplacian of the brightness of (H, W, 3) uint8, reduced by whole boxes."""
+    factor = max(1, round(frame.shape[1] / MEASURED_SIZE))
+    height, width = (size // factor for size in frame.shape[:2])
+    grey = frame[: height * factor, : width * factor].mean(axis=2, dtype=np.float32)
+    grey = grey.reshape(height, factor, width, factor).mean(axis=(1, 3))
+    laplacian = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:]
+    laplacian -= 4 * grey[1:-1, 1:-1]
+    return float(laplacian.var(dtype=np.float64)) if laplacian.size else 0.0
+
+
+def _length(path: Path) -> tuple[float, float]:
+    """Seconds and frames a second of a video.
+
+    Raises:
+        DataError: it has neither, or is too large.
+    """
+    library = _library(path)
+    try:
+        reader = library.read_frames(_named(path), input_params=_ONLY_FILES)
+        facts = next(reader)
+        reader.close()
+        rate, seconds = float(facts.get("fps") or 0), float(facts.get("duration") or 0)
+        width, height = facts["source_size"]
+        if not (0 < rate < 1e5 and math.isfinite(seconds) and seconds > 0):
+            total, seconds = library.count_frames_and_secs(_named(path))
+            rate = total / seconds if seconds else 0.0
+    except (OSError, RuntimeError, ValueError, KeyError, StopIteration) as error:
+        raise _damaged(path) from error
+    if not (seconds > 0 and 0 < rate < 1e5):
+        raise _damaged(path)
+    if width * height > MAX_PIXELS:
+        raise DataError(f"{path}: frames of {width}x{height} pixels are too large; scale it down")
+    return seconds, rate
+
+
+def _frames(path: Path, rate: float) -> Iterator[npt.NDArray[np.uint8]]:
+    """Frames (H, W, 3), ``rate`` of them a second, as long as the video can be decoded."""
+    output = ["-vf", f"fps={rate:.9g}", "-fps_mode", "passthrough"]
+    reader = _library(path).read_frames(
+        _named(path), pix_fmt="rgb24", input_params=_ONLY_FILES, output_params=output
+    )
+    try:
+        facts = next(reader)
+        width, height = facts["size"]
+        for data in reader:
+            yield np.frombuffer(data, np.uint8).reshape(height, width, 3)
+    except (OSError, RuntimeError, ValueError, KeyError, StopIteration) as error:
+        raise _damaged(path) from error
+    finally:
+        reader.close()
+
+
+def _named(path: Path) -> str:
+    """A name that ffmpeg takes for a file, whatever it looks like."""
+    return f"file:{path.absolute()}"
+
+
+def _damaged(path: Path) -> DataError:
+    return DataError(f"{path}: is no video that ffmpeg reads, or a damaged one; record it again")
+
+
+def _write(
+    folder: Path, frame: npt.NDArray[np.uint8], written: int, on_frame: Callable[[int], None]
+) -> int:
+    """Write one more frame; how many there are then."""
+    name = f"frame_{written + 1:05d}.jpg"
+    Image.fromarray(frame).save(folder / name, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+    on_frame(written + 1)
+    return written + 1

@@ -1,0 +1,147 @@
+"""A data set under examination: all faults at once, where the loader ends at the first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from clgs.data.colmap.model import find_model
+from clgs.data.dataset import MIN_POINTS, read_photo_set
+from clgs.data.photos.find import find_photos
+from clgs.data.posed_photo import Photo, PhotoSet
+from clgs.data.transforms import each_frame, parse_leniently
+from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, from_error, named
+from clgs.doctor.lenses import check_lenses
+from clgs.doctor.pictures import check_pictures
+from clgs.doctor.poses import check_poses
+from clgs.errors import DataError
+
+FILES = ("transforms_train.json", "transforms_test.json", "transforms.json")
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What there is, in a line, and all findings, errors first."""
+
+    summary: str
+    findings: list[Finding]
+
+
+def examine(root: Path) -> Examined:
+    """All findings of the data set in ``root``; its photos are decoded.
+
+    Raises:
+        DataError: there is no data set, and no photos either.
+    """
+    findings: list[Finding] = []
+    try:
+        photos = read_photo_set(root)
+    except DataError as error:
+        if not _is_posed(root):
+            return _unposed(root, error)
+        found = _piecewise(root)
+        findings += found.findings or [from_error(error)]
+        photos = found.photos
+    everyone = photos.train + photos.test
+    findings += _missing(root, photos)
+    if everyone:
+        findings += check_lenses(everyone)
+        findings += check_poses(everyone)
+        findings += check_pictures(everyone, photos.kind == "blender")
+    findings += _points(root, photos)
+    order = {level: number for number, level in enumerate((ERROR, WARNING, NOTE))}
+    findings.sort(key=lambda finding: order[finding.level])
+    return Examined(_summary(root, photos), findings)
+
+
+def _is_posed(root: Path) -> bool:
+    return any((root / name).is_file() for name in FILES) or find_model(root) is not None
+
+
+def _summary(root: Path, photos: PhotoSet) -> str:
+    total = len(photos.train) + len(photos.test)
+    if not total:
+        return f"{root}: no photo can be used"
+    split = f"{len(photos.train)} to train on, {len(photos.test)} held out"
+    return f"{root}: {photos.kind}, {total} photos ({split})"
+
+
+def _unposed(root: Path, error: DataError) -> Examined:
+    """Photos without poses: what ``clgs prepare`` would make of them."""
+    if not root.is_dir():
+        raise error
+    found = find_photos(root)
+    if not found.photos:
+        raise error
+    findings = [from_error(error)]
+    for line in found.lines():
+        text = line.removeprefix(f"{found.root}: ")
+        findings.append(Finding(NOTE, "", text, "nothing to do, if these are no photos of it"))
+    return Examined(f"{root}: {len(found.photos)} photos without poses", findings)
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    photos: PhotoSet
+    findings: list[Finding]
+
+
+def _piecewise(root: Path) -> _Pieces:
+    """Each frame of the data set's files by itself; nothing of a COLMAP model, which is one."""
+    kind = "blender" if (root / FILES[0]).is_file() else "transforms"
+    photos: dict[str, Photo] = {}
+    missing: list[str] = []
+    findings: list[Finding] = []
+    for name in FILES:
+        file = root / name
+        if not file.is_file():
+            continue
+        try:
+            for number, found in enumerate(each_frame(root, file, parse_leniently(file))):
+                if isinstance(found, DataError):
+                    findings.append(from_error(found))
+                elif isinstance(found, str):
+                    missing.append(found)
+                elif found.name in photos and kind == "transforms":
+                    where, problem = f"{file}: frame {number}", f"{found.name!r} occurs twice"
+                    findings.append(Finding(ERROR, where, problem, "keep one of the two"))
+                else:
+                    photos[found.name] = found
+        except DataError as error:
+            findings.append(from_error(error))
+    return _Pieces(PhotoSet(kind, list(photos.values()), [], missing), findings)
+
+
+def _missing(root: Path, photos: PhotoSet) -> Iterator[Finding]:
+    if photos.missing:
+        total = len(photos.missing) + len(photos.train) + len(photos.test)
+        problem = f"{len(photos.missing)} of {total} photos are missing"
+        remedy = "restore them; training leaves them out"
+        near = _near_names(root, photos.missing)
+        if near:
+            remedy = f"rename {near[0]} and its like; names must agree in capitals and suffix"
+        yield Finding(WARNING, named(photos.missing), problem, remedy)
+
+
+def _near_names(root: Path, missing: list[str]) -> list[str]:
+    """Files that bear the name of a missing one but for capitals and suffix."""
+    found = []
+    for name in missing:
+        for base in (root, root / "images"):
+            wanted = base / name
+            if wanted.is_relative_to(root) and ".." not in wanted.parts and wanted.parent.is_dir():
+                stem = wanted.stem.lower()
+                found += [p.name for p in wanted.parent.iterdir() if p.stem.lower() == stem]
+    return found
+
+
+def _points(root: Path, photos: PhotoSet) -> Iterator[Finding]:
+    if photos.points is not None and len(photos.points) < MIN_POINTS:
+        problem = f"only {len(photos.points)} points to start from"
+        yield Finding(WARNING, "", problem, "prepare again, or give --points FILE")
+    others = [p for p in sorted((root / "sparse").glob("[0-9]*")) if p.name != "0" and p.is_dir()]
+    if photos.kind == "colmap" and others:
+        problem = f"there are {len(others) + 1} models; sparse/0 is used"
+        remedy = "if photos are missing, take more between the parts and prepare again"
+        yield Finding(NOTE, named([p.name for p in others]), problem, remedy)

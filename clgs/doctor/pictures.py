@@ -1,0 +1,136 @@
+"""The photos' files: damaged, twice the same, of several sizes, of changing exposure, masked."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from clgs.data.images import open_image
+from clgs.data.photos.masks import read_mask
+from clgs.data.posed_photo import Photo
+from clgs.data.reduction import MAX_SIZE
+from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, from_error, named
+from clgs.errors import DataError
+
+SMALL_SIDE = 64
+"""Pixels; photos that are smaller have little to learn from."""
+
+JUMP = 0.6
+"""Stops between neighbours from which on a jump is reported, if it is rare."""
+
+RARE = 6.0
+"""A jump exceeds the median difference of neighbours so many times."""
+
+_THUMBNAIL = 64
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """digest of the file; brightness: mean level in (0, 1]; used: share that a mask leaves."""
+
+    digest: bytes
+    brightness: float
+    used: float
+
+
+def check_pictures(photos: list[Photo], rendered: bool) -> Iterator[Finding]:
+    """Findings of all files; every photo is decoded, small where its format allows.
+
+    Args:
+        photos: in the order of the data set.
+        rendered: no camera took them, so that their brightness says nothing.
+    """
+    yield from _sizes(photos)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        looked = list(pool.map(_look, photos))
+    whole = []
+    for photo, found in zip(photos, looked, strict=True):
+        if isinstance(found, DataError):
+            fault = from_error(found)
+            yield Finding(ERROR, photo.name, fault.problem, fault.remedy)
+        else:
+            whole.append((photo.name, found))
+    yield from _copies(whole)
+    yield from _masks(whole)
+    if not rendered:
+        yield from _exposure(sorted(whole))
+
+
+def _look(photo: Photo) -> _Looked | DataError:
+    try:
+        with photo.path.open("rb") as file:
+            digest = hashlib.file_digest(file, "blake2b").digest()
+        used = 1.0
+        if photo.mask:
+            used = float(read_mask(photo.mask, (photo.lens.width, photo.lens.height)).mean())
+        with open_image(photo.path) as picture:
+            if picture.mode == "RGB":
+                picture.draft("RGB", (_THUMBNAIL, _THUMBNAIL))
+            picture.load()
+            deep = picture.mode.startswith("I")
+            small = picture.resize((_THUMBNAIL, _THUMBNAIL), reducing_gap=2.0)
+            levels = np.asarray(small if deep else small.convert("RGBA"), np.float64)
+    except OSError as error:
+        return DataError(f"{photo.path}: {error.strerror or error}; replace it")
+    except DataError as error:
+        return error
+    if deep:
+        return _Looked(digest, max(float(levels.mean()) / 65535, 1e-3), used)
+    weight = np.maximum(levels[..., 3], 1e-9)
+    brightness = float((levels[..., :3].mean(axis=2) * weight).sum() / weight.sum()) / 255
+    return _Looked(digest, max(brightness, 1e-3), used)
+
+
+def _sizes(photos: list[Photo]) -> Iterator[Finding]:
+    counts = Counter((photo.lens.width, photo.lens.height) for photo in photos)
+    if len(counts) > 1:
+        text = ", ".join(f"{n} of {w}x{h}" for (w, h), n in counts.most_common(4))
+        more = ", ..." * (len(counts) > 4)
+        yield Finding(NOTE, "", f"photos have several sizes: {text}{more}", "nothing to do")
+    widest = max(width for width, _ in counts)
+    if widest > MAX_SIZE:
+        problem = f"photos are up to {widest} pixels wide, and reduced to {MAX_SIZE}"
+        yield Finding(NOTE, "", problem, "--max-size 0 keeps their size; --downscale is faster")
+    tiny = [photo.name for photo in photos if min(photo.lens.width, photo.lens.height) < SMALL_SIDE]
+    if tiny:
+        problem = f"a side is shorter than {SMALL_SIDE} pixels"
+        yield Finding(WARNING, named(tiny), problem, "use the photos as they were taken")
+
+
+def _copies(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
+    by_digest: dict[bytes, list[str]] = {}
+    for name, looked in whole:
+        by_digest.setdefault(looked.digest, []).append(name)
+    for names in by_digest.values():
+        if len(names) > 1:
+            problem = f"{len(names)} files hold the same bytes"
+            remedy = "keep one: a held-out photo that is trained on scores too well"
+            yield Finding(WARNING, named(names), problem, remedy)
+
+
+def _masks(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
+    used = [looked.used for _, looked in whole if looked.used < 1.0]
+    if used:
+        problem = f"{len(used)} photos are masked; {np.mean(used):.0%} of their pixels are used"
+        yield Finding(NOTE, "", problem, "nothing to do: what is masked is neither used nor scored")
+
+
+def _exposure(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
+    """Jumps of brightness between photos that are neighbours by name."""
+    if len(whole) < 4:
+        return
+    stops = np.abs(np.diff(np.log2([looked.brightness for _, looked in whole])))
+    limit = max(JUMP, RARE * float(np.median(stops)))
+    jumps = [
+        f"{whole[i][0]} to {whole[i + 1][0]} ({stops[i]:.1f} stops)"
+        for i in np.flatnonzero(stops > limit)
+    ]
+    if jumps:
+        remedy = "clgs train --exposure learns it; better, fix exposure and white balance"
+        yield Finding(WARNING, named(jumps), "brightness jumps between neighbours", remedy)

@@ -1,0 +1,54 @@
+"""Masks of photos: pixels that are not used are zero in render and photo before the loss.
+
+    masked = used * image,    d_image = used * d_masked
+
+as nerfstudio's splatfacto does. The map is its own transpose: one kernel serves both ways.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device, round_up
+from clgs.shapes import Shapes
+
+GROUP_SIZE = 64
+
+
+def forward(device: Device, image: DeviceArray, used: DeviceArray) -> DeviceArray:
+    """The image with zeros where it is not used, (3, H, W) float32.
+
+    Args:
+        device: where the arrays live.
+        image: (3, H, W) float32.
+        used: (H, W) uint8, 0 or 1.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    shapes = Shapes()
+    shapes.check("image", image, "3 H W", np.float32)
+    shapes.check("used", used, "H W", np.uint8)
+    masked = device.empty(image.shape)
+    device.run(
+        device.kernel("loss/mask", "mask_apply"),
+        (round_up(-(-used.size // device.vec), GROUP_SIZE),),
+        (GROUP_SIZE,),
+        *(image, used, np.uint32(used.size), masked),
+    )
+    return masked
+
+
+def backward(device: Device, d_masked: DeviceArray, used: DeviceArray) -> DeviceArray:
+    """d_image (3, H, W) float32, from the gradient by what :func:`forward` returned.
+
+    Args:
+        device: where the arrays live.
+        d_masked: (3, H, W) float32.
+        used: as given to :func:`forward`.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    return forward(device, d_masked, used)

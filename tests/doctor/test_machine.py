@@ -1,0 +1,97 @@
+"""The machine: why there is no device, in words that help."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from clgs.cli.main import main
+from clgs.doctor.finding import ERROR
+from clgs.doctor.machine import available_memory, examine_machine
+from clgs.opencl import absence, choose
+
+
+def test_a_device_passes_and_the_machine_is_described(capsys):
+    assert main(["doctor", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["devices"][0]["checks"] >= 1
+    assert document["devices"][0]["worst"] <= 1
+    assert {"system", "processor", "memory", "disk", "versions"} == set(document["machine"])
+    assert all(one["level"] != ERROR for one in document["findings"])
+    assert main(["doctor"]) == 0
+    assert "checks passed" in capsys.readouterr().out
+
+
+def run_clgs(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    code = "import sys; from clgs.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, *words]
+    environment = os.environ | variables
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture
+def pocl_alone() -> None:
+    names = [device.platform.name for device in choose.list_devices()]
+    if set(names) != {"Portable Computing Language"} or not absence.drivers():
+        pytest.skip("needs PoCL from the system, and no other driver")
+
+
+@pytest.mark.usefixtures("pocl_alone")
+def test_an_unwritable_cache_is_named(tmp_path: Path):
+    (tmp_path / "file").touch()
+    done = run_clgs("devices", POCL_CACHE_DIR=str(tmp_path / "file" / "kcache"))
+    assert done.returncode == 4
+    assert len(done.stderr.splitlines()) == 1
+    assert "PoCL cannot keep its kernels" in done.stderr
+    assert "set POCL_CACHE_DIR" in done.stderr
+    done = run_clgs("doctor", POCL_CACHE_DIR=str(tmp_path / "file" / "kcache"))
+    assert done.returncode == 4
+    assert "error    OpenCL: PoCL cannot keep its kernels" in done.stdout
+
+
+@pytest.mark.usefixtures("pocl_alone")
+def test_drivers_that_are_not_named_or_do_not_load(tmp_path: Path):
+    done = run_clgs("doctor", OCL_ICD_VENDORS=str(tmp_path))
+    assert done.returncode == 4
+    assert f"{tmp_path} names no driver" in done.stdout
+    (tmp_path / "broken.icd").write_text("libnothing.so.1\n")
+    (tmp_path / "empty.icd").touch()
+    done = run_clgs("devices", OCL_ICD_VENDORS=str(tmp_path))
+    assert done.returncode == 4
+    assert "broken.icd: libnothing.so.1: libnothing.so.1: cannot open" in done.stderr
+    assert "empty.icd" in done.stderr
+
+
+def test_a_device_that_computes_wrongly_is_an_error(monkeypatch):
+    from clgs.selftest import training_checks
+
+    def wrong(device, count):
+        yield "scan", "offsets", 2.0, 1.0, 0.1
+
+    monkeypatch.setattr(training_checks, "training_checks", wrong)
+    found = examine_machine()
+    assert not found.usable
+    assert any("scan offsets" in one.problem for one in found.findings)
+
+
+def test_the_cache_follows_its_variables(monkeypatch):
+    monkeypatch.setenv("POCL_CACHE_DIR", "/a")
+    assert absence.pocl_cache() == Path("/a")
+    monkeypatch.delenv("POCL_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/b")
+    assert absence.pocl_cache() == Path("/b/pocl/kcache")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", "/c")
+    assert absence.pocl_cache() == Path("/c/.cache/pocl/kcache")
+
+
+def test_memory_is_known_on_linux():
+    if not sys.platform.startswith("linux"):
+        assert available_memory() is None
+    else:
+        assert (available_memory() or 0) > 0
