@@ -93,7 +93,12 @@ def test_the_readme_lists_every_command():
     assert tuple(listed) == COMMANDS
 
 
-DISTRIBUTIONS = {"PIL": "pillow", "tomli_w": "tomli-w"}
+DISTRIBUTIONS = {
+    "imageio_ffmpeg": "imageio-ffmpeg",
+    "pillow_heif": "pillow-heif",
+    "PIL": "pillow",
+    "tomli_w": "tomli-w",
+}
 """Names of packages on PyPI where that is not the name that is imported."""
 
 
