@@ -48,6 +48,7 @@ def __getattr__(name: str) -> Any:
     """Import the module that holds ``name`` on first use (PEP 562)."""
     if name not in _HOMES:
         raise AttributeError(f"module 'clgs' has no attribute {name!r}")
+    _warn_of_order()
     return getattr(importlib.import_module(_HOMES[name]), name)
 
 
@@ -56,8 +57,7 @@ def _warn_of_order() -> None:
     loaded = {name: place for place, name in enumerate(sys.modules)}
     if "pycolmap" in loaded and loaded["pycolmap"] < loaded.get("PIL.Image", len(loaded)):
         warnings.warn(
-            "pycolmap was imported before Pillow: saving a PNG may crash; import PIL.Image, or "
-            "clgs, first",
+            "pycolmap was imported before Pillow: saving a PNG may crash; import PIL.Image first",
             RuntimeWarning,
             stacklevel=3,
         )

@@ -121,6 +121,10 @@ def _run(argv: Sequence[str] | None) -> int:
     import logging
 
     logging.basicConfig(format="clgs: warning: %(message)s", level=logging.WARNING)
+    if sys.stderr is not None and sys.stderr.isatty():
+        from clgs.cli.notes import show_notes
+
+        show_notes()
     module = importlib.import_module(f"clgs.cli.commands.{args.command}")
     try:
         code: int = module.run(args)

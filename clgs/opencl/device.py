@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import re
+import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -30,6 +32,12 @@ POOL_BITS = {"cpu": 0, "gpu": 2}
 SPECIALISATIONS = ("cpu", "gpu")
 BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
 """Subnormals cost CPUs dearly; warnings are the lint's (scripts/checks/lint_kernels.sh)."""
+
+COMPILED_SECONDS = 0.06
+"""Processor time above which a program was compiled, not taken from the driver's cache."""
+
+NOTES = "clgs.notes"
+"""The logger of what is good to know while one waits."""
 
 
 class Device:
@@ -69,6 +77,7 @@ class Device:
         self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=bits)
         self._kernels: dict[tuple[Any, ...], cl.Kernel] = {}
         self._programs: dict[tuple[Any, ...], cl.Program] = {}
+        self._told = False
 
     def _usual_specialisation(self) -> str:
         return "cpu" if self.cl_device.type & cl.device_type.CPU else "gpu"
@@ -212,6 +221,7 @@ class Device:
             macros = {**constants.defines(), **specialised, **defines}
             options = [f"-D{name}={_literal(value)}" for name, value in sorted(macros.items())]
             file = program_file(program, self.specialisation)
+            start = time.thread_time()
             try:
                 built = cl.Program(self.context, read_program(file))
                 with warnings.catch_warnings():
@@ -222,7 +232,14 @@ class Device:
                     f"kernels_cl/{file} does not build on {self.name}: "
                     f"{_first_complaint(str(error))}"
                 ) from error
+            self._tell(time.thread_time() - start)
         return self._programs[key]
+
+    def _tell(self, seconds: float) -> None:
+        """Say once that kernels are compiled, which the next start of a program need not do."""
+        if seconds > COMPILED_SECONDS and not self._told:
+            self._told = True
+            logging.getLogger(NOTES).info("compiling kernels for %s (once)", self.name)
 
     def run(
         self,

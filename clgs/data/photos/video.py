@@ -93,13 +93,14 @@ def extract_frames(
 
 
 def sharpness(frame: npt.NDArray[np.uint8]) -> float:
-    """Variance of the Laplacian of the brightness of (H, W, 3) uint8, reduced by whole boxes."""
+    """Variance of the Laplacian of the green of (H, W, 3) uint8, reduced by whole boxes."""
     factor = max(1, round(frame.shape[1] / MEASURED_SIZE))
     height, width = (size // factor for size in frame.shape[:2])
-    grey = frame[: height * factor, : width * factor].mean(axis=2, dtype=np.float32)
-    grey = grey.reshape(height, factor, width, factor).mean(axis=(1, 3))
-    laplacian = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:]
-    laplacian -= 4 * grey[1:-1, 1:-1]
+    green = frame[: height * factor, : width * factor, 1].astype(np.float32)
+    if factor > 1:
+        green = green.reshape(height, factor, width, factor).mean(axis=(1, 3))
+    laplacian = green[:-2, 1:-1] + green[2:, 1:-1] + green[1:-1, :-2] + green[1:-1, 2:]
+    laplacian -= 4 * green[1:-1, 1:-1]
     return float(laplacian.var(dtype=np.float64)) if laplacian.size else 0.0
 
 
