@@ -31,6 +31,7 @@ COMMANDS = (
     "pack",
     "unpack",
     "render",
+    "view",
     "eval",
     "export",
     "info",

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.opencl.array import DeviceArray
-from clgs.scene.scene import RenderSettings, SceneTransform
 from clgs.shapes import Shaped, Shapes
 
 Array = TypeVar("Array", bound=Shaped)
@@ -80,15 +79,3 @@ HostGaussians = OrdinaryGaussians[npt.NDArray[np.float32]]
 
 DeviceGaussians = OrdinaryGaussians[DeviceArray]
 """Float32 Gaussians on a device."""
-
-
-@dataclass
-class SplatScene:
-    """A renderable scene of ordinary Gaussians; by default in the units of its data set."""
-
-    gaussians: HostGaussians
-    settings: RenderSettings = field(default_factory=RenderSettings)
-    transform: SceneTransform = field(default_factory=SceneTransform)
-
-    def __post_init__(self) -> None:
-        self.gaussians.check(np.float32)

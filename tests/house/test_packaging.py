@@ -93,14 +93,16 @@ def test_the_readme_lists_every_command():
     assert tuple(listed) == COMMANDS
 
 
-DISTRIBUTIONS = {"PIL": "pillow", "tomli_w": "tomli-w"}
+DISTRIBUTIONS = {"PIL": "pillow", "tomli_w": "tomli-w", "imageio_ffmpeg": "imageio-ffmpeg"}
 """Names of packages on PyPI where that is not the name that is imported."""
 
 
 def test_every_library_that_the_package_imports_is_declared_and_used():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    needed = project["dependencies"] + extras["plot"] + extras["lpips"]
+    needed = project["dependencies"]
+    for extra in ("plot", "lpips", "video", "view"):
+        needed = needed + extras[extra]
     declared = {re.match(r"[\w-]+", one)[0] for one in needed}
     imported = {
         name.split(".")[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,14 +19,24 @@ if TYPE_CHECKING:
     from clgs.data.dataset import Dataset
     from clgs.data.view import View
     from clgs.options import RenderOptions
-    from clgs.scene.scene import QuantizedScene
+    from clgs.scene.scene import QuantizedScene, SplatScene
 
 
-def add_view_options(parser: argparse.ArgumentParser, data_required: bool) -> None:
-    """Add the options that choose views, their rendering and the device."""
+BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
+
+
+def add_view_options(parser: argparse.ArgumentParser, split: bool = True) -> None:
+    """Add the options that choose views (--split if so), their rendering and the device."""
     add = parser.add_argument
-    add("--data", type=Path, required=data_required, help="the dataset that the scene was made of")
-    add("--split", choices=("train", "test"), default="test", help="which views (default: test)")
+    add("--data", type=Path, help="the dataset that the scene was made of")
+    if split:
+        splits = ("train", "test")
+        add("--split", choices=splits, default="test", help="which views (default: test)")
+    add(
+        "--background",
+        choices=BACKGROUNDS,
+        help="behind the scene (default: the scene's own; of a PLY file black)",
+    )
     add_size_options(parser, "SCENE")
     trained = "as the config.toml beside SCENE says, else"
     add_accuracy_options(parser, f"{trained} parity", f"{trained} 0")
@@ -97,26 +108,41 @@ def check_apart(output: Path, data: Path) -> None:
         raise UsageError(f"{output}: is the folder of the photos; name another with -o")
 
 
-def selected_views(args: argparse.Namespace, scene: QuantizedScene) -> list[View]:
+def selected_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> list[View]:
     """The views that the options name, posed in the scene's units; their photos are not read yet.
 
     Raises:
         DataError: the split is empty, or the dataset does not fit the scene.
     """
-    dataset = _load(args, scene)
+    dataset = load_views(args, scene)
     views = dataset.test if args.split == "test" else dataset.train
     if not views:
         raise DataError(f"{args.data}: has no {args.split} views; try --split train")
     return views
 
 
-def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
+def load_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> Dataset:
+    """The data set in the scene's units, without points; its photos are not read yet.
+
+    Raises:
+        DataError: nothing usable there.
+    """
     from clgs.data.dataset import load_dataset
     from clgs.data.repose import repose
 
     reduction = _reduction(args)
     dataset = load_dataset(args.data, downscale=reduction, load_images=False, load_points=False)
     return repose(dataset, scene.transform)
+
+
+def over_background(
+    args: argparse.Namespace, scene: QuantizedScene | SplatScene
+) -> QuantizedScene | SplatScene:
+    """The scene over the background that --background names, else as it is."""
+    if args.background is None:
+        return scene
+    settings = replace(scene.settings, background=BACKGROUNDS[args.background])
+    return replace(scene, settings=settings)
 
 
 def selected_options(args: argparse.Namespace) -> RenderOptions:
