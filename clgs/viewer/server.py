@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import warnings
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,8 +67,11 @@ def open_server(shown: Shown, host: str, port: int) -> Any:
         ClgsError: viser is missing, or the port cannot be opened.
     """
     viser = load_viser()
+    # a picture that was drawn while its browser went away
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
     try:
-        server = viser.ViserServer(host=host, port=port, label="clgs", verbose=False)
+        with redirect_stdout(io.StringIO()):  # it prints its address, in a box
+            server = viser.ViserServer(host=host, port=port, label="clgs", verbose=False)
     except OSError as error:
         raise ClgsError(f"port {port} cannot be opened ({error}); give another --port") from error
     framing = shown.framing

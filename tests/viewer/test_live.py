@@ -117,7 +117,7 @@ def test_a_follower_draws_coarse_then_fine_and_ends():
 def photo_view(camera, level=200):
     picture = np.full((camera.height, camera.width, 3), level, np.uint8)
     picture[: camera.height // 2] //= 2
-    return View("a", camera, StoredPhoto(lambda: Pixels(picture, None)))
+    return View("a", camera, StoredPhoto.of(Pixels(picture, None)))
 
 
 def test_a_photo_lies_over_the_render_where_it_was_taken():
@@ -132,13 +132,13 @@ def test_a_photo_lies_over_the_render_where_it_was_taken():
     photo = compare(render, there, view, black, PHOTO)
     assert not photo[:, :30].any()  # beside the photo is render
     assert not photo[:, 150:].any()
-    assert (photo[:38, 30:150] == 100).all()
-    assert (photo[42:, 30:150] == 200).all()
+    assert (photo[:30, 30:150] == 100).all()
+    assert (photo[50:, 30:150] == 200).all()
     halves = compare(render, there, view, black, HALVES)
-    assert (halves[42:, 30:90] == 200).all()
+    assert (halves[50:, 30:90] == 200).all()
     assert not halves[:, 90:].any()
     error = compare(photo, there, view, black, ERROR)
-    assert (error[42:, 30:150] == error[60, 90]).all()
+    assert (error[50:, 30:150] == error[60, 90]).all()
 
 
 def test_photos_of_one_name_can_be_told_apart():

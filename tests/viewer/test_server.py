@@ -71,7 +71,7 @@ def pictures(socket, count):
         packed = int.from_bytes(data[8:16], "little")
         text = zstandard.ZstdDecompressor().decompress(data[16 : 16 + packed])
         for message in msgspec.msgpack.decode(text)["messages"]:
-            if message["type"] == "BackgroundImageMessage":
+            if message["type"] == "BackgroundImageMessage" and message["rgb_data"]:
                 found.append(np.asarray(Image.open(io.BytesIO(message["rgb_data"]))))
     return found
 

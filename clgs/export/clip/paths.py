@@ -33,7 +33,7 @@ def pinhole(
         aspect: width over height of the picture if pixels are not square; 0: they are.
     """
     width, height = size
-    fy = height / (2 * np.tan(np.radians(fov) / 2))
+    fy = float(height / (2 * np.tan(np.radians(fov) / 2)))
     fx = fy * width / (height * aspect) if aspect else fy
     return Camera(rotation, -rotation @ centre, fx, fy, width / 2, height / 2, width, height)
 
