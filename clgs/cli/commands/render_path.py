@@ -69,7 +69,8 @@ def _check_output(args: argparse.Namespace) -> bool:
         load_writer()
         return True
     check_folder(args.output)
-    check_new(args, args.output / _name(0))
+    if args.output.exists():
+        check_new(args, args.output / _name(0))
     return False
 
 

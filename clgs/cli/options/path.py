@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -141,6 +142,9 @@ def _framing(
     framing = frame_scene(scene, args.size or SIZE, up)
     if dataset is not None:
         framing = frame_cameras([view.camera for view in dataset.train], framing)
+    elif up is None:
+        guess = next(name for name, axis in UPS.items() if np.array_equal(axis, framing.up))
+        print(f"clgs: up is taken to be {guess}; --up or --data may correct it", file=sys.stderr)
     return replace(framing, size=args.size) if args.size else framing
 
 

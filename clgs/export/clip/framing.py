@@ -27,7 +27,7 @@ REACH = 4.0
 """Largest distance of the cameras of most data sets from their mean, scene units: a ring without a
 data set stays within it, where the scene has been seen."""
 
-HELD = 0.8
+HELD = 0.9
 """Share of a scene that such a ring has in view."""
 
 OPEN_ARC = np.radians(120.0)

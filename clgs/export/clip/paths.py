@@ -16,8 +16,9 @@ SPIRAL_TURNS = 2
 SPIRAL_SHARE = 0.15
 """Radius of a spiral as a share of the distance to the centre, at most."""
 
-FRAMES_BY_KEY = 8
-"""A path through photos passes one at most every so many frames: more would be a shaky walk."""
+FRAMES_BY_KEY, LEAST_KEYS = 8, 12
+"""A path through photos passes one at most every so many frames, for more would be a shaky walk;
+but not fewer than that, for the way between them would cut through things."""
 
 
 def pinhole(
@@ -81,7 +82,7 @@ def _towards_centre(framing: Framing, eye: Vector) -> Camera:
 def through_photos(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     """Through photos: some of ``cameras``, evenly spread, in an order that makes a short way."""
     ordered = [cameras[i] for i in walking_order(np.array([c.centre for c in cameras]))]
-    keys = min(len(ordered), max(4, frames // FRAMES_BY_KEY))
+    keys = min(len(ordered), max(LEAST_KEYS, frames // FRAMES_BY_KEY))
     chosen = np.unique(np.rint(np.linspace(0, len(ordered) - 1, keys)).astype(int))
     return interpolate([ordered[i] for i in chosen], frames)
 
