@@ -17,10 +17,16 @@ from clgs.scene.camera import Camera
 from clgs.viewer.live import Eye, Follower, LiveScene, eye_of
 from clgs.viewer.photos import RENDER, SHOWN, compare, names_of, stands_at
 
-FRUSTUM_DEPTH = 0.06
+FRUSTUM_DEPTH = 0.05
 """Size of a photo's camera as a share of the ring's radius."""
 
+LINE = 1.5
+"""Pixels."""
+
 COLORS = {"train": (40, 90, 220), "test": (230, 120, 20)}
+START = 1.25
+"""The first place is so many times as far from the centre as the photos' cameras."""
+
 NO_PHOTO = "(free)"
 STILL_ROWS = 1080
 """Rows of a picture at rest, at most, by default."""
@@ -61,7 +67,7 @@ def load_viser() -> Any:
 
 
 def open_server(shown: Shown, host: str, port: int) -> Any:
-    """A viser server that shows a scene until its ``stop()``; ``get_port()`` is its port.
+    """A viser server that shows a scene until :func:`close_server`; ``get_port()`` is its port.
 
     Raises:
         ClgsError: viser is missing, or the port cannot be opened.
@@ -76,7 +82,8 @@ def open_server(shown: Shown, host: str, port: int) -> Any:
         raise ClgsError(f"port {port} cannot be opened ({error}); give another --port") from error
     framing = shown.framing
     server.scene.set_up_direction(tuple(framing.up))
-    server.initial_camera.position = tuple(framing.place(framing.arc[0]))
+    start = framing.place(framing.arc[0] if framing.closed else sum(framing.arc) / 2)
+    server.initial_camera.position = tuple(framing.centre + START * (start - framing.centre))
     server.initial_camera.look_at = tuple(framing.centre)
     server.initial_camera.fov = float(np.radians(framing.fov))
     windows: dict[int, _Window] = {}
@@ -92,6 +99,12 @@ def open_server(shown: Shown, host: str, port: int) -> Any:
     server.on_client_connect(enter)
     server.on_client_disconnect(leave)
     return server
+
+
+def close_server(server: Any) -> None:
+    """End the server that :func:`open_server` made."""
+    with redirect_stdout(io.StringIO()):  # it says so
+        server.stop()
 
 
 class _Window:
@@ -135,6 +148,8 @@ class _Window:
                     fov=eye.fov,
                     aspect=camera.width / camera.height,
                     scale=scale,
+                    thickness=LINE,
+                    thickness_units="screen",
                     color=COLORS.get(split, COLORS["train"]),
                     wxyz=eye.wxyz,
                     position=eye.position,

@@ -14,6 +14,7 @@ from clgs.render.picture import draw
 from clgs.render.renderer import Renderer
 from clgs.render.splats import splats_backward, splats_forward
 from clgs.scene.scene import RenderSettings, SplatScene
+from clgs.train.quality.metrics import to_8bit
 from tests.compare import relative_l2
 from tests.ops.cases.project import camera_at
 from tests.ops.cases.splats import stored, widen
@@ -62,6 +63,16 @@ def test_image_and_gradients_match_float64(device, rng, degree):
         expected = getattr(wanted, name)
         assert np.abs(expected).max() > 0, name
         assert relative_l2(device.download(array), expected) <= 1e-5, name
+
+
+def test_a_wall_with_a_coefficient_of_minus_one_shows_56(device, rng):
+    """In sRGB: 255 (1/2 - 0.2821) = 55.6, and no display transform."""
+    count = 40
+    wall = stored(rng, count, 0)
+    wall.mean[:] = rng.uniform(-0.1, 0.1, (count, 3))
+    wall.log_scale[:], wall.opacity[:], wall.sh[:] = 1.0, 5.0, -1.0
+    picture = to_8bit(Renderer(device, SplatScene(wall)).render(CAMERA))
+    assert (picture[14:42, 18:54] == 56).all()
 
 
 @pytest.mark.parametrize("max_memory", [None, 1 << 18])

@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; exit code 130 then."""
     from clgs.cli.options.scene import read_drawable
     from clgs.opencl.device import Device
-    from clgs.viewer.server import load_viser, open_server
+    from clgs.viewer.server import close_server, load_viser, open_server
 
     load_viser()
     scene, size = read_drawable(args.scene)
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         server.sleep_forever()
     finally:
-        server.stop()
+        close_server(server)
     return 0
 
 

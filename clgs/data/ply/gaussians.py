@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.splats import Splats
+from clgs.codec.splats import Splats, unpack
 from clgs.data.ply.splat_steps import POSITION, SCALE
 from clgs.data.ply.splats import FEATURE_OF_ANCHORS, ROTATION
 from clgs.data.ply.table import read_ply
-from clgs.errors import DataError
+from clgs.errors import CodecError, DataError
 from clgs.scene.gaussians import DEGREES, HostGaussians, OrdinaryGaussians
+from clgs.scene.scene import SplatScene
 
 DC = [f"f_dc_{i}" for i in range(3)]
 REST = "f_rest_"
@@ -27,6 +28,25 @@ REST = "f_rest_"
 Columns = Mapping[str, npt.NDArray[Any]]
 
 _log = logging.getLogger(__name__)
+
+
+def load_splats(path: Path | str) -> SplatScene:
+    """Ordinary Gaussians to render: a 3DGS PLY file, or a .clgs file of ``clgs pack``.
+
+    They are in the units of their data set, over black.
+
+    Raises:
+        DataError: no such file, or it is damaged, lacks a property or holds something else.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".clgs":
+        return SplatScene(read_gaussians(path))
+    try:
+        return SplatScene(gaussians_of_splats(unpack(path.read_bytes()), path))
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file; name a .ply or .clgs file") from None
+    except CodecError as error:
+        raise CodecError(f"{path}: {error}") from error
 
 
 def read_gaussians(path: Path | str) -> HostGaussians:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.codec.splats import pack, unpack
-from clgs.data.ply.gaussians import gaussians_of_splats, read_gaussians
+from clgs.data.ply.gaussians import gaussians_of_splats, load_splats, read_gaussians
 from clgs.data.ply.splats import read_splats
 from clgs.data.ply.table import Table, pack_ply
 from clgs.errors import DataError
@@ -53,6 +53,18 @@ def test_packed_splats_are_the_same_but_for_their_steps(tmp_path, rng):
         error = np.abs(getattr(found, name)[order] - getattr(before, name)).max()
         assert error <= errors[most] * 1.001 + 1e-6, name
     assert np.abs(found.sh[order] - before.sh).max() <= 1 / 64 + 1e-6
+
+
+def test_both_kinds_of_file_are_loaded_by_name(tmp_path, rng):
+    path = write(tmp_path / "s.ply", columns_of(stored(rng, 50)))
+    (tmp_path / "s.clgs").write_bytes(pack(read_splats(path, {})[0]))
+    assert len(load_splats(path).gaussians) == 50
+    assert len(load_splats(str(tmp_path / "s.clgs")).gaussians) == 50
+    with pytest.raises(DataError, match=r"none\.clgs: no such file"):
+        load_splats(tmp_path / "none.clgs")
+    (tmp_path / "bad.clgs").write_bytes(b"nothing")
+    with pytest.raises(DataError, match=r"bad\.clgs: "):
+        load_splats(tmp_path / "bad.clgs")
 
 
 def test_what_is_no_splat_is_named(tmp_path, rng):
