@@ -7,8 +7,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from clgs.cli.options.view import named_path, positive_int
 from clgs.errors import UsageError
 
@@ -24,10 +22,11 @@ FPS = 30.0
 SIZE = 800, 600
 MAX_SIDE = 16384
 UPS = {
-    f"{sign}{axis}": (-1.0 if sign else 1.0) * np.eye(3)[i]
-    for i, axis in enumerate("xyz")
+    f"{sign}{axis}": tuple((-1.0 if sign else 1.0) * (axis == other) for other in "xyz")
+    for axis in "xyz"
     for sign in ("", "-")
 }
+"""The axes that --up names."""
 
 
 def add_path_options(parser: argparse.ArgumentParser) -> None:
@@ -136,9 +135,11 @@ def _framing(
 ) -> Framing:
     from dataclasses import replace
 
+    import numpy as np
+
     from clgs.export.clip.framing import frame_cameras, frame_scene
 
-    up = None if args.up is None else UPS[args.up]
+    up = None if args.up is None else np.array(UPS[args.up])
     framing = frame_scene(scene, args.size or SIZE, up)
     if dataset is not None:
         framing = frame_cameras([view.camera for view in dataset.train], framing)
