@@ -8,6 +8,7 @@ The names of this module do the whole job; nothing heavy is imported before one 
 - ``train_scene(dataset, folder, config)``: a trained, quantised, encoded scene
 - ``encode(scene)`` / ``decode(data)``: a scene to bytes and back, bit for bit
 - ``save_scene(path, scene)`` / ``load_scene(path)``: a scene as a NumPy archive
+- ``load_splats(path)``: ordinary 3DGS splats, to be rendered
 - ``Renderer(device, scene)`` and ``render_view(scene, camera)``: pictures from any camera
 - ``evaluate_views(device, scene, views)``: PSNR and SSIM against photos
 - ``render_options(accuracy)``: how exactly a ``Renderer`` renders, and how fast
@@ -33,6 +34,7 @@ _HOMES = {
     "evaluate_views": "clgs.train.quality.score_views",
     "load_dataset": "clgs.data.dataset",
     "load_scene": "clgs.scene.storage",
+    "load_splats": "clgs.data.ply.gaussians",
     "prepare": "clgs.data.sfm.prepare",
     "preset": "clgs.train.config",
     "render_options": "clgs.options",

@@ -28,12 +28,16 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "render": (
         "clgs render run --data data -o views",
         "clgs render run/scene.clgs --data data --split train -o views",
+        "clgs render run --data data --path orbit -o clip.mp4 --size 800x600",
+        "clgs render splats.ply --path camera_path.json -o frames --depth",
     ),
     "eval": (
         "clgs eval run --data data",
         "clgs eval run/scene.clgs --data data --json scores.json",
         "clgs eval run --hashes run/hashes.json",
+        "clgs eval splats.ply --data data --background white",
     ),
+    "view": ("clgs view run --data data", "clgs view splats.ply --port 9000"),
     "export": ("clgs export data -o cameras.glb",),
     "info": ("clgs info scene.clgs", "clgs info scene.clgs --json"),
     "selftest": ("clgs selftest", "clgs selftest --device 0 --verbose"),

@@ -34,6 +34,7 @@ COMMANDS = (
     "pack",
     "unpack",
     "render",
+    "view",
     "eval",
     "export",
     "info",

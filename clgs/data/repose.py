@@ -25,7 +25,7 @@ def repose(dataset: Dataset, transform: SceneTransform) -> Dataset:
         return dataset
 
     def move(view: View) -> View:
-        return replace(view, camera=_move(view.camera, dataset.transform, transform))
+        return replace(view, camera=move_camera(view.camera, dataset.transform, transform))
 
     return replace(
         dataset,
@@ -48,8 +48,8 @@ def alike(one: SceneTransform, other: SceneTransform, radius: float) -> bool:
     return bool(apart < UNLIKE * radius and ratio < 1 + UNLIKE)
 
 
-def _move(camera: Camera, old: SceneTransform, new: SceneTransform) -> Camera:
-    """x_cam scales with the scene: t = scale * (R centre + t_world)."""
+def move_camera(camera: Camera, old: SceneTransform, new: SceneTransform) -> Camera:
+    """The camera in the units of ``new``: x_cam scales with the scene, t = scale (R centre + t)."""
     world = camera.translation / old.scale - camera.rotation @ np.array(old.centre)
     translation = new.scale * (camera.rotation @ np.array(new.centre) + world)
     return replace(camera, translation=translation)

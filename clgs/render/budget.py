@@ -8,8 +8,8 @@ from dataclasses import replace
 from clgs.errors import BudgetError
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
-from clgs.render.frame import DeviceScene, upload_view
-from clgs.render.pipeline import view_forward
+from clgs.render.frame import Drawable, upload_view
+from clgs.render.picture import draw
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings
 
@@ -18,7 +18,7 @@ MIB = 2**20
 
 def check_budget(
     device: Device,
-    scene: DeviceScene,
+    scene: Drawable,
     views: Iterable[tuple[str, Camera]],
     settings: RenderSettings,
     options: RenderOptions,
@@ -46,7 +46,7 @@ def check_budget(
 
 def _needed(
     device: Device,
-    scene: DeviceScene,
+    scene: Drawable,
     camera: Camera,
     settings: RenderSettings,
     options: RenderOptions,
@@ -54,7 +54,7 @@ def _needed(
     """Bytes that the largest row of tiles of a view takes."""
     view = upload_view(device, camera.reduced(options.accuracy.downscale), settings)
     try:
-        view_forward(device, scene, view, replace(options, max_memory=0))
+        draw(device, scene, view, replace(options, max_memory=0))
     except BudgetError as error:
         return error.needed
     return 0

@@ -13,7 +13,8 @@ from clgs.ops import blend, cull, mlp, neural, project
 from clgs.ops.tiles import TileLists
 from clgs.scene.anchors import DeviceAnchors
 from clgs.scene.camera import Camera
-from clgs.scene.scene import RenderSettings, Scene
+from clgs.scene.gaussians import DeviceGaussians
+from clgs.scene.scene import RenderSettings, Scene, SplatScene
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,10 @@ class DeviceScene:
         """(name, array) of the anchors' tensors, then of the weights."""
         yield from self.anchors.items()
         yield "weights", self.weights
+
+
+Drawable = DeviceScene | DeviceGaussians
+"""What pictures are made of."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,13 @@ class SceneGradients:
 def upload_scene(device: Device, scene: Scene) -> DeviceScene:
     """Copy a scene's parameters to the device."""
     return DeviceScene(scene.anchors.map(device.upload), device.upload(scene.mlps.flat))
+
+
+def upload_drawable(device: Device, scene: Scene | SplatScene) -> Drawable:
+    """Copy what is drawn of a scene to the device."""
+    if isinstance(scene, SplatScene):
+        return scene.gaussians.map(device.upload)
+    return upload_scene(device, scene)
 
 
 def upload_view(device: Device, camera: Camera, settings: RenderSettings) -> DeviceView:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -10,10 +11,10 @@ import numpy.typing as npt
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions, render_options
 from clgs.render.budget import check_budget
-from clgs.render.frame import Capacity, DeviceScene, upload_scene, upload_view
-from clgs.render.picture import draw
+from clgs.render.frame import Capacity, Drawable, upload_drawable, upload_view
+from clgs.render.picture import Picture, draw, draw_depth
 from clgs.scene.camera import Camera
-from clgs.scene.scene import RenderSettings, Scene
+from clgs.scene.scene import RenderSettings, Scene, SplatScene
 from clgs.shapes import check_type
 
 CAMERA_REMEDY = "of a view give view.camera"
@@ -21,25 +22,40 @@ CAMERA_REMEDY = "of a view give view.camera"
 Image = npt.NDArray[np.float32]
 
 
+@dataclass(frozen=True)
+class Depth:
+    """What a camera sees besides color, (H, W) float32.
+
+    depth: mean camera z, scene units, of what is blended into the pixel, each by its weight; 0
+    where nothing is. opacity: 1 - the transmittance that is left, 0 to 1.
+    """
+
+    depth: Image
+    opacity: Image
+
+
 class Renderer:
     """Keeps a scene on a device and renders it from any camera."""
 
-    def __init__(self, device: Device, scene: Scene, options: RenderOptions = DEFAULT) -> None:
+    def __init__(
+        self, device: Device, scene: Scene | SplatScene, options: RenderOptions = DEFAULT
+    ) -> None:
         """Upload ``scene`` once; ``options`` from :func:`clgs.options.render_options`.
 
         Raises:
             TypeError: an argument is of another class.
         """
         check_type("device", device, Device, "clgs.Device() opens one")
-        check_type("scene", scene, Scene, "of a quantised one give scene.dequantize()")
+        if not isinstance(scene, SplatScene):
+            check_type("scene", scene, Scene, "of a quantised one give scene.dequantize()")
         check_type("options", options, RenderOptions, "clgs.render_options(accuracy) makes some")
-        self._keep(device, upload_scene(device, scene), scene.settings, options)
+        self._keep(device, upload_drawable(device, scene), scene.settings, options)
 
     @classmethod
     def of_device_scene(
         cls,
         device: Device,
-        scene: DeviceScene,
+        scene: Drawable,
         settings: RenderSettings,
         options: RenderOptions = DEFAULT,
     ) -> Renderer:
@@ -49,7 +65,7 @@ class Renderer:
         return renderer
 
     def _keep(
-        self, device: Device, scene: DeviceScene, settings: RenderSettings, options: RenderOptions
+        self, device: Device, scene: Drawable, settings: RenderSettings, options: RenderOptions
     ) -> None:
         self._device, self._scene, self._settings = device, scene, settings
         self._options = options
@@ -70,15 +86,35 @@ class Renderer:
             TypeError: ``camera`` is of another class.
         """
         check_type("camera", camera, Camera, CAMERA_REMEDY)
+        picture = self._drawn(draw, camera)
+        image = np.asarray(self._device.hand_over(picture.image), np.float32)
+        return enlarge(image, camera.width, camera.height)
+
+    def depth(self, camera: Camera) -> Depth:
+        """Depth and opacity from a camera in scene units.
+
+        Raises:
+            TypeError: ``camera`` is of another class.
+        """
+        check_type("camera", camera, Camera, CAMERA_REMEDY)
+        picture = self._drawn(draw_depth, camera)
+        sums = np.asarray(self._device.download(picture.image)[:2], np.float32)
+        left = np.asarray(self._device.download(picture.transmittance)[None], np.float32)
+        planes = enlarge(np.concatenate([sums, left]), camera.width, camera.height)
+        weight = np.where(planes[1] > 0, planes[1], 1)
+        depth = np.where(planes[1] > 0, planes[0] / weight * np.float32(picture.unit), 0)
+        return Depth(depth.astype(np.float32), np.asarray(1 - planes[2], np.float32))
+
+    def _drawn(self, draw_it: Callable[..., Picture], camera: Camera) -> Picture:
+        """What ``draw`` or ``draw_depth`` makes, with as much room as it needs."""
         device, options = self._device, self._options
         view = upload_view(device, camera.reduced(options.accuracy.downscale), self._settings)
         while True:
-            picture = draw(device, self._scene, view, options, self._capacity)
+            picture = draw_it(device, self._scene, view, options, self._capacity)
             totals = [device.download_later(total) for total in picture.totals]
-            image = np.asarray(device.hand_over(picture.image), np.float32)
             needed = Capacity(*(int(total.get()[0]) for total in totals))
             if self._holds(needed):
-                return enlarge(image, camera.width, camera.height)
+                return picture
 
     def _holds(self, needed: Capacity) -> bool:
         """Whether the last picture had room; makes more if not, and after the first one.
@@ -92,7 +128,10 @@ class Renderer:
 
 
 def render_view(
-    scene: Scene, camera: Camera, device: Device | None = None, accuracy: str = "parity"
+    scene: Scene | SplatScene,
+    camera: Camera,
+    device: Device | None = None,
+    accuracy: str = "parity",
 ) -> Image:
     """One picture (3, H, W) float32 of a scene; see :class:`Renderer` for many.
 

@@ -1,4 +1,4 @@
-"""A scene: anchors, MLPs and the settings that rendering depends on."""
+"""A scene: anchors and MLPs, or ordinary Gaussians, and the settings that rendering depends on."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from clgs import constants
 from clgs.scene.anchors import AnchorSet, QuantizationScales, QuantizedAnchors, dequantize
+from clgs.scene.gaussians import HostGaussians
 from clgs.scene.mlps import Mlps
 
 
@@ -76,3 +77,20 @@ class QuantizedScene:
         """The float32 scene that is rendered."""
         anchors = dequantize(self.anchors, self.scales)
         return Scene(anchors, self.mlps, self.settings, self.transform)
+
+
+@dataclass
+class SplatScene:
+    """A renderable scene of ordinary Gaussians; by default in the units of its data set."""
+
+    gaussians: HostGaussians
+    settings: RenderSettings = field(default_factory=RenderSettings)
+    transform: SceneTransform = field(default_factory=SceneTransform)
+
+    def __post_init__(self) -> None:
+        self.gaussians.check(np.float32)
+
+
+def drawable(scene: QuantizedScene | SplatScene) -> Scene | SplatScene:
+    """What is rendered of a scene from a file."""
+    return scene.dequantize() if isinstance(scene, QuantizedScene) else scene

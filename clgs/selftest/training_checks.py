@@ -1,4 +1,4 @@
-"""The stages outside of a render: scan, sort, quantize, rate, adam, density, exposure, mask."""
+"""The stages outside of a scene's render, from scan and sort to exposure, mask and splats."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from statistics import median
 
 import numpy as np
 
-from clgs.constants import K_OFFSETS, OUTPUT_DIM
+from clgs.constants import K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, density, exposure, mask, quantize, rate, scan, sort
+from clgs.ops import adam, density, exposure, mask, quantize, rate, scan, sort, splats
+from clgs.ops.neural import GaussianGradients
 from clgs.reference.stages import adam as adam_reference
 from clgs.reference.stages import density as density_reference
 from clgs.reference.stages import exposure as exposure_reference
@@ -21,7 +22,10 @@ from clgs.reference.stages import quantize as quantize_reference
 from clgs.reference.stages import rate as rate_reference
 from clgs.reference.stages import scan as scan_reference
 from clgs.reference.stages import sort as sort_reference
+from clgs.reference.stages import splats as splats_reference
+from clgs.scene.gaussians import OrdinaryGaussians
 from clgs.selftest.errors import largest, relative_l2
+from clgs.synthetic.anchor_scene import square_camera
 
 COUNT, SEED, REPEATS = 20_000, 5, 3
 Found = tuple[str, str, float, float, float]
@@ -30,7 +34,7 @@ Found = tuple[str, str, float, float, float]
 def training_checks(device: Device, count: int = COUNT) -> Iterator[Found]:
     """(stage, quantity, error, limit, milliseconds) of every check, on ``count`` numbers."""
     rng = np.random.default_rng(SEED)
-    for check in (_scan, _sort, _quantize, _rate, _adam, _density, _exposure, _mask):
+    for check in (_scan, _sort, _quantize, _rate, _adam, _density, _exposure, _mask, _splats):
         yield from check(device, rng, count)
 
 
@@ -181,3 +185,35 @@ def _mask(device: Device, rng: np.random.Generator, count: int) -> Iterator[Foun
     found = device.download(mask.backward(device, *uploaded))
     error += largest(found, mask_reference.backward(wide, used))
     yield "mask", "picture and d_image", error, 0.0, milliseconds
+
+
+def _splats(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    widths = {"mean": (3,), "log_scale": (3,), "rotation": (4,), "opacity": (), "sh": (16, 3)}
+    values = [0.3 * rng.normal(size=(count, *width)) for width in widths.values()]
+    stored = OrdinaryGaussians(*(value.astype(np.float32) for value in values))
+    stored.sh[:, 0] += 3  # no color is near 0, where its gradient has a step
+    uploaded = stored.map(device.upload)
+    packed = square_camera(64).pack(NEAR_PLANE)
+    camera = device.upload(packed)
+    seen = splats.forward(device, uploaded, camera)
+    wide = splats_reference.Stored(*(array.astype(np.float64) for _, array in stored.items()))
+    wanted = splats_reference.forward(wide, packed)
+    errors = [
+        relative_l2(device.download(getattr(seen, name)), getattr(wanted, name))
+        for name in ("scale", "rotation", "color", "opacity")
+    ]
+    milliseconds = _milliseconds(device, lambda: splats.forward(device, uploaded, camera))
+    yield "splats", "what a camera sees", max(errors), 1e-5, milliseconds
+
+    names = ("mean", "scale", "rotation", "color", "opacity")
+    singles = [np.ones(getattr(wanted, name).shape, np.float32) for name in names]
+    d_seen = splats_reference.Seen(*(one.astype(np.float64) for one in singles))
+
+    def backward() -> OrdinaryGaussians[DeviceArray]:
+        ones = (device.upload(one) for one in singles)
+        return splats.backward(device, uploaded, camera, seen, GaussianGradients(*ones))
+
+    expected = splats_reference.backward(wide, packed, d_seen)
+    found = backward()
+    errors = [relative_l2(device.download(a), getattr(expected, n)) for n, a in found.items()]
+    yield "splats", "gradients", max(errors), 1e-5, _milliseconds(device, backward)

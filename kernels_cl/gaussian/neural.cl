@@ -16,8 +16,10 @@
 #include "common/real.h"
 #include "common/rows.h"
 #include "gaussian/drawn_slots.h"
+#include "gaussian/log_scale.h"
 #include "gaussian/output_rows.h"
 #include "gaussian/shapes.h"
+#include "gaussian/unit_quaternion.h"
 #include "gaussian/visible_anchors.h"
 
 /* Which opacities of each visible anchor are positive, one per bit, and how many. NaN is not
@@ -196,7 +198,7 @@ static inline void write_anchors(const AnchorLanes *a, const DrawnSlots *drawn,
 {
     float reach[3][VEC], sum[6][VEC];
     for (int i = 0; i < 3; ++i)
-        STORE_V(exp_log_scale(a->log_scale[i]), 0, reach[i]);
+        STORE_V(exp_log_scale(LOAD_V(0, a->log_scale[i])), 0, reach[i]);
     for (int i = 0; i < 6; ++i)
         STORE_V((fv)(0.0f), 0, sum[i]);
     for (size_t m = 0; m < drawn->count; ++m) {

@@ -2,12 +2,12 @@
 #ifndef CLGS_VISIBLE_ANCHORS_H
 #define CLGS_VISIBLE_ANCHORS_H
 
-#include "common/lane_math.h"
 #include "common/method.h"
 #include "common/own_function.h"
 #include "common/prefetch.h"
 #include "common/real.h"
 #include "gaussian/drawn_slots.h"
+#include "gaussian/log_scale.h"
 
 /* visible: the anchor of each of `count` samples, -1 for none. The others belong to all anchors:
  * position (A, 3), offset (A, K, 3) and scaling (A, 6), the log scales of offsets and shapes. */
@@ -51,12 +51,6 @@ static inline AnchorLanes load_anchors(__global const int *visible, __global con
     return a;
 }
 
-/* e^x of VEC log scales, clamped; NaN stays NaN. */
-static inline fv exp_log_scale(const float *log_scale)
-{
-    return exp_v(clamp_lanes(LOAD_V(0, log_scale), (fv)(-LOG_SCALE_LIMIT), (fv)(LOG_SCALE_LIMIT)));
-}
-
 #if VEC > 1
 /* Copies the offsets of VEC anchors. */
 static inline void copy_offsets(const AnchorLanes *a, __global const float *offset, float *copy)
@@ -81,7 +75,7 @@ static inline OWN_FUNCTION void gather_means(const VisibleAnchors *anchors, cons
     copy_offsets(a, anchors->offset, offsets);
 #endif
     for (int i = 0; i < 3; ++i) {
-        STORE_V(exp_log_scale(a->log_scale[i]), 0, reach[i]);
+        STORE_V(exp_log_scale(LOAD_V(0, a->log_scale[i])), 0, reach[i]);
         for (size_t lane = 0; lane < VEC; ++lane)
             centre[i][lane] = anchors->position[3 * (size_t)max(a->anchor[lane], 0) + i];
     }

@@ -119,7 +119,7 @@ def work(tmp_path, monkeypatch):
         ("eval s.clgs --data none --lpips s.npz", 3, "s.npz: not the weights of LPIPS with VGG-16"),
         ("bench step --json nodir/x.json", 2, "nodir/x.json: cannot be written"),
         ("render s.clgs --data none -o file", 2, "file: is no folder"),
-        ("prepare folder -o new", 3, "folder: 0 JPEG or PNG photos"),
+        ("prepare folder -o new", 3, "folder: 0 photos that can be read (JPEG, PNG, WebP, HEIC)"),
     ],
 )
 def test_refusals_are_one_line(work, capsys, command, code, said):

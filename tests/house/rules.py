@@ -12,7 +12,7 @@ LAYERS = [  # a package may import from its own row and the rows above it
     {"ops", "codec", "data"},
     {"render", "export"},
     {"synthetic", "selftest", "train"},
-    {"bench", "doctor"},
+    {"bench", "doctor", "viewer"},
     {"cli"},
 ]
 LEVEL = {name: level for level, row in enumerate(LAYERS) for name in row}

@@ -55,7 +55,7 @@ def decibel(text: str) -> float:
 
 def check_targets(args: argparse.Namespace) -> None:
     """Raise UsageError if options do not fit each other."""
-    from clgs.cli.options.view import data_is_known, name_data
+    from clgs.cli.options.view import name_data, name_known_data
     from clgs.errors import UsageError
 
     targets = args.target_psnr is not None or args.target_size is not None
@@ -64,8 +64,10 @@ def check_targets(args: argparse.Namespace) -> None:
     if args.all_views and not targets:
         raise UsageError("--all-views serves --target-size and --target-psnr; give one of them")
     needed = args.target_psnr is not None or args.all_views
-    if args.data is None and (needed or (targets and data_is_known(args.scene))):
+    if args.data is None and needed:
         name_data(args)
+    elif targets:
+        name_known_data(args)
 
 
 def reduce(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from clgs.data.view import View
     from clgs.opencl.device import Device
     from clgs.options import RenderOptions
-    from clgs.scene.scene import QuantizedScene
+    from clgs.scene.scene import QuantizedScene, SplatScene
     from clgs.train.quality.score_views import Measure, ViewScore
 
 STDOUT = Path("-")
@@ -44,9 +44,12 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description="Scores of a scene. psnr is that of 8-bit pictures, one MSE over all channels; "
         "psnr_channel_mean, the form of Voxel-GS's code, is the mean of the three channels' PSNRs, "
         "of the render before clamping. With --hashes: whether this process reproduces, bit for "
-        "bit, the integers and renders that the trainer recorded (exit code 1 if not).",
+        "bit, the integers and renders that the trainer recorded (exit code 1 if not). SCENE may "
+        "be an ordinary 3DGS PLY file, too, whose coordinates are those of its data set.",
     )
-    parser.add_argument("scene", type=Path, metavar="SCENE", help="run folder or .clgs file")
+    parser.add_argument(
+        "scene", type=Path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
+    )
     add_view_options(parser)
     parser.add_argument(
         "--json",
@@ -89,19 +92,24 @@ def _add_family_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate; exit code 0, or 1 if the hashes differ."""
-    from clgs.cli.options.scene import read_scene
+    from clgs.cli.options.scene import read_drawable
+    from clgs.cli.options.view import over_background
     from clgs.errors import UsageError
     from clgs.opencl.device import Device
+    from clgs.scene.scene import SplatScene
 
     _check(args)
     lpips = _measure(args.lpips) if args.lpips else None
-    scene, size = read_scene(args.scene)
+    scene, size = read_drawable(args.scene)
     if args.csv and size is None:
         raise UsageError(f"{args.scene}: has no size in bytes for --csv; name a .clgs file")
-    device = Device(args.device)
-    code = _compare_hashes(device, scene, args.hashes) if args.hashes else 0
+    device, code = Device(args.device), 0
+    if args.hashes:
+        if isinstance(scene, SplatScene):
+            raise UsageError(f"{args.scene}: holds splats; --hashes are those of a trained run")
+        code = _compare_hashes(device, scene, args.hashes)
     if args.data is not None:
-        _score(args, device, scene, size, lpips)
+        _score(args, device, over_background(args, scene), size, lpips)
     return code
 
 
@@ -164,19 +172,21 @@ def _measure(path: Path) -> Measure:
 def _score(
     args: argparse.Namespace,
     device: Device,
-    scene: QuantizedScene,
+    scene: QuantizedScene | SplatScene,
     size: int | None,
     lpips: Measure | None,
 ) -> None:
     from clgs.cli.options.view import selected_options, selected_views
     from clgs.cli.progress import bar
+    from clgs.scene.scene import SplatScene
     from clgs.train.quality.score_views import evaluate_views, summarize
 
     views, options = selected_views(args, scene), selected_options(args)
     with bar(len(views), "evaluating") as advance:
         scores = evaluate_views(device, scene, views, lambda *_: advance(), options, lpips)
     summary = summarize(scene, scores, size)
-    if args.csv:
+    if args.csv and "gaussians" not in summary:
+        assert not isinstance(scene, SplatScene)
         summary["gaussians"] = _count_gaussians(device, scene, views, options)
     summary |= {
         "accuracy": options.accuracy.name,

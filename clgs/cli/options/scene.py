@@ -1,4 +1,4 @@
-"""The SCENE argument of commands: a run folder, a .clgs file or a decoded .npz."""
+"""The SCENE argument of commands: a run folder, a .clgs file, a decoded .npz or 3DGS splats."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from pathlib import Path
 from clgs.codec.box import Box, decode_box
 from clgs.codec.container.source import BytesSource, FileSource
 from clgs.codec.scene_decoder import decode
+from clgs.codec.splats import is_splats, unpack
 from clgs.errors import CodecError, DataError
-from clgs.scene.scene import QuantizedScene
+from clgs.scene.scene import QuantizedScene, SplatScene
 from clgs.scene.storage import load_scene
 
 
@@ -28,6 +29,26 @@ def read_scene(path: Path) -> tuple[QuantizedScene, int | None]:
     if path.suffix.lower() == ".npz":
         return load_scene(path), None
     return read_bitstream(path)
+
+
+def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
+    """As :func:`read_scene`; ordinary splats, a PLY file or packed ones, are read, too.
+
+    Raises:
+        DataError: there is no scene at ``path``, or it is damaged.
+    """
+    from clgs.data.ply.gaussians import gaussians_of_splats, read_gaussians
+
+    if path.suffix.lower() == ".ply" and not path.is_dir():
+        gaussians = read_gaussians(path)
+        return SplatScene(gaussians), path.stat().st_size
+    if path.is_dir() or not path.exists() or path.suffix.lower() == ".npz":
+        return read_scene(path)
+    data = read_bytes(path)
+    with naming(path):
+        if is_splats(data):
+            return SplatScene(gaussians_of_splats(unpack(data), path)), len(data)
+        return decode(data), len(data)
 
 
 def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,15 +19,25 @@ if TYPE_CHECKING:
     from clgs.data.dataset import Dataset
     from clgs.data.view import View
     from clgs.options import RenderOptions
-    from clgs.scene.scene import QuantizedScene
+    from clgs.scene.scene import QuantizedScene, SplatScene
 
 
-def add_view_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that choose views, their rendering and the device."""
+BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
+
+
+def add_view_options(parser: argparse.ArgumentParser, split: bool = True) -> None:
+    """Add the options that choose views (--split if so), their rendering and the device."""
     add = parser.add_argument
     where = "that which the run folder of SCENE names"
     add("--data", type=Path, help=f"the data set that the scene was made of (default: {where})")
-    add("--split", choices=("train", "test"), default="test", help="which views (default: test)")
+    if split:
+        splits = ("train", "test")
+        add("--split", choices=splits, default="test", help="which views (default: test)")
+    add(
+        "--background",
+        choices=BACKGROUNDS,
+        help="behind the scene (default: the scene's own; of a PLY file black)",
+    )
     add_size_options(parser, "SCENE")
     trained = "as the config.toml beside SCENE says, else"
     add_accuracy_options(parser, f"{trained} parity", f"{trained} 0")
@@ -98,31 +109,40 @@ def check_apart(output: Path, data: Path) -> None:
         raise UsageError(f"{output}: is the folder of the photos; name another with -o")
 
 
-def selected_views(args: argparse.Namespace, scene: QuantizedScene) -> list[View]:
+def selected_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> list[View]:
     """The views that the options name, posed in the scene's units; their photos are not read yet.
 
     Raises:
         UsageError: no data set is named, neither by the options nor by the run.
         DataError: the split is empty, or the data set is that of another scene.
     """
-    if args.data is None:
-        name_data(args)
-    dataset = _load(args, scene)
+    dataset = load_views(args, scene)
     views = dataset.test if args.split == "test" else dataset.train
     if not views:
         raise DataError(f"{args.data}: has no {args.split} views; try --split train")
     return views
 
 
-def _load(args: argparse.Namespace, scene: QuantizedScene) -> Dataset:
+def load_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> Dataset:
+    """The data set in the scene's units, without points; its photos are not read yet.
+
+    Raises:
+        UsageError: no data set is named, neither by the options nor by the run.
+        DataError: nothing usable there, or the data set is that of another scene.
+    """
     from clgs.data.dataset import load_dataset
     from clgs.data.origin import read_origin
     from clgs.data.repose import alike, repose
+    from clgs.scene.scene import SplatScene
 
+    if args.data is None:
+        name_data(args)
     reduction = _reduction(args)
     dataset = load_dataset(args.data, downscale=reduction, load_images=False, load_points=False)
     posed = repose(dataset, scene.transform)
     origin = read_origin(_run_folder(args.scene))
+    if isinstance(scene, SplatScene):
+        return posed
     if origin is not None:
         origin.check(posed.train + posed.test, args.data)
     elif not alike(dataset.transform, scene.transform, dataset.radius):
@@ -142,6 +162,12 @@ def data_is_known(scene: Path) -> bool:
     return origin is not None and origin.folder.is_dir()
 
 
+def name_known_data(args: argparse.Namespace) -> None:
+    """Set ``args.data``, unless it is given, if the run folder of ``args.scene`` names one."""
+    if args.data is None and data_is_known(args.scene):
+        name_data(args)
+
+
 def name_data(args: argparse.Namespace) -> None:
     """Set ``args.data`` to the data set that the run folder of ``args.scene`` names.
 
@@ -156,6 +182,16 @@ def name_data(args: argparse.Namespace) -> None:
     if not origin.folder.exists():
         raise UsageError(f"the data set {origin.folder} is gone; name it with --data")
     args.data = origin.folder
+
+
+def over_background(
+    args: argparse.Namespace, scene: QuantizedScene | SplatScene
+) -> QuantizedScene | SplatScene:
+    """The scene over the background that --background names, else as it is."""
+    if args.background is None:
+        return scene
+    settings = replace(scene.settings, background=BACKGROUNDS[args.background])
+    return replace(scene, settings=settings)
 
 
 def selected_options(args: argparse.Namespace) -> RenderOptions:

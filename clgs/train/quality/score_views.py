@@ -15,7 +15,7 @@ from clgs.data.view import View, with_photos
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render.renderer import Renderer
-from clgs.scene.scene import QuantizedScene
+from clgs.scene.scene import QuantizedScene, SplatScene, drawable
 from clgs.shapes import check_type
 from clgs.train.quality.metrics import blackened, psnr_8bit, psnr_channel_mean, ssim, to_8bit
 
@@ -56,7 +56,7 @@ class Pictures:
 
 def evaluate_views(
     device: Device,
-    scene: QuantizedScene,
+    scene: QuantizedScene | SplatScene,
     views: list[View],
     on_view: Callable[[ViewScore, Pictures], None] | None = None,
     options: RenderOptions = DEFAULT,
@@ -75,10 +75,12 @@ def evaluate_views(
     Raises:
         DataError: a photo is damaged.
         BudgetError: ``options.max_memory`` is too small for one of ``views``.
-        TypeError: ``scene`` is no quantised scene.
+        TypeError: ``scene`` is neither a quantised scene nor one of splats.
     """
-    check_type("scene", scene, QuantizedScene, "a run has it as .scene, clgs.load_scene reads one")
-    renderer = Renderer(device, scene.dequantize(), options)
+    if not isinstance(scene, SplatScene):
+        remedy = "a run has it as .scene, clgs.load_scene reads one"
+        check_type("scene", scene, QuantizedScene, remedy)
+    renderer = Renderer(device, drawable(scene), options)
     renderer.check_budget((view.name, view.camera) for view in views)
     scores = []
     for view, planes in with_photos(views, scene.settings.background):
@@ -108,7 +110,9 @@ def _score(
     return score, Pictures(picture, photo)
 
 
-def summarize(scene: QuantizedScene, scores: list[ViewScore], nbytes: int | None) -> dict[str, Any]:
+def summarize(
+    scene: QuantizedScene | SplatScene, scores: list[ViewScore], nbytes: int | None
+) -> dict[str, Any]:
     """Means over views with what a reader needs to compare them, ready for JSON."""
 
     def mean(name: str) -> float:
@@ -123,7 +127,11 @@ def summarize(scene: QuantizedScene, scores: list[ViewScore], nbytes: int | None
         "ssim": mean("ssim"),
         **({"lpips": mean("lpips")} if with_lpips else {}),
         "bytes": nbytes,
-        "anchors": len(scene.anchors),
+        **(
+            {"gaussians": len(scene.gaussians)}
+            if isinstance(scene, SplatScene)
+            else {"anchors": len(scene.anchors)}
+        ),
         "render_seconds": mean("seconds"),
         "background": list(scene.settings.background),
     }

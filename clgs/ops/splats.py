@@ -1,0 +1,118 @@
+"""Ordinary Gaussians as a camera sees them: what 3DGS stores to what is projected, and back.
+
+With d the unit vector from the camera's centre to the mean m, and Y the real spherical harmonics
+up to the degree of the coefficients:
+    scale = exp(log scale),   rotation = q / |q|,   opacity = 1 / (1 + exp(-logit)),
+    color = max(0, 1/2 + sum over c of sh[c] Y[c](d)).
+Log scales are clamped to +-LOG_SCALE_LIMIT, with gradient zero outside; a quaternion without
+direction gives the rotation 0, which projection culls. The gradient by the mean includes that of
+the color through d.
+
+Source: 3DGS (Kerbl et al. 2023), and its order and signs of the harmonics.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device, round_up
+from clgs.ops.neural import GaussianGradients, Gaussians
+from clgs.scene.gaussians import SPECS, DeviceGaussians, OrdinaryGaussians
+from clgs.shapes import Shapes
+
+GROUP_SIZE = 64
+
+
+def forward(device: Device, stored: DeviceGaussians, camera: DeviceArray) -> Gaussians:
+    """The N Gaussians of ``stored`` with the colors that a camera sees.
+
+    Args:
+        device: where the arrays live.
+        stored: float32.
+        camera: (26,) float32 from ``Camera.pack``.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    count = _check(stored, camera)
+    result = Gaussians(
+        mean=stored.mean,
+        scale=device.empty((count, 3)),
+        rotation=device.empty((count, 4)),
+        color=device.empty((count, 3)),
+        opacity=device.empty((count,)),
+    )
+    device.run(
+        device.kernel("gaussian/splats", "splats_forward", **_defines(device, stored)),
+        *_grid(device, count),
+        *(array for _, array in stored.items()),
+        camera,
+        np.int32(count),
+        result.scale,
+        result.rotation,
+        result.color,
+        result.opacity,
+    )
+    return result
+
+
+def backward(
+    device: Device,
+    stored: DeviceGaussians,
+    camera: DeviceArray,
+    seen: Gaussians,
+    d_seen: GaussianGradients,
+) -> DeviceGaussians:
+    """Gradients by the arrays of ``stored``, in the same record.
+
+    Args:
+        device: where the arrays live.
+        stored: as given to :func:`forward`.
+        camera: (26,) float32.
+        seen: what :func:`forward` returned.
+        d_seen: gradients by its fields; ``d_mean`` is overwritten and becomes part of the result.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    count = _check(stored, camera)
+    shapes = Shapes(N=count)
+    widths = {"d_mean": "N 3", "d_scale": "N 3", "d_rotation": "N 4", "d_color": "N 3"}
+    for name, spec in {**widths, "d_opacity": "N"}.items():
+        shapes.check(name, getattr(d_seen, name), spec, np.float32)
+    result = OrdinaryGaussians(
+        mean=d_seen.d_mean,
+        log_scale=device.empty((count, 3)),
+        rotation=device.empty((count, 4)),
+        opacity=device.empty((count,)),
+        sh=device.empty(stored.sh.shape),
+    )
+    device.run(
+        device.kernel("gaussian/splats", "splats_backward", **_defines(device, stored)),
+        *_grid(device, count),
+        *(stored.mean, stored.log_scale, stored.rotation, stored.sh),
+        camera,
+        np.int32(count),
+        *(seen.scale, seen.color, seen.opacity),
+        *(d_seen.d_scale, d_seen.d_rotation, d_seen.d_color, d_seen.d_opacity),
+        *(array for _, array in result.items()),
+    )
+    return result
+
+
+def _defines(device: Device, stored: DeviceGaussians) -> dict[str, int | float]:
+    return {"VEC": device.lanes, "COEFFICIENTS": stored.sh.shape[1]}
+
+
+def _grid(device: Device, count: int) -> tuple[tuple[int], tuple[int]]:
+    return (round_up(-(-count // device.lanes), GROUP_SIZE),), (GROUP_SIZE,)
+
+
+def _check(stored: DeviceGaussians, camera: DeviceArray) -> int:
+    """N; raises ValueError or TypeError if an array has the wrong shape or dtype."""
+    shapes = Shapes()
+    for name, array in stored.items():
+        shapes.check(name, array, SPECS[name], np.float32)
+    shapes.check("camera", camera, "26", np.float32)
+    return len(stored)

@@ -1,0 +1,151 @@
+"""Pictures of a scene for a camera that somebody moves: coarse while it moves, then fine."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from clgs.export.clip.paths import pinhole
+from clgs.export.image import Picture
+from clgs.opencl.device import Device
+from clgs.options import DEFAULT, RenderOptions
+from clgs.render.renderer import Renderer
+from clgs.scene.anchors import take
+from clgs.scene.camera import Camera
+from clgs.scene.scene import Scene, SplatScene
+from clgs.train.quality.metrics import to_8bit
+
+MOVING_SECONDS = 0.08
+"""What a picture may take while the camera moves."""
+
+MOVING_LEAST = 96
+"""Rows that a picture has at least."""
+
+STILL_SECONDS = 0.15
+"""A camera that has not moved for so long stands still."""
+
+MAX_SIDE = 4096
+
+
+@dataclass(frozen=True)
+class Eye:
+    """A camera as a browser has it, scene units, OpenCV's axes.
+
+    wxyz (4,): camera to world; position (3,); fov: vertical, radians; size: (width, height) of the
+    window, pixels.
+    """
+
+    wxyz: npt.NDArray[np.float64]
+    position: npt.NDArray[np.float64]
+    fov: float
+    size: tuple[int, int]
+
+    def camera(self, rows: int) -> Camera:
+        """The camera of a picture with ``rows`` rows, as wide as the window is."""
+        width, height = self.size
+        rows = max(1, min(rows, height, MAX_SIDE))
+        columns = max(1, min(round(rows * width / height), MAX_SIDE))
+        to_world = Rotation.from_quat(np.roll(self.wxyz, -1)).as_matrix()
+        return pinhole(to_world.T, self.position, np.degrees(self.fov), (columns, rows))
+
+
+def eye_of(camera: Camera, size: tuple[int, int]) -> Eye:
+    """The eye that stands where ``camera`` does, with a window that holds all of its picture."""
+    wxyz = np.roll(Rotation.from_matrix(camera.rotation.T).as_quat(), 1)
+    half = max(camera.height / camera.fy, camera.width / camera.fx * size[1] / size[0]) / 2
+    return Eye(wxyz, camera.centre, float(2 * np.arctan(half)), size)
+
+
+class LiveScene:
+    """A scene of which more or less is drawn, for one or several people at a time."""
+
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene | SplatScene,
+        importance: npt.NDArray[np.float64],
+        options: RenderOptions = DEFAULT,
+    ) -> None:
+        """``importance`` (N,): of every anchor or Gaussian; the least important go first."""
+        self._device, self._scene, self._options = device, scene, options
+        self._order = np.argsort(-importance, kind="stable")
+        self._lock = threading.Lock()
+        self._share, self._renderer = 1.0, Renderer(device, scene, options)
+        self._seconds_by_pixel = 0.0
+
+    def __len__(self) -> int:
+        return len(self._order)
+
+    def kept(self, share: float) -> int:
+        """How many anchors or Gaussians a share from 0 to 1 is; at least one if there are some."""
+        return min(len(self), max(1, round(share * len(self))))
+
+    def picture(self, camera: Camera, share: float = 1.0) -> Picture:
+        """The picture (H, W, 3) uint8 of the most important ``share`` of the scene."""
+        with self._lock:
+            if share != self._share:
+                self._renderer = Renderer(self._device, self._part(share), self._options)
+                self._share = share
+            start = time.perf_counter()
+            image = to_8bit(self._renderer.render(camera))
+            seconds = time.perf_counter() - start
+            self._seconds_by_pixel = seconds / (camera.width * camera.height)
+            return image
+
+    def moving_rows(self, eye: Eye) -> int:
+        """Rows of a picture of which the last one's speed promises MOVING_SECONDS."""
+        if not self._seconds_by_pixel:
+            return MOVING_LEAST
+        pixels = MOVING_SECONDS / self._seconds_by_pixel
+        rows = int(np.sqrt(pixels * eye.size[1] / eye.size[0]))
+        return min(eye.size[1], max(MOVING_LEAST, rows))
+
+    def _part(self, share: float) -> Scene | SplatScene:
+        rows = np.sort(self._order[: self.kept(share)])
+        scene = self._scene
+        if isinstance(scene, SplatScene):
+            gaussians = scene.gaussians.map(lambda array: array[rows])
+            return SplatScene(gaussians, scene.settings, scene.transform)
+        return Scene(take(scene.anchors, rows), scene.mlps, scene.settings, scene.transform)
+
+
+class Follower:
+    """Draws, in a thread of its own, after every move: coarse ones at once, a fine one at rest.
+
+    Moves that come while it draws are one move.
+    """
+
+    def __init__(self, draw: Callable[[bool], None], rest: float = STILL_SECONDS) -> None:
+        """``draw(moving)`` is called in the thread; ``rest``: seconds until a camera stands."""
+        self._draw, self._rest = draw, rest
+        self._moved, self._ended = threading.Event(), False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def move(self) -> None:
+        """Something changed."""
+        self._moved.set()
+
+    def stop(self) -> None:
+        """Draw nothing more; waits for the thread."""
+        self._ended = True
+        self._moved.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            self._moved.wait()
+            while self._moved.is_set() and not self._ended:
+                self._moved.clear()
+                self._draw(True)
+                self._moved.wait(self._rest)
+            if self._ended:
+                return
+            self._draw(False)

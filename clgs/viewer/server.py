@@ -1,0 +1,220 @@
+"""The viewer's side of the browser: viser shows pictures, photos' cameras and controls."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clgs.data.view import View
+from clgs.errors import ClgsError
+from clgs.export.clip.framing import Framing
+from clgs.scene.camera import Camera
+from clgs.viewer.live import Eye, Follower, LiveScene, eye_of
+from clgs.viewer.photos import RENDER, SHOWN, compare, names_of, stands_at
+
+FRUSTUM_DEPTH = 0.05
+"""Size of a photo's camera as a share of the ring's radius."""
+
+LINE = 1.5
+"""Pixels."""
+
+COLORS = {"train": (40, 90, 220), "test": (230, 120, 20)}
+START = 1.25
+"""The first place is so many times as far from the centre as the photos' cameras."""
+
+NO_PHOTO = "(free)"
+STILL_ROWS = 1080
+"""Rows of a picture at rest, at most, by default."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the viewer shows: a scene, the photos by split, and where to begin.
+
+    unit: what the scene is made of, "anchors" or "Gaussians"; nbytes: of its file, or None.
+    """
+
+    live: LiveScene
+    photos: dict[str, list[View]]
+    framing: Framing
+    background: tuple[float, float, float]
+    unit: str
+    nbytes: int | None
+    still_rows: int = STILL_ROWS
+
+    @property
+    def views(self) -> list[View]:
+        """All photos, those of training first."""
+        return [view for views in self.photos.values() for view in views]
+
+
+def load_viser() -> Any:
+    """The module.
+
+    Raises:
+        ClgsError: it is missing.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise ClgsError(f'the viewer needs viser ({error}): pip install "clgs[view]"') from error
+    return viser
+
+
+def open_server(shown: Shown, host: str, port: int) -> Any:
+    """A viser server that shows a scene until :func:`close_server`; ``get_port()`` is its port.
+
+    Raises:
+        ClgsError: viser is missing, or the port cannot be opened.
+    """
+    viser = load_viser()
+    # a picture that was drawn while its browser went away
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
+    try:
+        with redirect_stdout(io.StringIO()):  # it prints its address, in a box
+            server = viser.ViserServer(host=host, port=port, label="clgs", verbose=False)
+    except OSError as error:
+        raise ClgsError(f"port {port} cannot be opened ({error}); give another --port") from error
+    framing = shown.framing
+    server.scene.set_up_direction(tuple(framing.up))
+    start = framing.place(framing.arc[0] if framing.closed else sum(framing.arc) / 2)
+    server.initial_camera.position = tuple(framing.centre + START * (start - framing.centre))
+    server.initial_camera.look_at = tuple(framing.centre)
+    server.initial_camera.fov = float(np.radians(framing.fov))
+    windows: dict[int, _Window] = {}
+
+    def enter(client: Any) -> None:
+        windows[client.client_id] = _Window(shown, client)
+
+    def leave(client: Any) -> None:
+        window = windows.pop(client.client_id, None)
+        if window is not None:
+            window.follower.stop()
+
+    server.on_client_connect(enter)
+    server.on_client_disconnect(leave)
+    return server
+
+
+def close_server(server: Any) -> None:
+    """End the server that :func:`open_server` made."""
+    with redirect_stdout(io.StringIO()):  # it says so
+        server.stop()
+
+
+class _Window:
+    """One browser: its controls, its camera, and the thread that draws for it."""
+
+    def __init__(self, shown: Shown, client: Any) -> None:
+        self._shown, self._client = shown, client
+        self._views = dict(zip(names_of(shown.views), shown.views, strict=True))
+        self.follower = Follower(self._draw)
+        self._add_controls()
+        self._add_photos()
+        client.camera.on_update(lambda _: self.follower.move())
+        self.follower.move()
+
+    def _add_controls(self) -> None:
+        gui = self._client.gui
+        self._size = gui.add_slider("size, %", min=1, max=100, step=1, initial_value=100)
+        self._text = gui.add_markdown(self._size_text())
+        self._size.on_update(lambda _: self._resize())
+        if not self._views:
+            return
+        names = [NO_PHOTO, *self._views]
+        self._photo = gui.add_dropdown("photo", names, initial_value=NO_PHOTO)
+        self._what = gui.add_dropdown("show", SHOWN, initial_value=RENDER)
+        self._cameras = gui.add_checkbox("cameras", True)
+        self._photo.on_update(lambda _: self._go_to_photo())
+        self._what.on_update(lambda _: self.follower.move())
+        self._cameras.on_update(lambda _: self._show_cameras())
+
+    def _add_photos(self) -> None:
+        """The photos' cameras; a click on one goes there."""
+        scale = FRUSTUM_DEPTH * self._shown.framing.ring
+        names = iter(self._views)
+        self._frusta: list[Any] = []
+        for split, views in self._shown.photos.items():
+            for view in views:
+                name, camera = next(names), view.camera
+                eye = eye_of(camera, (camera.width, camera.height))
+                frustum = self._client.scene.add_camera_frustum(
+                    f"/photos/{split}/{len(self._frusta)}",
+                    fov=eye.fov,
+                    aspect=camera.width / camera.height,
+                    scale=scale,
+                    thickness=LINE,
+                    thickness_units="screen",
+                    color=COLORS.get(split, COLORS["train"]),
+                    wxyz=eye.wxyz,
+                    position=eye.position,
+                )
+                frustum.on_click(lambda _, name=name: self._choose(name))
+                self._frusta.append(frustum)
+
+    def _choose(self, name: str) -> None:
+        self._photo.value = name
+        self._go_to_photo()
+
+    def _go_to_photo(self) -> None:
+        view = self._views.get(self._photo.value)
+        if view is None:
+            return self.follower.move()
+        camera = self._client.camera
+        eye = eye_of(view.camera, self._window_size())
+        down, forward = view.camera.rotation[1], view.camera.rotation[2]
+        with self._client.atomic():
+            camera.position = eye.position
+            camera.up_direction = -down
+            camera.look_at = eye.position + forward * self._shown.framing.ring
+            camera.fov = eye.fov
+        return self.follower.move()
+
+    def _show_cameras(self) -> None:
+        for frustum in self._frusta:
+            frustum.visible = self._cameras.value
+
+    def _resize(self) -> None:
+        self._text.content = self._size_text()
+        self.follower.move()
+
+    def _size_text(self) -> str:
+        share = self._size.value / 100
+        text = f"{self._shown.live.kept(share):,} {self._shown.unit}"
+        if self._shown.nbytes is not None:
+            text += f", about {share * self._shown.nbytes / 1e6:.2f} MB"
+        return text
+
+    def _window_size(self) -> tuple[int, int]:
+        camera = self._client.camera
+        return max(1, camera.image_width), max(1, camera.image_height)
+
+    def _draw(self, moving: bool) -> None:
+        """In the follower's thread: send a picture of what the browser's camera sees."""
+        try:
+            self._send_picture(moving)
+        except ClgsError as error:
+            self._client.add_notification("clgs", str(error), auto_close_seconds=10.0)
+
+    def _send_picture(self, moving: bool) -> None:
+        place = self._client.camera
+        eye = Eye(np.array(place.wxyz), np.array(place.position), place.fov, self._window_size())
+        live = self._shown.live
+        rows = live.moving_rows(eye) if moving else self._shown.still_rows
+        camera = eye.camera(rows)
+        picture = live.picture(camera, self._size.value / 100)
+        picture = self._compared(picture, camera)
+        self._client.scene.set_background_image(picture, jpeg_quality=75 if moving else 92)
+        self._client.flush()
+
+    def _compared(self, picture: Any, camera: Camera) -> Any:
+        """With the chosen photo, if the camera stands where it was taken."""
+        view = self._views.get(self._photo.value) if self._views else None
+        if view is None or not stands_at(camera, view):
+            return picture
+        return compare(picture, camera, view, self._shown.background, self._what.value)

@@ -1,0 +1,169 @@
+/* Ordinary Gaussians as a camera sees them: scales, unit quaternions, opacities and colors from
+ * what 3DGS stores, and the way back.
+ *
+ * Work-item: VEC Gaussians, one per lane, counted from the middle on. Their coefficients are read
+ *     row by row, since a row is longer than a vector.
+ * Work-group: any; no local memory.
+ * Launch: a work-item per VEC Gaussians.
+ *
+ * sh and d_sh are (N, COEFFICIENTS, 3).
+ */
+#include "common/camera.h"
+#include "common/items.h"
+#include "common/lane_math.h"
+#include "common/method.h"
+#include "common/real.h"
+#include "common/rows.h"
+#include "gaussian/harmonics.h"
+#include "gaussian/log_scale.h"
+#include "gaussian/unit_quaternion.h"
+
+/* Below, a Gaussian lies in the camera's centre and has the direction 0. */
+#define SHORTEST_SQUARE 1e-30f
+
+/* Unit vectors from the camera's centre to `position`; returns the reciprocals of the lengths. */
+static inline fv look_at(const fv position[3], __global const float *camera, fv direction[3])
+{
+    for (int i = 0; i < 3; ++i)
+        direction[i] = position[i] - camera[CAMERA_CENTRE + i];
+    const fv square = dot3(direction, direction);
+    const fv on_length = square > (fv)(SHORTEST_SQUARE) ? 1.0f / sqrt(square) : (fv)(0.0f);
+    for (int i = 0; i < 3; ++i)
+        direction[i] *= on_length;
+    return on_length;
+}
+
+/* Colors of `used` Gaussians from number `first` on. Negative ones become 0; NaN stays NaN. */
+static inline void write_colors(__global const float *sh, const fv basis[MAX_COEFFICIENTS],
+                                const size_t first, const size_t used, __global float *color)
+{
+    float lanes[COEFFICIENTS][VEC];
+    for (size_t c = 0; c < COEFFICIENTS; ++c)
+        STORE_V(basis[c], 0, lanes[c]);
+    for (size_t lane = 0; lane < used; ++lane) {
+        __global const float *row = sh + 3 * COEFFICIENTS * (first + lane);
+        for (size_t i = 0; i < 3; ++i) {
+            float sum = 0.5f;
+            for (size_t c = 0; c < COEFFICIENTS; ++c)
+                sum = fma(lanes[c][lane], row[3 * c + i], sum);
+            color[3 * (first + lane) + i] = sum < 0.0f ? 0.0f : sum;
+        }
+    }
+}
+
+__kernel void splats_forward(__global const float *mean, __global const float *log_scale,
+                             __global const float *rotation, __global const float *logit,
+                             __global const float *sh, __global const float *camera,
+                             const int count, __global float *scale, __global float *unit,
+                             __global float *color, __global float *opacity)
+{
+    const size_t first = item_from_middle() * VEC;
+    if (first >= (size_t)count)
+        return;
+    const size_t used = min((size_t)VEC, (size_t)count - first);
+    fv position[3], size[3], quaternion[4], opaque, direction[3], basis[MAX_COEFFICIENTS];
+    load_rows3(mean, first, used, position);
+    load_rows3(log_scale, first, used, size);
+    load_rows4(rotation, first, used, quaternion);
+    load_rows1(logit, first, used, &opaque);
+    for (int i = 0; i < 3; ++i)
+        size[i] = exp_log_scale(size[i]);
+    make_unit(quaternion);
+    opaque = sigmoid_v(opaque);
+    store_rows3(size, scale, first, used);
+    store_rows4(quaternion, unit, first, used);
+    store_rows1(&opaque, opacity, first, used);
+    look_at(position, camera, direction);
+    harmonics(direction, basis);
+    write_colors(sh, basis, first, used, color);
+}
+
+/* Writes d_sh of `used` Gaussians from number `first` on; weight: dL/d(basis). A channel that was
+ * negative before it became 0 has no gradient. */
+static inline void color_gradient(__global const float *sh, __global const float *color,
+                                  __global const float *d_color, const fv basis[MAX_COEFFICIENTS],
+                                  const size_t first, const size_t used,
+                                  fv weight[MAX_COEFFICIENTS], __global float *d_sh)
+{
+    float lanes[COEFFICIENTS][VEC], sums[MAX_COEFFICIENTS][VEC];
+    for (size_t c = 0; c < MAX_COEFFICIENTS; ++c)
+        STORE_V((fv)(0.0f), 0, sums[c]);
+    for (size_t c = 0; c < COEFFICIENTS; ++c)
+        STORE_V(basis[c], 0, lanes[c]);
+    for (size_t lane = 0; lane < used; ++lane) {
+        const size_t n = first + lane, row = 3 * COEFFICIENTS * n;
+        for (size_t i = 0; i < 3; ++i) {
+            const float d = color[3 * n + i] > 0.0f ? d_color[3 * n + i] : 0.0f;
+            for (size_t c = 0; c < COEFFICIENTS; ++c) {
+                sums[c][lane] = fma(d, sh[row + 3 * c + i], sums[c][lane]);
+                d_sh[row + 3 * c + i] = d * lanes[c][lane];
+            }
+        }
+    }
+    for (size_t c = 0; c < MAX_COEFFICIENTS; ++c)
+        weight[c] = LOAD_V(0, sums[c]);
+}
+
+/* Adds to d_mean what moves the color, by the direction from the camera. */
+static inline void direction_gradient(const fv direction[3], const fv on_length,
+                                      const fv weight[MAX_COEFFICIENTS], fv d_position[3])
+{
+    fv d[3];
+    harmonics_backward(direction, weight, d);
+    const fv along = dot3(direction, d);
+    for (int i = 0; i < 3; ++i)
+        d_position[i] = fma(d[i] - along * direction[i], on_length, d_position[i]);
+}
+
+/* dL/d(quaternion) from dL/d(unit quaternion): the part across it, by the length. */
+static inline void unit_gradient(fv quaternion[4], fv d[4])
+{
+    const fv on_length = make_unit(quaternion);
+    fv along = (fv)(0.0f);
+    for (int i = 0; i < 4; ++i)
+        along = fma(d[i], quaternion[i], along);
+    for (int i = 0; i < 4; ++i)
+        d[i] = (d[i] - along * quaternion[i]) * on_length;
+}
+
+/* Gradients by the stored numbers from those by scale, unit quaternion, color and opacity; d_mean
+ * has the gradient by the mean alone, and receives that of the color by it. */
+__kernel void splats_backward(__global const float *mean, __global const float *log_scale,
+                              __global const float *rotation, __global const float *sh,
+                              __global const float *camera, const int count,
+                              __global const float *scale, __global const float *color,
+                              __global const float *opacity, __global const float *d_scale,
+                              __global const float *d_unit, __global const float *d_color,
+                              __global const float *d_opacity, __global float *d_mean,
+                              __global float *d_log_scale, __global float *d_rotation,
+                              __global float *d_logit, __global float *d_sh)
+{
+    const size_t first = item_from_middle() * VEC;
+    if (first >= (size_t)count)
+        return;
+    const size_t used = min((size_t)VEC, (size_t)count - first);
+    fv position[3], size[3], log_size[3], quaternion[4], opaque, direction[3];
+    fv d_position[3], d_size[3], d_quaternion[4], d_opaque;
+    fv basis[MAX_COEFFICIENTS], weight[MAX_COEFFICIENTS];
+    load_rows3(mean, first, used, position);
+    load_rows3(scale, first, used, size);
+    load_rows3(log_scale, first, used, log_size);
+    load_rows4(rotation, first, used, quaternion);
+    load_rows1(opacity, first, used, &opaque);
+    load_rows3(d_mean, first, used, d_position);
+    load_rows3(d_scale, first, used, d_size);
+    load_rows4(d_unit, first, used, d_quaternion);
+    load_rows1(d_opacity, first, used, &d_opaque);
+    for (int i = 0; i < 3; ++i)
+        d_size[i] = fabs(log_size[i]) <= (fv)(LOG_SCALE_LIMIT) ? d_size[i] * size[i] : (fv)(0.0f);
+    d_opaque *= opaque * (1.0f - opaque);
+    unit_gradient(quaternion, d_quaternion);
+    const fv on_length = look_at(position, camera, direction);
+    harmonics(direction, basis);
+    color_gradient(sh, color, d_color, basis, first, used, weight, d_sh);
+    direction_gradient(direction, on_length, weight, d_position);
+    store_rows3(d_position, d_mean, first, used);
+    store_rows3(d_size, d_log_scale, first, used);
+    store_rows4(d_quaternion, d_rotation, first, used);
+    store_rows1(&d_opaque, d_logit, first, used);
+}

@@ -1,0 +1,38 @@
+"""`clgs view` in a process of its own: it says its address, answers there, and ends."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import urllib.request
+
+import numpy as np
+import pytest
+
+from clgs.scene.storage import save_scene
+from tests.codec.scenes import random_scene
+from tests.small_scene import write_scene
+
+pytest.importorskip("viser", reason="needs clgs[view]")
+
+
+def test_the_viewer_says_where_it_is_and_ends_when_interrupted(tmp_path):
+    save_scene(tmp_path / "s.npz", random_scene(np.random.default_rng(3), 40))
+    write_scene(tmp_path / "data", train=4, test=1, size=16)
+    words = [tmp_path / "s.npz", "--data", tmp_path / "data", "--port", "18090"]
+    command = [sys.executable, "-m", "clgs.cli.main", "view", *map(str, words)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as process:
+        assert process.stdout is not None
+        try:
+            address, _, rest = process.stdout.readline().partition("  ")
+            assert "Ctrl-C" in rest, process.stderr.read() if process.poll() is not None else ""
+            with urllib.request.urlopen(address, timeout=60) as answer:
+                assert b"<html" in answer.read().lower()
+        finally:
+            process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted" in said
+    assert "Traceback" not in said

@@ -1,0 +1,123 @@
+"""The viewer through its web socket, as a browser speaks to it."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from clgs.export.clip.framing import frame_cameras, frame_scene
+from clgs.synthetic.anchor_scene import anchor_scene
+from clgs.viewer.live import LiveScene, eye_of
+from clgs.viewer.server import Shown, close_server, open_server
+from tests.codec.scenes import random_scene
+from tests.export.clip.test_paths import ring
+from tests.viewer.test_live import photo_view
+
+viser = pytest.importorskip("viser", reason="needs clgs[view]")
+
+PATIENCE = 120
+"""Seconds after which an answer is taken for missing."""
+
+
+@pytest.fixture
+def server(open_device, rng):
+    scene, _ = anchor_scene(800, 64, 2)
+    live = LiveScene(open_device("cpu"), scene, np.ones(len(scene.anchors)))
+    cameras = ring(6)
+    framing = frame_cameras(cameras, frame_scene(random_scene(rng, 20), (80, 60)))
+    photos = {"train": [photo_view(camera) for camera in cameras], "test": []}
+    opened = open_server(
+        Shown(live, photos, framing, (0.0, 0.0, 0.0), "anchors", 1_000_000), "127.0.0.1", 18_080
+    )
+    yield opened
+    close_server(opened)
+
+
+def connect(server):
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    return connect(
+        f"ws://127.0.0.1:{server.get_port()}",
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+        max_size=None,
+        open_timeout=PATIENCE,
+    )
+
+
+def camera_message(eye):
+    """What a browser sends when its camera has moved."""
+    from viser._messages import ViewerCameraMessage
+
+    forward = eye.camera(eye.size[1]).rotation[2]
+    message = ViewerCameraMessage(
+        tuple(eye.wxyz), tuple(eye.position), eye.fov, 0.01, 1000.0, eye.size[1], eye.size[0],
+        tuple(eye.position + forward), (0.0, 0.0, 1.0),
+    )  # fmt: skip
+    return message
+
+
+def messages(socket):
+    """What the server sends, as records, without end."""
+    import msgspec
+    import zstandard
+
+    while True:
+        data = socket.recv(timeout=PATIENCE)
+        packed = int.from_bytes(data[8:16], "little")
+        text = zstandard.ZstdDecompressor().decompress(data[16 : 16 + packed])
+        yield from msgspec.msgpack.decode(text)["messages"]
+
+
+def next_picture(received):
+    """The next picture (H, W, 3) among messages."""
+    for message in received:
+        if message["type"] == "BackgroundImageMessage" and message["rgb_data"]:
+            return np.asarray(Image.open(io.BytesIO(message["rgb_data"])))
+    raise AssertionError("no more messages")
+
+
+def send(socket, message):
+    import msgspec
+
+    socket.send(msgspec.msgpack.encode(message.as_serializable_dict()))
+
+
+def test_a_browser_gets_a_coarse_and_a_fine_picture_after_a_move(server):
+    eye = eye_of(ring(1)[0], (240, 160))
+    with connect(server) as socket:
+        send(socket, camera_message(eye))
+        received = messages(socket)
+        heights = {next_picture(received).shape[0] for _ in range(2)}
+    assert max(heights) == 160
+
+
+def test_a_photo_is_gone_to_and_shown(server):
+    from viser._messages import GuiUpdateMessage
+
+    there = ring(6)[3]
+    controls, moved = {}, {}
+    with connect(server) as socket:
+        send(socket, camera_message(eye_of(ring(1)[0], (240, 160))))
+        received = messages(socket)
+        while {"photo", "show"} - controls.keys():
+            message = next(received)
+            if message["type"] == "GuiDropdownMessage":
+                controls[message["props"]["label"]] = message
+        assert [*controls["photo"]["props"]["options"][1:3]] == ["a", "a (2)"]
+        for label, value in (("show", "photo"), ("photo", "a (4)")):
+            send(socket, GuiUpdateMessage(controls[label]["uuid"], {"value": value}))
+        while {"SetCameraPositionMessage", "SetCameraLookAtMessage"} - moved.keys():
+            message = next(received)
+            moved[message["type"]] = message
+        place = moved["SetCameraPositionMessage"]["position"]
+        np.testing.assert_allclose(place, there.centre, atol=1e-6)
+        send(socket, camera_message(eye_of(there, (240, 160))))
+        picture = next_picture(received)
+        while picture.shape[0] < 160 or abs(int(picture[120, 120, 1]) - 200) > 8:
+            picture = next_picture(received)
+    assert (np.abs(picture[100:150, 20:220].astype(int) - 200) < 12).all()
+    assert (np.abs(picture[10:60, 20:220].astype(int) - 100) < 12).all()
