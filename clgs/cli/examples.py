@@ -38,7 +38,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "clgs eval splats.ply --data data --background white",
     ),
     "view": ("clgs view run --data data", "clgs view splats.ply --port 9000"),
-    "export": ("clgs export data -o cameras.glb",),
+    "export": (
+        "clgs export run --data data -o scene.ply",
+        "clgs export run/scene.clgs --data data -o scene.sog --sh-degree 1",
+        "clgs export data -o cameras.glb",
+    ),
     "info": ("clgs info scene.clgs", "clgs info scene.clgs --json"),
     "selftest": ("clgs selftest", "clgs selftest --device 0 --verbose"),
     "bench": ("clgs bench step", "clgs bench ops --help"),

@@ -11,7 +11,7 @@ LAYERS = [  # a package may import from its own row and the rows above it
     {"opencl", "scene"},
     {"ops", "codec", "data"},
     {"render", "export"},
-    {"synthetic", "selftest", "train"},
+    {"bake", "synthetic", "selftest", "train"},
     {"bench", "doctor", "viewer"},
     {"cli"},
 ]

@@ -1,0 +1,61 @@
+"""Cameras to bake from if there is no data set: what is stored says little about where they stood.
+
+Data sets of photos are scaled so that the cameras lie within SCENE_RADIUS / RADIUS_MARGIN of the
+origin, the farthest at that distance: cameras stand on two spheres inside, and look at the middle
+of the anchors. Scenes of Blender keep their units: cameras stand around the anchors, far enough to
+see them all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.dataset import RADIUS_MARGIN, SCENE_RADIUS
+from clgs.scene.camera import Camera
+from clgs.scene.scene import Scene, SceneTransform
+
+VIEWS = 96
+SIZE = 400
+"""Pixels of an edge."""
+FIELD = 0.7
+"""Radians across."""
+SHELLS = (1.0, 0.6)
+"""Spheres that cameras stand on by turns, in units of the largest."""
+MOST_ANCHORS = 0.9
+"""Of the anchors, so many are to be seen."""
+
+
+def cameras_around(scene: Scene) -> list[Camera]:
+    """VIEWS cameras in scene units, evenly spread; always the same ones for a scene."""
+    position = scene.anchors.position.astype(np.float64)
+    middle = np.median(position, axis=0)
+    if scene.transform == SceneTransform():
+        extent = np.quantile(np.linalg.norm(position - middle, axis=1), MOST_ANCHORS)
+        stand, radius = middle, float(extent) / np.sin(FIELD / 2)
+    else:
+        stand, radius = np.zeros(3), SCENE_RADIUS / RADIUS_MARGIN
+    shells = radius * np.resize(SHELLS, VIEWS)
+    return [
+        _look_at(stand + r * d, middle) for r, d in zip(shells, _directions(VIEWS), strict=True)
+    ]
+
+
+def _directions(count: int) -> npt.NDArray[np.float64]:
+    """Unit vectors (count, 3) spread evenly: equal steps of height, turned by the golden angle."""
+    height = 1 - (2 * np.arange(count) + 1) / count
+    angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    around = np.sqrt(1 - height**2)
+    return np.column_stack([around * np.cos(angle), around * np.sin(angle), height])
+
+
+def _look_at(centre: npt.NDArray[np.float64], target: npt.NDArray[np.float64]) -> Camera:
+    """A camera that sees ``target`` in the middle of its picture; any side is up."""
+    forward = target - centre
+    forward /= max(float(np.linalg.norm(forward)), 1e-9)
+    side = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
+    side /= max(float(np.linalg.norm(side)), 1e-9)
+    rotation = np.stack([side, np.cross(forward, side), forward])
+    focal = SIZE / 2 / np.tan(FIELD / 2)
+    half = SIZE / 2
+    return Camera(rotation, -rotation @ centre, focal, focal, half, half, SIZE, SIZE)
