@@ -24,7 +24,7 @@ from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
 RIDGE = 0.02
 """Of the coefficients, in units of the mean of w b^2."""
 
-LEAST_WEIGHT = 0.05
+LEAST_WEIGHT = 0.3
 """Pixels: Gaussians that contribute less to every view are left out."""
 
 MAX_OPACITY = 0.99
