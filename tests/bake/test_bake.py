@@ -1,0 +1,150 @@
+"""Baking a small scene: it looks alike, the same each time, and keeps its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.bake.bake import (
+    BakeSettings,
+    BakeView,
+    bake,
+    count_steps,
+    evenly,
+    in_order,
+    to_scene,
+    to_world,
+    without_faint,
+)
+from clgs.bake.cameras import VIEWS, cameras_around
+from clgs.bake.loss import baked_loss
+from clgs.bake.observe import observe
+from clgs.errors import DataError
+from clgs.options import DEFAULT
+from clgs.render.frame import upload_scene, upload_view
+from clgs.render.renderer import Renderer
+from clgs.scene.scene import SceneTransform
+from clgs.synthetic.anchor_scene import anchor_scene
+from clgs.train.quality.metrics import to_8bit
+from tests.export.splats.cases import differences, gaussians
+
+SIZE = 64
+
+
+@pytest.fixture(scope="module")
+def device(open_device):
+    """One form: the stages are tested in both."""
+    return open_device("cpu")
+
+
+@pytest.fixture(scope="module")
+def views():
+    scene, camera = anchor_scene(400, SIZE, 5)
+    turned = []
+    for angle in np.linspace(-0.2, 0.2, 6):
+        turn = np.array(
+            [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+        )
+        turned.append(BakeView(replace(camera, rotation=camera.rotation @ turn)))
+    return scene, turned
+
+
+def test_contributions_add_up_to_the_picture(device, views):
+    """Of weights times colors over black, every channel's sum is that of the picture."""
+    scene, (view, *_) = views
+    black = replace(scene.settings, background=(0.0, 0.0, 0.0))
+    on_device = upload_view(device, view.camera, black)
+    seen = observe(device, upload_scene(device, scene), on_device, DEFAULT)
+    picture = Renderer(device, replace(scene, settings=black)).render(view.camera)
+    total = (seen.weight[:, None].astype(np.float64) * seen.color).sum(axis=0)
+    assert np.allclose(total, picture.sum(axis=(1, 2), dtype=np.float64), rtol=1e-4)
+    assert len(np.unique(seen.slot)) == len(seen.slot)
+
+
+def test_refinement_brings_it_closer_and_repeats_bit_for_bit(device, views):
+    scene, turned = views
+    rough = bake(device, scene, turned, BakeSettings(1, 0))
+    fine = bake(device, scene, turned, BakeSettings(1, 30))
+    losses = [baked_loss(device, scene, one, turned) for one in (rough, fine)]
+    assert losses[0].scene is None
+    assert losses[1].baked > losses[0].baked > 15
+    again = bake(device, scene, turned, BakeSettings(1, 30))
+    for name, array in fine.items():
+        assert np.array_equal(getattr(again, name), array), name
+
+
+def test_photos_are_what_it_is_refined_to(device, views):
+    scene, turned = views
+    renderer = Renderer(device, scene)
+    painted = []
+    for view in turned:
+        darker = to_8bit(0.8 * renderer.render(view.camera)).transpose(2, 0, 1)
+        painted.append(replace(view, photo=lambda planes=darker: planes))
+    found = bake(device, scene, painted, BakeSettings(0, 60))
+    before = bake(device, scene, painted, BakeSettings(0, 0))
+    losses = [baked_loss(device, scene, one, painted) for one in (before, found)]
+    assert losses[0].scene == losses[1].scene is not None
+    assert losses[1].baked > losses[0].baked + 1
+
+
+def test_steps_are_told(device, views):
+    scene, turned = views
+    settings, told = BakeSettings(0, 3), []
+    bake(device, scene, turned, settings, on_step=lambda: told.append(1))
+    assert len(told) == count_steps(len(turned), settings) == 2 * 6 + 3
+
+
+def test_views_that_see_nothing_are_refused(device, views):
+    scene, (view, *_) = views
+    away = BakeView(replace(view.camera, translation=np.array([0.0, 0.0, -50.0])))
+    with pytest.raises(DataError, match=r"no view sees anything of the scene; is --data"):
+        bake(device, scene, [away], BakeSettings(0, 0))
+
+
+def test_units_go_there_and_back():
+    before = gaussians()
+    transform = SceneTransform((3.0, -1.0, 0.5), 0.25)
+    world = to_world(before, transform)
+    assert np.allclose(world.mean, before.mean / 0.25 + transform.centre, rtol=1e-6)
+    assert np.allclose(np.exp(world.log_scale), np.exp(before.log_scale) * 4, rtol=1e-5)
+    assert max(differences(to_scene(world, transform), before).values()) < 1e-5
+
+
+def test_order_keeps_near_ones_together_and_loses_none():
+    before = gaussians(0, 2000)
+    after = in_order(before)
+    rows = {tuple(row) for row in before.mean.tolist()}
+    assert rows == {tuple(row) for row in after.mean.tolist()}
+    steps = [np.linalg.norm(np.diff(one.mean, axis=0), axis=1).mean() for one in (before, after)]
+    assert steps[1] < 0.5 * steps[0]
+    one = in_order(before.map(lambda array: array[:1]))
+    assert np.array_equal(one.mean, before.mean[:1])
+
+
+def test_faint_ones_go():
+    before = gaussians()
+    assert before.opacity[2] < -6
+    after = without_faint(before)
+    assert len(after) < len(before)
+    assert after.opacity.min() > -5.6
+
+
+def test_views_are_chosen_evenly():
+    assert evenly(list(range(10)), 3) == [0, 4, 9]
+    assert evenly(list(range(3)), 5) == [0, 1, 2]
+
+
+@pytest.mark.parametrize("transform", [SceneTransform(), SceneTransform((1.0, 2.0, 3.0), 2.0)])
+def test_cameras_around_a_scene_look_at_it(views, transform):
+    scene = replace(views[0], transform=transform)
+    middle = np.median(scene.anchors.position, axis=0)
+    cameras = cameras_around(scene)
+    assert len(cameras) == VIEWS
+    for camera in cameras:
+        assert np.allclose(camera.rotation @ camera.rotation.T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(camera.rotation) > 0
+        point = camera.rotation @ middle + camera.translation
+        assert np.allclose(point[:2], 0, atol=1e-6)
+        assert point[2] > 0
