@@ -14,7 +14,7 @@ TABLE_ROUNDS = 20
 PALETTE_PARTS = 128
 """The sets are parted into so many first, and each part by itself then."""
 MAX_PALETTE = 65536
-MEMBERS = 4
+MEMBERS = 2
 """Gaussians for each entry of a palette, on average."""
 PALETTE_ROUNDS = 8
 SEED = 0
@@ -60,7 +60,7 @@ def nearest(table: Floats, values: Floats) -> npt.NDArray[np.uint8]:
 
 
 def make_palette(coefficients: Floats) -> Palette:
-    """A palette for N sets of coefficients (N, C - 1, 3), a quarter as many or less."""
+    """A palette for N sets of coefficients (N, C - 1, 3): half as many, at most MAX_PALETTE."""
     count, size, _ = coefficients.shape
     rows = coefficients.reshape(count, -1)
     wanted = min(MAX_PALETTE - PALETTE_PARTS, max(1, count // MEMBERS))
