@@ -1,43 +1,64 @@
-"""``clgs export``: what clgs knows, in a file that other programs open."""
+"""``clgs export``: what clgs knows, in a file that other programs open; the suffix says which."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 from pathlib import Path
+from typing import Any
 
-from clgs.cli.options.output import add_overwrite, check_new, check_suffix
+from clgs.cli.options.output import add_overwrite, check_new
 from clgs.cli.options.view import named_path
+
+KINDS = {
+    ".glb": "cameras",
+    ".html": "page",
+}
+"""Suffix of the output to the module of ``clgs.cli.exports`` that writes it.
+
+Each has ``HELP``, a line, ``add_options(parser)`` and ``run(args)``, which prints a line.
+"""
+
+DESCRIPTION = """\
+Write what other programs open; the suffix of FILE says what:
+
+"""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command and its options."""
+    lines = "\n".join(f"  {suffix:6} {_module(name).HELP}" for suffix, name in KINDS.items())
     parser = subparsers.add_parser(
         "export",
-        help="write the cameras and points of a data set as a GLB file",
-        description="Write the points of a data set, if it has any, and the frustum of every "
-        "camera to a GLB file, which 3-D viewers open: training cameras blue, held-out ones "
-        "orange. Lengths are the world units of the data set. Its up becomes glTF's y: Blender "
-        "captures and transforms.json have z up, COLMAP models y down. `clgs train --points` turns "
-        "a GLB file back.",
+        help="write cameras, or a scene as a web page, for other programs",
+        description=DESCRIPTION + lines,
     )
-    parser.add_argument("data", type=Path, metavar="DATA", help="a data set, as for `clgs train`")
     parser.add_argument(
-        "-o", "--output", type=named_path, required=True, metavar="cameras.glb", help="new file"
+        "source",
+        type=Path,
+        nargs="?",
+        metavar="SCENE|DATA",
+        help="a run folder or .clgs file, or a data set, as FILE needs",
     )
+    parser.add_argument(
+        "-o", "--output", type=named_path, required=True, metavar="FILE", help="new file"
+    )
+    for name in dict.fromkeys(KINDS.values()):
+        _module(name).add_options(parser)
     add_overwrite(parser, "the file if it exists (default: refuse)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the file and print one line; exit code 0."""
-    from clgs.data.dataset import load_dataset
-    from clgs.export.cameras import cameras_glb
-    from clgs.files import atomic_write
+    from clgs.errors import UsageError
 
-    check_suffix(args.output, ".glb")
+    name = KINDS.get(args.output.suffix.lower())
+    if name is None:
+        raise UsageError(f"{args.output}: the suffix is none of {', '.join(KINDS)}")
     check_new(args, args.output)
-    dataset = load_dataset(args.data, load_images=False)
-    data = cameras_glb(dataset)
-    atomic_write(args.output, data)
-    cameras = len(dataset.train) + len(dataset.test)
-    print(f"{args.output}: {len(dataset.points):,} points, {cameras} cameras, {len(data):,} bytes")
+    _module(name).run(args)
     return 0
+
+
+def _module(name: str) -> Any:
+    return importlib.import_module(f"clgs.cli.exports.{name}")

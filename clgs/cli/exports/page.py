@@ -1,0 +1,85 @@
+"""``clgs export SCENE -o scene.html``: a scene as one web page, which needs nothing else."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from clgs.export.page import Start
+
+HELP = """\
+from SCENE: one web page that decodes and draws the scene, offline;
+         with --viewer and no SCENE: a page to drop .clgs files on."""
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add --viewer and --data."""
+    parser.add_argument(
+        "--viewer", action="store_true", help=".html: a page without a scene, to drop files on"
+    )
+    parser.add_argument(
+        "--data",
+        type=Path,
+        help=".html: the data set that SCENE was made of; the page starts at its first held-out "
+        "view, upright (default: a guess from the anchors)",
+    )
+
+
+def run(args: argparse.Namespace) -> None:
+    """Write the page and print one line."""
+    from clgs.errors import UsageError
+    from clgs.export.page import scene_page
+    from clgs.files import atomic_write, check_output
+
+    if args.viewer == (args.source is not None):
+        raise UsageError("name a SCENE, or give --viewer for a page without one")
+    data = b""
+    if args.source is not None:
+        data = read_file(args.source)
+        check_output(args.output, args.source)
+    start = read_start(args.data, data) if args.data is not None and data else None
+    page = scene_page(data, args.source.stem if data else "", start)
+    atomic_write(args.output, page)
+    around = f", {len(data):,} of them the scene" if data else ""
+    print(f"{args.output}: {len(page):,} bytes{around}")
+
+
+def read_file(path: Path) -> bytes:
+    """The bytes of a .clgs file, of splats too, or of that in a run folder, once checked.
+
+    Raises:
+        DataError: there is none, or it is damaged.
+    """
+    from clgs.cli.options.scene import naming, read_bytes, read_run
+    from clgs.codec import scene_decoder, splats
+
+    if path.is_dir():
+        read_run(path)  # says what is missing of a run
+        path = path / "scene.clgs"
+    data = read_bytes(path)
+    with naming(path):
+        (splats if splats.is_splats(data) else scene_decoder).describe(data)
+    return data
+
+
+def read_start(path: Path, data: bytes) -> Start:
+    """Where the page starts: the first held-out view of the data set at ``path``.
+
+    Raises:
+        DataError: there is no data set.
+    """
+    from clgs.codec.container import section_table
+    from clgs.codec.container.reader import Reader
+    from clgs.codec.container.source import BytesSource
+    from clgs.data.dataset import load_dataset
+    from clgs.data.repose import repose
+    from clgs.export.page import start_at
+
+    table, _ = section_table.read_container(data)
+    transform = Reader(BytesSource(data), table).meta.transform
+    dataset = load_dataset(path, load_images=False, load_points=False)
+    views = repose(dataset, transform)
+    first = (views.test or views.train)[0]
+    return start_at(first.camera, [view.camera for view in views.train])
