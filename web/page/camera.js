@@ -113,5 +113,5 @@ function guessStart(positions) {
   const target = quantile(0.5), size = Math.hypot(...add(quantile(0.9), quantile(0.1), -1)) || 1;
   const far = Math.hypot(...target), up = [0, 0, 1];
   if (far > 0.6 * size) return {eye: [0, 0, 0], target, up: [0, -1, 0], fov: 1};
-  return {eye: add(target, unit([1, -1, 0.6]), 1.3 * size), target, up, fov: 0.8};
+  return {eye: add(target, unit([1, -1, 0.6]), 2 * size), target, up, fov: 0.8};
 }

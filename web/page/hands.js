@@ -1,6 +1,6 @@
 // Mouse, touch and keys move the camera.
 
-const WALK = 0.8; // of the distance, per second
+const WALK = 0.5; // of the distance, per second
 const KEYS = {
   KeyW: [0, 0, 1], ArrowUp: [0, 0, 1], KeyS: [0, 0, -1], ArrowDown: [0, 0, -1],
   KeyA: [-1, 0, 0], ArrowLeft: [-1, 0, 0], KeyD: [1, 0, 0], ArrowRight: [1, 0, 0],

@@ -10,9 +10,13 @@ const viewer = {
   number: 0, // of the newest camera
   shown: -1, // the camera of the order that is drawn, and whether its Gaussians are of that place
   settled: false,
-  frames: 0, updates: 0,
+  updates: 0, // sets of Gaussians
+  sharpness: 1, // of the pixels' number along a side, while the camera moves
   awake: false, last: 0,
 };
+
+const SLOW = 40, FAST = 18; // milliseconds of a picture: fewer pixels above, more again below
+const LEAST_SHARPNESS = 0.35;
 
 function bytesOf(id) {
   const text = atob(element(id).textContent.trim());
@@ -38,9 +42,9 @@ function wake() {
   }
 }
 
-function present() {
+function present(moves) {
   if (viewer.fixed) return viewer.fixed;
-  const ratio = Math.min(window.devicePixelRatio || 1, 2);
+  const ratio = Math.min(window.devicePixelRatio || 1, 2) * (moves ? viewer.sharpness : 1);
   return viewer.camera.pinhole(Math.max(1, Math.round(canvas.clientWidth * ratio)),
     Math.max(1, Math.round(canvas.clientHeight * ratio)));
 }
@@ -57,15 +61,24 @@ function tell(view) {
   }});
 }
 
+// Pictures of a moving camera keep up with it, at the price of sharpness on slow devices.
+function adapt() {
+  const {milliseconds} = viewer.renderer;
+  if (milliseconds > SLOW) viewer.sharpness = Math.max(LEAST_SHARPNESS, 0.85 * viewer.sharpness);
+  if (milliseconds < FAST) viewer.sharpness = Math.min(1, 1.05 * viewer.sharpness);
+}
+
 function draw(now) {
-  const seconds = (now - viewer.last) / 1000;
+  const {renderer, scene, hands, camera, fixed} = viewer;
   viewer.awake = false;
+  if (!scene || renderer.busy()) return wake();
+  const seconds = (now - viewer.last) / 1000;
+  const moves = !fixed && [hands.step(seconds), camera.step(seconds)].some(Boolean);
   viewer.last = now;
-  const moves = !viewer.fixed && [viewer.hands.step(seconds), viewer.camera.step(seconds)].some(Boolean);
-  const view = present();
+  if (moves) adapt();
+  const view = present(moves);
   tell(view);
-  viewer.renderer.draw(view, viewer.scene);
-  viewer.frames++;
+  renderer.draw(view, scene);
   viewer.drawn = viewer.shown;
   if (moves) wake();
 }
@@ -167,9 +180,11 @@ window.clgs = {
   },
   load: (bytes, name) => load(bytes, name),
   state: () => ({
-    ready: viewer.settled && viewer.drawn === viewer.number, failed: viewer.failed || null,
+    ready: viewer.settled && viewer.drawn === viewer.number && !viewer.renderer.busy(),
+    failed: viewer.failed || null,
     hash: viewer.scene?.hash, expectedHash: viewer.scene?.expectedHash,
-    frames: viewer.frames, updates: viewer.updates, gaussians: viewer.renderer?.count,
+    frames: viewer.renderer?.frames, updates: viewer.updates, gaussians: viewer.renderer?.count,
+    width: canvas.width, height: canvas.height,
   }),
 };
 

@@ -1,23 +1,25 @@
-// Draws sorted Gaussians with WebGL 2: a quad for each, blended from far to near.
+// Draws sorted Gaussians with WebGL 2: a quad for each, blended from far to near. Quads are not
+// instances: of four vertices each, they are slow on some devices, and very slow in software.
 
 const TEXELS = 3; // of a Gaussian's record: 12 words
-const COLUMNS = 512; // Gaussians per row of the texture
+const COLUMNS = 512; // Gaussians per row of the textures
 
 // Projects as clgs/reference/stages/project.py does: the covariance with the Jacobian at slopes
 // within limits, blurred; whitened offsets y with alpha = opacity exp(-|y|^2 / 2).
 const VERTEX = `#version 300 es
 precision highp float;
 precision highp int;
-uniform highp usampler2D records;
+uniform highp usampler2D records, order;
 uniform mat3 rotation;
 uniform vec3 translation;
 uniform vec2 focal, principal, size;
 uniform vec4 limits;
 uniform float blur, alphaCut, near;
-in uint index;
 out vec2 y;
 flat out vec4 color;
 void main() {
+  int place = gl_VertexID >> 2;
+  uint index = texelFetch(order, ivec2(place % ${COLUMNS}, place / ${COLUMNS}), 0).x;
   ivec2 at = ivec2(${TEXELS} * int(index % ${COLUMNS}u), int(index / ${COLUMNS}u));
   uvec4 first = texelFetch(records, at, 0);
   uvec4 second = texelFetch(records, at + ivec2(1, 0), 0);
@@ -41,7 +43,7 @@ void main() {
   yy += blur;
   float determinant = max(xx * yy - xy * xy, least);
   float reach = sqrt(2.0 * log(opacity / alphaCut));
-  y = reach * vec2(float(gl_VertexID & 1) * 2.0 - 1.0, float(gl_VertexID >> 1) * 2.0 - 1.0);
+  y = reach * (2.0 * vec2(gl_VertexID & 1, gl_VertexID >> 1 & 1) - 1.0);
   float dx = y.x * sqrt(xx);
   vec2 pixel = focal * slope + principal
     + vec2(dx, dx * xy / xx + y.y * sqrt(determinant / xx));
@@ -84,7 +86,6 @@ function makeProgram(gl, vertex, fragment) {
     gl.compileShader(shader);
     gl.attachShader(program, shader);
   }
-  gl.bindAttribLocation(program, 0, "index");
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
     throw new Error(`a shader does not build: ${gl.getProgramInfoLog(program)}`);
@@ -107,17 +108,16 @@ class Renderer {
       || gl.getExtension("EXT_color_buffer_half_float");
     this.splats = makeProgram(gl, VERTEX, FRAGMENT);
     this.copy = makeProgram(gl, COPY_VERTEX, COPY_FRAGMENT);
-    this.records = this.makeTexture();
+    const words = {type: gl.UNSIGNED_INT, rows: 0};
+    this.records = {...words, texture: this.makeTexture(), width: TEXELS * COLUMNS, channels: 4,
+      inside: gl.RGBA32UI, format: gl.RGBA_INTEGER};
+    this.order = {...words, texture: this.makeTexture(), width: COLUMNS, channels: 1,
+      inside: gl.R32UI, format: gl.RED_INTEGER};
     this.picture = this.makeTexture();
     this.frame = gl.createFramebuffer();
-    this.rows = this.count = this.room = 0;
-    this.vertices = gl.createVertexArray();
-    this.order = gl.createBuffer();
-    gl.bindVertexArray(this.vertices);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    gl.enableVertexAttribArray(0);
-    gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(0, 1);
+    this.count = this.room = 0; // Gaussians that are drawn, and that there are quads for
+    this.frames = this.milliseconds = 0; // complete ones, and what the last one took
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   }
 
@@ -131,34 +131,38 @@ class Renderer {
 
   // What is to be drawn: records (n, 12) if they are new, and their order, far to near.
   set(records, order) {
-    const gl = this.gl;
-    if (records) this.upload(records);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    if (order.length > this.room) {
-      this.room = Math.ceil(order.length * 1.25);
-      gl.bufferData(gl.ARRAY_BUFFER, 4 * this.room, gl.STREAM_DRAW);
-    }
-    gl.bufferSubData(gl.ARRAY_BUFFER, 0, order);
+    if (records) this.upload(this.records, records);
+    this.upload(this.order, order);
     this.count = order.length;
+    if (this.count > this.room) this.makeQuads(Math.ceil(this.count * 1.25));
   }
 
-  upload(records) {
-    const gl = this.gl, width = TEXELS * COLUMNS, row = 4 * width;
-    const rows = Math.max(1, Math.ceil(records.length / row));
+  // Vertices 4 i to 4 i + 3 are two triangles.
+  makeQuads(count) {
+    const gl = this.gl, list = new Uint32Array(6 * count);
+    for (let i = 0; i < count; i++) {
+      list.set([4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 2, 4 * i + 1, 4 * i + 3], 6 * i);
+    }
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, list, gl.STATIC_DRAW);
+    this.room = count;
+  }
+
+  // Fill a texture of words, row by row; it grows if it has to.
+  upload(to, words) {
+    const gl = this.gl, row = to.channels * to.width;
+    const rows = Math.max(1, Math.ceil(words.length / row));
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
-    if (rows > most) {
-      throw new Error("the scene has more Gaussians than this device can draw");
+    if (rows > most) throw new Error("the scene has more Gaussians than this device can draw");
+    gl.bindTexture(gl.TEXTURE_2D, to.texture);
+    if (rows > to.rows) {
+      to.rows = Math.min(most, Math.ceil(rows * 1.25));
+      gl.texImage2D(gl.TEXTURE_2D, 0, to.inside, to.width, to.rows, 0, to.format, to.type, null);
     }
-    gl.bindTexture(gl.TEXTURE_2D, this.records);
-    if (rows > this.rows) {
-      this.rows = Math.min(most, Math.ceil(rows * 1.25));
-      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, width, this.rows, 0, gl.RGBA_INTEGER,
-        gl.UNSIGNED_INT, null);
-    }
-    const whole = Math.floor(records.length / row), rest = (records.length - whole * row) / 4;
-    const part = (top, columns, height) => gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, top, columns,
-      height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, records.subarray(top * row));
-    if (whole > 0) part(0, width, whole);
+    const whole = Math.floor(words.length / row);
+    const rest = (words.length - whole * row) / to.channels;
+    const part = (top, width, height) => gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, top, width, height,
+      to.format, to.type, words.subarray(top * row));
+    if (whole > 0) part(0, to.width, whole);
     if (rest > 0) part(whole, rest, 1);
   }
 
@@ -175,8 +179,28 @@ class Renderer {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.picture, 0);
   }
 
-  // view: a camera as Camera.pinhole gives it; scene: the settings of the file.
+  // Whether the device still draws the last picture; it would fall behind with another one.
+  busy() {
+    const gl = this.gl;
+    if (!this.fence || gl.isContextLost()) return false;
+    if (gl.getSyncParameter(this.fence, gl.SYNC_STATUS) !== gl.SIGNALED) return true;
+    gl.deleteSync(this.fence);
+    this.fence = null;
+    this.frames++;
+    this.milliseconds = performance.now() - this.begun;
+    return false;
+  }
+
+  // view: a camera as Camera.pinhole gives it; scene: the settings of the file. Once not busy().
   draw(view, scene) {
+    this.begun = performance.now();
+    this.drawGaussians(view, scene);
+    if (this.half) this.show();
+    this.fence = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    this.gl.flush();
+  }
+
+  drawGaussians(view, scene) {
     const gl = this.gl, {program, uniforms} = this.splats;
     this.resize(view.width, view.height);
     gl.viewport(0, 0, view.width, view.height);
@@ -196,19 +220,20 @@ class Renderer {
     for (const name of ["blur", "near", "alphaCut", "alphaMax"]) {
       gl.uniform1f(uniforms[name], scene[name]);
     }
-    gl.bindTexture(gl.TEXTURE_2D, this.records);
-    gl.bindVertexArray(this.vertices);
+    gl.uniform1i(uniforms.order, 1);
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, this.order.texture);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.records.texture);
     gl.enable(gl.BLEND);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
+    gl.drawElements(gl.TRIANGLES, 6 * this.count, gl.UNSIGNED_INT, 0);
     gl.disable(gl.BLEND);
-    if (this.half) this.show();
   }
 
   // Copy the picture to the canvas.
   show() {
     const gl = this.gl;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.bindVertexArray(null);
     gl.useProgram(this.copy.program);
     gl.bindTexture(gl.TEXTURE_2D, this.picture);
     gl.drawArrays(gl.TRIANGLES, 0, 3);

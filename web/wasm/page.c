@@ -81,6 +81,8 @@ static int read_numbers(const uint8_t *meta)
 int EXPORT(page_open)(void)
 {
     problem wrong = container_read(page.file, &page.sections);
+    if (!wrong && page.sections.splats)
+        wrong = "the file holds ordinary splats; this page draws trained scenes";
     if (!wrong)
         wrong = anchors_open(&page.sections, &page.anchor, &page.decoding);
     if (!wrong && !read_numbers(page.sections.section[META].data))

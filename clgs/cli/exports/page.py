@@ -47,20 +47,19 @@ def run(args: argparse.Namespace) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """The bytes of a .clgs file, of splats too, or of that in a run folder, once checked.
+    """The bytes of a scene's .clgs file, or of that in a run folder, once checked.
 
     Raises:
         DataError: there is none, or it is damaged.
     """
-    from clgs.cli.options.scene import naming, read_bytes, read_run
-    from clgs.codec import scene_decoder, splats
+    from clgs.cli.options.scene import naming, read_bytes
+    from clgs.codec.scene_decoder import describe
 
-    if path.is_dir():
-        read_run(path)  # says what is missing of a run
+    if path.is_dir() and (path / "scene.clgs").exists():
         path = path / "scene.clgs"
     data = read_bytes(path)
     with naming(path):
-        (splats if splats.is_splats(data) else scene_decoder).describe(data)
+        describe(data)
     return data
 
 
