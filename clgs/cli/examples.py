@@ -29,7 +29,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "clgs eval run/scene.clgs --data data --json scores.json",
         "clgs eval run --hashes run/hashes.json",
     ),
-    "export": ("clgs export data -o cameras.glb",),
+    "export": (
+        "clgs export run -o scene.html --data data",
+        "clgs export --viewer -o viewer.html",
+        "clgs export data -o cameras.glb",
+    ),
     "info": ("clgs info scene.clgs", "clgs info scene.clgs --json"),
     "selftest": ("clgs selftest", "clgs selftest --device 0 --verbose"),
     "bench": ("clgs bench step", "clgs bench ops --help"),

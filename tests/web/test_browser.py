@@ -55,7 +55,10 @@ def browser(tmp_path):
 def show(browser, camera):
     """The screenshot of the page at this camera."""
     view = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
-    view |= {"rotation": camera.rotation.ravel().tolist(), "translation": camera.translation.tolist()}
+    view |= {
+        "rotation": camera.rotation.ravel().tolist(),
+        "translation": camera.translation.tolist(),
+    }
     browser.value(f"clgs.setCamera({json.dumps(view)})")
     browser.wait("clgs.state().ready")
     return browser.screenshot(camera.width, camera.height).astype(np.float64)

@@ -54,7 +54,8 @@ def run(args: argparse.Namespace) -> int:
 
     name = KINDS.get(args.output.suffix.lower())
     if name is None:
-        raise UsageError(f"{args.output}: the suffix is none of {', '.join(KINDS)}")
+        known = ", ".join(KINDS)
+        raise UsageError(f"{args.output}: nothing is written by this suffix; take one of {known}")
     check_new(args, args.output)
     _module(name).run(args)
     return 0
