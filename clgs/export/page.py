@@ -41,7 +41,7 @@ def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
     """The page that shows a .clgs file; without ``data`` a page to drop such files on.
 
     Args:
-        data: a whole file of a scene; the page verifies it.
+        data: a whole file of a scene or of splats; the page verifies it.
         title: of the page; empty without data.
         start: the first view; by default the page guesses one.
 

@@ -38,7 +38,7 @@ def find_browser() -> str | None:
 
 
 class Browser:
-    """One page in a browser of its own; ``errors``: all that its console and scripts complain of."""
+    """One page in a browser of its own; ``errors``: what its console and scripts complain of."""
 
     def __init__(self, program: str, folder: Path) -> None:
         ours, theirs = os.pipe(), os.pipe()  # (to read, to write): commands, answers

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from clgs.codec.scene_encoder import encode
+from clgs.codec.splats import pack
 from clgs.errors import ClgsError
 from clgs.export import page
 from clgs.render.renderer import render_view
+from clgs.synthetic.anchor_scene import square_camera
 from clgs.train.quality.metrics import to_8bit
 from tests.web.browser import Browser, find_browser
-from tests.web.scenes import quantized_scene
+from tests.web.scenes import grey_wall, quantized_scene
 
 SIZE = 96
 LEAST_PSNR = 45.0
@@ -94,4 +96,14 @@ def test_a_file_given_to_the_viewer_is_shown(browser, scene, tmp_path):
     assert state["failed"] is None
     assert state["hash"] == state["expectedHash"]
     assert state["gaussians"] > 0
+    assert browser.errors == []
+
+
+def test_colors_are_shown_as_they_are(browser, tmp_path):
+    file = tmp_path / "wall.html"
+    file.write_bytes(page.scene_page(pack(grey_wall()), "wall"))
+    browser.open(file, SIZE, SIZE)
+    browser.wait("window.clgs && clgs.state().ready")
+    # 0.5 - 0.2821 = 0.2179; twice alpha 0.99 leaves 1/10,000 of the black behind
+    assert (show(browser, square_camera(SIZE))[40:56, 40:56] == 56).all()
     assert browser.errors == []

@@ -11,7 +11,6 @@ import pytest
 
 from clgs.cli import main as cli
 from clgs.codec.scene_encoder import encode
-from clgs.codec.splats import Splats, pack
 from clgs.errors import ClgsError
 from clgs.export import page
 from clgs.synthetic.anchor_scene import square_camera
@@ -99,14 +98,11 @@ def test_the_command_writes_a_viewer(decoder, tmp_path):
 
 def test_what_cannot_become_a_page_is_one_line(decoder, data, tmp_path, capsys):
     output = tmp_path / "out.html"
-    values = np.arange(12, dtype=np.int32).reshape(3, 4)
-    (tmp_path / "splats.clgs").write_bytes(pack(Splats(["x", "y", "z", "a"], [1.0] * 4, values)))
     (tmp_path / "cut.clgs").write_bytes(data[:-1])
     cases = [
         ([], 2, "name a SCENE, or give --viewer"),
         ([str(tmp_path / "cut.clgs"), "--viewer"], 2, "name a SCENE, or give --viewer"),
         ([str(tmp_path / "cut.clgs")], 3, "cut.clgs: "),
-        ([str(tmp_path / "splats.clgs")], 3, "holds splats"),
         ([str(tmp_path / "none.clgs")], 3, "no such file"),
         ([str(tmp_path)], 3, "is a folder"),
     ]

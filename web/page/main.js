@@ -93,7 +93,7 @@ const handlers = {
     viewer.camera = viewer.hands.camera = new Camera(start);
     const same = scene.hash === scene.expectedHash;
     element("status").textContent = `${settings.title || viewer.name} \u00b7 `
-      + `${scene.items.toLocaleString("en")} anchors \u00b7 integers ${scene.hash} `
+      + `${scene.items.toLocaleString("en")} ${scene.splats ? "splats" : "anchors"} \u00b7 integers ${scene.hash} `
       + (same ? "as in the file" : "differ from the file's");
     note("Drawing", 1);
     wake();

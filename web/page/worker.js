@@ -35,18 +35,20 @@ function fail(reason) {
   postMessage({kind: "failed", reason});
 }
 
-function hex(at) {
-  return [...new Uint8Array(memory.buffer, at, 8)].reverse()
-    .map((byte) => byte.toString(16).padStart(2, "0")).join("");
+// A hash as `clgs info` shows it: that of splats as a number, that of a scene as bytes.
+function hex(at, splats) {
+  const bytes = [...new Uint8Array(memory.buffer, at, 8)];
+  return (splats ? bytes.reverse() : bytes).map((byte) => byte.toString(16).padStart(2, "0"))
+    .join("");
 }
 
 function facts() {
   const [items, near, alphaCut, alphaMax, blur, ...rest] =
-    copy(Float64Array, code.page_numbers(), 12);
+    copy(Float64Array, code.page_numbers(), 9);
   const hashes = code.page_hashes();
   return {
-    items, near, alphaCut, alphaMax, blur, background: rest.slice(0, 3),
-    hash: hex(hashes), expectedHash: hex(hashes + 8),
+    items, near, alphaCut, alphaMax, blur, background: rest.slice(0, 3), splats: rest[3],
+    hash: hex(hashes, rest[3]), expectedHash: hex(hashes + 8, rest[3]),
     positions: copy(Float32Array, code.page_positions(), 3 * items),
   };
 }

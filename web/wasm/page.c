@@ -7,6 +7,7 @@
 #include "common/bytes.h"
 #include "memory.h"
 #include "neural.h"
+#include "splats.h"
 
 #ifdef __wasm__
 #define EXPORT(name) __attribute__((export_name(#name))) name
@@ -17,7 +18,13 @@
 #define PREPARED 4096 /* anchors per step */
 
 /* Where the numbers of page_numbers lie. */
-enum { ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND, CENTRE = 8, SCALE = 11, NUMBERS };
+enum { ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND, SPLATS = 8, NUMBERS };
+
+/* Of splats, whose files do not say them: the constants of the method, clgs/constants.py. */
+#define NEAR_PLANE 0.2
+#define ALPHA_CUT_OF_SPLATS (1.0 / 255.0)
+#define ALPHA_MAX_OF_SPLATS 0.99
+#define BLUR_OF_SPLATS 0.3
 
 static struct page {
     problem wrong;
@@ -25,6 +32,7 @@ static struct page {
     container sections;
     anchors anchor;
     neural neural;
+    splats splat;
     gaussians all;
     size_t items, steps, step, decoding, begun;
     float centre[3];
@@ -61,12 +69,9 @@ static int read_numbers(const uint8_t *meta)
         uint8_t to, from;
         double least, most;
     } FIELDS[] = {
-        {NEAR, 104, 0x1p-64, 0x1p64},    {ALPHA_CUT, 112, 1e-9, 1},
-        {ALPHA_MAX, 120, 1e-9, 1},       {BLUR, 136, 0, 0x1p64},
-        {BACKGROUND, 80, 0, 1},          {BACKGROUND + 1, 88, 0, 1},
-        {BACKGROUND + 2, 96, 0, 1},      {CENTRE, 48, -1e300, 1e300},
-        {CENTRE + 1, 56, -1e300, 1e300}, {CENTRE + 2, 64, -1e300, 1e300},
-        {SCALE, 72, 0x1p-64, 0x1p64},
+        {NEAR, 104, 0x1p-64, 0x1p64}, {ALPHA_CUT, 112, 1e-9, 1}, {ALPHA_MAX, 120, 1e-9, 1},
+        {BLUR, 136, 0, 0x1p64},       {BACKGROUND, 80, 0, 1},    {BACKGROUND + 1, 88, 0, 1},
+        {BACKGROUND + 2, 96, 0, 1},
     };
     for (size_t i = 0; i < sizeof FIELDS / sizeof FIELDS[0]; i++) {
         double value = load_double(meta + FIELDS[i].from);
@@ -77,23 +82,39 @@ static int read_numbers(const uint8_t *meta)
     return 1;
 }
 
+static problem open_anchors(void)
+{
+    problem wrong = anchors_open(&page.sections, &page.anchor, &page.decoding);
+    if (wrong)
+        return wrong;
+    if (!read_numbers(page.sections.section[META].data))
+        return "a setting of the file is out of range; encode it again";
+    page.items = page.anchor.list.anchors;
+    page.steps = page.decoding + (page.items + PREPARED - 1) / PREPARED;
+    wrong = neural_open(&page.anchor, &page.neural);
+    return wrong ? wrong : gaussians_open(OFFSETS * page.items, &page.all);
+}
+
+static problem open_splats(void)
+{
+    problem wrong = splats_open(&page.sections, &page.splat, &page.decoding);
+    page.number[SPLATS] = 1;
+    page.number[NEAR] = NEAR_PLANE;
+    page.number[ALPHA_CUT] = ALPHA_CUT_OF_SPLATS;
+    page.number[ALPHA_MAX] = ALPHA_MAX_OF_SPLATS;
+    page.number[BLUR] = BLUR_OF_SPLATS;
+    page.items = page.splat.count;
+    page.steps = page.decoding;
+    return wrong ? wrong : gaussians_open(page.items, &page.all);
+}
+
 /* Read the file's lists; the number of steps that decoding takes. */
 int EXPORT(page_open)(void)
 {
     problem wrong = container_read(page.file, &page.sections);
-    if (!wrong && page.sections.splats)
-        wrong = "the file holds ordinary splats; this page draws trained scenes";
     if (!wrong)
-        wrong = anchors_open(&page.sections, &page.anchor, &page.decoding);
-    if (!wrong && !read_numbers(page.sections.section[META].data))
-        wrong = "a setting of the file is out of range; encode it again";
-    if (!wrong)
-        wrong = neural_open(&page.anchor, &page.neural);
-    page.items = page.anchor.list.anchors;
+        wrong = page.sections.splats ? open_splats() : open_anchors();
     page.number[ITEMS] = (double)page.items;
-    if (!wrong)
-        wrong = gaussians_open(OFFSETS * page.items, &page.all);
-    page.steps = page.decoding + (page.items + PREPARED - 1) / PREPARED;
     return wrong ? fail(wrong) : (int)page.steps;
 }
 
@@ -102,10 +123,11 @@ int EXPORT(page_step)(void)
 {
     size_t step = page.step++;
     if (step < page.decoding) {
-        problem wrong = anchors_step(&page.anchor);
+        int of_splats = page.sections.splats;
+        problem wrong = of_splats ? splats_step(&page.splat) : anchors_step(&page.anchor);
         if (wrong)
             return fail(wrong);
-        if (step + 1 == page.decoding)
+        if (step + 1 == page.decoding && !of_splats)
             neural_weights(&page.neural);
     } else if (step < page.steps) {
         size_t first = PREPARED * (step - page.decoding), rest = page.items - first;
@@ -114,7 +136,7 @@ int EXPORT(page_step)(void)
     return (int)(page.steps - step) - 1;
 }
 
-/* ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND (3), CENTRE (3), SCALE. */
+/* ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND (3), SPLATS: whether it is made of them. */
 const double *EXPORT(page_numbers)(void)
 {
     return page.number;
@@ -124,15 +146,15 @@ const double *EXPORT(page_numbers)(void)
 const uint64_t *EXPORT(page_hashes)(void)
 {
     static uint64_t hash[2];
-    hash[0] = page.anchor.hash;
-    hash[1] = page.anchor.expected_hash;
+    hash[0] = page.sections.splats ? page.splat.hash : page.anchor.hash;
+    hash[1] = page.sections.splats ? page.splat.expected_hash : page.anchor.expected_hash;
     return hash;
 }
 
-/* Positions (A, 3) of the anchors, to choose a first view by. */
+/* Positions (items, 3) of anchors or splats, to choose a first view by. */
 const float *EXPORT(page_positions)(void)
 {
-    return page.anchor.array[0].value;
+    return page.sections.splats ? page.splat.position : page.anchor.array[0].value;
 }
 
 /* Begin a new set of Gaussians, for a camera at this place. */
@@ -144,13 +166,16 @@ void EXPORT(page_begin)(float x, float y, float z)
     page.centre[2] = z;
 }
 
-/* Add those of the next `count` anchors. How many anchors are left: at 0 the set is complete. */
+/* Add those of the next `count` anchors or splats. How many are left: at 0 the set is complete. */
 int EXPORT(page_add)(size_t count)
 {
     size_t rest = page.items - page.begun;
     count = count < rest ? count : rest;
-    neural_add(&page.neural, page.begun, count, page.centre, (float)page.number[ALPHA_CUT],
-               &page.all);
+    const float alpha_cut = (float)page.number[ALPHA_CUT];
+    if (page.sections.splats)
+        splats_add(&page.splat, page.begun, count, page.centre, alpha_cut, &page.all);
+    else
+        neural_add(&page.neural, page.begun, count, page.centre, alpha_cut, &page.all);
     page.begun += count;
     if (page.begun == page.items)
         gaussians_finish(&page.all);

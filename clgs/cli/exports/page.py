@@ -47,19 +47,19 @@ def run(args: argparse.Namespace) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """The bytes of a scene's .clgs file, or of that in a run folder, once checked.
+    """The bytes of a .clgs file, or of that in a run folder, once its container is checked.
 
     Raises:
         DataError: there is none, or it is damaged.
     """
     from clgs.cli.options.scene import naming, read_bytes
-    from clgs.codec.scene_decoder import describe
+    from clgs.codec import scene_decoder, splats
 
     if path.is_dir() and (path / "scene.clgs").exists():
         path = path / "scene.clgs"
     data = read_bytes(path)
     with naming(path):
-        describe(data)
+        (splats if splats.is_splats(data) else scene_decoder).describe(data)
     return data
 
 
@@ -69,15 +69,16 @@ def read_start(path: Path, data: bytes) -> Start:
     Raises:
         DataError: there is no data set.
     """
-    from clgs.codec.container import section_table
-    from clgs.codec.container.reader import Reader
-    from clgs.codec.container.source import BytesSource
+    from clgs.codec.scene_decoder import describe
+    from clgs.codec.splats import is_splats
     from clgs.data.dataset import load_dataset
     from clgs.data.repose import repose
     from clgs.export.page import start_at
+    from clgs.scene.scene import SceneTransform
 
-    table, _ = section_table.read_container(data)
-    transform = Reader(BytesSource(data), table).meta.transform
+    transform = SceneTransform()  # splats keep the data set's units
+    if not is_splats(data):
+        transform = SceneTransform(**describe(data)["transform"])
     dataset = load_dataset(path, load_images=False, load_points=False)
     views = repose(dataset, transform)
     first = (views.test or views.train)[0]
