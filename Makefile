@@ -19,7 +19,7 @@ lint: setup
 	$(bin)/ruff format --check .
 	$(bin)/ruff check .
 	$(bin)/mypy
-	find kernels_cl codec_c tests/c -name "*.cl" -o -name "*.[ch]" | xargs $(bin)/clang-format --dry-run --Werror
+	find kernels_cl codec_c web/wasm tests/c -name "*.cl" -o -name "*.[ch]" | xargs $(bin)/clang-format --dry-run --Werror
 	scripts/checks/lint_kernels.sh
 
 docs:

@@ -82,28 +82,40 @@ sys.exit(not os.path.isfile(os.path.join(sysconfig.get_path("include"), "Python.
     fi
 }
 
+# Web pages of scenes need a compiler for WebAssembly when the package is built; nothing else does.
+ensure_web_compiler() {
+    local name
+    for name in wasm-ld zig python-zig; do
+        command -v "$name" >/dev/null 2>&1 && return 0
+    done
+    if ! { on_debian_as_root && apt_install clang lld; }; then
+        say "no clang with lld, and no Zig: \`clgs export\` will write no web pages"
+    fi
+}
+
 # Changes whenever the package must be installed again.
 fingerprint() {
     {
         printf '%s\n' "$root"
-        cat "$root/pyproject.toml" "$root/CMakeLists.txt"
-        find "$root/codec_c" -type f -name '*.[ch]' | LC_ALL=C sort | while IFS= read -r file; do
+        command -v clang wasm-ld zig python-zig || true
+        cat "$root/pyproject.toml" "$root/CMakeLists.txt" "$root/web/CMakeLists.txt"
+        find "$root/codec_c" "$root/web/wasm" -type f -name '*.[ch]' | LC_ALL=C sort | while IFS= read -r file; do
             cat "$file"
         done
     } | cksum
 }
 
 install_package() {
-    local stamp=$venv/clgs.stamp now
-    now=$(fingerprint)
-    if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$now" ]; then
+    local stamp=$venv/clgs.stamp
+    if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$(fingerprint)" ]; then
         return 0
     fi
     ensure_compiler
+    ensure_web_compiler
     say "installing clgs and its tools into $venv (a minute or two the first time)"
     (cd "$root" && "$python" -m pip install --quiet -e '.[dev]' </dev/null) ||
         die "pip could not install clgs; see the lines above"
-    printf '%s\n' "$now" >"$stamp"
+    fingerprint >"$stamp"
 }
 
 # An emulator, or a platform without devices, counts as none.

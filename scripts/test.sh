@@ -39,7 +39,7 @@ lint() {
     "$bin/ruff" format --check .
     "$bin/ruff" check .
     "$bin/mypy"
-    source_files kernels_cl codec_c tests/c | xargs -0 "$bin/clang-format" --dry-run --Werror
+    source_files kernels_cl codec_c web/wasm tests/c | xargs -0 "$bin/clang-format" --dry-run --Werror
     if [ -n "$ci" ] && on_debian_as_root; then
         install_kernel_lint
     fi

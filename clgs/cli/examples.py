@@ -39,7 +39,9 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "view": ("clgs view run --data data", "clgs view splats.ply --port 9000"),
     "export": (
-        "clgs export run --data data -o scene.ply",
+        "clgs export run -o scene.html",
+        "clgs export --viewer -o viewer.html",
+        "clgs export run -o scene.ply",
         "clgs export run/scene.clgs --data data -o scene.sog --sh-degree 1",
         "clgs export data -o cameras.glb",
     ),

@@ -14,6 +14,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 EXTENSION = re.compile(r"clgs/_codec\.[\w.-]*(so|pyd)")
+FOLDERS = ("clgs", "kernels_cl", "web/page")
+PAGE_DECODER = "clgs/web/scene.wasm"
+"""Built where there is a compiler for WebAssembly; a wheel may lack it."""
 
 
 def main(arguments: list[str]) -> int:
@@ -33,10 +36,10 @@ def main(arguments: list[str]) -> int:
 
 
 def tracked_files() -> list[str]:
-    """Files of the package and the kernels that git knows, new ones included."""
+    """Files of the package, the kernels and the web page that git knows, new ones included."""
     # The checkout may belong to another user, as in a container.
     git = ["git", "-c", f"safe.directory={ROOT}", "-C", str(ROOT), "ls-files"]
-    command = [*git, "--cached", "--others", "--exclude-standard", "--", "clgs", "kernels_cl"]
+    command = [*git, "--cached", "--others", "--exclude-standard", "--", *FOLDERS]
     listing = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     return [name for name in listing.splitlines() if (ROOT / name).is_file()]
 
@@ -52,7 +55,7 @@ def complaints(tracked: Iterable[str], names: Iterable[str]) -> list[str]:
     if not any(name.endswith(".cl") for name in packed):
         found.append("no kernels")
     metadata = {name for name in packed if name.split("/")[0].endswith(".dist-info")}
-    surplus = packed - expected - extensions - metadata
+    surplus = packed - expected - extensions - metadata - {PAGE_DECODER}
     return found + [f"not of the package: {name}" for name in sorted(surplus)]
 
 

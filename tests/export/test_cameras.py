@@ -172,7 +172,12 @@ def test_the_command_writes_the_file(data, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("source", "output", "code", "said"),
     [
-        ("", "cameras.gltf", 2, "cameras.gltf: the output is a .glb file; name it so"),
+        (
+            "",
+            "cameras.gltf",
+            2,
+            "cameras.gltf: nothing is written by this suffix; take one of .glb",
+        ),
         ("", "none/cameras.glb", 2, "there is no folder"),
         ("train", "cameras.glb", 3, "train: is a part of a data set; name the whole of it"),
         ("none", "cameras.glb", 3, "none: no such folder"),

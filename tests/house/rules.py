@@ -87,7 +87,7 @@ def length_complaints(name: str, text: str) -> list[str]:
     functions: list[tuple[str, int, int]] = []
     if name.endswith(".py"):
         functions = list(python_functions(text))
-    elif name.endswith((".cl", ".c", ".h")):
+    elif name.endswith((".cl", ".c", ".h", ".js")):
         functions = list(c_functions(text))
     for function, line, length in functions:
         if length > MAX_FUNCTION_LINES:

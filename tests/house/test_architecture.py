@@ -13,8 +13,8 @@ if not (ROOT / "clgs").is_dir():
     pytest.skip("needs a checkout", allow_module_level=True)
 
 STAGES = sorted(path.stem for path in (ROOT / "clgs/ops").glob("*.py") if path.stem != "__init__")
-TOPS = ("clgs", "kernels_cl", "codec_c", "scripts", "tests")
-SUFFIXES = {".py", ".cl", ".c", ".h", ".sh"}
+TOPS = ("clgs", "kernels_cl", "codec_c", "scripts", "tests", "web")
+SUFFIXES = {".py", ".cl", ".c", ".h", ".sh", ".js", ".css", ".html"}
 
 
 def sources(*tops: str, suffixes: set[str] = frozenset({".py"})) -> dict[str, str]:

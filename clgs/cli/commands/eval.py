@@ -115,11 +115,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> None:
     """Refuse what cannot be done, before long work; with --hashes alone there are no scores."""
-    from clgs.cli.options.view import data_is_known, name_data
+    from clgs.cli.options.view import known_data, name_data
     from clgs.errors import UsageError
 
     named = [f"--{name}" for name in ("lpips", "inria", "csv") if getattr(args, name)]
-    if args.data is None and not data_is_known(args.scene):
+    if args.data is None and known_data(args.scene) is None:
         if named:
             raise UsageError(f"{named[0]}: scores need photos; name them with --data")
         if args.hashes is None:

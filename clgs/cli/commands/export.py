@@ -11,10 +11,11 @@ from clgs.cli.options.output import add_overwrite, check_new
 from clgs.cli.options.view import named_path
 
 KINDS = {
+    ".glb": "glb",
+    ".html": "page",
     ".ply": "baked",
     ".spz": "baked",
     ".sog": "baked",
-    ".glb": "glb",
 }
 """Suffix of the output to the module of ``clgs.cli.exports`` that writes it.
 
@@ -45,7 +46,11 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "-o", "--output", type=named_path, required=True, metavar="FILE", help="new file"
     )
-    parser.add_argument("--data", type=Path, help="the data set that SCENE was made of")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        help="the data set that SCENE was made of (default: that which its run folder names)",
+    )
     for name in _modules():
         _module(name).add_options(parser)
     add_overwrite(parser, "the file if it exists (default: refuse)")
@@ -53,12 +58,16 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(args: argparse.Namespace) -> int:
     """Write the file and print one line; exit code 0."""
+    from clgs.cli.options.view import known_data
     from clgs.errors import UsageError
 
     name = KINDS.get(args.output.suffix.lower())
     if name is None:
-        raise UsageError(f"{args.output}: the suffix is none of {', '.join(KINDS)}")
+        known = ", ".join(KINDS)
+        raise UsageError(f"{args.output}: nothing is written by this suffix; take one of {known}")
     check_new(args, args.output)
+    if args.data is None and args.source is not None:
+        args.data = known_data(args.source)
     _module(name).run(args)
     return 0
 

@@ -154,18 +154,17 @@ def load_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> 
     return posed
 
 
-def data_is_known(scene: Path) -> bool:
-    """Whether the run folder of ``scene`` names a data set that is there."""
+def known_data(scene: Path) -> Path | None:
+    """The data set that the run folder of ``scene`` names; None if there is none."""
     from clgs.data.origin import read_origin
 
     origin = read_origin(_run_folder(scene))
-    return origin is not None and origin.folder.is_dir()
+    return origin.folder if origin is not None and origin.folder.is_dir() else None
 
 
 def name_known_data(args: argparse.Namespace) -> None:
     """Set ``args.data``, unless it is given, if the run folder of ``args.scene`` names one."""
-    if args.data is None and data_is_known(args.scene):
-        name_data(args)
+    args.data = args.data or known_data(args.scene)
 
 
 def name_data(args: argparse.Namespace) -> None:

@@ -1,0 +1,73 @@
+"""The page's C sources as a library of this machine, called as the page's worker calls them."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+RECORD = 12
+"""Words of a Gaussian, see web/wasm/gaussians.h."""
+
+
+def build(folder: Path, compiler: str) -> ctypes.CDLL:
+    """Compile the sources, every warning an error."""
+    sources = [*(ROOT / "web/wasm").glob("*.c"), *(ROOT / "codec_c/src").rglob("*.c")]
+    flags = "-std=c11 -O2 -fPIC -shared -fno-math-errno -Wall -Wextra -Wconversion -Wshadow -Werror"
+    includes = [f"-I{ROOT / name}" for name in ("web/wasm", "codec_c/include", "codec_c/src")]
+    output = folder / "page.so"
+    command = [compiler, *flags.split(), *includes, *map(str, sources), "-lm", "-o", str(output)]
+    subprocess.run(command, check=True)
+    return ctypes.CDLL(str(output))
+
+
+class Page:
+    """One scene; raises ValueError with the page's message if a file is damaged."""
+
+    def __init__(self, library: ctypes.CDLL, data: bytes) -> None:
+        self._library = library
+        for name in ("room", "numbers", "hashes", "positions", "records", "order"):
+            getattr(library, f"page_{name}").restype = ctypes.c_void_p
+        library.page_problem.restype = ctypes.c_char_p
+        library.page_count.restype = library.page_sort.restype = ctypes.c_size_t
+        ctypes.memmove(library.page_room(ctypes.c_size_t(len(data))), data, len(data))
+        left = library.page_open()
+        while left > 0:
+            left = library.page_step()
+        if left < 0:
+            raise ValueError(library.page_problem().decode())
+
+    def array(self, name: str, kind: type, count: int) -> np.ndarray:
+        """A copy of ``count`` numbers that ``page_<name>`` points to."""
+        at = getattr(self._library, f"page_{name}")()
+        return np.ctypeslib.as_array(ctypes.cast(at, ctypes.POINTER(kind)), (count,)).copy()
+
+    @property
+    def hashes(self) -> list[int]:
+        """Of what was decoded, and the file's own."""
+        return self.array("hashes", ctypes.c_uint64, 2).tolist()
+
+    def gaussians(self, centre: np.ndarray) -> dict[str, np.ndarray]:
+        """All Gaussians for a camera at ``centre``."""
+        self._library.page_begin(*map(ctypes.c_float, centre))
+        while self._library.page_add(ctypes.c_size_t(100)):
+            pass
+        count = self._library.page_count()
+        words = self.array("records", ctypes.c_uint32, RECORD * count).reshape(count, RECORD)
+        floats = words.view(np.float32)
+        halves = words[:, 10:11].copy().view(np.float16).astype(np.float32)
+        upper = floats[:, 4:10]
+        return {
+            "mean": floats[:, :3],
+            "opacity": floats[:, 3],
+            "covariance": upper[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3),
+            "color": np.concatenate([halves, floats[:, 11:]], axis=1),
+        }
+
+    def order(self, row: np.ndarray) -> np.ndarray:
+        """The last set's Gaussians by depth ``row`` . (x, y, z, 1), farthest first."""
+        count = self._library.page_sort(*map(ctypes.c_float, row))
+        return self.array("order", ctypes.c_uint32, count)

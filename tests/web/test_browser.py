@@ -1,0 +1,109 @@
+"""The page in headless Chromium: no complaint, the file's integers, the picture of our renderer."""
+
+from __future__ import annotations
+
+import base64
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from clgs.codec.scene_encoder import encode
+from clgs.codec.splats import pack
+from clgs.errors import ClgsError
+from clgs.export import page
+from clgs.render.renderer import render_view
+from clgs.synthetic.anchor_scene import square_camera
+from clgs.train.quality.metrics import to_8bit
+from tests.web.browser import Browser, find_browser
+from tests.web.scenes import grey_wall, quantized_scene
+
+SIZE = 96
+LEAST_PSNR = 45.0
+"""dB: half floats, and a pixel's last Gaussians before the renderer's stop; 30 were asked for."""
+
+PROGRAM = find_browser()
+
+
+def decoder_is_missing():
+    try:
+        page._decoder()
+    except ClgsError:
+        return True
+    return False
+
+
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="drives the browser through Linux's pipes"),
+    pytest.mark.skipif(PROGRAM is None, reason="needs Chromium: Debian chromium-headless-shell"),
+    pytest.mark.skipif(decoder_is_missing(), reason="clgs was built without the page's decoder"),
+]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    quantized, camera = quantized_scene(3000, SIZE)
+    return encode(quantized), quantized, camera
+
+
+@pytest.fixture
+def browser(tmp_path):
+    browser = Browser(PROGRAM, tmp_path / "profile")
+    yield browser
+    browser.close()
+
+
+def show(browser, camera):
+    """The screenshot of the page at this camera."""
+    view = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
+    view |= {
+        "rotation": camera.rotation.ravel().tolist(),
+        "translation": camera.translation.tolist(),
+    }
+    browser.value(f"clgs.setCamera({json.dumps(view)})")
+    browser.wait("clgs.state().ready")
+    return browser.screenshot(camera.width, camera.height).astype(np.float64)
+
+
+def test_the_page_shows_what_the_renderer_shows(browser, scene, tmp_path):
+    data, quantized, camera = scene
+    file = tmp_path / "scene.html"
+    file.write_bytes(page.scene_page(data, "scene"))
+    browser.open(file, 2 * SIZE, 2 * SIZE)
+    state = browser.wait("window.clgs && clgs.state()", lambda s: s and (s["ready"] or s["failed"]))
+    assert state["failed"] is None
+    assert state["hash"] == state["expectedHash"]
+    assert state["hash"] in browser.value("document.getElementById('status').textContent")
+    wanted = to_8bit(render_view(quantized.dequantize(), camera)).astype(np.float64)
+    found = show(browser, camera)
+    assert wanted.std() > 20
+    assert 10 * np.log10(255**2 / np.mean((found - wanted) ** 2)) >= LEAST_PSNR
+    assert browser.errors == []
+
+
+def test_a_file_given_to_the_viewer_is_shown(browser, scene, tmp_path):
+    data, _, _ = scene
+    file = tmp_path / "viewer.html"
+    file.write_bytes(page.scene_page(b"", ""))
+    browser.open(file, SIZE, SIZE)
+    browser.wait("window.clgs && !document.getElementById('drop').hidden")
+    give = "clgs.load(Uint8Array.from(atob('{}'), (c) => c.charCodeAt(0)), 'x.clgs')"
+    browser.value(give.format(base64.b64encode(data[:-9]).decode()))
+    assert "damaged" in browser.wait("clgs.state().failed")
+    browser.value(give.format(base64.b64encode(data).decode()))
+    state = browser.wait("clgs.state()", lambda s: s["ready"] or s["failed"])
+    assert state["failed"] is None
+    assert state["hash"] == state["expectedHash"]
+    assert state["gaussians"] > 0
+    assert browser.errors == []
+
+
+def test_colors_are_shown_as_they_are(browser, tmp_path):
+    file = tmp_path / "wall.html"
+    file.write_bytes(page.scene_page(pack(grey_wall()), "wall"))
+    browser.open(file, SIZE, SIZE)
+    browser.wait("window.clgs && clgs.state().ready")
+    # 0.5 - 0.2821 = 0.2179; twice alpha 0.99 leaves 1/10,000 of the black behind
+    assert (show(browser, square_camera(SIZE))[40:56, 40:56] == 56).all()
+    assert browser.errors == []

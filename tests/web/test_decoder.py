@@ -1,0 +1,178 @@
+"""The page's decoder, built for this machine: integers, Gaussians and order as they should be."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from clgs import constants
+from clgs.codec import splats
+from clgs.codec.scene_decoder import decode, describe
+from clgs.codec.scene_encoder import encode
+from clgs.reference.stages import mlp, neural
+from clgs.reference.stages.project import rotation_matrix
+from tests.codec.scenes import random_scene
+from tests.web import native
+from tests.web.scenes import quantized_scene, random_splats
+
+COMPILER = shutil.which("cc")
+pytestmark = [
+    pytest.mark.skipif(not (native.ROOT / "web/wasm").is_dir(), reason="needs a checkout"),
+    pytest.mark.skipif(COMPILER is None, reason="needs a C compiler, cc"),
+]
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return native.build(tmp_path_factory.mktemp("native"), COMPILER)
+
+
+@pytest.mark.parametrize("level", ["fast", "default", "max", "paper"])
+@pytest.mark.parametrize("chunk", [16, 65_536])
+def test_the_integers_are_those_of_the_file(library, level, chunk):
+    data = encode(random_scene(np.random.default_rng(1), 3000), level=level, chunk=chunk)
+    page = native.Page(library, data)
+    expected = int.from_bytes(bytes.fromhex(describe(data)["content_hash"]), "little")
+    assert page.hashes == [expected, expected]
+    scene = decode(data).dequantize()
+    found = page.array("positions", ctypes.c_float, scene.anchors.position.size)
+    np.testing.assert_array_equal(found, scene.anchors.position.ravel())
+
+
+def test_a_scene_without_anchors_has_no_gaussians(library):
+    page = native.Page(library, encode(random_scene(np.random.default_rng(0), 0)))
+    assert len(page.gaussians(np.zeros(3))["opacity"]) == 0
+    assert len(page.order(np.ones(4))) == 0
+
+
+def test_gaussians_are_those_of_the_reference(library):
+    quantized, camera = quantized_scene(4000, 64)
+    data = encode(quantized)
+    scene = decode(data).dequantize()
+    anchors = {name: array.astype(np.float64) for name, array in scene.anchors.items()}
+    visible = np.arange(len(anchors["position"]), dtype=np.int32)
+    weights, packed = scene.mlps.flat.astype(np.float64), camera.pack(0.2)
+    made = mlp.forward(anchors["feature"], anchors["position"], visible, weights, packed)
+    wanted = neural.forward(
+        made.output, visible, anchors["position"], anchors["offset"], anchors["scaling"]
+    )
+    axes = rotation_matrix(wanted.rotation) * wanted.scale[:, None, :]
+    drawn = wanted.opacity >= constants.ALPHA_CUT
+    found = native.Page(library, data).gaussians(camera.centre)
+    assert len(found["opacity"]) == drawn.sum()
+    # Sums of 53 and 50 products in float32, and exponentials within 2e-7 of their values.
+    np.testing.assert_allclose(found["mean"], wanted.mean[drawn], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(found["opacity"], wanted.opacity[drawn], atol=1e-5)
+    covariance = (axes @ axes.transpose(0, 2, 1))[drawn]
+    largest = np.abs(covariance).max(axis=(1, 2), keepdims=True)
+    assert np.abs((found["covariance"] - covariance) / largest).max() < 1e-4
+    # Red and green are half floats: 11 bits.
+    np.testing.assert_allclose(found["color"], wanted.color[drawn], atol=2.0**-11)
+
+
+SH_FIRST, SH_SECOND = 0.28209479177387814, 0.4886025119029199
+
+
+@pytest.mark.parametrize(("count", "rest", "lattice"), [(5000, 45, 1), (900, 9, 1), (900, 0, 1000)])
+def test_splats_are_those_of_the_file(library, count, rest, lattice):
+    data = splats.pack(random_splats(np.random.default_rng(4), count, rest, lattice))
+    page = native.Page(library, data)
+    assert page.hashes == [int(splats.describe(data)["content_hash"], 16)] * 2
+    wanted = splats.unpack(data)
+    values = dict(zip(wanted.names, (wanted.values * np.array(wanted.steps)).T, strict=True))
+    centre = np.array([1.0, 2.0, -30.0])
+    found = page.gaussians(centre)
+    opacity = 1 / (1 + np.exp(-values["opacity"]))
+    axes = np.stack([values[f"rot_{i}"] for i in range(4)], 1)
+    drawn = (opacity >= constants.ALPHA_CUT) & (np.linalg.norm(axes, axis=1) > 0)
+    np.testing.assert_allclose(found["opacity"], opacity[drawn], atol=1e-6)
+    mean = np.stack([values[name] for name in "xyz"], 1)[drawn]
+    np.testing.assert_allclose(found["mean"], mean, rtol=1e-6)
+    turn = rotation_matrix((axes / np.maximum(np.linalg.norm(axes, axis=1), 1e-9)[:, None])[drawn])
+    turn = turn * np.exp(np.stack([values[f"scale_{i}"] for i in range(3)], 1))[drawn][:, None, :]
+    np.testing.assert_allclose(
+        found["covariance"], turn @ turn.transpose(0, 2, 1), rtol=1e-4, atol=1e-5
+    )
+    direction = (mean - centre) / np.linalg.norm(mean - centre, axis=1, keepdims=True)
+    if rest <= 9:  # the higher degrees have their own test
+        for channel in range(3):
+            color = 0.5 + SH_FIRST * values[f"f_dc_{channel}"][drawn]
+            if rest == 9:
+                x, y, z = direction.T
+                first, second, third = (
+                    values[f"f_rest_{3 * channel + k}"][drawn] for k in range(3)
+                )
+                color += SH_SECOND * (-y * first + z * second - x * third)
+            np.testing.assert_allclose(found["color"][:, channel], np.maximum(color, 0), atol=2e-3)
+
+
+def test_harmonics_are_orthonormal(library, tmp_path):
+    source = tmp_path / "harmonics.c"
+    source.write_text(
+        '#include "harmonics.h"\nvoid all(const float *d, float *b, int n)\n'
+        "{ for (int i = 0; i < n; i++) harmonics(d + 3 * i, b + 16 * i); }\n"
+    )
+    include, output = f"-I{native.ROOT / 'web/wasm'}", tmp_path / "harmonics.so"
+    command = [COMPILER, "-shared", "-fPIC", include, str(source), "-o", str(output)]
+    subprocess.run(command, check=True)
+    height, weight = np.polynomial.legendre.leggauss(8)
+    angle = np.arange(16) * np.pi / 8
+    flat = np.sqrt(1 - height**2)
+    around = [np.outer(flat, np.cos(angle)), np.outer(flat, np.sin(angle))]
+    grid = np.stack([*around, np.repeat(height[:, None], 16, 1)], -1).reshape(-1, 3)
+    directions = np.ascontiguousarray(grid, np.float32)
+    basis = np.empty((len(directions), 16), np.float32)
+    pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in (directions, basis)]
+    ctypes.CDLL(str(output)).all(*pointers, len(directions))
+    share = np.repeat(weight, 16) * np.pi / 8  # of the sphere's surface, exact to degree 6
+    np.testing.assert_allclose(basis.T @ (basis * share[:, None]), np.eye(16), atol=1e-6)
+
+
+def test_the_order_is_by_depth_and_leaves_out_what_is_near(library):
+    quantized, camera = quantized_scene(4000, 64)
+    page = native.Page(library, encode(quantized))
+    mean = page.gaussians(camera.centre)["mean"]
+    row = np.append(camera.rotation[2], camera.translation[2] - 3.9).astype(np.float32)
+    depth = (mean[:, 0] * row[0] + mean[:, 1] * row[1]) + mean[:, 2] * row[2] + row[3]
+    order = page.order(row)
+    assert set(order) == set(np.flatnonzero(depth > np.float32(0.2)))
+    assert (np.diff(depth[order]) <= 0).all()
+
+
+@pytest.mark.parametrize("kind", ["scene", "splats"])
+def test_damaged_files_are_refused_in_words(library, kind):
+    data = encode(random_scene(np.random.default_rng(2), 300))
+    if kind == "splats":
+        data = splats.pack(random_splats(np.random.default_rng(2), 300, 0, 5))
+    with pytest.raises(ValueError, match=r"no \.clgs file"):
+        native.Page(library, b"PK" + data)
+    rng = np.random.default_rng(3)
+    for at in rng.integers(16, len(data), 200).tolist():
+        damaged = bytearray(data)
+        damaged[at] ^= 1 << int(rng.integers(8))
+        with pytest.raises(ValueError, match="copy"):
+            native.Page(library, bytes(damaged))
+    for size in rng.integers(0, len(data), 100).tolist():
+        with pytest.raises(ValueError, match=r"copy|no \.clgs file"):
+            native.Page(library, data[:size])
+
+
+def test_it_has_the_constants_of_the_method():
+    text = "".join(path.read_text() for path in (native.ROOT / "web/wasm").glob("*.h"))
+    numbers = dict(re.findall(r"\b([A-Z_]+) = (\d+)", text))
+    names = {"OFFSETS": "K_OFFSETS", "FEATURES": "FEATURE_DIM", "HIDDEN": "HIDDEN_DIM"}
+    for own, name in names.items():
+        assert int(numbers[own]) == getattr(constants, name)
+    limit = re.search(r"LOG_SCALE_LIMIT ([\d.]+)f", text)
+    assert float(limit[1]) == constants.LOG_SCALE_LIMIT
+    source = (native.ROOT / "web/wasm/page.c").read_text()
+    for name in ("NEAR_PLANE", "ALPHA_MAX", "BLUR"):
+        found = re.search(rf"#define {name}(?:_OF_SPLATS)? ([\d.]+)", source)
+        assert float(found[1]) == getattr(constants, name)
+    assert "ALPHA_CUT_OF_SPLATS (1.0 / 255.0)" in source
+    assert constants.ALPHA_CUT == 1.0 / 255.0

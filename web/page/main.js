@@ -1,0 +1,203 @@
+// The page: reads its own file or one that is dropped, and draws whenever something has changed.
+
+const element = (id) => document.getElementById(id);
+const settings = JSON.parse(element("settings").textContent);
+const canvas = element("view");
+
+const viewer = {
+  renderer: null, worker: null, camera: null, hands: null, scene: null,
+  fixed: null, // a camera that a program has set; the hands then have no part
+  number: 0, // of the newest camera
+  shown: -1, // the camera of the order that is drawn, and whether its Gaussians are of that place
+  settled: false,
+  updates: 0, // sets of Gaussians
+  sharpness: 1, // of the pixels' number along a side, while the camera moves
+  awake: false, last: 0,
+};
+
+const SLOW = 40, FAST = 18; // milliseconds of a picture: fewer pixels above, more again below
+const LEAST_SHARPNESS = 0.35;
+
+function bytesOf(id) {
+  const text = atob(element(id).textContent.trim());
+  return Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+}
+
+function note(text, share) {
+  element("note").textContent = text;
+  element("bar").firstChild.style.width = `${100 * share}%`;
+}
+
+function fail(reason) {
+  viewer.failed = reason;
+  note(reason, 0);
+  element("loading").className = "failed";
+  if (!settings.title) element("drop").hidden = false;
+}
+
+function wake() {
+  if (!viewer.awake && viewer.scene) {
+    viewer.awake = true;
+    requestAnimationFrame(draw);
+  }
+}
+
+function present(moves) {
+  if (viewer.fixed) return viewer.fixed;
+  const ratio = Math.min(window.devicePixelRatio || 1, 2) * (moves ? viewer.sharpness : 1);
+  return viewer.camera.pinhole(Math.max(1, Math.round(canvas.clientWidth * ratio)),
+    Math.max(1, Math.round(canvas.clientHeight * ratio)));
+}
+
+// Tell the worker of a camera that differs from the last.
+function tell(view) {
+  const {rotation, translation} = view;
+  const key = [...rotation, ...translation].join();
+  if (key === viewer.key) return;
+  viewer.key = key;
+  viewer.settled = false;
+  viewer.worker.postMessage({kind: "camera", camera: {
+    centre: centreOf(view), row: [...rotation.slice(6), translation[2]], number: ++viewer.number,
+  }});
+}
+
+// Pictures of a moving camera keep up with it, at the price of sharpness on slow devices.
+function adapt() {
+  const {milliseconds} = viewer.renderer;
+  if (milliseconds > SLOW) viewer.sharpness = Math.max(LEAST_SHARPNESS, 0.85 * viewer.sharpness);
+  if (milliseconds < FAST) viewer.sharpness = Math.min(1, 1.05 * viewer.sharpness);
+}
+
+function draw(now) {
+  const {renderer, scene, hands, camera, fixed} = viewer;
+  viewer.awake = false;
+  if (!scene || renderer.busy()) return wake();
+  const seconds = (now - viewer.last) / 1000;
+  const moves = !fixed && [hands.step(seconds), camera.step(seconds)].some(Boolean);
+  viewer.last = now;
+  if (moves) adapt();
+  const view = present(moves);
+  tell(view);
+  renderer.draw(view, scene);
+  viewer.drawn = viewer.shown;
+  if (moves) wake();
+}
+
+const handlers = {
+  progress: ({share}) => note("Decoding", share),
+  failed: ({reason}) => fail(reason),
+  scene(message) {
+    const scene = viewer.scene = {...message, margin: settings.margin};
+    const start = settings.start && viewer.own ? settings.start : guessStart(scene.positions);
+    delete scene.positions;
+    viewer.camera = viewer.hands.camera = new Camera(start);
+    const same = scene.hash === scene.expectedHash;
+    element("status").textContent = `${settings.title || viewer.name} \u00b7 `
+      + `${scene.items.toLocaleString("en")} ${scene.splats ? "splats" : "anchors"} \u00b7 integers ${scene.hash} `
+      + (same ? "as in the file" : "differ from the file's");
+    note("Drawing", 1);
+    wake();
+  },
+  order({order, records, number, settled}) {
+    viewer.renderer.set(records, order);
+    if (records) viewer.updates++;
+    Object.assign(viewer, {shown: number, settled: settled && number === viewer.number});
+    canvas.classList.add("shown");
+    element("loading").className = "done";
+    wake();
+  },
+};
+
+function load(file, name) {
+  viewer.worker?.terminate();
+  const source = new Blob([element("worker").textContent], {type: "text/javascript"});
+  const address = URL.createObjectURL(source);
+  const worker = viewer.worker = new Worker(address);
+  Object.assign(viewer, {scene: null, name, key: "", failed: null, settled: false, shown: -1});
+  worker.onmessage = ({data}) => {
+    try {
+      handlers[data.kind](data);
+    } catch (error) {
+      fail(String(error.message || error));
+    }
+  };
+  worker.onerror = (event) => fail(event.message || "the browser refuses workers");
+  element("drop").hidden = true;
+  element("loading").className = "";
+  canvas.classList.remove("shown");
+  note("Decoding", 0);
+  worker.postMessage({kind: "load", wasm: bytesOf("wasm"), file}, [file.buffer]);
+}
+
+async function take(file) {
+  if (!file) return;
+  viewer.own = false;
+  settings.title = "";
+  document.title = file.name;
+  load(new Uint8Array(await file.arrayBuffer()), file.name);
+}
+
+const commands = {
+  KeyR: () => viewer.camera?.reset(),
+  KeyH: () => document.body.classList.toggle("quiet"),
+  KeyF: () => document.fullscreenElement ? document.exitFullscreen()
+    : document.documentElement.requestFullscreen?.(),
+  // The next of the six directions becomes upright: files do not say which one is.
+  KeyU() {
+    const all = [[0, 0, 1], [0, -1, 0], [0, 1, 0], [0, 0, -1], [1, 0, 0], [-1, 0, 0]];
+    viewer.upright = ((viewer.upright ?? -1) + 1) % all.length;
+    const {camera} = viewer;
+    camera?.stand(all[viewer.upright], add(camera.target, camera.away(), camera.distance));
+  },
+};
+
+function listen() {
+  viewer.hands = new Hands(canvas, null, wake, commands);
+  window.addEventListener("resize", wake);
+  const drop = element("drop");
+  for (const name of ["dragover", "dragleave", "drop"]) {
+    window.addEventListener(name, (event) => {
+      event.preventDefault();
+      drop.classList.toggle("over", name === "dragover");
+      if (name === "drop") take(event.dataTransfer.files[0]);
+    });
+  }
+  drop.querySelector("input").addEventListener("change", (event) => take(event.target.files[0]));
+  setTimeout(() => document.body.classList.add("quiet"), 12000);
+}
+
+// For programs: clgs.setCamera({rotation (9), translation (3), fx, fy, cx, cy, width, height}) shows
+// the picture of a camera, in scene units, at its size and without help; clgs.state() tells of it.
+window.clgs = {
+  setCamera(view) {
+    viewer.fixed = view;
+    viewer.settled = false;
+    viewer.key = "";
+    document.body.classList.add("bare");
+    canvas.style.width = `${view.width / (window.devicePixelRatio || 1)}px`;
+    canvas.style.height = `${view.height / (window.devicePixelRatio || 1)}px`;
+    wake();
+  },
+  load: (bytes, name) => load(bytes, name),
+  state: () => ({
+    ready: viewer.settled && viewer.drawn === viewer.number && !viewer.renderer.busy(),
+    failed: viewer.failed || null,
+    hash: viewer.scene?.hash, expectedHash: viewer.scene?.expectedHash,
+    frames: viewer.renderer?.frames, updates: viewer.updates, gaussians: viewer.renderer?.count,
+    width: canvas.width, height: canvas.height,
+  }),
+};
+
+try {
+  viewer.renderer = new Renderer(canvas);
+  listen();
+  if (element("scene").textContent.trim()) {
+    viewer.own = true;
+    load(bytesOf("scene"), settings.title);
+  } else {
+    element("loading").className = "done";
+    element("drop").hidden = false;
+  }
+} catch (error) {
+  fail(String(error.message || error));
+}

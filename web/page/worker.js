@@ -1,0 +1,118 @@
+// The worker: decodes the file, runs the networks for the camera, sorts. wasm does the work.
+"use strict";
+
+const SLICE = 2048; // anchors per turn: between turns, messages are taken and the order renewed
+const STILL = 1e-6; // a camera that moved less, in scene units, stands still
+
+let code, memory; // what page.c exports, and its memory
+let camera = null; // the newest: {centre, row: depth's coefficients, number}
+let seen = null; // the centre that the last set, or the one that is being made, is for
+let making = false;
+let sorted = -1; // number of the camera of the last order
+let awake = false;
+
+const turns = new MessageChannel(); // a turn that comes after messages that wait
+turns.port1.onmessage = () => { awake = false; turn(); };
+
+function wake() {
+  if (!awake && code) {
+    awake = true;
+    turns.port2.postMessage(0);
+  }
+}
+
+function copy(Type, at, length) {
+  return new Type(memory.buffer, at, length).slice();
+}
+
+function text(at) {
+  const bytes = new Uint8Array(memory.buffer, at);
+  return new TextDecoder().decode(bytes.subarray(0, bytes.indexOf(0)));
+}
+
+function fail(reason) {
+  code = null;
+  postMessage({kind: "failed", reason});
+}
+
+// A hash as `clgs info` shows it: that of splats as a number, that of a scene as bytes.
+function hex(at, splats) {
+  const bytes = [...new Uint8Array(memory.buffer, at, 8)];
+  return (splats ? bytes.reverse() : bytes).map((byte) => byte.toString(16).padStart(2, "0"))
+    .join("");
+}
+
+function facts() {
+  const [items, near, alphaCut, alphaMax, blur, ...rest] =
+    copy(Float64Array, code.page_numbers(), 9);
+  const hashes = code.page_hashes();
+  return {
+    items, near, alphaCut, alphaMax, blur, background: rest.slice(0, 3), splats: rest[3],
+    hash: hex(hashes, rest[3]), expectedHash: hex(hashes + 8, rest[3]),
+    positions: copy(Float32Array, code.page_positions(), 3 * items),
+  };
+}
+
+async function load(wasm, file) {
+  code = null;
+  camera = seen = null;
+  making = false;
+  sorted = -1;
+  const {instance} = await WebAssembly.instantiate(wasm);
+  const exports = instance.exports;
+  memory = exports.memory;
+  const room = exports.page_room(file.length);
+  if (room) new Uint8Array(memory.buffer, room, file.length).set(file);
+  const steps = room ? exports.page_open() : -1;
+  for (let left = steps; left !== 0;) {
+    if (left > 0) left = exports.page_step();
+    if (left < 0) return fail(text(exports.page_problem()));
+    postMessage({kind: "progress", share: 1 - left / steps});
+  }
+  code = exports;
+  const scene = facts();
+  postMessage({kind: "scene", ...scene}, [scene.positions.buffer]);
+}
+
+function moved() {
+  return !seen || camera.centre.some((x, i) => Math.abs(x - seen[i]) > STILL);
+}
+
+// Post the order for the newest camera, and a set of Gaussians that it is for, if it is a new one.
+function sendOrder(records) {
+  const {row, number} = camera;
+  const count = code.page_sort(row[0], row[1], row[2], row[3]);
+  const order = copy(Uint32Array, code.page_order(), count);
+  sorted = number;
+  const message = {kind: "order", order, number, settled: !making && !moved()};
+  const owned = [order.buffer];
+  if (records) {
+    message.records = records;
+    owned.push(records.buffer);
+  }
+  postMessage(message, owned);
+}
+
+function turn() {
+  if (!code || !camera) return;
+  if (sorted !== camera.number && sorted >= 0) sendOrder(null);
+  if (!making && moved()) {
+    seen = camera.centre;
+    code.page_begin(seen[0], seen[1], seen[2]);
+    making = true;
+  }
+  if (making && code.page_add(SLICE) === 0) {
+    making = false;
+    sendOrder(copy(Uint32Array, code.page_records(), 12 * code.page_count()));
+  }
+  if (making || moved()) wake();
+}
+
+onmessage = ({data}) => {
+  if (data.kind === "load") {
+    load(data.wasm, data.file).catch((error) => fail(String(error.message || error)));
+  } else {
+    camera = data.camera;
+    wake();
+  }
+};

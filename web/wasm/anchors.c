@@ -1,0 +1,168 @@
+#include "anchors.h"
+
+#include <string.h>
+
+#include "clgs_codec.h"
+#include "common/bytes.h"
+#include "memory.h"
+
+#define WRONG "the file's anchors are damaged; copy the file again"
+#define HEAD_SIZE (2 + 3 * CLGS_MAX_VARINT)
+
+const size_t COLUMNS_OF[CODED] = {3, 3 * OFFSETS, FEATURES, SCALINGS};
+
+static const clgs_layer LAYERS[] = {{50, 53}, {50, 1}, {10, 50}, {10, 1}, {50, 53}, {50, 1},
+                                    {30, 50}, {30, 1}, {50, 53}, {50, 1}, {70, 50}, {70, 1}};
+
+/* Q of position, offset, feature, scaling. */
+static double scale_of(const anchors *a, int part)
+{
+    return load_double(a->file->section[META].data + 16 + 8 * part);
+}
+
+problem anchors_open(const container *file, anchors *result, size_t *steps)
+{
+    *result = (anchors){.file = file};
+    problem wrong = directory_read(file, &result->list);
+    if (wrong)
+        return wrong;
+    for (int i = 0; i < CODED; i++) {
+        double scale = scale_of(result, i);
+        if (!(scale >= 0x1p-64 && scale <= 0x1p64))
+            return WRONG;
+        result->array[i].integer = memory_take(4 * COLUMNS_OF[i] * result->list.anchors + 4);
+        if (!result->array[i].integer)
+            return NO_MEMORY;
+        if (i > 0)
+            wrong = attributes_open(result->list.header[i], COLUMNS_OF[i], &result->model[i]);
+        if (wrong)
+            return wrong;
+    }
+    result->weight = memory_take(4 * WEIGHTS);
+    *steps = CODED * result->list.chunks + 2;
+    return result->weight ? NULL : NO_MEMORY;
+}
+
+/* What a stream that leaves out its corner and depth would begin with; returns the bytes. */
+static size_t write_head(const chunk *c, uint8_t head[HEAD_SIZE])
+{
+    uint8_t *at = head;
+    *at++ = 2;
+    *at++ = (uint8_t)c->depth;
+    for (int axis = 0; axis < 3; axis++)
+        at = clgs_store_varint(at, c->corner[axis]);
+    return (size_t)(at - head);
+}
+
+static problem read_positions(const chunk *c, int32_t *position)
+{
+    size_t mark = memory_mark(), size = c->part[0].size, head = 0;
+    const uint8_t *data = c->part[0].data;
+    uint8_t *copy = memory_take(size + HEAD_SIZE);
+    void *workspace = memory_take(clgs_octree_workspace(c->rows));
+    if (!copy || !workspace)
+        return NO_MEMORY;
+    if (size > 0 && data[0] == 3) {
+        head = write_head(c, copy);
+        memcpy(copy + head, data + 1, size - 1);
+        data = copy;
+        size += head - 1;
+    }
+    clgs_error error = clgs_octree_decode(data, size, position, c->rows, workspace);
+    memory_release(mark);
+    return error ? WRONG : NULL;
+}
+
+/* The near rows of a chunk; they stay until the chunk is complete. */
+static problem find_near(anchors *a, const chunk *c, const int32_t *position)
+{
+    a->chunk_mark = memory_mark();
+    a->near = memory_take(4 * CLGS_NEAR * c->rows);
+    size_t mark = memory_mark();
+    void *workspace = memory_take(clgs_near_workspace(c->rows));
+    if (!a->near || !workspace)
+        return NO_MEMORY;
+    clgs_error error = clgs_near(position, c->rows, a->near, workspace);
+    memory_release(mark);
+    return error ? WRONG : NULL;
+}
+
+/* The next part of the present chunk. */
+static problem read_part(anchors *a)
+{
+    const chunk *c = a->list.chunk + a->chunk;
+    size_t part = a->part;
+    int32_t *rows = a->array[part].integer + COLUMNS_OF[part] * c->first;
+    problem wrong = part == 0
+                        ? read_positions(c, rows)
+                        : attributes_read(&a->model[part], c->part[part], a->near, c->rows, rows);
+    if (part == 0 && !wrong)
+        wrong = find_near(a, c, rows);
+    if (++a->part == CODED) {
+        a->part = 0;
+        a->chunk++;
+        memory_release(a->chunk_mark);
+    }
+    return wrong;
+}
+
+static problem read_weights(anchors *a)
+{
+    size_t mark = memory_mark(), layers = sizeof LAYERS / sizeof LAYERS[0];
+    span data = a->file->section[MLPS];
+    void *workspace = memory_take(clgs_weights_workspace(LAYERS, layers));
+    uint32_t *word = memory_take(4 * WEIGHTS);
+    if (!workspace || !word)
+        return NO_MEMORY;
+    if (clgs_weights_decode(data.data, data.size, word, LAYERS, layers, workspace))
+        return WRONG;
+    for (size_t i = 0; i < WEIGHTS; i++)
+        if ((word[i] >> 23 & 255) == 255)
+            return WRONG; /* not finite */
+    memcpy(a->weight, word, 4 * WEIGHTS);
+    memory_release(mark);
+    return NULL;
+}
+
+static problem compare_hash(anchors *a)
+{
+    uint8_t joined[8 * (CODED + 1)];
+    for (int i = 0; i <= CODED; i++) {
+        const void *array = i < CODED ? (void *)a->array[i].integer : (void *)a->weight;
+        size_t count = i < CODED ? COLUMNS_OF[i] * a->list.anchors : WEIGHTS;
+        uint64_t hash = clgs_xxh64(array, 4 * count); /* wasm is little-endian, as the hash is */
+        clgs_store32(joined + 8 * i, (uint32_t)hash);
+        clgs_store32(joined + 8 * i + 4, (uint32_t)(hash >> 32));
+    }
+    a->hash = clgs_xxh64(joined, sizeof joined);
+    a->expected_hash = clgs_load64(a->file->section[META].data + 144);
+    return a->hash == a->expected_hash ? NULL
+                                       : "the decoded integers do not match their hash; copy the "
+                                         "file again";
+}
+
+/* Integers to the floats that are rendered, in place. */
+static void dequantize(anchors *a)
+{
+    for (int i = 0; i < CODED; i++) {
+        double scale = scale_of(a, i);
+        for (size_t k = 0; k < COLUMNS_OF[i] * a->list.anchors; k++) {
+            float value = (float)(a->array[i].integer[k] / scale);
+            memcpy(a->array[i].integer + k, &value, sizeof value);
+        }
+    }
+}
+
+problem anchors_step(anchors *a)
+{
+    if (a->chunk < a->list.chunks)
+        return read_part(a);
+    if (!a->read) {
+        a->read = 1;
+        return read_weights(a);
+    }
+    problem wrong = compare_hash(a);
+    if (!wrong)
+        dequantize(a);
+    return wrong;
+}

@@ -1,0 +1,206 @@
+/* What the page's worker calls: open a file, decode it step by step, make Gaussians, sort them.
+ *
+ * One scene at a time. Functions that can fail return a negative number; page_problem says why. */
+#include <string.h>
+
+#include "clgs_codec.h"
+#include "common/bytes.h"
+#include "memory.h"
+#include "neural.h"
+#include "splats.h"
+
+#ifdef __wasm__
+#define EXPORT(name) __attribute__((export_name(#name))) name
+#else
+#define EXPORT(name) name
+#endif
+
+#define PREPARED 4096 /* anchors per step */
+
+/* Where the numbers of page_numbers lie. */
+enum { ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND, SPLATS = 8, NUMBERS };
+
+/* Of splats, whose files do not say them: the constants of the method, clgs/constants.py. */
+#define NEAR_PLANE 0.2
+#define ALPHA_CUT_OF_SPLATS (1.0 / 255.0)
+#define ALPHA_MAX_OF_SPLATS 0.99
+#define BLUR_OF_SPLATS 0.3
+
+static struct page {
+    problem wrong;
+    span file;
+    container sections;
+    anchors anchor;
+    neural neural;
+    splats splat;
+    gaussians all;
+    size_t items, steps, step, decoding, begun;
+    float centre[3];
+    double number[NUMBERS];
+} page;
+
+static int fail(problem wrong)
+{
+    page.wrong = wrong;
+    return -1;
+}
+
+/* Room for a file of `size` bytes; what was there before is forgotten. NULL: too large. */
+uint8_t *EXPORT(page_room)(size_t size)
+{
+    memory_release(0);
+    memset(&page, 0, sizeof page);
+    uint8_t *room = memory_take(size);
+    page.file = (span){room, room ? size : 0};
+    if (!room)
+        page.wrong = NO_MEMORY;
+    return room;
+}
+
+const char *EXPORT(page_problem)(void)
+{
+    return page.wrong;
+}
+
+/* Numbers of META; whether they are in range. */
+static int read_numbers(const uint8_t *meta)
+{
+    static const struct {
+        uint8_t to, from;
+        double least, most;
+    } FIELDS[] = {
+        {NEAR, 104, 0x1p-64, 0x1p64}, {ALPHA_CUT, 112, 1e-9, 1}, {ALPHA_MAX, 120, 1e-9, 1},
+        {BLUR, 136, 0, 0x1p64},       {BACKGROUND, 80, 0, 1},    {BACKGROUND + 1, 88, 0, 1},
+        {BACKGROUND + 2, 96, 0, 1},
+    };
+    for (size_t i = 0; i < sizeof FIELDS / sizeof FIELDS[0]; i++) {
+        double value = load_double(meta + FIELDS[i].from);
+        if (!(value >= FIELDS[i].least && value <= FIELDS[i].most))
+            return 0;
+        page.number[FIELDS[i].to] = value;
+    }
+    return 1;
+}
+
+static problem open_anchors(void)
+{
+    problem wrong = anchors_open(&page.sections, &page.anchor, &page.decoding);
+    if (wrong)
+        return wrong;
+    if (!read_numbers(page.sections.section[META].data))
+        return "a setting of the file is out of range; encode it again";
+    page.items = page.anchor.list.anchors;
+    page.steps = page.decoding + (page.items + PREPARED - 1) / PREPARED;
+    wrong = neural_open(&page.anchor, &page.neural);
+    return wrong ? wrong : gaussians_open(OFFSETS * page.items, &page.all);
+}
+
+static problem open_splats(void)
+{
+    problem wrong = splats_open(&page.sections, &page.splat, &page.decoding);
+    page.number[SPLATS] = 1;
+    page.number[NEAR] = NEAR_PLANE;
+    page.number[ALPHA_CUT] = ALPHA_CUT_OF_SPLATS;
+    page.number[ALPHA_MAX] = ALPHA_MAX_OF_SPLATS;
+    page.number[BLUR] = BLUR_OF_SPLATS;
+    page.items = page.splat.count;
+    page.steps = page.decoding;
+    return wrong ? wrong : gaussians_open(page.items, &page.all);
+}
+
+/* Read the file's lists; the number of steps that decoding takes. */
+int EXPORT(page_open)(void)
+{
+    problem wrong = container_read(page.file, &page.sections);
+    if (!wrong)
+        wrong = page.sections.splats ? open_splats() : open_anchors();
+    page.number[ITEMS] = (double)page.items;
+    return wrong ? fail(wrong) : (int)page.steps;
+}
+
+/* The next step; the number of those that are left. */
+int EXPORT(page_step)(void)
+{
+    size_t step = page.step++;
+    if (step < page.decoding) {
+        int of_splats = page.sections.splats;
+        problem wrong = of_splats ? splats_step(&page.splat) : anchors_step(&page.anchor);
+        if (wrong)
+            return fail(wrong);
+        if (step + 1 == page.decoding && !of_splats)
+            neural_weights(&page.neural);
+    } else if (step < page.steps) {
+        size_t first = PREPARED * (step - page.decoding), rest = page.items - first;
+        neural_prepare(&page.neural, first, rest < PREPARED ? rest : PREPARED);
+    }
+    return (int)(page.steps - step) - 1;
+}
+
+/* ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND (3), SPLATS: whether it is made of them. */
+const double *EXPORT(page_numbers)(void)
+{
+    return page.number;
+}
+
+/* Two hashes of 8 bytes, little-endian: of what was decoded, and the file's own. */
+const uint64_t *EXPORT(page_hashes)(void)
+{
+    static uint64_t hash[2];
+    hash[0] = page.sections.splats ? page.splat.hash : page.anchor.hash;
+    hash[1] = page.sections.splats ? page.splat.expected_hash : page.anchor.expected_hash;
+    return hash;
+}
+
+/* Positions (items, 3) of anchors or splats, to choose a first view by. */
+const float *EXPORT(page_positions)(void)
+{
+    return page.sections.splats ? page.splat.position : page.anchor.array[0].value;
+}
+
+/* Begin a new set of Gaussians, for a camera at this place. */
+void EXPORT(page_begin)(float x, float y, float z)
+{
+    page.begun = page.all.count = 0;
+    page.centre[0] = x;
+    page.centre[1] = y;
+    page.centre[2] = z;
+}
+
+/* Add those of the next `count` anchors or splats. How many are left: at 0 the set is complete. */
+int EXPORT(page_add)(size_t count)
+{
+    size_t rest = page.items - page.begun;
+    count = count < rest ? count : rest;
+    const float alpha_cut = (float)page.number[ALPHA_CUT];
+    if (page.sections.splats)
+        splats_add(&page.splat, page.begun, count, page.centre, alpha_cut, &page.all);
+    else
+        neural_add(&page.neural, page.begun, count, page.centre, alpha_cut, &page.all);
+    page.begun += count;
+    if (page.begun == page.items)
+        gaussians_finish(&page.all);
+    return (int)(page.items - page.begun);
+}
+
+/* Gaussians of the set so far, and their records. */
+size_t EXPORT(page_count)(void)
+{
+    return page.all.count;
+}
+
+const uint32_t *EXPORT(page_records)(void)
+{
+    return page.all.record;
+}
+
+/* Sort the last complete set by depth x, y, z, 1 times the arguments; how many are to be drawn. */
+size_t EXPORT(page_sort)(float x, float y, float z, float w)
+{
+    const float row[4] = {x, y, z, w};
+    return gaussians_sort(&page.all, row, (float)page.number[NEAR]);
+}
+
+const uint32_t *EXPORT(page_order)(void)
+{
+    return page.all.order;
+}
