@@ -37,9 +37,7 @@ def reconstruct_half(job: Job, model: Any, evidence: Evidence) -> Any | None:
     return max(models, key=lambda one: one.num_reg_images(), default=None)
 
 
-def _halves(
-    model: Any, evidence: Evidence, seed: int
-) -> dict[int, npt.NDArray[np.int8]]:
+def _halves(model: Any, evidence: Evidence, seed: int) -> dict[int, npt.NDArray[np.int8]]:
     """For every feature of an image 1 or 0, the half of its track; -1 without a track."""
     rng = np.random.default_rng(seed)
     side = {number: int(rng.random() < SHARE) for number in sorted(model.point3D_ids())}

@@ -67,9 +67,7 @@ def _follow(child: subprocess.Popen[str], task: str, arguments: Any, on_stage: O
     raise DataError(f"{task}: pycolmap crashed (exit code {child.wait()}); try other photos")
 
 
-def serve(
-    work: Callable[[Any, OnStage], Any], scratch: Callable[[Any], str] | None = None
-) -> None:
+def serve(work: Callable[[Any, OnStage], Any], scratch: Callable[[Any], str] | None = None) -> None:
     """The process: arguments from the standard input, results to the standard output.
 
     If its parent is killed it removes the folder that ``scratch`` makes of the arguments, since

@@ -12,9 +12,7 @@ from clgs.data.sfm.models import Choice
 from clgs.data.sfm.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 
 
-def conclude(
-    choice: Choice, second: Any | None, checked: bool, real: Mapping[str, str]
-) -> Verdict:
+def conclude(choice: Choice, second: Any | None, checked: bool, real: Mapping[str, str]) -> Verdict:
     """Judge every photo and take those with a wrong pose out of the kept model.
 
     Args:

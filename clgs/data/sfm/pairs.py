@@ -34,9 +34,7 @@ def all_pairs(count: int) -> list[tuple[int, int]]:
     return [(i, j) for i in range(count) for j in range(i + 1, count)]
 
 
-def likely_pairs(
-    descriptors: Sequence[npt.NDArray[np.uint8]], seed: int
-) -> list[tuple[int, int]]:
+def likely_pairs(descriptors: Sequence[npt.NDArray[np.uint8]], seed: int) -> list[tuple[int, int]]:
     """Pairs (i, j), i < j, of photos that follow each other or look alike.
 
     Args:

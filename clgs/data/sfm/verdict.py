@@ -1,4 +1,4 @@
-"""What is told of a reconstruction: every photo's figures and verdict, and how sure the whole is."""
+"""What is told of a reconstruction: figures and verdict of every photo, and how sure all is."""
 
 from __future__ import annotations
 
