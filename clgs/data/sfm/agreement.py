@@ -13,6 +13,9 @@ Floats = npt.NDArray[np.float64]
 SAME = 1.0
 """Degrees within which two photos tell the same turn between the worlds of two reconstructions."""
 
+ROUNDS, OFF = 10, 4.0
+"""Fits of the common scale, each without photos that are OFF times the median distance away."""
+
 
 @dataclass(frozen=True)
 class Poses:
@@ -104,10 +107,18 @@ def _common_turn(told: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
 def _common_similarity(
     first: Floats, second: Floats, agree: npt.NDArray[np.bool_]
 ) -> tuple[float, Floats]:
-    """Scale and offset (3,) from ``first`` (N, 3) to ``second``, by medians of those that agree."""
+    """Scale and offset (3,) from ``first`` (N, 3) to ``second``, by those that agree.
+
+    Medians to begin with, then least squares without the photos that are far off.
+    """
     a, b = first[agree], second[agree]
-    middle_a, middle_b = np.median(a, axis=0), np.median(b, axis=0)
-    size_a = np.linalg.norm(a - middle_a, axis=1)
-    size_b = np.linalg.norm(b - middle_b, axis=1)
-    scale = float(np.median(size_b) / max(float(np.median(size_a)), 1e-300))
-    return scale, np.asarray(np.median(b - scale * a, axis=0))
+    near = np.ones(len(a), bool)
+    middle = np.median
+    for _ in range(ROUNDS):
+        from_a, from_b = a - middle(a[near], axis=0), b - middle(b[near], axis=0)
+        size = np.linalg.norm(from_a, axis=1), np.linalg.norm(from_b, axis=1)
+        scale = float(middle(size[1][near]) / max(float(middle(size[0][near])), 1e-300))
+        away = np.linalg.norm(scale * from_a - from_b, axis=1)
+        near = away <= OFF * max(float(np.median(away)), 1e-9 * float(size[1].max()))
+        middle = np.mean
+    return scale, np.asarray(b[near].mean(0) - scale * a[near].mean(0))

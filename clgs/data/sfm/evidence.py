@@ -60,7 +60,8 @@ def read_evidence(job: Job) -> Evidence:
     for number, geometry in zip(numbers, geometries, strict=True):
         matches = np.asarray(geometry.inlier_matches, np.uint32).reshape(-1, 2)
         if len(matches) >= MIN_MATCHES:
-            pairs.append(Pair(*job.pycolmap.pair_id_to_image_pair(number), matches))
+            first, second = job.pycolmap.pair_id_to_image_pair(number)
+            pairs.append(Pair(first, second, matches))
     return Evidence(pairs, keypoints)
 
 
