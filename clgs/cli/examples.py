@@ -4,7 +4,7 @@ from __future__ import annotations
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
     "devices": ("clgs devices", "clgs devices --json"),
-    "prepare": ("clgs prepare PHOTOS -o data",),
+    "prepare": ("clgs prepare PHOTOS -o data", "clgs prepare PHOTOS -o data --quick"),
     "train": (
         "clgs train data -o run --preset quick --downscale 4",
         "clgs train data -o run --preset quick --downscale 4 --resume",
