@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,7 +114,7 @@ def _common_similarity(
     """
     a, b = first[agree], second[agree]
     near = np.ones(len(a), bool)
-    middle = np.median
+    middle: Callable[..., Any] = np.median
     for _ in range(ROUNDS):
         from_a, from_b = a - middle(a[near], axis=0), b - middle(b[near], axis=0)
         size = np.linalg.norm(from_a, axis=1), np.linalg.norm(from_b, axis=1)
