@@ -15,8 +15,8 @@ import numpy as np
 from clgs.data.colmap.model import read_colmap
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.sfm.contact_sheet import CELL, COLUMNS
+from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 from clgs.data.sfm.prepare import CONTACT_SHEET
-from clgs.data.sfm.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 from clgs.export.plan import plan
 from clgs.export.report import STYLE, cards
 from clgs.files import atomic_write

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from clgs.data.colmap.model import read_colmap
-from clgs.data.sfm.agreement import Poses, differences
+from clgs.data.sfm.judging.agreement import Poses, differences
+from clgs.data.sfm.judging.verdict import GOOD
 from clgs.data.sfm.prepare import prepare
-from clgs.data.sfm.verdict import GOOD
 
 
 def poses(views) -> Poses:

@@ -11,7 +11,7 @@ from clgs.cli.options.output import add_overwrite
 from clgs.cli.options.view import named_path, seed
 
 if TYPE_CHECKING:
-    from clgs.data.sfm.verdict import PhotoVerdict, Verdict
+    from clgs.data.sfm.judging.verdict import PhotoVerdict, Verdict
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_verdict(output: Path, verdict: Verdict, seconds: float) -> None:
-    from clgs.data.sfm.verdict import DOUBTFUL, LEFT_OUT
+    from clgs.data.sfm.judging.verdict import DOUBTFUL, LEFT_OUT
 
     print(
         f"{output}: registered {verdict.registered} of {verdict.total} photos, "

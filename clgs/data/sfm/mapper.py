@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from clgs.data.pycolmap_lazy import quiet_pycolmap
-from clgs.data.sfm.check import reconstruct_half
 from clgs.data.sfm.child import OnStage, run_child, serve
-from clgs.data.sfm.conclusion import conclude
 from clgs.data.sfm.features import extract
 from clgs.data.sfm.job import Job, OnProgress
+from clgs.data.sfm.judging.check import reconstruct_half
+from clgs.data.sfm.judging.conclusion import conclude
+from clgs.data.sfm.judging.verdict import Verdict, verdict_of
 from clgs.data.sfm.matching import match
 from clgs.data.sfm.models import build, look_again
 from clgs.data.sfm.shots import list_shots, name_files, number_files
-from clgs.data.sfm.verdict import Verdict, verdict_of
 from clgs.errors import DataError
 
 JPEG_QUALITY = 95

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from clgs.data.sfm.evidence import Evidence, Explained, explain, read_evidence
 from clgs.data.sfm.job import Job
+from clgs.data.sfm.judging.evidence import Evidence, Explained, explain, read_evidence
 from clgs.data.sfm.matching import match_again
 from clgs.errors import DataError
 

@@ -12,9 +12,9 @@ from clgs.data.images import image_size, is_plain, list_images, read_exif, read_
 from clgs.data.pycolmap_lazy import SEEDS
 from clgs.data.sfm.contact_sheet import contact_sheet
 from clgs.data.sfm.job import OnProgress
+from clgs.data.sfm.judging.verdict import Verdict
 from clgs.data.sfm.leftovers import owned, remove_leftovers
 from clgs.data.sfm.mapper import JPEG_QUALITY, reconstruct
-from clgs.data.sfm.verdict import Verdict
 from clgs.errors import DataError, ExistsError, OutputError
 from clgs.files import atomic_folder, check_folder, is_full
 

@@ -27,7 +27,7 @@ from clgs.data.lens import Lens
 from clgs.data.posed_photo import Photo
 from clgs.data.pycolmap_lazy import SEEDS, quiet_pycolmap
 from clgs.data.sfm.child import run_child, serve
-from clgs.data.sfm.epipolar import sampson_error
+from clgs.data.sfm.judging.epipolar import sampson_error
 from clgs.errors import DataError
 from clgs.files import atomic_path
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clgs.data.sfm.agreement import Poses, angle, differences
+from clgs.data.sfm.judging.agreement import Poses, angle, differences
 
 
 def poses(count: int, seed: int = 0) -> Poses:

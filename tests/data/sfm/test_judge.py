@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.data.sfm.agreement import Difference
-from clgs.data.sfm.evidence import Explained
-from clgs.data.sfm.figures import Figures
-from clgs.data.sfm.judge import Comparison, contradicted, is_ambiguous, judge
-from clgs.data.sfm.verdict import DOUBTFUL, GOOD, LEFT_OUT
+from clgs.data.sfm.judging.agreement import Difference
+from clgs.data.sfm.judging.evidence import Explained
+from clgs.data.sfm.judging.figures import Figures
+from clgs.data.sfm.judging.judge import Comparison, contradicted, is_ambiguous, judge
+from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT
 
 SOUND = Figures(800, 0.97, 4.5, 0.6, 10.0, (8.0, 9.0))
 SAME = Difference(0.05, 0.1)

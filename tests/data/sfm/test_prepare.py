@@ -14,9 +14,9 @@ from clgs.cli.commands import prepare as command
 from clgs.cli.main import explain
 from clgs.data.dataset import load_dataset
 from clgs.data.sfm.job import STAGES
+from clgs.data.sfm.judging.verdict import GOOD, verdict_of
 from clgs.data.sfm.leftovers import OWNER, owned, remove_leftovers
 from clgs.data.sfm.prepare import prepare
-from clgs.data.sfm.verdict import GOOD, verdict_of
 from clgs.errors import DataError, ExistsError, OutputError
 from tests.data.folders import noise_image, room_image, room_poses
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.sfm.epipolar import Floats, sampson_error
 from clgs.data.sfm.job import Job
+from clgs.data.sfm.judging.epipolar import Floats, sampson_error
 
 MAX_ERROR = 4.0
 """Pixels off the epipolar line at which the model's poses explain a match; COLMAP's default."""

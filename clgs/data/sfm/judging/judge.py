@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clgs.data.sfm.agreement import Difference
-from clgs.data.sfm.evidence import Explained
-from clgs.data.sfm.figures import Figures
-from clgs.data.sfm.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict
+from clgs.data.sfm.judging.agreement import Difference
+from clgs.data.sfm.judging.evidence import Explained
+from clgs.data.sfm.judging.figures import Figures
+from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict
 
 MAX_TURN, MAX_SHIFT = 0.5, 2.0
 """Degrees by which a second reconstruction may differ: half of what training forgives."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from clgs.data.sfm.agreement import Difference, differences, poses_of
-from clgs.data.sfm.figures import figures
-from clgs.data.sfm.judge import MIN_EQUAL, SHARPER, Comparison, is_ambiguous, judge
+from clgs.data.sfm.judging.agreement import Difference, differences, poses_of
+from clgs.data.sfm.judging.figures import figures
+from clgs.data.sfm.judging.judge import MIN_EQUAL, SHARPER, Comparison, is_ambiguous, judge
+from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 from clgs.data.sfm.models import Choice
-from clgs.data.sfm.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 
 
 def conclude(choice: Choice, second: Any | None, checked: bool, real: Mapping[str, str]) -> Verdict:

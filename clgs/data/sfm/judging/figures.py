@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from clgs.data.sfm.agreement import Floats, Poses, angle
-from clgs.data.sfm.evidence import Evidence, Explained
+from clgs.data.sfm.judging.agreement import Floats, Poses, angle
+from clgs.data.sfm.judging.evidence import Evidence, Explained
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Of a photo, as of :class:`clgs.data.sfm.verdict.PhotoVerdict`.
+    """Of a photo, as of :class:`clgs.data.sfm.judging.verdict.PhotoVerdict`.
 
     steps: degrees from the neighbours by name, one or two of them.
     """

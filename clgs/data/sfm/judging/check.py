@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.sfm.evidence import MIN_MATCHES, Evidence
 from clgs.data.sfm.job import Job
+from clgs.data.sfm.judging.evidence import MIN_MATCHES, Evidence
 from clgs.data.sfm.models import map_incrementally
 
 SHARE = 0.5
