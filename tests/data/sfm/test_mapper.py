@@ -85,11 +85,11 @@ def ended(process):
         process.kill()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, number: int):
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, name: str):
     process = start(DEAF)
     until_deaf(process)
-    process.send_signal(number)
+    process.send_signal(getattr(signal, name))
     out, err = ended(process)
     assert (out, err.splitlines()[-1]) == ("", "clgs: interrupted")
     assert process.returncode == 130
