@@ -36,7 +36,20 @@ def verdict() -> Verdict:
     )
     counts = {"incremental": 12345, "global": 12000}
     return Verdict(
-        2, 3, 500, 940, 0.52, 3.7, "incremental", counts, (("c.jpg",),), photos, True, False, "ok"
+        2,
+        3,
+        500,
+        940,
+        0.52,
+        3.7,
+        "incremental",
+        counts,
+        (("c.jpg",),),
+        photos,
+        True,
+        False,
+        0.02,
+        "ok",
     )
 
 
@@ -58,7 +71,9 @@ def test_the_page_tells_all_and_escapes_names(tmp_path: Path):
 
 
 def test_a_page_without_doubts_has_no_such_table():
-    good = Verdict(0, 0, 0, 0, 0.0, 0.0, "incremental", {}, (), (), False, False, "not checked")
+    good = Verdict(
+        0, 0, 0, 0, 0.0, 0.0, "incremental", {}, (), (), False, False, 0.0, "not checked"
+    )
     assert "Not certain" not in poses_html(PhotoSet("colmap", [], []), good, b"")
 
 

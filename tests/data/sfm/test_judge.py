@@ -86,7 +86,7 @@ def explained(matches: list[int], found: list[int]) -> Explained:
 
 def test_contradicting_pairs():
     # Explained, contradicted, too few matches, one photo without a pose.
-    assert contradicted(explained([100, 100, 20, 500], [95, 5, 0, -1])) == 0.5
+    assert contradicted(explained([300, 100, 20, 500], [290, 5, 0, -1])) == 0.25
     assert contradicted(explained([], [])) == 0.0
 
 
@@ -97,4 +97,5 @@ def test_ambiguity():
     assert not is_ambiguous(Comparison({"1.jpg": other}, {}), clear, 12)
     assert is_ambiguous(Comparison({"1.jpg": other, "2.jpg": other}, {}), clear, 12)
     assert is_ambiguous(Comparison({"1.jpg": other}, {"2.jpg": other}), clear, 12)
-    assert is_ambiguous(same, explained([100] * 50, [90] * 45 + [3] * 5), 12)
+    assert is_ambiguous(same, explained([100] * 50, [90] * 40 + [3] * 10), 12)
+    assert not is_ambiguous(same, explained([100] * 50, [90] * 45 + [3] * 5), 12)

@@ -7,7 +7,14 @@ from typing import Any
 
 from clgs.data.sfm.judging.agreement import Difference, differences, poses_of
 from clgs.data.sfm.judging.figures import figures
-from clgs.data.sfm.judging.judge import MIN_EQUAL, SHARPER, Comparison, is_ambiguous, judge
+from clgs.data.sfm.judging.judge import (
+    MIN_EQUAL,
+    SHARPER,
+    Comparison,
+    contradicted,
+    is_ambiguous,
+    judge,
+)
 from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 from clgs.data.sfm.models import Choice
 
@@ -45,6 +52,7 @@ def conclude(choice: Choice, second: Any | None, checked: bool, real: Mapping[st
         photos=photos,
         checked=checked,
         ambiguous=ambiguous,
+        contradicted=contradicted(kept.explained),
         sure=_sure(photos, checked, ambiguous),
     )
 

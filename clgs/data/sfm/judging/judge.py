@@ -36,8 +36,9 @@ MIN_EQUAL = 0.9
 STRONG_PAIR, CONTRADICTED = 30, 0.3
 """A pair of so many matches contradicts the poses if they explain less than this share."""
 
-MAX_CONTRADICTED, MAX_ELSEWHERE = 0.05, 0.03
-"""Shares of contradicting pairs and of photos at another side: above, the scene is ambiguous."""
+MAX_CONTRADICTED, MAX_ELSEWHERE = 0.15, 0.03
+"""Above these shares of matches in contradicting pairs, or of photos at another side, the scene is
+ambiguous. Repeated texture makes a few such pairs, equal sides as many as there are right ones."""
 
 MAX_DROPPED = 1 / 3
 """Of the photos; if more had to go, the whole is in doubt, and none is dropped."""
@@ -70,10 +71,11 @@ def judge(found: Mapping[str, Figures], compared: Comparison) -> dict[str, Photo
 
 
 def contradicted(explained: Explained) -> float:
-    """Share of the pairs of many matches, both photos posed, that the poses do not explain."""
+    """Share of the matches, of strong pairs with poses, in pairs that the poses do not explain."""
     strong = (explained.matches >= STRONG_PAIR) & (explained.explained >= 0)
     bad = explained.explained < CONTRADICTED * explained.matches
-    return float((strong & bad).sum() / max(int(strong.sum()), 1))
+    matches = explained.matches
+    return float(matches[strong & bad].sum() / max(int(matches[strong].sum()), 1))
 
 
 def is_ambiguous(compared: Comparison, explained: Explained, photos: int) -> bool:

@@ -42,7 +42,8 @@ class Verdict:
     reprojection error, pixels; track_length: mean photos a point; mapper: whose model was kept;
     explained: matches that each mapper's model explains; apart: names of photos of other models;
     photos: all of them, by name; checked: whether a second reconstruction was made; ambiguous:
-    whether the scene looks alike from several sides; sure: one sentence.
+    whether the scene looks alike from several sides; contradicted: share of matches in pairs that
+    contradict the poses; sure: one sentence; seconds: of each stage.
     """
 
     registered: int
@@ -57,6 +58,7 @@ class Verdict:
     photos: tuple[PhotoVerdict, ...]
     checked: bool
     ambiguous: bool
+    contradicted: float
     sure: str
     seconds: Mapping[str, float] = field(default_factory=dict)
 
