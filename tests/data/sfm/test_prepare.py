@@ -132,6 +132,20 @@ def test_bad_folders(tmp_path: Path):
 
 
 @pytest.mark.slow
+def test_the_same_seed_gives_the_same_bits(tmp_path: Path):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for number, pose in enumerate(room_poses(7)):
+        Image.fromarray(room_image(pose, (320, 240), 320.0)).save(photos / f"{number} a.png")
+    made = []
+    for folder in (tmp_path / "first", tmp_path / "second"):
+        prepare(photos, folder, seed=5)
+        files = sorted((folder / "sparse" / "0").iterdir()) + sorted((folder / "images").iterdir())
+        made.append([(path.name, path.read_bytes()) for path in files])
+    assert made[0] == made[1]
+
+
+@pytest.mark.slow
 def test_sceaux_castle_registers_completely(shared_data: Path, tmp_path: Path):
     source = shared_data / "sceaux_castle"
     if not source.is_dir():
