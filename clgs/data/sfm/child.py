@@ -78,7 +78,8 @@ def serve(work: Callable[[Any, OnStage], Any], scratch: Callable[[Any], str] | N
     os.dup2(2, 1)  # whatever a library prints is no result
     arguments = json.loads(sys.stdin.readline())
     folder = None if scratch is None else scratch(arguments)
-    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+    done = threading.Event()
+    threading.Thread(target=_end_with_parent, args=(folder, done), daemon=True).start()
     one_at_a_time = threading.Lock()
 
     def say(kind: str, value: Any) -> None:
@@ -93,12 +94,16 @@ def serve(work: Callable[[Any, OnStage], Any], scratch: Callable[[Any], str] | N
     except DataError as error:
         say("error", str(error))
     else:
+        done.set()  # from now on the folder is the parent's, which closes the input next
         say("result", result)
 
 
-def _end_with_parent(folder: str | None) -> None:
-    """Ends this process if its standard input ends, that is, if the parent has ended."""
+def _end_with_parent(folder: str | None, done: threading.Event) -> None:
+    """Ends this process if its standard input ends, that is, if the parent has ended.
+
+    Unless its work is ``done``, what it made in ``folder`` goes first.
+    """
     sys.stdin.read()
-    for _ in range(2 if folder else 0):  # what other threads write meanwhile goes the second time
+    for _ in range(0 if folder is None or done.is_set() else 2):  # twice: other threads still write
         shutil.rmtree(str(folder), ignore_errors=True)
     os._exit(1)
