@@ -9,7 +9,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "devices": ("clgs devices", "clgs devices --json"),
     "doctor": ("clgs doctor", "clgs doctor data", "clgs doctor data --json"),
-    "prepare": ("clgs prepare PHOTOS -o data", "clgs prepare clip.mp4 -o data --frames 80"),
+    "prepare": (
+        "clgs prepare PHOTOS -o data",
+        "clgs prepare clip.mp4 -o data --frames 80",
+        "clgs prepare PHOTOS -o data --quick",
+    ),
     "train": (
         "clgs train data -o run --preset quick --downscale 4",
         "clgs train data -o run --preset quick --downscale 4 --resume",

@@ -100,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _terminations_interrupt() -> Iterator[None]:
-    """Let SIGTERM raise KeyboardInterrupt as SIGINT does, from the first moment on.
+    """Let SIGTERM, and a terminal that closes, raise KeyboardInterrupt as SIGINT does.
 
     A process that ends in the middle of native code, which has threads and handlers of its own,
     may leave with a native stack trace instead of one line.
@@ -108,11 +108,16 @@ def _terminations_interrupt() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {name: signal.getsignal(getattr(signal, name)) for name in names}
+    for name, handler in before.items():
+        if name != "SIGHUP" or handler is not signal.SIG_IGN:  # as nohup leaves it
+            signal.signal(getattr(signal, name), signal.default_int_handler)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+        for name, handler in before.items():
+            signal.signal(getattr(signal, name), handler or signal.SIG_DFL)
 
 
 def _run(argv: Sequence[str] | None) -> int:

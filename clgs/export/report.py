@@ -105,7 +105,7 @@ def report_html(report: Report, views: Sequence[ReportView]) -> str:
         f"<h1>{escape(report.title)}</h1>",
         f'<p class="soft">{escape(report.lead)}</p>',
         _links(report.links),
-        _cards(report.headline),
+        cards(report.headline),
         '<div class="pair">',
         _bars("Bytes by section", report.sections, "{:,.0f}", "bytes"),
         _bars("Seconds by stage", report.seconds, "{:,.1f}", "s"),
@@ -137,11 +137,12 @@ def _links(links: Sequence[tuple[str, str]]) -> str:
     return f"<p>{' · '.join(named)}</p>" if links else ""
 
 
-def _cards(headline: Sequence[tuple[str, str]]) -> str:
-    cards = "".join(
+def cards(headline: Sequence[tuple[str, str]]) -> str:
+    """Large figures with their labels."""
+    inner = "".join(
         f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>" for label, value in headline
     )
-    return f'<dl class="cards">{cards}</dl>'
+    return f'<dl class="cards">{inner}</dl>'
 
 
 def _bars(title: str, values: Mapping[str, float], form: str, unit: str) -> str:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.options.output import add_overwrite
 from clgs.cli.options.view import named_path, positive_int, seed
 
 if TYPE_CHECKING:
+    from clgs.data.sfm.judging.verdict import PhotoVerdict, Verdict
+
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+PAGE = "report.html"
+NAMED = 20
+"""Of the photos in doubt, at most so many are listed on the terminal."""
 
 
 def register(subparsers: Subparsers) -> None:
@@ -18,9 +25,10 @@ def register(subparsers: Subparsers) -> None:
     parser = subparsers.add_parser(
         "prepare",
         help="find the camera poses of a folder of photos, or of a video",
-        description="Structure from motion: writes DATA/images (undistorted) and DATA/sparse/0, "
-        "and DATA/masks if photos have masks (PHOTOS/masks/NAME.png, black where a photo is not "
-        "to be used, or an alpha channel).",
+        description="Structure from motion: writes DATA/images (undistorted), DATA/sparse/0, a "
+        "verdict on every photo in DATA/report.html and DATA/report.json, and DATA/masks if photos "
+        "have masks (PHOTOS/masks/NAME.png, black where a photo is not to be used, or an alpha "
+        "channel).",
     )
     parser.add_argument(
         "photos",
@@ -37,38 +45,54 @@ def register(subparsers: Subparsers) -> None:
         "-o", "--output", type=named_path, metavar="DATA", required=True, help="new folder"
     )
     parser.add_argument("--seed", type=seed, default=0, help="random seed (default: %(default)s)")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="fewer features, one mapper, poses not tested by a second reconstruction",
+    )
     add_overwrite(parser, "DATA if an earlier run of this command made it (default: refuse)")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prepare ``args.photos`` into ``args.output`` and print one line; returns the exit code."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from clgs.data.sfm.prepare import STAGES, prepare
+    """Prepare ``args.photos`` into ``args.output`` and print the verdict; returns the exit code."""
+    from clgs.cli.stages import StageDisplay
+    from clgs.data.sfm.prepare import prepare
+    from clgs.export.poses_page import write_poses_page
 
     start = time.perf_counter()
-    columns = (
-        TextColumn("{task.description:<10}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    console = Console(stderr=True)
-    quiet = not console.is_terminal  # a bar that is not redrawn leaves empty lines
-    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
-        task = progress.add_task(STAGES[0], total=len(STAGES))
-
-        def on_stage(stage: str) -> None:
-            progress.update(task, description=stage, completed=STAGES.index(stage))
-
-        summary = prepare(
-            args.photos, args.output, args.seed, on_stage, args.overwrite, args.frames
+    with StageDisplay() as display:
+        verdict = prepare(
+            args.photos,
+            args.output,
+            args.seed,
+            display.update,
+            overwrite=args.overwrite,
+            quick=args.quick,
+            frames=args.frames,
         )
-    seconds = time.perf_counter() - start
-    print(
-        f"{args.output}: registered {summary.registered} of {summary.total} photos, "
-        f"{summary.points} points, reprojection error {summary.error:.2f} px, {seconds:.0f} s"
-    )
+    write_poses_page(args.output / PAGE, args.output, verdict)
+    _print_verdict(args.output, verdict, time.perf_counter() - start)
     return 0
+
+
+def _print_verdict(output: Path, verdict: Verdict, seconds: float) -> None:
+    from clgs.data.sfm.judging.verdict import DOUBTFUL, LEFT_OUT
+
+    print(
+        f"{output}: registered {verdict.registered} of {verdict.total} photos, "
+        f"{verdict.points:,} points, reprojection error {verdict.error:.2f} px, "
+        f"track length {verdict.track_length:.1f}, {seconds:.0f} s"
+    )
+    print(verdict.sure)
+    doubted = [*verdict.of(LEFT_OUT), *verdict.of(DOUBTFUL)]
+    for photo in doubted[:NAMED]:
+        print(_line(photo))
+    if len(doubted) > NAMED:
+        print(f"  and {len(doubted) - NAMED} more")
+    print(f"{output / PAGE}")
+
+
+def _line(photo: PhotoVerdict) -> str:
+    name = photo.name if photo.name.isprintable() else repr(photo.name)
+    return f"  {name}: {photo.status}: {'; '.join(photo.reasons)}; {photo.remedy}"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -18,7 +19,8 @@ from typing import Any
 from clgs.errors import DataError
 from clgs.memory import return_freed_memory
 
-OnStage = Callable[[str], None]
+OnStage = Callable[[Any], None]
+"""Called with whatever a process tells of its progress, ready for JSON."""
 
 
 def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
@@ -65,16 +67,24 @@ def _follow(child: subprocess.Popen[str], task: str, arguments: Any, on_stage: O
     raise DataError(f"{task}: pycolmap crashed (exit code {child.wait()}); try other photos")
 
 
-def serve(work: Callable[[Any, OnStage], Any]) -> None:
-    """The process: arguments from the standard input, results to the standard output."""
+def serve(work: Callable[[Any, OnStage], Any], scratch: Callable[[Any], str] | None = None) -> None:
+    """The process: arguments from the standard input, results to the standard output.
+
+    If its parent is killed it removes the folder that ``scratch`` makes of the arguments, since
+    nobody else can.
+    """
     return_freed_memory()
     output = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever a library prints is no result
     arguments = json.loads(sys.stdin.readline())
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    folder = None if scratch is None else scratch(arguments)
+    done = threading.Event()
+    threading.Thread(target=_end_with_parent, args=(folder, done), daemon=True).start()
+    one_at_a_time = threading.Lock()
 
     def say(kind: str, value: Any) -> None:
-        print(json.dumps([kind, value]), file=output, flush=True)
+        with one_at_a_time:
+            print(json.dumps([kind, value]), file=output, flush=True)
 
     def on_stage(stage: str) -> None:
         say("stage", stage)
@@ -84,10 +94,16 @@ def serve(work: Callable[[Any, OnStage], Any]) -> None:
     except DataError as error:
         say("error", str(error))
     else:
+        done.set()  # from now on the folder is the parent's, which closes the input next
         say("result", result)
 
 
-def _end_with_parent() -> None:
-    """Ends this process if its standard input ends, that is, if the parent has ended."""
+def _end_with_parent(folder: str | None, done: threading.Event) -> None:
+    """Ends this process if its standard input ends, that is, if the parent has ended.
+
+    Unless its work is ``done``, what it made in ``folder`` goes first.
+    """
     sys.stdin.read()
+    for _ in range(0 if folder is None or done.is_set() else 2):  # twice: other threads still write
+        shutil.rmtree(str(folder), ignore_errors=True)
     os._exit(1)

@@ -2,45 +2,51 @@
 
 from __future__ import annotations
 
+import json
 import shutil
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from clgs.data.photos.bring_in import Source, bring_in, find_source
 from clgs.data.pycolmap_lazy import SEEDS
+from clgs.data.sfm.contact_sheet import contact_sheet
+from clgs.data.sfm.job import OnProgress
+from clgs.data.sfm.judging.verdict import Verdict
+from clgs.data.sfm.leftovers import owned, remove_leftovers
 from clgs.data.sfm.mapper import reconstruct
 from clgs.errors import DataError, ExistsError, OutputError
 from clgs.files import atomic_folder, check_folder, is_full
 
-STAGES = ("read", "features", "matches", "poses", "undistort")
-"""What ``prepare`` reports as it begins it."""
+REPORT = "report.json"
+"""The verdict, in the new data set."""
 
-
-@dataclass(frozen=True)
-class PrepareSummary:
-    """registered of total photos; points; error: mean reprojection error in pixels."""
-
-    registered: int
-    total: int
-    points: int
-    error: float
+CONTACT_SHEET = "contact_sheet.jpg"
+"""All photos of the verdict, in its order; see clgs.data.sfm.contact_sheet."""
 
 
 def prepare(
     photos: Path | str,
     output: Path | str,
     seed: int = 0,
-    on_stage: Callable[[str], None] = lambda stage: None,
+    on_progress: OnProgress = lambda stage, done, total: None,
     overwrite: bool = False,
+    quick: bool = False,
     frames: int | None = None,
-) -> PrepareSummary:
+) -> Verdict:
     """Poses and points of the photos in and below ``photos``, or of a video, in ``output``.
 
-    ``output`` gets images/ (undistorted), masks/ if photos are masked, and sparse/0/ (binary,
-    pinhole cameras); it appears complete or not at all. A warning names the files that are
-    skipped. ``frames``: taken of a video. ``on_stage`` is called with each of STAGES. With
-    ``overwrite`` it may replace what an earlier call made.
+    ``output`` gets images/ (undistorted), masks/ if photos are masked, sparse/0/ (binary, pinhole
+    cameras), report.json with the verdict that is returned, and contact_sheet.jpg; it appears
+    complete or not at all. A warning names the files that are skipped.
+
+    Args:
+        photos: the folder, or a video.
+        output: new folder, or an empty one.
+        seed: of all random choices; the same seed gives the same poses.
+        on_progress: called with a stage of ``clgs.data.sfm.job.STAGES``, what of it is done, and of
+            how much.
+        overwrite: ``output`` may replace what an earlier call made.
+        quick: half the features, one mapper, and no second reconstruction that tests the poses.
+        frames: taken of a video; default 100.
 
     Raises:
         DataError: too few or damaged photos, no reconstruction, no pycolmap.
@@ -51,10 +57,14 @@ def prepare(
     try:
         check_folder(output.parent)
         output.parent.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(output)
         if overwrite:
             _check_replaceable(output, source.files)
         with atomic_folder(output, overwrite) as target:
-            return _prepare(source, target, seed, on_stage)
+            with owned(target / "work"):
+                verdict = _prepare(source, target, seed, quick, on_progress)
+            shutil.rmtree(target / "work")
+            return verdict
     except OutputError:
         raise
     except OSError as error:
@@ -75,12 +85,15 @@ def _check_replaceable(output: Path, source: list[Path]) -> None:
 
 
 def _prepare(
-    source: Source, target: Path, seed: int, on_stage: Callable[[str], None]
-) -> PrepareSummary:
-    on_stage("read")
-    work = target / "work"
-    work.mkdir()
-    sizes = bring_in(source, work)
-    model = reconstruct(target, set(sizes), seed % SEEDS, on_stage)
-    shutil.rmtree(work)
-    return PrepareSummary(model.registered, len(sizes), model.points, model.error)
+    source: Source, target: Path, seed: int, quick: bool, on_progress: OnProgress
+) -> Verdict:
+    images = target / "work" / "images"
+    expected = source.frames or len(source.files)
+    on_progress("read", 0, expected)
+    bring_in(source, target / "work", lambda count: on_progress("read", count, expected))
+    verdict = reconstruct(target, seed % SEEDS, quick, on_progress)
+    sheet = contact_sheet([images / photo.name for photo in verdict.photos])
+    (target / CONTACT_SHEET).write_bytes(sheet)
+    report = json.dumps(verdict.plain(), indent=1, allow_nan=False)
+    (target / REPORT).write_text(report + "\n", encoding="utf-8")
+    return verdict

@@ -28,6 +28,7 @@ from clgs.data.photos.masks import read_mask, save_mask
 from clgs.data.posed_photo import Photo
 from clgs.data.pycolmap_lazy import SEEDS, quiet_pycolmap
 from clgs.data.sfm.child import run_child, serve
+from clgs.data.sfm.judging.epipolar import sampson_error
 from clgs.errors import DataError
 from clgs.files import atomic_path
 
@@ -328,7 +329,9 @@ def _match(
         / (photos[i].lens.fx, photos[i].lens.fy)
         for side, i in enumerate((first, second))
     ]
-    error = _sampson_error(photos[first], photos[second], rays[0], rays[1])
+    rotation = photos[second].rotation @ photos[first].rotation.T
+    translation = photos[second].translation - rotation @ photos[first].translation
+    error = sampson_error(rotation, translation, rays[0], rays[1])
     lens = photos[first].lens
     limit = MAX_EPIPOLAR_ERROR * _shrink(lens) / min(lens.fx, photos[second].lens.fx)
     return pairs[error <= limit].astype(np.uint32)
@@ -352,21 +355,6 @@ def _nearest_both_ways(
     # Only the columns that matter are searched the other way: the whole would cost as much again.
     backward = (second[pairs[:, 1]] @ first.T).argmax(axis=1)
     return np.asarray(pairs[backward == pairs[:, 0]])
-
-
-def _sampson_error(first: Photo, second: Photo, left: Floats, right: Floats) -> Floats:
-    """Distance (M,) of ideal-plane points (M, 2) from agreeing with the relative pose."""
-    rotation = second.rotation @ first.rotation.T
-    x, y, z = second.translation - rotation @ first.translation
-    essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation
-    left = np.column_stack([left, np.ones(len(left))])
-    right = np.column_stack([right, np.ones(len(right))])
-    line_right, line_left = left @ essential.T, right @ essential
-    residual = np.abs(np.einsum("ij,ij->i", right, line_right))
-    slope = np.hypot(
-        np.hypot(line_right[:, 0], line_right[:, 1]), np.hypot(line_left[:, 0], line_left[:, 1])
-    )
-    return np.asarray(residual / np.maximum(slope, 1e-300))
 
 
 def _key(photos: list[Photo], seed: int) -> str:

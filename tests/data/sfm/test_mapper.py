@@ -22,6 +22,10 @@ CameraMode = SimpleNamespace(SINGLE=0)
 Device = SimpleNamespace(cpu=0)
 def set_random_seed(seed):
     print("a library says something")
+class Database:
+    open = staticmethod(lambda path: SimpleNamespace(close=lambda: None))
+def import_images(*arguments, **keywords):
+    pass
 def options():
     return SimpleNamespace(sift=SimpleNamespace())
 FeatureExtractionOptions = ImageReaderOptions = options
@@ -46,7 +50,7 @@ def start(tmp_path):
     """Start ``clgs prepare`` with a pycolmap that does something else."""
     (tmp_path / "photos").mkdir()
     for number in range(3):
-        Image.fromarray(noise_image(8, 8)).save(tmp_path / "photos" / f"{number}.png")
+        Image.fromarray(noise_image(8, 8, number)).save(tmp_path / "photos" / f"{number}.png")
     (tmp_path / "data").mkdir()
 
     def start_with(act):
@@ -81,21 +85,23 @@ def ended(process):
         process.kill()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, number: int):
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, name: str):
     process = start(DEAF)
     until_deaf(process)
-    process.send_signal(number)
-    assert ended(process) == ("", "clgs: interrupted\n")
+    process.send_signal(getattr(signal, name))
+    out, err = ended(process)
+    assert (out, err.splitlines()[-1]) == ("", "clgs: interrupted")
     assert process.returncode == 130
     assert list((tmp_path / "data").iterdir()) == []
 
 
-def test_a_killed_parent_leaves_no_process(start):
+def test_a_killed_parent_leaves_neither_process_nor_folder(start, tmp_path: Path):
     process = start(DEAF)
     until_deaf(process)
     process.kill()
-    assert ended(process) == ("", "")
+    assert ended(process)[0] == ""
+    assert list((tmp_path / "data").iterdir()) == []
 
 
 def test_a_crash_is_one_line(start, tmp_path: Path):

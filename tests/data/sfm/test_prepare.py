@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,10 @@ from PIL import Image
 from clgs.cli.commands import prepare as command
 from clgs.cli.main import explain
 from clgs.data.dataset import load_dataset
-from clgs.data.sfm.prepare import STAGES, prepare
+from clgs.data.sfm.job import STAGES
+from clgs.data.sfm.judging.verdict import GOOD, verdict_of
+from clgs.data.sfm.leftovers import OWNER, owned, remove_leftovers
+from clgs.data.sfm.prepare import prepare
 from clgs.errors import DataError, ExistsError, OutputError
 from tests.data.folders import noise_image, room_image, room_poses
 
@@ -47,9 +51,14 @@ def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str
     args = parser.parse_args(["prepare", str(photos), "-o", str(output)])
     assert args.run(args) == 0
     line = capsys.readouterr().out.splitlines()
-    assert len(line) == 1
     assert "registered 9 of 9 photos" in line[0]
-    assert sorted(path.name for path in output.iterdir()) == ["images", "sparse"]
+    assert line[1].startswith("sure: a second reconstruction")
+    assert line[2:] == [str(output / "report.html")]
+    made = ["contact_sheet.jpg", "images", "report.html", "report.json", "sparse"]
+    assert sorted(path.name for path in output.iterdir()) == made
+    verdict = verdict_of(json.loads((output / "report.json").read_text()))
+    assert {photo.status for photo in verdict.photos} == {GOOD}
+    assert (verdict.registered, verdict.checked, verdict.ambiguous) == (9, True, False)
     data = load_dataset(output)
     assert (len(data.train), len(data.test), data.skipped) == (7, 2, 0)
     views = sorted(data.train + data.test, key=lambda view: view.name)
@@ -67,8 +76,8 @@ def test_unrelated_photos_leave_nothing(tmp_path: Path):
         Image.fromarray(noise_image(64, 48, number)).save(photos / f"{number}.png")
     stages: list[str] = []
     with pytest.raises(DataError, match="overlapping"):
-        prepare(photos, tmp_path / "data", on_stage=stages.append)
-    assert stages == list(STAGES[:4])
+        prepare(photos, tmp_path / "data", on_progress=lambda stage, *_: stages.append(stage))
+    assert list(dict.fromkeys(stages)) == list(STAGES[:4])
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
@@ -108,7 +117,7 @@ def test_bad_folders(tmp_path: Path):
         prepare(tmp_path / "none", tmp_path / "data")
     (tmp_path / "file").touch()
     for number in range(3):
-        Image.fromarray(noise_image(8, 8)).save(tmp_path / f"{number}.png")
+        Image.fromarray(noise_image(8, 8, number)).save(tmp_path / f"{number}.png")
     with pytest.raises(OutputError, match="file: is no folder; choose another name"):
         prepare(tmp_path, tmp_path / "file" / "data")
     for number in range(3):
@@ -116,10 +125,24 @@ def test_bad_folders(tmp_path: Path):
     with pytest.raises(DataError, match="at least 3"):
         prepare(tmp_path, tmp_path / "data")
     for number in range(3):
-        (tmp_path / f"{number}.jpg").write_bytes(b"no image")
+        (tmp_path / f"{number}.jpg").write_bytes(b"no image %d" % number)
     with pytest.raises(DataError, match=r"0\.jpg"):
         prepare(tmp_path, tmp_path / "data")
     assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_bits(tmp_path: Path):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for number, pose in enumerate(room_poses(7)):
+        Image.fromarray(room_image(pose, (320, 240), 320.0)).save(photos / f"{number} a.png")
+    made = []
+    for folder in (tmp_path / "first", tmp_path / "second"):
+        prepare(photos, folder, seed=5)
+        files = sorted((folder / "sparse" / "0").iterdir()) + sorted((folder / "images").iterdir())
+        made.append([(path.name, path.read_bytes()) for path in files])
+    assert made[0] == made[1]
 
 
 @pytest.mark.slow
@@ -129,5 +152,20 @@ def test_sceaux_castle_registers_completely(shared_data: Path, tmp_path: Path):
         pytest.skip(f"no shared data: {source} is missing")
     summary = prepare(source, tmp_path / "data")
     assert (summary.registered, summary.total) == (11, 11)
-    assert summary.points >= 2000
-    assert summary.error <= 1.5
+    assert {photo.status for photo in summary.photos} == {GOOD}
+    assert summary.points >= 4000
+    assert summary.error <= 1.0
+
+
+def test_what_a_killed_run_left_is_removed(tmp_path: Path):
+    left, other = tmp_path / ".data.0123abcd", tmp_path / ".other.0123abcd"
+    for folder in (left, other):
+        (folder / "work").mkdir(parents=True)
+        (folder / "work" / OWNER).touch()
+    mine = tmp_path / ".data.my_notes"
+    mine.mkdir()
+    running = tmp_path / ".data.76543210"
+    running.mkdir()
+    with owned(running / "work"):
+        remove_leftovers(tmp_path / "data")
+        assert sorted(tmp_path.iterdir()) == sorted([other, mine, running])

@@ -1,0 +1,125 @@
+"""How far two reconstructions of the same photos differ, photo by photo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+SAME = 1.0
+"""Degrees within which two photos tell the same turn between the worlds of two reconstructions."""
+
+ROUNDS, OFF = 10, 4.0
+"""Fits of the common scale, each without photos that are OFF times the median distance away."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Of N photos: names; rotation (N, 3, 3), world to camera; centre (N, 3); depth (N,).
+
+    depth: median distance of the points that the photo sees.
+    """
+
+    names: list[str]
+    rotation: Floats
+    centre: Floats
+    depth: Floats
+
+    def chosen(self, names: list[str]) -> Poses:
+        """The photos of these names, in this order."""
+        place = {name: i for i, name in enumerate(self.names)}
+        index = [place[name] for name in names]
+        return Poses(names, self.rotation[index], self.centre[index], self.depth[index])
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Of a photo in two reconstructions, degrees.
+
+    turn: angle between its rotations; shift: between its places, seen from its points.
+    """
+
+    turn: float
+    shift: float
+
+
+def poses_of(model: Any) -> Poses:
+    """Of a pycolmap reconstruction, in the order of names."""
+    images = sorted((model.image(n) for n in model.reg_image_ids()), key=lambda image: image.name)
+    rotation = [image.cam_from_world().rotation.matrix() for image in images]
+    centre = [image.projection_center() for image in images]
+    depth = [_median_depth(model, image) for image in images]
+    arrays = np.reshape(rotation, (-1, 3, 3)), np.reshape(centre, (-1, 3)), np.array(depth)
+    return Poses([image.name for image in images], *arrays)
+
+
+def _median_depth(model: Any, image: Any) -> float:
+    seen = [model.point3D(p.point3D_id).xyz for p in image.points2D if p.has_point3D()]
+    if not seen:
+        return 1.0
+    return float(np.median(np.linalg.norm(np.array(seen) - image.projection_center(), axis=1)))
+
+
+def differences(first: Poses, second: Poses) -> dict[str, Difference]:
+    """Of the photos that both have, after the alignment that suits most of them."""
+    common = [name for name in first.names if name in set(second.names)]
+    if len(common) < 2:
+        return {}
+    first, second = first.chosen(common), second.chosen(common)
+    # x_second = turn x_first: each photo tells it, R_second^T R_first.
+    told = np.einsum("nji,njk->nik", second.rotation, first.rotation)
+    turn, agree = _common_turn(told)
+    angles = angle(np.einsum("nji,jk->nik", told, turn))
+    moved = first.centre @ turn.T
+    scale, offset = _common_similarity(moved, second.centre, agree)
+    away = np.linalg.norm(scale * moved + offset - second.centre, axis=1)
+    shift = np.degrees(np.arctan2(away, second.depth))
+    return {
+        name: Difference(float(a), float(b))
+        for name, a, b in zip(common, angles, shift, strict=True)
+    }
+
+
+def angle(rotation: Floats) -> Floats:
+    """Of rotation matrices (..., 3, 3), degrees (...); accurate for small ones, too."""
+    skew = rotation - np.swapaxes(rotation, -1, -2)
+    sine = np.sqrt((skew**2).sum((-1, -2)) / 8)
+    cosine = (np.trace(rotation, axis1=-2, axis2=-1) - 1) / 2
+    return np.asarray(np.degrees(np.arctan2(sine, cosine)))
+
+
+def _common_turn(told: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """The rotation (3, 3) that most of ``told`` (N, 3, 3) agree on, and which do."""
+    between = angle(np.einsum("mji,njk->mnik", told, told))
+    near = between <= SAME
+    spread = np.where(near, between, 0.0).sum(1)
+    best = np.lexsort((spread, -near.sum(1)))[0]
+    agree = near[best]
+    left, _, right = np.linalg.svd(told[agree].mean(0))
+    middle = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return middle, agree
+
+
+def _common_similarity(
+    first: Floats, second: Floats, agree: npt.NDArray[np.bool_]
+) -> tuple[float, Floats]:
+    """Scale and offset (3,) from ``first`` (N, 3) to ``second``, by those that agree.
+
+    Medians to begin with, then least squares without the photos that are far off.
+    """
+    a, b = first[agree], second[agree]
+    near = np.ones(len(a), bool)
+    middle: Callable[..., Any] = np.median
+    for _ in range(ROUNDS):
+        from_a, from_b = a - middle(a[near], axis=0), b - middle(b[near], axis=0)
+        size = np.linalg.norm(from_a, axis=1), np.linalg.norm(from_b, axis=1)
+        scale = float(middle(size[1][near]) / max(float(middle(size[0][near])), 1e-300))
+        away = np.linalg.norm(scale * from_a - from_b, axis=1)
+        near = away <= OFF * max(float(np.median(away)), 1e-9 * float(size[1].max()))
+        middle = np.mean
+    return scale, np.asarray(b[near].mean(0) - scale * a[near].mean(0))

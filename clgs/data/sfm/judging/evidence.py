@@ -1,0 +1,94 @@
+"""Whether a model explains the matches that were verified between pairs of photos."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.sfm.job import Job
+from clgs.data.sfm.judging.epipolar import Floats, sampson_error
+
+MAX_ERROR = 4.0
+"""Pixels off the epipolar line at which the model's poses explain a match; COLMAP's default."""
+
+MIN_MATCHES = 15
+"""Pairs with fewer verified matches count for nothing, as in COLMAP."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Numbers of two images, and verified matches (M, 2) of their features."""
+
+    first: int
+    second: int
+    matches: npt.NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """pairs; keypoints: pixels (K, 2) by the image's number."""
+
+    pairs: list[Pair]
+    keypoints: dict[int, Floats]
+
+
+@dataclass(frozen=True)
+class Explained:
+    """For every pair (P,): verified matches, and those that a model explains; -1 without poses."""
+
+    matches: npt.NDArray[np.int64]
+    explained: npt.NDArray[np.int64]
+
+    @property
+    def total(self) -> int:
+        """Matches that the model explains: the more, the better the model."""
+        return int(np.maximum(self.explained, 0).sum())
+
+
+def read_evidence(job: Job) -> Evidence:
+    """All verified pairs of the database."""
+    with job.pycolmap.Database.open(job.database) as database:
+        keypoints = {
+            number: np.asarray(database.read_keypoints(number), np.float64)[:, :2]
+            for number in job.ids(database)
+        }
+        numbers, geometries = database.read_two_view_geometries()
+    pairs = []
+    for number, geometry in zip(numbers, geometries, strict=True):
+        matches = np.asarray(geometry.inlier_matches, np.uint32).reshape(-1, 2)
+        if len(matches) >= MIN_MATCHES:
+            first, second = job.pycolmap.pair_id_to_image_pair(number)
+            pairs.append(Pair(first, second, matches))
+    return Evidence(pairs, keypoints)
+
+
+def explain(model: Any, evidence: Evidence) -> Explained:
+    """How many matches of each pair agree with a pycolmap reconstruction's poses and lenses."""
+    rays = {number: _rays(model, number, evidence) for number in model.reg_image_ids()}
+    found = [
+        _explained(model, pair, rays) if {pair.first, pair.second} <= rays.keys() else -1
+        for pair in evidence.pairs
+    ]
+    matches = [len(pair.matches) for pair in evidence.pairs]
+    return Explained(np.array(matches, np.int64), np.array(found, np.int64))
+
+
+def _rays(model: Any, number: int, evidence: Evidence) -> Floats:
+    """The image's features in focal lengths, without distortion, (K, 2)."""
+    camera = model.image(number).camera
+    return np.asarray(camera.cam_from_img(evidence.keypoints[number]), np.float64).reshape(-1, 2)
+
+
+def _explained(model: Any, pair: Pair, rays: dict[int, Floats]) -> int:
+    images = [model.image(number) for number in (pair.first, pair.second)]
+    poses = [image.cam_from_world() for image in images]
+    first, second = (np.asarray(pose.rotation.matrix()) for pose in poses)
+    rotation = second @ first.T
+    translation = poses[1].translation - rotation @ poses[0].translation
+    left, right = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
+    focal = np.mean([image.camera.mean_focal_length() for image in images])
+    error = sampson_error(rotation, translation, left, right)
+    return int((error * focal <= MAX_ERROR).sum())

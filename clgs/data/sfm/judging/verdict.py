@@ -1,0 +1,80 @@
+"""What is told of a reconstruction: figures and verdict of every photo, and how sure all is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+GOOD, DOUBTFUL, LEFT_OUT = "good", "doubtful", "left out"
+
+
+@dataclass(frozen=True)
+class PhotoVerdict:
+    """A photo's figures; those that cannot be told are None.
+
+    name; status: GOOD, DOUBTFUL or LEFT_OUT; observations: points that it sees; inlier_ratio: share
+    of its verified matches that the poses explain; track_length: mean number of photos that see its
+    points; error: mean reprojection error, pixels; tilt: degrees from the median up-vector; step:
+    degrees from its neighbours by name, the nearer of both; turn, shift: degrees by which a second
+    reconstruction differs; reasons and remedy: of a doubt, else empty.
+    """
+
+    name: str
+    status: str
+    observations: int = 0
+    inlier_ratio: float | None = None
+    track_length: float | None = None
+    error: float | None = None
+    tilt: float | None = None
+    step: float | None = None
+    turn: float | None = None
+    shift: float | None = None
+    reasons: tuple[str, ...] = ()
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Of the whole reconstruction.
+
+    registered: photos with a pose in the result, of total; points; observations; error: mean
+    reprojection error, pixels; track_length: mean photos a point; mapper: whose model was kept;
+    explained: matches that each mapper's model explains; apart: names of photos of other models;
+    photos: all of them, by name; checked: whether a second reconstruction was made; ambiguous:
+    whether the scene looks alike from several sides; contradicted: share of matches in pairs that
+    contradict the poses; sure: one sentence; seconds: of each stage.
+    """
+
+    registered: int
+    total: int
+    points: int
+    observations: int
+    error: float
+    track_length: float
+    mapper: str
+    explained: Mapping[str, int]
+    apart: tuple[tuple[str, ...], ...]
+    photos: tuple[PhotoVerdict, ...]
+    checked: bool
+    ambiguous: bool
+    contradicted: float
+    sure: str
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    def of(self, status: str) -> list[PhotoVerdict]:
+        """The photos of this status."""
+        return [photo for photo in self.photos if photo.status == status]
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON can hold it."""
+        return asdict(self)
+
+
+def verdict_of(plain: Mapping[str, Any]) -> Verdict:
+    """The opposite of :meth:`Verdict.plain`."""
+    photos = tuple(
+        PhotoVerdict(**{**one, "reasons": tuple(one["reasons"])}) for one in plain["photos"]
+    )
+    apart = tuple(tuple(names) for names in plain["apart"])
+    return Verdict(**{**plain, "photos": photos, "apart": apart})

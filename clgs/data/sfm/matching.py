@@ -1,0 +1,116 @@
+"""Matches of features between photos, verified by a two-view geometry."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from clgs.data.sfm.job import THREADS, Job
+from clgs.data.sfm.pairs import MAX_EXHAUSTIVE, all_pairs, likely_pairs
+
+BLOCK = 50
+"""Pairs that are written to the database at a time."""
+
+LOOSE_RATIO = 0.9
+"""Of the best over the second best distance, at the second look; COLMAP's default is 0.8."""
+
+MAX_SECOND_LOOK = 20
+"""So many photos that were left out are matched with all others."""
+
+PAUSE = 1.0
+"""Seconds between two looks at how many pairs are done."""
+
+
+def match(job: Job) -> int:
+    """Match all pairs that may have something in common; returns how many were tried."""
+    pairs = _choose(job)
+    _match(job, "matches", pairs, _matching_options(job))
+    return len(pairs)
+
+
+def match_again(job: Job, left_out: list[int]) -> None:
+    """Match photos, by their place in ``job.names``, with all others, less strictly."""
+    left_out = left_out[:MAX_SECOND_LOOK]
+    chosen = set(left_out)
+    pairs = [(i, j) for i, j in all_pairs(len(job.names)) if i in chosen or j in chosen]
+    with job.pycolmap.Database.open(job.database) as database:
+        ids = job.ids(database)
+        for first, second in ((ids[i], ids[j]) for i, j in pairs):
+            if database.exists_matches(first, second):
+                database.delete_matches(first, second)
+            if database.exists_two_view_geometry(first, second):
+                database.delete_two_view_geometry(first, second)
+    options = _matching_options(job)
+    options.sift.max_ratio = LOOSE_RATIO
+    _match(job, "second look", pairs, options)
+
+
+def _choose(job: Job) -> list[tuple[int, int]]:
+    count = len(job.names)
+    if count <= MAX_EXHAUSTIVE:
+        return all_pairs(count)
+    with job.pycolmap.Database.open(job.database) as database:
+        descriptors = [database.read_descriptors(number).data for number in job.ids(database)]
+    return likely_pairs(descriptors, job.seed)
+
+
+def _matching_options(job: Job) -> Any:
+    options = job.pycolmap.FeatureMatchingOptions()
+    options.use_gpu = False
+    options.num_threads = THREADS
+    return options
+
+
+def _match(job: Job, stage: str, pairs: list[tuple[int, int]], options: Any) -> None:
+    """Match and verify ``pairs`` of places in ``job.names``."""
+    listed = job.folder / "pairs.txt"
+    listed.write_text("".join(f"{job.names[i]} {job.names[j]}\n" for i, j in pairs))
+    pairing = job.pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = listed
+    pairing.block_size = BLOCK
+    verification = job.pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = job.seed
+    with _watched(job, stage, len(pairs)):
+        job.pycolmap.match_image_pairs(
+            job.database,
+            matching_options=options,
+            pairing_options=pairing,
+            verification_options=verification,
+            device=job.pycolmap.Device.cpu,
+        )
+
+
+@contextmanager
+def _watched(job: Job, stage: str, total: int) -> Iterator[None]:
+    """Reports, while pycolmap matches, how many pairs are in the database."""
+    before, ended = _count_pairs(job.database), threading.Event()
+
+    def watch() -> None:
+        while not ended.wait(PAUSE):
+            job.on_progress(stage, min(_count_pairs(job.database) - before, total), total)
+
+    job.on_progress(stage, 0, total)
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watcher.join()
+    job.on_progress(stage, total, total)
+
+
+def _count_pairs(database: Path) -> int:
+    """Pairs in the database; 0 if that cannot be seen at the moment."""
+    address = f"{database.absolute().as_uri()}?mode=ro"
+    with (
+        suppress(sqlite3.Error),
+        closing(sqlite3.connect(address, uri=True, timeout=0.1)) as reader,
+    ):
+        (count,) = reader.execute("SELECT COUNT(*) FROM two_view_geometries").fetchone()
+        return int(count)
+    return 0

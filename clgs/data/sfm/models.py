@@ -1,0 +1,174 @@
+"""Reconstructions by pycolmap's mappers, and the choice of the one that explains the most."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from clgs.data.sfm.job import Job
+from clgs.data.sfm.judging.evidence import Evidence, Explained, explain, read_evidence
+from clgs.data.sfm.matching import match_again
+from clgs.errors import DataError
+
+MIN_MODEL = 3
+"""Photos of the smallest model."""
+
+TOLERANCE = 1e-6
+"""Relative decrease of the error at which a global bundle adjustment ends."""
+
+LOOSE_INLIERS, LOOSE_SHARE = 15, 0.15
+"""Of a photo's matches with points, at the second look; COLMAP's defaults are 30 and 0.25."""
+
+INCREMENTAL, GLOBAL = "incremental", "global"
+
+
+@dataclass(frozen=True)
+class Model:
+    """A pycolmap reconstruction, the mapper that made it, and the matches that it explains."""
+
+    mapper: str
+    reconstruction: Any
+    explained: Explained
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The model that is kept, the mappers' largest models, and what other parts were found.
+
+    apart: the names of the photos of each smaller model of the kept one's mapper.
+    """
+
+    kept: Model
+    candidates: list[Model]
+    evidence: Evidence
+    apart: list[list[str]]
+
+
+def build(job: Job, quick: bool) -> Choice:
+    """Both mappers' models of all verified matches, the better chosen; quick: incremental alone.
+
+    Raises:
+        DataError: no two photos could be related.
+    """
+    evidence = read_evidence(job)
+    mappers = {INCREMENTAL: map_incrementally} if quick else MAPPERS
+    # Each mapper runs on one thread: sums in another order would be other poses.
+    with ThreadPoolExecutor(len(mappers)) as pool:
+        running = {name: pool.submit(mapper, job) for name, mapper in mappers.items()}
+        found = {name: future.result() for name, future in running.items()}
+    best = {name: max(models, key=_size) for name, models in found.items() if models}
+    if not best:
+        raise DataError(
+            "no two photos could be related; take more, overlapping photos of a textured, "
+            "motionless scene"
+        )
+    candidates = [Model(name, model, explain(model, evidence)) for name, model in best.items()]
+    kept = max(candidates, key=lambda model: model.explained.total)
+    return Choice(kept, candidates, evidence, _apart(kept.reconstruction, found[kept.mapper]))
+
+
+def look_again(job: Job, choice: Choice) -> Choice:
+    """Try once more, less strictly, to place the photos that the kept model lacks."""
+    model = choice.kept.reconstruction
+    placed = {model.image(number).name for number in model.reg_image_ids()}
+    left_out = [place for place, name in enumerate(job.names) if name not in placed]
+    if not left_out:
+        return choice
+    match_again(job, left_out)
+    folder = job.folder / "first_look"
+    folder.mkdir()
+    model.write(folder)
+    options = _incremental_options(job)
+    options.multiple_models = False
+    options.mapper.abs_pose_min_num_inliers = LOOSE_INLIERS
+    options.mapper.abs_pose_min_inlier_ratio = LOOSE_SHARE
+    again = _run_incremental(job, "second look", job.folder / "second_look", options, folder)
+    evidence = read_evidence(job)
+    found = [model, *again]
+    models = [Model(choice.kept.mapper, one, explain(one, evidence)) for one in found]
+    kept = max(models, key=lambda model: model.explained.total)
+    return replace(choice, kept=kept, evidence=evidence)
+
+
+def map_incrementally(job: Job, stage: str = "poses") -> list[Any]:
+    """COLMAP's incremental mapper: Schönberger and Frahm, Structure-from-Motion Revisited, 2016."""
+    return _run_incremental(job, stage, job.folder / INCREMENTAL, _incremental_options(job))
+
+
+def map_globally(job: Job) -> list[Any]:
+    """The global mapper: Pan et al., Global Structure-from-Motion Revisited (GLOMAP), 2024."""
+    options = job.pycolmap.GlobalPipelineOptions()
+    options.num_threads = 1
+    options.random_seed = job.seed
+    options.min_model_size = MIN_MODEL
+    options.mapper.num_threads = 1
+    options.mapper.random_seed = job.seed
+    options.mapper.rotation_averaging.random_seed = job.seed
+    options.mapper.global_positioning.random_seed = job.seed
+    options.mapper.global_positioning.use_gpu = False
+    options.mapper.bundle_adjustment.ceres.use_gpu = False
+    options.mapper.retriangulation.random_seed = job.seed
+    folder = job.folder / GLOBAL
+    folder.mkdir()
+    try:
+        models = job.pycolmap.global_mapping(job.database, job.images, folder, options)
+    except (RuntimeError, ValueError):  # it gives up where no pair tells a rotation
+        return []
+    return list(models.values())
+
+
+MAPPERS = {INCREMENTAL: map_incrementally, GLOBAL: map_globally}
+
+
+def _incremental_options(job: Job) -> Any:
+    options = job.pycolmap.IncrementalPipelineOptions()
+    options.num_threads = 1
+    options.random_seed = job.seed
+    options.mapper.num_threads = 1
+    options.mapper.random_seed = job.seed
+    options.triangulation.random_seed = job.seed
+    options.min_model_size = MIN_MODEL
+    options.ba_global_function_tolerance = TOLERANCE
+    return options
+
+
+def _run_incremental(
+    job: Job, stage: str, folder: Path, options: Any, start: Path | None = None
+) -> list[Any]:
+    """Models of the incremental mapper, from the model in the folder ``start`` on if given."""
+    folder.mkdir()
+    total = len(job.names)
+    placed = 0
+
+    def count() -> None:
+        nonlocal placed
+        placed = min(placed + 1, total)
+        job.on_progress(stage, placed, total)
+
+    job.on_progress(stage, 0, total)
+    models = job.pycolmap.incremental_mapping(
+        job.database,
+        job.images,
+        folder,
+        options=options,
+        input_path=start or "",
+        next_image_callback=count,
+    )
+    return list(models.values())
+
+
+def _size(model: Any) -> tuple[int, int]:
+    return model.num_reg_images(), model.num_points3D()
+
+
+def _apart(kept: Any, models: list[Any]) -> list[list[str]]:
+    """Photos of each other model that the kept one lacks."""
+    placed = set(_names(kept))
+    others = [[name for name in _names(one) if name not in placed] for one in models]
+    return sorted(filter(None, others), key=len, reverse=True)
+
+
+def _names(model: Any) -> list[str]:
+    return sorted(model.image(number).name for number in model.reg_image_ids())

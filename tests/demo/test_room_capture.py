@@ -1,0 +1,53 @@
+"""Poses of a made room with a repeated pattern, against the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clgs.data.colmap.model import read_colmap
+from clgs.data.sfm.judging.agreement import Poses, differences
+from clgs.data.sfm.judging.verdict import GOOD
+from clgs.data.sfm.prepare import prepare
+
+
+def poses(views) -> Poses:
+    """Of photos (name, rotation, centre); depth as of the room."""
+    names, rotation, centre = zip(*views, strict=True)
+    return Poses(list(names), np.array(rotation), np.array(centre), np.full(len(names), 3.0))
+
+
+@pytest.mark.slow
+def test_poses_of_the_room_are_right_or_doubted(tmp_path: Path):
+    pytest.importorskip("embreex")
+    pytest.importorskip("skimage")
+    pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+    import room_capture
+
+    taken = room_capture.photograph(tmp_path / "room")
+    verdict = prepare(tmp_path / "room", tmp_path / "data")
+    photos = read_colmap(tmp_path / "data", tmp_path / "data" / "sparse" / "0")
+    found = [(one.name, one.rotation, one.centre) for one in [*photos.train, *photos.test]]
+    true = [(name, view.rotation, view.centre) for name, view in taken.items()]
+    good = {one.name for one in verdict.of(GOOD)}
+    assert len(good) >= 0.8 * len(taken)
+    different = differences(poses(true), poses(found))
+    assert {name for name, one in different.items() if one.turn > 1.0} <= set(taken) - good
+
+
+def test_the_true_poses_are_written(tmp_path: Path):
+    pytest.importorskip("embreex")
+    pytest.importorskip("skimage")
+    import room_capture
+
+    from clgs.data.transforms import read_transforms
+
+    taken = room_capture.photograph(tmp_path, stops=3, width=64)
+    photos = read_transforms(tmp_path)
+    for photo in [*photos.train, *photos.test]:
+        view = taken[Path(photo.name).name]
+        # Rounding of float64, and no more.
+        assert np.abs(photo.rotation - view.rotation).max() <= 1e-12
+        assert np.abs(photo.centre - view.centre).max() <= 1e-12
