@@ -109,7 +109,7 @@ function centreOf({rotation, translation}) {
 // it, the cameras went around an object, otherwise they looked away from it.
 function guessStart(positions) {
   const columns = [0, 1, 2].map((axis) => positions.filter((_, i) => i % 3 === axis).sort());
-  const quantile = (share) => columns.map((c) => c.length ? c[Math.floor(share * (c.length - 1))] : 0);
+  const quantile = (share) => columns.map((c) => c[Math.floor(share * (c.length - 1))] ?? 0);
   const target = quantile(0.5), size = Math.hypot(...add(quantile(0.9), quantile(0.1), -1)) || 1;
   const far = Math.hypot(...target), up = [0, 0, 1];
   if (far > 0.6 * size) return {eye: [0, 0, 0], target, up: [0, -1, 0], fov: 1};

@@ -8,8 +8,9 @@ const viewer = {
   renderer: null, worker: null, camera: null, hands: null, scene: null,
   fixed: null, // a camera that a program has set; the hands then have no part
   number: 0, // of the newest camera
-  shown: -1, // the camera of the order that is drawn, and whether its Gaussians are of that place
-  settled: false,
+  pending: null, // what is to be drawn next: the newest order, records that came with or before it
+  shown: -1, // the camera that the drawn order is for
+  settled: false, // whether the newest order is for the newest camera, and so are its Gaussians
   updates: 0, // sets of Gaussians
   sharpness: 1, // of the pixels' number along a side, while the camera moves
   awake: false, last: 0,
@@ -68,19 +69,31 @@ function adapt() {
   if (milliseconds < FAST) viewer.sharpness = Math.min(1, 1.05 * viewer.sharpness);
 }
 
+// The camera goes on, and the worker follows it, also while the device still draws.
 function draw(now) {
   const {renderer, scene, hands, camera, fixed} = viewer;
   viewer.awake = false;
-  if (!scene || renderer.busy()) return wake();
+  if (!scene) return;
   const seconds = (now - viewer.last) / 1000;
   const moves = !fixed && [hands.step(seconds), camera.step(seconds)].some(Boolean);
   viewer.last = now;
-  if (moves) adapt();
+  const busy = renderer.busy();
+  if (moves && !busy) adapt();
   const view = present(moves);
   tell(view);
-  renderer.draw(view, scene);
+  if (!busy) show(view);
+  if (moves || busy) wake();
+}
+
+function show(view) {
+  const {renderer, pending} = viewer;
+  if (pending) {
+    renderer.set(pending.records, pending.order);
+    viewer.shown = pending.number;
+    viewer.pending = null;
+  }
+  renderer.draw(view, viewer.scene);
   viewer.drawn = viewer.shown;
-  if (moves) wake();
 }
 
 const handlers = {
@@ -92,16 +105,16 @@ const handlers = {
     delete scene.positions;
     viewer.camera = viewer.hands.camera = new Camera(start);
     const same = scene.hash === scene.expectedHash;
-    element("status").textContent = `${settings.title || viewer.name} \u00b7 `
-      + `${scene.items.toLocaleString("en")} ${scene.splats ? "splats" : "anchors"} \u00b7 integers ${scene.hash} `
-      + (same ? "as in the file" : "differ from the file's");
+    const count = `${scene.items.toLocaleString("en")} ${scene.splats ? "splats" : "anchors"}`;
+    element("status").textContent =
+      `${settings.title || viewer.name} \u00b7 ${count} \u00b7 integers ${scene.hash} ` + (same ? "as in the file" : "differ from the file's");
     note("Drawing", 1);
     wake();
   },
   order({order, records, number, settled}) {
-    viewer.renderer.set(records, order);
     if (records) viewer.updates++;
-    Object.assign(viewer, {shown: number, settled: settled && number === viewer.number});
+    viewer.pending = {records: records || viewer.pending?.records, order, number};
+    viewer.settled = settled && number === viewer.number;
     canvas.classList.add("shown");
     element("loading").className = "done";
     wake();
@@ -113,7 +126,8 @@ function load(file, name) {
   const source = new Blob([element("worker").textContent], {type: "text/javascript"});
   const address = URL.createObjectURL(source);
   const worker = viewer.worker = new Worker(address);
-  Object.assign(viewer, {scene: null, name, key: "", failed: null, settled: false, shown: -1});
+  Object.assign(viewer, {scene: null, pending: null, name, key: "", failed: null, settled: false,
+    shown: -1});
   worker.onmessage = ({data}) => {
     try {
       handlers[data.kind](data);

@@ -101,8 +101,8 @@ function makeProgram(gl, vertex, fragment) {
 class Renderer {
   constructor(canvas) {
     this.canvas = canvas;
-    const wishes = {alpha: false, antialias: false, depth: false, powerPreference: "high-performance"};
-    const gl = this.gl = canvas.getContext("webgl2", wishes);
+    const gl = this.gl = canvas.getContext("webgl2",
+      {alpha: false, antialias: false, depth: false, powerPreference: "high-performance"});
     if (!gl) throw new Error("this browser has no WebGL 2; try a newer one");
     this.half = gl.getExtension("EXT_color_buffer_float")
       || gl.getExtension("EXT_color_buffer_half_float");
