@@ -87,7 +87,7 @@ def _reconstruct(
     match(job)
     choice = look_again(job, build(job, quick))
     model = choice.kept.reconstruction
-    second = None if quick else reconstruct_half(job, model, choice.evidence)
+    second = None if quick else reconstruct_half(job, choice.kept, choice.evidence)
     verdict = conclude(choice, second, not quick, {shot.file: shot.name for shot in shots})
     if verdict.registered < 2:
         raise DataError(

@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import sqlite3
-import threading
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
-from pathlib import Path
 from typing import Any
 
 from clgs.data.sfm.job import THREADS, Job
 from clgs.data.sfm.pairs import MAX_EXHAUSTIVE, all_pairs, likely_pairs
 
-BLOCK = 50
-"""Pairs that are written to the database at a time."""
+TILE, GROUP = 12, 144
+"""GROUP pairs are matched at a time, of two runs of TILE photos: few have to be indexed anew."""
 
 LOOSE_RATIO = 0.9
 """Of the best over the second best distance, at the second look; COLMAP's default is 0.8."""
 
 MAX_SECOND_LOOK = 20
 """So many photos that were left out are matched with all others."""
-
-PAUSE = 1.0
-"""Seconds between two looks at how many pairs are done."""
 
 
 def match(job: Job) -> int:
@@ -66,51 +58,29 @@ def _matching_options(job: Job) -> Any:
 
 
 def _match(job: Job, stage: str, pairs: list[tuple[int, int]], options: Any) -> None:
-    """Match and verify ``pairs`` of places in ``job.names``."""
+    """Match and verify ``pairs`` of places in ``job.names``, a group after the other.
+
+    Progress is told in between. To look into the database meanwhile is no way: Python's SQLite in
+    the process of pycolmap's drops that one's locks.
+    """
+    ordered = sorted(pairs, key=lambda pair: (pair[0] // TILE, pair[1] // TILE, pair))
+    for start in range(0, len(ordered), GROUP):
+        job.on_progress(stage, start, len(ordered))
+        _match_group(job, ordered[start : start + GROUP], options)
+    job.on_progress(stage, len(ordered), len(ordered))
+
+
+def _match_group(job: Job, pairs: list[tuple[int, int]], options: Any) -> None:
     listed = job.folder / "pairs.txt"
     listed.write_text("".join(f"{job.names[i]} {job.names[j]}\n" for i, j in pairs))
     pairing = job.pycolmap.ImportedPairingOptions()
     pairing.match_list_path = listed
-    pairing.block_size = BLOCK
     verification = job.pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = job.seed
-    with _watched(job, stage, len(pairs)):
-        job.pycolmap.match_image_pairs(
-            job.database,
-            matching_options=options,
-            pairing_options=pairing,
-            verification_options=verification,
-            device=job.pycolmap.Device.cpu,
-        )
-
-
-@contextmanager
-def _watched(job: Job, stage: str, total: int) -> Iterator[None]:
-    """Reports, while pycolmap matches, how many pairs are in the database."""
-    before, ended = _count_pairs(job.database), threading.Event()
-
-    def watch() -> None:
-        while not ended.wait(PAUSE):
-            job.on_progress(stage, min(_count_pairs(job.database) - before, total), total)
-
-    job.on_progress(stage, 0, total)
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        watcher.join()
-    job.on_progress(stage, total, total)
-
-
-def _count_pairs(database: Path) -> int:
-    """Pairs in the database; 0 if that cannot be seen at the moment."""
-    address = f"{database.absolute().as_uri()}?mode=ro"
-    with (
-        suppress(sqlite3.Error),
-        closing(sqlite3.connect(address, uri=True, timeout=0.1)) as reader,
-    ):
-        (count,) = reader.execute("SELECT COUNT(*) FROM two_view_geometries").fetchone()
-        return int(count)
-    return 0
+    job.pycolmap.match_image_pairs(
+        job.database,
+        matching_options=options,
+        pairing_options=pairing,
+        verification_options=verification,
+        device=job.pycolmap.Device.cpu,
+    )

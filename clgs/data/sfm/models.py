@@ -56,7 +56,7 @@ def build(job: Job, quick: bool) -> Choice:
     mappers = {INCREMENTAL: map_incrementally} if quick else MAPPERS
     # Each mapper runs on one thread: sums in another order would be other poses.
     with ThreadPoolExecutor(len(mappers)) as pool:
-        running = {name: pool.submit(mapper, job) for name, mapper in mappers.items()}
+        running = {name: pool.submit(mapper, job, "poses") for name, mapper in mappers.items()}
         found = {name: future.result() for name, future in running.items()}
     best = {name: max(models, key=_size) for name, models in found.items() if models}
     if not best:
@@ -92,13 +92,14 @@ def look_again(job: Job, choice: Choice) -> Choice:
     return replace(choice, kept=kept, evidence=evidence)
 
 
-def map_incrementally(job: Job, stage: str = "poses") -> list[Any]:
+def map_incrementally(job: Job, stage: str) -> list[Any]:
     """COLMAP's incremental mapper: Schönberger and Frahm, Structure-from-Motion Revisited, 2016."""
     return _run_incremental(job, stage, job.folder / INCREMENTAL, _incremental_options(job))
 
 
-def map_globally(job: Job) -> list[Any]:
+def map_globally(job: Job, stage: str) -> list[Any]:
     """The global mapper: Pan et al., Global Structure-from-Motion Revisited (GLOMAP), 2024."""
+    job.on_progress(stage, 0, 0)
     options = job.pycolmap.GlobalPipelineOptions()
     options.num_threads = 1
     options.random_seed = job.seed

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from clgs.data.sfm.job import Job
 from clgs.data.sfm.judging.evidence import MIN_MATCHES, Evidence
-from clgs.data.sfm.models import map_incrementally
+from clgs.data.sfm.models import MAPPERS, Model
 
 SHARE = 0.5
 """Of all tracks."""
@@ -26,14 +26,14 @@ OTHER_SEED = 1_000_003
 """Added to the seed: the second reconstruction must not follow the first one's choices."""
 
 
-def reconstruct_half(job: Job, model: Any, evidence: Evidence) -> Any | None:
-    """The largest incremental model of half of the tracks; None if nothing came of it."""
+def reconstruct_half(job: Job, kept: Model, evidence: Evidence) -> Any | None:
+    """The largest model of half of the tracks by the same mapper; None if nothing came of it."""
     seed = (job.seed + OTHER_SEED) % 2**31
     folder = job.folder / "check"
     folder.mkdir()
     half = replace(job, folder=folder, seed=seed)
-    _write_half(job, half, _halves(model, evidence, seed), evidence)
-    models = map_incrementally(half, "check")
+    _write_half(job, half, _halves(kept.reconstruction, evidence, seed), evidence)
+    models = MAPPERS[kept.mapper](half, "check")
     return max(models, key=lambda one: one.num_reg_images(), default=None)
 
 
