@@ -28,7 +28,11 @@ def work(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        ("splats.ply -o x.obj", 2, "x.obj: the suffix is none of .ply, .spz, .sog, .glb"),
+        (
+            "splats.ply -o x.obj",
+            2,
+            "x.obj: nothing is written by this suffix; take one of .glb, .html, .ply, .spz, .sog",
+        ),
         ("-o x.ply", 2, "a scene is needed: `clgs export SCENE -o x.ply`"),
         ("splats.ply -o old.ply", 2, "old.ply: exists already; add --overwrite"),
         ("splats.ply -o splats.ply --overwrite", 2, "splats.ply: "),

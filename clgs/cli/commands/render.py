@@ -36,7 +36,10 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Render; exit code 0."""
     from clgs.cli.options.path import check_path
+    from clgs.cli.options.view import name_known_data
 
+    if args.up is None:
+        name_known_data(args)
     check_path(args)
     if args.path is not None:
         from clgs.cli.commands.render_path import render_path
@@ -51,7 +54,6 @@ def _render_views(args: argparse.Namespace) -> int:
     from clgs.cli.options.scene import read_drawable
     from clgs.cli.options.view import (
         check_apart,
-        name_data,
         over_background,
         selected_options,
         selected_views,
@@ -64,8 +66,6 @@ def _render_views(args: argparse.Namespace) -> int:
     from clgs.scene.scene import drawable
 
     check_folder(args.output)
-    if args.data is None:
-        name_data(args)
     check_apart(args.output, args.data)
     scene, _ = read_drawable(args.scene)
     views = selected_views(args, scene)

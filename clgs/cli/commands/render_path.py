@@ -27,7 +27,6 @@ def render_path(args: argparse.Namespace) -> int:
     from clgs.cli.options.scene import read_drawable
     from clgs.cli.options.view import (
         load_views,
-        name_known_data,
         over_background,
         selected_options,
     )
@@ -38,7 +37,6 @@ def render_path(args: argparse.Namespace) -> int:
 
     video = _check_output(args)
     scene, _ = read_drawable(args.scene)
-    name_known_data(args)
     dataset = load_views(args, scene) if args.data is not None else None
     cameras, fps = make_path(args, scene, dataset)
     if video:

@@ -10,11 +10,12 @@ from clgs.cli.run.duration import duration
 
 DESCRIPTION = """\
 The whole way, each stage a command of clgs that is shown as it runs: find the poses of the photos
-(`prepare`), train, encode, score the held-out views from the file alone, and write a report. The
-plan is told first: resolution and steps are chosen so that all of it fits --time on this device,
-unless --steps or --max-size say otherwise.
+(`prepare`), train, encode, score the held-out views from the file alone, and write a web page,
+ordinary 3-D Gaussians, a clip and a report. The plan is told first: resolution and steps are chosen
+so that all of it fits --time on this device, unless --steps or --max-size say otherwise.
 
-OUT receives data/ (if poses had to be found), run/, scene.clgs, scores.json and report.html."""
+OUT receives data/ (if poses had to be found), run/, scene.clgs, scores.json, scene.html, scene.ply,
+clip.mp4 (if the extra clgs[video] is installed) and report.html, which links to them."""
 
 
 def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

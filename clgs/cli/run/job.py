@@ -10,11 +10,12 @@ import shutil
 import time
 from dataclasses import asdict
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clgs.cli.run.duration import in_words
-from clgs.cli.run.plan import Photos, Plan, Speed, fit_speed, make_plan, prepare_seconds
+from clgs.cli.run.plan import Photos, Plan, Speed, fit_speed, make_plan, must_hurry, prepare_seconds
 from clgs.cli.run.source import Source, find_source, measure_data
 from clgs.cli.run.stages import Stages
 from clgs.cli.run.summary import print_box
@@ -27,7 +28,9 @@ if TYPE_CHECKING:
 PLAN = "plan.json"
 """What OUT is known by: the plan of the run that made it."""
 
-MADE = ("data", "run", "scene.clgs", "scores.json", "report.html")
+PAGE, SPLATS, CLIP = "scene.html", "scene.ply", "clip.mp4"
+MADE = ("data", "run", "scene.clgs", "scores.json", "report.html", PAGE, SPLATS, CLIP)
+CLIP_FRAMES = 120
 
 TYPICAL_GAUSSIANS = 50_000
 """Gaussians of the synthetic scene that the speed is measured on."""
@@ -49,23 +52,25 @@ class Job:
         self._start = time.perf_counter()
 
     def run(self) -> int:
-        """All stages; the exit code."""
+        """All stages; the exit code: that of the last of the exports that failed, if one did."""
         check_folder(self._out)
         kept = self._kept_plan()
         source = find_source(self._args.input)
         if kept:
             data, settings = self._data(source), kept
         else:
-            plan = self._plan(source.photos, 0.0 if source.posed else self._preparing(source))
-            _tell(source, plan, self._device.name)
+            hurry = must_hurry(source.photos.count, os.cpu_count() or 1, self._args.time)
+            plan = self._plan(source.photos, self._preparing(source, hurry))
+            _tell(source, plan, self._device.name, hurry)
             if self._args.plan:
                 return 0
             self._clear(source)
             data = self._data(source)
             settings = self._settings(source, data, plan)
         self._train(data, settings)
+        failed = self._exports()
         self._report(source)
-        return 0
+        return failed
 
     @cached_property
     def _device(self) -> Device:
@@ -91,8 +96,10 @@ class Job:
         left = args.time - (time.perf_counter() - self._start)
         return make_plan(photos, self._speed, preparing, left, args.steps, args.max_size)
 
-    def _preparing(self, source: Source) -> float:
-        return prepare_seconds(source.photos.count, os.cpu_count() or 1)
+    def _preparing(self, source: Source, hurry: bool) -> float:
+        if source.posed:
+            return 0.0
+        return prepare_seconds(source.photos.count, os.cpu_count() or 1, hurry)
 
     def _kept_plan(self) -> dict[str, Any]:
         """The settings of the run that is to go on; none if it is to begin.
@@ -145,8 +152,10 @@ class Job:
             return source.path
         data = self._out / "data"
         if not data.is_dir():
-            seed = ("--seed", str(self._args.seed))
-            self._stages.run("prepare", "prepare", source.path, "-o", data, *seed)
+            options = ["--seed", str(self._args.seed)]
+            if must_hurry(source.photos.count, os.cpu_count() or 1, self._args.time):
+                options.append("--quick")
+            self._stages.run("prepare", "prepare", source.path, "-o", data, *options)
         return data
 
     def _settings(self, source: Source, data: Path, plan: Plan) -> dict[str, Any]:
@@ -176,10 +185,29 @@ class Job:
         summary = json.loads((run / "results.json").read_text(encoding="utf-8"))
         return ("--split", str(summary["split"]))
 
+    def _exports(self) -> int:
+        """Page, Gaussians and clip; the exit code of the last that failed, 0 if none did."""
+        run, code = self._out / "run", 0
+        on = ("--device", self._device.name, "--overwrite")
+        path = ("--path", "interpolate", "--frames", str(CLIP_FRAMES))
+        wanted: dict[str, tuple[str | Path, ...]] = {
+            "page": ("export", run, "-o", self._out / PAGE, *on),
+            "Gaussians": ("export", run, "-o", self._out / SPLATS, *on),
+            "clip": ("render", run, *path, "-o", self._out / CLIP, *on),
+        }
+        if find_spec("imageio_ffmpeg") is None:
+            del wanted["clip"]
+            print("\n[clip] left out; it needs: pip install 'clgs[video]'")
+        for name, words in wanted.items():
+            code = self._stages.attempt(name, *words) or code
+        return code
+
     def _report(self, source: Source) -> None:
         from clgs.export.run_report import RunStory, write_run_report
 
-        links = [("scene.clgs", "scene.clgs")]
+        made = {"the scene as a web page": PAGE, "clip": CLIP, "the file": "scene.clgs"}
+        made |= {"ordinary Gaussians": SPLATS, "poses of the photos": "data/report.html"}
+        links = [(label, name) for label, name in made.items() if (self._out / name).exists()]
         seconds, photos = self._stages.seconds, self._photos(source)
         story = RunStory(_command(self._args), f"{photos}.", seconds, links)
         write_run_report(self._out / "run", story, self._out / "report.html")
@@ -194,13 +222,14 @@ class Job:
         return f"{found} of {source.photos.count} found their pose"
 
 
-def _tell(source: Source, plan: Plan, device: str) -> None:
+def _tell(source: Source, plan: Plan, device: str, hurry: bool) -> None:
     """Print the plan."""
     photos = source.photos
     kind = "data set" if source.posed else "photos"
     print(f"{source.path}: {kind}, {photos.count} of {photos.width} x {photos.height} pixels")
     if not source.posed:
-        print(f"poses:    about {in_words(plan.prepare_seconds)}")
+        tested = "not tested, for lack of time" if hurry else "tested by a second reconstruction"
+        print(f"poses:    about {in_words(plan.prepare_seconds)}, {tested}")
     print(f"training: {_training(plan)}")
     print(f"in all:   about {in_words(plan.seconds)} on {device}")
 

@@ -16,10 +16,15 @@ MOST_STEPS = 30_000
 LEAST_STEPS = 300
 """Fewer give nothing that is worth looking at."""
 
-MATCHING_SECONDS = 0.012
-"""Per pair of photos; and FEATURE_SECONDS per photo: structure from motion on a core."""
+FEATURE_SECONDS, PAIR_SECONDS = {True: 1.0, False: 2.5}, {True: 0.12, False: 0.5}
+"""Of a core, per photo and per pair of photos; with `prepare --quick`, and without."""
 
-FEATURE_SECONDS = 0.9
+MOST_PAIRS = 40
+"""Pairs per photo that are matched in large sets, about."""
+
+POSES_SHARE = 0.45
+"""Poses are tested by a second reconstruction if finding them then takes no larger share."""
+
 ROUNDS = 1.3
 """A step of a whole run takes so many times that of a quiet stream: rounds, growth, reading."""
 
@@ -77,10 +82,16 @@ def fit_speed(measure: Callable[[int], float], edges: tuple[int, int]) -> Speed:
     return Speed(max(1e-4, first - pixel * small**2), pixel)
 
 
-def prepare_seconds(count: int, cores: int) -> float:
+def prepare_seconds(count: int, cores: int, quick: bool) -> float:
     """What structure from motion takes for ``count`` photos, as a rule."""
-    pairs = min(count * (count - 1) / 2, 40.0 * count)
-    return (count * FEATURE_SECONDS + pairs * MATCHING_SECONDS) * 2 / max(1, min(cores, 8))
+    pairs = min(count * (count - 1) / 2, MOST_PAIRS * count)
+    seconds = count * FEATURE_SECONDS[quick] + pairs * PAIR_SECONDS[quick]
+    return seconds / max(1, min(cores, 8))
+
+
+def must_hurry(count: int, cores: int, seconds: float) -> bool:
+    """Whether ``seconds`` for everything leave no time for tests of the poses."""
+    return prepare_seconds(count, cores, quick=False) > POSES_SHARE * seconds
 
 
 def make_plan(

@@ -49,13 +49,12 @@ def _is_data(folder: Path) -> bool:
     return any((folder / name).is_file() for name in named) or find_model(folder) is not None
 
 
-def _measure_photos(folder: Path) -> Photos:
-    from clgs.data.images import image_size, list_images
+def _measure_photos(path: Path) -> Photos:
+    from clgs.data.images import image_size
+    from clgs.data.photos.bring_in import find_source as find_photos
+    from clgs.data.photos.video import frame_size
 
-    found = list_images(folder) if folder.is_dir() else []
-    if not found and (folder / "images").is_dir():
-        found = list_images(folder / "images")
-    if not found:
-        raise DataError(f"{folder}: holds no photos and is no data set; name a folder that does")
-    width, height = image_size(found[0])
-    return Photos(len(found), width, height)
+    found = find_photos(path)
+    if found.collection is None:
+        return Photos(found.frames, *frame_size(path))
+    return Photos(len(found.files), *image_size(found.files[0]))

@@ -129,6 +129,21 @@ def _length(path: Path) -> tuple[float, float]:
     return seconds, rate
 
 
+def frame_size(path: Path) -> tuple[int, int]:
+    """Width and height of a video's frames as they are shown.
+
+    Raises:
+        DataError: it is damaged, or there is no program that reads videos.
+    """
+    try:
+        reader = _library(path).read_frames(_named(path), input_params=_ONLY_FILES)
+        width, height = next(reader)["size"]
+        reader.close()
+    except (OSError, RuntimeError, ValueError, KeyError, StopIteration) as error:
+        raise _damaged(path) from error
+    return int(width), int(height)
+
+
 def _frames(path: Path, rate: float) -> Iterator[npt.NDArray[np.uint8]]:
     """Frames (H, W, 3), ``rate`` of them a second, as long as the video can be decoded."""
     output = ["-vf", f"fps={rate:.9g}", "-fps_mode", "passthrough"]

@@ -12,8 +12,6 @@ from __future__ import annotations
 import hashlib
 from dataclasses import asdict, dataclass, field, replace
 
-import tomli_w
-
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
 from clgs.train.config.growth_settings import GrowthSettings
@@ -210,6 +208,8 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
 
     def to_toml(self) -> str:
         """The text of config.toml: every setting; an open volume weight is left out."""
+        import tomli_w
+
         return tomli_w.dumps({n: value for n, value in asdict(self).items() if value is not None})
 
     def digest(self) -> str:

@@ -19,6 +19,7 @@ from clgs.cli.run.plan import (
     Speed,
     fit_speed,
     make_plan,
+    must_hurry,
     prepare_seconds,
 )
 
@@ -75,8 +76,15 @@ def test_noise_never_gives_a_speed_below_zero():
 
 
 def test_more_photos_take_longer_to_pose_and_more_cores_less():
-    assert prepare_seconds(50, 2) < prepare_seconds(100, 2) < prepare_seconds(1000, 2)
-    assert prepare_seconds(50, 8) < prepare_seconds(50, 2)
+    assert prepare_seconds(50, 2, True) < prepare_seconds(100, 2, True)
+    assert prepare_seconds(100, 2, False) < prepare_seconds(1000, 2, False)
+    assert prepare_seconds(50, 8, False) < prepare_seconds(50, 2, False)
+
+
+def test_poses_are_tested_if_there_is_time():
+    assert must_hurry(50, 2, 300.0)
+    assert not must_hurry(50, 2, 3600.0)
+    assert not must_hurry(11, 2, 300.0)
 
 
 @pytest.mark.parametrize(

@@ -37,12 +37,15 @@ def test_plan_alone_writes_nothing(data, tmp_path, capsys):
 
 
 def test_everything_is_there(finished):
-    for name in ("run", "scene.clgs", "scores.json", "report.html", "plan.json"):
+    for name in ("run", "scene.clgs", "scores.json", "report.html", "plan.json", "scene.ply"):
         assert (finished / name).exists(), name
     scores = json.loads((finished / "scores.json").read_text())
     assert scores["split"] == "test"
     assert scores["bytes"] == (finished / "scene.clgs").stat().st_size
-    assert (finished / "report.html").read_text().count("data:image/jpeg") == 2 * 3
+    page = (finished / "report.html").read_text()
+    assert page.count("data:image/jpeg") == 2 * 3
+    for name in ("scene.html", "scene.ply", "clip.mp4"):
+        assert (finished / name).exists() == (f'href="{name}"' in page)
 
 
 def test_run_is_neither_replaced_nor_continued_unasked(data, finished, capsys):
