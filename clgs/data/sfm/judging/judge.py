@@ -25,8 +25,8 @@ FEW = 50
 """Points below which a pose is doubtful; and below twice as many it cannot outvote a doubt."""
 
 LOW_RATIO, WRONG_RATIO = 0.5, 0.25
-"""Shares of a photo's matches in links that agree with its pose: below the one it is doubtful, below
-the other wrong."""
+"""Shares of a photo's matches in links that agree with its pose: below the first it is doubtful,
+below the second wrong."""
 
 APART, APART_TIMES = 45.0, 5.0
 """Degrees from both neighbours by name, and times the median, from which a photo stands apart."""
