@@ -58,6 +58,8 @@ class StageDisplay:
     def update(self, stage: str, done: int, total: int) -> None:
         """Show ``done`` of ``total`` of a stage; total 0 if that is not known."""
         new = stage != self._stage
+        if not (new or total):
+            return  # something beside that cannot tell how far it is
         if new:
             self._stage, self._began = stage, self._clock()
             self._progress.reset(self._task)

@@ -147,7 +147,7 @@ def _figures(one: PhotoVerdict) -> str:
 def _facts(verdict: Verdict) -> str:
     facts = {"mapper kept": verdict.mapper}
     facts |= {f"matches explained, {name}": f"{n:,}" for name, n in verdict.explained.items()}
-    facts["matches in pairs that contradict the poses"] = f"{100 * verdict.contradicted:.1f} %"
+    facts["matches in links that contradict the poses"] = f"{100 * verdict.contradicted:.1f} %"
     facts |= {
         f"other model {number}": f"{len(names)} photos: {', '.join(names)}"
         for number, names in enumerate(verdict.apart, 1)

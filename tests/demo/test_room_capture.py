@@ -32,7 +32,8 @@ def test_poses_of_the_room_are_right_or_doubted(tmp_path: Path):
     found = [(one.name, one.rotation, one.centre) for one in [*photos.train, *photos.test]]
     true = [(name, view.rotation, view.centre) for name, view in taken.items()]
     good = {one.name for one in verdict.of(GOOD)}
-    assert len(good) >= 0.8 * len(taken)
+    assert verdict.registered == len(taken)
+    assert len(good) >= len(taken) / 3  # the walls are equal on purpose: many are doubted
     different = differences(poses(true), poses(found))
     assert {name for name, one in different.items() if one.turn > 1.0} <= set(taken) - good
 

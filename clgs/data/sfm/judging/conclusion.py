@@ -30,7 +30,7 @@ def conclude(choice: Choice, second: Any | None, checked: bool, real: Mapping[st
     """
     kept, model = choice.kept, choice.kept.reconstruction
     poses = poses_of(model)
-    found = figures(model, poses, choice.evidence, kept.explained)
+    found = figures(model, poses, kept.explained)
     again = differences(poses, poses_of(second)) if second is not None else {}
     compared = Comparison(again if checked else None, _rival(choice))
     judged = judge(found, compared)

@@ -18,6 +18,14 @@ MIN_MATCHES = 15
 """Pairs with fewer verified matches count for nothing, as in COLMAP."""
 
 
+LINKS = 4
+"""Pairs of a photo that speak for or against a model: those of the most matches.
+
+Repeated things match everywhere, if never as well as neighbours do: all pairs together would prefer
+the model that lays equal sides of the scene onto each other.
+"""
+
+
 @dataclass(frozen=True)
 class Pair:
     """Numbers of two images, and verified matches (M, 2) of their features."""
@@ -34,11 +42,25 @@ class Evidence:
     pairs: list[Pair]
     keypoints: dict[int, Floats]
 
+    @property
+    def links(self) -> list[Pair]:
+        """The pairs that are among the LINKS of most matches of one of their photos."""
+        order = sorted(self.pairs, key=lambda pair: -len(pair.matches))
+        used: dict[int, int] = {}
+        found = []
+        for pair in order:
+            counts = [used.get(number, 0) for number in (pair.first, pair.second)]
+            if min(counts) < LINKS:
+                found.append(pair)
+            used |= {pair.first: counts[0] + 1, pair.second: counts[1] + 1}
+        return found
+
 
 @dataclass(frozen=True)
 class Explained:
-    """For every pair (P,): verified matches, and those that a model explains; -1 without poses."""
+    """links, and for each (L,): verified matches, and those a model explains; -1 without poses."""
 
+    links: list[Pair]
     matches: npt.NDArray[np.int64]
     explained: npt.NDArray[np.int64]
 
@@ -66,14 +88,15 @@ def read_evidence(job: Job) -> Evidence:
 
 
 def explain(model: Any, evidence: Evidence) -> Explained:
-    """How many matches of each pair agree with a pycolmap reconstruction's poses and lenses."""
+    """How many matches of each link agree with a pycolmap reconstruction's poses and lenses."""
+    links = evidence.links
     rays = {number: _rays(model, number, evidence) for number in model.reg_image_ids()}
     found = [
         _explained(model, pair, rays) if {pair.first, pair.second} <= rays.keys() else -1
-        for pair in evidence.pairs
+        for pair in links
     ]
-    matches = [len(pair.matches) for pair in evidence.pairs]
-    return Explained(np.array(matches, np.int64), np.array(found, np.int64))
+    matches = [len(pair.matches) for pair in links]
+    return Explained(links, np.array(matches, np.int64), np.array(found, np.int64))
 
 
 def _rays(model: Any, number: int, evidence: Evidence) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clgs.data.sfm.judging.agreement import Floats, Poses, angle
-from clgs.data.sfm.judging.evidence import Evidence, Explained
+from clgs.data.sfm.judging.evidence import Explained
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,9 @@ class Figures:
     steps: tuple[float, ...]
 
 
-def figures(
-    model: Any, poses: Poses, evidence: Evidence, explained: Explained
-) -> dict[str, Figures]:
+def figures(model: Any, poses: Poses, explained: Explained) -> dict[str, Figures]:
     """Of each photo with a pose in a pycolmap reconstruction, by name."""
-    ratio = inlier_ratios(evidence, explained)
+    ratio = inlier_ratios(explained)
     tilts, steps = tilt(poses), steps_by_name(poses)
     found = {}
     for place, name in enumerate(poses.names):
@@ -46,12 +44,12 @@ def figures(
     return found
 
 
-def inlier_ratios(evidence: Evidence, explained: Explained) -> dict[int, float]:
-    """By image number, the share of its verified matches that the poses explain."""
+def inlier_ratios(explained: Explained) -> dict[int, float]:
+    """By image number, the share of its matches in links that the poses explain."""
     total: dict[int, int] = {}
     good: dict[int, int] = {}
     counts = zip(
-        evidence.pairs, explained.matches.tolist(), explained.explained.tolist(), strict=True
+        explained.links, explained.matches.tolist(), explained.explained.tolist(), strict=True
     )
     for pair, matches, count in counts:
         if count >= 0:

@@ -25,7 +25,8 @@ FEW = 50
 """Points below which a pose is doubtful; and below twice as many it cannot outvote a doubt."""
 
 LOW_RATIO, WRONG_RATIO = 0.5, 0.25
-"""Shares of verified matches that agree with the pose: doubtful below the one, wrong the other."""
+"""Shares of a photo's matches in links that agree with its pose: below the first it is doubtful,
+below the second wrong."""
 
 APART, APART_TIMES = 45.0, 5.0
 """Degrees from both neighbours by name, and times the median, from which a photo stands apart."""
@@ -36,9 +37,9 @@ MIN_EQUAL = 0.9
 STRONG_PAIR, CONTRADICTED = 30, 0.3
 """A pair of so many matches contradicts the poses if they explain less than this share."""
 
-MAX_CONTRADICTED, MAX_ELSEWHERE = 0.15, 0.03
-"""Above these shares of matches in contradicting pairs, or of photos at another side, the scene is
-ambiguous. Repeated texture makes a few such pairs, equal sides as many as there are right ones."""
+MAX_CONTRADICTED, MAX_ELSEWHERE = 0.03, 0.03
+"""Above these shares of matches in contradicting links, or of photos at another side, the scene is
+ambiguous."""
 
 MAX_DROPPED = 1 / 3
 """Of the photos; if more had to go, the whole is in doubt, and none is dropped."""
@@ -71,7 +72,7 @@ def judge(found: Mapping[str, Figures], compared: Comparison) -> dict[str, Photo
 
 
 def contradicted(explained: Explained) -> float:
-    """Share of the matches, of strong pairs with poses, in pairs that the poses do not explain."""
+    """Share of the links' matches that are in links which the poses do not explain."""
     strong = (explained.matches >= STRONG_PAIR) & (explained.explained >= 0)
     bad = explained.explained < CONTRADICTED * explained.matches
     matches = explained.matches

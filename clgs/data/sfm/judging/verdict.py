@@ -14,10 +14,10 @@ class PhotoVerdict:
     """A photo's figures; those that cannot be told are None.
 
     name; status: GOOD, DOUBTFUL or LEFT_OUT; observations: points that it sees; inlier_ratio: share
-    of its verified matches that the poses explain; track_length: mean number of photos that see its
-    points; error: mean reprojection error, pixels; tilt: degrees from the median up-vector; step:
-    degrees from its neighbours by name, the nearer of both; turn, shift: degrees by which a second
-    reconstruction differs; reasons and remedy: of a doubt, else empty.
+    of its matches in links (``evidence.LINKS``) that the poses explain; track_length: mean number
+    of photos that see its points; error: mean reprojection error, pixels; tilt: degrees from the
+    median up-vector; step: degrees from its neighbours by name, the nearer of both; turn, shift:
+    degrees by which a second reconstruction differs; reasons and remedy: of a doubt, else empty.
     """
 
     name: str
@@ -40,10 +40,10 @@ class Verdict:
 
     registered: photos with a pose in the result, of total; points; observations; error: mean
     reprojection error, pixels; track_length: mean photos a point; mapper: whose model was kept;
-    explained: matches that each mapper's model explains; apart: names of photos of other models;
-    photos: all of them, by name; checked: whether a second reconstruction was made; ambiguous:
-    whether the scene looks alike from several sides; contradicted: share of matches in pairs that
-    contradict the poses; sure: one sentence; seconds: of each stage.
+    explained: matches in links that each mapper's model explains; apart: names of photos of other
+    models; photos: all of them, by name; checked: whether a second reconstruction was made;
+    ambiguous: whether the scene looks alike from several sides; contradicted: share of matches in
+    links that contradict the poses; sure: one sentence; seconds: of each stage.
     """
 
     registered: int
