@@ -28,7 +28,7 @@ POSES_SHARE = 0.45
 ROUNDS = 1.3
 """A step of a whole run takes so many times that of a quiet stream: rounds, growth, reading."""
 
-AFTERWARDS = 0.15
+AFTERWARDS = 0.2
 """Share of the time that is kept for encoding, scores, page, video and export."""
 
 

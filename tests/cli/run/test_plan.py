@@ -47,7 +47,7 @@ def test_largest_pictures_that_leave_enough_steps():
     plan = make_plan(PHOTOS, SPEED, 0.0, 300.0)
     larger = SIZES[SIZES.index(plan.max_size) - 1]
     assert plan.steps >= ENOUGH_STEPS
-    assert 300 * 0.85 / (1.3 * SPEED.step(PHOTOS.at(larger))) < ENOUGH_STEPS
+    assert 300 * 0.8 / (1.3 * SPEED.step(PHOTOS.at(larger))) < ENOUGH_STEPS
 
 
 def test_what_the_user_chose_stays():
