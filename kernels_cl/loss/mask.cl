@@ -1,4 +1,5 @@
-/* Masks of photos: the pixels of a picture that are not used become zero, and so do their gradients.
+/* Masks of photos: the pixels of a picture that are not used become zero, and so do their
+ * gradients.
  *
  * mask_apply: a work-item per vector of pixels. A number that is not finite stays not finite.
  */
