@@ -212,6 +212,9 @@ class Device:
             macros = {**constants.defines(), **specialised, **defines}
             options = [f"-D{name}={_literal(value)}" for name, value in sorted(macros.items())]
             file = program_file(program, self.specialisation)
+            # PoCL 3.0, the wheel on PyPI, ends the process if it builds a program while it still
+            # compiles kernels of another one, which it does when they first run.
+            self.finish()
             try:
                 built = cl.Program(self.context, read_program(file))
                 with warnings.catch_warnings():

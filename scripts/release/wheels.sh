@@ -58,8 +58,8 @@ build_wheel() {
         "$bin/python" -m build --wheel --no-isolation --skip-dependency-check \
         -C install.strip=false --outdir "$work/$arch" "$work/source" >"$work/$arch.log" ||
         { cat "$work/$arch.log" >&2 && die "no wheel for $arch"; }
-    # auditwheel takes this machine's tags alone, and puts the wheel's own processor in.
-    PATH="$bin:$PATH" "$bin/auditwheel" repair --plat "manylinux_${glibc/./_}_$(uname -m)" \
+    # auto: the oldest glibc that will do; others can be named for this machine's processor alone.
+    PATH="$bin:$PATH" "$bin/auditwheel" repair --plat auto \
         --only-plat --wheel-dir "$work/repaired/$arch" "$work/$arch"/*.whl
 }
 
