@@ -18,7 +18,7 @@ import pyopencl.tools
 from clgs import constants
 from clgs.errors import DeviceError, NoRoomError, UsageError
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.choose import choose_device, is_emulator
+from clgs.opencl.choose import choose_device, compiles_vectors, is_emulator
 from clgs.opencl.profile import Profile
 from clgs.opencl.source import program_file, read_program
 from clgs.opencl.transfer import Download, Transfers
@@ -71,7 +71,8 @@ class Device:
         self._programs: dict[tuple[Any, ...], cl.Program] = {}
 
     def _usual_specialisation(self) -> str:
-        return "cpu" if self.cl_device.type & cl.device_type.CPU else "gpu"
+        is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
+        return "cpu" if is_cpu and compiles_vectors(self.cl_device) else "gpu"
 
     @property
     def is_emulator(self) -> bool:
@@ -212,9 +213,6 @@ class Device:
             macros = {**constants.defines(), **specialised, **defines}
             options = [f"-D{name}={_literal(value)}" for name, value in sorted(macros.items())]
             file = program_file(program, self.specialisation)
-            # PoCL 3.0, the wheel on PyPI, ends the process if it builds a program while it still
-            # compiles kernels of another one, which it does when they first run.
-            self.finish()
             try:
                 built = cl.Program(self.context, read_program(file))
                 with warnings.catch_warnings():

@@ -13,7 +13,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-EXTENSION = re.compile(r"clgs/_codec\.[\w.-]*(so|pyd)")
+BUILT = {"extension clgs/_codec.*": re.compile(r"clgs/_codec\.[\w.-]*(so|pyd)")}
+"""Files that the build makes, one of each."""
 
 
 def main(arguments: list[str]) -> int:
@@ -28,7 +29,7 @@ def main(arguments: list[str]) -> int:
     for complaint in found:
         print(f"check_wheel: {complaint}", file=sys.stderr)
     if not found:
-        print(f"check_wheel: {len(tracked)} files of the package and the extension are there")
+        print(f"check_wheel: {len(tracked)} files of the package, {len(BUILT)} built, are there")
     return 1 if found else 0
 
 
@@ -46,13 +47,16 @@ def complaints(tracked: Iterable[str], names: Iterable[str]) -> list[str]:
     expected = {n if n.startswith("clgs/") else f"clgs/{n}" for n in tracked}
     packed = {name for name in names if not name.endswith("/")}
     found = [f"missing: {name}" for name in sorted(expected - packed)]
-    extensions = {name for name in packed if EXTENSION.fullmatch(name)}
-    if len(extensions) != 1:
-        found.append(f"expected one extension clgs/_codec.*, found {len(extensions)}")
+    built: set[str] = set()
+    for what, pattern in BUILT.items():
+        made = {name for name in packed if pattern.fullmatch(name)}
+        if len(made) != 1:
+            found.append(f"expected one {what}, found {len(made)}")
+        built |= made
     if not any(name.endswith(".cl") for name in packed):
         found.append("no kernels")
     metadata = {name for name in packed if name.split("/")[0].endswith(".dist-info")}
-    surplus = packed - expected - extensions - metadata
+    surplus = packed - expected - built - metadata
     return found + [f"not of the package: {name}" for name in sorted(surplus)]
 
 

@@ -71,6 +71,7 @@ check() {
         "$bin/python" "$root/scripts/checks/check_wheel.py" "$wheel"
         "$bin/check-wheel-contents" "$wheel"
         "$bin/twine" check --strict "$wheel"
+        rm -f "$output"/clgs-*"_$1.whl"
         mv "$wheel" "$output"
     done
 }

@@ -21,7 +21,9 @@ def text(request):
 def test_actions_and_tools_are_pinned_by_version(text):
     used = re.findall(r"uses: (\S+)", text)
     assert used
-    assert [name for name in used if not re.fullmatch(r"[\w.-]+/[\w.-]+@v\d+\.\d+\.\d+", name)] == []
+    assert [
+        name for name in used if not re.fullmatch(r"[\w.-]+/[\w.-]+@v\d+\.\d+\.\d+", name)
+    ] == []
     installed = re.findall(r"pip install (.+)", text)
     names = [name for line in installed for name in line.split() if not name.startswith(("-", '"'))]
     assert [name for name in names if "==" not in name] == []

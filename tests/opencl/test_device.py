@@ -103,16 +103,6 @@ def test_a_kernel_runs_with_its_macros(fresh_device, program):
     np.testing.assert_array_equal(fresh_device.download(x), expected)
 
 
-def test_a_program_is_built_once_while_nothing_runs(fresh_device, program, monkeypatch):
-    """PoCL 3.0 aborts if it compiles kernels of an earlier program at the same time."""
-    program("scale", SCALE.replace('#include "common/real.h"\n', "\n"))
-    waits = []
-    monkeypatch.setattr(fresh_device, "finish", lambda: waits.append(1))
-    for factor in (2.0, 3.0, 3.0):
-        fresh_device.kernel("scale", "scale_forward", FACTOR=factor)
-    assert len(waits) == 2
-
-
 def test_an_empty_launch_does_nothing(fresh_device, program):
     program("scale", SCALE.replace('#include "common/real.h"\n', "\n"))
     x = fresh_device.zeros((0,))
