@@ -31,6 +31,10 @@ intel_runtime() {
     return "$status"
 }
 
+try_wheel() {
+    scripts/release/wheels.sh x86_64 && scripts/release/try_wheel.sh dist/clgs-*x86_64.whl "$python"
+}
+
 check "release tests" "$python" -m pytest -q -m release --durations=20 # one at a time: memory
 check "other examples" "$python" -m pytest -q -m hypothesis --hypothesis-profile=new
 check "seeded bugs" "$python" scripts/checks/mutation_check.py
@@ -38,6 +42,8 @@ check "race check" scripts/checks/race_check.sh "$python"
 check "bytes across compilers" scripts/checks/cross_check.sh
 check "damage" "$python" -m tests.codec.container.mutations "${DAMAGE:-1000000}"
 check "intel runtime" intel_runtime
+check "wheel for another processor" scripts/release/wheels.sh aarch64
+check "wheel without compiler" try_wheel
 check "fuzz" env PYTHON="$python" RUNS=1000000 scripts/fuzz/fuzz.sh "${FUZZ_SECONDS:-36000}"
 check "fuzz, memory" env PYTHON="$python" RUNS=1000000 CHECK=memory \
     scripts/fuzz/fuzz.sh "${FUZZ_SECONDS:-36000}"

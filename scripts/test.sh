@@ -112,7 +112,8 @@ fi
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 step "tests of the checkout"
-"$python" -m pytest -q tests/house/test_{architecture,docs,packaging,rules}.py
+"$python" -m pytest -q -m "not release" \
+    tests/house/test_{architecture,docs,notebook,packaging,rules,workflows}.py
 docs
 test_c
 fuzz

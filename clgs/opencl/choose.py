@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import Any
 
 import pyopencl as cl
@@ -37,6 +38,16 @@ def survey() -> tuple[list[Any], list[str]]:
 def is_emulator(device: Any) -> bool:
     """Whether ``device`` is Oclgrind, which checks every access and is slow."""
     return "oclgrind" in device.platform.name.lower()
+
+
+def compiles_vectors(device: Any) -> bool:
+    """Whether ``device`` compiles vectors of 16 lanes.
+
+    PoCL 3.0, the wheel on PyPI, hangs on them or ends the process; 3.1 does not.
+    """
+    version = re.match(r"(\d+)\.(\d+)", device.driver_version)
+    is_pocl = device.platform.name == "Portable Computing Language"
+    return not (is_pocl and version) or (int(version[1]), int(version[2])) >= (3, 1)
 
 
 def _platforms() -> list[Any]:
@@ -98,4 +109,6 @@ def _full_name(choice: Any) -> str:
 def _preference(device: Any) -> int:
     if is_emulator(device):
         return 3
-    return 0 if device.type & cl.device_type.GPU else 1
+    if device.type & cl.device_type.GPU:
+        return 0
+    return 1 if compiles_vectors(device) else 2

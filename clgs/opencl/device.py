@@ -20,7 +20,7 @@ import pyopencl.tools
 from clgs import constants
 from clgs.errors import DeviceError, NoRoomError, UsageError
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.choose import choose_device, is_emulator
+from clgs.opencl.choose import choose_device, compiles_vectors, is_emulator
 from clgs.opencl.profile import Profile
 from clgs.opencl.source import program_file, read_program
 from clgs.opencl.transfer import Download, Transfers
@@ -80,7 +80,8 @@ class Device:
         self._told = False
 
     def _usual_specialisation(self) -> str:
-        return "cpu" if self.cl_device.type & cl.device_type.CPU else "gpu"
+        is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
+        return "cpu" if is_cpu and compiles_vectors(self.cl_device) else "gpu"
 
     @property
     def is_emulator(self) -> bool:

@@ -3,7 +3,7 @@
 #define CLGS_BINDINGS_H
 
 #define PY_SSIZE_T_CLEAN
-#define Py_LIMITED_API 0x030B0000
+#define Py_LIMITED_API 0x030b0000
 #include <Python.h>
 
 #include "clgs_codec.h"

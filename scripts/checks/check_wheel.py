@@ -13,10 +13,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-EXTENSION = re.compile(r"clgs/_codec\.[\w.-]*(so|pyd)")
 FOLDERS = ("clgs", "kernels_cl", "web/page")
 PAGE_DECODER = "clgs/web/scene.wasm"
 """Built where there is a compiler for WebAssembly; a wheel may lack it."""
+BUILT = {"extension clgs/_codec.*": re.compile(r"clgs/_codec\.[\w.-]*(so|pyd)")}
+"""Files that the build makes, one of each."""
 
 
 def main(arguments: list[str]) -> int:
@@ -31,7 +32,7 @@ def main(arguments: list[str]) -> int:
     for complaint in found:
         print(f"check_wheel: {complaint}", file=sys.stderr)
     if not found:
-        print(f"check_wheel: {len(tracked)} files of the package and the extension are there")
+        print(f"check_wheel: {len(tracked)} files of the package, {len(BUILT)} built, are there")
     return 1 if found else 0
 
 
@@ -49,13 +50,16 @@ def complaints(tracked: Iterable[str], names: Iterable[str]) -> list[str]:
     expected = {n if n.startswith("clgs/") else f"clgs/{n}" for n in tracked}
     packed = {name for name in names if not name.endswith("/")}
     found = [f"missing: {name}" for name in sorted(expected - packed)]
-    extensions = {name for name in packed if EXTENSION.fullmatch(name)}
-    if len(extensions) != 1:
-        found.append(f"expected one extension clgs/_codec.*, found {len(extensions)}")
+    built: set[str] = set()
+    for what, pattern in BUILT.items():
+        made = {name for name in packed if pattern.fullmatch(name)}
+        if len(made) != 1:
+            found.append(f"expected one {what}, found {len(made)}")
+        built |= made
     if not any(name.endswith(".cl") for name in packed):
         found.append("no kernels")
     metadata = {name for name in packed if name.split("/")[0].endswith(".dist-info")}
-    surplus = packed - expected - extensions - metadata - {PAGE_DECODER}
+    surplus = packed - expected - built - metadata - {PAGE_DECODER}
     return found + [f"not of the package: {name}" for name in sorted(surplus)]
 
 

@@ -12,12 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import generated
+import notebook
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[2]
-MADE = {"commands": generated.commands, "training options": generated.training_options}
+MADE = {
+    "commands": generated.commands,
+    "notebook": notebook.page,
+    "training options": generated.training_options,
+}
 MARK = re.compile(r"<!-- generated: ([a-z ]+) -->")
 LONE_LINK = re.compile(r"\s*\[[^\]]*\]\(((?:\.\./)+[^)#]+\.md)\)\s*")
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")

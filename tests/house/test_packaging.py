@@ -69,7 +69,9 @@ def test_the_files_of_the_package_are_listed():
     assert not [name for name in tracked if "__pycache__" in name]
 
 
-SHELL = sorted([*(ROOT / "scripts").glob("*.sh"), ROOT / ".ci" / "run"])
+SHELL = sorted(
+    [*(ROOT / "scripts").glob("*.sh"), *(ROOT / "scripts/release").glob("*.sh"), ROOT / ".ci/run"]
+)
 
 
 @pytest.mark.parametrize("path", SHELL, ids=lambda path: path.name)

@@ -18,6 +18,7 @@ class FakeDevice:
     available: bool = True
     compiler_available: bool = True
     platform: FakePlatform | None = None
+    driver_version: str = "3.1+debian"
 
 
 @dataclass(eq=False)
@@ -163,3 +164,28 @@ def test_empty_platforms_are_no_device(machine):
 def test_an_emulator_is_taken_where_nothing_else_is(machine):
     machine(FakePlatform("Oclgrind", [FakeDevice("Oclgrind Simulator", cl.device_type.GPU)]))
     assert choose.choose_device().name == "Oclgrind Simulator"
+
+
+@pytest.mark.parametrize(
+    ("platform", "version", "vectors"),
+    [
+        ("Portable Computing Language", "3.0-rc2", False),
+        ("Portable Computing Language", "1.8", False),
+        ("Portable Computing Language", "3.1+debian", True),
+        ("Portable Computing Language", "10.0", True),
+        ("Portable Computing Language", "unknown", True),
+        ("Vendor CL", "2.5", True),
+    ],
+)
+def test_an_old_pocl_compiles_no_vectors(platform, version, vectors):
+    device = FakeDevice("cpu", driver_version=version)
+    FakePlatform(platform, [device])
+    assert choose.compiles_vectors(device) is vectors
+
+
+def test_a_cpu_that_compiles_vectors_comes_first(machine):
+    old = FakeDevice("old", driver_version="3.0-rc2")
+    new = FakeDevice("new")
+    pocl = "Portable Computing Language"
+    machine(FakePlatform(pocl, [old]), FakePlatform(pocl, [new]))
+    assert choose.choose_device() is new

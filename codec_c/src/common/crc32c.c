@@ -2,7 +2,11 @@
 
 /* Processors with an instruction for this checksum use it; all others give the same from tables. */
 #if defined(__x86_64__) && defined(__GNUC__)
+#ifdef __clang__ /* may know the instruction apart from the others of SSE 4.2 */
+#define HARDWARE __attribute__((target("sse4.2,crc32")))
+#else
 #define HARDWARE __attribute__((target("sse4.2")))
+#endif
 #define HAS_HARDWARE() __builtin_cpu_supports("sse4.2")
 #define CRC_WORD(crc, word) ((uint32_t)__builtin_ia32_crc32di(crc, word))
 #define CRC_BYTE(crc, byte) __builtin_ia32_crc32qi(crc, byte)
