@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shlex
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -211,7 +212,8 @@ def read_photo_set(root: Path) -> PhotoSet:
         raise DataError(f"{root}: is a part of a data set; name the whole of it: {above}")
     folders = [root, root / "images"]
     if any(list_images(folder) for folder in folders if folder.is_dir()):
-        raise DataError(f"{root}: photos without poses; run: clgs prepare {root} -o DATA")
+        named = shlex.quote(str(root))
+        raise DataError(f"{root}: photos without poses; run: clgs prepare {named} -o DATA")
     raise DataError(
         f"{root}: no transforms.json, transforms_train.json, sparse/0 or photos; check the path"
     )

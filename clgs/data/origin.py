@@ -42,24 +42,24 @@ class Origin:
     radius: float
     cameras: dict[str, npt.NDArray[np.float64]]
 
-    def check(self, views: list[View], data: Path) -> None:
-        """See that ``views``, posed in the run's units, are of this data set.
+    def check(self, views: list[View], data: Path) -> bool:
+        """See that ``views``, posed in the run's units, are of this data set; whether any is known.
 
         Views of other names say nothing: they may be new photos of the same place.
 
         Raises:
             DataError: a view of the same name has another camera.
         """
-        for view in views:
-            known = self.cameras.get(view.name)
-            if known is None:
-                continue
+        met = [view for view in views if view.name in self.cameras]
+        for view in met:
+            known = self.cameras[view.name]
             apart = np.abs(_pose(view) - known)
             if apart[:, :3].max() > TOLERANCE or apart[:, 3].max() > TOLERANCE * self.radius:
                 raise DataError(
                     f"{data}: the camera of {view.name} is not the one that the scene was trained "
                     f"with, so these photos show another scene; name {self.folder} with --data"
                 )
+        return bool(met)
 
 
 def write_origin(run: Path, dataset: Dataset) -> None:

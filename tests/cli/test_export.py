@@ -21,6 +21,7 @@ def work(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "splats.ply").write_bytes(encode_ply(gaussians()).data)
     (tmp_path / "old.ply").write_bytes(b"old")
+    (tmp_path / "old.spz").write_bytes(b"old")
     (tmp_path / "photos").mkdir()
     return tmp_path
 
@@ -33,6 +34,7 @@ def work(tmp_path, monkeypatch):
             2,
             "x.obj: nothing is written by this suffix; take one of .glb, .html, .ply, .spz, .sog",
         ),
+        ("old.spz -o x.ply", 3, "old.spz: such files are written, not read; name a .clgs or .ply"),
         ("-o x.ply", 2, "a scene is needed: `clgs export SCENE -o x.ply`"),
         ("splats.ply -o old.ply", 2, "old.ply: exists already; add --overwrite"),
         ("splats.ply -o splats.ply --overwrite", 2, "splats.ply: "),

@@ -38,7 +38,7 @@ def test_run_names_its_data(tmp_path, data):
     origin = read_origin(tmp_path)
     assert origin.folder == data
     assert len(origin.cameras) == 8
-    origin.check(dataset.train + dataset.test, data)
+    assert origin.check(dataset.train + dataset.test, data)
 
 
 def test_run_and_data_may_move_together(tmp_path, data):
@@ -62,7 +62,7 @@ def test_new_photos_of_the_place_are_welcome(tmp_path, data):
     dataset = loaded(data)
     write_origin(tmp_path, dataset)
     new = [replace(turned(view), name=f"new_{view.name}") for view in dataset.train]
-    read_origin(tmp_path).check(new, data)
+    assert not read_origin(tmp_path).check(new, data)
 
 
 def test_data_in_memory_have_no_folder(tmp_path, data):

@@ -43,7 +43,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="PIXELS",
         help="reduce wider photos to this width (default: what T allows)",
     )
-    add("--seed", type=seed, default=0, help="random seed (default: %(default)s)")
+    add("--seed", type=seed, help="random seed (default: 0)")
     add("--device", help="number or part of the name, see `clgs devices`")
     add(
         "--resume",

@@ -15,6 +15,9 @@ from clgs.errors import CodecError, DataError
 from clgs.scene.scene import QuantizedScene, SplatScene
 from clgs.scene.storage import load_scene
 
+WRITTEN_ONLY = (".spz", ".sog", ".glb", ".html")
+"""Suffixes of what `clgs export` writes and clgs does not read."""
+
 
 def read_scene(path: Path) -> tuple[QuantizedScene, int | None]:
     """The scene and, if it is a bitstream, its size in bytes.
@@ -44,6 +47,8 @@ def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
         return SplatScene(gaussians), path.stat().st_size
     if path.is_dir() or not path.exists() or path.suffix.lower() == ".npz":
         return read_scene(path)
+    if path.suffix.lower() in WRITTEN_ONLY and path.is_file():
+        raise DataError(f"{path}: such files are written, not read; name a .clgs or .ply file")
     data = read_bytes(path)
     with naming(path):
         if is_splats(data):

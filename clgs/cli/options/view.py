@@ -143,9 +143,14 @@ def load_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> 
     origin = read_origin(_run_folder(args.scene))
     if isinstance(scene, SplatScene):
         return posed
-    if origin is not None:
-        origin.check(posed.train + posed.test, args.data)
-    elif not alike(dataset.transform, scene.transform, dataset.radius):
+    if origin is not None and origin.check(posed.train + posed.test, args.data):
+        return posed
+    if not alike(dataset.transform, scene.transform, dataset.radius):
+        if origin is not None:
+            raise DataError(
+                f"{args.data}: has none of the photos that the scene was trained with, and other "
+                f"cameras; name {origin.folder} with --data"
+            )
         print(
             f"clgs: the cameras of {args.data} are placed unlike those that the scene was trained "
             "with; if it shows another scene, name the right one with --data",

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from clgs.cli.run.duration import in_words
 from clgs.cli.run.plan import Photos, Plan, Speed, fit_speed, make_plan, must_hurry, prepare_seconds
-from clgs.cli.run.source import Source, find_source, measure_data
+from clgs.cli.run.source import PLAN, Source, find_source, measure_data
 from clgs.cli.run.stages import Stages
 from clgs.cli.run.summary import print_box
 from clgs.errors import DataError, ExistsError, UsageError
@@ -24,9 +24,6 @@ from clgs.files import atomic_write, check_folder
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
-
-PLAN = "plan.json"
-"""What OUT is known by: the plan of the run that made it."""
 
 PAGE, SPLATS, CLIP = "scene.html", "scene.ply", "clip.mp4"
 MADE = ("data", "run", "scene.clgs", "scores.json", "report.html", PAGE, SPLATS, CLIP)
@@ -54,22 +51,23 @@ class Job:
     def run(self) -> int:
         """All stages; the exit code: that of the last of the exports that failed, if one did."""
         check_folder(self._out)
-        kept = self._kept_plan()
+        record = self._record()
         source = find_source(self._args.input)
-        if kept:
-            data, settings = self._data(source), kept
-        else:
+        self._check_record(record, source)
+        settings: dict[str, Any] = record.get("settings", {})
+        if not settings:
             hurry = must_hurry(source.photos.count, os.cpu_count() or 1, self._args.time)
             plan = self._plan(source.photos, self._preparing(source, hurry))
-            _tell(source, plan, self._device.name, hurry)
+            _tell(source, plan, self._device.name, hurry, self._args.time)
             if self._args.plan:
                 return 0
-            self._clear(source)
-            data = self._data(source)
-            settings = self._settings(source, data, plan)
+            if not record:
+                self._clear(source)
+        data = self._data(source)
+        settings = settings or self._settings(source, data, plan)
         self._train(data, settings)
         failed = self._exports()
-        self._report(source)
+        self._report(source, settings)
         return failed
 
     @cached_property
@@ -97,12 +95,14 @@ class Job:
         return make_plan(photos, self._speed, preparing, left, args.steps, args.max_size)
 
     def _preparing(self, source: Source, hurry: bool) -> float:
+        if source.pointless:
+            return prepare_seconds(source.photos.count, os.cpu_count() or 1, quick=True)
         if source.posed:
             return 0.0
         return prepare_seconds(source.photos.count, os.cpu_count() or 1, hurry)
 
-    def _kept_plan(self) -> dict[str, Any]:
-        """The settings of the run that is to go on; none if it is to begin.
+    def _record(self) -> dict[str, Any]:
+        """What PLAN says of the run that is to go on; nothing if a run is to begin.
 
         Raises:
             ExistsError: OUT holds other things, or a run that is neither resumed nor replaced.
@@ -123,10 +123,29 @@ class Job:
                 "(--overwrite), or choose another folder"
             )
         try:
-            settings: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["settings"]
+            record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            _ = record["input"], dict(record.get("settings", {}))
         except (ValueError, KeyError, TypeError) as error:
             raise DataError(f"{path}: is damaged ({error}); start anew with --overwrite") from error
-        return settings
+        return record
+
+    def _check_record(self, record: dict[str, Any], source: Source) -> None:
+        """See that the run that is to go on has this input and these options.
+
+        Raises:
+            UsageError: it has others.
+        """
+        if record and record["input"] != str(source.path.resolve()):
+            raise UsageError(
+                f"{self._out}: is a run of {record['input']}; name that, or another folder"
+            )
+        for name, kept in record.get("settings", {}).items():
+            asked = getattr(self._args, name, None)
+            if asked not in (None, kept):
+                raise UsageError(
+                    f"--{name.replace('_', '-')}: the run in {self._out} has {kept}; leave it "
+                    "out, or start anew with --overwrite"
+                )
 
     def _clear(self, source: Source) -> None:
         """Make OUT, without what an earlier run left there.
@@ -139,7 +158,7 @@ class Job:
         if any(path.resolve() in inside for path in doomed):
             raise UsageError(f"{source.path}: lies in the folder that is written to; copy it first")
         self._out.mkdir(parents=True, exist_ok=True)
-        atomic_write(self._out / PLAN, b"{}\n")
+        self._keep({"input": str(source.path.resolve())})
         for path in doomed:
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
@@ -152,7 +171,7 @@ class Job:
             return source.path
         data = self._out / "data"
         if not data.is_dir():
-            options = ["--seed", str(self._args.seed)]
+            options = ["--seed", str(self._args.seed or 0)]
             if must_hurry(source.photos.count, os.cpu_count() or 1, self._args.time):
                 options.append("--quick")
             self._stages.run("prepare", "prepare", source.path, "-o", data, *options)
@@ -163,10 +182,13 @@ class Job:
         if not source.posed:
             plan = self._plan(measure_data(data), 0.0)
             print(f"training: {_training(plan)}")
-        settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self._args.seed}
-        record = {"settings": settings, "plan": asdict(plan)}
-        atomic_write(self._out / PLAN, (json.dumps(record, indent=1) + "\n").encode())
+        settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self._args.seed or 0}
+        where = str(source.path.resolve())
+        self._keep({"input": where, "settings": settings, "plan": asdict(plan)})
         return settings
+
+    def _keep(self, record: dict[str, Any]) -> None:
+        atomic_write(self._out / PLAN, (json.dumps(record, indent=1) + "\n").encode())
 
     def _train(self, data: Path, settings: dict[str, Any]) -> None:
         """Train, encode, and score the file."""
@@ -202,14 +224,14 @@ class Job:
             code = self._stages.attempt(name, *words) or code
         return code
 
-    def _report(self, source: Source) -> None:
+    def _report(self, source: Source, settings: dict[str, Any]) -> None:
         from clgs.export.run_report import RunStory, write_run_report
 
         made = {"the scene as a web page": PAGE, "clip": CLIP, "the file": "scene.clgs"}
         made |= {"ordinary Gaussians": SPLATS, "poses of the photos": "data/report.html"}
         links = [(label, name) for label, name in made.items() if (self._out / name).exists()]
         seconds, photos = self._stages.seconds, self._photos(source)
-        story = RunStory(_command(self._args), f"{photos}.", seconds, links)
+        story = RunStory(_command(self._args, settings), f"{photos}.", seconds, links)
         write_run_report(self._out / "run", story, self._out / "report.html")
         scores = json.loads((self._out / "scores.json").read_text(encoding="utf-8"))
         print_box(self._out, photos, scores, seconds)
@@ -222,7 +244,7 @@ class Job:
         return f"{found} of {source.photos.count} found their pose"
 
 
-def _tell(source: Source, plan: Plan, device: str, hurry: bool) -> None:
+def _tell(source: Source, plan: Plan, device: str, hurry: bool, allowed: float) -> None:
     """Print the plan."""
     photos = source.photos
     kind = "data set" if source.posed else "photos"
@@ -230,8 +252,11 @@ def _tell(source: Source, plan: Plan, device: str, hurry: bool) -> None:
     if not source.posed:
         tested = "not tested, for lack of time" if hurry else "tested by a second reconstruction"
         print(f"poses:    about {in_words(plan.prepare_seconds)}, {tested}")
+    if source.pointless:
+        print(f"points:   about {in_words(plan.prepare_seconds)}")
     print(f"training: {_training(plan)}")
-    print(f"in all:   about {in_words(plan.seconds)} on {device}")
+    late = f", more than the {in_words(allowed)} of --time" if plan.seconds > 1.05 * allowed else ""
+    print(f"in all:   about {in_words(plan.seconds)} on {device}{late}")
 
 
 def _training(plan: Plan) -> str:
@@ -241,10 +266,11 @@ def _training(plan: Plan) -> str:
     )
 
 
-def _command(args: argparse.Namespace) -> str:
-    """What repeats the run."""
-    words = ["clgs", "run", str(args.input), "-o", str(args.output), "--seed", str(args.seed)]
-    for name in ("steps", "max_size", "device"):
-        if (value := getattr(args, name)) is not None:
-            words += [f"--{name.replace('_', '-')}", str(value)]
+def _command(args: argparse.Namespace, settings: dict[str, Any]) -> str:
+    """What repeats the run, whatever the clock says."""
+    words = ["clgs", "run", str(args.input), "-o", str(args.output)]
+    for name, value in settings.items():
+        words += [f"--{name.replace('_', '-')}", str(value)]
+    if args.device is not None:
+        words += ["--device", args.device]
     return shlex.join(words)

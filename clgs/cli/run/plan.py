@@ -16,8 +16,10 @@ MOST_STEPS = 30_000
 LEAST_STEPS = 300
 """Fewer give nothing that is worth looking at."""
 
-FEATURE_SECONDS, PAIR_SECONDS = {True: 1.0, False: 2.5}, {True: 0.12, False: 0.5}
+FEATURE_SECONDS, PAIR_SECONDS = {True: 1.5, False: 2.5}, {True: 0.12, False: 0.5}
 """Of a core, per photo and per pair of photos; with `prepare --quick`, and without."""
+
+FIXED_SECONDS = 5.0
 
 MOST_PAIRS = 40
 """Pairs per photo that are matched in large sets, about."""
@@ -28,8 +30,10 @@ POSES_SHARE = 0.45
 ROUNDS = 1.3
 """A step of a whole run takes so many times that of a quiet stream: rounds, growth, reading."""
 
-AFTERWARDS = 0.2
-"""Share of the time that is kept for encoding, scores, page, video and export."""
+LATER_STEPS = 650
+"""Baking and the clip take as long as so many steps; all else that follows LATER_SECONDS."""
+
+LATER_SECONDS = 8.0
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ def prepare_seconds(count: int, cores: int, quick: bool) -> float:
     """What structure from motion takes for ``count`` photos, as a rule."""
     pairs = min(count * (count - 1) / 2, MOST_PAIRS * count)
     seconds = count * FEATURE_SECONDS[quick] + pairs * PAIR_SECONDS[quick]
-    return seconds / max(1, min(cores, 8))
+    return (seconds + FIXED_SECONDS) / max(1, min(cores, 8))
 
 
 def must_hurry(count: int, cores: int, seconds: float) -> bool:
@@ -112,9 +116,12 @@ def make_plan(
         steps: of training, if chosen by the user.
         max_size: of the photos, likewise.
     """
-    left = max(0.0, (1 - AFTERWARDS) * seconds - preparing)
+
+    def later(width: int) -> float:
+        return LATER_SECONDS + LATER_STEPS * speed.step(photos.at(width))
 
     def affordable(width: int) -> int:
+        left = max(0.0, seconds - preparing - later(width))
         return math.floor(left / (ROUNDS * speed.step(photos.at(width))))
 
     if max_size is None:
@@ -124,4 +131,4 @@ def make_plan(
     if steps is None:
         steps = min(max(affordable(max_size), LEAST_STEPS), MOST_STEPS)
     training = steps * ROUNDS * speed.step(photos.at(max_size))
-    return Plan(max_size, steps, preparing, training, AFTERWARDS * seconds)
+    return Plan(max_size, steps, preparing, training, later(max_size))

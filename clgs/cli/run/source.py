@@ -8,14 +8,22 @@ from pathlib import Path
 from clgs.cli.run.plan import Photos
 from clgs.errors import DataError
 
+PLAN = "plan.json"
+"""What an output folder is known by: the plan of the run that made it."""
+
 
 @dataclass(frozen=True)
 class Source:
-    """path: as named; posed: whether it is a data set, so that no poses have to be found."""
+    """What a run begins with.
+
+    path: as named; posed: whether it is a data set, so that no poses have to be found; pointless:
+    a data set without points, which are found before training.
+    """
 
     path: Path
     posed: bool
     photos: Photos
+    pointless: bool = False
 
 
 def find_source(path: Path) -> Source:
@@ -26,8 +34,11 @@ def find_source(path: Path) -> Source:
     """
     if not path.exists():
         raise DataError(f"{path}: no such file or folder; name photos, a video or a data set")
+    if (path / PLAN).is_file():
+        raise DataError(f"{path}: was made by clgs run; name the photos or the data set")
     if path.is_dir() and _is_data(path):
-        return Source(path, True, measure_data(path))
+        pointless = (path / "transforms.json").is_file()
+        return Source(path, True, measure_data(path), pointless)
     return Source(path, False, _measure_photos(path))
 
 

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from clgs.cli.run.duration import duration, in_words
 from clgs.cli.run.plan import (
     ENOUGH_STEPS,
+    LATER_SECONDS,
+    LATER_STEPS,
     LEAST_STEPS,
     MOST_STEPS,
     SIZES,
@@ -47,7 +49,8 @@ def test_largest_pictures_that_leave_enough_steps():
     plan = make_plan(PHOTOS, SPEED, 0.0, 300.0)
     larger = SIZES[SIZES.index(plan.max_size) - 1]
     assert plan.steps >= ENOUGH_STEPS
-    assert 300 * 0.8 / (1.3 * SPEED.step(PHOTOS.at(larger))) < ENOUGH_STEPS
+    step = SPEED.step(PHOTOS.at(larger))
+    assert (300 - LATER_SECONDS - LATER_STEPS * step) / (1.3 * step) < ENOUGH_STEPS
 
 
 def test_what_the_user_chose_stays():

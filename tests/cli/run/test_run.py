@@ -60,6 +60,44 @@ def test_finished_run_is_left_as_it_is(data, finished, capsys):
     assert (finished / "scene.clgs").read_bytes() == before
 
 
+def test_run_goes_on_with_its_own_input_and_options_alone(data, finished, tmp_path, capsys):
+    other = write_scene(tmp_path / "other", train=3, test=1)
+    assert cli.main(words(other, finished, "--resume")) == 2
+    assert f"is a run of {data}" in capsys.readouterr().err
+    assert cli.main(words(data, finished, "--resume", "--steps", "31")) == 2
+    assert "--steps: the run in" in capsys.readouterr().err
+    assert "--steps 30 --max-size 40" in (finished / "report.html").read_text()
+
+
+def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "plan.json").write_text(json.dumps({"input": str(data.resolve())}))
+    assert cli.main(words(data, out, "--resume", "--device", "nonexistent")) == 4
+    capsys.readouterr()
+    (out / "plan.json").write_text("{}")
+    assert cli.main(words(data, out, "--resume")) == 3
+    assert "is damaged" in capsys.readouterr().err
+
+
+def test_output_of_a_run_is_no_input(finished, tmp_path, capsys):
+    assert cli.main(words(finished, tmp_path / "out")) == 3
+    assert "was made by clgs run" in capsys.readouterr().err
+
+
+def test_scores_need_the_photos_of_the_scene(data, finished, tmp_path, capsys):
+    assert cli.main(["eval", str(finished / "run")]) == 0
+    wrong = write_scene(tmp_path / "wrong", train=3, test=1)
+    for kind in ("train", "test"):
+        path = wrong / f"transforms_{kind}.json"
+        document = json.loads(path.read_text())
+        for frame in document["frames"]:
+            frame["transform_matrix"][0][3] += 40.0
+        path.write_text(json.dumps(document))
+    assert cli.main(["eval", str(finished / "run"), "--data", str(wrong)]) == 3
+    assert "these photos show another scene" in capsys.readouterr().err
+
+
 def test_foreign_folder_is_refused(data, tmp_path, capsys):
     (tmp_path / "mine.txt").touch()
     assert cli.main(words(data, tmp_path, "--overwrite")) == 2
