@@ -63,3 +63,11 @@ def test_a_scene_alone_is_drawn_at_the_default_size(command, tmp_path: Path, cap
     assert command("render", file, "-o", tmp_path / "drawn") == 0
     assert "--max-size 1600 is assumed" in capsys.readouterr().err
     assert Image.open(next((tmp_path / "drawn").iterdir())).size == (40, 40)
+
+
+def test_a_size_of_no_known_unit_is_answered_by_examples(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["train", "data", "-o", "run", "--target-size", "200q"])
+    message = capsys.readouterr().err
+    assert "--target-size: '200q' is not a whole number" in message
+    assert "such as 800k or 1.5M" in message

@@ -118,7 +118,9 @@ class Option:
         if not isinstance(self.allowed, Range):
             return self.range
         noun = {int: "a whole number", Pair: "two numbers"}.get(self.kind, "a number")
-        example = ", such as {:g},{:g}".format(*self.default) if self.kind == Pair else ""
+        example = ", such as 800k or 1.5M" if self.unit == "bytes" else ""
+        if self.kind == Pair:
+            example = ", such as {:g},{:g}".format(*self.default)
         limits = str(self.allowed).replace("at least", "of at least")
         return " ".join(filter(None, (noun, limits))) + example
 
