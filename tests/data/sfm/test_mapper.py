@@ -45,6 +45,12 @@ HANG = 120
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no such signals")
 
 
+def as_from_a_terminal():
+    """A shell's background job starts with SIGINT ignored, one of nohup with SIGHUP."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 @pytest.fixture
 def start(tmp_path):
     """Start ``clgs prepare`` with a pycolmap that does something else."""
@@ -63,8 +69,7 @@ def start(tmp_path):
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            # a shell's background job starts with SIGINT ignored
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            preexec_fn=as_from_a_terminal,
         )
 
     return start_with
