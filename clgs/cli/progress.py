@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from types import TracebackType
 from typing import TypeVar
 
 from rich.console import Console
@@ -20,6 +19,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from clgs.cli.live import Live
 from clgs.train.quality.savings import Saving
 from clgs.train.run.finished_run import RunResult
 from clgs.train.run.session import Progress as TrainingProgress
@@ -54,7 +54,7 @@ def track(items: list[Item], label: str) -> Iterable[Item]:
             advance()
 
 
-class TrainingDisplay:
+class TrainingDisplay(Live):
     """Step, steps per second, time left, PSNR, anchors and estimated bytes of a training run."""
 
     def __init__(self, steps: int, done: int) -> None:
@@ -76,18 +76,6 @@ class TrainingDisplay:
         self._start = time.perf_counter()
         self._printed = self._start
         self._psnr = self._size = ""
-
-    def __enter__(self) -> TrainingDisplay:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._progress.stop()
 
     def update(self, progress: TrainingProgress) -> None:
         """Show the state after a step."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from types import TracebackType
 
 from rich.console import Console
 from rich.progress import (
@@ -17,11 +16,13 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from clgs.cli.live import Live
+
 PLAIN_SECONDS = 10.0
 """Without a terminal, a stage prints one line this often, and one when it is complete."""
 
 
-class StageDisplay:
+class StageDisplay(Live):
     """What of which stage is done, and the time left of it."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -42,18 +43,6 @@ class StageDisplay:
         self._clock = clock
         self._stage, self._said = "", ""
         self._began = self._printed = clock()
-
-    def __enter__(self) -> StageDisplay:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._progress.stop()
 
     def update(self, stage: str, done: int, total: int) -> None:
         """Show ``done`` of ``total`` of a stage; total 0 if that is not known."""

@@ -10,14 +10,15 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORD = 12
-"""Words of a Gaussian, see web/wasm/gaussians.h."""
+"""Words of a Gaussian, see web/wasm/view/gaussians.h."""
 
 
 def build(folder: Path, compiler: str) -> ctypes.CDLL:
     """Compile the sources, every warning an error."""
-    sources = [*(ROOT / "web/wasm").glob("*.c"), *(ROOT / "codec_c/src").rglob("*.c")]
+    sources = [*(ROOT / "web/wasm").rglob("*.c"), *(ROOT / "codec_c/src").rglob("*.c")]
     flags = "-std=c11 -O2 -fPIC -shared -fno-math-errno -Wall -Wextra -Wconversion -Wshadow -Werror"
-    includes = [f"-I{ROOT / name}" for name in ("web/wasm", "codec_c/include", "codec_c/src")]
+    rooms = ("web/wasm", "web/wasm/file", "web/wasm/view", "codec_c/include", "codec_c/src")
+    includes = [f"-I{ROOT / name}" for name in rooms]
     output = folder / "page.so"
     command = [compiler, *flags.split(), *includes, *map(str, sources), "-lm", "-o", str(output)]
     subprocess.run(command, check=True)

@@ -117,7 +117,7 @@ def test_harmonics_are_orthonormal(library, tmp_path):
         '#include "harmonics.h"\nvoid all(const float *d, float *b, int n)\n'
         "{ for (int i = 0; i < n; i++) harmonics(d + 3 * i, b + 16 * i); }\n"
     )
-    include, output = f"-I{native.ROOT / 'web/wasm'}", tmp_path / "harmonics.so"
+    include, output = f"-I{native.ROOT / 'web/wasm/view'}", tmp_path / "harmonics.so"
     command = [COMPILER, "-shared", "-fPIC", include, str(source), "-o", str(output)]
     subprocess.run(command, check=True)
     height, weight = np.polynomial.legendre.leggauss(8)
@@ -163,7 +163,7 @@ def test_damaged_files_are_refused_in_words(library, kind):
 
 
 def test_it_has_the_constants_of_the_method():
-    text = "".join(path.read_text() for path in (native.ROOT / "web/wasm").glob("*.h"))
+    text = "".join(path.read_text() for path in (native.ROOT / "web/wasm").rglob("*.h"))
     numbers = dict(re.findall(r"\b([A-Z_]+) = (\d+)", text))
     names = {"OFFSETS": "K_OFFSETS", "FEATURES": "FEATURE_DIM", "HIDDEN": "HIDDEN_DIM"}
     for own, name in names.items():
