@@ -109,6 +109,11 @@ def work(tmp_path, monkeypatch):
         ("eval none.clgs --data none --json nodir/x.json", 2, "nodir/x.json: cannot be written"),
         ("eval none.clgs --data none --csv nodir/x.csv", 2, "nodir/x.csv: cannot be written"),
         ("eval s.clgs --data none --csv x.txt", 2, "x.txt: the table is a .csv file; name it so"),
+        (
+            "render none -o new",
+            3,
+            "none: no such file or folder; name a run folder or a .clgs file",
+        ),
         ("eval s.clgs --csv x.csv", 2, "--csv: scores need photos; name them with --data"),
         ("eval s.clgs --hashes file --inria new", 2, "--inria: scores need photos"),
         ("eval s.clgs --data none --inria file", 2, "file: is no folder"),

@@ -36,8 +36,11 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Render; exit code 0."""
     from clgs.cli.options.path import check_path
+    from clgs.cli.options.scene import check_there
     from clgs.cli.options.view import name_known_data
 
+    if args.data is None:
+        check_there(args.scene)
     if args.up is None:
         name_known_data(args)
     check_path(args)

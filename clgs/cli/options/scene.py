@@ -27,11 +27,20 @@ def read_scene(path: Path) -> tuple[QuantizedScene, int | None]:
     """
     if path.is_dir():
         return read_run(path)
-    if not path.exists():
-        raise DataError(f"{path}: no such file or folder; name a run folder or a .clgs file")
+    check_there(path)
     if path.suffix.lower() == ".npz":
         return load_scene(path), None
     return read_bitstream(path)
+
+
+def check_there(path: Path) -> None:
+    """See that there is something at ``path``.
+
+    Raises:
+        DataError: there is nothing.
+    """
+    if not path.exists():
+        raise DataError(f"{path}: no such file or folder; name a run folder or a .clgs file")
 
 
 def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
