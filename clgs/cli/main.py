@@ -81,6 +81,19 @@ def build_parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command that ``argv`` names (default: the process's arguments); its exit code."""
     try:
+        return run_command(argv)
+    except KeyboardInterrupt as error:
+        print(f"clgs: interrupted{error}", file=sys.stderr)  # a command may say how to go on
+        return 130
+
+
+def run_command(argv: Sequence[str] | None = None) -> int:
+    """As :func:`main`, as a part of another command.
+
+    Raises:
+        KeyboardInterrupt: it was interrupted; the other command says so.
+    """
+    try:
         with _terminations_interrupt(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
             code = _run(argv)
@@ -90,9 +103,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader went away, as in `clgs devices | head -1`: keep Python from complaining later.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except KeyboardInterrupt as error:
-        print(f"clgs: interrupted{error}", file=sys.stderr)  # a command may say how to go on
-        return 130
     except Exception as error:
         return _complain(error)
     return code

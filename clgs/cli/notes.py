@@ -1,9 +1,11 @@
-"""What is good to know while one waits, on the terminal."""
+"""What is told while one waits, on the terminal: notes, and each warning once."""
 
 from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 LOGGER = "clgs.notes"
 """As in clgs.opencl.device, which takes long to import."""
@@ -24,3 +26,24 @@ def show_notes() -> None:
         logger.addHandler(_Shown())
         logger.setLevel(logging.INFO)
         logger.propagate = False
+
+
+@contextmanager
+def warnings_once() -> Iterator[None]:
+    """Let each warning be shown once, although several commands in here give it."""
+    told: set[str] = set()
+
+    def is_new(record: logging.LogRecord) -> bool:
+        message = record.getMessage()
+        known = message in told
+        told.add(message)
+        return not known
+
+    handlers = logging.getLogger().handlers[:]
+    for handler in handlers:
+        handler.addFilter(is_new)
+    try:
+        yield
+    finally:
+        for handler in handlers:
+            handler.removeFilter(is_new)

@@ -56,6 +56,8 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(args: argparse.Namespace) -> int:
     """All stages; exit code 0, or that of the stage that failed."""
+    from clgs.cli.notes import warnings_once
     from clgs.cli.run.job import Job
 
-    return Job(args).run()
+    with warnings_once():
+        return Job(args).run()

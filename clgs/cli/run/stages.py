@@ -40,20 +40,16 @@ class Stages:
         Raises:
             KeyboardInterrupt: the command was interrupted.
         """
-        from clgs.cli.main import main
+        from clgs.cli.main import run_command
 
         command = [str(word) for word in words]
         print(f"\n[{name}] {shlex.join(['clgs', *command])}", flush=True)
         start = time.perf_counter()
         try:
-            code = main(command)
+            code = run_command(command)
         except SystemExit as error:  # of the parser
             code = int(error.code or 0)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
         self.seconds[name] = time.perf_counter() - start
-        if code == INTERRUPTED:
-            raise KeyboardInterrupt("; repeat the command with --resume to go on")
         return code
-
-
-INTERRUPTED = 130
-"""The exit code of a command that was interrupted."""

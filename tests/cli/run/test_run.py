@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -126,3 +129,25 @@ def test_failing_stage_passes_its_exit_code_on(tmp_path, capsys):
     assert caught.value.exit_code == 3
     assert "[decode] clgs decode" in capsys.readouterr().out
     assert list(stages.seconds) == ["decode"]
+
+
+def test_warning_and_interruption_are_told_once(tmp_path):
+    data = write_scene(tmp_path / "data", train=6, test=2)
+    next((data / "train").iterdir()).unlink()
+    command = [sys.executable, "-m", "clgs.cli.main", "run", str(data), "-o", str(tmp_path / "out")]
+    with subprocess.Popen(
+        [*command, "--steps", "1000000"],
+        stdout=subprocess.PIPE,
+        stderr=(tmp_path / "errors").open("w"),
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("[train]"):
+                break
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 130
+    told = (tmp_path / "errors").read_text()
+    assert told.count("1 of 8 photos are missing") == 1
+    assert told.count("interrupted") == 1
+    assert "repeat the command with --resume" in told
