@@ -13,7 +13,7 @@ from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.transforms import each_frame, parse_leniently
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, from_error, named
 from clgs.doctor.lenses import check_lenses
-from clgs.doctor.pictures import check_pictures
+from clgs.doctor.pictures import check_pictures, damaged
 from clgs.doctor.poses import check_poses
 from clgs.errors import DataError
 
@@ -74,11 +74,12 @@ def _unposed(root: Path, error: DataError) -> Examined:
     found = find_photos(root)
     if not found.photos:
         raise error
-    findings = [from_error(error)]
+    bad = damaged([photo.path for photo in found.photos])
+    findings = [from_error(error), *map(from_error, bad)]
     for line in found.lines():
         text = line.removeprefix(f"{found.root}: ")
         findings.append(Finding(NOTE, "", text, "nothing to do, if these are no photos of it"))
-    return Examined(f"{root}: {len(found.photos)} photos without poses", findings)
+    return Examined(f"{root}: {len(found.photos) - len(bad)} photos without poses", findings)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class _Looked:
 
     digest: bytes
     brightness: float
-    used: float
+    used: float = 1.0
 
 
 def check_pictures(photos: list[Photo], rendered: bool) -> Iterator[Finding]:
@@ -62,14 +63,30 @@ def check_pictures(photos: list[Photo], rendered: bool) -> Iterator[Finding]:
         yield from _exposure(sorted(whole))
 
 
+def damaged(paths: list[Path]) -> list[DataError]:
+    """What is wrong with each file that cannot be read as a picture; every one is decoded."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        looked = pool.map(_look_at, paths)
+        return [found for found in looked if isinstance(found, DataError)]
+
+
 def _look(photo: Photo) -> _Looked | DataError:
+    """As :func:`_look_at`, with the mask."""
+    found = _look_at(photo.path)
+    if isinstance(found, DataError) or photo.mask is None:
+        return found
     try:
-        with photo.path.open("rb") as file:
+        used = read_mask(photo.mask, (photo.lens.width, photo.lens.height)).mean()
+    except DataError as error:
+        return error
+    return replace(found, used=float(used))
+
+
+def _look_at(path: Path) -> _Looked | DataError:
+    try:
+        with path.open("rb") as file:
             digest = hashlib.file_digest(file, "blake2b").digest()
-        used = 1.0
-        if photo.mask:
-            used = float(read_mask(photo.mask, (photo.lens.width, photo.lens.height)).mean())
-        with open_image(photo.path) as picture:
+        with open_image(path) as picture:
             if picture.mode == "RGB":
                 picture.draft("RGB", (_THUMBNAIL, _THUMBNAIL))
             picture.load()
@@ -77,14 +94,14 @@ def _look(photo: Photo) -> _Looked | DataError:
             small = picture.resize((_THUMBNAIL, _THUMBNAIL), reducing_gap=2.0)
             levels = np.asarray(small if deep else small.convert("RGBA"), np.float64)
     except OSError as error:
-        return DataError(f"{photo.path}: {error.strerror or error}; replace it")
+        return DataError(f"{path}: {error.strerror or error}; replace it")
     except DataError as error:
         return error
     if deep:
-        return _Looked(digest, max(float(levels.mean()) / 65535, 1e-3), used)
+        return _Looked(digest, max(float(levels.mean()) / 65535, 1e-3))
     weight = np.maximum(levels[..., 3], 1e-9)
     brightness = float((levels[..., :3].mean(axis=2) * weight).sum() / weight.sum()) / 255
-    return _Looked(digest, max(brightness, 1e-3), used)
+    return _Looked(digest, max(brightness, 1e-3))
 
 
 def _sizes(photos: list[Photo]) -> Iterator[Finding]:

@@ -188,6 +188,18 @@ def test_photos_alone_and_nothing_at_all(tmp_path: Path, capsys):
     assert "-> " in capsys.readouterr().out
 
 
+def test_damaged_photos_alone_are_named_and_not_counted(tmp_path: Path):
+    for seed, name in enumerate("abc"):
+        Image.fromarray(noise_image(64, 64, seed)).save(tmp_path / f"{name}.png")
+    whole = (tmp_path / "b.png").read_bytes()
+    (tmp_path / "b.png").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "d.jpg").write_bytes(b"no picture")
+    found = examine(tmp_path)
+    assert found.summary.endswith(": 2 photos without poses")
+    errors = " ".join(one.problem for one in found.findings if one.level == ERROR)
+    assert [name in errors for name in ("a.png", "b.png", "c.png", "d.jpg")] == [0, 1, 0, 1]
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"frames": [1]}', '{"frames": "x"}', "{" * 9999])
 def test_files_that_are_none(tmp_path: Path, text: str):
     (tmp_path / "transforms.json").write_text(text)
