@@ -40,6 +40,12 @@ LAMBDA_POWER = 0.55
 pictures and smaller files.
 """
 
+
+def default_lambda(kind: str, steps: int) -> float:
+    """Of a run of ``steps`` on a kind of data set, see :meth:`TrainConfig.for_dataset`."""
+    return LAMBDA[kind == BLENDER] * float((steps / LAMBDA_STEPS) ** LAMBDA_POWER)
+
+
 LEAST_TARGET = {"quantized": 13_000, "float32": 50_000}
 """Bytes of the smallest file that may be asked for: the MLPs take most of it."""
 
@@ -177,7 +183,7 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         position_q = self.position_q or _paper_position_q(self.preset, synthetic) or 1.0 / voxel
         price = self.size_lambda
         if price is None:
-            price = LAMBDA[synthetic] * (self.steps / LAMBDA_STEPS) ** LAMBDA_POWER
+            price = default_lambda(kind, self.steps)
         return replace(
             self,
             voxel=voxel,

@@ -110,7 +110,8 @@ def _cheapest(exact: Floats, weight: Floats, nat: float, law: LaplaceLaw) -> Flo
 def best_scale(values: npt.NDArray[np.float32], curvature: Floats, price: float) -> float:
     """The integers per unit with the least sum of loss and bits, a power of 2^(1/4).
 
-    Arguments as for :func:`cheaper_integers`. The sum has one minimum, and is followed down to it.
+    Arguments as for :func:`cheaper_integers`. The sum may have several minima: powers
+    of 2 are tried first, then those around the best of them.
     """
     step = max(1, len(values) // SAMPLED)
     flat = values.reshape(len(values), -1)[::step].astype(np.float64)
@@ -122,8 +123,7 @@ def best_scale(values: npt.NDArray[np.float32], curvature: Floats, price: float)
         nats = LaplaceLaw.of(integers).nats(integers)
         return float((weight * np.square(integers / q - flat) + nat * nats).sum())
 
-    power, best = 0, cost(0)
-    for direction in (1, -1):
-        while LEAST_POWER < power < MOST_POWER and (trial := cost(power + direction)) < best:
-            power, best = power + direction, trial
-    return float(2.0 ** (power / SCALES_PER_OCTAVE))
+    octave = min(range(LEAST_POWER, MOST_POWER + 1, SCALES_PER_OCTAVE), key=cost)
+    first, last = octave - SCALES_PER_OCTAVE + 1, octave + SCALES_PER_OCTAVE
+    near = range(max(first, LEAST_POWER), min(last, MOST_POWER + 1))
+    return float(2.0 ** (min(near, key=cost) / SCALES_PER_OCTAVE))

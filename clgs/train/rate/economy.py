@@ -19,7 +19,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -29,6 +30,7 @@ import numpy.typing as npt
 
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.data.dataset import Dataset
+from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import loss
 from clgs.render.frame import DeviceScene
@@ -36,14 +38,25 @@ from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
+from clgs.train.config.settings import default_lambda
 from clgs.train.density.densifier import Densifier
 from clgs.train.density.grow_and_prune import TrainState, keep_rows
 from clgs.train.quality.importance import Sensitivity
 from clgs.train.quality.rate_control import spread
 from clgs.train.rate.judgement import Judge, Judgement
-from clgs.train.rate.plan import MOST, Measure, Situation, carry_out, plan_at, plan_for_size
+from clgs.train.rate.plan import (
+    MOST,
+    Measure,
+    Plan,
+    Situation,
+    carry_out,
+    plan_at,
+    plan_for_size,
+    plan_within,
+)
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 from clgs.train.step.queue import StepQueue
+from clgs.train.step.rounding import rounded_anchors
 
 ROUNDS = 10
 
@@ -67,6 +80,12 @@ VIEWS = 48
 ANCHOR_BITS = 223.4
 """Bits of an anchor of the paper, a mean: with it anchors stand for bytes when the price is set."""
 
+MOST_LOSS = 1.35
+"""Times the loss of the finest integers, the loss after the first round at most; to a power if
+lambda is more than the default. What a price costs is estimated from small changes of single
+values, and pictures that fit badly seem to allow large changes of many.
+"""
+
 SPARE = 0.995
 """Share of the size asked for that is aimed at: the MLPs still change."""
 
@@ -84,6 +103,14 @@ class Round:
     price: float
 
 
+@dataclass(frozen=True)
+class Trials:
+    """What is tried of a plan: the bytes of its file, and the loss of its pictures."""
+
+    size: Measure
+    loss: Callable[[Plan], float]
+
+
 class Economy:
     """The rounds of one run."""
 
@@ -96,6 +123,8 @@ class Economy:
         rounds = min(max(rounds, LEAST_ROUNDS), ROUNDS)
         moments = np.linspace(config.switch_step, last, rounds)
         self._lambda = config.size_lambda or 0.0
+        usual = default_lambda(dataset.kind, config.steps)
+        self._most_loss = MOST_LOSS ** max(1.0, self._lambda / usual)
         active = self._lambda > 0 or config.target_size > 0
         thinned = [share * config.switch_step for share in THINNED]
         if config.switch_step < ROUND_STEPS:
@@ -121,7 +150,7 @@ class Economy:
         judge = self._judge(settings, queue, step)
         scene = queue.seen(parameters, step + (step > self._config.switch_step))
         found = self._look(judge, scene, step)
-        judged = judge.judge(scene, found)
+        judged, drawn = judge.judge(scene, found), scene.weights
         del scene
         self._device.release_unused()
         state = densifier.download(parameters)
@@ -129,16 +158,19 @@ class Economy:
             done = self._thin(state, judged, step)
         else:
             weights = Mlps(self._device.download(queue.final_weights(parameters)))
-            measure = partial(self._size, weights=weights, settings=settings)
+            trials = Trials(
+                partial(self._size, weights=weights, settings=settings),
+                partial(self._loss, judge, drawn, state),
+            )
             done, kept = self._economise(
-                Situation(state, judged, queue.scales), queue, measure, step
+                Situation(state, judged, queue.scales), queue, trials, step
             )
             self._found = found.rows(kept)
         _log.info("%s, %s, loss %.5f", done, queue.scales, judged.loss)
         return densifier.replaced(parameters, state), done
 
     def _economise(
-        self, now: Situation, queue: StepQueue, measure: Measure, step: int
+        self, now: Situation, queue: StepQueue, trials: Trials, step: int
     ) -> tuple[Round, npt.NDArray[np.bool_]]:
         """Change ``now.state`` to what is worth its bytes; which anchors (A,) are kept."""
         config, before = self._config, len(now.state.anchors)
@@ -146,7 +178,9 @@ class Economy:
             now = replace(now, free=self._free())
             queue.rate.price = self._price(now.judged, before)
         if config.target_size:
-            plan = plan_for_size(int(SPARE * config.target_size), now, measure)
+            plan = plan_for_size(int(SPARE * config.target_size), now, trials.size)
+        elif step == config.switch_step:
+            plan = plan_within(self._most_loss, queue.rate.price, now, trials.loss)
         else:
             plan = plan_at(queue.rate.price, now)
         queue.rate.price, queue.rate.scales = plan.price, plan.scales
@@ -205,6 +239,13 @@ class Economy:
         """Bytes of the file of ``anchors``."""
         anchors, transform = sort_anchors(anchors), self._dataset.transform
         return len(encode(QuantizedScene(anchors, weights, scales, settings, transform)))
+
+    def _loss(self, judge: Judge, weights: DeviceArray, state: TrainState, plan: Plan) -> float:
+        """Of the pictures, if ``plan`` were carried out on ``state``."""
+        trial = deepcopy(state)
+        carry_out(plan, trial, MOST)
+        anchors = rounded_anchors(self._device, trial.anchors.map(self._device.upload), plan.scales)
+        return judge.compare(DeviceScene(anchors, weights))[0]
 
     def _judge(self, settings: RenderSettings, queue: StepQueue, step: int) -> Judge:
         views, config = self._dataset.train, self._config

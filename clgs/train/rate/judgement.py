@@ -70,7 +70,7 @@ class Judge:
 
     def judge(self, scene: DeviceScene, found: Sensitivity) -> Judgement:
         """The anchors of ``scene``, by what :meth:`look` found of them."""
-        mean_loss, squared_error = self._compare(scene)
+        mean_loss, squared_error = self.compare(scene)
         worth = 0.5 * mean_loss / squared_error
         importance = found.importance.astype(np.float64) * worth
         curvature = {n: array.astype(np.float64) * worth for n, array in found.curvature.items()}
@@ -80,7 +80,7 @@ class Judge:
                 array[~found.seen] = array[found.seen].mean(axis=0)
         return Judgement(mean_loss, importance, curvature)
 
-    def _compare(self, scene: DeviceScene) -> tuple[float, float]:
+    def compare(self, scene: DeviceScene) -> tuple[float, float]:
         """Loss and squared error of a view, means over some of them."""
         device, losses, errors = self.device, [], []
         for view in self.views[:: -(-len(self.views) // COMPARED)]:

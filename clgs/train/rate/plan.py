@@ -27,6 +27,9 @@ LEAST_PRICE, MOST_PRICE = 1e-15, 1e-3
 
 PRICE_STEPS = 16
 
+CHEAPER = 0.5
+"""Times the price is the next that is tried."""
+
 Measure = Callable[[QuantizedAnchors, QuantizationScales], int]
 """Bytes of the file of some anchors."""
 
@@ -71,6 +74,17 @@ def plan_at(price: float, now: Situation) -> Plan:
     cells = position_integers(anchors.position, scales.position).astype(np.int32)
     planned = QuantizedAnchors(position=cells, **integers)
     return Plan(price, planned, scales, now.judged.importance / anchor_bits(planned))
+
+
+def plan_within(most: float, price: float, now: Situation, loss: Callable[[Plan], float]) -> Plan:
+    """What ``price`` leaves, or a lower one, so that ``loss`` is at most ``most`` times the least.
+
+    The least is that of the finest integers.
+    """
+    limit = most * loss(plan_at(LEAST_PRICE, now))
+    while loss(plan := plan_at(price, now)) > limit and price > LEAST_PRICE:
+        price *= CHEAPER
+    return plan
 
 
 def plan_for_size(size: int, now: Situation, measure: Measure) -> Plan:

@@ -90,6 +90,13 @@ def test_the_best_scale_is_no_worse_than_any_other(price: float, rng: np.random.
     assert cost(found) <= 1.0001 * min(map(cost, tried))
 
 
+def test_values_near_integers_do_not_hold_the_scale_at_one(rng: np.random.Generator) -> None:
+    # At one integer per unit all share one integer; a little finer, they all lie between two.
+    values = (rng.uniform(-0.05, 0.05, (500, 6)) - 4.0).astype(np.float32)
+    curvature = np.full(values.shape, 1.0)
+    assert best_scale(values, curvature, 1e-6) >= 32.0
+
+
 def test_dearer_bits_make_coarser_scales(rng: np.random.Generator) -> None:
     values = rng.laplace(0.0, 1.5, (500, 4)).astype(np.float32)
     curvature = np.full(values.shape, 1e-4)

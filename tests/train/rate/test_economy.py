@@ -9,10 +9,12 @@ import pytest
 
 from clgs.codec.scene_encoder import encode
 from clgs.train.config import preset
+from clgs.train.rate import economy
 from clgs.train.rate.economy import ANCHOR_BITS, LEAST_ROUNDS, ROUNDS, THINNED, Economy
 from clgs.train.run.session import train_scene
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.resume import load_checkpoint, save_checkpoint
+from clgs.train.step.rounding import rounded_anchors
 
 STEPS = 120
 
@@ -54,6 +56,30 @@ def test_lambda_trades_size_for_quality(cpu, dataset, untouched):
     ended = [one for one in small.rounds if one.step > small.config.prune_end]
     assert ended
     assert all(one.before == one.after for one in ended)
+
+
+def first_round(cpu, dataset, most: float, monkeypatch) -> tuple[float, float]:
+    """Its price, and the loss after it, if that may be ``most`` times that of finest integers."""
+    monkeypatch.setattr(economy, "MOST_LOSS", most)
+    trainer = Trainer(cpu, dataset, config(dataset))
+    step = trainer.config.switch_step
+    list(trainer.steps(step))
+    trainer._align_positions()
+    rounds, queue, settings = trainer.economy, trainer.queue, trainer.settings
+    drawn, judge = queue.seen(trainer.parameters, step), rounds._judge(settings, queue, step)
+    after, done = rounds.round(trainer.parameters, queue, trainer.densifier, settings, step)
+    rounded = rounded_anchors(cpu, after.scene.anchors, queue.scales)
+    return done.price, judge.compare(replace(drawn, anchors=rounded))[0]
+
+
+def test_the_first_round_loses_no_more_than_is_allowed(cpu, dataset, monkeypatch):
+    price, whole = first_round(cpu, dataset, 10.0, monkeypatch)
+    _, least = first_round(cpu, dataset, 0.0, monkeypatch)
+    most = 0.5 * (1.0 + whole / least)
+    assert most > 1.001
+    lower, less = first_round(cpu, dataset, most, monkeypatch)
+    assert lower < price
+    assert less <= most * least
 
 
 def test_long_runs_have_more_rounds(cpu, dataset):

@@ -10,7 +10,15 @@ from clgs.errors import ClgsError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.train.density.grow_and_prune import TrainState
 from clgs.train.rate.judgement import Judgement
-from clgs.train.rate.plan import Situation, carry_out, plan_at, plan_for_size
+from clgs.train.rate.plan import (
+    LEAST_PRICE,
+    Plan,
+    Situation,
+    carry_out,
+    plan_at,
+    plan_for_size,
+    plan_within,
+)
 from tests.train.density.density_cases import state_at
 
 COUNT = 40
@@ -67,6 +75,22 @@ def test_only_free_scales_change(now: Situation) -> None:
     plan = plan_at(1e-6, free)
     assert plan.scales.feature != SCALES.feature
     assert (plan.scales.offset, plan.scales.scaling) == (SCALES.offset, SCALES.scaling)
+
+
+def test_a_price_that_loses_too_much_is_lowered(now: Situation) -> None:
+    tried = []
+
+    def loss(plan: Plan) -> float:
+        tried.append(plan.price)
+        return max(plan.price, 1e-8)
+
+    plan = plan_within(30.0, 1e-6, now, loss)
+    assert tried == [LEAST_PRICE, 1e-6, 5e-7, 2.5e-7]
+    for name in ("offset", "feature", "scaling"):
+        wanted = getattr(plan_at(2.5e-7, now).integers, name)
+        np.testing.assert_array_equal(getattr(plan.integers, name), wanted)
+    assert plan_within(100.0, 1e-6, now, loss).price == 1e-6
+    assert 0 < plan_within(0.5, 1e-6, now, loss).price <= LEAST_PRICE
 
 
 @pytest.mark.parametrize("share", [0.9, 0.5, 0.2])
