@@ -8,14 +8,23 @@ import os
 import shlex
 import shutil
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clgs.cli.run.duration import in_words
-from clgs.cli.run.plan import Photos, Plan, Speed, fit_speed, make_plan, must_hurry, prepare_seconds
+from clgs.cli.run.plan import (
+    Photos,
+    Plan,
+    Speed,
+    fit_speed,
+    frames_within,
+    make_plan,
+    must_hurry,
+    prepare_seconds,
+)
 from clgs.cli.run.source import PLAN, Source, find_source, measure_data
 from clgs.cli.run.stages import Stages
 from clgs.cli.run.summary import print_box
@@ -32,7 +41,7 @@ CLIP_FRAMES = 120
 TYPICAL_GAUSSIANS = 50_000
 """Gaussians of the synthetic scene that the speed is measured on."""
 
-EDGES = (160, 480)
+EDGES = (160, 960)
 """Pixels of its pictures' edges."""
 
 REPEATS = 12
@@ -52,7 +61,7 @@ class Job:
         """All stages; the exit code: that of the last of the exports that failed, if one did."""
         check_folder(self._out)
         record = self._record()
-        source = find_source(self._args.input)
+        source = self._shortened(find_source(self._args.input))
         self._check_record(record, source)
         settings: dict[str, Any] = record.get("settings", {})
         if not settings:
@@ -69,6 +78,13 @@ class Job:
         failed = self._exports()
         self._report(source, settings)
         return failed
+
+    def _shortened(self, source: Source) -> Source:
+        """With as many frames as the time allows, of a video."""
+        if not source.video:
+            return source
+        count = frames_within(os.cpu_count() or 1, self._args.time)
+        return replace(source, photos=replace(source.photos, count=count))
 
     @cached_property
     def _device(self) -> Device:
@@ -174,6 +190,8 @@ class Job:
             options = ["--seed", str(self._args.seed or 0)]
             if must_hurry(source.photos.count, os.cpu_count() or 1, self._args.time):
                 options.append("--quick")
+            if source.video:
+                options += ["--frames", str(source.photos.count)]
             self._stages.run("prepare", "prepare", source.path, "-o", data, *options)
         return data
 
@@ -247,7 +265,7 @@ class Job:
 def _tell(source: Source, plan: Plan, device: str, hurry: bool, allowed: float) -> None:
     """Print the plan."""
     photos = source.photos
-    kind = "data set" if source.posed else "photos"
+    kind = "data set" if source.posed else "frames" if source.video else "photos"
     print(f"{source.path}: {kind}, {photos.count} of {photos.width} x {photos.height} pixels")
     if not source.posed:
         tested = "not tested, for lack of time" if hurry else "tested by a second reconstruction"

@@ -27,8 +27,16 @@ MOST_PAIRS = 40
 POSES_SHARE = 0.45
 """Poses are tested by a second reconstruction if finding them then takes no larger share."""
 
+FRAMES = (100, 80, 60, 50, 40, 30)
+"""Frames of a video: the most whose poses take no larger share without that test."""
+
 ROUNDS = 1.3
 """A step of a whole run takes so many times that of a quiet stream: rounds, growth, reading."""
+
+DEEPER = 4.0
+"""A pixel of a photo takes so many times one of the synthetic scene: more Gaussians lie one behind
+the other.
+"""
 
 LATER_STEPS = 650
 """Baking and the clip take as long as so many steps; all else that follows LATER_SECONDS."""
@@ -79,11 +87,14 @@ class Plan:
 
 
 def fit_speed(measure: Callable[[int], float], edges: tuple[int, int]) -> Speed:
-    """The line through the seconds of a step at two square pictures of ``edges`` pixels."""
+    """The line through the seconds of a step at two square pictures of ``edges`` pixels.
+
+    ``measure`` is of the synthetic scene; pixels of photos take longer.
+    """
     small, large = edges
     first, second = measure(small), measure(large)
     pixel = max(0.0, second - first) / (large**2 - small**2)
-    return Speed(max(1e-4, first - pixel * small**2), pixel)
+    return Speed(max(1e-4, first - pixel * small**2), DEEPER * pixel)
 
 
 def prepare_seconds(count: int, cores: int, quick: bool) -> float:
@@ -96,6 +107,12 @@ def prepare_seconds(count: int, cores: int, quick: bool) -> float:
 def must_hurry(count: int, cores: int, seconds: float) -> bool:
     """Whether ``seconds`` for everything leave no time for tests of the poses."""
     return prepare_seconds(count, cores, quick=False) > POSES_SHARE * seconds
+
+
+def frames_within(cores: int, seconds: float) -> int:
+    """Frames of a video that leave time for the rest, if ``seconds`` are for everything."""
+    fitting = (n for n in FRAMES if prepare_seconds(n, cores, quick=True) <= POSES_SHARE * seconds)
+    return next(fitting, FRAMES[-1])
 
 
 def make_plan(

@@ -17,13 +17,14 @@ class Source:
     """What a run begins with.
 
     path: as named; posed: whether it is a data set, so that no poses have to be found; pointless:
-    a data set without points, which are found before training.
+    a data set without points, which are found before training; video: the photos are its frames.
     """
 
     path: Path
     posed: bool
     photos: Photos
     pointless: bool = False
+    video: bool = False
 
 
 def find_source(path: Path) -> Source:
@@ -39,7 +40,7 @@ def find_source(path: Path) -> Source:
     if path.is_dir() and _is_data(path):
         pointless = (path / "transforms.json").is_file()
         return Source(path, True, measure_data(path), pointless)
-    return Source(path, False, _measure_photos(path))
+    return _measure_photos(path)
 
 
 def measure_data(folder: Path) -> Photos:
@@ -60,12 +61,12 @@ def _is_data(folder: Path) -> bool:
     return any((folder / name).is_file() for name in named) or find_model(folder) is not None
 
 
-def _measure_photos(path: Path) -> Photos:
+def _measure_photos(path: Path) -> Source:
     from clgs.data.images import image_size
     from clgs.data.photos.bring_in import find_source as find_photos
     from clgs.data.photos.video import frame_size
 
     found = find_photos(path)
     if found.collection is None:
-        return Photos(found.frames, *frame_size(path))
-    return Photos(len(found.files), *image_size(found.files[0]))
+        return Source(path, False, Photos(found.frames, *frame_size(path)), video=True)
+    return Source(path, False, Photos(len(found.files), *image_size(found.files[0])))

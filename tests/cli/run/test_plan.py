@@ -11,15 +11,19 @@ from hypothesis import strategies as st
 
 from clgs.cli.run.duration import duration, in_words
 from clgs.cli.run.plan import (
+    DEEPER,
     ENOUGH_STEPS,
+    FRAMES,
     LATER_SECONDS,
     LATER_STEPS,
     LEAST_STEPS,
     MOST_STEPS,
+    POSES_SHARE,
     SIZES,
     Photos,
     Speed,
     fit_speed,
+    frames_within,
     make_plan,
     must_hurry,
     prepare_seconds,
@@ -67,7 +71,8 @@ def test_small_photos_are_not_enlarged():
 
 
 def test_speed_is_the_line_through_two_pictures():
-    found = fit_speed(lambda edge: SPEED.step(edge**2), (100, 300))
+    synthetic = Speed(SPEED.fixed, SPEED.pixel / DEEPER)
+    found = fit_speed(lambda edge: synthetic.step(edge**2), (100, 300))
     assert found.fixed == pytest.approx(SPEED.fixed)
     assert found.pixel == pytest.approx(SPEED.pixel)
 
@@ -105,3 +110,12 @@ def test_no_times_are_refused(text):
 
 def test_times_are_told_in_fitting_units():
     assert [in_words(s) for s in (45, 150, 7200)] == ["45 s", "2.5 min", "2.0 h"]
+
+
+@given(st.floats(20, 1e5), st.integers(1, 64))
+def test_frames_leave_time_for_the_rest(seconds, cores):
+    count = frames_within(cores, seconds)
+    share = POSES_SHARE * seconds
+    assert count == FRAMES[-1] or prepare_seconds(count, cores, quick=True) <= share
+    more = [n for n in FRAMES if n > count]
+    assert all(prepare_seconds(n, cores, quick=True) > share for n in more)

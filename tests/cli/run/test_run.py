@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -10,6 +11,8 @@ import sys
 import pytest
 
 from clgs.cli import main as cli
+from clgs.cli.run.duration import duration
+from clgs.cli.run.plan import FRAMES, frames_within
 from clgs.cli.run.stages import Stages
 from tests.small_scene import write_scene
 
@@ -37,6 +40,21 @@ def test_plan_alone_writes_nothing(data, tmp_path, capsys):
     assert "8 of 40 x 40 pixels" in printed
     assert "30 steps on photos at most 40 wide" in printed
     assert not (tmp_path / "out").exists()
+
+
+def test_plan_takes_as_many_frames_of_a_video_as_the_time_allows(tmp_path, capsys):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    clip = tmp_path / "clip.mp4"
+    writer = imageio_ffmpeg.write_frames(str(clip), (96, 64), fps=10)
+    writer.send(None)
+    writer.send(bytes(96 * 64 * 3))
+    writer.close()
+    for allowed in ("1m", "2h"):
+        words = ["run", str(clip), "-o", str(tmp_path / "out"), "--plan", "--time", allowed]
+        assert cli.main(words) == 0
+        frames = frames_within(os.cpu_count() or 1, duration(allowed))
+        assert f"frames, {frames} of 96 x 64 pixels" in capsys.readouterr().out
+    assert frames == FRAMES[0]
 
 
 def test_everything_is_there(finished):
