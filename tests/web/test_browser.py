@@ -99,6 +99,61 @@ def test_a_file_given_to_the_viewer_is_shown(browser, scene, tmp_path):
     assert browser.errors == []
 
 
+@pytest.fixture
+def page_of_scene(browser, scene, tmp_path):
+    """The browser with the scene's page, 400 x 400 pixels, and a screen that feels fingers."""
+    file = tmp_path / "scene.html"
+    file.write_bytes(page.scene_page(scene[0], "scene"))
+    browser.open(file, 400, 400)
+    browser.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+    browser.wait("window.clgs && clgs.state().ready")
+    return browser
+
+
+def touch(browser, *moments):
+    """Fingers on the screen at each moment: their places, in the same order; then none."""
+    for number, places in enumerate(moments):
+        points = [{"x": x, "y": y, "id": finger} for finger, (x, y) in enumerate(places)]
+        kind = "touchMove" if number else "touchStart"
+        browser.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+    browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+
+def test_one_finger_turns_and_two_pinch(page_of_scene):
+    browser, before = page_of_scene, page_of_scene.value("clgs.state()")
+    touch(browser, [(200, 200)], [(220, 200)], [(240, 190)])
+    # three radians per width of the window, once the motion has settled
+    turned = browser.wait("clgs.state()", lambda s: abs(s["yaw"] - before["yaw"] + 0.3) < 0.01)
+    assert turned["pitch"] == pytest.approx(before["pitch"] - 3 * 10 / 400, abs=0.01)
+    assert turned["distance"] == pytest.approx(before["distance"], rel=1e-3)
+    touch(browser, [(150, 200), (250, 200)], [(125, 200), (275, 200)], [(100, 200), (300, 200)])
+    near = turned["distance"] / 2
+    pinched = browser.wait("clgs.state()", lambda s: abs(s["distance"] / near - 1) < 0.01)
+    assert pinched["yaw"] == pytest.approx(turned["yaw"], abs=0.01)
+    assert browser.errors == []
+
+
+def test_the_mouse_turns_and_zooms_and_keys_walk(page_of_scene):
+    browser, before = page_of_scene, page_of_scene.value("clgs.state()")
+
+    def mouse(kind, x, y, **more):
+        browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
+
+    mouse("mousePressed", 100, 100, button="left", buttons=1, clickCount=1)
+    mouse("mouseMoved", 140, 100, button="left", buttons=1)
+    mouse("mouseReleased", 140, 100, button="left", clickCount=1)
+    browser.wait("clgs.state()", lambda s: abs(s["yaw"] - before["yaw"] + 0.3) < 0.01)
+    mouse("mouseWheel", 200, 200, deltaX=0, deltaY=-100)
+    near = before["distance"] * np.exp(-0.12)
+    browser.wait("clgs.state()", lambda s: abs(s["distance"] / near - 1) < 0.01)
+    browser.call("Input.dispatchKeyEvent", type="keyDown", code="KeyW", key="w")
+    browser.wait(
+        "clgs.state()", lambda s: np.linalg.norm(np.subtract(s["target"], before["target"])) > 0.05
+    )
+    browser.call("Input.dispatchKeyEvent", type="keyUp", code="KeyW", key="w")
+    assert browser.errors == []
+
+
 def test_colors_are_shown_as_they_are(browser, tmp_path):
     file = tmp_path / "wall.html"
     file.write_bytes(page.scene_page(pack(grey_wall()), "wall"))

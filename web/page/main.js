@@ -199,6 +199,8 @@ window.clgs = {
     hash: viewer.scene?.hash, expectedHash: viewer.scene?.expectedHash,
     frames: viewer.renderer?.frames, updates: viewer.updates, gaussians: viewer.renderer?.count,
     width: canvas.width, height: canvas.height,
+    yaw: viewer.camera?.yaw, pitch: viewer.camera?.pitch, distance: viewer.camera?.distance,
+    target: viewer.camera?.target,
   }),
 };
 
