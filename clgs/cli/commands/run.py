@@ -59,5 +59,8 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.notes import warnings_once
     from clgs.cli.run.job import Job
 
-    with warnings_once():
-        return Job(args).run()
+    try:
+        with warnings_once():
+            return Job(args).run()
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("; repeat the command with --resume to go on") from None

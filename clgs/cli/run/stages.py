@@ -49,7 +49,5 @@ class Stages:
             code = run_command(command)
         except SystemExit as error:  # of the parser
             code = int(error.code or 0)
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
         self.seconds[name] = time.perf_counter() - start
         return code

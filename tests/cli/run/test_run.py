@@ -149,7 +149,8 @@ def test_failing_stage_passes_its_exit_code_on(tmp_path, capsys):
     assert list(stages.seconds) == ["decode"]
 
 
-def test_warning_and_interruption_are_told_once(tmp_path):
+@pytest.mark.parametrize("instant", ["[train]", ""], ids=["training", "plan"])
+def test_warning_and_interruption_are_told_once(tmp_path, instant):
     data = write_scene(tmp_path / "data", train=6, test=2)
     next((data / "train").iterdir()).unlink()
     command = [sys.executable, "-m", "clgs.cli.main", "run", str(data), "-o", str(tmp_path / "out")]
