@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,7 +49,7 @@ def register(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="fewer features, one mapper, poses not tested by a second reconstruction",
+        help="fewer features, one mapper, poses not tested",
     )
     add_overwrite(parser, "DATA if an earlier run of this command made it (default: refuse)")
     parser.set_defaults(run=run)
@@ -70,10 +71,18 @@ def run(args: argparse.Namespace) -> int:
             overwrite=args.overwrite,
             quick=args.quick,
             frames=args.frames,
+            training=None if args.quick else _short_training,
         )
     write_poses_page(args.output / PAGE, args.output, verdict)
     _print_verdict(args.output, verdict, time.perf_counter() - start)
     return 0
+
+
+def _short_training(data: Path, on_step: Callable[[int, int], None]) -> dict[str, float]:
+    from clgs.opencl.device import Device
+    from clgs.train.quality.pose_check import check_poses
+
+    return check_poses(data, Device(), on_step)
 
 
 def _print_verdict(output: Path, verdict: Verdict, seconds: float) -> None:

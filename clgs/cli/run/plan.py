@@ -16,7 +16,7 @@ MOST_STEPS = 30_000
 LEAST_STEPS = 300
 """Fewer give nothing that is worth looking at."""
 
-FEATURE_SECONDS, PAIR_SECONDS = {True: 1.5, False: 2.5}, {True: 0.12, False: 0.5}
+FEATURE_SECONDS, PAIR_SECONDS = {True: 1.5, False: 3.0}, {True: 0.12, False: 0.5}
 """Of a core, per photo and per pair of photos; with `prepare --quick`, and without."""
 
 FIXED_SECONDS = 5.0

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-STAGES = ("read", "features", "matches", "poses", "second look", "check", "undistort")
+STAGES = (
+    *("read", "features", "matches", "poses", "second look", "check", "undistort"),
+    "training",
+)
 """Of a reconstruction, in their order; not all are needed by each."""
 
 OnProgress = Callable[[str, int, int], None]

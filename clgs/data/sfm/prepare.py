@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
+import logging
 import shutil
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from clgs.data.photos.bring_in import Source, bring_in, find_source
 from clgs.data.pycolmap_lazy import SEEDS
 from clgs.data.sfm.contact_sheet import contact_sheet
 from clgs.data.sfm.job import OnProgress
+from clgs.data.sfm.judging.training import with_training
 from clgs.data.sfm.judging.verdict import Verdict
 from clgs.data.sfm.leftovers import owned, remove_leftovers
 from clgs.data.sfm.mapper import reconstruct
-from clgs.errors import DataError, ExistsError, OutputError
+from clgs.errors import ClgsError, DataError, ExistsError, OutputError
 from clgs.files import atomic_folder, check_folder, is_full
 
 REPORT = "report.json"
@@ -21,6 +27,11 @@ REPORT = "report.json"
 
 CONTACT_SHEET = "contact_sheet.jpg"
 """All photos of the verdict, in its order; see clgs.data.sfm.contact_sheet."""
+
+ShortTraining = Callable[[Path, Callable[[int, int], None]], Mapping[str, float]]
+"""Of the data set in a folder, told of its progress: see clgs.train.quality.pose_check."""
+
+_log = logging.getLogger(__name__)
 
 
 def prepare(
@@ -31,6 +42,7 @@ def prepare(
     overwrite: bool = False,
     quick: bool = False,
     frames: int | None = None,
+    training: ShortTraining | None = None,
 ) -> Verdict:
     """Poses and points of the photos in and below ``photos``, or of a video, in ``output``.
 
@@ -47,6 +59,7 @@ def prepare(
         overwrite: ``output`` may replace what an earlier call made.
         quick: half the features, one mapper, and no second reconstruction that tests the poses.
         frames: taken of a video; default 100.
+        training: a short one, which tests whether every photo can be shown; without, none is made.
 
     Raises:
         DataError: too few or damaged photos, no reconstruction, no pycolmap.
@@ -63,6 +76,8 @@ def prepare(
         with atomic_folder(output, overwrite) as target:
             with owned(target / "work"):
                 verdict = _prepare(source, target, seed, quick, on_progress)
+                verdict = _trained(verdict, target, training, on_progress)
+                _write_report(verdict, target)
             shutil.rmtree(target / "work")
             return verdict
     except OutputError:
@@ -87,13 +102,31 @@ def _check_replaceable(output: Path, source: list[Path]) -> None:
 def _prepare(
     source: Source, target: Path, seed: int, quick: bool, on_progress: OnProgress
 ) -> Verdict:
-    images = target / "work" / "images"
     expected = source.frames or len(source.files)
     on_progress("read", 0, expected)
     bring_in(source, target / "work", lambda count: on_progress("read", count, expected))
-    verdict = reconstruct(target, seed % SEEDS, quick, on_progress)
+    return reconstruct(target, seed % SEEDS, quick, on_progress)
+
+
+def _trained(
+    verdict: Verdict, target: Path, training: ShortTraining | None, on_progress: OnProgress
+) -> Verdict:
+    """With what the short training says; it is a test, and none that fails spoils the poses."""
+    if training is None:
+        return verdict
+    start = time.perf_counter()
+    try:
+        found = training(target, partial(on_progress, "training"))
+    except ClgsError as error:
+        _log.warning("the poses are not tested by a short training: %s", error)
+        return verdict
+    seconds = {**verdict.seconds, "training": round(time.perf_counter() - start, 1)}
+    return replace(with_training(verdict, found), seconds=seconds)
+
+
+def _write_report(verdict: Verdict, target: Path) -> None:
+    images = target / "work" / "images"
     sheet = contact_sheet([images / photo.name for photo in verdict.photos])
     (target / CONTACT_SHEET).write_bytes(sheet)
     report = json.dumps(verdict.plain(), indent=1, allow_nan=False)
     (target / REPORT).write_text(report + "\n", encoding="utf-8")
-    return verdict

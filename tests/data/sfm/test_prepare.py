@@ -53,6 +53,7 @@ def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str
     line = capsys.readouterr().out.splitlines()
     assert "registered 9 of 9 photos" in line[0]
     assert line[1].startswith("sure: a second reconstruction")
+    assert line[1].endswith("a short training shows every photo")
     assert line[2:] == [str(output / "report.html")]
     made = ["contact_sheet.jpg", "images", "report.html", "report.json", "sparse"]
     assert sorted(path.name for path in output.iterdir()) == made
