@@ -101,14 +101,14 @@ class QuantizationScales:
     scaling: float = 8.0
 
 
+def rounded(values: npt.NDArray[np.float32], q: float) -> npt.NDArray[np.int32]:
+    """The integers of values at ``q`` integers per unit, rounded in float32 as the kernel does."""
+    return np.asarray(np.rint(values * np.float32(q)), np.int32)
+
+
 def quantize(anchors: AnchorSet, scales: QuantizationScales) -> QuantizedAnchors:
     """The integers of trained anchors, rounded in float32 as the kernel does; same row order."""
-    return Anchors(
-        *(
-            np.rint(array * np.float32(getattr(scales, name))).astype(np.int32)
-            for name, array in anchors.items()
-        )
-    )
+    return Anchors(*(rounded(array, getattr(scales, name)) for name, array in anchors.items()))
 
 
 def dequantize(anchors: QuantizedAnchors, scales: QuantizationScales) -> AnchorSet:

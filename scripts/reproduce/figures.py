@@ -88,23 +88,23 @@ def _curve_panels(
 
 
 def _proxy_panels(results: Results) -> list[Draw]:
-    """Bits of the file against bits that the proxy estimates, a panel a level of the encoder."""
+    """Bits of the file against bits that are estimated, a panel a level of the encoder."""
 
     def draw(panel: Any, level: str) -> None:
-        points = proxy_points(rows, "proxy_channel", level)
+        points = proxy_points(rows, "proxy_entropy", level)
         across, up = ([value / (8 * KILO) for value in axis] for axis in zip(*points, strict=True))
         panel.plot(across, up, "o", markersize=4, alpha=0.6)
         ends = [0.0, max(across)]
         panel.plot(ends, ends, ":", color="grey", label="equal")
-        if line := proxy_line(rows, "proxy_channel", level):
+        if line := proxy_line(rows, "proxy_entropy", level):
             fitted = [line.slope * x + line.intercept / (8 * KILO) for x in ends]
             name = f"slope {line.slope:.3f}, correlation {line.correlation:.4f}"
             panel.plot(ends, fitted, "-", label=name)
-        panel.set(xlabel="rate proxy, kilobytes", ylabel="file, kilobytes")
+        panel.set(xlabel="estimate by frequencies, kilobytes", ylabel="file, kilobytes")
         panel.set_title(f"attributes, level {level}", loc="left")
         panel.legend(frameon=False, fontsize=7)
 
-    rows = [row for row in results.rows() if row["bits"]["proxy_channel"]]
+    rows = [row for row in results.rows() if row["bits"]["proxy_entropy"]]
     return [lambda panel, level=level: draw(panel, level) for level in LEVELS] if rows else []
 
 

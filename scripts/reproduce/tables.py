@@ -8,7 +8,7 @@ from statistics import mean
 from typing import Any
 
 from reproduce.curves import Line
-from reproduce.measure import FORMS, LEVELS
+from reproduce.measure import ESTIMATES, LEVELS
 from reproduce.report_text import NOTES
 from reproduce.results import Comparison, Group, Results, proxy_line
 from reproduce.table import BASE
@@ -264,7 +264,7 @@ def _ablation_row(group: Group, base: Group | None) -> tuple[str, ...]:
 def proxy_records(results: Results) -> list[dict[str, Any]]:
     """The line through (bits estimated, bits written) over all runs, by proxy and level."""
     rows, found = results.rows(), []
-    for form in FORMS:
+    for form in ESTIMATES:
         for level in LEVELS:
             line: Line | None = proxy_line(rows, f"proxy_{form}", level)
             if line is not None:
@@ -286,8 +286,8 @@ def _proxy(results: Results, plots: dict[str, str]) -> list[str]:
     ]
     if not rows:
         return []
-    head = ("proxy", "level", "slope", "intercept, bytes", "correlation", "runs")
-    image = _image("Bytes of the attributes against the proxy's estimate", plots["proxy"])
+    head = ("estimate", "level", "slope", "intercept, bytes", "correlation", "runs")
+    image = _image("Bytes of the attributes against the estimate", plots["proxy"])
     return ["## Rate proxy against the file", NOTES["proxy"], image, table(head, rows)]
 
 

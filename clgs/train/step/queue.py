@@ -195,5 +195,5 @@ class StepQueue:
             return value, d_picture if used is None else mask.backward(device, d_picture, used)
 
     def estimated_bits(self, parameters: Parameters) -> float:
-        """Bits per anchor of the rounded attributes under the proxy's model."""
-        return self.rate.measure(parameters, 0).bits
+        """Bits per anchor of the rounded attributes, by the frequencies of each channel."""
+        return self.rate.estimated_bits(parameters)

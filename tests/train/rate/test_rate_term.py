@@ -8,9 +8,10 @@ import pytest
 from clgs.opencl.device import Device
 from clgs.reference.stages import rate as reference
 from clgs.render.frame import SceneGradients
-from clgs.scene.anchors import AnchorSet, QuantizationScales
+from clgs.scene.anchors import AnchorSet, QuantizationScales, quantize
 from clgs.scene.mlps import init_mlps
 from clgs.train.config import TrainConfig
+from clgs.train.rate.entropy import entropy_bits
 from clgs.train.rate.rate_term import PUSH, RateTerm
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters, new_parameters
 
@@ -118,3 +119,9 @@ def test_what_a_checkpoint_holds_is_enough(device: Device, parameters: Parameter
     mine, theirs = (added(device, one, parameters, 14) for one in (term, other))
     for name in ANCHOR_GROUPS:
         np.testing.assert_array_equal(mine[name], theirs[name])
+
+
+def test_size_that_is_shown_is_of_the_frequencies(device: Device, parameters: Parameters) -> None:
+    anchors = quantize(parameters.scene.anchors.map(device.download), SCALES)
+    wanted = sum(entropy_bits(getattr(anchors, name)) for name in ANCHOR_GROUPS) / COUNT
+    assert term_of(device, 0.0).estimated_bits(parameters) == pytest.approx(wanted)
