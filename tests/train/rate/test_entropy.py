@@ -18,8 +18,9 @@ def test_known_frequencies():
     assert entropy_bits(fair) == pytest.approx(4 + 4 * 0.8112781244591328)
 
 
-def test_bits_are_those_of_frequencies_in_random_integers(rng):
-    integers = rng.integers(-3, 4, (40, 5))
+@pytest.mark.parametrize("times", [1, 10**8], ids=["near", "far apart"])
+def test_bits_are_those_of_frequencies_in_random_integers(rng, times):
+    integers = times * rng.integers(-3, 4, (40, 5)).astype(np.int32)
     wanted = 0.0
     for channel in integers.T.tolist():
         for value in channel:
