@@ -52,6 +52,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "info": ("clgs info scene.clgs", "clgs info scene.clgs --json"),
     "selftest": ("clgs selftest", "clgs selftest --device 0 --verbose"),
     "bench": ("clgs bench step", "clgs bench ops --help"),
+    "accept": (
+        "clgs accept -o accept.json",
+        "clgs accept -o accept.json --device 1 --data DATA --downscale 8",
+    ),
     "conformance": (
         "clgs conformance -o here.json",
         "clgs conformance --check there.json",

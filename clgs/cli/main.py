@@ -41,6 +41,7 @@ COMMANDS = (
     "selftest",
     "bench",
     "conformance",
+    "accept",
 )
 """Each is a module of ``clgs.cli.commands`` with ``register(subparsers)`` and ``run(args)``."""
 

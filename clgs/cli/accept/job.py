@@ -1,0 +1,71 @@
+"""Runs the parts of `clgs accept` one after the other; what is done is on disk at once."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from clgs.bench.facts import host_facts
+from clgs.cli.accept.part import Outcome, Part, run_part
+from clgs.errors import DeviceError
+from clgs.train.run.session import write_json
+
+FORMAT = "clgs accept 1"
+KEPT = ("conformance", "selftest", "stages", "step", "large step", "first start", "second start")
+"""Parts whose figures go into the record, besides the line that is told."""
+
+
+def chosen_device(name: str | None, folder: Path) -> dict[str, Any]:
+    """What `clgs devices` says of the device of that number or name, or of the usual one.
+
+    Raises:
+        DeviceError: there is none, or asking for it crashed.
+    """
+    outcome = run_part(Part("devices", ("devices", "--json"), lambda folder: ""), folder)
+    if not outcome.passed:
+        raise DeviceError(f"`clgs devices`: {outcome.told}")
+    found = json.loads((folder / "devices.out").read_text())
+    for one in found:
+        if one["chosen"] if name is None else name in (str(one["index"]), one["name"]):
+            return dict(one)
+    matching = [one for one in found if name and name.lower() in one["name"].lower()]
+    if not matching:
+        raise DeviceError(f"no OpenCL device {name or 'is chosen'}; see `clgs devices`")
+    return dict(matching[0])
+
+
+def run_parts(
+    todo: list[Part], folder: Path, device: dict[str, Any], output: Path
+) -> list[Outcome]:
+    """Run all parts, each line as it is told; ``output`` has every part that ended."""
+    outcomes: list[Outcome] = []
+    for number, part in enumerate(todo, 1):
+        print(f"[{number}/{len(todo)}] {part.name} ...", file=sys.stderr, flush=True)
+        outcome = run_part(part, folder)
+        outcomes.append(outcome)
+        write_json(output, record(outcomes, folder, device))
+    return outcomes
+
+
+def record(outcomes: list[Outcome], folder: Path, device: dict[str, Any]) -> dict[str, Any]:
+    """Everything, ready for JSON; no path of this machine."""
+    return {
+        "format": FORMAT,
+        **host_facts(),
+        "device": device,
+        "parts": [_part(one, folder) for one in outcomes],
+    }
+
+
+def _part(outcome: Outcome, folder: Path) -> dict[str, Any]:
+    here = str(folder)
+    plain = asdict(outcome)
+    plain["words"] = [word.replace(here, "FOLDER") for word in outcome.words]
+    plain["printed"] = outcome.printed.replace(here, "FOLDER")
+    path = folder / f"{outcome.name}.json"
+    if outcome.name in KEPT and path.exists():
+        plain["figures"] = json.loads(path.read_text())
+    return plain
