@@ -71,6 +71,8 @@ def _unposed(root: Path, error: DataError) -> Examined:
     """Photos without poses: what ``clgs prepare`` would make of them."""
     if not root.is_dir():
         raise error
+    if (root / "plan.json").is_file() and (root / "data").is_dir():
+        raise DataError(f"{root}: was made by clgs run; name {root / 'data'}, what it trained on")
     found = find_photos(root)
     if not found.photos:
         raise error

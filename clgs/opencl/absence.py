@@ -14,7 +14,7 @@ VENDOR_FOLDER = Path("/etc/OpenCL/vendors")
 
 INSTALL = (
     "on Debian or Ubuntu `apt-get install pocl-opencl-icd`, elsewhere "
-    '`pip install "pyopencl[pocl]"`, or a GPU vendor\'s driver'
+    '`pip install "clgs[pocl]"`, or a GPU vendor\'s driver'
 )
 
 _LOAD = "import ctypes, sys; ctypes.CDLL(sys.argv[1])"

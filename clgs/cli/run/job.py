@@ -252,7 +252,7 @@ class Job:
         story = RunStory(_command(self._args, settings), f"{photos}.", seconds, links)
         write_run_report(self._out / "run", story, self._out / "report.html")
         scores = json.loads((self._out / "scores.json").read_text(encoding="utf-8"))
-        print_box(self._out, photos, scores, seconds)
+        print_box(self._out, photos, scores, seconds, self._args.resume)
 
     def _photos(self, source: Source) -> str:
         """How many photos were used, in words."""
@@ -273,6 +273,7 @@ def _tell(source: Source, plan: Plan, device: str, hurry: bool, allowed: float) 
     if source.pointless:
         print(f"points:   about {in_words(plan.prepare_seconds)}")
     print(f"training: {_training(plan)}")
+    print(f"the rest: about {in_words(plan.other_seconds)}: scores, page, Gaussians, clip")
     late = f", more than the {in_words(allowed)} of --time" if plan.seconds > 1.05 * allowed else ""
     print(f"in all:   about {in_words(plan.seconds)} on {device}{late}")
 

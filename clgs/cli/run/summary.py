@@ -10,7 +10,11 @@ from clgs.cli.run.duration import in_words
 
 
 def print_box(
-    out: Path, photos: str, scores: Mapping[str, Any], seconds: Mapping[str, float]
+    out: Path,
+    photos: str,
+    scores: Mapping[str, Any],
+    seconds: Mapping[str, float],
+    resumed: bool = False,
 ) -> None:
     """A box of the run's numbers.
 
@@ -19,6 +23,7 @@ def print_box(
         photos: how many there were, in words.
         scores: as `clgs eval --json` gives them.
         seconds: by stage.
+        resumed: whether an earlier call did a part of the work, which has no time here.
     """
     from rich.console import Console
     from rich.panel import Panel
@@ -26,15 +31,20 @@ def print_box(
     from rich.text import Text
 
     table = Table.grid(padding=(0, 2))
-    for name, value in rows(out, photos, scores, seconds):
+    for name, value in rows(out, photos, scores, seconds, resumed):
         table.add_row(Text(name, style="dim"), Text(value))
     Console().print(Panel(table, title="clgs run: done", border_style="green", expand=False))
 
 
 def rows(
-    out: Path, photos: str, scores: Mapping[str, Any], seconds: Mapping[str, float]
+    out: Path,
+    photos: str,
+    scores: Mapping[str, Any],
+    seconds: Mapping[str, float],
+    resumed: bool = False,
 ) -> list[tuple[str, str]]:
     """Labels and values of the box."""
+    since = " since --resume" if resumed else ""
     stages = "  ".join(f"{name} {one:.0f}" for name, one in seconds.items())
     views = "held-out" if scores["split"] == "test" else "training"
     return [
@@ -42,6 +52,6 @@ def rows(
         ("PSNR", f"{scores['psnr']:.2f} dB on {scores['views']} {views} views, from the file"),
         ("SSIM", f"{scores['ssim']:.4f}"),
         ("bytes", f"{scores['bytes']:,} for {scores['anchors']:,} anchors"),
-        ("time", f"{in_words(sum(seconds.values()))}; seconds: {stages}"),
+        ("time", f"{in_words(sum(seconds.values()))}{since}; seconds: {stages}"),
         ("look at", str(out / "report.html")),
     ]

@@ -26,6 +26,9 @@ NAMED = 5
 """Of the files that are skipped for one reason, so many are named."""
 
 _FOREIGN_FOLDERS = (MASKS, "__MACOSX", "@eaDir")
+_OWN = ("plan.json", "progress.csv", "sparse/0/cameras.bin")
+"""A folder below with one of these was made by clgs run, train or prepare."""
+
 _UNSAFE = re.compile(r"[^\w.+=@()\[\] -]|[\ud800-\udfff]")
 
 
@@ -103,19 +106,30 @@ def _files(collection: Collection) -> Iterator[Path]:
     root = collection.root
     for where, folders, names in os.walk(root):
         here = Path(where)
-        for name in sorted(folders):
-            if (here / name).is_symlink() and name not in _FOREIGN_FOLDERS:
-                below = (here / name).relative_to(root).as_posix()
-                collection.skipped.append((below, "links to folders; copy what they hold"))
-        folders[:] = sorted(
-            name for name in folders if name not in _FOREIGN_FOLDERS and not name.startswith(".")
-        )
+        folders[:] = _folders(collection, here, folders)
         for name in sorted(names):
             reason = _reason(here / name)
             if reason:
                 collection.skipped.append(((here / name).relative_to(root).as_posix(), reason))
             else:
                 yield here / name
+
+
+def _folders(collection: Collection, here: Path, names: list[str]) -> list[str]:
+    """Those of the folders in ``here`` that are searched; what is skipped is noted."""
+    kept = []
+    for name in sorted(names):
+        path = here / name
+        reason = ""
+        if path.is_symlink() and name not in _FOREIGN_FOLDERS:
+            reason = "links to folders; copy what they hold"
+        elif any((path / file).exists() for file in _OWN):
+            reason = "folders that clgs made"
+        if reason:
+            collection.skipped.append((path.relative_to(collection.root).as_posix(), reason))
+        elif name not in _FOREIGN_FOLDERS and not name.startswith("."):
+            kept.append(name)
+    return kept
 
 
 def _reason(path: Path) -> str:

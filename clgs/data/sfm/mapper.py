@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +26,9 @@ from clgs.errors import DataError
 
 JPEG_QUALITY = 95
 
+LEAST_ROOM = 1 << 20
+"""Bytes; a failure with less room than that is blamed on the disk."""
+
 _TASK = "structure from motion"
 
 
@@ -37,9 +43,15 @@ def reconstruct(target: Path, seed: int, quick: bool, on_progress: OnProgress) -
 
     Raises:
         DataError: no reconstruction, no pycolmap, or it crashed.
+        OSError: it failed on a full disk.
     """
     arguments = [str(target), seed, quick]
-    return verdict_of(run_child(__name__, _TASK, arguments, lambda told: on_progress(*told)))
+    try:
+        return verdict_of(run_child(__name__, _TASK, arguments, lambda told: on_progress(*told)))
+    except DataError as error:
+        if shutil.disk_usage(target).free < LEAST_ROOM:  # SQLite ends the process then
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target)) from error
+        raise
 
 
 def main() -> None:

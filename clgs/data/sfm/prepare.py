@@ -15,7 +15,7 @@ from clgs.data.photos.bring_in import Source, bring_in, find_source
 from clgs.data.pycolmap_lazy import SEEDS
 from clgs.data.sfm.contact_sheet import contact_sheet
 from clgs.data.sfm.job import OnProgress
-from clgs.data.sfm.judging.training import with_training
+from clgs.data.sfm.judging.training import untrained, with_training
 from clgs.data.sfm.judging.verdict import Verdict
 from clgs.data.sfm.leftovers import owned, remove_leftovers
 from clgs.data.sfm.mapper import reconstruct
@@ -119,7 +119,7 @@ def _trained(
         found = training(target, partial(on_progress, "training"))
     except ClgsError as error:
         _log.warning("the poses are not tested by a short training: %s", error)
-        return verdict
+        return untrained(verdict)
     seconds = {**verdict.seconds, "training": round(time.perf_counter() - start, 1)}
     return replace(with_training(verdict, found), seconds=seconds)
 

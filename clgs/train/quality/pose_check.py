@@ -75,13 +75,20 @@ def unexplained(
 def unexplained_share(
     render: npt.NDArray[np.uint8], photo: npt.NDArray[np.uint8], used: Used = None
 ) -> float:
-    """Mean squared error of a render per variance of the photo about its mean colour.
+    """The photo's variance about its mean colour that a render does not explain, a share of 0 to 1.
 
-    Both (H, W, 3) uint8; ``used`` (H, W) as in :mod:`clgs.train.quality.metrics`. 0: the same
-    picture; 1: no better than one colour.
+    After the brightness and contrast of each channel that fit best: a photo that was exposed
+    otherwise is no wrong one. 0: the same picture; 1: no better than one colour.
+
+    Args:
+        render: (H, W, 3) uint8.
+        photo: likewise.
+        used: as in :mod:`clgs.train.quality.metrics`.
     """
     chosen = slice(None) if used is None or not used.any() else used != 0
     x, y = (picture.astype(np.float64)[chosen] / 255.0 for picture in (render, photo))
-    x, y = x.reshape(-1, 3), y.reshape(-1, 3)
-    variance = float(np.square(y - y.mean(axis=0)).mean())
-    return float(np.square(x - y).mean()) / max(variance, LEAST_VARIANCE)
+    x, y = (one.reshape(-1, 3) - one.reshape(-1, 3).mean(axis=0) for one in (x, y))
+    shared = np.maximum((x * y).sum(axis=0), 0.0)  # a negative of the photo explains nothing
+    contrast = shared / np.maximum(np.square(x).sum(axis=0), np.finfo(np.float64).tiny)
+    variance = float(np.square(y).mean())
+    return float(np.square(contrast * x - y).mean()) / max(variance, LEAST_VARIANCE)

@@ -33,6 +33,17 @@ def test_folders_below_are_searched_and_names_made_flat(tmp_path: Path):
     assert not found.skipped
 
 
+def test_what_clgs_made_among_the_photos_is_skipped(tmp_path: Path):
+    write(tmp_path / "a.png", 1)
+    for number, made in enumerate(("run/plan.json", "r/progress.csv", "d/sparse/0/cameras.bin"), 2):
+        write(tmp_path / made.split("/")[0] / "images" / "b.png", number)
+        (tmp_path / made).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / made).touch()
+    found = find_photos(tmp_path)
+    assert [one.name for one in found.photos] == ["a.png"]
+    assert found.lines() == [f"{tmp_path}: skipped 3, folders that clgs made: d, r, run"]
+
+
 def test_images_beside_other_sizes_is_the_only_folder(tmp_path: Path):
     for folder in ("images", "images_2", "images_4"):
         write(tmp_path / folder / "a.png", len(folder))

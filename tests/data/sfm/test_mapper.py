@@ -7,10 +7,13 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from PIL import Image
 
+from clgs.data.sfm import mapper
+from clgs.errors import DataError
 from tests.data.folders import noise_image
 
 PYCOLMAP = """
@@ -123,3 +126,15 @@ def test_a_failure_keeps_its_words(start):
     _, err = ended(process)
     assert err.splitlines()[-1] == "clgs: error: structure from motion: no SIFT today"
     assert process.returncode == 3
+
+
+def test_a_crash_on_a_full_disk_asks_for_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def crash(*_):
+        raise DataError("structure from motion: pycolmap crashed (exit code -6); try other photos")
+
+    monkeypatch.setattr(mapper, "run_child", crash)
+    with pytest.raises(DataError, match="crashed"):
+        mapper.reconstruct(tmp_path, 0, False, lambda *_: None)
+    monkeypatch.setattr(mapper.shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
+    with pytest.raises(OSError, match="No space left"):
+        mapper.reconstruct(tmp_path, 0, False, lambda *_: None)

@@ -29,30 +29,38 @@ def with_training(verdict: Verdict, unexplained: Mapping[str, float]) -> Verdict
     if not unexplained:
         return verdict
     usual = float(np.median(list(unexplained.values())))
-    limit = max(MOST, TIMES * usual)
-    photos = tuple(_judged(photo, unexplained.get(photo.name), limit) for photo in verdict.photos)
-    count = sum(REASON in photo.reasons for photo in photos)
-    return replace(verdict, photos=photos, sure=verdict.sure + _remark(count, usual))
+    photos = tuple(_judged(photo, unexplained.get(photo.name), usual) for photo in verdict.photos)
+    count = sum(any(one.startswith(REASON) for one in photo.reasons) for photo in photos)
+    sure = verdict.sure
+    if count and sure.startswith("sure:"):
+        sure = f"mostly {sure}"
+    return replace(verdict, photos=photos, sure=sure + _remark(count, len(unexplained), usual))
 
 
-def _judged(photo: PhotoVerdict, share: float | None, limit: float) -> PhotoVerdict:
+def untrained(verdict: Verdict) -> Verdict:
+    """The verdict, if the short training could not be made."""
+    return replace(verdict, sure=f"{verdict.sure}; not tested by a short training")
+
+
+def _judged(photo: PhotoVerdict, share: float | None, usual: float) -> PhotoVerdict:
     if share is None:
         return photo
     photo = replace(photo, unexplained=share)
-    if share <= limit:
+    if share <= max(MOST, TIMES * usual):
         return photo
+    reason = f"{REASON}: {share:.0%} of it is unexplained, {usual:.0%} of most"
     return replace(
         photo,
         status=DOUBTFUL if photo.status == GOOD else photo.status,
-        reasons=(*photo.reasons, REASON),
+        reasons=(*photo.reasons, reason),
         remedy=photo.remedy or REMEDY,
     )
 
 
-def _remark(count: int, usual: float) -> str:
+def _remark(count: int, total: int, usual: float) -> str:
     """What is added to the sentence on the whole."""
     if usual > MOST:
-        return "; but a short training hardly shows the photos: poses or exposures may be wrong"
+        return "; a short training hardly shows the photos: poses or exposures may be wrong"
     if count:
-        return f"; but a short training does not show {count} of them"
+        return f"; a short training does not show {count} of {total} photos"
     return "; a short training shows every photo"
