@@ -104,7 +104,7 @@ def _proxy_panels(results: Results) -> list[Draw]:
         panel.set_title(f"attributes, level {level}", loc="left")
         panel.legend(frameon=False, fontsize=7)
 
-    rows = [row for row in results.rows() if row["bits"]["proxy_entropy"]]
+    rows = [row for row in results.rows() if row["bits"].get("proxy_entropy")]
     return [lambda panel, level=level: draw(panel, level) for level in LEVELS] if rows else []
 
 

@@ -149,7 +149,7 @@ def proxy_points(rows: Iterable[Row], estimate: str, level: str) -> list[tuple[f
     return [
         (_total(row["bits"][estimate]), _total(row["bits"][level]))
         for row in rows
-        if row["bits"][estimate]
+        if row["bits"].get(estimate)
     ]
 
 
