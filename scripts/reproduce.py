@@ -81,6 +81,7 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         metavar="FILE",
         help="results.json or results.csv of another state, for BD-rates",
     )
+    add("--note", default="", metavar="TEXT", help="a sentence for the head of the page")
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--workers",
@@ -120,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
     everything = entries(table, args.steps)
     failed = train(args, table, chosen(table, args.only, everything))
     results = read_results(table, everything, args.output)
-    made = write_report(report, results, args.output, command(args), baseline)
+    made = write_report(report, results, args.output, command(args), baseline, args.note)
     missing = len({one.run for one in results.missing})
     print(f"{made[0]}: {len(results.rows())} runs, {missing} missing")
     return max((int(row["exit_code"]) for row in failed), default=0)

@@ -20,6 +20,7 @@ from rich.progress import (
 from rich.table import Table
 
 from clgs.cli.live import Live
+from clgs.cli.stages import describe
 from clgs.train.quality.savings import Saving
 from clgs.train.run.finished_run import RunResult
 from clgs.train.run.session import Progress as TrainingProgress
@@ -29,12 +30,12 @@ WIDE = 120
 """Columns of a terminal from which training has a bar; without it, its figures fit in 80."""
 
 PLAIN_SECONDS = 15.0
-"""Without a terminal, training prints one line this often."""
+"""Without a terminal, one line is printed this often."""
 
 
 @contextmanager
 def bar(total: int | None, label: str) -> Iterator[Callable[[], None]]:
-    """A bar of ``total`` units, None if that is not known.
+    """A bar of ``total`` units, None if that is not known; without a terminal, a line now and then.
 
     The block receives a function that advances it by one.
     """
@@ -43,7 +44,24 @@ def bar(total: int | None, label: str) -> Iterator[Callable[[], None]]:
     quiet = not console.is_terminal
     with Progress(*columns, TimeRemainingColumn(), console=console, disable=quiet) as progress:
         task = progress.add_task(label, total=total)
-        yield lambda: progress.advance(task)
+        yield _Lines(label, total or 0) if quiet else lambda: progress.advance(task)
+
+
+class _Lines:
+    """Counts, and prints a line every PLAIN_SECONDS."""
+
+    def __init__(self, label: str, total: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._label, self._total, self._clock = label, total, clock
+        self._done, self._began = 0, clock()
+        self._printed = self._began
+
+    def __call__(self) -> None:
+        self._done += 1
+        now = self._clock()
+        if now - self._printed >= PLAIN_SECONDS:
+            self._printed = now
+            line = describe(self._label, self._done, self._total, now - self._began)
+            print(line, file=sys.stderr, flush=True)
 
 
 def track(items: list[Item], label: str) -> Iterable[Item]:

@@ -37,7 +37,12 @@ BITS = ("proxy_entropy", "proxy_channel", "proxy_pooled", "paper", "default")
 
 
 def write_report(
-    folder: Path, results: Results, output: Path, command: str, baseline: Sequence[Point] = ()
+    folder: Path,
+    results: Results,
+    output: Path,
+    command: str,
+    baseline: Sequence[Point] = (),
+    note: str = "",
 ) -> list[Path]:
     """Write the report of what is finished; returns its files.
 
@@ -47,6 +52,7 @@ def write_report(
         output: the folder of the runs.
         command: what makes the report again.
         baseline: points of another state.
+        note: a sentence for the head of the page.
     """
     inner = folder / NAME
     inner.mkdir(parents=True, exist_ok=True)
@@ -54,7 +60,7 @@ def write_report(
     plots = draw_all(inner, results, baseline, published)
     kept = _keep_scenes(inner, results, output)
     compared = compare(results, baseline) if baseline else []
-    text = tables.page(results, command, plots, kept, compared, published)
+    text = tables.page(results, command, plots, kept, compared, published, note)
     rows = [_record(cell.entry, cell.row) for cell in results.cells]
     whole = {
         "command": command,

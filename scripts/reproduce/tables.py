@@ -31,10 +31,14 @@ def page(
     kept: dict[str, str],
     compared: list[Comparison],
     published: dict[str, Any],
+    note: str = "",
 ) -> str:
-    """The whole page; ``plots`` and ``kept`` name files in the folder ``results`` beside it."""
+    """The whole page; ``plots`` and ``kept`` name files in the folder ``results`` beside it.
+
+    ``note``: what else is to be known, at its head.
+    """
     main = [group for one in results.experiments("main") for group in results.groups(one.name)]
-    parts = ["# Results", NOTES["head"].format(command=command), _state(results)]
+    parts = ["# Results", NOTES["head"].format(command=command), _state(results), note]
     if main:
         parts += ["## Main rows", NOTES["main"], _main(main)]
         parts += ["### Beside published figures", _beside(main, published)]

@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from clgs.cli.progress import TrainingDisplay
+from clgs.cli.progress import PLAIN_SECONDS, TrainingDisplay, _Lines
 from clgs.train.run.session import Progress
 from clgs.train.run.trainer import StepResult
 
@@ -26,3 +26,11 @@ def test_nothing_is_cut_on_a_terminal_of_80_columns(monkeypatch, width):
     assert len(lines) == 1
     for part in ("12345/30000", "it/s", "-:--:--", "31.25 dB  125,000 anchors  ~12.34 MB"):
         assert part in lines[0]
+
+
+def test_without_a_terminal_long_work_prints_a_line_now_and_then(capsys):
+    seconds = iter([0.0, 5.0, PLAIN_SECONDS, PLAIN_SECONDS + 1.0])
+    advance = _Lines("baking", 4, lambda: next(seconds))
+    for _ in range(3):
+        advance()
+    assert capsys.readouterr().err == "baking 2/4, 15 s, about 15 s left\n"

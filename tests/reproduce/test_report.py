@@ -41,7 +41,9 @@ def results_of(table, tmp_path):
 
 
 def test_a_report_has_all_that_is_stored(stored, tmp_path):
-    made = write_report(tmp_path / "docs", results_of(stored, tmp_path), tmp_path / "out", "x --y")
+    results = results_of(stored, tmp_path)
+    made = write_report(tmp_path / "docs", results, tmp_path / "out", "x --y", note="On a Sunday.")
+    assert "\n\nOn a Sunday.\n\n" in (tmp_path / "docs" / "results.md").read_text()
     assert all(path.is_file() for path in made)
     text = (tmp_path / "docs" / "results.md").read_text()
     assert "Made by `x --y`" in text
