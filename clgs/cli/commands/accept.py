@@ -18,8 +18,8 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "accept",
         help="try everything on a device, for a report",
         description="Checks of every kernel, hashes, training, start-up and speed of every stage "
-        "on one device, each in a process of its own: a crash ends one part. About ten minutes on "
-        "a GPU, more on a CPU; needs no network. Prints a table and writes every figure to FILE, "
+        "on one device, each in a process of its own: a crash ends one part. Minutes, without "
+        "a network. Prints a table and writes every figure to FILE, "
         "part by part. Exit code 1 if a part failed.",
     )
     add = parser.add_argument
