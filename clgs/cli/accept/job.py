@@ -51,7 +51,7 @@ def run_parts(
 
 
 def record(outcomes: list[Outcome], folder: Path, device: dict[str, Any]) -> dict[str, Any]:
-    """Everything, ready for JSON; no path of this machine."""
+    """Everything, ready for JSON; what the parts printed may name the user's own folders."""
     return {
         "format": FORMAT,
         **host_facts(),

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clgs.cli.options.output import add_overwrite, check_new
+from clgs.cli.options.view import positive_int
 
 if TYPE_CHECKING:
     from clgs.cli.accept.part import Outcome
@@ -26,7 +27,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add("-o", "--output", type=Path, metavar="FILE", required=True, help="receives all figures")
     add("--device", help="number or part of the name, see `clgs devices`")
     add("--data", type=Path, metavar="DATA", help="train 1,000 steps on this data set, too")
-    add("--downscale", type=int, metavar="N", help="of its photos, as for `clgs train`")
+    add("--downscale", type=positive_int, metavar="N", help="of its photos, as for `clgs train`")
     add("--quick", action="store_true", help="a tenth of the work")
     add_overwrite(parser, "FILE if it exists (default: refuse)")
 
@@ -35,15 +36,18 @@ def run(args: argparse.Namespace) -> int:
     """Run all parts; exit code 0, or 1 if one failed.
 
     Raises:
-        ClgsError: FILE exists, or there is no device.
+        ClgsError: FILE exists, DATA is no data set, or there is no device.
     """
     from tempfile import TemporaryDirectory
 
     from clgs.cli.accept.job import chosen_device, run_parts
     from clgs.cli.accept.parts import QUICK, WHOLE, parts
     from clgs.cli.accept.photos import write_photos
+    from clgs.data.dataset import read_photo_set
 
     check_new(args, args.output)
+    if args.data is not None:
+        read_photo_set(args.data)
     with TemporaryDirectory(prefix="clgs-accept-") as name:
         folder = Path(name)
         device = chosen_device(args.device, folder)

@@ -100,6 +100,13 @@ def test_the_file_is_not_replaced_unasked(tmp_path, capsys):
     assert "--overwrite" in capsys.readouterr().err
 
 
+def test_data_that_cannot_be_trained_on_are_refused_at_once(tmp_path, capsys):
+    words = ["accept", "-o", str(tmp_path / "accept.json"), "--data", str(tmp_path)]
+    assert cli.main(words) == 3
+    assert str(tmp_path) in capsys.readouterr().err
+    assert not (tmp_path / "accept.json").exists()
+
+
 def test_unknown_device_is_named(tmp_path, capsys):
     words = ["accept", "-o", str(tmp_path / "accept.json"), "--device", "nonexistent"]
     assert cli.main(words) == 4
