@@ -11,6 +11,7 @@ from typing import Any
 from clgs.bench.facts import host_facts
 from clgs.cli.accept.part import Outcome, Part, run_part
 from clgs.errors import DeviceError
+from clgs.opencl.choose import choose_device, list_devices
 from clgs.train.run.session import write_json
 
 FORMAT = "clgs accept 1"
@@ -23,18 +24,14 @@ def chosen_device(name: str | None, folder: Path) -> dict[str, Any]:
 
     Raises:
         DeviceError: there is none, or asking for it crashed.
+        UsageError: ``name`` is empty.
     """
     outcome = run_part(Part("devices", ("devices", "--json"), lambda folder: ""), folder)
     if not outcome.passed:
         raise DeviceError(f"`clgs devices`: {outcome.told}")
     found = json.loads((folder / "devices.out").read_text())
-    for one in found:
-        if one["chosen"] if name is None else name in (str(one["index"]), one["name"]):
-            return dict(one)
-    matching = [one for one in found if name and name.lower() in one["name"].lower()]
-    if not matching:
-        raise DeviceError(f"no OpenCL device {name or 'is chosen'}; see `clgs devices`")
-    return dict(matching[0])
+    number = list_devices().index(choose_device(name))  # which did not crash in the part
+    return dict(found[number])
 
 
 def run_parts(
