@@ -25,6 +25,7 @@ import numpy.typing as npt
 from clgs.constants import TILE_SIZE
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.opencl.grid import by_lanes
 from clgs.ops.project import Projected, ProjectedGradients
 from clgs.ops.tiles import TileLists, tile_count
 from clgs.options import DEFAULT, RenderOptions
@@ -247,8 +248,7 @@ def gather(
     records = device.empty((len(tiles.gaussian), RECORD_SIZE))
     device.run(
         device.kernel("blend/prepare", "blend_prepare", **defines),
-        (round_up(-(-count // device.lanes), GROUP_SIZE),),
-        (GROUP_SIZE,),
+        *by_lanes(device, count, device.lanes),
         projected.mean2d,
         projected.whitening,
         projected.color,

@@ -18,6 +18,7 @@ import numpy as np
 from clgs.constants import OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.opencl.grid import by_lanes
 from clgs.ops import scan
 from clgs.ops.mlp import Activations
 from clgs.scene.anchors import DeviceAnchors
@@ -111,8 +112,7 @@ def forward(
     result = allocate(device, count, drawn, offsets)
     device.run(
         device.kernel("gaussian/neural", "neural_forward"),
-        (round_up(-(-len(visible) // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
+        *by_lanes(device, len(visible), device.vec),
         output,
         visible,
         offsets.offset,
@@ -168,8 +168,7 @@ def number(device: Device, activations: Activations) -> tuple[DeviceArray, scan.
     drawn, counts = device.empty((count,), np.int32), device.empty((count,), np.int32)
     device.run(
         device.kernel("gaussian/neural", "neural_count"),
-        (round_up(-(-len(counts) // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
+        *by_lanes(device, len(counts), device.vec),
         activations.output,
         activations.visible,
         np.int32(count),
@@ -224,8 +223,7 @@ def backward(
     )
     device.run(
         device.kernel("gaussian/neural", "neural_backward"),
-        (round_up(-(-output.shape[1] // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
+        *by_lanes(device, output.shape[1], device.vec),
         output,
         visible,
         gaussians.first,

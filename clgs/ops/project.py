@@ -16,12 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_lanes
 from clgs.ops.neural import GaussianGradients, Gaussians
 from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
-
-GROUP_SIZE = 64
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,7 @@ def forward(
     result = allocate(device, gaussians.color, gaussians.opacity)
     device.run(
         device.kernel("gaussian/project", "project_forward", **defines(device, options)),
-        (_items(device, count),),
-        (GROUP_SIZE,),
+        *by_lanes(device, count, device.lanes),
         gaussians.mean,
         gaussians.scale,
         gaussians.rotation,
@@ -151,8 +149,7 @@ def backward(
     )
     device.run(
         device.kernel("gaussian/project", "project_backward", VEC=device.lanes),
-        (_items(device, count),),
-        (GROUP_SIZE,),
+        *by_lanes(device, count, device.lanes),
         gaussians.mean,
         gaussians.scale,
         gaussians.rotation,
@@ -173,11 +170,6 @@ def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
     """Build options of the kernels."""
     smallest = {"MIN_EXTENT": float(options.accuracy.min_extent)}
     return {"VEC": device.lanes, **smallest, **options.accuracy.defines()}
-
-
-def _items(device: Device, count: int) -> int:
-    """Work-items for ``count`` Gaussians, as many an item as a register has lanes."""
-    return round_up(-(-count // device.lanes), GROUP_SIZE)
 
 
 def _check(gaussians: Gaussians, camera: DeviceArray) -> int:

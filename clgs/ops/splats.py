@@ -16,12 +16,11 @@ from __future__ import annotations
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_lanes
 from clgs.ops.neural import GaussianGradients, Gaussians
 from clgs.scene.gaussians import SPECS, DeviceGaussians, OrdinaryGaussians
 from clgs.shapes import Shapes
-
-GROUP_SIZE = 64
 
 
 def forward(device: Device, stored: DeviceGaussians, camera: DeviceArray) -> Gaussians:
@@ -45,7 +44,7 @@ def forward(device: Device, stored: DeviceGaussians, camera: DeviceArray) -> Gau
     )
     device.run(
         device.kernel("gaussian/splats", "splats_forward", **_defines(device, stored)),
-        *_grid(device, count),
+        *by_lanes(device, count, device.lanes),
         *(array for _, array in stored.items()),
         camera,
         np.int32(count),
@@ -90,7 +89,7 @@ def backward(
     )
     device.run(
         device.kernel("gaussian/splats", "splats_backward", **_defines(device, stored)),
-        *_grid(device, count),
+        *by_lanes(device, count, device.lanes),
         *(stored.mean, stored.log_scale, stored.rotation, stored.sh),
         camera,
         np.int32(count),
@@ -103,10 +102,6 @@ def backward(
 
 def _defines(device: Device, stored: DeviceGaussians) -> dict[str, int | float]:
     return {"VEC": device.lanes, "COEFFICIENTS": stored.sh.shape[1]}
-
-
-def _grid(device: Device, count: int) -> tuple[tuple[int], tuple[int]]:
-    return (round_up(-(-count // device.lanes), GROUP_SIZE),), (GROUP_SIZE,)
 
 
 def _check(stored: DeviceGaussians, camera: DeviceArray) -> int:

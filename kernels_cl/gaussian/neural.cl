@@ -98,7 +98,7 @@ __kernel void neural_forward(__global const float *output, __global const int *v
         return;
     const VisibleAnchors anchors = {visible, (size_t)count, position, offset, scaling};
     const Gaussians gaussians = {mean, scale, rotation, color, opacity, slot};
-    prefetch_anchors(&anchors, v, VEC);
+    prefetch_anchors(&anchors, v + VEC, VEC);
     DECLARE_OUTPUT_ROWS(rows, output, stride, v, drawn.slots, 0);
     write_gaussians(&anchors, &drawn, v, &rows, &gaussians);
 }
@@ -206,9 +206,10 @@ static inline void write_anchors(const AnchorLanes *a, const DrawnSlots *drawn,
         const size_t step = 3 * ((size_t)a->anchor[lane] * K_OFFSETS + drawn->offset[m]);
 #pragma unroll
         for (int i = 0; i < 3; ++i) {
-            const float d = d_mean[3 * n + i], d_step = d == 0.0f ? 0.0f : d * reach[i][lane];
+            const float d = d_mean[3 * n + i], scaled = d * reach[i][lane];
+            const float d_step = d == 0.0f ? 0.0f : scaled, product = d_step * offset[step + i];
             d_offset[step + i] = d_step;
-            sum[i][lane] += d_step == 0.0f ? 0.0f : d_step * offset[step + i];
+            sum[i][lane] += d_step == 0.0f ? 0.0f : product;
             sum[3 + i][lane] += shapes->size[i][m];
         }
     }
@@ -232,6 +233,8 @@ static inline void prefetch_gradients(__global const int *visible, const size_t 
             PREFETCH(offset + 3 * K_OFFSETS * anchor + i);
             PREFETCH_WRITE(d_offset + 3 * K_OFFSETS * anchor + i);
         }
+        PREFETCH(offset + 3 * K_OFFSETS * (anchor + 1) - 1);
+        PREFETCH_WRITE(d_offset + 3 * K_OFFSETS * (anchor + 1) - 1);
     }
 }
 

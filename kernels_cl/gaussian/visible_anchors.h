@@ -28,6 +28,7 @@ static inline void prefetch_anchors(const VisibleAnchors *anchors, const size_t 
         PREFETCH(anchors->scaling + 6 * anchor);
         for (size_t i = 0; i < 3 * K_OFFSETS; i += LINE)
             PREFETCH(anchors->offset + 3 * K_OFFSETS * anchor + i);
+        PREFETCH(anchors->offset + 3 * K_OFFSETS * (anchor + 1) - 1);
     }
 }
 

@@ -8,6 +8,7 @@
 #include "common/own_function.h"
 #include "common/prefetch.h"
 #include "common/real.h"
+#include "common/transpose.h"
 #include "mlp/batch.h"
 #include "mlp/dense.h"
 #include "mlp/inputs.h"
@@ -56,10 +57,10 @@ static inline void output_gradients(const Outputs *outputs, const int head, cons
     for (int k = 0; k < K_OFFSETS * each; ++k) {
         const int j = k / each;
         const size_t row = (size_t)(first_output(head) + k);
-        if (next >> j & 1) {
-            PREFETCH(outputs->d_output + row * outputs->stride + first + BLOCK);
+        for (size_t i = 0; i < BLOCK && (next >> j & 1); i += LINE) {
+            PREFETCH(outputs->d_output + row * outputs->stride + first + BLOCK + i);
             if (head != COVARIANCE)
-                PREFETCH(outputs->output + row * outputs->stride + first + BLOCK);
+                PREFETCH(outputs->output + row * outputs->stride + first + BLOCK + i);
         }
         for (int s = 0; s < VECTORS; ++s) {
             const fv d =
@@ -169,10 +170,24 @@ static inline void anchors_backward(const Inputs *inputs, const size_t first,
                                     __global const float *column, const AnchorGradients *d)
 {
     __global const float *d_input = column + D_INPUT_ROW * BATCH_STRIDE;
-    for (size_t lane = 0; lane < BLOCK; ++lane) {
-        const int anchor = anchor_of(inputs, first + lane);
-        for (size_t k = 0; anchor >= 0 && k < FEATURE_DIM; ++k)
-            d->d_feature[(size_t)anchor * FEATURE_DIM + k] = d_input[k * BATCH_STRIDE + lane];
+    for (size_t s = 0; s < VECTORS; ++s) {
+        __global float *rows[VEC];
+        for (size_t lane = 0; lane < VEC; ++lane) {
+            const int anchor = anchor_of(inputs, first + s * VEC + lane);
+            rows[lane] = anchor < 0 ? 0 : d->d_feature + (size_t)anchor * FEATURE_DIM;
+        }
+        size_t k = 0;
+        for (; k + 4 <= FEATURE_DIM; k += 4) {
+            fv four[4];
+#pragma unroll
+            for (size_t i = 0; i < 4; ++i)
+                four[i] = LOAD_ALIGNED(s, d_input + (k + i) * BATCH_STRIDE);
+            scatter_4(four, rows, k);
+        }
+        for (; k < FEATURE_DIM; ++k)
+            for (size_t lane = 0; lane < VEC; ++lane)
+                if (rows[lane])
+                    rows[lane][k] = d_input[k * BATCH_STRIDE + s * VEC + lane];
     }
 #if WANT_POSITION
     position_backward(inputs, d_input + (FEATURE_DIM + TILE - 3) * BATCH_STRIDE, first,
