@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from clgs.cli.counted import counted
 from clgs.cli.options.output import add_overwrite, check_new
 from clgs.cli.options.path import add_kind_options, add_path_options
 from clgs.cli.options.view import add_view_options, named_path
@@ -83,5 +84,5 @@ def _render_views(args: argparse.Namespace) -> int:
     args.output.mkdir(parents=True, exist_ok=True)
     for name, view in track(list(zip(names, views, strict=True)), "rendering"):
         save_frame(args.output / name, frames.draw(view.camera), scene.transform)
-    print(f"{args.output}: {len(views)} pictures")
+    print(f"{args.output}: {counted(len(views), 'picture')}")
     return 0

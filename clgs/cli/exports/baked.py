@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clgs.cli.counted import counted
 from clgs.cli.options.view import add_size_options, whole_number
 
 if TYPE_CHECKING:
@@ -164,5 +165,5 @@ def _summary(cost: BakedLoss, size: int) -> str:
         return f"baked: {cost.baked:.2f} dB against renders of the scene, {megabytes}"
     return (
         f"baked: {cost.baked - cost.scene:+.2f} dB, {megabytes} "
-        f"({cost.baked:.2f} dB against the photos of {cost.views} views)"
+        f"({cost.baked:.2f} dB against the photos of {counted(cost.views, 'view')})"
     )

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from clgs.cli.counted import counted
 from clgs.cli.run.duration import in_words
 
 
@@ -46,10 +47,11 @@ def rows(
     """Labels and values of the box."""
     since = " since --resume" if resumed else ""
     stages = "  ".join(f"{name} {one:.0f}" for name, one in seconds.items())
-    views = "held-out" if scores["split"] == "test" else "training"
+    split = "held-out view" if scores["split"] == "test" else "training view"
+    views = counted(scores["views"], split)
     return [
         ("photos", photos),
-        ("PSNR", f"{scores['psnr']:.2f} dB on {scores['views']} {views} views, from the file"),
+        ("PSNR", f"{scores['psnr']:.2f} dB on {views}, from the file"),
         ("SSIM", f"{scores['ssim']:.4f}"),
         ("bytes", f"{scores['bytes']:,} for {scores['anchors']:,} anchors"),
         ("time", f"{in_words(sum(seconds.values()))}{since}; seconds: {stages}"),

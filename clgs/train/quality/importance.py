@@ -20,7 +20,7 @@ from clgs.constants import K_OFFSETS
 from clgs.opencl.device import Device
 from clgs.ops.project import ProjectedGradients
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import DeviceScene, Frame
+from clgs.render.frame import DeviceScene, Frame, SceneGradients
 from clgs.render.pipeline import blend_backward, render_forward, scene_backward
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, RenderSettings
@@ -85,21 +85,22 @@ def sensitivity(
     settings: RenderSettings,
     cameras: Sequence[Camera],
     options: RenderOptions = DEFAULT,
+    curved: bool = True,
 ) -> Sensitivity:
     """The importance of :func:`importance`, and the diagonal of the Gauss-Newton matrix.
 
     Both are summed over the pictures. The latter by the same random signs: the mean of
-    <signs, d image / d x>^2 is the squared length of d image / d x.
+    <signs, d image / d x>^2 is the squared length of d image / d x. It is left out unless
+    ``curved``.
     """
     total = np.zeros(len(scene.anchors))
-    curvature = {n: np.zeros(array.shape) for n, array in scene.anchors.items() if n != "position"}
+    sizes = {n: array.shape for n, array in scene.anchors.items() if n != "position"}
+    curvature = {name: np.zeros(size) for name, size in sizes.items() if curved}
     seen = np.zeros(len(scene.anchors), np.bool_)
     for frame, gradients in _sign_passes(device, scene, settings, cameras, options):
         _add_importance(device, frame, gradients, total)
-        by_scene = scene_backward(device, scene, frame, gradients)
-        for name, sums in curvature.items():
-            change = device.download(getattr(by_scene, f"d_{name}")).reshape(sums.shape)
-            sums += np.square(change)
+        if curved:
+            _add_curvature(device, scene_backward(device, scene, frame, gradients), curvature)
         visible = device.download(frame.activations.visible)
         seen[visible[visible >= 0]] = True
     narrow = {name: sums.astype(np.float32) for name, sums in curvature.items()}
@@ -128,6 +129,14 @@ def _sign_passes(
         frame = render_forward(device, scene, camera, settings, options)
         signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
         yield frame, blend_backward(device, frame, device.upload(signs))
+
+
+def _add_curvature(
+    device: Device, gradients: SceneGradients, curvature: dict[str, npt.NDArray[np.float64]]
+) -> None:
+    for name, sums in curvature.items():
+        change = device.download(getattr(gradients, f"d_{name}")).reshape(sums.shape)
+        sums += np.square(change)
 
 
 def _add_importance(

@@ -20,7 +20,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -50,13 +49,13 @@ from clgs.train.rate.plan import (
     Plan,
     Situation,
     carry_out,
+    outcome,
     plan_at,
     plan_for_size,
     plan_within,
 )
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 from clgs.train.step.queue import StepQueue
-from clgs.train.step.rounding import rounded_anchors
 
 ROUNDS = 10
 
@@ -160,7 +159,7 @@ class Economy:
             weights = Mlps(self._device.download(queue.final_weights(parameters)))
             trials = Trials(
                 partial(self._size, weights=weights, settings=settings),
-                partial(self._loss, judge, drawn, state),
+                partial(self._loss, judge, drawn),
             )
             done, kept = self._economise(
                 Situation(state, judged, queue.scales), queue, trials, step
@@ -222,7 +221,7 @@ class Economy:
         """What is known of the anchors of ``scene`` in the round after ``step``."""
         known, turn = self._found, self.steps.index(step) % 2
         if step < self._config.switch_step:
-            return judge.look(scene, turn, 2)
+            return judge.look(scene, turn, 2, curved=False)
         if known is None:
             return judge.look(scene)
         if step > self._config.prune_end:
@@ -240,11 +239,9 @@ class Economy:
         anchors, transform = sort_anchors(anchors), self._dataset.transform
         return len(encode(QuantizedScene(anchors, weights, scales, settings, transform)))
 
-    def _loss(self, judge: Judge, weights: DeviceArray, state: TrainState, plan: Plan) -> float:
-        """Of the pictures, if ``plan`` were carried out on ``state``."""
-        trial = deepcopy(state)
-        carry_out(plan, trial, MOST)
-        anchors = rounded_anchors(self._device, trial.anchors.map(self._device.upload), plan.scales)
+    def _loss(self, judge: Judge, weights: DeviceArray, plan: Plan) -> float:
+        """Of the pictures, if ``plan`` were carried out."""
+        anchors = outcome(plan, MOST).map(self._device.upload)
         return judge.compare(DeviceScene(anchors, weights))[0]
 
     def _judge(self, settings: RenderSettings, queue: StepQueue, step: int) -> Judge:

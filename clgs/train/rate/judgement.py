@@ -59,13 +59,18 @@ class Judge:
     options: RenderOptions
     weights: loss.Weights
 
-    def look(self, scene: DeviceScene, first: int = 0, every: int = 1) -> Sensitivity:
-        """How a view, the mean, goes with the anchors, seen from the views [first::every]."""
+    def look(
+        self, scene: DeviceScene, first: int = 0, every: int = 1, curved: bool = True
+    ) -> Sensitivity:
+        """How a view, the mean, goes with the anchors, seen from the views [first::every].
+
+        ``curved``: whether to look at changes of the attributes, too.
+        """
         cameras = [view.camera for view in self.views[first::every]]
         least = min(camera.width * camera.height for camera in cameras)
         factor = 2 if least >= 4 * PIXELS * len(scene.anchors) else 1
         reduced = [camera.reduced(factor) for camera in cameras]
-        found = sensitivity(self.device, scene, self.settings, reduced, self.options)
+        found = sensitivity(self.device, scene, self.settings, reduced, self.options, curved)
         return found.times(factor**2 / len(cameras))
 
     def judge(self, scene: DeviceScene, found: Sensitivity) -> Judgement:

@@ -9,7 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec.fit_size import anchor_bits
-from clgs.scene.anchors import QuantizationScales, QuantizedAnchors, take
+from clgs.scene.anchors import (
+    AnchorSet,
+    QuantizationScales,
+    QuantizedAnchors,
+    dequantize,
+    take,
+)
 from clgs.train.density.grow_and_prune import TrainState, keep_rows, position_integers
 from clgs.train.rate.cheaper_integers import best_scale, cheaper_integers
 from clgs.train.rate.judgement import Judgement
@@ -118,9 +124,20 @@ def carry_out(plan: Plan, state: TrainState, most: float) -> tuple[int, npt.NDAr
         values[moved] = (best[moved] / q).astype(np.float32)
         moments.first[moved] = 0.0
         changed += int(moved.sum())
-    kept = np.ones(len(plan.worth), np.bool_)
+    kept = _kept(plan, most)
     if most > 0:
-        limit = float(np.quantile(plan.worth, most, method="lower"))
-        kept = plan.worth >= min(plan.price, limit)
         keep_rows(state, kept)
     return changed, kept
+
+
+def outcome(plan: Plan, most: float) -> AnchorSet:
+    """The anchors that :func:`carry_out` leaves, rounded."""
+    return dequantize(take(plan.integers, _kept(plan, most)), plan.scales)
+
+
+def _kept(plan: Plan, most: float) -> npt.NDArray[np.bool_]:
+    """Which anchors (A,) stay if a share of ``most`` goes at most."""
+    if most <= 0:
+        return np.ones(len(plan.worth), np.bool_)
+    limit = float(np.quantile(plan.worth, most, method="lower"))
+    return plan.worth >= min(plan.price, limit)

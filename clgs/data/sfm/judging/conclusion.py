@@ -92,7 +92,10 @@ def _sure(photos: tuple[PhotoVerdict, ...], checked: bool, ambiguous: bool) -> s
             f"than one way; {doubtful} are doubtful"
         )
     if not checked:
-        return "not checked: without --quick a second reconstruction tests every pose"
+        return (
+            "not checked: without --quick, a second reconstruction and a short training test every "
+            "pose"
+        )
     if good == total:
         worst = max((one.turn or 0.0 for one in photos), default=0.0)
         return (
