@@ -101,6 +101,10 @@ class Frame:
         """How many visible anchors, Gaussians and tile entries there are, (1,) int64 each."""
         return self.visible.total, self.gaussians.total, self.tiles.total
 
+    def needed(self, device: Device) -> Capacity:
+        """The same on the host; waits for the device."""
+        return Capacity(*(int(device.download(total)[0]) for total in self.totals))
+
 
 @dataclass(frozen=True)
 class SceneGradients:

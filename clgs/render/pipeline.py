@@ -75,6 +75,28 @@ def view_forward(
     return Frame(view, visible, activations, gaussians, projected, blended, None)
 
 
+def roomy_forward(
+    device: Device,
+    scene: DeviceScene,
+    view: DeviceView,
+    options: RenderOptions,
+    capacity: Capacity | None,
+) -> tuple[Frame, Capacity | None]:
+    """As :func:`view_forward`, of one view after the other, for which arrays keep their sizes.
+
+    They then share memory, of which arrays made to measure would take more and more. Give ``None``
+    with the first view, and then the capacity that came with the view before.
+    """
+    while True:
+        frame = view_forward(device, scene, view, options, capacity)
+        if options.max_memory is not None:
+            return frame, None
+        room = (capacity or Capacity(0, 0, 0)).grown(frame.needed(device))
+        if capacity is None or room == capacity:
+            return frame, room
+        capacity = room
+
+
 def render_backward(
     device: Device,
     scene: DeviceScene,

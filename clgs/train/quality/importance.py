@@ -20,8 +20,8 @@ from clgs.constants import K_OFFSETS
 from clgs.opencl.device import Device
 from clgs.ops.project import ProjectedGradients
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import DeviceScene, Frame, SceneGradients
-from clgs.render.pipeline import blend_backward, render_forward, scene_backward
+from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_view
+from clgs.render.pipeline import blend_backward, roomy_forward, scene_backward
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, RenderSettings
 
@@ -124,9 +124,10 @@ def _sign_passes(
     options: RenderOptions,
 ) -> Iterator[tuple[Frame, ProjectedGradients]]:
     """The frame of each camera, and what its backward pass makes of random signs."""
-    rng = np.random.default_rng(SEED)
+    rng, capacity = np.random.default_rng(SEED), None
     for camera in cameras:
-        frame = render_forward(device, scene, camera, settings, options)
+        view = upload_view(device, camera, settings)
+        frame, capacity = roomy_forward(device, scene, view, options, capacity)
         signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
         yield frame, blend_backward(device, frame, device.upload(signs))
 
@@ -148,8 +149,8 @@ def _add_importance(
     """Add <d, signs>^2 of every anchor of the frame to ``total`` (A,)."""
     gaussians = frame.gaussians
     change = device.download(gaussians.opacity) * device.download(gradients.d_opacity)
-    visible = device.download(frame.activations.visible)
-    row = device.download(gaussians.slot) // K_OFFSETS
-    seen = visible >= 0
-    sums = np.bincount(row, change, len(visible))[seen].astype(np.float64)
+    visible, slot = device.download(frame.activations.visible), device.download(gaussians.slot)
+    seen, drawn = visible >= 0, slot >= 0
+    row = slot[drawn] // K_OFFSETS
+    sums = np.bincount(row, change[drawn], len(visible))[seen].astype(np.float64)
     total[visible[seen]] += np.square(sums)

@@ -149,6 +149,7 @@ class Economy:
         judge = self._judge(settings, queue, step)
         scene = queue.seen(parameters, step + (step > self._config.switch_step))
         found = self._look(judge, scene, step)
+        self._device.release_unused()  # what follows draws other sizes
         judged, drawn = judge.judge(scene, found), scene.weights
         del scene
         self._device.release_unused()

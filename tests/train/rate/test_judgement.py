@@ -13,8 +13,8 @@ from clgs.data.view import View
 from clgs.opencl.device import Device
 from clgs.ops import loss
 from clgs.options import DEFAULT
-from clgs.render.frame import DeviceScene, upload_scene
-from clgs.render.pipeline import render_forward
+from clgs.render.frame import DeviceScene, DeviceView, upload_scene
+from clgs.render.pipeline import render_forward, view_forward
 from clgs.scene.scene import RenderSettings, Scene
 from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.quality.importance import importance, sensitivity
@@ -72,6 +72,32 @@ def test_importance_is_that_of_the_quick_way(device: Device, seen: tuple[Scene, 
     both = sensitivity(device, uploaded, settings, [view.camera] * 2).importance
     quick = importance(device, uploaded, settings, [view.camera] * 2)
     np.testing.assert_allclose(both, quick, rtol=1e-6)
+
+
+def test_the_room_that_earlier_views_left_changes_nothing(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, camera = anchor_scene(8000, 64)
+    uploaded, settings = upload_scene(device, scene), RenderSettings()
+    aside = replace(camera, cx=camera.cx + 0.9 * camera.width)
+    frames = (render_forward(device, uploaded, one, settings) for one in (aside, camera))
+    fewer, more = (frame.needed(device) for frame in frames)
+    assert fewer.entries + fewer.entries // 4 + 1024 < more.entries
+    cameras = [aside, camera, aside]
+    found = sensitivity(device, uploaded, settings, cameras)
+
+    def made_to_measure(device: Device, scene: DeviceScene, view: DeviceView, *_: object):
+        return view_forward(device, scene, view), None
+
+    monkeypatch.setattr(f"{sensitivity.__module__}.roomy_forward", made_to_measure)
+    exact = sensitivity(device, uploaded, settings, cameras)
+    np.testing.assert_array_equal(found.importance, exact.importance)
+    np.testing.assert_array_equal(found.seen, exact.seen)
+    for name, curvature in exact.curvature.items():
+        np.testing.assert_array_equal(found.curvature[name], curvature)
+    flat = sensitivity(device, uploaded, settings, cameras, curved=False)
+    np.testing.assert_array_equal(flat.importance, exact.importance)
+    assert not flat.curvature
 
 
 def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene, all_views: bool = True):
