@@ -30,6 +30,8 @@ POOL_BITS = {"cpu": 0, "gpu": 2}
 """Leading bits of a size, after the first one, that tell apart what the memory pool reuses."""
 
 SPECIALISATIONS = ("cpu", "gpu")
+
+LANES = ("8", "16")
 BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
 """Subnormals cost CPUs dearly; warnings are the lint's (scripts/checks/lint_kernels.sh)."""
 
@@ -56,7 +58,7 @@ class Device:
 
         Raises:
             DeviceError: no such device.
-            UsageError: CLGS_SPECIALISATION is neither "cpu" nor "gpu".
+            UsageError: CLGS_SPECIALISATION is neither "cpu" nor "gpu", CLGS_LANES neither 8 nor 16.
             TypeError: ``name`` is no string.
         """
         if name is not None:
@@ -67,6 +69,7 @@ class Device:
         self.queue = cl.CommandQueue(self.context)
         self.specialisation = chosen or self._usual_specialisation()
         self.vec = 16 if self.specialisation == "cpu" else 1
+        self._wanted_lanes = _wanted_lanes()
         self.profile = Profile()
         self._transfers = Transfers(self.queue)
         allocator = cl.tools.ImmediateAllocator(self.queue)
@@ -95,10 +98,18 @@ class Device:
 
     @property
     def lanes(self) -> int:
-        """Numbers of a register, for kernels that hold many values: 8 or 16 on a CPU, else 1."""
+        """Lanes of vectors for kernels that hold many values: 8 or 16 on a CPU, else 1."""
+        return max(8, self.register_lanes) if self.specialisation == "cpu" else 1
+
+    @property
+    def register_lanes(self) -> int:
+        """Numbers of a register: 4, 8 or 16 on a CPU, or what CLGS_LANES says, else 1.
+
+        Results have the same bits whatever it is.
+        """
         if self.specialisation == "gpu":
             return 1
-        return 16 if self.cl_device.native_vector_width_float >= 16 else 8
+        return self._wanted_lanes or min(max(self.cl_device.native_vector_width_float, 4), 16)
 
     @property
     def reserved_bytes(self) -> int:
@@ -285,6 +296,14 @@ def _wanted_specialisation() -> str:
         choices = " or ".join(SPECIALISATIONS)
         raise UsageError(f"CLGS_SPECIALISATION={chosen}: is not {choices}; correct or unset it")
     return chosen
+
+
+def _wanted_lanes() -> int:
+    """What CLGS_LANES says; 0 if it is not set."""
+    chosen = os.environ.get("CLGS_LANES", "")
+    if chosen and chosen not in LANES:
+        raise UsageError(f"CLGS_LANES={chosen}: is not {' or '.join(LANES)}; correct or unset it")
+    return int(chosen or 0)
 
 
 def _first_complaint(log: str) -> str:

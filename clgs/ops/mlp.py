@@ -370,9 +370,7 @@ def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
 
     Lanes fill one register of a CPU: ten accumulators of wider vectors would spill.
     """
-    native = int(device.cl_device.native_vector_width_float)
-    lanes = min(device.vec, max(native, 4))
-    sizes = {"CHUNK": CHUNK, "BATCH": BATCH, "PARTS": PARTS, "VEC": lanes}
+    sizes = {"CHUNK": CHUNK, "BATCH": BATCH, "PARTS": PARTS, "VEC": device.register_lanes}
     return {**sizes, **options.skips.defines("opacity_first", "slots")}
 
 

@@ -181,16 +181,11 @@ def from_record(record: object) -> list[Fingerprint]:
     return found
 
 
-def other_order(record: dict[str, Any], facts: dict[str, Any]) -> list[str]:
-    """Facts in which two devices sum gradients in another order, so that their bits may differ."""
-    names = ("specialisation", "native_vector_width")
-    mine, others = facts["device"], record.get("device")
-    others = others if isinstance(others, dict) else {}
-    return [
-        f"{name} {others.get(name)} there, {mine[name]} here"
-        for name in names
-        if others.get(name) != mine[name]
-    ]
+def other_form(record: dict[str, Any], facts: dict[str, Any]) -> str:
+    """Which forms of the kernels two devices run, if not the same: their sums have other orders."""
+    mine, others = facts["device"]["specialisation"], record.get("device")
+    theirs = others.get("specialisation") if isinstance(others, dict) else None
+    return "" if theirs == mine else f"specialisation {theirs} there, {mine} here"
 
 
 def differences(mine: list[Fingerprint], others: list[Fingerprint]) -> list[Fingerprint]:

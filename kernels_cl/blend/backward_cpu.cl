@@ -43,11 +43,19 @@ static inline void fetch_row(__global const float *rows, __global const float *r
     PREFETCH_WRITE(rows + ROW_SIZE * (size_t)as_int(record[RECORD_ROW]));
 }
 
-static inline void store_moments(const Moments *m, __global float *row)
+#if SUM_PARTS == 2
+#define WHOLE(part, name) ((part)[0].name + (part)[1].name)
+#else
+#define WHOLE(part, name) ((part)[0].name)
+#endif
+
+static inline void store_moments(const Moments part[SUM_PARTS], __global float *row)
 {
-    vstore4(lane_sums(m->y1, m->y2, m->y11, m->y12), 0, row);
-    vstore4(lane_sums(m->y22, m->red, m->green, m->blue), 1, row);
-    row[8] = lane_sum(m->alpha);
+    vstore4(lane_sums(WHOLE(part, y1), WHOLE(part, y2), WHOLE(part, y11), WHOLE(part, y12)), 0,
+            row);
+    vstore4(lane_sums(WHOLE(part, y22), WHOLE(part, red), WHOLE(part, green), WHOLE(part, blue)), 1,
+            row);
+    row[8] = lane_sum(WHOLE(part, alpha));
 }
 
 __kernel void blend_backward(__global const float *records, __global const int *tile_range,
@@ -90,18 +98,23 @@ __kernel void blend_backward(__global const float *records, __global const int *
         const int number = k - first + 1;
         fetch_row(rows, records, max(k - ROWS_AHEAD, first));
         PREFETCH(from - 3 * ROWS_AHEAD * RECORD_SIZE);
-        uint left = number <= tile_last ? as_uint(from[RECORD_UNITS]) : 0u;
+        const uint touched = number <= tile_last ? as_uint(from[RECORD_UNITS]) : 0u;
         Record record;
         READ_RECORD(record, from);
-        Moments m = zero;
-        while (left) {
-            const int u = take_unit(&left);
-            if (number > unit_last[u])
-                continue;
-            const Touch t = touch(&record, units[u].x, units[u].y, &constants);
-            const iv taken = blend_back(&units[u].rays, &record, &t, number, &m);
-            OBSERVE(k, unit_x(u), unit_y(u), taken, t.saturated);
+        Moments part[SUM_PARTS];
+        for (int i = 0; i < SUM_PARTS; ++i) {
+            uint left = touched & UNITS_OF_PART(i);
+            Moments m = zero;
+            while (left) {
+                const int u = take_unit(&left);
+                if (number > unit_last[u])
+                    continue;
+                const Touch t = touch(&record, units[u].x, units[u].y, &constants);
+                const iv taken = blend_back(&units[u].rays, &record, &t, number, &m);
+                OBSERVE(k, unit_x(u), unit_y(u), taken, t.saturated);
+            }
+            part[i] = m;
         }
-        store_moments(&m, rows + ROW_SIZE * (size_t)as_int(from[RECORD_ROW]));
+        store_moments(part, rows + ROW_SIZE * (size_t)as_int(from[RECORD_ROW]));
     }
 }

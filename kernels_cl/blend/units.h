@@ -91,6 +91,13 @@ static inline uint units_of(float2 centre, float slope, float squared, float shr
     return or_rows((end > first ? bits : (ROW_I)(0)) << ROW_SHIFT);
 }
 
+/* Units whose pixels are the same lanes of 16: each second row of them if vectors have 8. */
+#if VEC == 8
+#define UNITS_OF_PART(part) ((part) == 0 ? 0xf0f0f0f0u : 0x0f0f0f0fu)
+#else
+#define UNITS_OF_PART(part) ALL_UNITS
+#endif
+
 /* Sets of units: unit 0 is the highest bit of a uint. */
 static inline uint unit_bit(int unit)
 {

@@ -52,6 +52,15 @@ static inline void store_lanes(fv value, size_t vector, __global float *values, 
         values[vector * VEC + lane] = lanes[lane];
 }
 
+/* Sums over a CPU's lanes go by a tree of 16 of them, so that gradients have the same bits whatever
+ * the width of its vectors: narrower ones sum each SUM_PARTS-th vector apart, and then the first
+ * half of the parts to the second until one is left. */
+#if VEC == 1
+#define SUM_PARTS 1
+#else
+#define SUM_PARTS (16 / VEC)
+#endif
+
 #if VEC == 1
 static inline float lane_sum(fv value)
 {

@@ -108,7 +108,7 @@ static inline void multiplied_rows(const WeightTile *tile, const int column,
 #if USE_LOCAL
 #define VECTOR_STEP GROUP_SIZE
 #else
-#define VECTOR_STEP 1
+#define VECTOR_STEP SUM_PARTS
 #endif
 
 /* sum[o][c] += row o times column c, over every VECTOR_STEP-th vector of [begin, end). A function
@@ -150,9 +150,18 @@ static inline OWN_FUNCTION void add_products(__global const float *rows,
 static inline void dot_products(__global const float *rows, __global const float *columns[COLUMNS],
                                 const Runs *runs, float sums[SUMS])
 {
-    fv sum[WEIGHT_ROWS][COLUMNS] = {{(fv)(0.0f)}};
-    for (int run = 0; run < runs->count; ++run)
-        add_products(rows, columns, (size_t)runs->begin[run], (size_t)runs->end[run], sum);
+    fv part[SUM_PARTS][WEIGHT_ROWS][COLUMNS] = {{{(fv)(0.0f)}}};
+    for (int i = 0; i < SUM_PARTS; ++i)
+        for (int run = 0; run < runs->count; ++run) {
+            const int first = runs->begin[run] + ((i - runs->begin[run]) & (SUM_PARTS - 1));
+            add_products(rows, columns, (size_t)first, (size_t)runs->end[run], part[i]);
+        }
+    for (int reach = SUM_PARTS / 2; reach > 0; reach /= 2)
+        for (int i = 0; i < reach; ++i)
+            for (int o = 0; o < WEIGHT_ROWS; ++o)
+                for (int c = 0; c < COLUMNS; ++c)
+                    part[i][o][c] += part[i + reach][o][c];
+    fv(*sum)[COLUMNS] = part[0];
     for (int c = 0; c < COLUMNS; ++c) {
         float *column = sums + c * WEIGHT_ROWS;
         int o = 0;

@@ -131,6 +131,19 @@ def test_specialisation_follows_argument_environment_and_type(monkeypatch):
         Device()
 
 
+def test_lanes_follow_the_environment_and_the_form_of_the_kernels(monkeypatch):
+    monkeypatch.setenv("CLGS_LANES", "8")
+    narrow = Device(specialisation="cpu")
+    assert (narrow.lanes, narrow.register_lanes) == (8, 8)
+    monkeypatch.setenv("CLGS_LANES", "16")
+    wide = Device(specialisation="cpu")
+    assert (wide.lanes, wide.register_lanes) == (16, 16)
+    assert Device(specialisation="gpu").lanes == 1
+    monkeypatch.setenv("CLGS_LANES", "9")
+    with pytest.raises(UsageError, match="CLGS_LANES=9: is not 8 or 16"):
+        Device()
+
+
 def test_floats_become_exact_float32_literals():
     for value in (0.1, 1e-30, 2.0, 1.0 / 255.0, 1e20):
         text = device_module._literal(value)

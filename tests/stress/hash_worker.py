@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+import clgs.opencl.grid
 import clgs.ops
 from clgs.data.dataset import load_dataset
 from clgs.opencl.device import Device
@@ -41,6 +42,9 @@ def set_group_size(size: int, specialisation: str = "cpu") -> list[str]:
         if getattr(op, "GROUP_SIZE", None) == NORMAL_GROUP and not compiled:
             op.GROUP_SIZE = size  # type: ignore[attr-defined]
             changed.append(module.name)
+        elif hasattr(op, "by_lanes"):
+            changed.append(module.name)
+    clgs.opencl.grid.GROUP_SIZE = dict.fromkeys(clgs.opencl.grid.GROUP_SIZE, size)
     return changed
 
 

@@ -1,10 +1,11 @@
-"""The same bits from any number of threads and any work-group shape: family N29."""
+"""The same bits from any number of threads, any work-group and any vectors: family N29."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -22,13 +23,13 @@ def folder(tmp_path_factory):
     return write_scene(tmp_path_factory.mktemp("balls"))
 
 
-def hash_of(folder, what, specialisation, threads, group, steps):
+def hash_of(folder, what, specialisation, threads, group, lanes, steps):
     """What ``hash_worker`` prints in a process of its own."""
     arguments = [str(folder), what, specialisation, str(group), str(steps)]
     done = subprocess.run(
         [sys.executable, "-m", "tests.stress.hash_worker", *arguments],
         cwd=ROOT,
-        env={**os.environ, "POCL_MAX_PTHREAD_COUNT": str(threads)},
+        env={**os.environ, "POCL_MAX_PTHREAD_COUNT": str(threads), "CLGS_LANES": str(lanes)},
         capture_output=True,
         text=True,
         check=False,
@@ -39,12 +40,13 @@ def hash_of(folder, what, specialisation, threads, group, steps):
     return digest
 
 
-def hashes(folder, what, specialisation, steps, pairs):
-    return {hash_of(folder, what, specialisation, *pair, steps) for pair in pairs}
+def hashes(folder, what, specialisation, steps, cases):
+    return {hash_of(folder, what, specialisation, *case, steps) for case in cases}
 
 
-ALL = [(threads, group) for threads in THREADS for group in GROUPS]
-FEW = [(1, 64), (4, 32)]
+LANES = (16, 8)
+ALL = list(product(THREADS, GROUPS, LANES))
+FEW = [(1, 64, 16), (4, 32, 8)]
 
 
 @pytest.mark.family("N29")
