@@ -22,7 +22,7 @@ LACKS_ROOM = 2
 """Bit of the stop flag (see ``clgs.ops.adam``): an array was too short for what belongs in it."""
 
 SHORTEST_CHUNK = {"cpu": 4096, "gpu": 1024}
-MOST_CHUNKS = {"cpu": 16, "gpu": 2048}
+MOST_CHUNKS = {"cpu": 32, "gpu": 2048}
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.opencl.grid import chunk_count
 from clgs.ops import scan
 from clgs.shapes import Shapes
 
 KEY_BITS = 32
 DIGIT_BITS = {"cpu": 11, "gpu": 8}
-CHUNKS = 4
 MAX_WIDTH, MOST_PASSES = 13, 3
 """Bits of a digit and passes of :func:`chosen` on a CPU, at most."""
 
@@ -85,13 +85,14 @@ def _chosen_by_key(device: Device, keys: DeviceArray, choice: DeviceArray) -> Or
 
 
 def _chosen_by_plan(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
-    count, chunks = np.int32(len(keys)), np.int32(CHUNKS)
+    count, parts = np.int32(len(keys)), chunk_count(device)
+    chunks = np.int32(parts)
     plan = device.empty((4,), np.int32)
-    ranges = device.empty((CHUNKS, 2), np.uint32)
-    counters = device.empty((CHUNKS, 2**MAX_WIDTH), np.int32)
+    ranges = device.empty((parts, 2), np.uint32)
+    counters = device.empty((parts, 2**MAX_WIDTH), np.int32)
     pairs, placed = (device.empty((len(keys), 2), np.uint32) for _ in range(2))
     index = device.empty(keys.shape, np.int32)
-    all_chunks, one = ((CHUNKS,), (1,)), ((1,), (1,))
+    all_chunks, one = ((parts,), (1,)), ((1,), (1,))
     items = keys, choice, count
     device.run(device.kernel("sort/chosen", "sort_range"), *all_chunks, *items, ranges)
     device.run(device.kernel("sort/chosen", "sort_plan"), *one, ranges, chunks, plan)

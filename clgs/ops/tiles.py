@@ -21,18 +21,17 @@ import numpy.typing as npt
 from clgs.constants import TILE_SIZE
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.opencl.grid import chunk_count
 from clgs.ops import scan, sort
 from clgs.ops.project import Projected
 from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
 
 GROUP_SIZE = 64
-CHUNKS = 4
-"""Work-items of a CPU that share the depth order; each has counters of all tiles."""
 ROW_CHUNKS = 64
 """Work-items that count entries by row of tiles."""
-SPARE = 4 * CHUNKS
-"""Spare slots for unused spans, after the others; on a CPU."""
+SPARE = 4
+"""Spare slots of a chunk for unused spans, after all others; on a CPU."""
 
 
 @dataclass(frozen=True)
@@ -176,9 +175,10 @@ def _count_entries(
     capacity: int | None,
 ) -> TileLists:
     """Two stable passes: by row of tiles, then by column within each."""
-    chunks, count_of_rows = ((CHUNKS,), (1,)), found.tiles // found.columns
+    parts, count_of_rows = chunk_count(device), found.tiles // found.columns
+    chunks = (parts,), (1,)
     pitch = round_up(count_of_rows + 1, 8)
-    counters = device.empty((CHUNKS, pitch, 2), np.int32)
+    counters = device.empty((parts, pitch, 2), np.int32)
     ranked = device.empty(found.boxes.shape, np.int32)
     ordered = *found.geometry, order.index, order.count
     count = device.kernel("tiles/lists", "tiles_count", **found.defines)
@@ -188,9 +188,9 @@ def _count_entries(
     limit = rows.total, np.int32(entries)
     starts = device.empty((count_of_rows + 1, 2), np.int32)
     start = device.kernel("tiles/lists", "tiles_starts", **found.defines)
-    sizes = np.int32(CHUNKS), np.int32(pitch), np.int32(count_of_rows)
+    sizes = np.int32(parts), np.int32(pitch), np.int32(count_of_rows)
     device.run(start, (1,), (1,), counters, *sizes, *limit, starts)
-    spans = device.empty((entries + SPARE, 4), np.int32)
+    spans = device.empty((entries + SPARE * parts, 4), np.int32)
     place = device.kernel("tiles/lists", "tiles_place", **found.defines)
     device.run(place, *chunks, *ordered, ranked, np.int32(pitch), *limit, counters, spans)
     tile_range = device.empty((found.tiles + 1,), np.int32)
