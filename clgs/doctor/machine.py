@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding
-from clgs.errors import ClgsError
+from clgs.errors import ClgsError, UsageError
 
 SECONDS = 1.0
 """After so long no further check of a device is begun; building kernels counts."""
@@ -179,6 +179,9 @@ def _try(index: int) -> Tried | Finding:
             worst = max(worst, error / limit if limit else 0.0)
             if time.perf_counter() - start > SECONDS:
                 break
+    except UsageError as error:  # a variable of the environment
+        problem, _, remedy = str(error).rpartition("; ")
+        return Finding(ERROR, name, problem, remedy)
     except ClgsError as error:
         return Finding(ERROR, name, str(error), "update its driver, or use another --device")
     except Exception as error:  # a driver raises whatever it chooses

@@ -11,7 +11,6 @@ PoCL gives each work-item of a group private arrays of its own. Those of 64 of t
 other, fall out of a core's cache.
 """
 
-
 CHUNKS_PER_UNIT, MOST_CHUNKS = 2, 32
 
 

@@ -220,20 +220,15 @@ static inline void write_anchors(const AnchorLanes *a, const DrawnSlots *drawn,
 }
 
 /* Prefetches what write_anchors reads and writes of the VEC anchors from v on. */
-static inline void prefetch_gradients(__global const int *visible, const size_t v,
-                                      const size_t count, __global const float *offset,
-                                      __global const float *scaling, __global float *d_offset,
-                                      __global float *d_scaling)
+static inline void prefetch_gradients(const VisibleAnchors *anchors, const size_t v,
+                                      __global float *d_offset, __global float *d_scaling)
 {
-    for (size_t lane = 0; lane < VEC && v + lane < count; ++lane) {
-        const size_t anchor = (size_t)max(visible[v + lane], 0);
-        PREFETCH(scaling + 6 * anchor);
+    prefetch_anchors(anchors, v, VEC);
+    for (size_t lane = 0; lane < VEC && v + lane < anchors->count; ++lane) {
+        const size_t anchor = (size_t)max(anchors->visible[v + lane], 0);
         PREFETCH_WRITE(d_scaling + 6 * anchor);
-        for (size_t i = 0; i < 3 * K_OFFSETS; i += LINE) {
-            PREFETCH(offset + 3 * K_OFFSETS * anchor + i);
+        for (size_t i = 0; i < 3 * K_OFFSETS; i += LINE)
             PREFETCH_WRITE(d_offset + 3 * K_OFFSETS * anchor + i);
-        }
-        PREFETCH(offset + 3 * K_OFFSETS * (anchor + 1) - 1);
         PREFETCH_WRITE(d_offset + 3 * K_OFFSETS * (anchor + 1) - 1);
     }
 }
@@ -252,7 +247,8 @@ __kernel void neural_backward(__global const float *output, __global const int *
     const size_t v = item_from_middle() * VEC, stride = (size_t)padded;
     const DrawnSlots drawn = list_drawn_slots(bits, first, v, (size_t)count, (size_t)capacity);
     Shapes shapes;
-    prefetch_gradients(visible, v + VEC, (size_t)count, offset, scaling, d_offset, d_scaling);
+    const VisibleAnchors anchors = {visible, (size_t)count, 0, offset, scaling};
+    prefetch_gradients(&anchors, v + VEC, d_offset, d_scaling);
     if (drawn.count != 0) {
         const AnchorLanes a = load_anchors(visible, scaling, v, (size_t)count);
         DECLARE_OUTPUT_ROWS(rows, output, stride, v, drawn.slots, COVARIANCE_ROW);

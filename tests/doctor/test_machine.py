@@ -79,6 +79,16 @@ def test_a_device_that_computes_wrongly_is_an_error(monkeypatch):
     assert any("scan offsets" in one.problem for one in found.findings)
 
 
+@pytest.mark.parametrize("variable", ["CLGS_LANES", "CLGS_SPECIALISATION"])
+def test_a_variable_that_says_nothing_known_is_to_be_corrected(monkeypatch, variable):
+    monkeypatch.setenv(variable, "9")
+    found = [one for one in examine_machine().findings if one.level == ERROR]
+    assert found
+    for one in found:
+        assert one.problem.startswith(f"{variable}=9: is not ")
+        assert one.remedy == "correct or unset it"
+
+
 def test_the_cache_follows_its_variables(monkeypatch):
     monkeypatch.setenv("POCL_CACHE_DIR", "/a")
     assert absence.pocl_cache() == Path("/a")

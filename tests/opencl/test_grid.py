@@ -10,6 +10,6 @@ from clgs.opencl.grid import chunk_count
 
 
 @pytest.mark.parametrize(("units", "wanted"), [(1, 2), (2, 4), (16, 32), (128, 32)])
-def test_lists_are_divided_among_the_threads(units: int, wanted: int) -> None:
+def test_lists_are_divided_among_the_threads(units, wanted):
     device = SimpleNamespace(cl_device=SimpleNamespace(max_compute_units=units))
-    assert chunk_count(device) == wanted  # type: ignore[arg-type]
+    assert chunk_count(device) == wanted

@@ -125,8 +125,7 @@ def carry_out(plan: Plan, state: TrainState, most: float) -> tuple[int, npt.NDAr
         moments.first[moved] = 0.0
         changed += int(moved.sum())
     kept = _kept(plan, most)
-    if most > 0:
-        keep_rows(state, kept)
+    keep_rows(state, kept)
     return changed, kept
 
 
