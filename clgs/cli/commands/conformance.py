@@ -82,7 +82,7 @@ def _read(path: Path) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{path}: is no JSON file") from error
+        raise DataError(f"{path}: is no JSON file; `clgs conformance -o` makes one") from error
 
 
 def _tensors(path: Path, record: object) -> list[Fingerprint]:
