@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Protocol
 
 import numpy as np
@@ -44,16 +45,24 @@ class Shapes:
             ValueError: the shape does not fit.
             TypeError: the dtype differs.
         """
-        wanted = spec.split()
-        if len(array.shape) != len(wanted) or not all(map(self._fits, wanted, array.shape)):
+        wanted = _axes_of(spec)
+        if len(array.shape) != len(wanted) or not self._fit(wanted, array.shape):
             bound = ", ".join(f"{a}={self.axes[a]}" for a in wanted if a in self.axes)
             hint = f" with {bound}" if bound else ""
             raise ValueError(
-                f"{name}: shape is {array.shape}, expected ({', '.join(wanted)}){hint}"
+                f"{name}: shape is {array.shape}, expected ({', '.join(map(str, wanted))}){hint}"
             )
         if array.dtype != np.dtype(dtype):
             raise TypeError(f"{name}: dtype is {array.dtype}, expected {np.dtype(dtype)}")
 
-    def _fits(self, axis: str, length: int) -> bool:
-        expected = int(axis) if axis.isdigit() else self.axes.setdefault(axis, length)
-        return length == expected
+    def _fit(self, wanted: tuple[str | int, ...], shape: tuple[int, ...]) -> bool:
+        for axis, length in zip(wanted, shape, strict=True):
+            expected = axis if isinstance(axis, int) else self.axes.setdefault(axis, length)
+            if length != expected:
+                return False
+        return True
+
+
+@cache
+def _axes_of(spec: str) -> tuple[str | int, ...]:
+    return tuple(int(axis) if axis.isdigit() else axis for axis in spec.split())

@@ -59,10 +59,12 @@ def refine(
         gradients = dict(_gradients(device, stored, target, options).items())
         adam.check_finite(device, gradients.values(), stop)
         fall = LAST_RATE ** ((number - 1) / max(steps - 1, 1))
+        updates = []
         for name, array in stored.items():
             rate = RATES[name] * (radius if name == "mean" else 1.0) * fall
             trained = adam.Trained(array, gradients[name], moments[name])
-            adam.step(device, trained, adam.factors(rate, number), stop)
+            updates.append(adam.Update(trained, adam.factors(rate, number)))
+        adam.step_all(device, updates, stop)
         on_step()
     if device.download(stop)[0]:
         raise ClgsError("baking: a gradient is not finite; give --steps 0 to export unrefined")

@@ -69,7 +69,9 @@ class Device:
         self.queue = cl.CommandQueue(self.context)
         self.specialisation = chosen or self._usual_specialisation()
         self.vec = 16 if self.specialisation == "cpu" else 1
-        self._wanted_lanes = _wanted_lanes()
+        width = int(self.cl_device.native_vector_width_float)
+        self._register_lanes = _wanted_lanes() or min(max(width, 4), 16)
+        self._largest_array = int(self.cl_device.max_mem_alloc_size)
         self.profile = Profile()
         self._transfers = Transfers(self.queue)
         allocator = cl.tools.ImmediateAllocator(self.queue)
@@ -107,9 +109,7 @@ class Device:
 
         Results have the same bits whatever it is.
         """
-        if self.specialisation == "gpu":
-            return 1
-        return self._wanted_lanes or min(max(self.cl_device.native_vector_width_float, 4), 16)
+        return self._register_lanes if self.specialisation == "cpu" else 1
 
     @property
     def reserved_bytes(self) -> int:
@@ -127,8 +127,8 @@ class Device:
             DeviceError: the device has no room for it.
         """
         dtype = np.dtype(dtype)
-        nbytes = max(math.prod(int(length) for length in shape), 1) * dtype.itemsize
-        if nbytes > self.cl_device.max_mem_alloc_size:
+        nbytes = max(math.prod(map(int, shape)), 1) * dtype.itemsize
+        if nbytes > self._largest_array:
             raise self._no_room(nbytes)
         try:
             return DeviceArray(self._pool.allocate(nbytes), tuple(shape), dtype)
@@ -136,7 +136,7 @@ class Device:
             raise self._no_room(nbytes) from error
 
     def _no_room(self, nbytes: int) -> NoRoomError:
-        largest, whole = self.cl_device.max_mem_alloc_size, self.cl_device.global_mem_size
+        largest, whole = self._largest_array, self.cl_device.global_mem_size
         return NoRoomError(
             f"{self.name}: no room for an array of {nbytes / 2**20:.0f} MiB; an array may have "
             f"{largest / 2**20:.0f} MiB of {whole / 2**20:.0f}"

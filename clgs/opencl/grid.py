@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
 from clgs.opencl.device import Device, round_up
+
+Item = TypeVar("Item")
 
 GROUP_SIZE = {"cpu": 1, "gpu": 64}
 """Work-items of a group.
@@ -18,6 +23,23 @@ def by_lanes(device: Device, count: int, lanes: int) -> tuple[tuple[int], tuple[
     """Global and local size for work-items that take ``lanes`` of ``count`` elements each."""
     group = GROUP_SIZE[device.specialisation]
     return (round_up(-(-count // lanes), group),), (group,)
+
+
+def by_parts(sizes: Iterable[int], per_item: int, group: int) -> tuple[tuple[int], tuple[int]]:
+    """Global and local size of a launch over several arrays of so many elements.
+
+    Each begins with a work-group; a work-item takes ``per_item`` elements (common/parts.h).
+    """
+    groups = sum(-(-size // (per_item * group)) for size in sizes)
+    return (groups * group,), (group,)
+
+
+def filled(items: Sequence[Item], count: int) -> list[Item]:
+    """``items``, the last of them repeated until there are ``count``.
+
+    For kernels that take so many arrays; those past the last have a size of 0.
+    """
+    return [*items, *[items[-1]] * (count - len(items))]
 
 
 def chunk_count(device: Device) -> int:

@@ -1,4 +1,4 @@
-"""Adam on device-resident parameters, one fused kernel per tensor (Kingma and Ba 2015).
+"""Adam on device-resident parameters, one fused kernel for many tensors (Kingma and Ba 2015).
 
     m = beta1 m + (1 - beta1) g,   v = beta2 v + (1 - beta2) g^2,
     p = p - m / (sqrt(v) / sqrt(1 - beta2^t) + epsilon) * learning_rate / (1 - beta1^t)
@@ -14,18 +14,20 @@ are correctly rounded.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.opencl.grid import by_parts, filled
 from clgs.shapes import Shaped, Shapes
 
 Array = TypeVar("Array", bound=Shaped)
 Other = TypeVar("Other", bound=Shaped)
+Item = TypeVar("Item")
 
 BETA1 = 0.9
 BETA2 = 0.999
@@ -39,6 +41,11 @@ NOT_FINITE = 1
 
 GROUP_SIZE = 64
 CHECKED_PER_ITEM = 256
+CHECKED_ARRAYS, UPDATED_PARTS = 5, 6
+"""Arrays that a launch checks, and parts that it updates, at most."""
+
+PARTS_WIDTH = 8
+"""Length of the vectors that hold a number of each."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,10 @@ class Trained:
                 wrong = f"{array.dtype}{array.shape}"
                 raise ValueError(f"{name}: {wrong} does not fit {self.parameter.shape}")
 
+    def arrays(self) -> tuple[DeviceArray, ...]:
+        """In the order of the kernels' arguments."""
+        return self.parameter, self.gradient, self.moments.first, self.moments.second
+
 
 @dataclass(frozen=True)
 class StepFactors:
@@ -105,9 +116,13 @@ def stop_flag(device: Device) -> DeviceArray:
 def check_finite(device: Device, arrays: Iterable[DeviceArray], stop: DeviceArray) -> None:
     """Set NOT_FINITE in ``stop`` if an element of a float32 array is infinite or NaN."""
     kernel = device.kernel("adam/adam", "adam_check", NOT_FINITE=NOT_FINITE)
-    for array in arrays:
-        items = round_up(-(-array.size // CHECKED_PER_ITEM), GROUP_SIZE)
-        device.run(kernel, (items,), (GROUP_SIZE,), array, np.uint32(array.size), stop)
+    for some in _batches([array for array in arrays if array.size], CHECKED_ARRAYS):
+        sizes = np.zeros(PARTS_WIDTH, np.uint32)
+        sizes[: len(some)] = [array.size for array in some]
+        arrays = filled(some, CHECKED_ARRAYS)
+        device.run(
+            kernel, *by_parts(sizes.tolist(), CHECKED_PER_ITEM, GROUP_SIZE), *arrays, sizes, stop
+        )
 
 
 def mark_rows(device: Device, gradient: DeviceArray, stop: DeviceArray) -> DeviceArray:
@@ -150,21 +165,43 @@ def step(
     Raises:
         ValueError: sizes or dtypes differ.
     """
-    trained.check()
-    start, end, _ = (part or slice(None)).indices(trained.parameter.size)
-    device.run(
-        device.kernel("adam/adam", "adam_step", **_LIMITS),
-        (round_up(-(-(end - start) // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        trained.parameter,
-        trained.gradient,
-        trained.moments.first,
-        trained.moments.second,
-        np.uint32(start),
-        np.uint32(end - start),
-        *_arguments(factors_now),
-        stop,
-    )
+    step_all(device, [Update(trained, factors_now, part)], stop)
+
+
+@dataclass(frozen=True)
+class Update:
+    """The arguments of one :func:`step`."""
+
+    trained: Trained
+    now: StepFactors
+    part: slice | None = None
+
+
+def step_all(device: Device, updates: Sequence[Update], stop: DeviceArray) -> None:
+    """As :func:`step` for each of ``updates``, which share no element; fewer, longer launches.
+
+    Raises:
+        ValueError: sizes or dtypes differ.
+    """
+    kernel = device.kernel("adam/adam", "adam_step", **_LIMITS)
+    for one in updates:
+        one.trained.check()
+    for some in _batches(updates, UPDATED_PARTS):
+        starts, sizes = np.zeros((2, PARTS_WIDTH), np.uint32)
+        corrections, steps = np.zeros((2, PARTS_WIDTH), np.float32)
+        for i, one in enumerate(some):
+            start, end, _ = (one.part or slice(None)).indices(one.trained.parameter.size)
+            starts[i], sizes[i] = start, end - start
+            corrections[i], steps[i] = one.now.correction, one.now.step
+        tensors = (one.trained for one in filled(some, UPDATED_PARTS))
+        arrays = [array for one in tensors for array in one.arrays()]
+        factors_now = _BETAS, corrections, np.float32(EPSILON), steps
+        grid = by_parts(sizes.tolist(), device.vec, GROUP_SIZE)
+        device.run(kernel, *grid, *arrays, starts, sizes, *factors_now, stop)
+
+
+def _batches(items: Sequence[Item], most: int) -> Iterator[Sequence[Item]]:
+    return (items[i : i + most] for i in range(0, len(items), most))
 
 
 def step_rows(
@@ -196,12 +233,12 @@ def step_rows(
         device.kernel("adam/adam", "adam_step_rows", WIDTH=width, **_LIMITS),
         (round_up(-(-parameter.size // device.vec), GROUP_SIZE),),
         (GROUP_SIZE,),
-        parameter,
-        trained.gradient,
-        trained.moments.first,
-        trained.moments.second,
+        *trained.arrays(),
         np.uint32(parameter.size),
-        *_arguments(factors_now),
+        _BETAS,
+        np.float32(factors_now.correction),
+        np.float32(EPSILON),
+        np.float32(factors_now.step),
         stop,
         marks,
     )
@@ -209,7 +246,4 @@ def step_rows(
 
 _LIMITS = {"MIN_FIRST_MOMENT": MIN_FIRST_MOMENT, "MIN_SECOND_MOMENT": MIN_SECOND_MOMENT}
 
-
-def _arguments(now: StepFactors) -> tuple[Any, ...]:
-    betas = np.array([BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2], np.float32)
-    return betas, np.float32(now.correction), np.float32(EPSILON), np.float32(now.step)
+_BETAS = np.array([BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2], np.float32)

@@ -17,6 +17,7 @@ bits follow from five sums of integers, which the kernels take; the rest is floa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,12 +26,16 @@ import numpy.typing as npt
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.opencl.grid import by_parts, filled
 
 Form = Literal["channel", "pooled"]
 Values = npt.NDArray[np.float64]
 
 GROUP_SIZE = 64
 VECTORS_PER_BLOCK = 256
+MOST_ATTRIBUTES = 3
+"""Attributes of a launch of :func:`backward_all`."""
+
 POOLED_CLAMP = 3.0
 POOLED_MIN_SCALE = 0.01
 POOLED_MAX_NATS = float(np.log(1e5))
@@ -119,21 +124,49 @@ def backward(device: Device, rate: Rate, x: DeviceArray, weight: float, d_x: Dev
     Raises:
         ValueError, TypeError: ``d_x`` does not fit.
     """
-    if d_x.size != x.size or d_x.dtype != np.float32:
-        raise ValueError(f"d_x: {d_x.dtype}{d_x.shape} does not fit x {x.shape}")
+    backward_all(device, [(slopes(device, rate, weight), x, d_x)])
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """A :class:`Rate` times its weight in the loss, on the device; the table's last rows differ."""
+
+    q: float
+    channels: int
+    table: DeviceArray
+
+
+def slopes(device: Device, rate: Rate, weight: float) -> Slopes:
+    """What :func:`backward_all` needs; arguments as for :func:`backward`."""
     table = rate.table.copy()
     table[3:] *= weight * rate.q
-    period = table.shape[1]
+    return Slopes(rate.q, table.shape[1], _upload(device, table))
+
+
+def backward_all(
+    device: Device, attributes: Sequence[tuple[Slopes, DeviceArray, DeviceArray]]
+) -> None:
+    """As :func:`backward` for each (slopes, x, d_x), three at most, in one launch.
+
+    Raises:
+        ValueError, TypeError: a ``d_x`` does not fit.
+    """
+    for _, x, d_x in attributes:
+        if d_x.size != x.size or d_x.dtype != np.float32:
+            raise ValueError(f"d_x: {d_x.dtype}{d_x.shape} does not fit x {x.shape}")
+    sizes, scales, periods = np.zeros(4, np.uint32), np.ones(4, np.float32), np.ones(4, np.uint32)
+    for i, (own, x, _) in enumerate(attributes):
+        sizes[i], scales[i], periods[i] = x.size, own.q, own.channels
+    owners, sources, targets = zip(*filled(attributes, MOST_ATTRIBUTES), strict=True)
     device.run(
         device.kernel("anchors/rate", "rate_backward"),
-        (round_up(-(-x.size // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        x,
-        np.uint32(x.size),
-        np.float32(rate.q),
-        np.uint32(period),
-        _upload(device, table),
-        d_x,
+        *by_parts(sizes.tolist(), device.vec, GROUP_SIZE),
+        *sources,
+        sizes,
+        scales,
+        periods,
+        *(own.table for own in owners),
+        *targets,
     )
 
 

@@ -21,7 +21,7 @@ NO_LIMIT = 2**63 - 1
 LACKS_ROOM = 2
 """Bit of the stop flag (see ``clgs.ops.adam``): an array was too short for what belongs in it."""
 
-SHORTEST_CHUNK = {"cpu": 4096, "gpu": 1024}
+SHORTEST_CHUNK = {"cpu": 32768, "gpu": 1024}
 MOST_CHUNKS = {"cpu": 32, "gpu": 2048}
 
 
@@ -71,30 +71,37 @@ def on_device(device: Device, counts: DeviceArray, limit: int = NO_LIMIT) -> Off
     offset = device.empty((count + 1,), np.int32)
     sums, total = device.empty((chunks,), np.int64), device.empty((1,), np.int64)
     wide = GROUP_SIZE if device.specialisation == "gpu" else 1
-    size, length = np.int32(count), np.int32(chunk)
-    all_chunks, group = (chunks * wide,), (wide,)
-    reduce, spine, apply = (
-        device.kernel("scan/offsets", name) for name in ("scan_reduce", "scan_spine", "scan_apply")
-    )
-    device.run(reduce, all_chunks, group, counts, size, length, sums)
-    device.run(spine, group, group, sums, np.int32(chunks), total)
-    device.run(apply, all_chunks, group, counts, size, length, sums, total, np.int64(limit), offset)
+    grid = (chunks * wide,), (wide,)
+    items = counts, np.int32(count), np.int32(chunk)
+    if chunks > 1:
+        device.run(device.kernel("scan/offsets", "scan_reduce"), *grid, *items, sums)
+    apply = device.kernel("scan/offsets", "scan_apply")
+    device.run(apply, *grid, *items, sums, np.int64(limit), total, offset)
     return Offsets(offset, total)
 
 
-def check_fits(device: Device, total: DeviceArray, capacity: int, stop: DeviceArray) -> None:
-    """Set LACKS_ROOM in ``stop`` (1,) int32 if ``total`` (1,) int64 is above ``capacity``.
+def check_fits(
+    device: Device,
+    totals: tuple[DeviceArray, DeviceArray, DeviceArray],
+    capacities: tuple[int, int, int],
+    stop: DeviceArray,
+) -> DeviceArray:
+    """Set LACKS_ROOM in ``stop`` (1,) int32 if a total, (1,) int64, is above its capacity.
 
-    Waits for nothing.
+    Returns the totals in one array, (3,) int64. Waits for nothing.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     shapes = Shapes()
-    shapes.check("total", total, "1", np.int64)
+    for total in totals:
+        shapes.check("total", total, "1", np.int64)
     shapes.check("stop", stop, "1", np.int32)
+    gathered = device.empty((len(totals),), np.int64)
     kernel = device.kernel("scan/fits", "scan_fits", LACKS_ROOM=LACKS_ROOM)
-    device.run(kernel, (1,), (1,), total, np.int64(capacity), stop)
+    capacity = np.array([*capacities, 0], np.int64)
+    device.run(kernel, (1,), (1,), *totals, capacity, gathered, stop)
+    return gathered
 
 
 def chunk_plan(device: Device, count: int) -> tuple[int, int]:

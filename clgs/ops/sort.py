@@ -18,8 +18,8 @@ from clgs.shapes import Shapes
 
 KEY_BITS = 32
 DIGIT_BITS = {"cpu": 11, "gpu": 8}
-MAX_WIDTH, MOST_PASSES = 13, 3
-"""Bits of a digit and passes of :func:`chosen` on a CPU, at most."""
+MAX_WIDTH = 16
+"""Bits of a digit of :func:`chosen` on a CPU, at most: two digits are a key."""
 
 
 def by_key(
@@ -90,28 +90,20 @@ def _chosen_by_plan(device: Device, keys: DeviceArray, choice: DeviceArray) -> O
     plan = device.empty((4,), np.int32)
     ranges = device.empty((parts, 2), np.uint32)
     counters = device.empty((parts, 2**MAX_WIDTH), np.int32)
-    pairs, placed = (device.empty((len(keys), 2), np.uint32) for _ in range(2))
-    index = device.empty(keys.shape, np.int32)
+    pairs, index = device.empty((len(keys), 2), np.uint32), device.empty(keys.shape, np.int32)
     all_chunks, one = ((parts,), (1,)), ((1,), (1,))
     items = keys, choice, count
-    device.run(device.kernel("sort/chosen", "sort_range"), *all_chunks, *items, ranges)
-    device.run(device.kernel("sort/chosen", "sort_plan"), *one, ranges, chunks, plan)
     starts = device.kernel("sort/chosen", "sort_starts")
-    device.run(
-        device.kernel("sort/chosen", "sort_count_chosen"), *all_chunks, *items, plan, counters
-    )
-    device.run(starts, *one, counters, chunks, np.int32(0), plan)
-    place = device.kernel("sort/chosen", "sort_place_chosen")
-    device.run(place, *all_chunks, *items, plan, counters, pairs)
-    for number in range(1, MOST_PASSES):
-        step = plan, np.int32(number)
-        device.run(
-            device.kernel("sort/chosen", "sort_count_pairs"), *all_chunks, pairs, *step, counters
-        )
-        device.run(starts, *one, counters, chunks, np.int32(number), plan)
-        place = device.kernel("sort/chosen", "sort_place_pairs")
-        device.run(place, *all_chunks, pairs, *step, counters, placed, index)
-        pairs, placed = placed, pairs
+    device.run(device.kernel("sort/chosen", "sort_range"), *all_chunks, *items, ranges)
+    planned = *items, ranges, plan, counters
+    device.run(device.kernel("sort/chosen", "sort_count_chosen"), *all_chunks, *planned)
+    device.run(starts, *one, counters, chunks, plan)
+    placed = *items, plan, counters, pairs
+    device.run(device.kernel("sort/chosen", "sort_place_chosen"), *all_chunks, *placed)
+    counted = pairs, plan, counters
+    device.run(device.kernel("sort/chosen", "sort_count_pairs"), *all_chunks, *counted)
+    device.run(starts, *one, counters, chunks, plan)
+    device.run(device.kernel("sort/chosen", "sort_place_pairs"), *all_chunks, *counted, index)
     return Order(index, DeviceArray(plan.buffer, (1,), plan.dtype))
 
 

@@ -7,8 +7,6 @@ list upside down. Beside them, ``picture`` draws without keeping what a backward
 
 from __future__ import annotations
 
-from dataclasses import astuple
-
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, cull, loss, mlp, neural, project, scan, tiles
@@ -24,6 +22,8 @@ from clgs.render.frame import (
 )
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings
+
+UNLIMITED = Capacity(scan.NO_LIMIT, scan.NO_LIMIT, scan.NO_LIMIT)
 
 
 def render_forward(
@@ -155,7 +155,10 @@ def blend_backward(
     return blend.backward(device, frame.projected, frame.blended, d_image)
 
 
-def check_capacity(device: Device, frame: Frame, capacity: Capacity, stop: DeviceArray) -> None:
-    """Set ``stop`` (1,) int32 if ``capacity`` was too small for the frame."""
-    for total, room in zip(frame.totals, astuple(capacity), strict=True):
-        scan.check_fits(device, total, room, stop)
+def check_capacity(
+    device: Device, frame: Frame, capacity: Capacity | None, stop: DeviceArray
+) -> DeviceArray:
+    """Set ``stop`` (1,) int32 if ``capacity`` was too small; returns ``frame.totals`` as (3,)."""
+    room = capacity or UNLIMITED
+    capacities = room.visible, room.gaussians, room.entries
+    return scan.check_fits(device, frame.totals, capacities, stop)

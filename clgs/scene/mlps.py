@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ def head_shapes(head: str) -> dict[str, tuple[int, ...]]:
     }
 
 
+@cache
 def head_size(head: str) -> int:
     """Number of weights of one head."""
     return sum(int(np.prod(shape)) for shape in head_shapes(head).values())
@@ -39,6 +41,7 @@ MATRICES = tuple(
 """(rows, columns) of the twelve arrays in packing order; biases are columns."""
 
 
+@cache
 def head_slice(head: str) -> slice:
     """Where one head lies in the flat vector."""
     heads = list(HEAD_DIMS)

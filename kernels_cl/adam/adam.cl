@@ -4,9 +4,10 @@
  * adam_step, adam_step_rows: a work-item per vector of VEC elements.
  * adam_check: a work-item per ELEMENTS_PER_ITEM elements.
  * adam_mark: a work-item per row of WIDTH elements.
- * Work-group: any; no local memory.
+ * Work-group: any; no local memory. Every part and every array begins with a work-group.
  */
 #include "common/lanes.h"
+#include "common/parts.h"
 #include "common/real.h"
 
 /* Smaller moments become zero: they would decay into subnormals, which take ten times as long.
@@ -72,21 +73,50 @@ static inline void update(State *s, const fv gradient, const Factors by)
     s->parameter = s->parameter - s->first / root * by.step;
 }
 
-/* Updates the `total` elements from `start` on. Nothing happens unless *stop is 0. */
-__kernel void adam_step(__global float *parameter, __global const float *gradient,
-                        __global float *first, __global float *second, const uint start,
-                        const uint total, const float4 betas, const float correction,
-                        const float epsilon, const float step, __global const int *stop)
+/* A tensor, or a part of one: its arrays, and elements `start` to `start + total - 1`. */
+#define PART(n)                                                                                    \
+    __global float *parameter##n, __global const float *gradient##n, __global float *first##n,     \
+        __global float *second##n
+
+/* The work-groups after those of other parts belong to part n, if it has elements. */
+#define CHOOSE_PART(n)                                                                             \
+    if (group >= first_group) {                                                                    \
+        part_group = first_group;                                                                  \
+        parameter = parameter##n + starts.s##n;                                                    \
+        gradient = gradient##n + starts.s##n;                                                      \
+        first = first##n + starts.s##n;                                                            \
+        second = second##n + starts.s##n;                                                          \
+        total = sizes.s##n;                                                                        \
+        by.correction = corrections.s##n;                                                          \
+        by.step = steps.s##n;                                                                      \
+    }                                                                                              \
+    first_group += groups_of(vectors_in(sizes.s##n));
+
+/* Updates `sizes` elements from `starts` on of up to six parts. Nothing happens unless *stop is 0.
+ */
+__kernel void adam_step(PART(0), PART(1), PART(2), PART(3), PART(4), PART(5), const uint8 starts,
+                        const uint8 sizes, const float4 betas, const float8 corrections,
+                        const float epsilon, const float8 steps, __global const int *stop)
 {
-    const size_t vector = get_global_id(0);
-    if (vector >= vectors_in(total) || *stop != 0)
+    if (*stop != 0)
         return;
-    parameter += start;
-    first += start;
-    second += start;
-    const Factors by = {betas, correction, epsilon, step};
+    const size_t group = get_group_id(0);
+    size_t first_group = 0, part_group = 0;
+    Factors by = {betas, 0.0f, epsilon, 0.0f};
+    __global float *parameter = parameter0, *first = first0, *second = second0;
+    __global const float *gradient = gradient0;
+    uint total = 0;
+    CHOOSE_PART(0)
+    CHOOSE_PART(1)
+    CHOOSE_PART(2)
+    CHOOSE_PART(3)
+    CHOOSE_PART(4)
+    CHOOSE_PART(5)
+    const size_t vector = item_of_part(part_group);
+    if (vector >= vectors_in(total))
+        return;
     State s = load_state(parameter, first, second, vector, total);
-    update(&s, load_lanes(gradient + start, vector, total), by);
+    update(&s, load_lanes(gradient, vector, total), by);
     store_state(&s, parameter, first, second, vector, total);
 }
 
@@ -136,16 +166,43 @@ __kernel void adam_step_rows(__global float *parameter, __global const float *gr
 #define SIGN_OFF 0x7fffffff
 #define INFINITE 0x7f800000
 
-/* Sets a bit of *stop if an element of `values` is infinite or NaN. */
-__kernel void adam_check(__global const float *values, const uint total, __global int *stop)
+/* The largest size, as the bits of a float, of the elements of an item. */
+static inline int largest_of(__global const float *values, const size_t item, const uint total)
 {
-    const size_t first = get_global_id(0) * ELEMENTS_PER_ITEM;
+    const size_t first = item * ELEMENTS_PER_ITEM;
     int largest = 0;
     for (size_t i = first; i < first + ELEMENTS_PER_ITEM && i < total; ++i) {
         const int size = as_int(values[i]) & SIGN_OFF;
         largest = size > largest ? size : largest;
     }
-    if (largest >= INFINITE)
+    return largest;
+}
+
+/* The work-groups after those of other arrays belong to array n, if it has elements. */
+#define CHOOSE_ARRAY(n)                                                                            \
+    if (group >= first_group) {                                                                    \
+        array_group = first_group;                                                                 \
+        values = values##n;                                                                        \
+        total = sizes.s##n;                                                                        \
+    }                                                                                              \
+    first_group += groups_of((sizes.s##n + ELEMENTS_PER_ITEM - 1) / ELEMENTS_PER_ITEM);
+
+/* Sets a bit of *stop if an element of up to five arrays is infinite or NaN. */
+__kernel void adam_check(__global const float *values0, __global const float *values1,
+                         __global const float *values2, __global const float *values3,
+                         __global const float *values4, const uint8 sizes, __global int *stop)
+{
+    const size_t group = get_group_id(0);
+    size_t first_group = 0, array_group = 0;
+    __global const float *values = values0;
+    uint total = 0;
+    CHOOSE_ARRAY(0)
+    CHOOSE_ARRAY(1)
+    CHOOSE_ARRAY(2)
+    CHOOSE_ARRAY(3)
+    CHOOSE_ARRAY(4)
+    const size_t item = item_of_part(array_group);
+    if (largest_of(values, item, total) >= INFINITE)
         atomic_or(stop, NOT_FINITE);
 }
 

@@ -1,9 +1,11 @@
 /* Rounding to integers, half to even, and back.
  *
  * Work-item: a vector of VEC elements. Work-group: any; no local memory.
- * Launch: a work-item per vector, rounded up.
+ * Launch: a work-item per vector, rounded up; in quantize_forward every array's begin with a
+ * work-group.
  */
 #include "common/lanes.h"
+#include "common/parts.h"
 #include "common/real.h"
 
 #if VEC == 1
@@ -22,11 +24,32 @@ static inline fv divided(const fv n, const fv q)
     return fabs(rest) > (fv)(0.0f) ? corrected : quotient;
 }
 
-/* rint(x q) / q. */
-__kernel void quantize_forward(__global const float *x, const uint total, const float q,
-                               __global float *rounded)
+/* The work-groups after those of other arrays belong to array n, if it has elements. */
+#define CHOOSE_ARRAY(n)                                                                            \
+    if (get_group_id(0) >= first_group) {                                                          \
+        array_group = first_group;                                                                 \
+        x = x##n;                                                                                  \
+        rounded = rounded##n;                                                                      \
+        total = sizes.s##n;                                                                        \
+        q = scales.s##n;                                                                           \
+    }                                                                                              \
+    first_group += groups_of(vectors_in(sizes.s##n));
+
+/* rint(x q) / q of up to three arrays. */
+__kernel void quantize_forward(__global const float *x0, __global const float *x1,
+                               __global const float *x2, const uint4 sizes, const float4 scales,
+                               __global float *rounded0, __global float *rounded1,
+                               __global float *rounded2)
 {
-    const size_t vector = get_global_id(0);
+    size_t first_group = 0, array_group = 0;
+    __global const float *x = x0;
+    __global float *rounded = rounded0;
+    uint total = 0;
+    float q = 1.0f;
+    CHOOSE_ARRAY(0)
+    CHOOSE_ARRAY(1)
+    CHOOSE_ARRAY(2)
+    const size_t vector = item_of_part(array_group);
     if (vector >= vectors_in(total))
         return;
     const fv n = rint(load_lanes(x, vector, total) * q);

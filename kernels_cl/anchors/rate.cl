@@ -6,13 +6,14 @@
  *
  * rate_total, rate_statistics: a work-item per column of the period and block of
  *     VECTORS_PER_BLOCK periods.
- * rate_backward: a work-item per vector.
+ * rate_backward: a work-item per vector; every attribute's begin with a work-group.
  * Work-group: any; no local memory.
  *
  * Arrays are read flat, VEC lanes at a time. The channel of a lane repeats every `period` vectors
  * (VEC rows), so every table has VEC * period elements, the channel changing fastest.
  */
 #include "common/lanes.h"
+#include "common/parts.h"
 #include "common/real.h"
 
 #define VECTORS_PER_BLOCK 256
@@ -87,15 +88,40 @@ __kernel void rate_statistics(__global const float *x, const uint total, const f
     STORE_V(square, 4 * plane + at, sums);
 }
 
-/* d_x += slope k + (value of k's side). tables: [0] centre, [1] low, [2] high, [3] slope, and the
- * values [4] below, [5] at the centre, [6] above, [7] outside of [low, high]. */
-__kernel void rate_backward(__global const float *x, const uint total, const float q,
-                            const uint period, __global const float *tables, __global float *d_x)
+/* The work-groups after those of other attributes belong to attribute n, if it has elements. */
+#define CHOOSE_ATTRIBUTE(n)                                                                        \
+    if (get_group_id(0) >= first_group) {                                                          \
+        attribute_group = first_group;                                                             \
+        x = x##n;                                                                                  \
+        tables = tables##n;                                                                        \
+        d_x = d_x##n;                                                                              \
+        total = sizes.s##n;                                                                        \
+        q = scales.s##n;                                                                           \
+        step = periods.s##n;                                                                       \
+    }                                                                                              \
+    first_group += groups_of(vectors_in(sizes.s##n));
+
+/* d_x += slope k + (value of k's side) of up to three attributes. tables: [0] centre, [1] low,
+ * [2] high, [3] slope, and the values [4] below, [5] at the centre, [6] above, [7] outside of
+ * [low, high]. */
+__kernel void rate_backward(__global const float *x0, __global const float *x1,
+                            __global const float *x2, const uint4 sizes, const float4 scales,
+                            const uint4 periods, __global const float *tables0,
+                            __global const float *tables1, __global const float *tables2,
+                            __global float *d_x0, __global float *d_x1, __global float *d_x2)
 {
-    const size_t vector = get_global_id(0);
+    size_t first_group = 0, attribute_group = 0, step = 1;
+    __global const float *x = x0, *tables = tables0;
+    __global float *d_x = d_x0;
+    uint total = 0;
+    float q = 1.0f;
+    CHOOSE_ATTRIBUTE(0)
+    CHOOSE_ATTRIBUTE(1)
+    CHOOSE_ATTRIBUTE(2)
+    const size_t vector = item_of_part(attribute_group);
     if (vector >= vectors_in(total))
         return;
-    const size_t column = vector % period, step = period;
+    const size_t column = vector % step;
     const fv k = symbols(x, vector, total, q) - LOAD_V(column, tables);
     fv value = k<(fv)(0.0f) ? LOAD_V(4 * step + column, tables) : k>(fv)(0.0f)
                    ? LOAD_V(6 * step + column, tables)

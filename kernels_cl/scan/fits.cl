@@ -3,9 +3,14 @@
 #define LACKS_ROOM 2
 #endif
 
-/* Sets LACKS_ROOM in *stop if more are needed than there is room for. */
-__kernel void scan_fits(__global const long *total, const long capacity, __global int *stop)
+/* Copies three totals to one array, and sets LACKS_ROOM in *stop if one is above its capacity. */
+__kernel void scan_fits(__global const long *first, __global const long *second,
+                        __global const long *third, const long4 capacity, __global long *totals,
+                        __global int *stop)
 {
-    if (*total > capacity)
+    totals[0] = *first;
+    totals[1] = *second;
+    totals[2] = *third;
+    if (*first > capacity.x || *second > capacity.y || *third > capacity.z)
         atomic_or(stop, LACKS_ROOM);
 }

@@ -1,17 +1,15 @@
-/* The chosen of some items in ascending order of their keys, CPU form: a stable radix sort in 2 or
- * 3 passes, the fewest that the range of the chosen keys needs. Its first pass leaves the others
- * out. Nothing waits for the host: the passes are planned on the device.
+/* The chosen of some items in ascending order of their keys, CPU form: a stable radix sort in two
+ * passes, with digits as wide as the range of the chosen keys needs. Its first pass leaves the
+ * others out. Nothing waits for the host: the passes are planned on the device.
  *
- * sort_plan, sort_starts: one work-item. The others: a work-item owns a chunk of the items and
- * counters of its own. Work-groups of one work-item; launch size: the number of chunks. No local
- * memory. */
+ * sort_starts: one work-item. The others: a work-item owns a chunk of the items and counters of its
+ * own. Work-groups of one work-item; launch size: the number of chunks. No local memory. */
 #include "common/chunk.h"
 
 #define PLAN_CHOSEN 0 /* number of chosen items, known after the first pass */
 #define PLAN_LOW 1    /* smallest key */
-#define PLAN_PASSES 2 /* 2 or 3 */
-#define PLAN_WIDTH 3  /* bits of a digit, at most MAX_WIDTH */
-#define MAX_WIDTH 13
+#define PLAN_WIDTH 2  /* bits of a digit, at most MAX_WIDTH */
+#define MAX_WIDTH 16
 #define COUNTERS (1 << MAX_WIDTH)
 
 static inline int planned_digit(const uint key, __global const int *plan, const int pass)
@@ -20,9 +18,9 @@ static inline int planned_digit(const uint key, __global const int *plan, const 
                  ((1u << plan[PLAN_WIDTH]) - 1u));
 }
 
-static inline void clear_counters(__global int *counter, __global const int *plan)
+static inline void clear_counters(__global int *counter, const int width)
 {
-    for (int digit = 0; digit < 1 << plan[PLAN_WIDTH]; ++digit)
+    for (int digit = 0; digit < 1 << width; ++digit)
         counter[digit] = 0;
 }
 
@@ -40,50 +38,50 @@ __kernel void sort_range(__global const uint *keys, __global const int *chosen, 
     ranges[2 * get_global_id(0) + 1] = high;
 }
 
-/* One work-item. */
-__kernel void sort_plan(__global const uint *ranges, const int chunks, __global int *plan)
+/* Smallest chosen key, and bits of a digit. */
+static inline int2 planned(__global const uint *ranges)
 {
     uint low = 0xffffffffu, high = 0u;
-    for (int chunk = 0; chunk < chunks; ++chunk) {
+    for (size_t chunk = 0; chunk < get_global_size(0); ++chunk) {
         low = min(low, ranges[2 * chunk]);
         high = max(high, ranges[2 * chunk + 1]);
     }
     const int bits = high > low ? 32 - (int)clz(high - low) : 1;
-    plan[PLAN_LOW] = (int)low;
-    plan[PLAN_PASSES] = bits <= 2 * MAX_WIDTH ? 2 : 3;
-    plan[PLAN_WIDTH] = (bits + plan[PLAN_PASSES] - 1) / plan[PLAN_PASSES];
+    return (int2)((int)low, (bits + 1) / 2);
 }
 
-/* Keys of every digit in every chunk, (chunks, COUNTERS). */
+/* Keys of every digit in every chunk, (chunks, COUNTERS); and the plan for what follows. */
 __kernel void sort_count_chosen(__global const uint *keys, __global const int *chosen,
-                                const int count, __global const int *plan, __global int *counters)
+                                const int count, __global const uint *ranges, __global int *plan,
+                                __global int *counters)
 {
     const Chunk own = own_chunk(count);
+    const int2 plan_of_all = planned(ranges);
+    const uint low = (uint)plan_of_all.x, mask = (1u << plan_of_all.y) - 1u;
     __global int *counter = counters + get_global_id(0) * COUNTERS;
-    clear_counters(counter, plan);
+    clear_counters(counter, plan_of_all.y);
     for (int i = own.begin; i < own.end; ++i)
         if (chosen[i] > 0)
-            ++counter[planned_digit(keys[i], plan, 0)];
+            ++counter[(keys[i] - low) & mask];
+    if (get_global_id(0) == 0) {
+        plan[PLAN_LOW] = plan_of_all.x;
+        plan[PLAN_WIDTH] = plan_of_all.y;
+    }
 }
 
-__kernel void sort_count_pairs(__global const uint *pairs, __global const int *plan, const int pass,
+__kernel void sort_count_pairs(__global const uint *pairs, __global const int *plan,
                                __global int *counters)
 {
-    if (pass >= plan[PLAN_PASSES])
-        return;
     const Chunk own = own_chunk(plan[PLAN_CHOSEN]);
     __global int *counter = counters + get_global_id(0) * COUNTERS;
-    clear_counters(counter, plan);
+    clear_counters(counter, plan[PLAN_WIDTH]);
     for (int i = own.begin; i < own.end; ++i)
-        ++counter[planned_digit(pairs[2 * i], plan, pass)];
+        ++counter[planned_digit(pairs[2 * i], plan, 1)];
 }
 
 /* Counters become places, digit by digit; one work-item. */
-__kernel void sort_starts(__global int *counters, const int chunks, const int pass,
-                          __global int *plan)
+__kernel void sort_starts(__global int *counters, const int chunks, __global int *plan)
 {
-    if (pass >= plan[PLAN_PASSES])
-        return;
     int place = 0;
     for (int digit = 0; digit < 1 << plan[PLAN_WIDTH]; ++digit)
         for (int chunk = 0; chunk < chunks; ++chunk) {
@@ -108,21 +106,14 @@ __kernel void sort_place_chosen(__global const uint *keys, __global const int *c
         }
 }
 
-/* A further pass; the last one writes the indices alone. */
-__kernel void sort_place_pairs(__global const uint *pairs, __global const int *plan, const int pass,
-                               __global int *places, __global uint *placed, __global int *order)
+/* Second pass: the indices alone. */
+__kernel void sort_place_pairs(__global const uint *pairs, __global const int *plan,
+                               __global int *places, __global int *order)
 {
-    const int passes = plan[PLAN_PASSES];
-    if (pass >= passes)
-        return;
     const Chunk own = own_chunk(plan[PLAN_CHOSEN]);
     __global int *next = places + get_global_id(0) * COUNTERS;
     for (int i = own.begin; i < own.end; ++i) {
         const uint2 pair = vload2((size_t)i, pairs);
-        const int to = next[planned_digit(pair.x, plan, pass)]++;
-        if (pass + 1 == passes)
-            order[to] = (int)pair.y;
-        else
-            vstore2(pair, (size_t)to, placed);
+        order[next[planned_digit(pair.x, plan, 1)]++] = (int)pair.y;
     }
 }

@@ -181,3 +181,40 @@ def test_wrong_sizes_are_refused(device):
     marks, trained = device.zeros((4,), np.int32), adam.Trained(parameter, parameter, moments)
     with pytest.raises(ValueError, match="marks"):
         adam.step_rows(device, trained, adam.factors(1.0, 1), stop, marks)
+
+
+def test_many_parts_as_one_after_the_other(device, rng):
+    # more parts than a launch takes, some of them empty, one tensor in three
+    sizes = [1003, 0, 5, 64, 4096, 1, 1030]
+    values = [rng.normal(size=size).astype(np.float32) for size in sizes]
+    gradients = [device.upload(rng.normal(size=size).astype(np.float32)) for size in sizes]
+    together, apart = ([device.upload(one) for one in values] for _ in range(2))
+    now = [adam.factors(0.01 * (i + 1), i + 1) for i in range(9)]
+    stop, parts = adam.stop_flag(device), [slice(0, 100), slice(100, 100), slice(131, 1003)]
+    for tensors, launch in ((together, adam.step_all), (apart, None)):
+        moments = [adam.zero_moments(device, one) for one in tensors]
+        trained = [adam.Trained(*each) for each in zip(tensors, gradients, moments, strict=True)]
+        chosen = [(trained[0], part) for part in parts] + [(one, None) for one in trained[1:]]
+        updates = [
+            adam.Update(one, factors, part)
+            for (one, part), factors in zip(chosen, now, strict=True)
+        ]
+        if launch:
+            launch(device, updates, stop)
+        else:
+            for one in updates:
+                adam.step(device, one.trained, one.now, stop, one.part)
+    for mine, theirs, before in zip(together, apart, values, strict=True):
+        assert np.array_equal(device.download(mine), device.download(theirs))
+        assert not before.size or not np.array_equal(device.download(mine), before)
+    assert np.array_equal(device.download(together[0])[100:131], values[0][100:131])
+
+
+@pytest.mark.parametrize("bad", range(7))
+def test_each_of_many_arrays_is_checked(device, bad):
+    arrays = [np.zeros(size, np.float32) for size in (256, 255, 20_000, 0, 257, 1, 3)]
+    if arrays[bad].size:
+        arrays[bad][-1] = np.nan
+    stop = adam.stop_flag(device)
+    adam.check_finite(device, [device.upload(one) for one in arrays], stop)
+    assert device.download(stop)[0] == (adam.NOT_FINITE if arrays[bad].size else 0)

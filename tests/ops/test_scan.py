@@ -47,11 +47,17 @@ def test_other_dtype_is_refused(device):
         scan.exclusive(device, device.upload(np.zeros(3, np.uint32)))
 
 
+@pytest.mark.parametrize("place", [0, 1, 2])
 @pytest.mark.parametrize(("total", "room"), [(7, 8), (8, 8), (9, 8), (2**31 + 8, 8)])
-def test_short_room_sets_the_stop_flag(device, total, room):
+def test_short_room_sets_the_stop_flag(device, total, room, place):
     stop = device.upload(np.array([1], np.int32))
     wanted = 1 | (scan.LACKS_ROOM if total > room else 0)
-    scan.check_fits(device, device.upload(np.array([total])), room, stop)
+    totals, none = np.array([3, 0, 5]), device.upload(np.array([0]))
+    totals[place] = total
+    gathered = scan.check_fits(
+        device, tuple(device.upload(one) for one in totals[:, None]), (room,) * 3, stop
+    )
+    assert np.array_equal(device.download(gathered), totals)
     assert device.download(stop)[0] == wanted
-    scan.check_fits(device, device.upload(np.array([0])), room, stop)
+    scan.check_fits(device, (none, none, none), (room,) * 3, stop)
     assert device.download(stop)[0] == wanted  # and it stays

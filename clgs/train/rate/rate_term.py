@@ -26,7 +26,7 @@ KEPT = 2
 """Tables kept: a step that is done again may need those of before its successors began."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tables:
     """Of step ``step``: the rate of each of ANCHOR_GROUPS, and the number of anchors."""
 
@@ -51,6 +51,7 @@ class RateTerm:
         self._device, self._config = device, config
         self.scales, self.price = scales, 0.0
         self._kept: list[Tables] = []
+        self._slopes: tuple[Tables, float, dict[str, rate.Slopes]] | None = None
 
     def add(self, parameters: Parameters, gradients: SceneGradients, step: int) -> float | None:
         """Add the gradient in place if it is due; returns bits per anchor if they were counted."""
@@ -65,13 +66,25 @@ class RateTerm:
             if due:
                 weight += config.rate_weight
             if weight:
-                for name, one in tables.rates.items():
-                    x, d_x = (
+                arrays = [
+                    (
+                        one,
                         getattr(parameters.scene.anchors, name),
                         getattr(gradients, f"d_{name}"),
                     )
-                    rate.backward(self._device, one, x, weight, d_x)
+                    for name, one in self._slopes_of(tables, weight).items()
+                ]
+                rate.backward_all(self._device, arrays)
         return tables.bits if due else None
+
+    def _slopes_of(self, tables: Tables, weight: float) -> dict[str, rate.Slopes]:
+        """Those of every attribute, made when the tables or their weight change."""
+        if self._slopes is None or self._slopes[:2] != (tables, weight):
+            made = {
+                name: rate.slopes(self._device, one, weight) for name, one in tables.rates.items()
+            }
+            self._slopes = tables, weight, made
+        return self._slopes[2]
 
     def measure(self, parameters: Parameters, step: int) -> Tables:
         """The rates of the anchors as they are."""

@@ -1,11 +1,12 @@
 """Adam in float32 NumPy on the host: the same numbers as the fused kernel of ``clgs.ops.adam``.
 
-:func:`step` and :func:`step_rows` take what those of ``clgs.ops.adam`` take, and leave the same
-bits if the device rounds division and roots correctly. They wait for the device.
+:func:`step`, :func:`step_all` and :func:`step_rows` take what those of ``clgs.ops.adam`` take, and
+leave the same bits if the device rounds division and roots correctly. They wait for the device.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from clgs.ops.adam import (
     MIN_SECOND_MOMENT,
     StepFactors,
     Trained,
+    Update,
 )
 
 Array = npt.NDArray[np.float32]
@@ -54,6 +56,16 @@ def step(
     views = State._make(array.reshape(-1)[chosen] for array in state)
     update(views, device.download(trained.gradient).reshape(-1)[chosen], factors_now)
     _write(device, trained, state)
+
+
+def step_all(device: Device, updates: Sequence[Update], stop: DeviceArray) -> None:
+    """As :func:`clgs.ops.adam.step_all`: one :func:`step` after the other.
+
+    Raises:
+        ValueError: sizes or dtypes differ.
+    """
+    for one in updates:
+        step(device, one.trained, one.now, stop, one.part)
 
 
 def step_rows(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from clgs.constants import HEAD_DIMS
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
@@ -14,6 +16,19 @@ from clgs.train.step import numpy_adam
 from clgs.train.step.schedule import learning_rates
 
 
+@dataclass(frozen=True)
+class Learned:
+    """What a step learned.
+
+    anchors: False on steps that replace the anchors, and if these rest: only the MLPs learn then.
+    loss: float32 of any shape, finite if the loss is.
+    """
+
+    gradients: SceneGradients
+    anchors: bool
+    loss: DeviceArray
+
+
 class Optimizer:
     """Updates parameters in place; leaves all of them untouched if a gradient is not finite."""
 
@@ -22,24 +37,18 @@ class Optimizer:
         self._device, self._config, self._radius = device, config, radius
         self._adam = numpy_adam if config.optimizer == "numpy" else adam
 
-    def step(
-        self,
-        parameters: Parameters,
-        gradients: SceneGradients,
-        step: int,
-        anchors: bool,
-        stop: DeviceArray,
-    ) -> None:
+    def step(self, parameters: Parameters, learned: Learned, step: int, stop: DeviceArray) -> None:
         """One Adam step number ``step`` (from 1).
 
-        ``anchors`` is False on steps that replace the anchors: only the MLPs learn then. ``stop``
-        (1,) int32 is set if a gradient is not finite; unless it holds 0 nothing changes.
+        ``stop`` (1,) int32 is set if a gradient or the loss is not finite; unless it holds 0
+        nothing changes.
         """
         rates = learning_rates(self._config, step, self._radius)
-        names = (*ANCHOR_GROUPS, "weights") if anchors else ("weights",)
-        by_name = {name: getattr(gradients, f"d_{name}") for name in names}
+        names = (*ANCHOR_GROUPS, "weights") if learned.anchors else ("weights",)
+        by_name = {name: getattr(learned.gradients, f"d_{name}") for name in names}
         tensors = dict(parameters.scene.items())
-        marks = self._check(by_name, stop)
+        marks = self._check(by_name, learned.loss, stop)
+        updates = []
         for name in names:
             trained = adam.Trained(tensors[name], by_name[name], parameters.moments[name])
             for part, rate in _parts(name, by_name[name].size, rates):
@@ -47,17 +56,18 @@ class Optimizer:
                 if name in marks:
                     self._adam.step_rows(self._device, trained, now, stop, marks[name])
                 else:
-                    self._adam.step(self._device, trained, now, stop, part)
+                    updates.append(adam.Update(trained, now, part))
+        self._adam.step_all(self._device, updates, stop)
 
     def _check(
-        self, gradients: dict[str, DeviceArray], stop: DeviceArray
+        self, gradients: dict[str, DeviceArray], loss: DeviceArray, stop: DeviceArray
     ) -> dict[str, DeviceArray]:
         """Set ``stop`` if needed; the rows to update of those groups that are updated by rows."""
         by_rows = [
             name for name in gradients if self._config.adam == "visible" and name != "weights"
         ]
         whole = [array for name, array in gradients.items() if name not in by_rows]
-        adam.check_finite(self._device, whole, stop)
+        adam.check_finite(self._device, [*whole, loss], stop)
         return {name: adam.mark_rows(self._device, gradients[name], stop) for name in by_rows}
 
 

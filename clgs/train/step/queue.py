@@ -20,7 +20,7 @@ from clgs.train.density.densifier import Densifier
 from clgs.train.rate.rate_term import RateTerm
 from clgs.train.state.parameters import Parameters
 from clgs.train.step.exposures import Exposures
-from clgs.train.step.optimizer import Optimizer
+from clgs.train.step.optimizer import Learned, Optimizer
 from clgs.train.step.rounding import rounded_anchors, weight_scales
 from clgs.train.step.schedule import reduction
 from clgs.train.step.targets import Target, Targets
@@ -41,14 +41,14 @@ class Enqueued:
 
     stop (1,) int32: not 0 if the step, or one before it, changed nothing because it lacked room or
     met a number that is not finite; totals: numbers of visible anchors, Gaussians and tile entries,
-    (1,) int64 each; capacity: the room there was for them, None if arrays were made to measure;
+    (3,) int64; capacity: the room there was for them, None if arrays were made to measure;
     rate_bits: per anchor, if the rate proxy ran; frame: if the host needs it to change the anchors.
     """
 
     plan: Plan
     loss: loss.LaterValue
     stop: Download
-    totals: tuple[Download, ...]
+    totals: Download
     capacity: Capacity | None
     rate_bits: float | None
     frame: Frame | None
@@ -60,7 +60,7 @@ class Enqueued:
 
     def needed(self) -> Capacity:
         """How many visible anchors, Gaussians and entries there were; waits for the step."""
-        return Capacity(*(int(total.get()[0]) for total in self.totals))
+        return Capacity(*map(int, self.totals.get()))
 
     def lacked_room(self) -> bool:
         """Whether more was needed than there was room for; waits for the step."""
@@ -115,25 +115,25 @@ class StepQueue:
             device.release_unused()
         target, scene = self._target(plan), self.seen(parameters, plan.step)
         frame = view_forward(device, scene, target.view, self.options, capacity)
-        if capacity is not None:
-            check_capacity(device, frame, capacity, self._stop)
-        value, d_image = self._compare(frame, target, plan)
+        totals = check_capacity(device, frame, capacity, self._stop)
+        compared, d_image = self._compare(frame, target, plan)
         weight = self._config.volume_weight or 0.0
         gradients = render_backward(device, scene, frame, d_image, weight)
         bits = self.rate.add(parameters, gradients, plan.step)
         replaces = densifier.replaces_anchors(plan.step)
         with device.stage("adam"):
             learn = not replaces and plan.step <= self._config.freeze_step
-            self._optimizer.step(parameters, gradients, plan.step, learn, self._stop)
+            learned = Learned(gradients, learn, compared.sums.partials)
+            self._optimizer.step(parameters, learned, plan.step, self._stop)
             if self.exposures is not None:
                 self.exposures.step(plan.index, plan.step, self._stop)
         with device.stage("density"):
             densifier.observe(frame, gradients, plan.step, self._stop)
         enqueued = Enqueued(
             plan=plan,
-            loss=value,
+            loss=compared.value_later(device),
             stop=device.download_later(self._stop),
-            totals=tuple(device.download_later(total) for total in frame.totals),
+            totals=device.download_later(totals),
             capacity=capacity,
             rate_bits=bits,
             frame=frame if replaces else None,
@@ -168,31 +168,27 @@ class StepQueue:
             return parameters.scene.weights
         return quantize.elements(self._device, parameters.scene.weights, self._weight_scales)
 
-    def _compare(
-        self, frame: Frame, target: Target, plan: Plan
-    ) -> tuple[loss.LaterValue, DeviceArray]:
-        """The value of the loss and its gradient by the render."""
+    def _compare(self, frame: Frame, target: Target, plan: Plan) -> tuple[loss.Loss, DeviceArray]:
+        """The loss and its gradient by the render."""
         exposures, index = self.exposures, plan.index
         if exposures is None or not exposures.learn_at(plan.step):
             return self._loss(frame.image, target)
         with self._device.stage("exposure"):
             picture = exposures.expose(frame.image, index)
-        value, d_picture = self._loss(picture, target)
+        compared, d_picture = self._loss(picture, target)
         with self._device.stage("exposure"):
-            return value, exposures.backward(frame.image, d_picture, index, self._stop)
+            return compared, exposures.backward(frame.image, d_picture, index, self._stop)
 
-    def _loss(self, picture: DeviceArray, target: Target) -> tuple[loss.LaterValue, DeviceArray]:
-        """The value of the loss and its gradient by the picture."""
+    def _loss(self, picture: DeviceArray, target: Target) -> tuple[loss.Loss, DeviceArray]:
+        """The loss and its gradient by the picture."""
         device, photo, used = self._device, target.photo, target.used
         weights = loss.Weights(self._config.l1_weight, self._config.ssim_weight)
         with device.stage("loss forward"):
             picture = picture if used is None else mask.forward(device, picture, used)
             compared = loss.forward(device, picture, photo, weights)
-            adam.check_finite(device, [compared.sums.partials], self._stop)
-            value = compared.value_later(device)
         with device.stage("loss backward"):
             d_picture = loss.backward(device, picture, photo, compared)
-            return value, d_picture if used is None else mask.backward(device, d_picture, used)
+            return compared, d_picture if used is None else mask.backward(device, d_picture, used)
 
     def estimated_bits(self, parameters: Parameters) -> float:
         """Bits per anchor of the rounded attributes, by the frequencies of each channel."""

@@ -23,12 +23,9 @@ def rounded_anchors(
     device: Device, anchors: DeviceAnchors, scales: QuantizationScales
 ) -> DeviceAnchors:
     """Anchors rounded to multiples of 1/Q; positions lie on their grid already."""
-    return DeviceAnchors(
-        position=anchors.position,
-        offset=quantize.forward(device, anchors.offset, scales.offset),
-        feature=quantize.forward(device, anchors.feature, scales.feature),
-        scaling=quantize.forward(device, anchors.scaling, scales.scaling),
-    )
+    names = ("offset", "feature", "scaling")
+    arrays = [(getattr(anchors, name), getattr(scales, name)) for name in names]
+    return DeviceAnchors(anchors.position, *quantize.forward_all(device, arrays))
 
 
 def weight_scales() -> npt.NDArray[np.float32]:

@@ -13,8 +13,7 @@ from clgs.data.stored_photo import Color, Planes, composite
 from clgs.data.view import View
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.render.frame import DeviceView, upload_view
-from clgs.scene.scene import RenderSettings
+from clgs.render.frame import DeviceView
 
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 
@@ -40,6 +39,8 @@ class Targets:
         self._device, self._near = device, near
         self._views = views
         self._fixed = BACKGROUNDS.get(background)
+        self._cameras: dict[tuple[int, int], DeviceArray] = {}
+        self._background: tuple[Color, DeviceArray] | None = None
         self._worker = ThreadPoolExecutor(1, "photos")
         self._coming: dict[tuple[int, int], Future[Pixels | Planes]] = {}
 
@@ -65,14 +66,23 @@ class Targets:
         Raises:
             DataError: the photo can no longer be read.
         """
-        settings = RenderSettings(background, self._near)
-        seen = upload_view(self._device, self._views[index].camera.reduced(factor), settings)
+        seen = self._view(index, background, factor)
         planes = self._planes(index, background, factor)
         used = self._views[index].used(factor)
         if used is None:
             return Target(seen, self._device.upload_constant(planes), None)
         photo, mask = map(self._device.upload_constant, (planes * used, used))
         return Target(seen, photo, mask)
+
+    def _view(self, index: int, background: Color, factor: int) -> DeviceView:
+        """The camera with its background; cameras stay on the device from their first use on."""
+        camera = self._views[index].camera.reduced(factor)
+        if (index, factor) not in self._cameras:
+            self._cameras[index, factor] = self._device.upload(camera.pack(self._near))
+        if self._background is None or self._background[0] != background:
+            self._background = background, self._device.upload(np.array(background, np.float32))
+        packed, size = self._cameras[index, factor], (camera.width, camera.height)
+        return DeviceView(packed, size, self._background[1])
 
     def _planes(self, index: int, background: Color, factor: int) -> Planes:
         if self._fixed not in (None, background):
