@@ -35,6 +35,9 @@ LANES = ("8", "16")
 BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
 """Subnormals cost CPUs dearly; warnings are the lint's (scripts/checks/lint_kernels.sh)."""
 
+EXACT_DIVISION = "-cl-fp32-correctly-rounded-divide-sqrt"
+"""For devices that have it: a GPU's usual division may be wrong in the last two bits."""
+
 COMPILED_SECONDS = 0.06
 """Processor time above which a program was compiled, not taken from the driver's cache."""
 
@@ -72,6 +75,7 @@ class Device:
         width = int(self.cl_device.native_vector_width_float)
         self._register_lanes = _wanted_lanes() or min(max(width, 4), 16)
         self._largest_array = int(self.cl_device.max_mem_alloc_size)
+        self._build_options = [*BUILD_OPTIONS, *([EXACT_DIVISION] if self.exact_division else [])]
         self.profile = Profile()
         self._transfers = Transfers(self.queue)
         allocator = cl.tools.ImmediateAllocator(self.queue)
@@ -87,6 +91,12 @@ class Device:
     def _usual_specialisation(self) -> str:
         is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
         return "cpu" if is_cpu and compiles_vectors(self.cl_device) else "gpu"
+
+    @property
+    def exact_division(self) -> bool:
+        """Whether division and square root can be, and so are, correctly rounded."""
+        exact: int = cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
+        return bool(self.cl_device.single_fp_config & exact)
 
     @property
     def is_emulator(self) -> bool:
@@ -238,7 +248,7 @@ class Device:
                 built = cl.Program(self.context, read_program(file))
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    self._programs[key] = built.build(options=[*BUILD_OPTIONS, *options])
+                    self._programs[key] = built.build(options=[*self._build_options, *options])
             except cl.RuntimeError as error:
                 raise DeviceError(
                     f"kernels_cl/{file} does not build on {self.name}: "

@@ -1,7 +1,7 @@
-"""Two kernels that do nothing but use the device: what the other stages are measured against.
+"""Kernels that ask what a device can do: what the other stages are measured against.
 
 copy: target = source. fma: CHAINS independent chains x <- x factor + term per lane, starting
-at (1 .. CHAINS) / 8, and their sum.
+at (1 .. CHAINS) / 8, and their sum. rounding: the operations whose last bit drivers disagree about.
 """
 
 from __future__ import annotations
@@ -47,4 +47,23 @@ def fma(device: Device, groups: int, steps: int) -> DeviceArray:
     kernel = device.kernel("limits/limits", "limits_fma")
     arguments = np.float32(FACTOR), np.float32(TERM), np.int32(steps)
     device.run(kernel, (groups * group,), (group,), *arguments, result)
+    return result
+
+
+def rounding(device: Device, x: DeviceArray, y: DeviceArray, z: DeviceArray) -> DeviceArray:
+    """(4, n) float32: x / y, sqrt(y), x y + z rounded twice, and x y + z rounded once.
+
+    ``x``, ``y`` and ``z`` are (n,) float32. A device whose results are those of IEEE 754 makes the
+    bits of every other such device in all stages.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    shapes = Shapes()
+    for name, array in (("x", x), ("y", y), ("z", z)):
+        shapes.check(name, array, "n", np.float32)
+    result = device.empty((4, len(x)))
+    kernel = device.kernel("limits/limits", "limits_rounding")
+    size = (round_up(-(-len(x) // device.vec), GROUP_SIZE),), (GROUP_SIZE,)
+    device.run(kernel, *size, x, y, z, np.uint32(len(x)), result)
     return result

@@ -26,8 +26,8 @@ from clgs.opencl.sums import BlockSums, LaterMean
 from clgs.shapes import Shapes
 
 PATCH_COLUMNS = 16
-PATCH_ROWS = {"cpu": 32, "gpu": 16}
-"""Patch height by specialisation: taller ones blur fewer rows twice, but need more memory."""
+PATCH_ROWS = 32
+"""Taller patches blur fewer rows twice, but need more memory."""
 
 GROUP_SIZE = {"cpu": 1, "gpu": 256}
 VOLUME_BLOCK = 256
@@ -214,7 +214,7 @@ def _check(image: DeviceArray, target: DeviceArray) -> tuple[int, int]:
 
 
 def _patches(device: Device, height: int, width: int) -> tuple[int, int]:
-    return -(-width // PATCH_COLUMNS), -(-height // PATCH_ROWS[device.specialisation])
+    return -(-width // PATCH_COLUMNS), -(-height // PATCH_ROWS)
 
 
 def _defines(device: Device) -> dict[str, Any]:
@@ -225,4 +225,4 @@ def _defines(device: Device) -> dict[str, Any]:
     total = taps[0] + 2 * sum(taps[1:])
     weights = {f"SSIM_WEIGHT_{tap}": weight / total for tap, weight in enumerate(taps)}
     levels = {"SSIM_C1": constants.SSIM_C1, "SSIM_C2": constants.SSIM_C2}
-    return {"PATCH_ROWS": PATCH_ROWS[device.specialisation], **weights, **levels}
+    return {"PATCH_ROWS": PATCH_ROWS, **weights, **levels}

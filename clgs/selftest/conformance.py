@@ -15,8 +15,9 @@ from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.errors import DataError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, blend, density, loss, mlp, project, quantize, rate, scan, sort
+from clgs.ops import adam, blend, density, limits, loss, mlp, project, quantize, rate, scan, sort
 from clgs.options import PRESETS, RenderOptions
+from clgs.reference.stages import limits as reference
 from clgs.render.frame import DeviceScene, Frame, upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.selftest.conformance_scenes import ConformanceScene, conformance_scenes
@@ -26,6 +27,9 @@ FORMAT = "clgs conformance 1"
 VOLUME_WEIGHT = 0.0625
 COUNT = 5000
 """Numbers given to the stages outside of a render."""
+
+OPERATIONS = ("division", "square root", "product and sum", "fused product and sum")
+"""What drivers round differently; all stages are made of these and of sums and products."""
 
 Tensor = tuple[str, str, npt.NDArray[Any]]
 """Stage, name and values."""
@@ -181,11 +185,15 @@ def from_record(record: object) -> list[Fingerprint]:
     return found
 
 
-def other_form(record: dict[str, Any], facts: dict[str, Any]) -> str:
-    """Which forms of the kernels two devices run, if not the same: their sums have other orders."""
-    mine, others = facts["device"]["specialisation"], record.get("device")
-    theirs = others.get("specialisation") if isinstance(others, dict) else None
-    return "" if theirs == mine else f"specialisation {theirs} there, {mine} here"
+def roundings(device: Device) -> dict[str, int]:
+    """Of COUNT results of each basic operation, how many are not those of IEEE 754."""
+    random = ExactRandom(COUNT + 1)
+    x, y = random.floats((COUNT,), 1.0, 2.0), random.floats((COUNT,), 1.0, 2.0)
+    z = -random.floats((COUNT,), 1.0, 4.0)
+    found = device.download(limits.rounding(device, *map(device.upload, (x, y, z))))
+    wanted = reference.rounding(*(one.astype(np.float64) for one in (x, y, z)))
+    wrong = (found != wanted).sum(axis=1)
+    return dict(zip(OPERATIONS, map(int, wrong), strict=True))
 
 
 def differences(mine: list[Fingerprint], others: list[Fingerprint]) -> list[Fingerprint]:

@@ -3,54 +3,62 @@
  * to a place of its own, and sums.cl adds the rows of each Gaussian: no floating-point atomics, the
  * same bits in every run.
  *
- * A work-group owns a tile, each of its TILE_SIZE^2 work-items a pixel. Local memory holds
- * BACKWARD_BATCH records, which the work-items load together, and the moments of all pixels for
- * ROUND entries, which they then add up together. Launch size: tiles * TILE_SIZE^2. */
+ * A work-group owns a tile, each of its TILE_SIZE^2 work-items a pixel; 16 neighbouring ones are a
+ * unit, which passes over records that do not touch it. Local memory holds BACKWARD_BATCH records,
+ * which the work-items load together, and the moments of all pixels for ROUND entries, which they
+ * then add up together. Launch size: tiles * TILE_SIZE^2. */
 #include "blend/moments.h"
 #include "blend/observe.h"
 #include "blend/rays.h"
 #include "blend/record.h"
 #include "blend/touch.h"
+#include "blend/units.h"
+#include "common/lanes.h"
 #include "common/real.h"
 #include "common/tile_size.h"
 
 #define TILE_PIXELS (TILE_SIZE * TILE_SIZE)
 
-/* Sums over the work-group, of ROUND entries at a time, in two steps of a fixed order: PARTS
- * partial sums of every moment, then the sums of these. */
+/* Sums over the work-group, of ROUND entries at a time, in the order of the CPU form: over the
+ * units for each of their 16 pixels, then over these by a tree. */
 #define ROUND 3
-#define PARTS 8
 #define ROUND_MOMENTS (ROUND * ROW_USED)
 #define BACKWARD_BATCH (16 * ROUND) /* records staged at a time */
+
+/* Place of a pixel's moment. Every second moment has its units swapped in pairs: two neighbouring
+ * moments of the same lanes then lie in different banks. */
+static inline int value_place(const int moment, const int pixel)
+{
+    return TILE_PIXELS * moment + (pixel ^ (moment % 2 * UNIT_SIZE));
+}
 
 static inline void store_moments(const Moments *m, int slot, __local float *values)
 {
     const float own[ROW_USED] = {m->y1,  m->y2,    m->y11,  m->y12,  m->y22,
                                  m->red, m->green, m->blue, m->alpha};
     for (int j = 0; j < ROW_USED; ++j)
-        values[TILE_PIXELS * (ROW_USED * slot + j) + (int)get_local_id(0)] = own[j];
+        values[value_place(ROW_USED * slot + j, (int)get_local_id(0))] = own[j];
 }
 
 /* Writes the rows of `entries` entries. Contains barriers; `values` may be written again after
  * it. */
-static inline void reduce_moments(__local const float *values, __local float *parts,
+static inline void reduce_moments(__local const float *values, __local float *lanes,
                                   __local const float *staged, int entries, __global float *rows)
 {
     const int item = (int)get_local_id(0);
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (item < ROUND_MOMENTS * PARTS) {
+    for (int i = item; i < entries * ROW_USED * UNIT_SIZE; i += TILE_PIXELS) {
+        const int moment = i / UNIT_SIZE, lane = i % UNIT_SIZE;
         float sum = 0.0f;
-        for (int i = item % PARTS; i < TILE_PIXELS; i += PARTS)
-            sum += values[TILE_PIXELS * (item / PARTS) + i];
-        parts[item] = sum;
+        for (int unit = 0; unit < UNITS; ++unit)
+            sum += values[value_place(moment, unit * UNIT_SIZE + lane)];
+        lanes[LANES_PITCH * moment + lane] = sum;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     if (item < entries * ROW_USED) {
-        float sum = 0.0f;
-        for (int i = 0; i < PARTS; ++i)
-            sum += parts[PARTS * item + i];
         const int row = as_int(staged[RECORD_USED * (item / ROW_USED) + RECORD_ROW]);
-        rows[ROW_SIZE * (size_t)row + (size_t)(item % ROW_USED)] = sum;
+        rows[ROW_SIZE * (size_t)row + (size_t)(item % ROW_USED)] =
+            lane_tree(lanes + LANES_PITCH * item);
     }
 }
 
@@ -87,12 +95,13 @@ __kernel void blend_backward(__global const float *records, __global const int *
 {
     __local float staged[RECORD_USED * BACKWARD_BATCH];
     __local float values[ROUND_MOMENTS * TILE_PIXELS];
-    __local float parts[ROUND_MOMENTS * PARTS];
+    __local float lanes[ROUND_MOMENTS * LANES_PITCH];
     __local int tile_last;
     const int tile = (int)get_group_id(0), item = (int)get_local_id(0);
     const int columns = tiles_across(width);
-    const int x = tile % columns * TILE_SIZE + item % TILE_SIZE;
-    const int y = tile / columns * TILE_SIZE + item / TILE_SIZE;
+    const int tile_x = pixel_x(item), tile_y = pixel_y(item);
+    const int x = tile % columns * TILE_SIZE + tile_x, y = tile / columns * TILE_SIZE + tile_y;
+    const uint unit = unit_bit(item / UNIT_SIZE);
     const TouchConstants constants = touch_constants(0);
     Rays p = {1.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0};
     if (x < width && y < height)
@@ -120,15 +129,18 @@ __kernel void blend_backward(__global const float *records, __global const int *
             const int entries = min(batch - i, ROUND);
             for (int slot = 0; slot < entries; ++slot) {
                 const int k = stop - 1 - i - slot;
-                Record record;
-                READ_RECORD(record, staged + RECORD_USED * (i + slot));
+                __local const float *from = staged + RECORD_USED * (i + slot);
                 Moments m = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-                const Touch t = touch(&record, (float)x + 0.5f, (float)y + 0.5f, &constants);
-                const iv taken = blend_back(&p, &record, &t, k - first + 1, &m);
-                OBSERVE(k, item % TILE_SIZE, item / TILE_SIZE, taken, t.saturated);
+                if (as_uint(from[RECORD_UNITS]) & unit) {
+                    Record record;
+                    READ_RECORD(record, from);
+                    const Touch t = touch(&record, (float)x + 0.5f, (float)y + 0.5f, &constants);
+                    const iv taken = blend_back(&p, &record, &t, k - first + 1, &m);
+                    OBSERVE(k, tile_x, tile_y, taken, t.saturated);
+                }
                 store_moments(&m, slot, values);
             }
-            reduce_moments(values, parts, staged + RECORD_USED * i, entries, rows);
+            reduce_moments(values, lanes, staged + RECORD_USED * i, entries, rows);
         }
     }
 }

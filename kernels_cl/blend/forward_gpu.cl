@@ -3,12 +3,14 @@
  *     color += alpha T c,  T *= 1 - alpha;  a pixel stops before T < TRANSMITTANCE_STOP.
  * touch.h computes alpha, pixels.h blends; rays.h and moments.h take the derivatives.
  *
- * A work-group owns a tile, each of its TILE_SIZE^2 work-items a pixel. Local memory holds BATCH
- * records, which the work-items load together. Launch size: tiles * TILE_SIZE^2. */
+ * A work-group owns a tile, each of its TILE_SIZE^2 work-items a pixel; 16 neighbouring ones are a
+ * unit, which passes over records that do not touch it. Local memory holds BATCH records, which the
+ * work-items load together. Launch size: tiles * TILE_SIZE^2. */
 #include "blend/observe.h"
 #include "blend/pixels.h"
 #include "blend/record.h"
 #include "blend/touch.h"
+#include "blend/units.h"
 #include "common/tile_size.h"
 
 #define BATCH 256 /* records staged at a time, one per work-item */
@@ -32,8 +34,9 @@ __kernel void blend_forward(__global const float *records, __global const int *t
     __local int open;
     const int tile = (int)get_group_id(0), item = (int)get_local_id(0);
     const int columns = tiles_across(width);
-    const int x = tile % columns * TILE_SIZE + item % TILE_SIZE;
-    const int y = tile / columns * TILE_SIZE + item / TILE_SIZE;
+    const int tile_x = pixel_x(item), tile_y = pixel_y(item);
+    const int x = tile % columns * TILE_SIZE + tile_x, y = tile / columns * TILE_SIZE + tile_y;
+    const uint unit = unit_bit(item / UNIT_SIZE);
     const bool inside = x < width && y < height;
     const TouchConstants constants = touch_constants(0);
     Pixels p;
@@ -52,10 +55,13 @@ __kernel void blend_forward(__global const float *records, __global const int *t
             break;
         const int stop = end - begin < BATCH ? end : begin + BATCH;
         for (int k = begin; k < stop; ++k) {
+            __local const float *from = staged + RECORD_USED * (k - begin);
+            if (!(as_uint(from[RECORD_UNITS]) & unit))
+                continue;
             Record record;
-            READ_RECORD(record, staged + RECORD_USED * (k - begin));
+            READ_RECORD(record, from);
             const Touch t = touch(&record, (float)x + 0.5f, (float)y + 0.5f, &constants);
-            OBSERVE(k, item % TILE_SIZE, item / TILE_SIZE, blended_over(&p, &t), t.saturated);
+            OBSERVE(k, tile_x, tile_y, blended_over(&p, &t), t.saturated);
             blend_over(&p, &e, &record, &t, k - first + 1);
         }
         barrier(CLK_LOCAL_MEM_FENCE);

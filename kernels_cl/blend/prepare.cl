@@ -65,10 +65,7 @@ __kernel void blend_prepare(__global const float *mean2d, __global const float *
 /* Units that a Gaussian may touch in the tile at (x, y). */
 static inline uint record_units(__global const float *prepared, int x, int y)
 {
-#if VEC == 1
-    (void)prepared, (void)x, (void)y;
-    return 1u;
-#elif !SKIP_UNITS
+#if !SKIP_UNITS
     (void)prepared, (void)x, (void)y;
     return ALL_UNITS;
 #else

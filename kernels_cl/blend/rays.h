@@ -37,12 +37,13 @@ static inline iv blend_back(Rays *p, const Record *record, const Touch *t, int n
     const fv v1 = v * y1, v2 = v * y2;
     m->y1 += v1;
     m->y2 += v2;
-    m->y11 = fma(v1, y1, m->y11);
-    m->y12 = fma(v1, y2, m->y12);
-    m->y22 = fma(v2, y2, m->y22);
-    m->red = fma(weight, p->d_red, m->red);
-    m->green = fma(weight, p->d_green, m->green);
-    m->blue = fma(weight, p->d_blue, m->blue);
+    /* no fma: the GPU form adds up what each pixel gives, and must get the same bits */
+    m->y11 += v1 * y1;
+    m->y12 += v1 * y2;
+    m->y22 += v2 * y2;
+    m->red += weight * p->d_red;
+    m->green += weight * p->d_green;
+    m->blue += weight * p->d_blue;
     m->alpha += v;
     return blends;
 }

@@ -7,7 +7,7 @@
 #define RECORD_SIZE 16
 #define RECORD_COLOR 6   /* red, green, blue */
 #define RECORD_ELLIPSE 9 /* of a Gaussian: slope, squared and shrink, see common/ellipses.h */
-#define RECORD_UNITS 9   /* of an entry, uint: units of the tile that it may touch (CPU form) */
+#define RECORD_UNITS 9   /* of an entry, uint: units of the tile that it may touch */
 #define RECORD_ROW 11    /* of an entry, int: the row that its moments go to */
 #define RECORD_USED 12
 

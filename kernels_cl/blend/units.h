@@ -1,6 +1,6 @@
-/* CPU form: the pixels of a tile are cut into units of VEC lanes, 4 pixels wide and VEC/4 high:
- * small Gaussians touch fewer such blocks than rows. A tile has at most 32 units, so that a set of
- * them is the bits of a uint. */
+/* The pixels of a tile are cut into units, 4 pixels wide: small Gaussians touch fewer such blocks
+ * than rows. In the CPU form they have VEC lanes, in the GPU form 16 work-items. A tile has at most
+ * 32 units, so that a set of them is the bits of a uint. */
 #ifndef CLGS_UNITS_H
 #define CLGS_UNITS_H
 
@@ -11,10 +11,9 @@
 #define SKIP_EMPTY_TILES 1 /* see Skips in clgs/options.py */
 #endif
 
-#if VEC > 1
-
+#define UNIT_SIZE (VEC == 1 ? 16 : VEC)
 #define UNIT_WIDTH 4
-#define UNIT_HEIGHT (VEC / UNIT_WIDTH)
+#define UNIT_HEIGHT (UNIT_SIZE / UNIT_WIDTH)
 #define UNIT_COLUMNS (TILE_SIZE / UNIT_WIDTH)
 #define UNIT_ROWS (TILE_SIZE / UNIT_HEIGHT)
 #define UNITS (UNIT_COLUMNS * UNIT_ROWS)
@@ -28,7 +27,7 @@
 #define CONVERT_ROWS convert_int8
 #define ROW_Y ((float8)(0.5f, 2.5f, 4.5f, 6.5f, 8.5f, 10.5f, 12.5f, 14.5f))
 #define ROW_SHIFT ((int8)(28, 24, 20, 16, 12, 8, 4, 0))
-#elif VEC == 16
+#else
 #define LANE_X                                                                                     \
     ((float16)(0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, \
                2.5f, 3.5f))
@@ -63,6 +62,17 @@ static inline int unit_y(int unit)
     return (int)((uint)unit / UNIT_COLUMNS * UNIT_HEIGHT);
 }
 
+/* Pixel of a tile that belongs to a work-item of the GPU form: unit after unit. */
+static inline int pixel_x(int item)
+{
+    return unit_x(item / UNIT_SIZE) + item % UNIT_WIDTH;
+}
+
+static inline int pixel_y(int item)
+{
+    return unit_y(item / UNIT_SIZE) + item % UNIT_SIZE / UNIT_WIDTH;
+}
+
 /* Units that an ellipse touches, its centre relative to the tile; see Ellipses. Of a number that is
  * not finite, all. A little too large, so that rounding never loses a pixel. */
 static inline uint units_of(float2 centre, float slope, float squared, float shrink)
@@ -91,18 +101,19 @@ static inline uint units_of(float2 centre, float slope, float squared, float shr
     return or_rows((end > first ? bits : (ROW_I)(0)) << ROW_SHIFT);
 }
 
+/* Sets of units: unit 0 is the highest bit of a uint. */
+static inline uint unit_bit(int unit)
+{
+    return 0x80000000u >> unit;
+}
+
+#if VEC > 1
 /* Units whose pixels are the same lanes of 16: each second row of them if vectors have 8. */
 #if VEC == 8
 #define UNITS_OF_PART(part) ((part) == 0 ? 0xf0f0f0f0u : 0x0f0f0f0fu)
 #else
 #define UNITS_OF_PART(part) ALL_UNITS
 #endif
-
-/* Sets of units: unit 0 is the highest bit of a uint. */
-static inline uint unit_bit(int unit)
-{
-    return 0x80000000u >> unit;
-}
 
 /* Removes the first unit of a non-empty set and returns it. */
 static inline int take_unit(uint *units)

@@ -52,13 +52,17 @@ static inline void store_lanes(fv value, size_t vector, __global float *values, 
         values[vector * VEC + lane] = lanes[lane];
 }
 
-/* Sums over a CPU's lanes go by a tree of 16 of them, so that gradients have the same bits whatever
- * the width of its vectors: narrower ones sum each SUM_PARTS-th vector apart, and then the first
- * half of the parts to the second until one is left. */
+/* Sums over lanes go by a tree of 16 of them, so that gradients have the same bits whatever the
+ * width of vectors: narrower ones sum each SUM_PARTS-th vector apart, and then the first half of
+ * the parts to the second until one is left. In the GPU form work-items are the lanes. */
+#define SUM_LANES 16
+#define LANES_PITCH                                                                                \
+    (SUM_LANES + 1) /* in local memory, so that each list starts in another bank                   \
+                     */
 #if VEC == 1
 #define SUM_PARTS 1
 #else
-#define SUM_PARTS (16 / VEC)
+#define SUM_PARTS (SUM_LANES / VEC)
 #endif
 
 #if VEC == 1
@@ -120,5 +124,30 @@ static inline float lane_min(fv value)
             lanes[lane] = lanes[lane + reach] < lanes[lane] ? lanes[lane + reach] : lanes[lane];
     return lanes[0];
 }
+
+#if VEC > 1
+/* Sum of all lanes of all parts, which it changes. */
+static inline float parts_sum(fv part[SUM_PARTS])
+{
+    for (int reach = SUM_PARTS / 2; reach > 0; reach /= 2)
+        for (int i = 0; i < reach; ++i)
+            part[i] += part[i + reach];
+    return lane_sum(part[0]);
+}
+#else
+/* Sum of SUM_LANES numbers, by halves. */
+static inline float lane_tree(__local const float *lanes)
+{
+    float sum[SUM_LANES];
+    for (int i = 0; i < SUM_LANES; ++i)
+        sum[i] = lanes[i];
+#pragma unroll
+    for (int reach = SUM_LANES / 2; reach > 0; reach /= 2)
+#pragma unroll
+        for (int i = 0; i < reach; ++i)
+            sum[i] += sum[i + reach];
+    return sum[0];
+}
+#endif
 
 #endif

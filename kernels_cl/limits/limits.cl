@@ -1,7 +1,8 @@
-/* What a device can do at most: bytes copied and float32 operations per second.
+/* What a device can do at most: bytes copied and float32 operations per second; and how it rounds.
  *
- * limits_copy: a work-item copies VEC numbers; launch size: at least total / VEC, in work-groups of
- * any size. limits_fma: a work-item computes on VEC lanes; launch size: any. No local memory. */
+ * limits_copy, limits_rounding: a work-item takes VEC numbers; launch size: at least total / VEC,
+ * in work-groups of any size. limits_fma: a work-item computes on VEC lanes; launch size: any. No
+ * local memory. */
 #include "common/lanes.h"
 #include "common/real.h"
 
@@ -30,4 +31,19 @@ __kernel void limits_fma(const float factor, const float term, const int steps,
         g = fma(g, f, t);
     }
     STORE_V(((a + b) + (c + d)) + (e + g), get_global_id(0), result);
+}
+
+/* rounded (4, total): x / y, sqrt(y), x y + z in two roundings, and in one. */
+__kernel void limits_rounding(__global const float *x, __global const float *y,
+                              __global const float *z, const uint total, __global float *rounded)
+{
+    const size_t vector = get_global_id(0);
+    if (vector >= vectors_in(total))
+        return;
+    const fv a = load_lanes(x, vector, total), b = load_lanes(y, vector, total);
+    const fv c = load_lanes(z, vector, total);
+    store_lanes(a / b, vector, rounded, total);
+    store_lanes(sqrt(b), vector, rounded + (size_t)total, total);
+    store_lanes(a * b + c, vector, rounded + 2 * (size_t)total, total);
+    store_lanes(fma(a, b, c), vector, rounded + 3 * (size_t)total, total);
 }

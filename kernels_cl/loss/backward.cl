@@ -76,9 +76,9 @@ GROUP_SIZED __kernel void loss_backward(__global const float *image, __global co
                                         __global float *d_image)
 {
     SPACE float stage[3 * STAGE_SIZE];
-    SPACE float blurred[3 * BLURRED_SIZE];
+    SPACE float blurred[3 * BLURRED_SIZE] __attribute__((aligned(16)));
     SPACE float offsets[6 * STRIDE];
-    SPACE float4 scratch[ITEMS];
+    SPACE float4 *scratch = (SPACE float4 *)blurred; /* until something is blurred */
     const Patch patch = make_patch(width, height);
     const float2 shift = vload2(patch_index((int)get_group_id(0), (int)get_group_id(1)), shifts);
     const bool flat = is_flat(patch, image, target, shift, scratch);

@@ -20,6 +20,7 @@
 #include "common/real.h"
 #include "loss/group.h"
 #include "loss/patch.h"
+#include "loss/pixel_sums.h"
 #include "loss/window.h"
 
 #ifndef SSIM_C1
@@ -52,6 +53,16 @@ static inline fv column_coverage(int x, int width)
     return LOAD_V(0, lanes);
 }
 
+/* 1 for lanes from a staged column on that the window reaches, else 0: the range must not depend on
+ * the width of vectors. */
+static inline fv rim_mask(const int column)
+{
+    float lanes[VEC];
+    for (int lane = 0; lane < VEC; ++lane)
+        lanes[lane] = column + lane < PATCH_COLUMNS + 2 * RADIUS ? 1.0f : 0.0f;
+    return LOAD_V(0, lanes);
+}
+
 /* Load image and target with a rim of RADIUS; the middle of their ranges as (c_x, c_y), in steps
  * of 1/256 so that differences of such numbers are exact. */
 static inline float2 stage_images(Patch patch, __global const float *image,
@@ -65,7 +76,7 @@ static inline float2 stage_images(Patch patch, __global const float *image,
         const int row = unit / columns, column = unit % columns * VEC;
         const int px = patch.x + column - RADIUS, py = patch.y + row - RADIUS;
         const fv x = load_pixels(patch, image, px, py), y = load_levels(patch, target, px, py);
-        const fv outside = (1.0f - image_mask(patch, px, py)) * far;
+        const fv outside = (1.0f - image_mask(patch, px, py) * rim_mask(column)) * far;
         low_x = x + outside < low_x ? x + outside : low_x;
         high_x = outside - x < high_x ? outside - x : high_x;
         low_y = y + outside < low_y ? y + outside : low_y;
@@ -149,8 +160,8 @@ GROUP_SIZED __kernel void loss_forward(__global const float *image, __global con
                                        __global float *w_map, __global float *sums)
 {
     SPACE float stage[4 * STAGE_SIZE];
-    SPACE float blurred[4 * BLURRED_SIZE];
-    SPACE float4 scratch[ITEMS];
+    SPACE float blurred[4 * BLURRED_SIZE] __attribute__((aligned(16)));
+    SPACE float4 *scratch = (SPACE float4 *)blurred; /* until something is blurred */
     const Patch patch = make_patch(width, height);
     const float2 shift = stage_images(patch, image, target, stage, scratch);
     const bool flat = stage_products(patch, shift, stage, scratch);
@@ -158,7 +169,8 @@ GROUP_SIZED __kernel void loss_forward(__global const float *image, __global con
         blur_rows(stage, blurred, 4);
 
     const int columns = PATCH_COLUMNS / VEC;
-    fv l1 = (fv)(0.0f), ssim = (fv)(0.0f);
+    DECLARE_PIXEL_SUMS(l1, stage);
+    DECLARE_PIXEL_SUMS(ssim, stage + PATCH_PIXELS);
     for (int unit = ITEM; unit < PATCH_ROWS * columns; unit += ITEMS) {
         const int row = unit / columns, column = unit % columns * VEC;
         const int px = patch.x + column, py = patch.y + row;
@@ -175,13 +187,12 @@ GROUP_SIZED __kernel void loss_forward(__global const float *image, __global con
         store_pixels(patch, s.w, w_map, px, py);
         const fv in_image = image_mask(patch, px, py);
         const fv error = load_pixels(patch, image, px, py) - load_levels(patch, target, px, py);
-        l1 += fabs(error);
-        ssim += s.loss * in_image;
+        ADD_PIXELS(l1, unit, fabs(error));
+        ADD_PIXELS(ssim, unit, s.loss * in_image);
     }
-    const float4 sum = group_sum((float4)(lane_sum(l1), lane_sum(ssim), 0.0f, 0.0f), scratch);
-    if (ITEM == 0) {
-        const size_t index = patch_index((int)get_group_id(0), (int)get_group_id(1));
+    const size_t index = patch_index((int)get_group_id(0), (int)get_group_id(1));
+    STORE_PIXEL_SUM(l1, sums + 2 * index);
+    STORE_PIXEL_SUM(ssim, sums + 2 * index + 1);
+    if (ITEM == 0)
         vstore2(shift, index, shifts);
-        vstore2(sum.xy, index, sums);
-    }
 }

@@ -7,7 +7,7 @@
 
 #define PATCH_COLUMNS 16
 #ifndef PATCH_ROWS
-#define PATCH_ROWS 16
+#define PATCH_ROWS 32
 #endif
 
 typedef struct {

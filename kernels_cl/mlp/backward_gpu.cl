@@ -6,13 +6,14 @@
  *     Work-item: a block of samples. Work-group: any; no local memory.
  *     Launch: BATCH work-items per batch.
  * mlp_backward_weights
- *     Work-item: every GROUP_SIZE-th vector of a batch, for WEIGHT_ROWS rows of the head's
- * gradient. Work-group: GROUP_SIZE work-items, whose sums are added in local memory in a fixed
- * order. Launch: a work-group per tile of rows (dimension 0) and batch (dimension 1).
+ *     Work-item: every SUM_LANES-th sample of a batch, for WEIGHT_ROWS rows of the head's gradient
+ *         by every STEPS-th COLUMNS of the inputs.
+ *     Work-group: GROUP_SIZE work-items; the sums of SUM_LANES of them are added in local memory.
+ *     Launch: a work-group per tile of rows (dimension 0) and batch (dimension 1).
  *
  * backward_sum.cl adds the parts.
  */
-#include "common/real.h"
+#include "common/lanes.h"
 #include "mlp/batch.h"
 #include "mlp/block_backward.h"
 #include "mlp/inputs.h"
@@ -20,6 +21,9 @@
 #include "mlp/runs.h"
 #include "mlp/slots.h"
 #include "mlp/weight_tile.h"
+
+/* Column tiles that a work-group sums at the same time. */
+#define STEPS (GROUP_SIZE / SUM_LANES)
 
 /* values: (batches, BATCH_SIZE). */
 __kernel void mlp_backward_layers(__global const float *feature, __global const float *position,
@@ -51,23 +55,22 @@ __kernel void mlp_backward_weights(const int padded, __global const int *active,
     const int samples = active_samples(batch, padded, active);
     const WeightTile tile = weight_tile(head, (int)get_group_id(0));
     __global const float *rows = values + get_group_id(1) * BATCH_SIZE;
-    const Runs vectors = {1, {item}, {(samples + VEC - 1) / VEC}};
-    __local float shared[GROUP_SIZE * SUMS];
+    const int lane = item % SUM_LANES, own_step = item / SUM_LANES;
+    const Runs lanes = {1, {lane}, {samples}};
+    __local float shared[STEPS * SUMS * LANES_PITCH];
     __global float *part = partial + (size_t)(batch % PARTS) * part_size() + tile.sums;
-    for (int step = 0; step < column_tiles(&tile); ++step) {
+    for (int first = 0; first < column_tiles(&tile); first += STEPS) {
         __global const float *columns[COLUMNS];
-        multiplied_rows(&tile, step * COLUMNS, rows, columns);
+        multiplied_rows(&tile, min(first + own_step, column_tiles(&tile) - 1) * COLUMNS, rows,
+                        columns);
         float sums[SUMS];
-        dot_products(rows + tile.d_row * BATCH_STRIDE, columns, &vectors, sums);
+        dot_products(rows + tile.d_row * BATCH_STRIDE, columns, &lanes, sums);
         for (int i = 0; i < SUMS; ++i)
-            shared[item * SUMS + i] = sums[i];
+            shared[(own_step * SUMS + i) * LANES_PITCH + lane] = sums[i];
         barrier(CLK_LOCAL_MEM_FENCE);
-        for (int sum = item; sum < SUMS; sum += GROUP_SIZE) {
-            float total = 0.0f;
-            for (int i = 0; i < GROUP_SIZE; ++i)
-                total += shared[i * SUMS + sum];
-            part[step * SUMS + sum] += total;
-        }
+        const int steps = min(column_tiles(&tile) - first, STEPS);
+        for (int sum = item; sum < steps * SUMS; sum += GROUP_SIZE)
+            part[first * SUMS + sum] += lane_tree(shared + sum * LANES_PITCH);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 }

@@ -104,12 +104,9 @@ static inline void multiplied_rows(const WeightTile *tile, const int column,
                                  BATCH_STRIDE;
 }
 
-/* The vectors of a batch go round the work-items of a group. */
-#if USE_LOCAL
-#define VECTOR_STEP GROUP_SIZE
-#else
-#define VECTOR_STEP SUM_PARTS
-#endif
+/* Vectors go round the lanes of the tree in which they are summed: SUM_LANES work-items, or the
+ * parts of narrow vectors. */
+#define VECTOR_STEP (SUM_LANES / VEC)
 
 /* sum[o][c] += row o times column c, over every VECTOR_STEP-th vector of [begin, end). A function
  * of its own, and sums of its own, because only then a CPU's compiler keeps all of them in

@@ -29,3 +29,20 @@ def test_fma(device, steps):
 def test_copy_refuses_other_sizes(device):
     with pytest.raises(ValueError, match="target"):
         limits.copy(device, device.zeros((3,)), device.zeros((4,)))
+
+
+@pytest.mark.parametrize("count", [0, 16, 4097])
+def test_roundings_are_those_of_ieee_754(device, rng, count):
+    x, y = rng.uniform(1, 2, (2, count)).astype(np.float32)
+    z = -rng.uniform(1, 4, count).astype(np.float32)
+    found = device.download(limits.rounding(device, *map(device.upload, (x, y, z))))
+    assert np.array_equal(found, reference.rounding(*map(np.float64, (x, y, z))))
+    # NumPy rounds twice where it is not fused
+    assert np.array_equal(found[:3], [x / y, np.sqrt(y), x * y + z])
+    assert not count or not np.array_equal(found[2], found[3])
+
+
+def test_roundings_of_other_lengths_are_refused(device):
+    x, y = device.zeros((3,)), device.zeros((4,))
+    with pytest.raises(ValueError, match="y"):
+        limits.rounding(device, x, y, x)

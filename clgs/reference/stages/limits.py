@@ -21,3 +21,13 @@ def fma(factor: float, term: float, steps: int, chains: int = 6) -> float:
     limit = term / (1 - factor)
     start = np.arange(1, chains + 1) / 8
     return float(np.sum(limit + (start - limit) * factor**steps))
+
+
+def rounding(x: Array, y: Array, z: Array) -> Array:
+    """(4, n): x / y, sqrt(y), x y + z rounded twice, and rounded once, all to float32.
+
+    The arguments hold numbers of float32 with magnitudes from 1 to 4: x y and x y + z are exact in
+    float64 then, and a quotient or root that float64 has rounded rounds on as if it were exact.
+    """
+    product = (x * y).astype(np.float32).astype(np.float64)
+    return np.stack([x / y, np.sqrt(y), product + z, x * y + z]).astype(np.float32)

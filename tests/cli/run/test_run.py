@@ -15,6 +15,7 @@ from clgs.cli.run.duration import duration
 from clgs.cli.run.plan import FRAMES, frames_within
 from clgs.cli.run.stages import Stages
 from tests.small_scene import write_scene
+from tests.terminal import as_from_a_terminal
 
 
 @pytest.fixture(scope="module")
@@ -159,6 +160,7 @@ def test_warning_and_interruption_are_told_once(tmp_path, instant):
         stdout=subprocess.PIPE,
         stderr=(tmp_path / "errors").open("w"),
         text=True,
+        preexec_fn=as_from_a_terminal,
     ) as process:
         assert process.stdout is not None
         for line in process.stdout:

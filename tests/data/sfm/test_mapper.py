@@ -15,6 +15,7 @@ from PIL import Image
 from clgs.data.sfm import mapper
 from clgs.errors import DataError
 from tests.data.folders import noise_image
+from tests.terminal import as_from_a_terminal
 
 PYCOLMAP = """
 import os, signal, time
@@ -46,12 +47,6 @@ HANG = 120
 """Seconds after which a process that does not end is given up."""
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no such signals")
-
-
-def as_from_a_terminal():
-    """A shell's background job starts with SIGINT ignored, one of nohup with SIGHUP."""
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
 
 
 @pytest.fixture
