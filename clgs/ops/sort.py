@@ -13,11 +13,15 @@ import numpy as np
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
 from clgs.opencl.grid import chunk_count
-from clgs.ops import scan
 from clgs.shapes import Shapes
 
 KEY_BITS = 32
 DIGIT_BITS = {"cpu": 11, "gpu": 8}
+GROUP_SIZE = {"cpu": 1, "gpu": 256}
+SHORTEST_CHUNK = {"cpu": 32768, "gpu": 1024}
+MOST_CHUNKS = {"cpu": 32, "gpu": 256}
+"""Of :func:`by_key`; every chunk adds up the counts of all, so they are few."""
+
 MAX_WIDTH = 16
 """Bits of a digit of :func:`chosen` on a CPU, at most: two digits are a key."""
 
@@ -73,7 +77,7 @@ def chosen(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
 def _chosen_by_key(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
     count = len(keys)
     chosen_keys, index = device.empty((count,), np.uint32), device.empty((count,), np.int32)
-    grid = (round_up(count, scan.GROUP_SIZE),), (scan.GROUP_SIZE,)
+    grid = (round_up(count, GROUP_SIZE["gpu"]),), (GROUP_SIZE["gpu"],)
     choose = device.kernel("sort/chosen", "sort_choose")
     device.run(choose, *grid, keys, choice, np.int32(count), chosen_keys, index)
     sorted_keys, index = by_key(device, chosen_keys, index)
@@ -119,18 +123,17 @@ def digits(bits: int, widest: int) -> list[tuple[int, int]]:
 def _pass(
     device: Device, keys: DeviceArray, values: DeviceArray, shift: int, width: int
 ) -> tuple[DeviceArray, DeviceArray]:
-    count = len(keys)
-    chunk, chunks = scan.chunk_plan(device, count)
-    group = scan.GROUP_SIZE if device.specialisation == "gpu" else 1
-    plan = np.int32(count), np.int32(chunk), np.int32(chunks)
-    digit = np.int32(shift), np.uint32(2**width - 1)
-    histogram = device.empty((2**width * chunks,), np.int32)
+    count, form = len(keys), device.specialisation
+    chunks = max(1, min(MOST_CHUNKS[form], count // SHORTEST_CHUNK[form]))
+    group = GROUP_SIZE[form]
     size = (chunks * group,), (group,)
+    plan = np.int32(count), np.int32(-(-count // chunks))
+    digit = np.int32(shift), np.uint32(2**width - 1)
+    histogram = device.empty((chunks * 2 ** DIGIT_BITS[form],), np.int32)
+    out = device.empty(keys.shape, np.uint32), device.empty(keys.shape, np.int32)
     device.run(
         device.kernel("sort/by_key", "sort_histogram"), *size, keys, *plan, *digit, histogram
     )
-    place = scan.on_device(device, histogram).offset
-    out = device.empty(keys.shape, np.uint32), device.empty(keys.shape, np.int32)
     scatter = device.kernel("sort/by_key", "sort_scatter")
-    device.run(scatter, *size, keys, values, *plan, *digit, place, *out)
+    device.run(scatter, *size, keys, values, *plan, *digit, histogram, *out)
     return out
