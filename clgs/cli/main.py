@@ -45,6 +45,9 @@ COMMANDS = (
 )
 """Each is a module of ``clgs.cli.commands`` with ``register(subparsers)`` and ``run(args)``."""
 
+LOST = ("OUT_OF_RESOURCES", "DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE", "INVALID_CONTEXT")
+"""What drivers answer once a device has failed, or is gone."""
+
 EPILOG = """\
 exit codes: 0 success, 1 failure, 2 usage, 3 data, 4 device, 130 interrupted
 
@@ -203,6 +206,11 @@ def _explain_opencl(error: Exception) -> str:
     first = (str(error).strip().splitlines() or ["unknown error"])[0]
     if "MemoryError" in type(error).__name__:
         return f"the device is out of memory ({first}); try a larger --downscale"
+    if any(code in first for code in LOST):
+        return (
+            f"the OpenCL device failed or was lost ({first}); run it again, a training with "
+            "--resume; if it fails again, `clgs accept` shows where"
+        )
     return f"OpenCL: {type(error).__name__}: {first}"
 
 

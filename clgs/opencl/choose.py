@@ -60,6 +60,8 @@ def _platforms() -> list[Any]:
 def choose_device(name: str | None = None) -> Any:
     """One device: by ``name``, else by PYOPENCL_CTX, else the first GPU, else the first CPU.
 
+    A GPU with memory of its own comes before one that shares the CPU's.
+
     ``name`` is the number that ``clgs devices`` shows, or a part of the device's or platform's
     name. PYOPENCL_CTX reads as in pyopencl: platform or platform:device, each a number or a part
     of a name. Emulators (Oclgrind) are taken only by name.
@@ -108,7 +110,7 @@ def _full_name(choice: Any) -> str:
 
 def _preference(device: Any) -> int:
     if is_emulator(device):
-        return 3
+        return 4
     if device.type & cl.device_type.GPU:
-        return 0
-    return 1 if compiles_vectors(device) else 2
+        return 1 if device.host_unified_memory else 0
+    return 2 if compiles_vectors(device) else 3

@@ -63,6 +63,11 @@ def cl_error(name):
         (MemoryError(), 1, "out of memory"),
         (cl_error("MemoryError")("clCreateBuffer failed:\nX"), 4, "out of memory (clCreateBuffer"),
         (cl_error("LogicError")("clSetKernelArg failed:\nX"), 4, "LogicError: clSetKernelArg"),
+        (
+            cl_error("RuntimeError")("clFinish failed: OUT_OF_RESOURCES\nX"),
+            4,
+            "failed or was lost (clFinish failed: OUT_OF_RESOURCES); run it again",
+        ),
         (ModuleNotFoundError("No module", name="pyopencl"), 4, "pip install pyopencl"),
         (ImportError("libOpenCL.so.1", name="pyopencl._cl"), 4, "libOpenCL.so.1"),
         (ModuleNotFoundError("No module", name="rich"), 1, "rich cannot be loaded"),

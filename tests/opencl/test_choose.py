@@ -19,6 +19,7 @@ class FakeDevice:
     compiler_available: bool = True
     platform: FakePlatform | None = None
     driver_version: str = "3.1+debian"
+    host_unified_memory: bool = False
 
 
 @dataclass(eq=False)
@@ -65,6 +66,17 @@ def busy_machine(machine):
             ],
         ),
     )
+
+
+def test_a_card_with_memory_of_its_own_comes_first(machine):
+    shared = FakeDevice("In the CPU", cl.device_type.GPU, host_unified_memory=True)
+    machine(
+        FakePlatform("First", [FakeDevice("cpu"), shared]),
+        FakePlatform("Second", [FakeDevice("Card", cl.device_type.GPU)]),
+    )
+    assert choose.choose_device().name == "Card"
+    machine(FakePlatform("First", [FakeDevice("cpu"), shared]))
+    assert choose.choose_device().name == "In the CPU"
 
 
 @pytest.mark.usefixtures("busy_machine")
