@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 import shutil
 import stat
 from collections.abc import Iterator
@@ -239,7 +238,7 @@ def _take_name(folder: Path, target: Path) -> None:
 
 
 def _temporary(path: Path, folder: Path) -> Path:
-    return folder / f".{path.stem[:STEM_KEPT]}.{secrets.token_hex(4)}{path.suffix}"
+    return folder / f".{path.stem[:STEM_KEPT]}.{os.urandom(4).hex()}{path.suffix}"
 
 
 @contextmanager
