@@ -40,39 +40,78 @@ __kernel void exposure_forward(__global const float *image, const uint total,
     }
 }
 
+/* d_image = M^T d_picture of one vector of pixels. */
+static inline void pixels_backward(const fv d[3], __global const float *map, const size_t vector,
+                                   const size_t total, __global float *d_image)
+{
+    for (int k = 0; k < 3; ++k) {
+        fv back = (fv)(0.0f);
+        for (int c = 0; c < 3; ++c)
+            back = fma((fv)(map[4 * c + k]), d[c], back);
+        store_lanes(back, vector, d_image + k * total, total);
+    }
+}
+
+/* Sums over a block of pixels of d y / d(map) times d_picture. Each number of the map is summed in
+ * SUM_LANES lanes, of every SUM_LANES-th pixel, and these by the tree of lanes.h. */
+#if USE_LOCAL
+static inline void store_map_sums(__global const float *image, __global const float *d_picture,
+                                  const size_t begin, const size_t total, __local float *lanes,
+                                  __global float *sums)
+{
+    const int number = ITEM / SUM_LANES, lane = ITEM % SUM_LANES;
+    const size_t end = min(begin + EXPOSURE_BLOCK, total);
+    if (number < MAP_SIZE) {
+        __global const float *d = d_picture + number / 4 * total;
+        __global const float *x = image + number % 4 * total;
+        float sum = 0.0f;
+        for (size_t pixel = begin + lane; pixel < end; pixel += SUM_LANES)
+            sum = number % 4 < 3 ? fma(d[pixel], x[pixel], sum) : sum + d[pixel];
+        lanes[number * LANES_PITCH + lane] = sum;
+    }
+    SYNC();
+    if (ITEM < MAP_SIZE)
+        sums[ITEM] = lane_tree(lanes + ITEM * LANES_PITCH);
+}
+#else
+static inline void store_map_sums(__global const float *image, __global const float *d_picture,
+                                  const size_t begin, const size_t total, __private float *lanes,
+                                  __global float *sums)
+{
+    (void)lanes;
+    fv x[3], d[3], sum[MAP_SIZE];
+    for (int i = 0; i < MAP_SIZE; ++i)
+        sum[i] = (fv)(0.0f);
+    for (size_t first = begin; first < min(begin + EXPOSURE_BLOCK, total); first += VEC) {
+        load_pixels(image, first / VEC, total, x);
+        load_pixels(d_picture, first / VEC, total, d);
+        for (int c = 0; c < 3; ++c) {
+            for (int k = 0; k < 3; ++k)
+                sum[4 * c + k] = fma(d[c], x[k], sum[4 * c + k]);
+            sum[4 * c + 3] += d[c];
+        }
+    }
+    for (int i = 0; i < MAP_SIZE; ++i)
+        sums[i] = lane_sum(sum[i]);
+}
+#endif
+
 /* d_image = M^T d_picture, and for each block its part of the gradient of the map. */
 GROUP_SIZED __kernel void exposure_backward(__global const float *image,
                                             __global const float *d_picture, const uint total,
                                             __global const float *maps, const uint photo,
                                             __global float *d_image, __global float *sums)
 {
-    SPACE float4 scratch[ITEMS];
-    fv x[3], d[3], sum[MAP_SIZE];
-    for (int i = 0; i < MAP_SIZE; ++i)
-        sum[i] = (fv)(0.0f);
-    maps += MAP_SIZE * photo;
+    SPACE float lanes[MAP_SIZE * LANES_PITCH];
+    const size_t begin = get_group_id(0) * EXPOSURE_BLOCK;
     for (int unit = ITEM * VEC; unit < EXPOSURE_BLOCK; unit += ITEMS * VEC) {
-        const size_t first = get_group_id(0) * EXPOSURE_BLOCK + (size_t)unit;
-        if (first >= total)
+        fv d[3];
+        if (begin + (size_t)unit >= total)
             continue;
-        load_pixels(image, first / VEC, total, x);
-        load_pixels(d_picture, first / VEC, total, d);
-        for (int k = 0; k < 3; ++k) {
-            fv back = (fv)(0.0f);
-            for (int c = 0; c < 3; ++c) {
-                back = fma((fv)(maps[4 * c + k]), d[c], back);
-                sum[4 * c + k] = fma(d[c], x[k], sum[4 * c + k]);
-            }
-            store_lanes(back, first / VEC, d_image + k * (size_t)total, total);
-            sum[4 * k + 3] += d[k];
-        }
+        load_pixels(d_picture, (begin + (size_t)unit) / VEC, total, d);
+        pixels_backward(d, maps + MAP_SIZE * photo, (begin + (size_t)unit) / VEC, total, d_image);
     }
-    for (int c = 0; c < 3; ++c) {
-        const fv *row = sum + 4 * c;
-        const float4 block = group_sum(lane_sums(row[0], row[1], row[2], row[3]), scratch);
-        if (ITEM == 0)
-            vstore4(block, 3 * get_group_id(0) + c, sums);
-    }
+    store_map_sums(image, d_picture, begin, total, lanes, sums + MAP_SIZE * get_group_id(0));
 }
 
 /* d_maps of number `photo`: the blocks' sums, and pull * (map - identity). */

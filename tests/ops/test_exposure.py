@@ -95,3 +95,18 @@ def test_wrong_arrays_are_refused(device, rng):
         exposure.forward(device, image, maps, 3)
     with pytest.raises(ValueError, match="maps"):
         exposure.forward(device, image, image, 0)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_both_forms_make_the_same_bits(open_device, rng, size):
+    image, d_picture, maps = case(rng, size)
+    found = []
+    for form in ("cpu", "gpu"):
+        device = open_device(form)
+        uploaded, d_uploaded, on_device = map(device.upload, (image, d_picture, maps))
+        d_maps = device.zeros(maps.shape)
+        arrays = uploaded, d_uploaded, on_device
+        d_image = exposure.backward(device, *arrays, PHOTO, WEIGHT, d_maps)
+        found.append((device.download(d_image), device.download(d_maps)))
+    for mine, other in zip(*found, strict=True):
+        assert np.array_equal(mine, other)

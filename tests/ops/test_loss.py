@@ -208,3 +208,13 @@ def test_wrong_arrays_are_refused(device):
         loss.forward(device, image, device.zeros((3, 5, 4), np.uint8))
     with pytest.raises(ValueError, match="d_scale"):
         loss.volume(device, device.zeros((4, 3)), 1.0, device.zeros((5, 3)))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_both_forms_make_the_same_bits(open_device, rng, size):
+    target = photo(rng, *size)
+    image = (levels_of(target) + rng.normal(0, 0.05, target.shape)).astype(np.float32)
+    devices = [open_device(form) for form in ("cpu", "gpu")]
+    (mine, d_mine), (other, d_other) = (run(device, image, target) for device in devices)
+    assert mine.value(devices[0]) == other.value(devices[1])
+    assert np.array_equal(d_mine, d_other)
