@@ -6,6 +6,7 @@
  * exposure_sum: a work-item per number of the map; adds the blocks in order.
  * exposure_centre: a work-item per number of the map; goes through the photos in order.
  */
+#include "common/form.h"
 #include "common/lanes.h"
 #include "common/real.h"
 #include "loss/group.h"
