@@ -43,7 +43,9 @@ class StepTimes:
     intersections: int
 
 
-def bench_step(device: Device, gaussians: int, size: int, repeats: int, seed: int) -> StepTimes:
+def bench_step(
+    device: Device, gaussians: int, size: int | tuple[int, int], repeats: int, seed: int
+) -> StepTimes:
     """Time steps on a new synthetic scene, as :func:`time_steps` does."""
     return time_steps(synthetic_trainer(device, gaussians, size, seed), repeats)
 
@@ -92,7 +94,9 @@ def render_times(trainer: Trainer, repeats: int) -> list[float]:
     return times[WARM_UP:]
 
 
-def synthetic_trainer(device: Device, gaussians: int, size: int, seed: int) -> Trainer:
+def synthetic_trainer(
+    device: Device, gaussians: int, size: int | tuple[int, int], seed: int
+) -> Trainer:
     """A trainer in the middle of its statistics phase, on a synthetic scene and photo."""
     return trainer_of(device, *anchor_scene(gaussians, size, seed), seed)
 

@@ -21,30 +21,34 @@ DRAWN_SHARE = 0.4
 DISTANCE = 4.0
 
 
+def camera_of(width: int, height: int) -> Camera:
+    """A camera of so many pixels, DISTANCE before the origin, 53 degrees along the longer edge."""
+    focal = float(max(width, height))
+    place = np.array([0.0, 0.0, DISTANCE])
+    return Camera(np.eye(3), place, focal, focal, width / 2, height / 2, width, height)
+
+
 def square_camera(size: int) -> Camera:
-    """A camera of ``size`` x ``size`` pixels, DISTANCE before the origin, 53 degrees wide."""
-    return Camera(
-        np.eye(3),
-        np.array([0.0, 0.0, DISTANCE]),
-        float(size),
-        float(size),
-        size / 2,
-        size / 2,
-        size,
-        size,
-    )
+    """As :func:`camera_of`, of ``size`` x ``size`` pixels."""
+    return camera_of(size, size)
 
 
-def anchor_scene(gaussians: int, size: int, seed: int = 0) -> tuple[Scene, Camera]:
+def anchor_scene(
+    gaussians: int, size: int | tuple[int, int], seed: int = 0
+) -> tuple[Scene, Camera]:
     """A scene of which about ``gaussians`` small neural Gaussians are drawn, and its camera.
 
-    Anchors fill the middle of the view; Gaussians have a median standard deviation of about one
-    pixel, as neural Gaussians of trained scenes do.
+    ``size``: pixels, of both edges or width and height. Anchors fill the middle of the view;
+    Gaussians have a median standard deviation of about one pixel, as neural Gaussians of trained
+    scenes do.
     """
     rng = np.random.default_rng(seed)
     count = max(1, round(gaussians / (DRAWN_SHARE * K_OFFSETS)))
-    pixel = DISTANCE / size
-    position = rng.uniform(-1, 1, (count, 3)) * np.array([1.7, 1.7, 0.5])
+    width, height = size if isinstance(size, tuple) else (size, size)
+    edge = max(width, height)
+    pixel = DISTANCE / edge
+    filled = np.array([1.7 * (width / edge), 1.7 * (height / edge), 0.5])
+    position = rng.uniform(-1, 1, (count, 3)) * filled
     scaling = np.log(pixel) + rng.normal(0.9, 0.4, (count, 6))
     anchors = AnchorSet(
         position.astype(np.float32),
@@ -52,7 +56,7 @@ def anchor_scene(gaussians: int, size: int, seed: int = 0) -> tuple[Scene, Camer
         rng.normal(0, 1.0, (count, FEATURE_DIM)).astype(np.float32),
         scaling.astype(np.float32),
     )
-    camera = square_camera(size)
+    camera = camera_of(width, height)
     return Scene(anchors, _calibrated_mlps(anchors, camera, rng)), camera
 
 

@@ -26,10 +26,19 @@ def test_a_single_gaussian_is_enough(tmp_path):
     assert json.loads(file.read_text())["anchors"] == 1
 
 
+def test_width_and_height_are_given_apart(capsys):
+    tiny = ["--gaussians", "300", "--repeats", "1"]
+    assert main(["bench", "step", *tiny, "--size", "48x16"]) == 0
+    assert "48x16 px" in " ".join(capsys.readouterr().out.split())
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
         (["step", "--size", "9" * 30], "--size"),
+        (["step", "--size", "20000x5"], "--size"),
+        (["step", "--size", "8x8x8"], "--size"),
+        (["step", "--size", "8x"], "--size"),
         (["step", "--gaussians", "3000000000"], "--gaussians"),
         (["ops", "--elements", "3000000000"], "--elements"),
         (["scaling", "--sizes", "40", "16385"], "--sizes"),

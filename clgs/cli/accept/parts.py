@@ -22,26 +22,26 @@ STEPS = 20
 STARTED = (1000, 64)
 """Gaussians, and pixels of the picture's edge, of the step that is timed from a cold start."""
 
-LARGE = 1440
-"""Pixels of the large picture's edges: as many as 1920 x 1080 has."""
+LARGE = "1920x1080"
+"""Pixels of the large picture."""
 
 
 @dataclass(frozen=True)
 class Size:
     """How much work the parts do: Gaussians, the picture's edge in pixels, and repetitions.
 
-    elements: of stages that are timed alone; large: Gaussians and edge of the large step.
+    elements: of stages that are timed alone; large: Gaussians and pixels of the large step.
     """
 
     gaussians: int
     edge: int
     elements: int
-    large: tuple[int, int]
+    large: tuple[int, str]
     repeats: int
 
 
 WHOLE = Size(200_000, 400, 1_000_000, (1_000_000, LARGE), 15)
-QUICK = Size(20_000, 128, 100_000, (50_000, 320), 5)
+QUICK = Size(20_000, 128, 100_000, (50_000, "480x270"), 5)
 
 
 def parts(device: str, folder: Path, size: Size, data: list[str]) -> list[Part]:
@@ -58,7 +58,7 @@ def parts(device: str, folder: Path, size: Size, data: list[str]) -> list[Part]:
     def file(name: str) -> str:
         return str(folder / f"{name}.json")
 
-    def step(name: str, work: tuple[int, int], repeats: int = 1) -> Part:
+    def step(name: str, work: tuple[int, int | str], repeats: int = 1) -> Part:
         counts = zip(("--gaussians", "--size", "--repeats"), (*work, repeats), strict=True)
         words = ("bench", "step", *on, *map(str, chain(*counts)), "--json", file(name))
         return Part(name, words, partial(_step, name))

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from clgs.cli.options.view import positive_int, seed
-from clgs.cli.options.workload import edge_length, gaussian_count
+from clgs.cli.options.workload import gaussian_count, picture_size
 
 
 def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -25,9 +25,10 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
     )
     add(
         "--size",
-        type=edge_length,
-        default=400,
-        help="width and height of the image, pixels (default: 400)",
+        type=picture_size,
+        default=(400, 400),
+        metavar="N|WxH",
+        help="width and height of the image, pixels (default: 400x400)",
     )
     add(
         "--repeats", type=positive_int, default=15, help="steps to take the median of (default: 15)"
@@ -56,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
     times = bench_step(device, args.gaussians, args.size, args.repeats, args.seed)
     title = (
         f"{device.name} ({device.specialisation}): {times.anchors:,} anchors, "
-        f"{times.gaussians:,} Gaussians, {times.intersections:,} intersections, {args.size} px"
+        f"{times.gaussians:,} Gaussians, {times.intersections:,} intersections, "
+        f"{args.size[0]}x{args.size[1]} px"
     )
     table = Table("stage", title=title)
     table.add_column("median ms", justify="right")

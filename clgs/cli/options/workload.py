@@ -13,6 +13,15 @@ gaussian_count = whole_number(20_000_000)
 edge_length = whole_number(16_384)
 """Pixels; a picture of more would not fit into an array of a device."""
 
+
+def picture_size(text: str) -> tuple[int, int]:
+    """Width and height: "1920x1080", or one number for both."""
+    edges = text.lower().split("x")
+    if len(edges) > 2:
+        raise argparse.ArgumentTypeError(f"{text} is not WIDTHxHEIGHT, such as 1920x1080")
+    return edge_length(edges[0]), edge_length(edges[-1])
+
+
 element_count = whole_number(100_000_000)
 
 
