@@ -32,11 +32,13 @@ CORNERS = np.array(list(product((-1, 1), repeat=3)), np.float32)
 class StepTimes:
     """Median milliseconds of a whole step, of each stage, and what the step worked on.
 
-    step: of a stream of steps; render: of a picture alone, from the camera to the host's array.
+    step: of a stream of steps; render: of a picture alone, from the camera to the host's array;
+    launches: kernels of a step.
     """
 
     step: float
     render: float
+    launches: int
     stages: dict[str, float]
     anchors: int
     gaussians: int
@@ -53,7 +55,9 @@ def bench_step(
 def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
     """Time ``repeats`` steps as a stream, then as many stage by stage (with waits in between)."""
     device = trainer.device
+    before = device.launches
     whole = stream_times(trainer, repeats)
+    launches = round((device.launches - before) / (WARM_UP + repeats))
     device.profile.clear()
     device.profile.enabled = True
     for _ in range(repeats):
@@ -64,6 +68,7 @@ def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
     return StepTimes(
         median(whole),
         median(render_times(trainer, repeats)),
+        launches,
         stages,
         trainer.parameters.count,
         counts.gaussians,

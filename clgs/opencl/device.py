@@ -87,6 +87,8 @@ class Device:
         self._kernels: dict[tuple[Any, ...], cl.Kernel] = {}
         self._programs: dict[tuple[Any, ...], cl.Program] = {}
         self._told = False
+        self.launches = 0
+        """Kernels enqueued so far."""
 
     def _usual_specialisation(self) -> str:
         is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
@@ -276,6 +278,7 @@ class Device:
         """
         if 0 in global_size:
             return
+        self.launches += 1
         plain = [a.buffer if isinstance(a, DeviceArray) else a for a in arguments]
         kernel(self.queue, tuple(global_size), tuple(local_size) if local_size else None, *plain)
 

@@ -67,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
     table.add_section()
     table.add_row("whole step", f"{times.step:.2f}")
     table.add_row("render only", f"{times.render:.2f}")
+    table.add_section()
+    table.add_row("launches of a step", str(times.launches))
     Console().print(table)
     if args.json:
         facts = {"command": command_line(), **machine_facts(device)}
