@@ -85,6 +85,9 @@ lambda is more than the default. What a price costs is estimated from small chan
 values, and pictures that fit badly seem to allow large changes of many.
 """
 
+NO_LIMIT = 1000.0
+"""Times the usual lambda from which on the loss may grow as it will; the power stays finite."""
+
 SPARE = 0.995
 """Share of the size asked for that is aimed at: the MLPs still change."""
 
@@ -123,7 +126,7 @@ class Economy:
         moments = np.linspace(config.switch_step, last, rounds)
         self._lambda = config.size_lambda or 0.0
         usual = default_lambda(dataset.kind, config.steps)
-        self._most_loss = MOST_LOSS ** max(1.0, self._lambda / usual)
+        self._most_loss = MOST_LOSS ** min(max(1.0, self._lambda / usual), NO_LIMIT)
         active = self._lambda > 0 or config.target_size > 0
         thinned = [share * config.switch_step for share in THINNED]
         if config.switch_step < ROUND_STEPS:

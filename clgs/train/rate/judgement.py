@@ -64,9 +64,11 @@ class Judge:
     ) -> Sensitivity:
         """How a view, the mean, goes with the anchors, seen from the views [first::every].
 
-        ``curved``: whether to look at changes of the attributes, too.
+        From all views if these are none. ``curved``: whether to look at changes of the attributes,
+        too.
         """
-        cameras = [view.camera for view in self.views[first::every]]
+        # of a single view there is no second half
+        cameras = [view.camera for view in self.views[first::every] or self.views]
         least = min(camera.width * camera.height for camera in cameras)
         factor = 2 if least >= 4 * PIXELS * len(scene.anchors) else 1
         reduced = [camera.reduced(factor) for camera in cameras]

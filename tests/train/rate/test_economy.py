@@ -58,6 +58,18 @@ def test_lambda_trades_size_for_quality(cpu, dataset, untouched):
     assert all(one.before == one.after for one in ended)
 
 
+def test_a_single_view_is_judged_in_every_round(cpu, dataset):
+    alone = replace(dataset, train=dataset.train[:1])
+    trainer = trained(cpu, alone, size_lambda=1.0)
+    assert len(trainer.rounds) == len(THINNED) + LEAST_ROUNDS
+
+
+def test_the_largest_lambda_is_taken(cpu, dataset):
+    trainer = trained(cpu, dataset, size_lambda=1e6)
+    assert trainer.parameters.count >= 1
+    assert len(encode(trainer.quantized_scene())) > 0
+
+
 def first_round(cpu, dataset, most: float, monkeypatch) -> tuple[float, float]:
     """Its price, and the loss after it, if that may be ``most`` times that of finest integers."""
     monkeypatch.setattr(economy, "MOST_LOSS", most)
