@@ -34,6 +34,13 @@ def test_width_and_height_are_given_apart(capsys):
     assert "48x16 px" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.parametrize("size", ["8x", "x", "8x8x8"])
+def test_what_is_no_size_is_told_by_an_example(capsys, size):
+    with pytest.raises(SystemExit):
+        main(["bench", "step", "--size", size])
+    assert f"--size: {size} is not WIDTHxHEIGHT, such as 1920x1080" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [

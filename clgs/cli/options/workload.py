@@ -17,7 +17,7 @@ edge_length = whole_number(16_384)
 def picture_size(text: str) -> tuple[int, int]:
     """Width and height: "1920x1080", or one number for both."""
     edges = text.lower().split("x")
-    if len(edges) > 2:
+    if len(edges) > 2 or "" in edges:
         raise argparse.ArgumentTypeError(f"{text} is not WIDTHxHEIGHT, such as 1920x1080")
     return edge_length(edges[0]), edge_length(edges[-1])
 
