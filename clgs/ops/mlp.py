@@ -20,7 +20,6 @@ Source: Scaffold-GS (Lu et al. 2024), without its optional inputs.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,14 +49,18 @@ WORKERS = 1
 """Work-items per compute unit of a CPU; each takes parts until none is left."""
 
 GROUP_SIZE = 64
-"""Work-items of a group on a GPU."""
+"""Work-items of a group on a GPU that sorts samples or sums weight gradients."""
 
-TILE = {"cpu": 5, "gpu": 10}
-VECTORS = {"cpu": 2, "gpu": 1}
-"""Register tile of ``kernels_cl/mlp/layout.h``: rows, and vectors of samples."""
+TILE = 5
+VECTORS = 2
+"""Register tile of a CPU, ``kernels_cl/mlp/layout.h``: rows, and vectors of samples."""
+
+SAMPLES = 64
+LAYER_ITEMS = 128
+"""Samples that a group computes on a GPU, and its work-items (``kernels_cl/mlp/group/layer.h``)."""
 
 WEIGHT_ROWS = {"cpu": 4, "gpu": 10}
-COLUMNS = {"cpu": 3, "gpu": 2}
+COLUMNS = {"cpu": 3, "gpu": 7}
 """Register tile of the weight gradient: rows, and inputs."""
 
 
@@ -134,7 +137,7 @@ def forward(
     anchors, padded = inputs.anchors, result.output.shape[1]
     device.run(
         device.kernel("mlp/forward", "mlp_heads", **defines(device, options)),
-        *blocks(device, padded),
+        *_layer_sizes(device, padded),
         anchors.feature,
         anchors.position,
         result.visible,
@@ -170,7 +173,7 @@ def opacities(
     opacity = device.empty((K_OFFSETS, padded))
     device.run(
         device.kernel("mlp/forward", "mlp_opacity", **macros),
-        *blocks(device, padded),
+        *_layer_sizes(device, padded),
         anchors.feature,
         anchors.position,
         visible,
@@ -267,15 +270,18 @@ def _backward_arguments(
 
 
 def _batch_size(device: Device) -> int:
-    """Floats of the rows of one batch."""
-    rows = INPUT_DIM + 1 + FEATURE_DIM + TILE[device.specialisation] + 2 * HIDDEN_DIM
-    return (rows + max(HEAD_DIMS.values())) * (BATCH + 16)
+    """Floats of the rows of one batch: on a GPU of all heads, on a CPU of one at a time."""
+    if device.specialisation == "gpu":
+        rows = len(HEAD_DIMS) * 2 * HIDDEN_DIM + OUTPUT_DIM
+    else:
+        rows = FEATURE_DIM + TILE + 2 * HIDDEN_DIM + max(HEAD_DIMS.values())
+    return (INPUT_DIM + 1 + rows) * (BATCH + 16)
 
 
-def _row_tiles(device: Device, heads: Iterable[int] = HEAD_DIMS.values()) -> int:
-    """Register tiles of rows in both layers, for heads with these numbers of outputs."""
+def _row_tiles(device: Device) -> int:
+    """Register tiles of rows in both layers of all heads."""
     rows = WEIGHT_ROWS[device.specialisation]
-    return sum(-(-HIDDEN_DIM // rows) + -(-outputs // rows) for outputs in heads)
+    return sum(-(-HIDDEN_DIM // rows) + -(-outputs // rows) for outputs in HEAD_DIMS.values())
 
 
 def _column_tiles(device: Device) -> int:
@@ -297,23 +303,21 @@ def _backward_in_groups(
     partial: DeviceArray,
     macros: dict[str, int | float],
 ) -> None:
-    """Fill ``partial`` and ``outputs``, SLAB batches at a time, one head after the other."""
+    """Fill ``partial`` and ``outputs``, SLAB batches at a time."""
     padded = activations.output.shape[1]
     batches = -(-padded // BATCH)
     values = device.empty((min(SLAB, batches), _batch_size(device)))
     layers = device.kernel("mlp/backward", "mlp_backward_layers", **macros)
     weights = device.kernel("mlp/backward", "mlp_backward_weights", **macros)
     for first in range(0, batches, SLAB):
-        size = min(SLAB, batches - first)
-        for head, size_of_head in enumerate(HEAD_DIMS.values()):
-            place = (np.int32(first), np.int32(head), values)
-            device.run(layers, (size * BATCH,), (GROUP_SIZE,), *read, *place, *outputs)
-            device.run(
-                weights,
-                (_row_tiles(device, [size_of_head]) * GROUP_SIZE, size),
-                (GROUP_SIZE, 1),
-                *(np.int32(padded), activations.active, *place, partial),
-            )
+        size, place = min(SLAB, batches - first), (np.int32(first), values)
+        device.run(layers, *_layer_sizes(device, size * BATCH), *read, *place, *outputs)
+        device.run(
+            weights,
+            (_row_tiles(device) * GROUP_SIZE, size),
+            (GROUP_SIZE, 1),
+            *(np.int32(padded), activations.active, *place, partial),
+        )
 
 
 def drawn_rows(output: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
@@ -347,7 +351,9 @@ def work(device: Device, activations: Activations) -> Work:
     """
     count = int(np.count_nonzero(device.download(activations.visible) >= 0))
     drawn = device.download(activations.output)[:K_OFFSETS] > 0
-    size = VECTORS[device.specialisation] * int(defines(device, activations.options)["VEC"])
+    vector = int(defines(device, activations.options)["VEC"])
+    size = SAMPLES if device.specialisation == "gpu" else VECTORS * vector
+    drawn = np.pad(drawn, ((0, 0), (0, -drawn.shape[1] % size)))
     slots = np.any(drawn.reshape(K_OFFSETS, -1, size), axis=2)
     used = np.any(slots, axis=0)
     skips = activations.options.skips
@@ -379,4 +385,11 @@ def blocks(device: Device, samples: int) -> tuple[tuple[int], tuple[int]]:
     if device.specialisation == "gpu":
         return (round_up(samples, GROUP_SIZE),), (GROUP_SIZE,)
     lanes = int(defines(device, DEFAULT)["VEC"])
-    return (-(-samples // (VECTORS["cpu"] * lanes)),), (1,)
+    return (-(-samples // (VECTORS * lanes)),), (1,)
+
+
+def _layer_sizes(device: Device, samples: int) -> tuple[tuple[int], tuple[int]]:
+    """Launch sizes of a kernel that computes layers: on a GPU a group per SAMPLES samples."""
+    if device.specialisation == "gpu":
+        return (-(-samples // SAMPLES) * LAYER_ITEMS,), (LAYER_ITEMS,)
+    return blocks(device, samples)

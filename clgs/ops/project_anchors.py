@@ -2,14 +2,14 @@
 
 The opacities are those of ``mlp``; then its other heads, ``neural`` and ``project`` follow at once
 for each block of anchors. The results have the same bits as theirs. On a CPU the values in between
-stay in its cache; nothing is kept for a backward pass.
+stay in its cache; a GPU computes the heads before. Nothing is kept for a backward pass.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from clgs.constants import K_OFFSETS, OUTPUT_DIM
+from clgs.constants import K_OFFSETS
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
 from clgs.ops import mlp, neural, project, scan
@@ -41,8 +41,10 @@ def forward(
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    rows = OUTPUT_DIM if device.specialisation == "gpu" else K_OFFSETS
-    decoded = mlp.opacities(device, inputs, visible, options, rows)
+    if device.specialisation == "gpu":
+        decoded = mlp.forward(device, inputs, visible, options)
+    else:
+        decoded = mlp.opacities(device, inputs, visible, options, K_OFFSETS)
     drawn, offsets = neural.number(device, decoded)
     count = scan.checked_total(device, offsets) if capacity is None else capacity
     result = project.allocate(device, device.empty((count, 3)), device.empty((count,)))

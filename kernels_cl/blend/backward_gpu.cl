@@ -17,8 +17,6 @@
 #include "common/real.h"
 #include "common/tile_size.h"
 
-#define TILE_PIXELS (TILE_SIZE * TILE_SIZE)
-
 /* Sums over the work-group, of ROUND entries at a time, in the order of the CPU form: over the
  * units for each of their 16 pixels, then over these by a tree. */
 #define ROUND 3
@@ -87,11 +85,11 @@ static inline void stage_backwards(__local float *staged, __global const float *
                 records[RECORD_SIZE * (size_t)(stop - 1 - item) + (size_t)j];
 }
 
-__kernel void blend_backward(__global const float *records, __global const int *tile_range,
-                             __global const float *background, const int width, const int height,
-                             __global const float *transmittance,
-                             __global const int *last_contributor, __global const float *d_image,
-                             __global float *rows OBSERVE_PARAMETERS)
+TILE_GROUP __kernel void
+blend_backward(__global const float *records, __global const int *tile_range,
+               __global const float *background, const int width, const int height,
+               __global const float *transmittance, __global const int *last_contributor,
+               __global const float *d_image, __global float *rows OBSERVE_PARAMETERS)
 {
     __local float staged[RECORD_USED * BACKWARD_BATCH];
     __local float values[ROUND_MOMENTS * TILE_PIXELS];

@@ -25,10 +25,12 @@ static inline void stage_record(__local float *staged, __global const float *rec
             staged[RECORD_USED * item + j] = records[RECORD_SIZE * (size_t)k + (size_t)j];
 }
 
-__kernel void blend_forward(__global const float *records, __global const int *tile_range,
-                            __global const float *background, const int width, const int height,
-                            __global float *image, __global float *transmittance,
-                            __global int *last_contributor OBSERVE_PARAMETERS)
+TILE_GROUP __kernel void blend_forward(__global const float *records,
+                                       __global const int *tile_range,
+                                       __global const float *background, const int width,
+                                       const int height, __global float *image,
+                                       __global float *transmittance,
+                                       __global int *last_contributor OBSERVE_PARAMETERS)
 {
     __local float staged[RECORD_USED * BATCH];
     __local int open;

@@ -135,17 +135,24 @@ static inline float parts_sum(fv part[SUM_PARTS])
     return lane_sum(part[0]);
 }
 #else
+/* sum[i] += sum[i + reach], for a constant reach: else the sums would not stay in registers. */
+#define ADD_HALVES(sum, reach)                                                                     \
+    for (int i = 0; i < (reach); ++i)                                                              \
+    (sum)[i] += (sum)[i + (reach)]
+
 /* Sum of SUM_LANES numbers, by halves. */
 static inline float lane_tree(__local const float *lanes)
 {
-    float sum[SUM_LANES];
-    for (int i = 0; i < SUM_LANES; ++i)
-        sum[i] = lanes[i];
+    float sum[SUM_LANES / 2];
 #pragma unroll
-    for (int reach = SUM_LANES / 2; reach > 0; reach /= 2)
+    for (int i = 0; i < SUM_LANES / 2; ++i)
+        sum[i] = lanes[i] + lanes[i + SUM_LANES / 2];
 #pragma unroll
-        for (int i = 0; i < reach; ++i)
-            sum[i] += sum[i + reach];
+    ADD_HALVES(sum, SUM_LANES / 4);
+#pragma unroll
+    ADD_HALVES(sum, SUM_LANES / 8);
+#pragma unroll
+    ADD_HALVES(sum, SUM_LANES / 16);
     return sum[0];
 }
 #endif

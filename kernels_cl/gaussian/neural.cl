@@ -64,14 +64,14 @@ static inline void write_gaussians(const VisibleAnchors *anchors, const DrawnSlo
     float mean[3][SLOTS];
     gather_shapes(&a, drawn, rows, &shapes);
     gather_means(anchors, &a, drawn, mean);
-    for (size_t m = 0; m < drawn->count; m += VEC) {
-        const size_t n = drawn->first + m, used = min((size_t)VEC, drawn->count - m);
+    for (size_t m = 0; m < DRAWN(drawn); m += VEC) {
+        const size_t n = drawn->first + m, used = min((size_t)VEC, DRAWN(drawn) - m);
         fv scale[3], rotation[4];
         load_shapes(&shapes, m, scale, rotation);
         store_rows3(scale, out->scale, n, used);
         store_rows4(rotation, out->rotation, n, used);
     }
-    for (size_t m = 0; m < drawn->count; ++m) {
+    for (size_t m = 0; m < DRAWN(drawn); ++m) {
         const size_t n = drawn->first + m, j = drawn->offset[m];
         ROW_SPACE const float *sample = rows->at + drawn->lane[m];
 #pragma unroll
@@ -93,14 +93,17 @@ __kernel void neural_forward(__global const float *output, __global const int *v
                              __global float *color, __global float *opacity, __global int *slot)
 {
     const size_t v = item_from_middle() * VEC, stride = (size_t)padded;
-    const DrawnSlots drawn = list_drawn_slots(bits, first, v, (size_t)count, (size_t)capacity);
-    if (drawn.count == 0)
+    ComingSlots coming = coming_slots(bits, first, v, (size_t)count, (size_t)capacity);
+    if (coming.left == 0 || coming.number >= coming.capacity)
         return;
     const VisibleAnchors anchors = {visible, (size_t)count, position, offset, scaling};
     const Gaussians gaussians = {mean, scale, rotation, color, opacity, slot};
     prefetch_anchors(&anchors, v + VEC, VEC);
-    DECLARE_OUTPUT_ROWS(rows, output, stride, v, drawn.slots, 0);
-    write_gaussians(&anchors, &drawn, v, &rows, &gaussians);
+    DECLARE_OUTPUT_ROWS(rows, output, stride, v, coming.left, 0);
+    DrawnSlots drawn;
+    while (next_slots(&coming, &drawn))
+        if (drawn.count != 0)
+            write_gaussians(&anchors, &drawn, v, &rows, &gaussians);
 }
 
 /* Gaussians after the last one get zeros, and the slot -1. */
@@ -135,8 +138,8 @@ static inline float unclamped(const float d, const float log_scale)
 static inline void shapes_backward(const DrawnSlots *drawn, __global const float *d_scale,
                                    __global const float *d_rotation, Shapes *shapes)
 {
-    for (size_t m = 0; m < drawn->count; m += VEC) {
-        const size_t used = min((size_t)VEC, drawn->count - m);
+    for (size_t m = 0; m < DRAWN(drawn); m += VEC) {
+        const size_t used = min((size_t)VEC, DRAWN(drawn) - m);
         fv d_size[3], d_unit[4], unit[4], along = (fv)(0.0f);
         load_rows3(d_scale, drawn->first + m, used, d_size);
         load_rows4(d_rotation, drawn->first + m, used, d_unit);
@@ -157,6 +160,27 @@ static inline void shapes_backward(const DrawnSlots *drawn, __global const float
     }
 }
 
+#if VEC == 1
+/* Writes a slot's rows of a column of d_output: gradients by its outputs, or zeros if its Gaussian
+ * is left out. */
+static inline void write_output(const DrawnSlots *drawn, const Shapes *shapes,
+                                __global const float *d_color, __global const float *d_opacity,
+                                const size_t stride, __global float *d_output)
+{
+    const size_t n = drawn->first, j = drawn->offset[0];
+    const bool known = drawn->count != 0;
+    __global float *covariance = d_output + (COVARIANCE_ROW + 7 * j) * stride;
+    d_output[j * stride] = known ? d_opacity[n] : 0.0f;
+#pragma unroll
+    for (size_t i = 0; i < 3; ++i) {
+        d_output[(COLOR_ROW + 3 * j + i) * stride] = known ? d_color[3 * n + i] : 0.0f;
+        covariance[i * stride] = known ? shapes->logit[i][0] : 0.0f;
+    }
+#pragma unroll
+    for (size_t i = 0; i < 4; ++i)
+        covariance[(3 + i) * stride] = known ? shapes->quaternion[i][0] : 0.0f;
+}
+#else
 /* Writes VEC columns of d_output, but only rows of slots that some anchor draws: gradients by the
  * outputs of drawn slots, zeros for the others. */
 static inline void write_output(const DrawnSlots *drawn, const Shapes *shapes,
@@ -189,19 +213,18 @@ static inline void write_output(const DrawnSlots *drawn, const Shapes *shapes,
         }
     }
 }
+#endif
 
-/* Writes d_offset of the drawn slots, and d_scaling of the anchors: sums over their slots. */
-static inline void write_anchors(const AnchorLanes *a, const DrawnSlots *drawn,
-                                 const Shapes *shapes, __global const float *d_mean,
-                                 __global const float *offset, __global float *d_offset,
-                                 __global float *d_scaling)
+/* Writes d_offset of the drawn slots, and adds to `sum`, the gradients by the log scales of the
+ * anchors. */
+static inline void add_anchors(const AnchorLanes *a, const DrawnSlots *drawn, const Shapes *shapes,
+                               __global const float *d_mean, __global const float *offset,
+                               __global float *d_offset, float sum[6][VEC])
 {
-    float reach[3][VEC], sum[6][VEC];
+    float reach[3][VEC];
     for (int i = 0; i < 3; ++i)
         STORE_V(exp_log_scale(LOAD_V(0, a->log_scale[i])), 0, reach[i]);
-    for (int i = 0; i < 6; ++i)
-        STORE_V((fv)(0.0f), 0, sum[i]);
-    for (size_t m = 0; m < drawn->count; ++m) {
+    for (size_t m = 0; m < DRAWN(drawn); ++m) {
         const size_t lane = drawn->lane[m], n = drawn->first + m;
         const size_t step = 3 * ((size_t)a->anchor[lane] * K_OFFSETS + drawn->offset[m]);
 #pragma unroll
@@ -213,13 +236,18 @@ static inline void write_anchors(const AnchorLanes *a, const DrawnSlots *drawn,
             sum[3 + i][lane] += shapes->size[i][m];
         }
     }
+}
+
+/* Writes d_scaling of the anchors. */
+static inline void write_scaling(const AnchorLanes *a, float sum[6][VEC], __global float *d_scaling)
+{
     for (size_t lane = 0; lane < VEC; ++lane)
         for (int i = 0; i < 6 && a->anchor[lane] >= 0; ++i)
             d_scaling[6 * (size_t)a->anchor[lane] + i] =
                 unclamped(sum[i][lane], a->log_scale[i][lane]);
 }
 
-/* Prefetches what write_anchors reads and writes of the VEC anchors from v on. */
+/* Prefetches what add_anchors reads, and what is written, of the VEC anchors from v on. */
 static inline void prefetch_gradients(const VisibleAnchors *anchors, const size_t v,
                                       __global float *d_offset, __global float *d_scaling)
 {
@@ -245,18 +273,29 @@ __kernel void neural_backward(__global const float *output, __global const int *
                               __global float *d_scaling)
 {
     const size_t v = item_from_middle() * VEC, stride = (size_t)padded;
-    const DrawnSlots drawn = list_drawn_slots(bits, first, v, (size_t)count, (size_t)capacity);
-    Shapes shapes;
+    ComingSlots coming = coming_slots(bits, first, v, (size_t)count, (size_t)capacity);
     const VisibleAnchors anchors = {visible, (size_t)count, 0, offset, scaling};
     prefetch_gradients(&anchors, v + VEC, d_offset, d_scaling);
-    if (drawn.count != 0) {
-        const AnchorLanes a = load_anchors(visible, scaling, v, (size_t)count);
-        DECLARE_OUTPUT_ROWS(rows, output, stride, v, drawn.slots, COVARIANCE_ROW);
-        gather_shapes(&a, &drawn, &rows, &shapes);
-        shapes_backward(&drawn, d_scale, d_rotation, &shapes);
-        write_anchors(&a, &drawn, &shapes, d_mean, offset, d_offset, d_scaling);
+    if (coming.left == 0)
+        return;
+    const AnchorLanes a = load_anchors(visible, scaling, v, (size_t)count);
+    DECLARE_OUTPUT_ROWS(rows, output, stride, v, coming.left, COVARIANCE_ROW);
+    float sum[6][VEC];
+    for (int i = 0; i < 6; ++i)
+        STORE_V((fv)(0.0f), 0, sum[i]);
+    const bool within = coming.number < coming.capacity;
+    Shapes shapes;
+    DrawnSlots drawn;
+    while (next_slots(&coming, &drawn)) {
+        if (drawn.count != 0) {
+            gather_shapes(&a, &drawn, &rows, &shapes);
+            shapes_backward(&drawn, d_scale, d_rotation, &shapes);
+            add_anchors(&a, &drawn, &shapes, d_mean, offset, d_offset, sum);
+        }
+        write_output(&drawn, &shapes, d_color, d_opacity, stride, d_output + v);
     }
-    write_output(&drawn, &shapes, d_color, d_opacity, stride, d_output + v);
+    if (within)
+        write_scaling(&a, sum, d_scaling);
 }
 
 /* dL/d(position) of a visible anchor: the sum over its Gaussians. */

@@ -1,6 +1,6 @@
 /* Color and covariance heads, neural Gaussians and their projection at once, for pictures without
  * gradients: what the stages mlp, neural and project do, but on a CPU nothing that only they read
- * leaves its cache.
+ * leaves its cache. In the GPU form the heads are computed before (mlp/forward_gpu.cl).
  *
  * Work-item: a block of BLOCK samples, blocks counted from the middle one on, with all that comes
  *     of them. Vectors keep the outputs of the MLPs private. project_anchors_pad: a Gaussian.
@@ -18,7 +18,7 @@
 #include "gaussian/shapes.h"
 #include "gaussian/visible_anchors.h"
 #define OUTPUT_SPACE ROW_SPACE
-#include "mlp/dense.h"
+#include "mlp/block/layer.h"
 #include "mlp/inputs.h"
 #include "mlp/layout.h"
 #include "mlp/slots.h"
@@ -40,7 +40,7 @@ static inline void write_projected(const VisibleAnchors *anchors, const DrawnSlo
     float mean[3][SLOTS], opaque[SLOTS];
     gather_shapes(&a, drawn, rows, &shapes);
     gather_means(anchors, &a, drawn, mean);
-    for (size_t m = 0; m < drawn->count; ++m) {
+    for (size_t m = 0; m < DRAWN(drawn); ++m) {
         const size_t n = drawn->first + m, j = drawn->offset[m];
         ROW_SPACE const float *sample = rows->at + drawn->lane[m];
 #pragma unroll
@@ -48,7 +48,7 @@ static inline void write_projected(const VisibleAnchors *anchors, const DrawnSlo
             out->color[3 * n + i] = sample[(COLOR_ROW + 3 * j + i) * rows->stride];
         out->opacity[n] = opaque[m] = sample[j * rows->stride];
     }
-    for (size_t m = 0; m < drawn->count; m += VEC) {
+    for (size_t m = 0; m < DRAWN(drawn); m += VEC) {
         fv centre[3], scale[3], rotation[4];
         for (int i = 0; i < 3; ++i)
             centre[i] = LOAD_V(0, mean[i] + m);
@@ -57,11 +57,11 @@ static inline void write_projected(const VisibleAnchors *anchors, const DrawnSlo
         const ProjectedGaussians projected =
             project_gaussians(&p, rotation, LOAD_V(0, opaque + m), camera);
         store_projected(&projected, &out->projected, drawn->first + m,
-                        min((size_t)VEC, drawn->count - m));
+                        min((size_t)VEC, DRAWN(drawn) - m));
     }
 }
 
-/* output: (11 K, padded), or its opacities alone if outputs are private; the opacities are there.
+/* output: (11 K, padded); in the CPU form its opacities alone, the rest is private.
  * The Gaussians of sample v get the numbers from numbers[v] on, one for each bit of bits[v]. */
 __kernel void project_anchors_forward(
     __global const float *feature, __global const float *position, __global const int *visible,
@@ -77,8 +77,10 @@ __kernel void project_anchors_forward(
     const int slots = computed_slots(output + first, stride);
     if (SKIP_OPACITY_FIRST && slots == 0)
         return;
+    const VisibleAnchors anchors = {visible, (size_t)count, position, offset, scaling};
 #if VEC == 1
-    __global float *block = output + first;
+    (void)feature, (void)weights;
+    __global const float *block = output + first;
     const size_t block_stride = stride;
 #else
     fv vectors[OUTPUT_ROWS * VECTORS];
@@ -87,9 +89,7 @@ __kernel void project_anchors_forward(
     for (int j = 0; j < K_OFFSETS; ++j)
         for (int s = 0; s < VECTORS; ++s)
             vectors[j * VECTORS + s] = LOAD_ALIGNED(s, output + j * stride + first);
-#endif
     const Inputs inputs = {feature, position, visible, (size_t)count, camera};
-    const VisibleAnchors anchors = {visible, (size_t)count, position, offset, scaling};
     float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK];
     size_t listed[OUTPUT_ROWS];
     gather_inputs(&inputs, first, x);
@@ -100,14 +100,16 @@ __kernel void project_anchors_forward(
         output_layer(weight + HIDDEN_SIZE, head, hidden, listed, rows_of(slots, head, listed),
                      block + first_output(head) * block_stride, block_stride);
     }
+#endif
     const BlendInputs out = {{mean2d, whitening, depth, extent}, color, opacity};
     for (size_t s = 0; s < VECTORS; ++s) {
         const size_t v = first + s * VEC;
         const OutputRows rows = {block + s * VEC, block_stride};
-        const DrawnSlots drawn =
-            list_drawn_slots(bits, numbers, v, (size_t)count, (size_t)capacity);
-        if (drawn.count != 0)
-            write_projected(&anchors, &drawn, v, &rows, camera, &out);
+        ComingSlots coming = coming_slots(bits, numbers, v, (size_t)count, (size_t)capacity);
+        DrawnSlots drawn;
+        while (next_slots(&coming, &drawn))
+            if (drawn.count != 0)
+                write_projected(&anchors, &drawn, v, &rows, camera, &out);
     }
 }
 

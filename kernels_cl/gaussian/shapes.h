@@ -23,7 +23,7 @@ static inline OWN_FUNCTION void gather_shapes(const AnchorLanes *a, const DrawnS
     float size[3][VEC];
     for (int i = 0; i < 3; ++i)
         STORE_V(exp_log_scale(LOAD_V(0, a->log_scale[3 + i])), 0, size[i]);
-    for (size_t m = 0; m < drawn->count; ++m) {
+    for (size_t m = 0; m < DRAWN(drawn); ++m) {
         const size_t lane = drawn->lane[m];
         ROW_SPACE const float *slot =
             rows->at + (COVARIANCE_ROW + 7 * drawn->offset[m]) * rows->stride + lane;

@@ -80,7 +80,7 @@ static inline OWN_FUNCTION void gather_means(const VisibleAnchors *anchors, cons
         for (size_t lane = 0; lane < VEC; ++lane)
             centre[i][lane] = anchors->position[3 * (size_t)max(a->anchor[lane], 0) + i];
     }
-    for (size_t m = 0; m < drawn->count; ++m) {
+    for (size_t m = 0; m < DRAWN(drawn); ++m) {
         const size_t lane = drawn->lane[m], start = 3 * (lane * K_OFFSETS + drawn->offset[m]);
 #pragma unroll
         for (int i = 0; i < 3; ++i)

@@ -13,7 +13,7 @@
 #define ITEMS 256
 #define ITEM ((int)get_local_id(0))
 #define SYNC() barrier(CLK_LOCAL_MEM_FENCE)
-#define GROUP_SIZED __attribute__((reqd_work_group_size(ITEMS, 1, 1)))
+#define GROUP_SIZED GROUP_OF(ITEMS)
 #else
 #define SPACE __private
 #define ITEMS 1

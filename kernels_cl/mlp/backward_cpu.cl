@@ -7,10 +7,12 @@
  * Launch: a work-item per thread of the CPU, PARTS at most. backward_sum.cl adds the parts.
  */
 #include "mlp/batch.h"
-#include "mlp/block_backward.h"
+#include "mlp/block/backward.h"
 #include "mlp/inputs.h"
 #include "mlp/layout.h"
-#include "mlp/runs.h"
+#include "mlp/block/products.h"
+#include "mlp/block/runs.h"
+#include "mlp/gradients.h"
 #include "mlp/slots.h"
 #include "mlp/weight_tile.h"
 

@@ -25,9 +25,13 @@ __kernel void mlp_backward_sum(__global const float *partial, const int parts,
 #pragma unroll
         for (int i = 0; i < SUMS; ++i)
             sums[i] += partial[(size_t)part * part_size() + tile.sums + step * SUMS + i];
+#pragma unroll
     for (int c = 0; c < COLUMNS; ++c)
-        for (int o = tile.repeated; o < WEIGHT_ROWS; ++o) {
+#pragma unroll
+        for (int o = 0; o < WEIGHT_ROWS; ++o) {
             const int column = step * COLUMNS + c;
+            if (o < tile.repeated)
+                continue;
             if (column < tile.inputs)
                 d_weights[tile.weight + o * tile.inputs + column] = sums[c * WEIGHT_ROWS + o];
             else if (column == tile.inputs)

@@ -1,15 +1,16 @@
 /* A batch: the samples of which the weight gradient is computed together, and its memory.
  *
- * For one head at a time, rows of BATCH_STRIDE numbers, one column per sample:
+ * Rows of BATCH_STRIDE numbers, one column per sample:
  *     inputs, and a row of ones (zero if a sample does not count),
- *     gradients by the inputs: by the features, then by the last TILE inputs,
- *     hidden values,
- *     gradients by the sums of the hidden layer, and by those of the output layer.
- * That is little enough to stay in a CPU's cache, over whose sets the stride spreads the rows.
+ *     in the CPU form gradients by the inputs: by the features, then by the last TILE inputs,
+ *     of a head hidden values, gradients by the sums of the hidden layer, and by those of the
+ * output layer: of all heads in the GPU form, of one at a time in the CPU form. The latter is
+ * little enough to stay in a CPU's cache, over whose sets the stride spreads the rows.
  */
 #ifndef CLGS_MLP_BATCH_H
 #define CLGS_MLP_BATCH_H
 
+#include "common/form.h"
 #include "common/method.h"
 #include "mlp/layout.h"
 #include "mlp/slots.h"
@@ -25,10 +26,15 @@
 
 #define ONES_ROW INPUT_DIM
 #define D_INPUT_ROW (INPUT_DIM + 1)
-#define HIDDEN_ROW (D_INPUT_ROW + FEATURE_DIM + TILE)
-#define D_HIDDEN_ROW (HIDDEN_ROW + HIDDEN_DIM)
-#define D_OUTPUT_ROW (D_HIDDEN_ROW + HIDDEN_DIM)
-#define BATCH_ROWS (D_OUTPUT_ROW + 7 * K_OFFSETS)
+#if USE_LOCAL
+#define HIDDEN_ROW(head) (D_INPUT_ROW + (head) * 2 * HIDDEN_DIM + first_output(head))
+#define BATCH_ROWS (D_INPUT_ROW + HEADS * 2 * HIDDEN_DIM + OUTPUT_ROWS)
+#else
+#define HIDDEN_ROW(head) (D_INPUT_ROW + FEATURE_DIM + TILE)
+#define BATCH_ROWS (D_OUTPUT_ROW(0) + 7 * K_OFFSETS)
+#endif
+#define D_HIDDEN_ROW(head) (HIDDEN_ROW(head) + HIDDEN_DIM)
+#define D_OUTPUT_ROW(head) (D_HIDDEN_ROW(head) + HIDDEN_DIM)
 #define BATCH_STRIDE (BATCH + 16)
 #define BATCH_SIZE ((size_t)BATCH_ROWS * BATCH_STRIDE)
 

@@ -5,15 +5,18 @@
  * Work-group: a chunk of CHUNK samples, GROUP_SIZE work-items; the keys lie in local memory.
  * Launch: a work-group per chunk.
  */
+#include "common/form.h"
 #include "mlp/layout.h"
 #include "mlp/order.h"
+
+#define ORDER_GROUP GROUP_OF(GROUP_SIZE)
 
 /* opacity: (K, padded), in the order of visible (count). output, whose first rows are the
  * opacities, and sorted get them in the new order; active: samples of each chunk that draw
  * something. */
-__kernel void mlp_order(__global const float *opacity, __global const int *visible, const int count,
-                        const int padded, __global float *output, __global int *sorted,
-                        __global int *active)
+ORDER_GROUP __kernel void mlp_order(__global const float *opacity, __global const int *visible,
+                                    const int count, const int padded, __global float *output,
+                                    __global int *sorted, __global int *active)
 {
     const size_t stride = (size_t)padded, chunk = get_group_id(0), first = chunk * CHUNK;
     const int samples = min(CHUNK, padded - (int)first);

@@ -9,18 +9,14 @@
 #define CLGS_MLP_WEIGHT_TILE_H
 
 #include "common/form.h"
-#include "common/lanes.h"
 #include "common/method.h"
-#include "common/own_function.h"
-#include "common/real.h"
 #include "mlp/batch.h"
 #include "mlp/layout.h"
-#include "mlp/runs.h"
 
 /* As many sums as leave a CPU's registers room for a row of operands. A layer has no fewer rows. */
 #if USE_LOCAL
 #define WEIGHT_ROWS 10
-#define COLUMNS 2
+#define COLUMNS 7
 #else
 #define WEIGHT_ROWS 4
 #define COLUMNS 3
@@ -74,8 +70,8 @@ static inline WeightTile weight_tile(const int head, const int number)
     const int first = min(next, rows - WEIGHT_ROWS);
     const int start = head_start(head) + (inner ? 0 : HIDDEN_SIZE);
     WeightTile tile;
-    tile.d_row = (inner ? D_HIDDEN_ROW : D_OUTPUT_ROW) + first;
-    tile.input_row = inner ? 0 : HIDDEN_ROW;
+    tile.d_row = (inner ? D_HIDDEN_ROW(head) : D_OUTPUT_ROW(head)) + first;
+    tile.input_row = inner ? 0 : HIDDEN_ROW(head);
     tile.inputs = inner ? INPUT_DIM : HIDDEN_DIM;
     tile.slots = inner ? (1 << K_OFFSETS) - 1 : 0;
     for (int o = 0; o < WEIGHT_ROWS && !inner; ++o)
@@ -102,72 +98,6 @@ static inline void multiplied_rows(const WeightTile *tile, const int column,
     for (int c = 0; c < COLUMNS; ++c)
         columns[c] = batch + (column + c < tile->inputs ? tile->input_row + column + c : ONES_ROW) *
                                  BATCH_STRIDE;
-}
-
-/* Vectors go round the lanes of the tree in which they are summed: SUM_LANES work-items, or the
- * parts of narrow vectors. */
-#define VECTOR_STEP (SUM_LANES / VEC)
-
-/* sum[o][c] += row o times column c, over every VECTOR_STEP-th vector of [begin, end). A function
- * of its own, and sums of its own, because only then a CPU's compiler keeps all of them in
- * registers. */
-static inline OWN_FUNCTION void add_products(__global const float *rows,
-                                             __global const float *columns[COLUMNS],
-                                             const size_t begin, const size_t end,
-                                             fv sum[WEIGHT_ROWS][COLUMNS])
-{
-    fv own[WEIGHT_ROWS][COLUMNS];
-#pragma unroll
-    for (int o = 0; o < WEIGHT_ROWS; ++o)
-#pragma unroll
-        for (int c = 0; c < COLUMNS; ++c)
-            own[o][c] = sum[o][c];
-    for (size_t v = begin; v < end; v += VECTOR_STEP) {
-        fv lanes[COLUMNS];
-#pragma unroll
-        for (int c = 0; c < COLUMNS; ++c)
-            lanes[c] = LOAD_ALIGNED(v, columns[c]);
-#pragma unroll
-        for (int o = 0; o < WEIGHT_ROWS; ++o) {
-            const fv row = LOAD_ALIGNED(v, rows + o * BATCH_STRIDE);
-#pragma unroll
-            for (int c = 0; c < COLUMNS; ++c)
-                own[o][c] = fma(row, lanes[c], own[o][c]);
-        }
-    }
-#pragma unroll
-    for (int o = 0; o < WEIGHT_ROWS; ++o)
-#pragma unroll
-        for (int c = 0; c < COLUMNS; ++c)
-            sum[o][c] = own[o][c];
-}
-
-/* sums[c * WEIGHT_ROWS + o] = row o times column c, over every VECTOR_STEP-th vector of the runs.
- */
-static inline void dot_products(__global const float *rows, __global const float *columns[COLUMNS],
-                                const Runs *runs, float sums[SUMS])
-{
-    fv part[SUM_PARTS][WEIGHT_ROWS][COLUMNS] = {{{(fv)(0.0f)}}};
-    for (int i = 0; i < SUM_PARTS; ++i)
-        for (int run = 0; run < runs->count; ++run) {
-            const int first = runs->begin[run] + ((i - runs->begin[run]) & (SUM_PARTS - 1));
-            add_products(rows, columns, (size_t)first, (size_t)runs->end[run], part[i]);
-        }
-    for (int reach = SUM_PARTS / 2; reach > 0; reach /= 2)
-        for (int i = 0; i < reach; ++i)
-            for (int o = 0; o < WEIGHT_ROWS; ++o)
-                for (int c = 0; c < COLUMNS; ++c)
-                    part[i][o][c] += part[i + reach][o][c];
-    fv(*sum)[COLUMNS] = part[0];
-    for (int c = 0; c < COLUMNS; ++c) {
-        float *column = sums + c * WEIGHT_ROWS;
-        int o = 0;
-        for (; o + 4 <= WEIGHT_ROWS; o += 4)
-            vstore4(lane_sums(sum[o][c], sum[o + 1][c], sum[o + 2][c], sum[o + 3][c]), 0,
-                    column + o);
-        for (; o < WEIGHT_ROWS; ++o)
-            column[o] = lane_sum(sum[o][c]);
-    }
 }
 
 #endif

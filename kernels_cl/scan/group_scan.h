@@ -2,7 +2,10 @@
 #ifndef CLGS_GROUP_SCAN_H
 #define CLGS_GROUP_SCAN_H
 
+#include "common/form.h"
+
 #define GROUP_SIZE 256 /* work-items of a work-group */
+#define SCAN_GROUP GROUP_OF(GROUP_SIZE)
 
 /* Sum of the values of the work-items before this one; *total is the sum of all. Every work-item of
  * the group must call it; scratch holds GROUP_SIZE numbers and is free again on return. */

@@ -16,8 +16,8 @@ static inline long own_sum(__global const int *counts, const int first, const in
     return sum;
 }
 
-__kernel void scan_reduce(__global const int *counts, const int count, const int chunk,
-                          __global long *sums)
+SCAN_GROUP __kernel void scan_reduce(__global const int *counts, const int count, const int chunk,
+                                     __global long *sums)
 {
     __local long scratch[GROUP_SIZE];
     const int group = (int)get_group_id(0), first = group * chunk;
@@ -27,9 +27,9 @@ __kernel void scan_reduce(__global const int *counts, const int count, const int
         sums[group] = sum;
 }
 
-__kernel void scan_apply(__global const int *counts, const int count, const int chunk,
-                         __global const long *sums, const long limit, __global long *total,
-                         __global int *offsets)
+SCAN_GROUP __kernel void scan_apply(__global const int *counts, const int count, const int chunk,
+                                    __global const long *sums, const long limit,
+                                    __global long *total, __global int *offsets)
 {
     __local long scratch[GROUP_SIZE];
     const int group = (int)get_group_id(0), chunks = (int)get_num_groups(0);

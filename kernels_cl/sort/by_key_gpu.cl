@@ -6,16 +6,18 @@
  * digit, of which there are GROUP_SIZE, and for every SEGMENT keys which of them have each digit;
  * its atomics only count or set bits, so their order does not matter. Launch size:
  * chunks * GROUP_SIZE. */
+#include "common/form.h"
 #include "common/chunk.h"
 #include "scan/group_scan.h"
 #include "sort/digit.h"
 
 #define DIGITS GROUP_SIZE
+#define SORT_GROUP GROUP_OF(GROUP_SIZE)
 #define SEGMENT 32
 #define SEGMENTS (GROUP_SIZE / SEGMENT)
 
-__kernel void sort_histogram(__global const uint *keys, const int count, const int chunk,
-                             const int shift, const uint mask, __global int *histogram)
+SORT_GROUP __kernel void sort_histogram(__global const uint *keys, const int count, const int chunk,
+                                        const int shift, const uint mask, __global int *histogram)
 {
     __local int counter[DIGITS];
     const int item = (int)get_local_id(0), group = (int)get_group_id(0);
@@ -46,10 +48,10 @@ static inline int first_place(__global const int *histogram, __local long *scrat
 
 /* Keys go to their places GROUP_SIZE at a time. The rank of a key among equal digits is the number
  * of bits set before its own: for each SEGMENT keys and each digit, `having` has a bit per key. */
-__kernel void sort_scatter(__global const uint *keys, __global const int *values, const int count,
-                           const int chunk, const int shift, const uint mask,
-                           __global const int *histogram, __global uint *sorted_keys,
-                           __global int *sorted_values)
+SORT_GROUP __kernel void sort_scatter(__global const uint *keys, __global const int *values,
+                                      const int count, const int chunk, const int shift,
+                                      const uint mask, __global const int *histogram,
+                                      __global uint *sorted_keys, __global int *sorted_values)
 {
     __local long scratch[GROUP_SIZE];
     __local int next[DIGITS];

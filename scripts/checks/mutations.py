@@ -230,9 +230,23 @@ MUTATIONS = (
     Mutation(
         "mlp",
         "gradient through an inactive unit",
-        "kernels_cl/mlp/block_backward.h",
+        "kernels_cl/mlp/block/backward.h",
         "const fv d = active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
         "const fv d = active >= (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
+    ),
+    Mutation(
+        "mlp",
+        "gradient through an inactive unit, in work-groups",
+        "kernels_cl/mlp/backward_gpu.cl",
+        "sum[u][i] = hidden[u][i] > 0.0f ? sum[u][i] : 0.0f;",
+        "sum[u][i] = hidden[u][i] >= 0.0f ? sum[u][i] : 0.0f;",
+    ),
+    Mutation(
+        "mlp",
+        "a layer without the inputs of its last slice, in work-groups",
+        "kernels_cl/mlp/group/layer.h",
+        "for (int input = 0; input < inputs; input += SLICE) {",
+        "for (int input = 0; input + SLICE <= inputs; input += SLICE) {",
     ),
     Mutation(
         "mlp",

@@ -21,13 +21,13 @@ from tests.house import rules  # noqa: E402 - after the check for a checkout
 TRACKED = [
     "clgs/__init__.py",
     "clgs/ops/mlp.py",
-    "kernels_cl/mlp/forward.cl",
+    "kernels_cl/mlp/forward_cpu.cl",
     "kernels_cl/common/real.h",
 ]
 PACKED = [
     "clgs/__init__.py",
     "clgs/ops/mlp.py",
-    "clgs/kernels_cl/mlp/forward.cl",
+    "clgs/kernels_cl/mlp/forward_cpu.cl",
     "clgs/kernels_cl/common/real.h",
     "clgs/_codec.abi3.so",
     "clgs-1.0.dist-info/METADATA",
@@ -57,7 +57,7 @@ def test_a_wheel_without_kernels_fails():
 
 
 @pytest.mark.parametrize(
-    "name", ["tests/test_x.py", "clgs/left_over.py", "kernels_cl/mlp/forward.cl"]
+    "name", ["tests/test_x.py", "clgs/left_over.py", "kernels_cl/mlp/forward_cpu.cl"]
 )
 def test_surplus_files_are_named(name):
     assert check_wheel.complaints(TRACKED, [*PACKED, name]) == [f"not of the package: {name}"]

@@ -1,5 +1,5 @@
-/* The three decoding MLPs (opacity, color, covariance), forward. Between the two kernels, the one
- * of order_cpu.cl or order_gpu.cl puts the samples of each chunk in the order of their drawn slots.
+/* The three decoding MLPs (opacity, color, covariance), forward: CPU form. Between the two kernels,
+ * the one of order_cpu.cl puts the samples of each chunk in the order of their drawn slots.
  *
  * Work-item: a block of BLOCK samples, blocks counted from the middle one on. Its inputs, hidden
  *     values and sums are private; nothing but the outputs is kept, since the backward pass
@@ -11,7 +11,7 @@
 #include "common/lanes.h"
 #include "common/method.h"
 #include "common/real.h"
-#include "mlp/dense.h"
+#include "mlp/block/layer.h"
 #include "mlp/inputs.h"
 #include "mlp/layout.h"
 #include "mlp/slots.h"

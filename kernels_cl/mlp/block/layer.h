@@ -3,8 +3,8 @@
  * A block's arrays are private, rows of BLOCK numbers: lanes are samples, and weights are
  * broadcast. A register tile of TILE rows is computed at a time.
  */
-#ifndef CLGS_MLP_DENSE_H
-#define CLGS_MLP_DENSE_H
+#ifndef CLGS_MLP_BLOCK_LAYER_H
+#define CLGS_MLP_BLOCK_LAYER_H
 
 #include "common/method.h"
 #include "common/own_function.h"

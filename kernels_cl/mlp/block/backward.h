@@ -2,7 +2,6 @@
 #ifndef CLGS_MLP_BLOCK_BACKWARD_H
 #define CLGS_MLP_BLOCK_BACKWARD_H
 
-#include "common/lane_math.h"
 #include "common/lanes.h"
 #include "common/method.h"
 #include "common/own_function.h"
@@ -10,42 +9,11 @@
 #include "common/real.h"
 #include "common/transpose.h"
 #include "mlp/batch.h"
-#include "mlp/dense.h"
+#include "mlp/block/layer.h"
+#include "mlp/block/runs.h"
+#include "mlp/gradients.h"
 #include "mlp/inputs.h"
 #include "mlp/layout.h"
-#include "mlp/runs.h"
-
-/* Whether the gradient by the positions is asked for. */
-#ifndef WANT_POSITION
-#define WANT_POSITION 1
-#endif
-
-/* Outputs of the forward pass and the gradient by them: rows of `stride` samples. */
-typedef struct {
-    __global const float *output;
-    __global const float *d_output;
-    size_t stride;
-} Outputs;
-
-/* Gradients of all anchors, zero before. An anchor is visible at most once. */
-typedef struct {
-    __global float *d_feature;
-    __global float *d_position;
-} AnchorGradients;
-
-/* dL/dz of one output of slot j of VEC samples, for y = act(z), from y and dL/dy; zero if the slot
- * is not drawn. */
-static inline fv sum_gradient(const Outputs *outputs, const int head, const int j, const size_t row,
-                              const size_t first)
-{
-    const fv opacity = LOAD_ALIGNED(0, outputs->output + j * outputs->stride + first);
-    fv d = LOAD_ALIGNED(0, outputs->d_output + row * outputs->stride + first);
-    if (head != COVARIANCE) {
-        const fv y = LOAD_ALIGNED(0, outputs->output + row * outputs->stride + first);
-        d *= head == OPACITY ? fma(-y, y, (fv)(1.0f)) : fma(-y, y, y);
-    }
-    return opacity > (fv)(0.0f) ? d : (fv)(0.0f);
-}
 
 /* The same for all outputs of one head and the block at `first`: to d_sum and to the block's
  * columns of the batch. Prefetches the next block, of which the slots `next` are computed. */
@@ -66,7 +34,7 @@ static inline void output_gradients(const Outputs *outputs, const int head, cons
             const fv d =
                 slots >> j & 1 ? sum_gradient(outputs, head, j, row, first + s * VEC) : (fv)(0.0f);
             STORE_V(d, s, d_sum + k * BLOCK);
-            STORE_ALIGNED(d, s, column + (D_OUTPUT_ROW + k) * BATCH_STRIDE);
+            STORE_ALIGNED(d, s, column + (D_OUTPUT_ROW(head) + k) * BATCH_STRIDE);
         }
     }
 }
@@ -111,7 +79,7 @@ static inline void hidden_backward(__global const float *weight, const int head,
                 const fv active = LOAD_V(s, hidden + (unit + o) * BLOCK);
                 const fv d = active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);
                 STORE_V(d, s, d_hidden + (unit + o) * BLOCK);
-                STORE_ALIGNED(d, s, column + (D_HIDDEN_ROW + unit + o) * BATCH_STRIDE);
+                STORE_ALIGNED(d, s, column + (D_HIDDEN_ROW(head) + unit + o) * BATCH_STRIDE);
             }
     }
 }
@@ -135,33 +103,6 @@ static inline void input_backward(__global const float *weight, const int head,
 #pragma unroll
             for (int s = 0; s < VECTORS; ++s)
                 STORE_ALIGNED(sum[o][s], s, d_input + o * BATCH_STRIDE);
-    }
-}
-
-/* dL/d(position) through the unit direction. d_direction: three rows of the batch. */
-static inline void position_backward(const Inputs *inputs, __global const float *d_direction,
-                                     const size_t first, __global float *d_position)
-{
-    for (int s = 0; s < VECTORS; ++s) {
-        int anchor[VEC];
-        __global const float *position[VEC];
-        for (size_t lane = 0; lane < VEC; ++lane) {
-            anchor[lane] = anchor_of(inputs, first + s * VEC + lane);
-            position[lane] = inputs->position + 3 * (size_t)max(anchor[lane], 0);
-        }
-        fv view[3], d[3];
-        const fv distance = view_directions(inputs, position, view);
-        for (int i = 0; i < 3; ++i)
-            d[i] = LOAD_ALIGNED(s, d_direction + i * BATCH_STRIDE);
-        const fv along = dot3(d, view);
-        for (int i = 0; i < 3; ++i) {
-            float across[VEC];
-            STORE_V(distance > (fv)(0.0f) ? (d[i] - along * view[i]) / distance : (fv)(0.0f), 0,
-                    across);
-            for (size_t lane = 0; lane < VEC; ++lane)
-                if (anchor[lane] >= 0)
-                    d_position[3 * (size_t)anchor[lane] + i] = across[lane];
-        }
     }
 }
 
@@ -190,8 +131,13 @@ static inline void anchors_backward(const Inputs *inputs, const size_t first,
                     rows[lane][k] = d_input[k * BATCH_STRIDE + s * VEC + lane];
     }
 #if WANT_POSITION
-    position_backward(inputs, d_input + (FEATURE_DIM + TILE - 3) * BATCH_STRIDE, first,
-                      d->d_position);
+    __global const float *d_direction = d_input + (FEATURE_DIM + TILE - 3) * BATCH_STRIDE;
+    for (size_t s = 0; s < VECTORS; ++s) {
+        fv by_direction[3];
+        for (size_t i = 0; i < 3; ++i)
+            by_direction[i] = LOAD_ALIGNED(s, d_direction + i * BATCH_STRIDE);
+        position_backward(inputs, first + s * VEC, by_direction, d->d_position);
+    }
 #endif
 }
 
@@ -215,7 +161,7 @@ static inline OWN_FUNCTION void block_backward(const Inputs *inputs, __global co
     }
     for (int unit = 0; unit < HIDDEN_DIM; unit += TILE) {
         hidden_units(weight, unit, x, hidden);
-        store_rows(hidden + unit * BLOCK, TILE, column + (HIDDEN_ROW + unit) * BATCH_STRIDE);
+        store_rows(hidden + unit * BLOCK, TILE, column + (HIDDEN_ROW(head) + unit) * BATCH_STRIDE);
     }
     output_gradients(outputs, head, first, slots, next, d_sum, column);
     hidden_backward(weight, head, slots, hidden, d_sum, d_hidden, column);

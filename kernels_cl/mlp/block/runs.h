@@ -1,18 +1,13 @@
 /* A list of ascending numbers, as runs [begin, end) that do not touch. */
-#ifndef CLGS_MLP_RUNS_H
-#define CLGS_MLP_RUNS_H
+#ifndef CLGS_MLP_BLOCK_RUNS_H
+#define CLGS_MLP_BLOCK_RUNS_H
 
-#include "common/form.h"
 #include "common/method.h"
 #include "mlp/batch.h"
 #include "mlp/layout.h"
 
-/* Enough for the slots of a block and, in the CPU form, for the blocks of a batch. */
-#if USE_LOCAL
-#define MAX_RUNS (K_OFFSETS / 2 + 1)
-#else
+/* Enough for the slots of a block, and for the blocks of a batch. */
 #define MAX_RUNS (BATCH / BLOCK / 2 + K_OFFSETS / 2 + 1)
-#endif
 typedef struct {
     int count;
     int begin[MAX_RUNS], end[MAX_RUNS];
