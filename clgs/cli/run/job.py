@@ -33,6 +33,7 @@ from clgs.files import atomic_write, check_folder
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
+    from clgs.train.run.folder_lock import FolderLock
 
 PAGE, SPLATS, CLIP = "scene.html", "scene.ply", "clip.mp4"
 MADE = ("data", "run", "scene.clgs", "scores.json", "report.html", PAGE, SPLATS, CLIP)
@@ -55,11 +56,31 @@ class Job:
         self._args = args
         self._out: Path = args.output
         self._stages = Stages()
+        self._lock: FolderLock | None = None
         self._start = time.perf_counter()
 
     def run(self) -> int:
-        """All stages; the exit code: that of the last of the exports that failed, if one did."""
+        """All stages; the exit code: that of the last of the exports that failed, if one did.
+
+        Raises:
+            DataError: another process works in OUT.
+        """
         check_folder(self._out)
+        if self._out.is_dir() and not self._args.plan:
+            self._hold()
+        try:
+            return self._run()
+        finally:
+            if self._lock:
+                self._lock.release()
+
+    def _hold(self) -> None:
+        """Keep other processes out of OUT."""
+        from clgs.train.run.folder_lock import FolderLock
+
+        self._lock = self._lock or FolderLock(self._out)
+
+    def _run(self) -> int:
         record = self._record()
         source = self._shortened(find_source(self._args.input))
         self._check_record(record, source)
@@ -174,6 +195,7 @@ class Job:
         if any(path.resolve() in inside for path in doomed):
             raise UsageError(f"{source.path}: lies in the folder that is written to; copy it first")
         self._out.mkdir(parents=True, exist_ok=True)
+        self._hold()
         self._keep({"input": str(source.path.resolve())})
         for path in doomed:
             if path.is_dir() and not path.is_symlink():
@@ -202,6 +224,8 @@ class Job:
             print(f"training: {_training(plan)}")
         settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self._args.seed or 0}
         where = str(source.path.resolve())
+        self._out.mkdir(parents=True, exist_ok=True)
+        self._hold()
         self._keep({"input": where, "settings": settings, "plan": asdict(plan)})
         return settings
 

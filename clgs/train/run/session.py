@@ -37,6 +37,7 @@ from clgs.train.run.finished_run import (
     remove_run,
     settings_for,
 )
+from clgs.train.run.folder_lock import FolderLock
 from clgs.train.run.full_disk import Keeper
 from clgs.train.run.progress_log import ProgressLog
 from clgs.train.run.trainer import StepResult, Trainer
@@ -74,7 +75,8 @@ class Session:
         """Prepare a new run, in place of one in ``folder``, or the continuation of one.
 
         Raises:
-            DataError: there is nothing to train on, or the checkpoints are of another run.
+            DataError: there is nothing to train on, the checkpoints are of another run, or another
+                process trains into ``folder``.
             BudgetError: the memory budget is too small for some view; nothing is written then.
         """
         if not dataset.train:
@@ -82,12 +84,14 @@ class Session:
         config = replace(settings_for(dataset, config), points=dataset.points_file)
         self.folder, self.config, self.device = folder, config, device
         self.dataset = dataset
+        lock = FolderLock(folder) if folder.is_dir() else None
         self.trainer = Trainer(device, dataset, config)
         if resume and checkpoints(folder / "checkpoint"):
             load_checkpoint(folder / "checkpoint", self.trainer)
         self.keeper = Keeper(folder, self.trainer)
         self.trainer.check_budget()
         folder.mkdir(parents=True, exist_ok=True)
+        self._lock = lock or FolderLock(folder)
         if not resume:
             remove_run(folder)
         (folder / RESULTS).unlink(missing_ok=True)
@@ -106,6 +110,14 @@ class Session:
             FullDiskError: there is no room; the newest checkpoint is whole.
         """
         try:
+            self._train(on_progress)
+            return self.keeper.with_room(self._finish)
+        finally:
+            self._lock.release()
+
+    def _train(self, on_progress: Callable[[Progress], None] | None) -> None:
+        """All steps that are left, and a checkpoint of the last one."""
+        try:
             with interruptions() as interrupted:
                 while self.trainer.steps_done < self.config.steps:
                     for progress in self._advance(interrupted):
@@ -120,7 +132,6 @@ class Session:
                     raise KeyboardInterrupt
         finally:
             self.log.close()
-        return self.keeper.with_room(self._finish)
 
     def _advance(self, stop: Callable[[], bool]) -> Iterator[Progress]:
         """Train up to the next step after which the state is looked at; fewer once ``stop()``."""

@@ -236,7 +236,7 @@ class Trainer:
             self.parameters, self.merged = self.densifier.align(self.parameters, q_position)
 
     def estimated_bits(self) -> float:
-        """Bits per anchor of the rounded attributes, by the frequencies of each channel."""
+        """Bits per anchor of the rounded attributes, about as the file will have them."""
         return self.queue.estimated_bits(self.parameters)
 
     def render_next(self) -> Frame:

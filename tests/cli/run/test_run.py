@@ -14,6 +14,7 @@ from clgs.cli import main as cli
 from clgs.cli.run.duration import duration
 from clgs.cli.run.plan import FRAMES, frames_within
 from clgs.cli.run.stages import Stages
+from clgs.train.run.folder_lock import FolderLock
 from tests.small_scene import write_scene
 from tests.terminal import as_from_a_terminal
 
@@ -33,6 +34,24 @@ def finished(data, tmp_path_factory):
     out = tmp_path_factory.mktemp("run") / "out"
     assert cli.main(words(data, out)) == 0
     return out
+
+
+@pytest.mark.skipif(os.name == "nt", reason="folders cannot be locked on Windows")
+def test_a_folder_in_use_is_left_alone(data, tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    lock = FolderLock(out)
+    for more in ([], ["--overwrite"], ["--resume"]):
+        assert cli.main(words(data, out, *more)) == 3
+        assert "another process works in it" in capsys.readouterr().err
+    assert not list(out.iterdir())
+    lock.release()
+
+
+def test_a_refused_input_leaves_no_folder(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert cli.main(words(tmp_path / "empty", tmp_path / "out")) == 3
+    assert not (tmp_path / "out").exists()
 
 
 def test_plan_alone_writes_nothing(data, tmp_path, capsys):
