@@ -16,6 +16,9 @@ KILO = 1000.0
 COLUMNS = 4
 """Panels beside each other."""
 
+SHOWN = {"paper": "proxy_entropy", "default": "proxy_classes"}
+"""The estimate that each level of the encoder is drawn against: the nearest one."""
+
 Draw = Callable[[Any], None]
 
 
@@ -91,20 +94,23 @@ def _proxy_panels(results: Results) -> list[Draw]:
     """Bits of the file against bits that are estimated, a panel a level of the encoder."""
 
     def draw(panel: Any, level: str) -> None:
-        points = proxy_points(rows, "proxy_entropy", level)
+        points = proxy_points(rows, SHOWN[level], level)
         across, up = ([value / (8 * KILO) for value in axis] for axis in zip(*points, strict=True))
         panel.plot(across, up, "o", markersize=4, alpha=0.6)
         ends = [0.0, max(across)]
         panel.plot(ends, ends, ":", color="grey", label="equal")
-        if line := proxy_line(rows, "proxy_entropy", level):
+        if line := proxy_line(rows, SHOWN[level], level):
             fitted = [line.slope * x + line.intercept / (8 * KILO) for x in ends]
             name = f"slope {line.slope:.3f}, correlation {line.correlation:.4f}"
             panel.plot(ends, fitted, "-", label=name)
-        panel.set(xlabel="estimate by frequencies, kilobytes", ylabel="file, kilobytes")
+        panel.set(
+            xlabel=f"estimate by {SHOWN[level].removeprefix('proxy_')}, kilobytes",
+            ylabel="file, kilobytes",
+        )
         panel.set_title(f"attributes, level {level}", loc="left")
         panel.legend(frameon=False, fontsize=7)
 
-    rows = [row for row in results.rows() if row["bits"].get("proxy_entropy")]
+    rows = [row for row in results.rows() if row["bits"].get("proxy_classes")]
     return [lambda panel, level=level: draw(panel, level) for level in LEVELS] if rows else []
 
 

@@ -21,7 +21,7 @@ from clgs.ops import rate
 from clgs.options import RenderOptions
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.score_views import evaluate_views, summarize
-from clgs.train.rate.entropy import entropy_bits
+from clgs.train.rate.entropy import coded_bits, entropy_bits
 from clgs.train.state.hashes import scene_hash
 
 Result = TypeVar("Result")
@@ -35,8 +35,8 @@ LEVELS = ("paper", "default")
 FORMS: tuple[rate.Form, ...] = ("channel", "pooled")
 """Of the rate proxy, whose gradient training follows."""
 
-ESTIMATES = ("entropy", *FORMS)
-"""Of bits: by the channels' frequencies, as training shows them, and by the proxy."""
+ESTIMATES = ("classes", "entropy", *FORMS)
+"""Of bits: as training shows them, by the channels' frequencies alone, and by the proxy."""
 
 TIMES = 3
 """Encoding and decoding take the median of so many."""
@@ -88,8 +88,8 @@ def bits(device: Device, scene: QuantizedScene) -> dict[str, dict[str, float]]:
     """Bits of every attribute of a whole scene.
 
     As both forms of the rate proxy estimate them, ``proxy_channel`` and ``proxy_pooled``, by the
-    channels' frequencies (``proxy_entropy``, what training shows), and as the encoder's levels
-    ``paper`` and ``default`` write them.
+    channels' frequencies (``proxy_entropy``), by those in classes of anchors (``proxy_classes``,
+    what training shows), and as the encoder's levels ``paper`` and ``default`` write them.
     """
     anchors, count = scene.dequantize().anchors, len(scene.anchors)
     found: dict[str, dict[str, float]] = {}
@@ -99,9 +99,9 @@ def bits(device: Device, scene: QuantizedScene) -> dict[str, dict[str, float]]:
             name: count * rate.forward(device, array, getattr(scene.scales, name), form).bits
             for name, array in arrays.items()
         }
-    found["proxy_entropy"] = {
-        name: entropy_bits(rows) for name, rows in integers(scene).items() if count
-    }
+    rows = integers(scene)
+    found["proxy_classes"] = coded_bits(rows) if count else {}
+    found["proxy_entropy"] = {name: entropy_bits(rows[name]) for name in rows if count}
     for level in LEVELS:
         sections = describe(encode(scene, level))["sections"]
         found[level] = {name: 8.0 * sections[tag] for name, tag in ATTRIBUTES.items()}

@@ -33,7 +33,7 @@ COLUMNS = (
     "run", "sha256", "scene_hash",
 )  # fmt: skip
 SECTIONS = ("ANCH", "OFFS", "FEAT", "SCAL", "MLPS", "META", "CHNK", "container")
-BITS = ("proxy_entropy", "proxy_channel", "proxy_pooled", "paper", "default")
+BITS = ("proxy_classes", "proxy_entropy", "proxy_channel", "proxy_pooled", "paper", "default")
 
 
 def write_report(

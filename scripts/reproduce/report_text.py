@@ -28,10 +28,10 @@ NOTES = {
     ),
     "proxy": (
         "Bits of offsets, features and scalings together, of the decoded integers, a point a run: "
-        "as they are estimated and as the encoder's level writes them. `entropy`: by the "
-        "frequencies of each channel, which training shows as the size; `channel` and `pooled`: "
-        "by Laplace laws, whose gradient training follows. The line is by least squares, the "
-        "correlation Pearson's."
+        "as they are estimated and as the encoder's level writes them. `classes`: by the "
+        "frequencies of each channel in 16 classes of anchors, which training shows as the size; "
+        "`entropy`: by the frequencies of each channel; `channel` and `pooled`: by Laplace laws, "
+        "whose gradient training follows. The line is by least squares, the correlation Pearson's."
     ),
     "histograms": (
         "Shares of the integers of the main rows' first seeds, all channels together. The laws "

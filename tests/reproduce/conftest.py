@@ -74,7 +74,7 @@ def make_row(run, psnr=30.0, size=1000, anchors=10, **other):
                      "SCAL": 100, "MLPS": 150, "CHNK": 50},
         "seconds": 10.0, "load_seconds": 1.0, "train_seconds": 8.9, "encode_seconds": 0.1,
         "decode_seconds": 0.05, "pictures_per_second": 20.0, "peak_memory_bytes": 2**28,
-        "bits": {name: bits for name in ("proxy_entropy", "proxy_channel", "proxy_pooled")}
+        "bits": {f"proxy_{name}": bits for name in ("classes", "entropy", "channel", "pooled")}
         | {level: {k: 0.9 * v for k, v in bits.items()} for level in ("paper", "default")},
         "histograms": {name: histogram for name in bits}, "workers": 1, "state": "abc",
         "machine": {"device": {"name": "a device"}, "processor": "a processor"},

@@ -52,7 +52,14 @@ def test_histogram_of_equal_integers_is_one_bar():
 def test_bits_of_proxy_and_file(open_device, rng):
     scene = random_scene(rng)
     found = bits(open_device("cpu"), scene)
-    assert set(found) == {"proxy_entropy", "proxy_channel", "proxy_pooled", "paper", "default"}
+    assert set(found) == {
+        "proxy_classes",
+        "proxy_entropy",
+        "proxy_channel",
+        "proxy_pooled",
+        "paper",
+        "default",
+    }
     assert all(set(one) == set(ATTRIBUTES) for one in found.values())
     assert all(value > 0 for one in found.values() for value in one.values())
     assert sum(found["default"].values()) < 8 * len(encode(scene))

@@ -65,7 +65,9 @@ def test_the_line_of_the_proxy_is_the_rows(stored, tmp_path):
     write_report(tmp_path / "docs", results_of(stored, tmp_path), tmp_path / "out", "x")
     whole = json.loads((tmp_path / "docs" / "results.json").read_text())
     lines = {(one["proxy"], one["level"]): one for one in whole["proxy"]}
-    assert set(lines) == set(product(("entropy", "channel", "pooled"), ("paper", "default")))
+    assert set(lines) == set(
+        product(("classes", "entropy", "channel", "pooled"), ("paper", "default"))
+    )
     for one in lines.values():
         assert (one["slope"], one["correlation"], one["count"]) == pytest.approx((0.9, 1.0, 3))
 

@@ -16,7 +16,7 @@ from clgs.ops import rate
 from clgs.render.frame import SceneGradients
 from clgs.scene.anchors import QuantizationScales, rounded
 from clgs.train.config import TrainConfig
-from clgs.train.rate.entropy import entropy_bits
+from clgs.train.rate.entropy import coded_bits
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 
 PUSH = 4.0
@@ -101,12 +101,15 @@ class RateTerm:
         return Tables(step, rates, parameters.count)
 
     def estimated_bits(self, parameters: Parameters) -> float:
-        """Bits per anchor of the rounded attributes, by the frequencies of each channel."""
-        bits = 0.0
-        for name in ANCHOR_GROUPS:
-            values = self._device.download(getattr(parameters.scene.anchors, name))
-            bits += entropy_bits(rounded(values, getattr(self.scales, name)))
-        return bits / parameters.count
+        """Bits per anchor of the rounded attributes, about as the file will have them."""
+        integers = {
+            name: rounded(
+                self._device.download(getattr(parameters.scene.anchors, name)),
+                getattr(self.scales, name),
+            )
+            for name in ANCHOR_GROUPS
+        }
+        return sum(coded_bits(integers).values()) / parameters.count
 
     def _tables(self, parameters: Parameters, step: int) -> Tables:
         """Those for step number ``step``: made new if they are due, else the newest before it."""

@@ -11,7 +11,7 @@ from clgs.render.frame import SceneGradients
 from clgs.scene.anchors import AnchorSet, QuantizationScales, quantize
 from clgs.scene.mlps import init_mlps
 from clgs.train.config import TrainConfig
-from clgs.train.rate.entropy import entropy_bits
+from clgs.train.rate.entropy import coded_bits
 from clgs.train.rate.rate_term import PUSH, RateTerm
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters, new_parameters
 
@@ -121,7 +121,8 @@ def test_what_a_checkpoint_holds_is_enough(device: Device, parameters: Parameter
         np.testing.assert_array_equal(mine[name], theirs[name])
 
 
-def test_size_that_is_shown_is_of_the_frequencies(device: Device, parameters: Parameters) -> None:
+def test_size_that_is_shown_is_that_of_the_integers(device: Device, parameters: Parameters) -> None:
     anchors = quantize(parameters.scene.anchors.map(device.download), SCALES)
-    wanted = sum(entropy_bits(getattr(anchors, name)) for name in ANCHOR_GROUPS) / COUNT
+    integers = {name: getattr(anchors, name) for name in ANCHOR_GROUPS}
+    wanted = sum(coded_bits(integers).values()) / COUNT
     assert term_of(device, 0.0).estimated_bits(parameters) == pytest.approx(wanted)
