@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import maximum_filter
 
 from clgs.scene.camera import Camera
 
@@ -54,6 +53,8 @@ def viewpoint(camera: Camera, alpha: npt.NDArray[np.uint8] | None) -> Viewpoint:
     """The camera with its mask alpha > 0 grown by MASK_MARGIN pixels."""
     if alpha is None:
         return Viewpoint(camera, None)
+    from scipy.ndimage import maximum_filter  # not needed by most data sets
+
     return Viewpoint(camera, maximum_filter(alpha, size=2 * MASK_MARGIN + 1) > 0)
 
 

@@ -34,7 +34,7 @@ INWARD, AWAY = 35.0, 95.0
 def check_poses(photos: list[Photo]) -> Iterator[Finding]:
     """Findings of all poses."""
     if len(photos) < FEW:
-        problem = f"{len(photos)} photos are few"
+        problem = f"{len(photos)} photos are few" if len(photos) != 1 else "one photo is few"
         yield Finding(NOTE, "", problem, "take more if the result has holes; 50 to 200 are usual")
     if len(photos) < 2:
         return

@@ -73,7 +73,7 @@ def _verdict(checks: list[Check], error: str) -> str:
         return f"FAIL: {len(failed)} of {len(checks)} checks: {names}"
     worst = max(checks, key=lambda check: check.share)
     nearest = f"{worst.stage} {worst.quantity} at {worst.share:.2f} of its limit"
-    return f"{len(checks)} checks passed, nearest to its limit: {nearest}"
+    return f"{len(checks)} check{'s' * (len(checks) != 1)} passed, nearest to its limit: {nearest}"
 
 
 def _record(device: Device, checks: list[Check], error: str) -> dict[str, object]:

@@ -44,7 +44,7 @@ class RunSettings:
         True, "recentre the scene and scale it to a camera radius of 4.4; the paper keeps the units"
     )
     coarse_to_fine: bool = option(
-        False, "train on reduced photos first: a quarter of the size, then half"
+        False, "train on photos of half the size in the first third of the steps"
     )
     points: str = option(
         "",

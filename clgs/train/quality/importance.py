@@ -44,6 +44,7 @@ def importance(
     total = np.zeros(len(scene.anchors))
     for frame, gradients in _sign_passes(device, scene, settings, cameras, options):
         _add_importance(device, frame, gradients, total)
+        del frame, gradients  # before the next ones are made
         on_render()
     return total
 
@@ -103,6 +104,7 @@ def sensitivity(
             _add_curvature(device, scene_backward(device, scene, frame, gradients), curvature)
         visible = device.download(frame.activations.visible)
         seen[visible[visible >= 0]] = True
+        del frame, gradients  # before the next ones are made
     narrow = {name: sums.astype(np.float32) for name, sums in curvature.items()}
     return Sensitivity(total.astype(np.float32), narrow, seen)
 
@@ -130,6 +132,7 @@ def _sign_passes(
         frame, capacity = roomy_forward(device, scene, view, options, capacity)
         signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
         yield frame, blend_backward(device, frame, device.upload(signs))
+        del frame
 
 
 def _add_curvature(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import correlate1d
 
 from clgs.constants import SSIM_C1, SSIM_C2, SSIM_SIGMA, SSIM_WINDOW
 from clgs.errors import ClgsError
@@ -121,6 +120,8 @@ def _unit_pair(
 
 def _blur(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Rows and columns of (H, W, C) weighted by the window; zeros beyond the border."""
+    from scipy.ndimage import correlate1d  # its 7 MiB would lie there while training
+
     distance = np.arange(SSIM_WINDOW) - SSIM_WINDOW // 2
     window = np.exp(-0.5 * (distance / SSIM_SIGMA) ** 2)
     window /= window.sum()

@@ -61,8 +61,16 @@ ROUNDS = 10
 
 LEAST_ROUNDS = 3
 
-ROUND_STEPS = 40
-"""Steps between rounds at least, if there are more than LEAST_ROUNDS."""
+ROUND_STEPS = 80
+"""Steps between rounds at least, if there are more than LEAST_ROUNDS: with half of them, rounds
+take a quarter of a short run.
+"""
+
+SIZED_ROUND_STEPS = 40
+"""The same if a size is asked for, which is met the better the more rounds there are."""
+
+UNLEARNED = 40
+"""Before so many steps nothing has grown or learned yet."""
 
 THINNED = (0.5, 0.7, 0.9)
 """Shares of the steps before the switch after which anchors go."""
@@ -121,7 +129,8 @@ class Economy:
         self._device, self._dataset, self._config = device, dataset, config
         last = min(config.freeze_step, config.steps - 1)
         last = max(config.switch_step, last)
-        rounds = (last - config.switch_step) // ROUND_STEPS
+        apart = SIZED_ROUND_STEPS if config.target_size else ROUND_STEPS
+        rounds = (last - config.switch_step) // apart
         rounds = min(max(rounds, LEAST_ROUNDS), ROUNDS)
         moments = np.linspace(config.switch_step, last, rounds)
         self._lambda = config.size_lambda or 0.0
@@ -129,8 +138,8 @@ class Economy:
         self._most_loss = MOST_LOSS ** min(max(1.0, self._lambda / usual), NO_LIMIT)
         active = self._lambda > 0 or config.target_size > 0
         thinned = [share * config.switch_step for share in THINNED]
-        if config.switch_step < ROUND_STEPS:
-            thinned = []  # nothing has grown or learned yet
+        if config.switch_step < UNLEARNED:
+            thinned = []
         self.steps = sorted({round(each) for each in (*thinned, *moments)}) if active else []
         """The steps after which there is a round."""
         self._found: Sensitivity | None = None
@@ -154,10 +163,11 @@ class Economy:
         found = self._look(judge, scene, step)
         self._device.release_unused()  # what follows draws other sizes
         judged, drawn = judge.judge(scene, found), scene.weights
+        mean_loss = judged.loss
         del scene
         self._device.release_unused()
-        state = densifier.download(parameters)
         if step < self._config.switch_step:
+            state = densifier.download(parameters)
             done = self._thin(state, judged, step)
         else:
             weights = Mlps(self._device.download(queue.final_weights(parameters)))
@@ -165,30 +175,35 @@ class Economy:
                 partial(self._size, weights=weights, settings=settings),
                 partial(self._loss, judge, drawn),
             )
-            done, kept = self._economise(
-                Situation(state, judged, queue.scales), queue, trials, step
-            )
+            anchors = parameters.scene.anchors.map(self._device.download)
+            plan = self._plan(Situation(anchors, judged, queue.scales), queue, trials, step)
+            del anchors, judged, trials, drawn  # before the moments come
+            state = densifier.download(parameters)
+            done, kept = self._carry_out(plan, state, queue, step)
             self._found = found.rows(kept)
-        _log.info("%s, %s, loss %.5f", done, queue.scales, judged.loss)
+        _log.info("%s, %s, loss %.5f", done, queue.scales, mean_loss)
         return densifier.replaced(parameters, state), done
 
-    def _economise(
-        self, now: Situation, queue: StepQueue, trials: Trials, step: int
-    ) -> tuple[Round, npt.NDArray[np.bool_]]:
-        """Change ``now.state`` to what is worth its bytes; which anchors (A,) are kept."""
-        config, before = self._config, len(now.state.anchors)
+    def _plan(self, now: Situation, queue: StepQueue, trials: Trials, step: int) -> Plan:
+        """What is worth its bytes."""
+        config = self._config
         if step == config.switch_step:
             now = replace(now, free=self._free())
-            queue.rate.price = self._price(now.judged, before)
+            queue.rate.price = self._price(now.judged, len(now.anchors))
         if config.target_size:
-            plan = plan_for_size(int(SPARE * config.target_size), now, trials.size)
-        elif step == config.switch_step:
-            plan = plan_within(self._most_loss, queue.rate.price, now, trials.loss)
-        else:
-            plan = plan_at(queue.rate.price, now)
+            return plan_for_size(int(SPARE * config.target_size), now, trials.size)
+        if step == config.switch_step:
+            return plan_within(self._most_loss, queue.rate.price, now, trials.loss)
+        return plan_at(queue.rate.price, now)
+
+    def _carry_out(
+        self, plan: Plan, state: TrainState, queue: StepQueue, step: int
+    ) -> tuple[Round, npt.NDArray[np.bool_]]:
+        """Change ``state`` to what is worth its bytes; which anchors (A,) are kept."""
+        before = len(state.anchors)
         queue.rate.price, queue.rate.scales = plan.price, plan.scales
-        changed, kept = carry_out(plan, now.state, self._most(step, step == self.steps[-1]))
-        return Round(step, before, len(now.state.anchors), changed, plan.price), kept
+        changed, kept = carry_out(plan, state, self._most(step, step == self.steps[-1]))
+        return Round(step, before, len(state.anchors), changed, plan.price), kept
 
     def _thin(self, state: TrainState, judged: Judgement, step: int) -> Round:
         """Leave out of ``state`` what does not earn the bytes of a mean anchor."""

@@ -6,7 +6,7 @@ E adds e / (2 E) of the loss. What adds to E is estimated by ``clgs.train.qualit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,7 +42,31 @@ class Judgement:
 
     loss: float
     importance: Floats
-    curvature: dict[str, Floats]
+    curvature: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class _Curvature(Mapping[str, Floats]):
+    """The curvature of each attribute, made when it is asked for: 700 bytes per anchor in all.
+
+    seen: (A,), or None if nothing was unseen.
+    """
+
+    found: Mapping[str, npt.NDArray[np.float32]]
+    worth: float
+    seen: npt.NDArray[np.bool_] | None
+
+    def __getitem__(self, name: str) -> Floats:
+        array = self.found[name].astype(np.float64) * self.worth
+        if self.seen is not None:
+            array[~self.seen] = array[self.seen].mean(axis=0)
+        return array
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.found)
+
+    def __len__(self) -> int:
+        return len(self.found)
 
 
 @dataclass(frozen=True)
@@ -80,11 +104,10 @@ class Judge:
         mean_loss, squared_error = self.compare(scene)
         worth = 0.5 * mean_loss / squared_error
         importance = found.importance.astype(np.float64) * worth
-        curvature = {n: array.astype(np.float64) * worth for n, array in found.curvature.items()}
-        if not self.all_views and found.seen.any():
+        unseen = not self.all_views and bool(found.seen.any())
+        if unseen:
             importance[~found.seen] = np.inf
-            for array in curvature.values():
-                array[~found.seen] = array[found.seen].mean(axis=0)
+        curvature = _Curvature(found.curvature, worth, found.seen if unseen else None)
         return Judgement(mean_loss, importance, curvature)
 
     def compare(self, scene: DeviceScene) -> tuple[float, float]:
@@ -101,4 +124,5 @@ class Judge:
             losses.append(compared.value_later(device).get().value)
             residual = device.download(image) - photo / np.float32(255)
             errors.append(float(np.square(residual, dtype=np.float64).sum()))
+            del frame, image  # before the next ones are made
         return float(np.mean(losses)), max(float(np.mean(errors)), np.finfo(np.float64).tiny)

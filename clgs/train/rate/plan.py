@@ -47,7 +47,7 @@ class Situation:
     free: names of the attributes whose scale may still be chosen.
     """
 
-    state: TrainState
+    anchors: AnchorSet
     judged: Judgement
     scales: QuantizationScales
     free: frozenset[str] = frozenset()
@@ -70,7 +70,7 @@ class Plan:
 
 def plan_at(price: float, now: Situation) -> Plan:
     """What ``price``, in units of the loss, leaves; ``now`` is not changed."""
-    integers, scales, anchors = {}, now.scales, now.state.anchors
+    integers, scales, anchors = {}, now.scales, now.anchors
     for name, curvature in now.judged.curvature.items():
         values = getattr(anchors, name)
         if name in now.free:

@@ -12,7 +12,7 @@ import numpy as np
 from clgs.options import PRESETS
 from clgs.train.config import TrainConfig
 
-COARSE_STAGES = ((0.1, 4), (0.3, 2))
+COARSE_STAGES = ((0.35, 2),)
 """Coarse to fine: up to this share of the steps, photos are reduced this many times."""
 
 TIMES_RADIUS = {"offset"}

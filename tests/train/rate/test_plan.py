@@ -41,7 +41,7 @@ def now(state: TrainState, rng: np.random.Generator) -> Situation:
         name: 10.0 ** rng.uniform(-9, -5, (COUNT, *shape)) for name, shape in shapes.items()
     }
     importance = 10.0 ** rng.uniform(-9, -3, COUNT)
-    return Situation(state, Judgement(0.1, importance, curvature), SCALES)
+    return Situation(state.anchors, Judgement(0.1, importance, curvature), SCALES)
 
 
 def measure(anchors: QuantizedAnchors, scales: QuantizationScales) -> int:
@@ -71,7 +71,7 @@ def test_dearer_bits_leave_less(now: Situation) -> None:
 
 
 def test_only_free_scales_change(now: Situation) -> None:
-    free = Situation(now.state, now.judged, SCALES, frozenset({"feature"}))
+    free = Situation(now.anchors, now.judged, SCALES, frozenset({"feature"}))
     plan = plan_at(1e-6, free)
     assert plan.scales.feature != SCALES.feature
     assert (plan.scales.offset, plan.scales.scaling) == (SCALES.offset, SCALES.scaling)
@@ -124,12 +124,10 @@ def test_what_is_carried_out(now: Situation, state: TrainState) -> None:
 def test_at_most_a_share_goes(now: Situation, state: TrainState) -> None:
     plan = plan_at(1.0, now)
     assert len(plan.kept) == 0
+    before = state.anchors.position[:, 0].copy()
     carry_out(plan, state, 0.25)
     assert 0.75 * COUNT <= len(state.anchors) <= 0.75 * COUNT + 1
-    np.testing.assert_array_equal(
-        np.sort(state.anchors.position[:, 0]),
-        np.sort(now.state.anchors.position[:, 0]),
-    )
+    assert np.isin(state.anchors.position[:, 0], before).all()
 
 
 def test_something_must_be_left(now: Situation, state: TrainState) -> None:

@@ -92,8 +92,7 @@ def test_reduction_follows_the_schedule():
 
     coarse = replace(config, coarse_to_fine=True)
     factors = [reduction(coarse, step) for step in range(1, 1001)]
-    assert factors[:100] == [4] * 100
-    assert factors[100:300] == [2] * 200
-    assert factors[300:] == [1] * 700
+    assert factors[:350] == [2] * 350
+    assert factors[350:] == [1] * 650
     small = replace(coarse, accuracy="preview")
-    assert [reduction(small, step) for step in (100, 101, 1000)] == [4, 2, 2]
+    assert [reduction(small, step) for step in (350, 351, 1000)] == [2, 2, 2]
