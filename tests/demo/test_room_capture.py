@@ -9,6 +9,7 @@ import pytest
 
 from clgs.data.colmap.model import read_colmap
 from clgs.data.sfm.judging.agreement import Poses, differences
+from clgs.data.sfm.judging.evidence import MAX_CONTRADICTED
 from clgs.data.sfm.judging.verdict import GOOD
 from clgs.data.sfm.prepare import prepare
 
@@ -27,12 +28,14 @@ def test_poses_of_the_room_are_right_or_doubted(tmp_path: Path):
     import room_capture
 
     taken = room_capture.photograph(tmp_path / "room")
-    verdict = prepare(tmp_path / "room", tmp_path / "data")
+    # Of this seed the model of all pairs lays one side of the room onto another on some machines.
+    verdict = prepare(tmp_path / "room", tmp_path / "data", seed=4)
     photos = read_colmap(tmp_path / "data", tmp_path / "data" / "sparse" / "0")
     found = [(one.name, one.rotation, one.centre) for one in [*photos.train, *photos.test]]
     true = [(name, view.rotation, view.centre) for name, view in taken.items()]
     good = {one.name for one in verdict.of(GOOD)}
-    assert verdict.registered == len(taken)
+    assert verdict.registered >= 0.9 * len(taken)
+    assert verdict.contradicted <= MAX_CONTRADICTED
     assert len(good) >= len(taken) / 3  # the walls are equal on purpose: many are doubted
     different = differences(poses(true), poses(found))
     assert {name for name, one in different.items() if one.turn > 1.0} <= set(taken) - good

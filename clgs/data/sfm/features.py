@@ -35,7 +35,7 @@ def extract(job: Job, size: int, quick: bool) -> None:
         size: longer side of the largest photo, pixels.
         quick: fewer features.
     """
-    job.pycolmap.Database.open(job.database).close()  # pycolmap reads into one that exists
+    job.open().close()  # pycolmap reads into one that exists
     for camera in sorted(set(job.cameras)):
         _import_images(job, camera)
     options = job.pycolmap.FeatureExtractionOptions()
@@ -51,7 +51,8 @@ def extract(job: Job, size: int, quick: bool) -> None:
     total = len(job.names)
     for start in range(0, total, BATCH):
         job.on_progress("features", start, total)
-        job.pycolmap.extract_features(
+        job.call(
+            job.pycolmap.extract_features,
             job.database,
             job.images,
             image_names=job.names[start : start + BATCH],
@@ -68,6 +69,11 @@ def _import_images(job: Job, camera: int) -> None:
     reader.camera_model = "SIMPLE_RADIAL"
     names = [name for name, own in zip(job.names, job.cameras, strict=True) if own == camera]
     mode = job.pycolmap.CameraMode.SINGLE
-    job.pycolmap.import_images(
-        job.database, job.images, camera_mode=mode, image_names=names, options=reader
+    job.call(
+        job.pycolmap.import_images,
+        job.database,
+        job.images,
+        camera_mode=mode,
+        image_names=names,
+        options=reader,
     )

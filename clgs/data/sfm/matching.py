@@ -29,7 +29,7 @@ def match_again(job: Job, left_out: list[int]) -> None:
     left_out = left_out[:MAX_SECOND_LOOK]
     chosen = set(left_out)
     pairs = [(i, j) for i, j in all_pairs(len(job.names)) if i in chosen or j in chosen]
-    with job.pycolmap.Database.open(job.database) as database:
+    with job.open() as database:
         ids = job.ids(database)
         for first, second in ((ids[i], ids[j]) for i, j in pairs):
             if database.exists_matches(first, second):
@@ -45,7 +45,7 @@ def _choose(job: Job) -> list[tuple[int, int]]:
     count = len(job.names)
     if count <= MAX_EXHAUSTIVE:
         return all_pairs(count)
-    with job.pycolmap.Database.open(job.database) as database:
+    with job.open() as database:
         descriptors = [database.read_descriptors(number).data for number in job.ids(database)]
     return likely_pairs(descriptors, job.seed)
 
@@ -77,7 +77,8 @@ def _match_group(job: Job, pairs: list[tuple[int, int]], options: Any) -> None:
     pairing.match_list_path = listed
     verification = job.pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = job.seed
-    job.pycolmap.match_image_pairs(
+    job.call(
+        job.pycolmap.match_image_pairs,
         job.database,
         matching_options=options,
         pairing_options=pairing,

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from clgs.data.sfm.job import Job
-from clgs.data.sfm.judging.evidence import Evidence, Explained, explain, read_evidence
+from clgs.data.sfm.judging.evidence import (
+    MAX_CONTRADICTED,
+    Evidence,
+    Explained,
+    explain,
+    read_evidence,
+)
 from clgs.data.sfm.matching import match_again
 from clgs.errors import DataError
 
@@ -21,7 +28,11 @@ TOLERANCE = 1e-6
 LOOSE_INLIERS, LOOSE_SHARE = 15, 0.15
 """Of a photo's matches with points, at the second look; COLMAP's defaults are 30 and 0.25."""
 
+STRONGEST = 8
+"""Pairs of a photo that a model is made of if that of all pairs contradicts them."""
+
 INCREMENTAL, GLOBAL = "incremental", "global"
+STRONG = "incremental, strongest pairs"
 
 
 @dataclass(frozen=True)
@@ -49,11 +60,13 @@ class Choice:
 def build(job: Job, quick: bool) -> Choice:
     """Both mappers' models of all verified matches, the better chosen; quick: incremental alone.
 
+    If that contradicts the strongest pairs, one that is made of these alone may take its place.
+
     Raises:
         DataError: no two photos could be related.
     """
     evidence = read_evidence(job)
-    mappers = {INCREMENTAL: map_incrementally} if quick else MAPPERS
+    mappers = {name: MAPPERS[name] for name in ((INCREMENTAL,) if quick else (INCREMENTAL, GLOBAL))}
     # Each mapper runs on one thread: sums in another order would be other poses.
     with ThreadPoolExecutor(len(mappers)) as pool:
         running = {name: pool.submit(mapper, job, "poses") for name, mapper in mappers.items()}
@@ -65,7 +78,11 @@ def build(job: Job, quick: bool) -> Choice:
             "motionless scene"
         )
     candidates = [Model(name, model, explain(model, evidence)) for name, model in best.items()]
-    kept = max(candidates, key=lambda model: model.explained.total)
+    kept = max(candidates, key=_explained)
+    if kept.explained.contradicted > MAX_CONTRADICTED and (models := map_strongest(job, evidence)):
+        found[STRONG], strong = models, max(models, key=_size)
+        candidates.append(Model(STRONG, strong, explain(strong, evidence)))
+        kept = max(candidates, key=_explained)
     return Choice(kept, candidates, evidence, _apart(kept.reconstruction, found[kept.mapper]))
 
 
@@ -88,7 +105,7 @@ def look_again(job: Job, choice: Choice) -> Choice:
     evidence = read_evidence(job)
     found = [model, *again]
     models = [Model(choice.kept.mapper, one, explain(one, evidence)) for one in found]
-    kept = max(models, key=lambda model: model.explained.total)
+    kept = max(models, key=_explained)
     return replace(choice, kept=kept, evidence=evidence)
 
 
@@ -114,13 +131,30 @@ def map_globally(job: Job, stage: str) -> list[Any]:
     folder = job.folder / GLOBAL
     folder.mkdir()
     try:
-        models = job.pycolmap.global_mapping(job.database, job.images, folder, options)
+        models = job.call(job.pycolmap.global_mapping, job.database, job.images, folder, options)
     except (RuntimeError, ValueError):  # it gives up where no pair tells a rotation
         return []
     return list(models.values())
 
 
-MAPPERS = {INCREMENTAL: map_incrementally, GLOBAL: map_globally}
+def map_strongest(job: Job, evidence: Evidence) -> list[Any]:
+    """The incremental mapper's models of the strongest pairs of every photo.
+
+    Among things that are repeated, weak pairs lead astray: a photo joins another side of the scene
+    before the photos beside it are placed.
+    """
+    part = replace(job, folder=job.folder / "strongest")
+    part.folder.mkdir()
+    shutil.copyfile(job.database, part.database)
+    kept = {(pair.first, pair.second) for pair in evidence.strongest(STRONGEST)}
+    with part.open() as database:
+        for pair in evidence.pairs:
+            if (pair.first, pair.second) not in kept:
+                database.delete_two_view_geometry(pair.first, pair.second)
+    return map_incrementally(part, "other poses")
+
+
+MAPPERS = {INCREMENTAL: map_incrementally, GLOBAL: map_globally, STRONG: map_incrementally}
 
 
 def _incremental_options(job: Job) -> Any:
@@ -149,7 +183,8 @@ def _run_incremental(
         job.on_progress(stage, placed, total)
 
     job.on_progress(stage, 0, total)
-    models = job.pycolmap.incremental_mapping(
+    models = job.call(
+        job.pycolmap.incremental_mapping,
         job.database,
         job.images,
         folder,
@@ -158,6 +193,10 @@ def _run_incremental(
         next_image_callback=count,
     )
     return list(models.values())
+
+
+def _explained(model: Model) -> int:
+    return model.explained.total
 
 
 def _size(model: Any) -> tuple[int, int]:

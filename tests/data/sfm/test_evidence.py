@@ -30,6 +30,13 @@ def test_links_are_the_best_pairs_of_either_photo():
     assert all(sum(photo in link for link in links) >= LINKS for photo in range(20))
 
 
+def test_more_pairs_are_asked_for_where_a_model_is_made_of_them():
+    evidence = walk(20, 700)
+    few, many = ({(one.first, one.second) for one in evidence.strongest(n)} for n in (4, 8))
+    assert few < many < {(one.first, one.second) for one in evidence.pairs}
+    assert all(sum(photo in link for link in many) >= 8 for photo in range(20))
+
+
 def test_inlier_ratio_of_a_photo():
     links = [pair(1, 2, 100), pair(1, 3, 300), pair(2, 4, 50)]
     explained = Explained(links, np.array([100, 300, 50]), np.array([80, 300, -1]))

@@ -10,7 +10,7 @@ import pytest
 from clgs.data.sfm.judging.agreement import Difference
 from clgs.data.sfm.judging.evidence import Explained
 from clgs.data.sfm.judging.figures import Figures
-from clgs.data.sfm.judging.judge import Comparison, contradicted, is_ambiguous, judge
+from clgs.data.sfm.judging.judge import Comparison, is_ambiguous, judge
 from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT
 
 SOUND = Figures(800, 0.97, 4.5, 0.6, 10.0, (8.0, 9.0))
@@ -86,8 +86,8 @@ def explained(matches: list[int], found: list[int]) -> Explained:
 
 def test_contradicting_pairs():
     # Explained, contradicted, too few matches, one photo without a pose.
-    assert contradicted(explained([300, 100, 20, 500], [290, 5, 0, -1])) == 0.25
-    assert contradicted(explained([], [])) == 0.0
+    assert explained([300, 100, 20, 500], [290, 5, 0, -1]).contradicted == 0.25
+    assert explained([], []).contradicted == 0.0
 
 
 def test_ambiguity():

@@ -59,8 +59,8 @@ def _write_half(
     rng = np.random.default_rng(half.seed)
     shutil.copyfile(job.database, half.database)
     with (
-        job.pycolmap.Database.open(job.database) as whole,
-        job.pycolmap.Database.open(half.database) as part,
+        job.open() as whole,
+        half.open() as part,
     ):
         part.clear_descriptors()
         part.clear_matches()

@@ -11,7 +11,6 @@ from clgs.data.sfm.judging.judge import (
     MIN_EQUAL,
     SHARPER,
     Comparison,
-    contradicted,
     is_ambiguous,
     judge,
 )
@@ -52,7 +51,7 @@ def conclude(choice: Choice, second: Any | None, checked: bool, real: Mapping[st
         photos=photos,
         checked=checked,
         ambiguous=ambiguous,
-        contradicted=contradicted(kept.explained),
+        contradicted=kept.explained.contradicted,
         sure=_sure(photos, checked, ambiguous),
     )
 

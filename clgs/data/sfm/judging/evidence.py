@@ -25,6 +25,12 @@ Repeated things match everywhere, if never as well as neighbours do: all pairs t
 the model that lays equal sides of the scene onto each other.
 """
 
+STRONG_PAIR, CONTRADICTED = 30, 0.3
+"""A pair of so many matches contradicts the poses if they explain less than this share."""
+
+MAX_CONTRADICTED = 0.03
+"""Above this share of matches in contradicting links the photos fit together in other ways, too."""
+
 
 @dataclass(frozen=True)
 class Pair:
@@ -44,13 +50,17 @@ class Evidence:
 
     @property
     def links(self) -> list[Pair]:
-        """The pairs that are among the LINKS of most matches of one of their photos."""
+        """The pairs that speak for or against a model."""
+        return self.strongest(LINKS)
+
+    def strongest(self, most: int) -> list[Pair]:
+        """The pairs that are among the ``most`` of most matches of one of their photos."""
         order = sorted(self.pairs, key=lambda pair: -len(pair.matches))
         used: dict[int, int] = {}
         found = []
         for pair in order:
             counts = [used.get(number, 0) for number in (pair.first, pair.second)]
-            if min(counts) < LINKS:
+            if min(counts) < most:
                 found.append(pair)
             used |= {pair.first: counts[0] + 1, pair.second: counts[1] + 1}
         return found
@@ -69,10 +79,17 @@ class Explained:
         """Matches that the model explains: the more, the better the model."""
         return int(np.maximum(self.explained, 0).sum())
 
+    @property
+    def contradicted(self) -> float:
+        """Share of the links' matches that are in links which the poses do not explain."""
+        strong = (self.matches >= STRONG_PAIR) & (self.explained >= 0)
+        bad = self.explained < CONTRADICTED * self.matches
+        return float(self.matches[strong & bad].sum() / max(int(self.matches[strong].sum()), 1))
+
 
 def read_evidence(job: Job) -> Evidence:
     """All verified pairs of the database."""
-    with job.pycolmap.Database.open(job.database) as database:
+    with job.open() as database:
         keypoints = {
             number: np.asarray(database.read_keypoints(number), np.float64)[:, :2]
             for number in job.ids(database)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.data.sfm.judging.agreement import Difference
-from clgs.data.sfm.judging.evidence import Explained
+from clgs.data.sfm.judging.evidence import MAX_CONTRADICTED, Explained
 from clgs.data.sfm.judging.figures import Figures
 from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict
 
@@ -34,12 +34,8 @@ APART, APART_TIMES = 45.0, 5.0
 MIN_EQUAL = 0.9
 """A rival model is heard if it explains this share of the matches that the kept one does."""
 
-STRONG_PAIR, CONTRADICTED = 30, 0.3
-"""A pair of so many matches contradicts the poses if they explain less than this share."""
-
-MAX_CONTRADICTED, MAX_ELSEWHERE = 0.03, 0.03
-"""Above these shares of matches in contradicting links, or of photos at another side, the scene is
-ambiguous."""
+MAX_ELSEWHERE = 0.03
+"""Above this share of photos at another side the scene is ambiguous."""
 
 MAX_DROPPED = 1 / 3
 """Of the photos; if more had to go, the whole is in doubt, and none is dropped."""
@@ -71,14 +67,6 @@ def judge(found: Mapping[str, Figures], compared: Comparison) -> dict[str, Photo
     return verdicts
 
 
-def contradicted(explained: Explained) -> float:
-    """Share of the links' matches that are in links which the poses do not explain."""
-    strong = (explained.matches >= STRONG_PAIR) & (explained.explained >= 0)
-    bad = explained.explained < CONTRADICTED * explained.matches
-    matches = explained.matches
-    return float(matches[strong & bad].sum() / max(int(matches[strong].sum()), 1))
-
-
 def is_ambiguous(compared: Comparison, explained: Explained, photos: int) -> bool:
     """Whether the photos fit together in more than one way."""
     elsewhere = {
@@ -88,7 +76,7 @@ def is_ambiguous(compared: Comparison, explained: Explained, photos: int) -> boo
         if one.turn > OTHER_SIDE
     }
     many = len(elsewhere) >= max(2.0, MAX_ELSEWHERE * photos)
-    return many or contradicted(explained) > MAX_CONTRADICTED
+    return many or explained.contradicted > MAX_CONTRADICTED
 
 
 def _kept(verdict: PhotoVerdict) -> PhotoVerdict:
