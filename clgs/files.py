@@ -110,6 +110,21 @@ def _mode(path: Path) -> int:
         raise OutputError(f"{path}: {error.strerror}; choose another name") from None
 
 
+def make_folder(path: Path) -> None:
+    """Make the folder ``path``, and those above that are missing; links are followed.
+
+    Raises:
+        OutputError: it cannot be made.
+    """
+    try:
+        Path(os.path.realpath(path)).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        if is_full(error):
+            raise
+        problem = f"cannot be made ({error.strerror}); choose another folder"
+        raise OutputError(f"{path}: {problem}") from None
+
+
 def check_folder(path: Path) -> None:
     """Raise OutputError if ``path`` is, or lies in, what is no folder or may not be written to.
 

@@ -19,6 +19,7 @@ from clgs.files import (
     atomic_write_all,
     check_folder,
     check_output,
+    make_folder,
 )
 
 
@@ -195,6 +196,19 @@ def test_names_may_be_as_long_as_the_folder_allows(tmp_path):
     name = "x" * 251 + ".bin"
     atomic_write(tmp_path / name, b"data")
     assert names(tmp_path) == [name]
+
+
+def test_a_link_to_a_missing_folder_makes_it(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "away")
+    make_folder(tmp_path / "link")
+    make_folder(tmp_path / "link")
+    assert (tmp_path / "far" / "away").is_dir()
+
+
+def test_a_folder_that_cannot_be_made_is_wrong_usage(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match=r"file/folder: cannot be made \(.*\); choose another"):
+        make_folder(tmp_path / "file" / "folder")
 
 
 def test_folders_are_checked_before_they_are_made(tmp_path):

@@ -26,6 +26,9 @@ from clgs.train.run.finished_run import RunResult
 from clgs.train.run.session import Progress as TrainingProgress
 
 Item = TypeVar("Item")
+MET = 0.02
+"""Share of a target size that may be left over without a word."""
+
 WIDE = 120
 """Columns of a terminal from which training has a bar; without it, its figures fit in 80."""
 
@@ -143,4 +146,10 @@ def print_summary(result: RunResult) -> None:
         f"{summary['bytes']:,} bytes, {summary['anchors']:,} anchors, "
         f"{summary['train_seconds']:.0f} s"
     )
+    missing = 1 - summary["bytes"] / (summary.get("target_size") or summary["bytes"])
+    if missing > MET:
+        print(
+            f"the file is {100 * missing:.1f} % smaller than asked for: so short a run, or one "
+            "with so few anchors, cannot fill it"
+        )
     print(f"{result.folder / 'scene.clgs'}  {result.folder / 'results.json'}")

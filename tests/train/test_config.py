@@ -86,6 +86,7 @@ def test_scaled_moves_moments_and_keeps_intervals() -> None:
     [
         ({"target_size": 12_999}, "target_size: 12999 bytes hardly hold the MLPs; give at least"),
         ({"target_size": 40_000, "mlp": "float32"}, "give at least 50000"),
+        ({"start_points": 3}, "start_points: 3 is too few; give at least 4, or 0"),
         ({"max_anchors": 3}, "max_anchors: 3 is too few; give at least 4, or 0"),
     ],
 )

@@ -64,7 +64,7 @@ def _render_views(args: argparse.Namespace) -> int:
     )
     from clgs.cli.progress import track
     from clgs.export.image import picture_names
-    from clgs.files import check_folder
+    from clgs.files import check_folder, make_folder
     from clgs.opencl.device import Device
     from clgs.render.renderer import Renderer
     from clgs.scene.scene import drawable
@@ -81,7 +81,7 @@ def _render_views(args: argparse.Namespace) -> int:
     renderer = Renderer(Device(args.device), shown, selected_options(args))
     renderer.check_budget((view.name, view.camera) for view in views)
     frames = Frames(renderer, args.kind, [view.camera for view in views])
-    args.output.mkdir(parents=True, exist_ok=True)
+    make_folder(args.output)
     for name, view in track(list(zip(names, views, strict=True)), "rendering"):
         save_frame(args.output / name, frames.draw(view.camera), scene.transform)
     print(f"{args.output}: {counted(len(views), 'picture')}")

@@ -101,7 +101,9 @@ def _video(output: Path, camera: Camera, fps: float) -> Iterator[Add]:
 
 @contextmanager
 def _folder(args: argparse.Namespace, transform: SceneTransform) -> Iterator[Add]:
-    args.output.mkdir(parents=True, exist_ok=True)
+    from clgs.files import make_folder
+
+    make_folder(args.output)
     count = 0
 
     def add(frame: Frame) -> None:

@@ -29,7 +29,7 @@ from clgs.cli.run.source import PLAN, Source, find_source, measure_data
 from clgs.cli.run.stages import Stages
 from clgs.cli.run.summary import print_box
 from clgs.errors import DataError, ExistsError, UsageError
-from clgs.files import atomic_write, check_folder
+from clgs.files import atomic_write, check_folder, make_folder
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
@@ -194,7 +194,7 @@ class Job:
         inside = {source.path.resolve(), *source.path.resolve().parents}
         if any(path.resolve() in inside for path in doomed):
             raise UsageError(f"{source.path}: lies in the folder that is written to; copy it first")
-        self._out.mkdir(parents=True, exist_ok=True)
+        make_folder(self._out)
         self._hold()
         self._keep({"input": str(source.path.resolve())})
         for path in doomed:
@@ -224,7 +224,7 @@ class Job:
             print(f"training: {_training(plan)}")
         settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self._args.seed or 0}
         where = str(source.path.resolve())
-        self._out.mkdir(parents=True, exist_ok=True)
+        make_folder(self._out)
         self._hold()
         self._keep({"input": where, "settings": settings, "plan": asdict(plan)})
         return settings

@@ -30,7 +30,7 @@ from clgs.data.pycolmap_lazy import SEEDS, quiet_pycolmap
 from clgs.data.sfm.child import run_child, serve
 from clgs.data.sfm.judging.epipolar import sampson_error
 from clgs.errors import DataError
-from clgs.files import atomic_path
+from clgs.files import atomic_path, make_folder
 
 Floats = npt.NDArray[np.float64]
 
@@ -102,7 +102,7 @@ def triangulate(
         with np.load(Path(folder) / _RESULT, allow_pickle=False) as arrays:
             points = Points(arrays["position"], arrays["color"])
     if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(file.parent)
         with atomic_path(file) as temporary:
             np.savez(temporary, position=points.position, color=points.color)
     return points

@@ -169,6 +169,10 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
             raise UsageError(
                 f"max_anchors: {self.max_anchors} is too few; give at least {LEAST_ANCHORS}, or 0"
             )
+        if 0 < self.start_points < LEAST_ANCHORS:
+            raise UsageError(
+                f"start_points: {self.start_points} is too few; give at least {LEAST_ANCHORS}, or 0"
+            )
         check_order(vars(self))
 
     def for_dataset(self, kind: str) -> TrainConfig:

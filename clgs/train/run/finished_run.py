@@ -15,15 +15,13 @@ from clgs.errors import DataError, ExistsError, UsageError
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig
+from clgs.train.run.folder_lock import FolderLock
 from clgs.train.state.checkpoint import checkpoints
 from clgs.train.state.hashes import read_fingerprint, scene_hash
-from clgs.train.state.resume import run_digest
+from clgs.train.state.resume import SETTINGS, changed_settings, run_digest
 
 RESULTS = "results.json"
 """The last file of a run: a folder that has it is finished."""
-
-SETTINGS = "config.toml"
-"""The first file of a run."""
 
 FILES = (
     *("scene.clgs", "scene.npz", "progress.csv", "per_view.json", "hashes.json", "preview.png"),
@@ -72,10 +70,12 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
             f"{folder}: a finished run, but damaged ({error}); remove {RESULTS} and resume again "
             "to make its files anew, or name another run folder"
         ) from error
-    if digest != run_digest(dataset, settings_for(dataset, config)):
+    config = settings_for(dataset, config)
+    if digest != run_digest(dataset, config):
+        changed = changed_settings(folder, config)
         raise DataError(
-            f"{folder}: holds a finished run with other settings or photos; give the same options "
-            "(config.toml lists them) or choose another run folder"
+            f"{folder}: holds a finished run with other settings or photos{changed}; give the same "
+            "options (config.toml lists them) or choose another run folder"
         )
     return result
 
@@ -86,10 +86,12 @@ def check_run_folder(folder: Path, resume: bool, overwrite: bool) -> None:
     Raises:
         ExistsError: it holds a run, which is neither to be resumed nor overwritten.
         UsageError: it is to be both.
+        DataError: another process works in it.
     """
     if resume and overwrite:
         raise UsageError("--resume goes on with a run and --overwrite replaces it; give one")
     if (folder / SETTINGS).exists() and not (resume or overwrite):
+        FolderLock(folder).release()
         raise ExistsError(
             f"{folder}: holds a run already; go on with it (--resume), replace it (--overwrite), "
             "or choose another folder"

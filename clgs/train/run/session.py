@@ -21,7 +21,7 @@ from clgs.data.origin import write_origin
 from clgs.data.view import View
 from clgs.errors import DataError
 from clgs.export.image import comparison, picture_names, save_png
-from clgs.files import atomic_write
+from clgs.files import atomic_write, make_folder
 from clgs.opencl.device import Device
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
@@ -90,7 +90,7 @@ class Session:
             load_checkpoint(folder / "checkpoint", self.trainer)
         self.keeper = Keeper(folder, self.trainer)
         self.trainer.check_budget()
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         self._lock = lock or FolderLock(folder)
         if not resume:
             remove_run(folder)
@@ -202,6 +202,8 @@ class Session:
         scores = evaluate_views(self.device, scene, views, pictures.add, options)
         summary = summarize(scene, scores, len(bitstream))
         summary |= self._training_psnr(scene)
+        if self.config.target_size:
+            summary["target_size"] = self.config.target_size
         summary |= {
             "accuracy": self.config.accuracy,
             "split": "test" if self.dataset.test else "train",

@@ -73,7 +73,7 @@ def save(folder: Path, arrays: Arrays, scalars: Scalars, digest: str) -> Path:
     return path
 
 
-def load(folder: Path, digest: str) -> tuple[Arrays, Scalars]:
+def load(folder: Path, digest: str, changed: str = "") -> tuple[Arrays, Scalars]:
     """(arrays, scalars) of the newest usable checkpoint; a warning names each damaged one.
 
     Raises:
@@ -88,7 +88,7 @@ def load(folder: Path, digest: str) -> tuple[Arrays, Scalars]:
             continue
         if written_for != digest:
             raise DataError(
-                f"{path}: was made with other settings or photos; "
+                f"{path}: was made with other settings or photos{changed}; "
                 "give the same options (config.toml lists them) or choose another run folder"
             )
         return arrays, scalars

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import tomllib
 from pathlib import Path
 
 from clgs.data.dataset import Dataset
@@ -12,10 +13,17 @@ from clgs.ops.density import DeviceStatistics, Statistics
 from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import FIELDS, Anchors
 from clgs.train.config import TrainConfig
+from clgs.train.config.option import options_of
 from clgs.train.run.trainer import Trainer
 from clgs.train.state import checkpoint
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 from clgs.train.step.schedule import ViewSampler
+
+SETTINGS = "config.toml"
+"""The first file of a run."""
+
+SHOWN = 3
+"""Settings that a message tells at most."""
 
 
 def save_checkpoint(folder: Path, trainer: Trainer) -> None:
@@ -41,7 +49,9 @@ def load_checkpoint(folder: Path, trainer: Trainer) -> None:
     Raises:
         DataError: all are damaged, or belong to a run with other settings or photos.
     """
-    host, scalars = checkpoint.load(folder, run_digest(trainer.dataset, trainer.config))
+    digest = run_digest(trainer.dataset, trainer.config)
+    changed = changed_settings(folder.parent, trainer.config)
+    host, scalars = checkpoint.load(folder, digest, changed)
     trainer.queue.rate.restore(host)
     trainer.economy.restore(host)
     on_host = ("rate.", "known.")
@@ -61,6 +71,24 @@ def load_checkpoint(folder: Path, trainer: Trainer) -> None:
     trainer.sampler = ViewSampler.restore(scalars["sampler"])
     trainer.merged = int(scalars["merged"])
     trainer.steps_done = int(scalars["step"])
+
+
+def changed_settings(folder: Path, config: TrainConfig) -> str:
+    """What ``config`` has other than the run in ``folder``: " (steps: 300 there, 400 here)".
+
+    Nothing if that cannot be told, or if no setting that results depend on differs.
+    """
+    try:
+        there = tomllib.loads((folder / SETTINGS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return ""
+    here = tomllib.loads(config.to_toml())
+    options = options_of(TrainConfig).items()
+    names = [name for name, one in options if one.in_digest and there.get(name) != here.get(name)]
+    if "steps" in names:
+        names = ["steps"]  # most others follow from them
+    told = [f"{name}: {there.get(name)} there, {here.get(name)} here" for name in names[:SHOWN]]
+    return f" ({'; '.join(told)})" if told else ""
 
 
 def _by_name(parameters: Parameters, statistics: DeviceStatistics) -> dict[str, DeviceArray]:

@@ -68,7 +68,11 @@ def test_the_command_says_that_a_run_is_finished(data, tmp_path, monkeypatch, ca
     assert cli.main(command) == 0
     assert "is finished already, after 3 steps; nothing is changed" in capsys.readouterr().out
     assert cli.main([*command, "--seed", "1"]) == 3
-    assert "finished run with other settings" in capsys.readouterr().err
+    assert "finished run with other settings or photos (seed: 0 there, 1 here)" in (
+        capsys.readouterr().err
+    )
+    assert cli.main([*command, "--steps", "4"]) == 3
+    assert "(steps: 3 there, 4 here); give the same" in capsys.readouterr().err
     assert files(tmp_path / "run") == before
 
 

@@ -53,6 +53,8 @@ def test_a_run_that_goes_on_is_left_alone(dataset, open_device, tmp_path):
 
     def intrude(progress):
         if progress.result.step == 10:
+            with pytest.raises(DataError, match="another process works in it"):
+                train_scene(dataset, run, config, device=device)
             for overwrite in (False, True):
                 with pytest.raises(DataError, match="another process"):
                     train_scene(
