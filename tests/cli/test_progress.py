@@ -7,7 +7,8 @@ import io
 import pytest
 from rich.console import Console
 
-from clgs.cli.progress import PLAIN_SECONDS, TrainingDisplay, _Lines
+from clgs.cli.progress import PLAIN_SECONDS, TrainingDisplay, _Lines, print_summary
+from clgs.train.run.finished_run import RunResult
 from clgs.train.run.session import Progress
 from clgs.train.run.trainer import StepResult
 
@@ -34,3 +35,13 @@ def test_without_a_terminal_long_work_prints_a_line_now_and_then(capsys):
     for _ in range(3):
         advance()
     assert capsys.readouterr().err == "baking 2/4, 15 s, about 15 s left\n"
+
+
+@pytest.mark.parametrize(("target", "told"), [(None, ""), (100_000, ""), (120_000, "16.7 %")])
+def test_a_file_far_below_the_size_asked_for_is_told(tmp_path, capsys, target, told):
+    summary = {"split": "test", "psnr": 30.0, "ssim": 0.9, "bytes": 100_000, "anchors": 5}
+    summary |= {"train_seconds": 1.0} | ({"target_size": target} if target else {})
+    print_summary(RunResult(tmp_path, None, b"", summary))
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2 + bool(told)
+    assert told in lines[1]
