@@ -143,3 +143,6 @@ ensure_device() {
     die "$venv holds an old Python; remove it, or set CLGS_VENV, and run this again"
 install_package
 ensure_device "$python"
+if [ "${BASH_SOURCE[0]}" = "$0" ]; then
+    say "ready: . $venv/bin/activate && clgs --help"
+fi

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 from clgs.data.sfm.job import THREADS, Job
+from clgs.data.sfm.match_part import Pairs, match_part
 from clgs.data.sfm.pairs import MAX_EXHAUSTIVE, all_pairs, likely_pairs
 
 TILE, GROUP = 12, 144
 """GROUP pairs are matched at a time, of two runs of TILE photos: few have to be indexed anew."""
+
+MOST_PROCESSES = 8
+"""Each has a copy of the database, 1 MB or more per photo."""
 
 LOOSE_RATIO = 0.9
 """Of the best over the second best distance, at the second look; COLMAP's default is 0.8."""
@@ -20,7 +27,7 @@ MAX_SECOND_LOOK = 20
 def match(job: Job) -> int:
     """Match all pairs that may have something in common; returns how many were tried."""
     pairs = _choose(job)
-    _match(job, "matches", pairs, _matching_options(job))
+    _match(job, "matches", pairs)
     return len(pairs)
 
 
@@ -36,9 +43,7 @@ def match_again(job: Job, left_out: list[int]) -> None:
                 database.delete_matches(first, second)
             if database.exists_two_view_geometry(first, second):
                 database.delete_two_view_geometry(first, second)
-    options = _matching_options(job)
-    options.sift.max_ratio = LOOSE_RATIO
-    _match(job, "second look", pairs, options)
+    _match(job, "second look", pairs, LOOSE_RATIO)
 
 
 def _choose(job: Job) -> list[tuple[int, int]]:
@@ -50,38 +55,48 @@ def _choose(job: Job) -> list[tuple[int, int]]:
     return likely_pairs(descriptors, job.seed)
 
 
-def _matching_options(job: Job) -> Any:
-    options = job.pycolmap.FeatureMatchingOptions()
-    options.use_gpu = False
-    options.num_threads = THREADS
-    return options
-
-
-def _match(job: Job, stage: str, pairs: list[tuple[int, int]], options: Any) -> None:
-    """Match and verify ``pairs`` of places in ``job.names``, a group after the other.
-
-    Progress is told in between. To look into the database meanwhile is no way: Python's SQLite in
-    the process of pycolmap's drops that one's locks.
-    """
+def _match(job: Job, stage: str, pairs: list[tuple[int, int]], ratio: float | None = None) -> None:
+    """Match and verify ``pairs`` of places in ``job.names``, a part of them in each process."""
     ordered = sorted(pairs, key=lambda pair: (pair[0] // TILE, pair[1] // TILE, pair))
-    for start in range(0, len(ordered), GROUP):
-        job.on_progress(stage, start, len(ordered))
-        _match_group(job, ordered[start : start + GROUP], options)
-    job.on_progress(stage, len(ordered), len(ordered))
+    parts = _parts([(job.names[i], job.names[j]) for i, j in ordered])
+    matched, one_at_a_time = 0, threading.Lock()
+
+    def tell(more: int) -> None:
+        nonlocal matched
+        with one_at_a_time:
+            matched += more
+            job.on_progress(stage, matched, len(pairs))
+
+    tell(0)
+    own = [replace(job, folder=job.folder / f"matching_{number}") for number in range(len(parts))]
+    with ThreadPoolExecutor(max(1, len(parts))) as pool:
+        for one in own:
+            one.folder.mkdir()
+            shutil.copyfile(job.database, one.database)
+        running = [
+            pool.submit(match_part, one, groups, ratio, tell)
+            for one, groups in zip(own, parts, strict=True)
+        ]
+        for future in running:
+            future.result()
+    for one, groups in zip(own, parts, strict=True):
+        _take(job, one, [pair for group in groups for pair in group])
+        shutil.rmtree(one.folder)
 
 
-def _match_group(job: Job, pairs: list[tuple[int, int]], options: Any) -> None:
-    listed = job.folder / "pairs.txt"
-    listed.write_text("".join(f"{job.names[i]} {job.names[j]}\n" for i, j in pairs))
-    pairing = job.pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = listed
-    verification = job.pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = job.seed
-    job.call(
-        job.pycolmap.match_image_pairs,
-        job.database,
-        matching_options=options,
-        pairing_options=pairing,
-        verification_options=verification,
-        device=job.pycolmap.Device.cpu,
-    )
+def _parts(pairs: Pairs) -> list[list[Pairs]]:
+    """The groups of pairs that each process matches."""
+    processes = min(THREADS, MOST_PROCESSES)
+    size = max(1, min(GROUP, -(-len(pairs) // processes)))
+    groups = [pairs[start : start + size] for start in range(0, len(pairs), size)]
+    return [part for k in range(processes) if (part := groups[k::processes])]
+
+
+def _take(job: Job, part: Job, pairs: Pairs) -> None:
+    """Write what the process of ``part`` found into the database of ``job``."""
+    with job.open() as whole, part.open() as found:
+        ids = dict(zip(job.names, job.ids(whole), strict=True))
+        for first, second in ((ids[a], ids[b]) for a, b in pairs):
+            whole.write_matches(first, second, found.read_matches(first, second))
+            geometry = found.read_two_view_geometry(first, second)
+            whole.write_two_view_geometry(first, second, geometry)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -60,30 +61,42 @@ class Choice:
 def build(job: Job, quick: bool) -> Choice:
     """Both mappers' models of all verified matches, the better chosen; quick: incremental alone.
 
-    If that contradicts the strongest pairs, one that is made of these alone may take its place.
-
     Raises:
         DataError: no two photos could be related.
     """
-    evidence = read_evidence(job)
-    mappers = {name: MAPPERS[name] for name in ((INCREMENTAL,) if quick else (INCREMENTAL, GLOBAL))}
-    # Each mapper runs on one thread: sums in another order would be other poses.
-    with ThreadPoolExecutor(len(mappers)) as pool:
-        running = {name: pool.submit(mapper, job, "poses") for name, mapper in mappers.items()}
-        found = {name: future.result() for name, future in running.items()}
-    best = {name: max(models, key=_size) for name, models in found.items() if models}
-    if not best:
+    choice = choose(job, (INCREMENTAL,) if quick else (INCREMENTAL, GLOBAL), "poses")
+    if choice is None:
         raise DataError(
             "no two photos could be related; take more, overlapping photos of a textured, "
             "motionless scene"
         )
-    candidates = [Model(name, model, explain(model, evidence)) for name, model in best.items()]
+    return choice
+
+
+def choose(job: Job, mappers: Sequence[str], stage: str) -> Choice | None:
+    """The model that explains the most of the matches in links; None if there is no model.
+
+    If it contradicts links, a model of the strongest pairs alone may take its place.
+    """
+    evidence = read_evidence(job)
+    # Each mapper runs on one thread: sums in another order would be other poses.
+    with ThreadPoolExecutor(len(mappers)) as pool:
+        running = {name: pool.submit(MAPPERS[name], job, stage) for name in mappers}
+        found = {name: future.result() for name, future in running.items()}
+    candidates = _candidates(found, evidence)
+    if not candidates:
+        return None
+    if max(candidates, key=_explained).explained.contradicted > MAX_CONTRADICTED:
+        found[STRONG] = map_strongest(job, evidence, stage)
+        candidates = _candidates(found, evidence)
     kept = max(candidates, key=_explained)
-    if kept.explained.contradicted > MAX_CONTRADICTED and (models := map_strongest(job, evidence)):
-        found[STRONG], strong = models, max(models, key=_size)
-        candidates.append(Model(STRONG, strong, explain(strong, evidence)))
-        kept = max(candidates, key=_explained)
     return Choice(kept, candidates, evidence, _apart(kept.reconstruction, found[kept.mapper]))
+
+
+def _candidates(found: Mapping[str, list[Any]], evidence: Evidence) -> list[Model]:
+    """The largest model of each mapper that made one."""
+    best = {name: max(models, key=_size) for name, models in found.items() if models}
+    return [Model(name, model, explain(model, evidence)) for name, model in best.items()]
 
 
 def look_again(job: Job, choice: Choice) -> Choice:
@@ -137,7 +150,7 @@ def map_globally(job: Job, stage: str) -> list[Any]:
     return list(models.values())
 
 
-def map_strongest(job: Job, evidence: Evidence) -> list[Any]:
+def map_strongest(job: Job, evidence: Evidence, stage: str) -> list[Any]:
     """The incremental mapper's models of the strongest pairs of every photo.
 
     Among things that are repeated, weak pairs lead astray: a photo joins another side of the scene
@@ -151,10 +164,10 @@ def map_strongest(job: Job, evidence: Evidence) -> list[Any]:
         for pair in evidence.pairs:
             if (pair.first, pair.second) not in kept:
                 database.delete_two_view_geometry(pair.first, pair.second)
-    return map_incrementally(part, "other poses")
+    return map_incrementally(part, "other poses" if stage == "poses" else stage)
 
 
-MAPPERS = {INCREMENTAL: map_incrementally, GLOBAL: map_globally, STRONG: map_incrementally}
+MAPPERS = {INCREMENTAL: map_incrementally, GLOBAL: map_globally}
 
 
 def _incremental_options(job: Job) -> Any:

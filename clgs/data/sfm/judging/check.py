@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from clgs.data.sfm.job import Job
 from clgs.data.sfm.judging.evidence import MIN_MATCHES, Evidence
-from clgs.data.sfm.models import MAPPERS, Model
+from clgs.data.sfm.models import GLOBAL, INCREMENTAL, Model, choose
 
 SHARE = 0.5
 """Of all tracks."""
@@ -27,14 +27,15 @@ OTHER_SEED = 1_000_003
 
 
 def reconstruct_half(job: Job, kept: Model, evidence: Evidence) -> Any | None:
-    """The largest model of half of the tracks by the same mapper; None if nothing came of it."""
+    """The best model of half of the tracks by the same mapper; None if nothing came of it."""
     seed = (job.seed + OTHER_SEED) % 2**31
     folder = job.folder / "check"
     folder.mkdir()
     half = replace(job, folder=folder, seed=seed)
     _write_half(job, half, _halves(kept.reconstruction, evidence, seed), evidence)
-    models = MAPPERS[kept.mapper](half, "check")
-    return max(models, key=lambda one: one.num_reg_images(), default=None)
+    mapper = GLOBAL if kept.mapper == GLOBAL else INCREMENTAL
+    choice = choose(half, (mapper,), "check")
+    return choice.kept.reconstruction if choice else None
 
 
 def _halves(model: Any, evidence: Evidence, seed: int) -> dict[int, npt.NDArray[np.int8]]:
