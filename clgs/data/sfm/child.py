@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -41,13 +42,31 @@ def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        start_new_session=True,  # Ctrl-C in a terminal comes to this process alone
+        start_new_session=not _serving,  # Ctrl-C in a terminal comes to this process alone
     ) as child:
+        _running.append(child)
         try:
             return _follow(child, task, arguments, on_stage)
         except BaseException:
-            child.kill()
+            _kill(child)
             raise
+        finally:
+            _running.remove(child)
+
+
+_serving: list[bool] = []
+"""Holds one element in a process that serves; its own children belong to its session."""
+
+_running: list[subprocess.Popen[str]] = []
+
+
+def _kill(child: subprocess.Popen[str]) -> None:
+    """End a child, and the children that it has."""
+    if _serving or os.name == "nt":
+        child.kill()
+        return
+    with suppress(ProcessLookupError):
+        os.killpg(child.pid, signal.SIGKILL)
 
 
 def _follow(child: subprocess.Popen[str], task: str, arguments: Any, on_stage: OnStage) -> Any:
@@ -74,6 +93,7 @@ def serve(work: Callable[[Any, OnStage], Any], scratch: Callable[[Any], str] | N
     nobody else can.
     """
     return_freed_memory()
+    _serving.append(True)
     output = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever a library prints is no result
     arguments = json.loads(sys.stdin.readline())
@@ -104,6 +124,9 @@ def _end_with_parent(folder: str | None, done: threading.Event) -> None:
     Unless its work is ``done``, what it made in ``folder`` goes first.
     """
     sys.stdin.read()
+    for child in list(_running):
+        child.kill()
+        child.wait()
     for _ in range(0 if folder is None or done.is_set() else 2):  # twice: other threads still write
         shutil.rmtree(str(folder), ignore_errors=True)
     os._exit(1)

@@ -12,12 +12,13 @@ import pytest
 from clgs.data.sfm.child import run_child
 
 MODULE = """
-import time
+import os, time
 from pathlib import Path
 from clgs.data.sfm.child import serve
 def work(arguments, on_stage):
     folder, seconds = arguments
     (Path(folder) / "made").touch()
+    (Path(folder).parent / "process").write_text(str(os.getpid()))
     on_stage("made")
     time.sleep(seconds)
     return 42
@@ -27,7 +28,14 @@ def main():
 """
 PARENT = """
 from clgs.data.sfm.child import run_child
-run_child("work_beside", "a test", [{folder!r}, 3600], lambda told: print(told, flush=True))
+run_child("{module}", "a test", [{folder!r}, 3600], lambda told: print(told, flush=True))
+"""
+NESTED = """
+from clgs.data.sfm.child import run_child, serve
+def work(arguments, on_stage):
+    return run_child("work_beside", "a nested test", arguments, on_stage)
+def main():
+    serve(work, scratch=lambda arguments: arguments[0])
 """
 HANG = 60
 """Seconds after which the clean-up is given up."""
@@ -36,6 +44,7 @@ HANG = 60
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "work_beside.py").write_text(MODULE)
+    (tmp_path / "nested.py").write_text(NESTED)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     (tmp_path / "new").mkdir()
@@ -49,8 +58,23 @@ def test_a_result_keeps_what_was_made(folder: Path):
     assert [path.name for path in folder.iterdir()] == ["made"]
 
 
-def test_what_was_made_goes_with_a_killed_parent(folder: Path):
-    command = [sys.executable, "-c", PARENT.format(folder=str(folder))]
+def ends(process: int) -> bool:
+    """Whether a process ends before long; one that ended but was not asked for is a zombie."""
+    end = time.monotonic() + HANG
+    status = Path(f"/proc/{process}/status")
+    while time.monotonic() < end:
+        try:
+            if "\nState:\tZ" in status.read_text():
+                return True
+        except OSError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+@pytest.mark.parametrize("module", ["work_beside", "nested"])
+def test_what_was_made_goes_with_a_killed_parent(folder: Path, module: str):
+    command = [sys.executable, "-c", PARENT.format(module=module, folder=str(folder))]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         assert parent.stdout.readline() == "made\n"
@@ -59,3 +83,17 @@ def test_what_was_made_goes_with_a_killed_parent(folder: Path):
     while folder.exists() and time.monotonic() < end:
         time.sleep(0.05)
     assert not folder.exists()
+    assert ends(int((folder.parent / "process").read_text()))
+
+
+def test_an_interruption_ends_the_children_of_children(folder: Path):
+    def interrupt(told: str) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_child("nested", "a test", [str(folder), 3600], interrupt)
+    assert ends(int((folder.parent / "process").read_text()))
+
+
+def test_a_nested_result_comes_through(folder: Path):
+    assert run_child("nested", "a test", [str(folder), 0], lambda told: None) == 42
