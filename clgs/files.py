@@ -252,6 +252,12 @@ def _take_name(folder: Path, target: Path) -> None:
     shutil.rmtree(old)
 
 
+def remove_temporaries(path: Path) -> None:
+    """Remove what killed processes began to write to ``path``; none may be writing to it now."""
+    for left in path.parent.glob(f".{path.stem[:STEM_KEPT]}.????????{path.suffix}"):
+        left.unlink(missing_ok=True)
+
+
 def _temporary(path: Path, folder: Path) -> Path:
     return folder / f".{path.stem[:STEM_KEPT]}.{os.urandom(4).hex()}{path.suffix}"
 

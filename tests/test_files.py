@@ -20,6 +20,7 @@ from clgs.files import (
     check_folder,
     check_output,
     make_folder,
+    remove_temporaries,
 )
 
 
@@ -196,6 +197,17 @@ def test_names_may_be_as_long_as_the_folder_allows(tmp_path):
     name = "x" * 251 + ".bin"
     atomic_write(tmp_path / name, b"data")
     assert names(tmp_path) == [name]
+
+
+def test_what_a_killed_process_began_to_write_is_removed(tmp_path):
+    with atomic_path(tmp_path / "clip.mp4") as temporary:
+        temporary.touch()
+        kept = ["clip.mp4", ".clip.mp4", ".clip.0123456.mp4", ".clips.01234567.mp4"]
+        for name in kept:
+            (tmp_path / name).touch()
+        remove_temporaries(tmp_path / "clip.mp4")
+        assert names(tmp_path) == sorted(kept)
+        temporary.touch()
 
 
 def test_a_link_to_a_missing_folder_makes_it(tmp_path):

@@ -65,6 +65,17 @@ def test_a_scene_alone_is_drawn_at_the_default_size(command, tmp_path: Path, cap
     assert Image.open(next((tmp_path / "drawn").iterdir())).size == (40, 40)
 
 
+def test_data_of_which_no_photo_is_known_are_used_with_a_warning(command, tmp_path: Path, capsys):
+    assert command("train", "-o", tmp_path / "run", "--steps", 1, "--downscale", 2) == 0
+    for split in ("train", "test"):
+        document = tmp_path / "data" / f"transforms_{split}.json"
+        (tmp_path / "data" / split).rename(tmp_path / "data" / f"new_{split}")
+        document.write_text(document.read_text().replace(f"{split}/", f"new_{split}/"))
+    capsys.readouterr()
+    assert command("eval", tmp_path / "run", "--json", tmp_path / "scores.json") == 0
+    assert "has none of the photos that the scene was trained with; if" in capsys.readouterr().err
+
+
 def test_a_size_of_no_known_unit_is_answered_by_examples(capsys):
     with pytest.raises(SystemExit, match="2"):
         main(["train", "data", "-o", "run", "--target-size", "200q"])

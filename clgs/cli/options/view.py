@@ -145,7 +145,14 @@ def load_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> 
         return posed
     if origin is not None and origin.check(posed.train + posed.test, args.data):
         return posed
-    if not alike(dataset.transform, scene.transform, dataset.radius):
+    if alike(dataset.transform, scene.transform, dataset.radius):
+        if origin is not None:
+            print(
+                f"clgs: {args.data} has none of the photos that the scene was trained with; if it "
+                f"shows another scene, name {origin.folder} with --data",
+                file=sys.stderr,
+            )
+    else:
         if origin is not None:
             raise DataError(
                 f"{args.data}: has none of the photos that the scene was trained with, and other "

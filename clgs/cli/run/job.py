@@ -29,7 +29,7 @@ from clgs.cli.run.source import PLAN, Source, find_source, measure_data
 from clgs.cli.run.stages import Stages
 from clgs.cli.run.summary import print_box
 from clgs.errors import DataError, ExistsError, UsageError
-from clgs.files import atomic_write, check_folder, make_folder
+from clgs.files import atomic_write, check_folder, make_folder, remove_temporaries
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
@@ -252,6 +252,8 @@ class Job:
     def _exports(self) -> int:
         """Page, Gaussians and clip; the exit code of the last that failed, 0 if none did."""
         run, code = self._out / "run", 0
+        for name in (PAGE, SPLATS, CLIP):
+            remove_temporaries(self._out / name)
         on = ("--device", self._device.name, "--overwrite")
         path = ("--path", "interpolate", "--frames", str(CLIP_FRAMES))
         wanted: dict[str, tuple[str | Path, ...]] = {

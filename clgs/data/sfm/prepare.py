@@ -28,6 +28,9 @@ REPORT = "report.json"
 CONTACT_SHEET = "contact_sheet.jpg"
 """All photos of the verdict, in its order; see clgs.data.sfm.contact_sheet."""
 
+MADE = {"images", "masks", "sparse", REPORT, CONTACT_SHEET, "report.html"}
+"""What an earlier call, or the command of that name, left in the folder that is replaced."""
+
 ShortTraining = Callable[[Path, Callable[[int, int], None]], Mapping[str, float]]
 """Of the data set in a folder, told of its progress: see clgs.train.quality.pose_check."""
 
@@ -95,6 +98,11 @@ def _check_replaceable(output: Path, source: list[Path]) -> None:
         return
     if not (output / "sparse" / "0" / "cameras.bin").is_file():
         raise ExistsError(f"{output}: was not made by clgs prepare; remove it or choose another")
+    others = sorted({path.name for path in output.iterdir()} - MADE)
+    if others:
+        raise ExistsError(
+            f"{output / others[0]}: was not made by clgs prepare; move it, or choose another folder"
+        )
     if any(output.resolve() in path.resolve().parents for path in source):
         raise ExistsError(f"{output}: holds the photos that are read; choose another")
 

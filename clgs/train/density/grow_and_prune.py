@@ -122,7 +122,7 @@ def grow(state: TrainState, config: TrainConfig, rng: np.random.Generator) -> in
             break
         asking = np.flatnonzero(mean >= config.growth_threshold * THRESHOLD_FACTOR**level)
         asking = asking[rng.random(len(asking)) > 0.5 ** (level + 1)]
-        asking = _largest(mean, asking, room - sum(map(len, added)))
+        asking = _largest(mean.ravel(), asking, room - sum(map(len, added)))
         cells, features = _new_cells(state.anchors, asking, occupied, grid, (factor, config.voxel))
         if len(cells):
             occupied = np.concatenate([occupied, cells * factor])

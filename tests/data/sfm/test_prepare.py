@@ -111,6 +111,13 @@ def test_only_results_of_the_same_command_are_overwritten(tmp_path: Path):
     with pytest.raises(ExistsError, match="holds the photos that are read"):
         prepare(tmp_path, tmp_path, overwrite=True)
     assert len(list(photos.iterdir())) == 3
+    data = tmp_path / "data"
+    (data / "sparse" / "0").mkdir(parents=True)
+    (data / "sparse" / "0" / "cameras.bin").touch()
+    (data / "run").mkdir()
+    with pytest.raises(ExistsError, match="run: was not made by clgs prepare; move it"):
+        prepare(photos, data, overwrite=True)
+    assert (data / "run").is_dir()
 
 
 def test_bad_folders(tmp_path: Path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,16 @@ def test_levels_have_cells_of_4_and_1_voxels_and_doubled_thresholds() -> None:
     np.testing.assert_array_equal(
         state.anchors.scaling[1:, 0], np.log([2.0, 2.0, 2.0, 0.5]).astype(np.float32)
     )
+
+
+def test_without_room_for_all_the_slots_of_the_largest_gradient_grow() -> None:
+    state = state_at([(0, 0, 0), (100, 0, 0)])
+    ask(state, 0, 0, (12.0, 0, 0), 0.3)
+    ask(state, 1, 9, (8.0, 0, 0), 0.4)
+    ask(state, 1, 4, (40.0, 0, 0), 0.35)
+    assert grow(state, replace(CONFIG, max_anchors=4), Draws()) == 2
+    assert integers_of(state)[2:] == [(108, 0, 0), (140, 0, 0)]
+    assert grow(state, replace(CONFIG, max_anchors=4), Draws()) == 0
 
 
 def test_large_scenes_may_use_three_levels() -> None:
