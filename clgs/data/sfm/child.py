@@ -97,36 +97,53 @@ def serve(work: Callable[[Any, OnStage], Any], scratch: Callable[[Any], str] | N
     output = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever a library prints is no result
     arguments = json.loads(sys.stdin.readline())
-    folder = None if scratch is None else scratch(arguments)
-    done = threading.Event()
-    threading.Thread(target=_end_with_parent, args=(folder, done), daemon=True).start()
+    end = _EndWithParent(None if scratch is None else scratch(arguments))
     one_at_a_time = threading.Lock()
 
     def say(kind: str, value: Any) -> None:
-        with one_at_a_time:
-            print(json.dumps([kind, value]), file=output, flush=True)
-
-    def on_stage(stage: str) -> None:
-        say("stage", stage)
+        try:
+            with one_at_a_time:
+                print(json.dumps([kind, value]), file=output, flush=True)
+        except BrokenPipeError:  # the parent has ended a moment ago
+            end.wait()
 
     try:
-        result = work(arguments, on_stage)
+        result = work(arguments, lambda stage: say("stage", stage))
+        end.keep_folder()  # from now on it is the parent's, which closes the input next
+        say("result", result)
     except DataError as error:
         say("error", str(error))
-    else:
-        done.set()  # from now on the folder is the parent's, which closes the input next
-        say("result", result)
+    finally:
+        if end.begun.is_set():  # the work failed because its folder or its children went
+            end.wait()
 
 
-def _end_with_parent(folder: str | None, done: threading.Event) -> None:
-    """Ends this process if its standard input ends, that is, if the parent has ended.
+class _EndWithParent:
+    """Ends this process when its standard input ends, that is, when the parent has ended.
 
-    Unless its work is ``done``, what it made in ``folder`` goes first.
+    Unless :meth:`keep_folder` came first, what the work made in ``folder`` goes before.
     """
-    sys.stdin.read()
-    for child in list(_running):
-        child.kill()
-        child.wait()
-    for _ in range(0 if folder is None or done.is_set() else 2):  # twice: other threads still write
-        shutil.rmtree(str(folder), ignore_errors=True)
-    os._exit(1)
+
+    def __init__(self, folder: str | None) -> None:
+        self.begun = threading.Event()
+        self._folder = folder
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def keep_folder(self) -> None:
+        self._folder = None
+
+    def wait(self) -> None:
+        """Never returns: a main thread that ended would end the removal half-way."""
+        self._thread.join()
+
+    def _run(self) -> None:
+        sys.stdin.read()
+        self.begun.set()
+        for child in list(_running):
+            child.kill()
+            child.wait()
+        for _ in range(2):  # twice: other threads still write
+            if self._folder is not None:
+                shutil.rmtree(self._folder, ignore_errors=True)
+        os._exit(1)
