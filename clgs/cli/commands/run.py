@@ -32,7 +32,6 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add(
         "--time",
         type=duration,
-        default=600.0,
         metavar="T",
         help="for everything, such as 90s, 5m or 1h (default: 10m)",
     )

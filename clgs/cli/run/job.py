@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from clgs.cli.run.duration import in_words
 from clgs.cli.run.plan import (
+    DEFAULT_SECONDS,
     Photos,
     Plan,
     Speed,
@@ -25,18 +26,19 @@ from clgs.cli.run.plan import (
     must_hurry,
     prepare_seconds,
 )
-from clgs.cli.run.source import PLAN, Source, find_source, measure_data
+from clgs.cli.run.record import DATA, Record, read_record
+from clgs.cli.run.source import Source, find_source, measure_data
 from clgs.cli.run.stages import Stages
 from clgs.cli.run.summary import print_box
-from clgs.errors import DataError, ExistsError, UsageError
-from clgs.files import atomic_write, check_folder, make_folder, remove_temporaries
+from clgs.errors import UsageError
+from clgs.files import check_folder, make_folder, remove_temporaries
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
     from clgs.train.run.folder_lock import FolderLock
 
 PAGE, SPLATS, CLIP = "scene.html", "scene.ply", "clip.mp4"
-MADE = ("data", "run", "scene.clgs", "scores.json", "report.html", PAGE, SPLATS, CLIP)
+MADE = (DATA, "run", "scene.clgs", "scores.json", "report.html", PAGE, SPLATS, CLIP)
 CLIP_FRAMES = 120
 
 TYPICAL_GAUSSIANS = 50_000
@@ -58,6 +60,7 @@ class Job:
         self._stages = Stages()
         self._lock: FolderLock | None = None
         self._start = time.perf_counter()
+        self._time: float = args.time or DEFAULT_SECONDS
 
     def run(self) -> int:
         """All stages; the exit code: that of the last of the exports that failed, if one did.
@@ -81,20 +84,24 @@ class Job:
         self._lock = self._lock or FolderLock(self._out)
 
     def _run(self) -> int:
-        record = self._record()
-        source = self._shortened(find_source(self._args.input))
-        self._check_record(record, source)
-        settings: dict[str, Any] = record.get("settings", {})
+        record = read_record(self._out, self._args)
+        source = find_source(self._args.input)
+        if record:
+            record.check(self._out, source, self._args)
+            self._time = self._args.time or record.time
+        begun = Record(str(source.path.resolve()), source.photos.count, self._time)
+        source = self._shortened(source)
+        settings = record.settings if record else {}
         if not settings:
-            hurry = must_hurry(source.photos.count, os.cpu_count() or 1, self._args.time)
+            hurry = self._must_hurry(source)
             plan = self._plan(source.photos, self._preparing(source, hurry))
-            _tell(source, plan, self._device.name, hurry, self._args.time)
+            _tell(source, plan, self._device.name, hurry, self._time)
             if self._args.plan:
                 return 0
             if not record:
-                self._clear(source)
+                self._clear(source, begun)
         data = self._data(source)
-        settings = settings or self._settings(source, data, plan)
+        settings = settings or self._settings(source, data, plan, begun)
         self._train(data, settings)
         failed = self._exports()
         self._report(source, settings)
@@ -104,7 +111,7 @@ class Job:
         """With as many frames as the time allows, of a video."""
         if not source.video:
             return source
-        count = frames_within(os.cpu_count() or 1, self._args.time)
+        count = frames_within(os.cpu_count() or 1, self._time)
         return replace(source, photos=replace(source.photos, count=count))
 
     @cached_property
@@ -128,8 +135,11 @@ class Job:
 
     def _plan(self, photos: Photos, preparing: float) -> Plan:
         args = self._args
-        left = args.time - (time.perf_counter() - self._start)
+        left = self._time - (time.perf_counter() - self._start)
         return make_plan(photos, self._speed, preparing, left, args.steps, args.max_size)
+
+    def _must_hurry(self, source: Source) -> bool:
+        return must_hurry(source.photos.count, os.cpu_count() or 1, self._time)
 
     def _preparing(self, source: Source, hurry: bool) -> float:
         if source.pointless:
@@ -138,53 +148,7 @@ class Job:
             return 0.0
         return prepare_seconds(source.photos.count, os.cpu_count() or 1, hurry)
 
-    def _record(self) -> dict[str, Any]:
-        """What PLAN says of the run that is to go on; nothing if a run is to begin.
-
-        Raises:
-            ExistsError: OUT holds other things, or a run that is neither resumed nor replaced.
-            UsageError: options contradict each other.
-        """
-        args, path = self._args, self._out / PLAN
-        if args.resume and args.overwrite:
-            raise UsageError("--resume goes on with a run and --overwrite replaces it; give one")
-        if not path.is_file():
-            if self._out.is_dir() and any(self._out.iterdir()):
-                raise ExistsError(f"{self._out}: holds other files; choose another folder")
-            return {}
-        if args.plan or args.overwrite:
-            return {}
-        if not args.resume:
-            raise ExistsError(
-                f"{self._out}: holds a run already; go on with it (--resume), replace it "
-                "(--overwrite), or choose another folder"
-            )
-        try:
-            record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-            _ = record["input"], dict(record.get("settings", {}))
-        except (ValueError, KeyError, TypeError) as error:
-            raise DataError(f"{path}: is damaged ({error}); start anew with --overwrite") from error
-        return record
-
-    def _check_record(self, record: dict[str, Any], source: Source) -> None:
-        """See that the run that is to go on has this input and these options.
-
-        Raises:
-            UsageError: it has others.
-        """
-        if record and record["input"] != str(source.path.resolve()):
-            raise UsageError(
-                f"{self._out}: is a run of {record['input']}; name that, or another folder"
-            )
-        for name, kept in record.get("settings", {}).items():
-            asked = getattr(self._args, name, None)
-            if asked not in (None, kept):
-                raise UsageError(
-                    f"--{name.replace('_', '-')}: the run in {self._out} has {kept}; leave it "
-                    "out, or start anew with --overwrite"
-                )
-
-    def _clear(self, source: Source) -> None:
+    def _clear(self, source: Source, begun: Record) -> None:
         """Make OUT, without what an earlier run left there.
 
         Raises:
@@ -196,7 +160,7 @@ class Job:
             raise UsageError(f"{source.path}: lies in the folder that is written to; copy it first")
         make_folder(self._out)
         self._hold()
-        self._keep({"input": str(source.path.resolve())})
+        begun.write(self._out)
         for path in doomed:
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
@@ -207,30 +171,27 @@ class Job:
         """The data set: the input, or what `prepare` makes of it."""
         if source.posed:
             return source.path
-        data = self._out / "data"
+        data = self._out / DATA
         if not data.is_dir():
             options = ["--seed", str(self._args.seed or 0)]
-            if must_hurry(source.photos.count, os.cpu_count() or 1, self._args.time):
+            if self._must_hurry(source):
                 options.append("--quick")
             if source.video:
                 options += ["--frames", str(source.photos.count)]
             self._stages.run("prepare", "prepare", source.path, "-o", data, *options)
         return data
 
-    def _settings(self, source: Source, data: Path, plan: Plan) -> dict[str, Any]:
+    def _settings(self, source: Source, data: Path, plan: Plan, begun: Record) -> dict[str, Any]:
         """Steps and size of training, planned again once it is known how long the poses took."""
         if not source.posed:
             plan = self._plan(measure_data(data), 0.0)
             print(f"training: {_training(plan)}")
         settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self._args.seed or 0}
-        where = str(source.path.resolve())
         make_folder(self._out)
         self._hold()
-        self._keep({"input": where, "settings": settings, "plan": asdict(plan)})
+        figures = asdict(plan)
+        replace(begun, settings=settings, plan=figures).write(self._out)
         return settings
-
-    def _keep(self, record: dict[str, Any]) -> None:
-        atomic_write(self._out / PLAN, (json.dumps(record, indent=1) + "\n").encode())
 
     def _train(self, data: Path, settings: dict[str, Any]) -> None:
         """Train, encode, and score the file."""
@@ -284,7 +245,7 @@ class Job:
         """How many photos were used, in words."""
         if source.posed:
             return f"{source.photos.count} of the data set {source.path}"
-        found = measure_data(self._out / "data").count
+        found = measure_data(self._out / DATA).count
         return f"{found} of {source.photos.count} found their pose"
 
 

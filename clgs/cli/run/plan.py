@@ -6,6 +6,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+DEFAULT_SECONDS = 600.0
+"""For everything, unless the user says otherwise."""
+
 SIZES = (1600, 1280, 960, 800, 640, 480, 400, 320, 240)
 """Widths that photos are reduced to, of which the largest that leaves enough steps is taken."""
 

@@ -9,10 +9,12 @@ import subprocess
 import sys
 
 import pytest
+from PIL import Image
 
 from clgs.cli import main as cli
 from clgs.cli.run.duration import duration
 from clgs.cli.run.plan import FRAMES, frames_within
+from clgs.cli.run.record import Record
 from clgs.cli.run.stages import Stages
 from clgs.train.run.folder_lock import FolderLock
 from tests.small_scene import write_scene
@@ -107,13 +109,28 @@ def test_run_goes_on_with_its_own_input_and_options_alone(data, finished, tmp_pa
     assert f"is a run of {data}" in capsys.readouterr().err
     assert cli.main(words(data, finished, "--resume", "--steps", "31")) == 2
     assert "--steps: the run in" in capsys.readouterr().err
+    assert cli.main(words(data, finished, "--resume", "--time", "7m")) == 2
+    assert "--time: the run in" in capsys.readouterr().err
     assert "--steps 30 --max-size 40" in (finished / "report.html").read_text()
+
+
+def test_run_goes_on_with_its_own_photos_alone(tmp_path, capsys):
+    photos, out = tmp_path / "photos", tmp_path / "out"
+    photos.mkdir()
+    for name in ("red", "green", "blue"):
+        Image.new("RGB", (64, 64), name).save(photos / f"{name}.png")
+    (out / "data").mkdir(parents=True)
+    Record(str(photos.resolve()), 2, 600.0).write(out)
+    assert cli.main(words(photos, out, "--resume")) == 2
+    assert f"has 3 photos, and the run in {out} began with 2" in capsys.readouterr().err
+    (out / "data").rmdir()  # no poses yet: those of the third are found with the others
+    assert cli.main(words(photos, out, "--resume", "--device", "nonexistent")) == 4
 
 
 def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
-    (out / "plan.json").write_text(json.dumps({"input": str(data.resolve())}))
+    Record(str(data.resolve()), 4, 600.0).write(out)
     assert cli.main(words(data, out, "--resume", "--device", "nonexistent")) == 4
     capsys.readouterr()
     (out / "plan.json").write_text("{}")
