@@ -33,12 +33,13 @@ Photos that were added or removed since move the scene's units by less than this
 class Origin:
     """A data set that a run was trained on.
 
-    folder: as it was named, made absolute, or relative to the run if both have moved; radius: of
-    the cameras, scene units; cameras: by the photo's name, (3, 4) float64 rotation and centre,
-    scene units.
+    folder: as it was named, made absolute, or relative to the run if both have moved; places: both
+    of these; radius: of the cameras, scene units; cameras: by the photo's name, (3, 4) float64
+    rotation and centre, scene units.
     """
 
     folder: Path
+    places: tuple[Path, Path]
     radius: float
     cameras: dict[str, npt.NDArray[np.float64]]
 
@@ -94,7 +95,7 @@ def read_origin(run: Path) -> Origin | None:
             for name, pose in record["cameras"].items()
         }
         folder = moved if moved.is_dir() and not named.is_dir() else named
-        return Origin(folder, float(record["radius"]), cameras)
+        return Origin(folder, (named, moved), float(record["radius"]), cameras)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise DataError(f"{path}: is damaged ({error}); remove it and use --data") from error
 

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.files import check_folder
     from clgs.memory import return_freed_memory
     from clgs.opencl.device import Device
-    from clgs.train.run.finished_run import check_run_folder, finished_run
+    from clgs.train.run.finished_run import check_run_folder, check_same_data, finished_run
     from clgs.train.run.load import load_for
     from clgs.train.run.session import Session
 
@@ -75,6 +75,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{args.output / 'checkpoint'}: is not a folder; remove it")
     check_apart(args.output, args.data)
     check_run_folder(args.output, args.resume, args.overwrite)
+    if args.resume:
+        check_same_data(args.output, args.data)
     device = Device(args.device)
     device.profile.enabled = args.profile
     dataset = load_for(config, args.data, args.output, partial(print, file=sys.stderr, flush=True))

@@ -8,6 +8,7 @@ of time is written, so that neighbours are never much closer or farther than oth
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,9 @@ MIDDLE = 0.75
 
 MEASURED_SIZE = 960
 """Frames are reduced to about this width before sharpness is measured: noise is none."""
+
+WHOLE = 0.95
+"""A video that ends before this share of its length is told."""
 
 JPEG_QUALITY = 95
 MAX_FRAMES = 10_000
@@ -71,7 +75,7 @@ def extract_frames(
     seconds, rate = _length(path)
     candidates = min(seconds * rate, CANDIDATES * count)
     best: tuple[float, npt.NDArray[np.uint8]] | None = None
-    current = written = 0
+    number = current = written = 0
     for number, frame in enumerate(_frames(path, candidates / seconds)):
         place = (number + 0.5) / candidates * count
         if int(place) != current and best is not None:
@@ -89,6 +93,13 @@ def extract_frames(
         written = _write(folder, best[1], written, on_frame)
     if not written:
         raise DataError(f"{path}: no frame can be decoded; is it a whole video? record it again")
+    if number + 1 < WHOLE * candidates - 1:
+        lasts = seconds * (number + 1) / candidates
+        warnings.warn(
+            f"{path}: ends after {lasts:.1f} of the {seconds:.1f} seconds that it tells, as if cut "
+            "short; copy it again if you need the rest",
+            stacklevel=2,
+        )
     return written
 
 

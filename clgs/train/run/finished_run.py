@@ -10,7 +10,7 @@ from typing import Any
 
 from clgs.codec.scene_decoder import decode
 from clgs.data.dataset import Dataset
-from clgs.data.origin import ORIGIN
+from clgs.data.origin import ORIGIN, read_origin
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
@@ -95,6 +95,23 @@ def check_run_folder(folder: Path, resume: bool, overwrite: bool) -> None:
         raise ExistsError(
             f"{folder}: holds a run already; go on with it (--resume), replace it (--overwrite), "
             "or choose another folder"
+        )
+
+
+def check_same_data(folder: Path, data: Path) -> None:
+    """See that the run in ``folder``, if there is one, is of the data set ``data``.
+
+    A data set that is not where it was any more may be this one.
+
+    Raises:
+        DataError: it is of another one.
+    """
+    origin = read_origin(folder)
+    if not origin or not origin.folder.is_dir():
+        return
+    if data.resolve() not in (place.resolve() for place in origin.places):
+        raise DataError(
+            f"{folder}: holds a run of {origin.folder}; name that, or another run folder"
         )
 
 

@@ -13,6 +13,7 @@ from clgs.ops.density import DeviceStatistics, Statistics
 from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import FIELDS, Anchors
 from clgs.train.config import TrainConfig
+from clgs.train.config.describe import describe
 from clgs.train.config.option import options_of
 from clgs.train.run.trainer import Trainer
 from clgs.train.state import checkpoint
@@ -74,7 +75,7 @@ def load_checkpoint(folder: Path, trainer: Trainer) -> None:
 
 
 def changed_settings(folder: Path, config: TrainConfig) -> str:
-    """What ``config`` has other than the run in ``folder``: " (steps: 300 there, 400 here)".
+    """What ``config`` has other than the run in ``folder``: " (--steps: 300 there, 400 here)".
 
     Nothing if that cannot be told, or if no setting that results depend on differs.
     """
@@ -83,11 +84,15 @@ def changed_settings(folder: Path, config: TrainConfig) -> str:
     except (OSError, ValueError):
         return ""
     here = tomllib.loads(config.to_toml())
-    options = options_of(TrainConfig).items()
-    names = [name for name, one in options if one.in_digest and there.get(name) != here.get(name)]
+    options = options_of(TrainConfig)
+    kept = [name for name, one in options.items() if one.in_digest]
+    names = [name for name in kept if there.get(name) != here.get(name)]
     if "steps" in names:
         names = ["steps"]  # most others follow from them
-    told = [f"{name}: {there.get(name)} there, {here.get(name)} here" for name in names[:SHOWN]]
+    told = [
+        f"{describe(options[name]).flag}: {there.get(name)} there, {here.get(name)} here"
+        for name in names[:SHOWN]
+    ]
     return f" ({'; '.join(told)})" if told else ""
 
 

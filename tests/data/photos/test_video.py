@@ -81,7 +81,8 @@ def test_a_truncated_video_gives_what_is_whole(clip: Path, tmp_path: Path):
     writer.close()
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     (tmp_path / "frames").mkdir()
-    assert 2 <= extract_frames(path, tmp_path / "frames", 10) <= 10
+    with pytest.warns(UserWarning, match=r"ends after \d\.\d of the 6\.\d seconds"):
+        assert 2 <= extract_frames(path, tmp_path / "frames", 10) < 10
 
 
 @pytest.mark.parametrize("content", [b"", b"no video", b"#EXTM3U\n#EXTINF:1,\n/etc/passwd\n"])
