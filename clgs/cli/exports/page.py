@@ -46,11 +46,15 @@ def read_file(path: Path) -> bytes:
     Raises:
         DataError: there is none, or it is damaged.
     """
-    from clgs.cli.options.scene import naming, read_bytes
+    from clgs.cli.options.scene import instead, naming, read_bytes
     from clgs.codec import scene_decoder, splats
+    from clgs.errors import DataError
 
     if path.is_dir() and (path / "scene.clgs").exists():
         path = path / "scene.clgs"
+    elif path.is_dir() or path.suffix.lower() == ".ply":
+        told = instead(path) if path.is_dir() else f"`clgs pack` makes one of splats"
+        raise DataError(f"{path}: a page is made of a .clgs file; {told}")
     data = read_bytes(path)
     with naming(path):
         (splats if splats.is_splats(data) else scene_decoder).describe(data)

@@ -68,10 +68,19 @@ def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
 def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:
     """The scene of a finished run and the size of its bitstream."""
     if not (folder / "scene.npz").exists():
-        raise DataError(f"{folder}: holds no scene.npz; let `clgs train` finish (--resume)")
+        raise DataError(f"{folder}: holds no scene.npz; {instead(folder)}")
     bitstream = folder / "scene.clgs"
     size = bitstream.stat().st_size if bitstream.exists() else None
     return load_scene(folder / "scene.npz"), size
+
+
+def instead(folder: Path) -> str:
+    """What to do with a folder that holds no scene."""
+    if (folder / "run" / "scene.npz").exists():
+        return f"name {folder / 'run'}"
+    if (folder / "config.toml").exists():
+        return "let `clgs train` finish (--resume)"
+    return "name a run folder; a data set is trained first (`clgs train`)"
 
 
 def read_bitstream(path: Path, threads: int | None = None) -> tuple[QuantizedScene, int]:

@@ -80,7 +80,8 @@ def find_photos(folder: Path) -> Collection:
     if not folder.is_dir():
         raise DataError(f"{folder}: no such folder; check the path")
     images = folder / "images"
-    own = any(_is_photo(path) for path in folder.iterdir())
+    made = any((folder / file).exists() for file in _OWN)  # and its contact sheet is no photo
+    own = not made and any(_is_photo(path) for path in folder.iterdir())
     collection = Collection(images if images.is_dir() and not own else folder)
     masks = _masks(folder, collection.root)
     kept = _without_copies(list(_files(collection)), collection)

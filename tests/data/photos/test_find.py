@@ -132,6 +132,18 @@ def test_masks_are_found_by_either_name(tmp_path: Path):
     assert find_mask(tmp_path, "d.jpg") is None
 
 
+def test_a_data_set_of_ours_has_its_photos_in_images(tmp_path: Path):
+    write(tmp_path / "contact_sheet.jpg", 1)
+    write(tmp_path / "images" / "a.jpg", 2)
+    assert [one.name for one in find_photos(tmp_path).photos] == [
+        "contact_sheet.jpg",
+        "images_a.jpg",
+    ]
+    (tmp_path / "sparse" / "0").mkdir(parents=True)
+    (tmp_path / "sparse" / "0" / "cameras.bin").touch()
+    assert [one.name for one in find_photos(tmp_path).photos] == ["a.jpg"]
+
+
 def test_no_folder(tmp_path: Path):
     with pytest.raises(DataError, match="no such folder"):
         find_photos(tmp_path / "none")

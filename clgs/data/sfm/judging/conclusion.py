@@ -14,6 +14,7 @@ from clgs.data.sfm.judging.judge import (
     is_ambiguous,
     judge,
 )
+from clgs.data.sfm.judging.parts import CONNECT, leave_out_parts, part_reason
 from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 from clgs.data.sfm.models import Choice
 
@@ -32,7 +33,7 @@ def conclude(choice: Choice, second: Any | None, checked: bool, real: Mapping[st
     found = figures(model, poses, kept.explained)
     again = differences(poses, poses_of(second)) if second is not None else {}
     compared = Comparison(again if checked else None, _rival(choice))
-    judged = judge(found, compared)
+    judged = leave_out_parts(judge(found, compared), choice.apart)
     ambiguous = is_ambiguous(compared, kept.explained, len(found))
     for name, verdict in judged.items():
         if verdict.status == LEFT_OUT:
@@ -47,7 +48,7 @@ def conclude(choice: Choice, second: Any | None, checked: bool, real: Mapping[st
         track_length=float(model.compute_mean_track_length()),
         mapper=kept.mapper,
         explained={one.mapper: one.explained.total for one in choice.candidates},
-        apart=tuple(tuple(real[name] for name in names) for names in choice.apart),
+        apart=_still_apart(choice, judged, real),
         photos=photos,
         checked=checked,
         ambiguous=ambiguous,
@@ -74,11 +75,19 @@ def _named(
         return PhotoVerdict(**{**vars(verdict), "name": real[name]})
     group = next((names for names in choice.apart if name in names), [])
     if len(group) > 1:
-        reason = f"it and {len(group) - 1} others form a part of their own"
-        remedy = "take photos that connect both parts"
+        reason, remedy = part_reason(len(group) - 1), CONNECT
     else:
         reason, remedy = "it shares too little with the other photos", SHARPER
     return PhotoVerdict(real[name], LEFT_OUT, reasons=(reason,), remedy=remedy)
+
+
+def _still_apart(
+    choice: Choice, judged: Mapping[str, PhotoVerdict], real: Mapping[str, str]
+) -> tuple[tuple[str, ...], ...]:
+    """The photos' own names of each part that the second look did not join."""
+    placed = {name for name, one in judged.items() if one.status != LEFT_OUT}
+    left = (tuple(real[one] for one in part if one not in placed) for part in choice.apart)
+    return tuple(filter(None, left))
 
 
 def _sure(photos: tuple[PhotoVerdict, ...], checked: bool, ambiguous: bool) -> str:
