@@ -53,7 +53,7 @@ def read_file(path: Path) -> bytes:
     if path.is_dir() and (path / "scene.clgs").exists():
         path = path / "scene.clgs"
     elif path.is_dir() or path.suffix.lower() == ".ply":
-        told = instead(path) if path.is_dir() else f"`clgs pack` makes one of splats"
+        told = instead(path) if path.is_dir() else "`clgs pack` makes one of splats"
         raise DataError(f"{path}: a page is made of a .clgs file; {told}")
     data = read_bytes(path)
     with naming(path):
