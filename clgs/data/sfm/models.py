@@ -32,6 +32,9 @@ LOOSE_INLIERS, LOOSE_SHARE = 15, 0.15
 STRONGEST = 8
 """Pairs of a photo that a model is made of if that of all pairs contradicts them."""
 
+MOSTLY_STILL = 0.5
+"""Share of the matches that stand still from which that is why there is no model."""
+
 INCREMENTAL, GLOBAL = "incremental", "global"
 STRONG = "incremental, strongest pairs"
 
@@ -66,11 +69,18 @@ def build(job: Job, quick: bool) -> Choice:
     """
     choice = choose(job, (INCREMENTAL,) if quick else (INCREMENTAL, GLOBAL), "poses")
     if choice is None:
-        raise DataError(
-            "no two photos could be related; take more, overlapping photos of a textured, "
-            "motionless scene"
-        )
+        raise DataError(f"no two photos could be related; {_unrelated(read_evidence(job).still)}")
     return choice
+
+
+def _unrelated(still: float) -> str:
+    """What to do if there is no model, and ``still`` of the matches stand still in the pictures."""
+    if still < MOSTLY_STILL:
+        return "take more, overlapping photos of a textured, motionless scene"
+    return (
+        f"{still:.0%} of what they share stands still in the pictures: if a thing turned before a "
+        "camera that did not move, mask all else (masks/NAME.png); else move between photos"
+    )
 
 
 def choose(job: Job, mappers: Sequence[str], stage: str) -> Choice | None:

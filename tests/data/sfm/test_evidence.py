@@ -42,3 +42,12 @@ def test_inlier_ratio_of_a_photo():
     explained = Explained(links, np.array([100, 300, 50]), np.array([80, 300, -1]))
     assert inlier_ratios(explained) == {1: 0.95, 2: 0.8, 3: 1.0}
     assert explained.total == 380
+
+
+def test_matches_that_stand_still():
+    place = np.array([[10.0, 10.0], [50.0, 20.0], [90.0, 30.0], [15.0, 70.0]])
+    moves = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.5], [40.0, 0.0]])
+    keypoints = {1: place, 2: place + moves}
+    same = np.repeat(np.arange(4, dtype=np.uint32)[:, None], 2, axis=1)
+    assert Evidence([Pair(1, 2, same)], keypoints).still == 0.75
+    assert Evidence([], keypoints).still == 0.0

@@ -82,6 +82,17 @@ def test_unrelated_photos_leave_nothing(tmp_path: Path):
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
+def test_a_thing_that_turns_before_a_camera_that_stands_is_told(tmp_path: Path):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for number in range(3):
+        picture = noise_image(256, 192, 7)
+        picture[60:120, 90:150] = noise_image(60, 60, number)
+        Image.fromarray(picture).save(photos / f"{number}.png")
+    with pytest.raises(DataError, match=r"100% of what they share stands still .* mask all else"):
+        prepare(photos, tmp_path / "data", quick=True)
+
+
 def test_a_full_disk_is_no_fault_of_a_photo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     photos = tmp_path / "photos"
     photos.mkdir()

@@ -28,6 +28,9 @@ the model that lays equal sides of the scene onto each other.
 STRONG_PAIR, CONTRADICTED = 30, 0.3
 """A pair of so many matches contradicts the poses if they explain less than this share."""
 
+STILL = 2.0
+"""Pixels that a match moves by at most if what it shows stands still in the picture."""
+
 MAX_CONTRADICTED = 0.03
 """Above this share of matches in contradicting links the photos fit together in other ways, too."""
 
@@ -64,6 +67,19 @@ class Evidence:
                 found.append(pair)
             used |= {pair.first: counts[0] + 1, pair.second: counts[1] + 1}
         return found
+
+    @property
+    def still(self) -> float:
+        """Share of all matches that stand still, as what is behind a turntable does."""
+        moved = [
+            np.linalg.norm(
+                self.keypoints[pair.first][pair.matches[:, 0]]
+                - self.keypoints[pair.second][pair.matches[:, 1]],
+                axis=1,
+            )
+            for pair in self.pairs
+        ]
+        return float(np.mean(np.concatenate(moved) <= STILL)) if moved else 0.0
 
 
 @dataclass(frozen=True)
