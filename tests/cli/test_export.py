@@ -40,7 +40,7 @@ def work(tmp_path, monkeypatch):
         ("splats.ply -o splats.ply --overwrite", 2, "splats.ply: "),
         ("none.clgs -o x.spz", 3, "none.clgs: no such file or folder"),
         ("photos -o x.spz", 3, "photos: holds no scene.npz; name a run folder; a data set is"),
-        ("photos -o x.html", 3, "photos: a page is made of a .clgs file; name a run folder"),
+        ("photos -o x.html", 3, "photos: is a folder without scene.clgs; name a run folder"),
         ("splats.ply -o x.html", 3, "splats.ply: a page is made of a .clgs file; `clgs pack`"),
         ("old.ply -o x.spz", 3, "old.ply: not a PLY file"),
         ("splats.ply -o x.ply --sh-degree 4", 2, "--sh-degree: invalid choice"),

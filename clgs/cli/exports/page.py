@@ -52,9 +52,10 @@ def read_file(path: Path) -> bytes:
 
     if path.is_dir() and (path / "scene.clgs").exists():
         path = path / "scene.clgs"
-    elif path.is_dir() or path.suffix.lower() == ".ply":
-        told = instead(path) if path.is_dir() else "`clgs pack` makes one of splats"
-        raise DataError(f"{path}: a page is made of a .clgs file; {told}")
+    elif path.is_dir():
+        raise DataError(f"{path}: is a folder without scene.clgs; {instead(path)}")
+    elif path.suffix.lower() == ".ply":
+        raise DataError(f"{path}: a page is made of a .clgs file; `clgs pack` makes one of splats")
     data = read_bytes(path)
     with naming(path):
         (splats if splats.is_splats(data) else scene_decoder).describe(data)
