@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 
 from clgs.cli import main as cli
@@ -58,6 +59,14 @@ def test_what_cannot_be_done_is_refused_in_a_line(work, capsys, words, code, sai
     assert said in error
     assert not (work / "x.spz").exists()
     assert (work / "old.ply").read_bytes() == b"old"
+
+
+def test_splats_of_a_lower_degree(work, capsys):
+    assert cli.main(["export", "splats.ply", "-o", "x.ply", "--sh-degree", "0"]) == 0
+    assert "degree 0" in capsys.readouterr().out
+    found, whole = read_gaussians(work / "x.ply"), gaussians()
+    assert (found.degree, whole.degree) == (0, 3)
+    assert np.array_equal(found.sh, whole.sh[:, :1])
 
 
 @pytest.mark.parametrize("suffix", ["ply", "spz", "sog", "glb"])

@@ -58,7 +58,6 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.progress import TrainingDisplay, print_summary
     from clgs.cli.tensorboard import EventLog, check_tensorboard
     from clgs.errors import UsageError
-    from clgs.export.run_report import RunStory, write_run_report
     from clgs.files import check_folder
     from clgs.memory import return_freed_memory
     from clgs.opencl.device import Device
@@ -94,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
     if args.profile:
         _report_profile(session)
-    write_run_report(args.output, RunStory(args.command_line, f"Trained on {args.data}."))
+    _write_report(args)
     print_summary(result)
     return 0
 
@@ -104,6 +103,14 @@ def _follow(display: TrainingDisplay, events: EventLog | None, progress: Progres
     display.update(progress)
     if events is not None:
         events.update(progress)
+
+
+def _write_report(args: argparse.Namespace) -> None:
+    """The report, with the command that repeats the run: with --resume it would change nothing."""
+    from clgs.export.run_report import RunStory, write_run_report
+
+    command = args.command_line.replace(" --resume", "")
+    write_run_report(args.output, RunStory(command, f"Trained on {args.data}."))
 
 
 def _report_profile(session: Session) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,7 +47,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=int,
         choices=DEGREES,
         default=DEGREES[-1],
-        help="baking: degree of the colors' spherical harmonics (default: %(default)s)",
+        help="degree of the colors' spherical harmonics, at most (default: %(default)s)",
     )
     add(
         "--steps",
@@ -81,7 +82,7 @@ def run(args: argparse.Namespace) -> None:
     args.scene = args.source
     quantized, _ = read_drawable(args.source)
     if isinstance(quantized, SplatScene):
-        encoded = _encode(args.output, quantized.gaussians)
+        encoded = _encode(args.output, _at_most(quantized.gaussians, args.sh_degree))
         line = f"converted: {len(encoded.data) / 1e6:.1f} MB"
     else:
         encoded, line = _bake(args, quantized)
@@ -89,6 +90,11 @@ def run(args: argparse.Namespace) -> None:
     gaussians = encoded.gaussians
     print(f"{args.output}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")
     print(line)
+
+
+def _at_most(gaussians: HostGaussians, degree: int) -> HostGaussians:
+    """Without the coefficients above ``degree``."""
+    return replace(gaussians, sh=gaussians.sh[:, : (degree + 1) ** 2])
 
 
 def _bake(args: argparse.Namespace, quantized: QuantizedScene) -> tuple[Encoded, str]:

@@ -89,7 +89,8 @@ class Job:
         if record:
             record.check(self._out, source, self._args)
             self._time = self._args.time or record.time
-        begun = Record(str(source.path.resolve()), source.photos.count, self._time)
+        where, count = str(source.path.resolve()), source.photos.count
+        begun = Record(where, count, source.digest, self._time)
         source = self._shortened(source)
         settings = record.settings if record else {}
         if not settings:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,14 @@ DATA = "data"
 class Record:
     """A run.
 
-    input: the absolute path that it began with; photos: those there; time: seconds that it was
-    planned for; settings: of training, empty until it is planned; plan: figures behind them.
+    input: the absolute path that it began with; photos: their number there; digest: as a source
+    has it; time: seconds that it was planned for; settings: of training, empty until it is planned;
+    plan: figures behind them.
     """
 
     input: str
     photos: int
+    digest: str
     time: float
     settings: dict[str, Any] = field(default_factory=dict)
     plan: dict[str, Any] = field(default_factory=dict)
@@ -50,6 +52,11 @@ class Record:
             raise UsageError(
                 f"{source.path}: has {counted(source.photos.count, 'photo')}, and the run in {out} "
                 f"began with {self.photos}; start anew with --overwrite"
+            )
+        if self.digest != source.digest:
+            raise UsageError(
+                f"{source.path}: holds other photos than the run in {out} began with; start anew "
+                "with --overwrite"
             )
         if self.settings and args.time not in (None, self.time):
             raise _other("time", out, in_words(self.time))
@@ -89,6 +96,11 @@ def read_record(out: Path, args: argparse.Namespace) -> Record | None:
         )
     try:
         found = Record(**json.loads(path.read_text(encoding="utf-8")))
-        return Record(str(found.input), int(found.photos), float(found.time), dict(found.settings))
+        return replace(
+            found,
+            photos=int(found.photos),
+            time=float(found.time),
+            settings=dict(found.settings),
+        )
     except (ValueError, TypeError) as error:
         raise DataError(f"{path}: is damaged ({error}); start anew with --overwrite") from error

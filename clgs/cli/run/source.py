@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,8 @@ class Source:
     """What a run begins with.
 
     path: as named; posed: whether it is a data set, so that no poses have to be found; pointless:
-    a data set without points, which are found before training; video: the photos are its frames.
+    a data set without points, which are found before training; video: the photos are its frames;
+    digest: of the names and sizes of the files, if poses are to be found.
     """
 
     path: Path
@@ -25,6 +27,7 @@ class Source:
     photos: Photos
     pointless: bool = False
     video: bool = False
+    digest: str = ""
 
 
 def find_source(path: Path) -> Source:
@@ -67,6 +70,16 @@ def _measure_photos(path: Path) -> Source:
     from clgs.data.photos.video import frame_size
 
     found = find_photos(path)
+    digest = _digest(found.files)
     if found.collection is None:
-        return Source(path, False, Photos(found.frames, *frame_size(path)), video=True)
-    return Source(path, False, Photos(len(found.files), *image_size(found.files[0])))
+        return Source(
+            path, False, Photos(found.frames, *frame_size(path)), video=True, digest=digest
+        )
+    photos = Photos(len(found.files), *image_size(found.files[0]))
+    return Source(path, False, photos, digest=digest)
+
+
+def _digest(files: list[Path]) -> str:
+    """By which it is seen that photos were added, taken away or replaced; none is read."""
+    listed = [f"{path.name}\0{path.stat().st_size}" for path in files]
+    return hashlib.blake2b("\n".join(listed).encode("utf-8", "surrogateescape")).hexdigest()[:32]

@@ -26,7 +26,8 @@ NAMED = 5
 """Of the files that are skipped for one reason, so many are named."""
 
 _FOREIGN_FOLDERS = (MASKS, "__MACOSX", "@eaDir")
-_OWN = ("plan.json", "progress.csv", "sparse/0/cameras.bin")
+_RUNS = ("plan.json", "progress.csv")
+_OWN = (*_RUNS, "sparse/0/cameras.bin")
 """A folder below with one of these was made by clgs run, train or prepare."""
 
 _UNSAFE = re.compile(r"[^\w.+=@()\[\] -]|[\ud800-\udfff]")
@@ -73,12 +74,14 @@ def find_photos(folder: Path) -> Collection:
     Hidden files, files of other kinds, empty ones and second copies of the same bits are skipped.
 
     Raises:
-        DataError: ``folder`` is none.
+        DataError: ``folder`` is none, or that of a run.
     """
     if folder.is_file():
         raise DataError(f"{folder}: is a file; name the folder of the photos ({folder.parent})")
     if not folder.is_dir():
         raise DataError(f"{folder}: no such folder; check the path")
+    if any((folder / file).is_file() for file in _RUNS):
+        raise DataError(f"{folder}: was made by clgs; name the folder of your own photos")
     images = folder / "images"
     made = any((folder / file).exists() for file in _OWN)  # and its contact sheet is no photo
     own = not made and any(_is_photo(path) for path in folder.iterdir())

@@ -75,11 +75,12 @@ def extract_frames(
     seconds, rate = _length(path)
     candidates = min(seconds * rate, CANDIDATES * count)
     best: tuple[float, npt.NDArray[np.uint8]] | None = None
-    number = current = written = 0
+    writer = _Writer(folder, on_frame)
+    number = current = 0
     for number, frame in enumerate(_frames(path, candidates / seconds)):
         place = (number + 0.5) / candidates * count
         if int(place) != current and best is not None:
-            written = _write(folder, best[1], written, on_frame)
+            writer.write(best[1])
             best = None
         current = int(place)
         if current >= count:
@@ -90,17 +91,25 @@ def extract_frames(
         if best is None or measured > best[0]:
             best = measured, frame
     if best is not None:
-        written = _write(folder, best[1], written, on_frame)
-    if not written:
+        writer.write(best[1])
+    if not writer.written:
         raise DataError(f"{path}: no frame can be decoded; is it a whole video? record it again")
-    if number + 1 < WHOLE * candidates - 1:
-        lasts = seconds * (number + 1) / candidates
-        warnings.warn(
-            f"{path}: ends after {lasts:.1f} of the {seconds:.1f} seconds that it tells, as if cut "
-            "short; copy it again if you need the rest",
-            stacklevel=2,
+    share = (number + 1) / candidates
+    if share < WHOLE - 1 / candidates:
+        _warn(
+            f"{path}: ends after {share * seconds:.1f} of the {seconds:.1f} seconds that it tells, "
+            "as if cut short; copy it again if you need the rest"
         )
-    return written
+    if writer.equal:
+        _warn(
+            f"{path}: {writer.equal} of its frames are equal to the one before and are left out; "
+            "it stood still, or is damaged"
+        )
+    return writer.written
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, stacklevel=3)
 
 
 def sharpness(frame: npt.NDArray[np.uint8]) -> float:
@@ -181,11 +190,20 @@ def _damaged(path: Path) -> DataError:
     return DataError(f"{path}: is no video that ffmpeg reads, or a damaged one; record it again")
 
 
-def _write(
-    folder: Path, frame: npt.NDArray[np.uint8], written: int, on_frame: Callable[[int], None]
-) -> int:
-    """Write one more frame; how many there are then."""
-    name = f"frame_{written + 1:05d}.jpg"
-    Image.fromarray(frame).save(folder / name, "JPEG", quality=JPEG_QUALITY, subsampling=0)
-    on_frame(written + 1)
-    return written + 1
+class _Writer:
+    """Writes frames that differ from the one before; counts them, and the others."""
+
+    def __init__(self, folder: Path, on_frame: Callable[[int], None]) -> None:
+        self.written = self.equal = 0
+        self._folder, self._on_frame = folder, on_frame
+        self._last: npt.NDArray[np.uint8] | None = None
+
+    def write(self, frame: npt.NDArray[np.uint8]) -> None:
+        if self._last is not None and np.array_equal(frame, self._last):
+            self.equal += 1
+            return
+        self._last = frame
+        self.written += 1
+        path = self._folder / f"frame_{self.written:05d}.jpg"
+        Image.fromarray(frame).save(path, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+        self._on_frame(self.written)

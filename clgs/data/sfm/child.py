@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -86,64 +85,34 @@ def _follow(child: subprocess.Popen[str], task: str, arguments: Any, on_stage: O
     raise DataError(f"{task}: pycolmap crashed (exit code {child.wait()}); try other photos")
 
 
-def serve(work: Callable[[Any, OnStage], Any], scratch: Callable[[Any], str] | None = None) -> None:
+def serve(work: Callable[[Any, OnStage], Any]) -> None:
     """The process: arguments from the standard input, results to the standard output.
 
-    If its parent is killed it removes the folder that ``scratch`` makes of the arguments, since
-    nobody else can.
+    It ends if its parent does, and so do its own children.
     """
     return_freed_memory()
     _serving.append(True)
     output = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever a library prints is no result
     arguments = json.loads(sys.stdin.readline())
-    end = _EndWithParent(None if scratch is None else scratch(arguments))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     one_at_a_time = threading.Lock()
 
     def say(kind: str, value: Any) -> None:
-        try:
-            with one_at_a_time:
-                print(json.dumps([kind, value]), file=output, flush=True)
-        except BrokenPipeError:  # the parent has ended a moment ago
-            end.wait()
+        with one_at_a_time:
+            print(json.dumps([kind, value]), file=output, flush=True)
 
     try:
         result = work(arguments, lambda stage: say("stage", stage))
-        end.keep_folder()  # from now on it is the parent's, which closes the input next
-        say("result", result)
     except DataError as error:
         say("error", str(error))
-    finally:
-        if end.begun.is_set():  # the work failed because its folder or its children went
-            end.wait()
+    else:
+        say("result", result)
 
 
-class _EndWithParent:
-    """Ends this process when its standard input ends, that is, when the parent has ended.
-
-    Unless :meth:`keep_folder` came first, what the work made in ``folder`` goes before.
-    """
-
-    def __init__(self, folder: str | None) -> None:
-        self.begun = threading.Event()
-        self._folder = folder
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def keep_folder(self) -> None:
-        self._folder = None
-
-    def wait(self) -> None:
-        """Never returns: a main thread that ended would end the removal half-way."""
-        self._thread.join()
-
-    def _run(self) -> None:
-        sys.stdin.read()
-        self.begun.set()
-        for child in list(_running):
-            child.kill()
-            child.wait()
-        for _ in range(2):  # twice: other threads still write
-            if self._folder is not None:
-                shutil.rmtree(self._folder, ignore_errors=True)
-        os._exit(1)
+def _end_with_parent() -> None:
+    """Ends this process if its standard input ends, that is, if the parent has ended."""
+    sys.stdin.read()
+    for child in list(_running):
+        child.kill()
+    os._exit(1)

@@ -56,7 +56,7 @@ def reconstruct(target: Path, seed: int, quick: bool, on_progress: OnProgress) -
 
 def main() -> None:
     """The process that does the work."""
-    serve(_work, scratch=lambda arguments: str(arguments[0]))
+    serve(_work)
 
 
 def _work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:

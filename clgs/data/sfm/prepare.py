@@ -14,6 +14,7 @@ from pathlib import Path
 from clgs.data.photos.bring_in import Source, bring_in, find_source
 from clgs.data.pycolmap_lazy import SEEDS
 from clgs.data.sfm.contact_sheet import contact_sheet
+from clgs.data.sfm.guard import removed_if_killed
 from clgs.data.sfm.job import OnProgress
 from clgs.data.sfm.judging.training import untrained, with_training
 from clgs.data.sfm.judging.verdict import Verdict
@@ -77,7 +78,7 @@ def prepare(
         if overwrite:
             _check_replaceable(output, source.files)
         with atomic_folder(output, overwrite) as target:
-            with owned(target / "work"):
+            with owned(target / "work"), removed_if_killed(target):
                 verdict = _prepare(source, target, seed, quick, on_progress)
                 verdict = _trained(verdict, target, training, on_progress)
                 _write_report(verdict, target)

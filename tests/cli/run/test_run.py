@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from PIL import Image
@@ -15,6 +16,7 @@ from clgs.cli import main as cli
 from clgs.cli.run.duration import duration
 from clgs.cli.run.plan import FRAMES, frames_within
 from clgs.cli.run.record import Record
+from clgs.cli.run.source import find_source
 from clgs.cli.run.stages import Stages
 from clgs.train.run.folder_lock import FolderLock
 from tests.small_scene import write_scene
@@ -120,9 +122,16 @@ def test_run_goes_on_with_its_own_photos_alone(tmp_path, capsys):
     for name in ("red", "green", "blue"):
         Image.new("RGB", (64, 64), name).save(photos / f"{name}.png")
     (out / "data").mkdir(parents=True)
-    Record(str(photos.resolve()), 2, 600.0).write(out)
+    begun = Record(str(photos.resolve()), 2, "", 600.0)
+    begun.write(out)
     assert cli.main(words(photos, out, "--resume")) == 2
     assert f"has 3 photos, and the run in {out} began with 2" in capsys.readouterr().err
+    replace(begun, photos=3).write(out)  # as many, but others
+    assert cli.main(words(photos, out, "--resume")) == 2
+    assert f"holds other photos than the run in {out} began with" in capsys.readouterr().err
+    replace(begun, photos=3, digest=find_source(photos).digest).write(out)
+    assert cli.main(words(photos, out, "--resume", "--device", "nonexistent")) == 4
+    begun.write(out)
     (out / "data").rmdir()  # no poses yet: those of the third are found with the others
     assert cli.main(words(photos, out, "--resume", "--device", "nonexistent")) == 4
 
@@ -130,7 +139,7 @@ def test_run_goes_on_with_its_own_photos_alone(tmp_path, capsys):
 def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
-    Record(str(data.resolve()), 4, 600.0).write(out)
+    Record(str(data.resolve()), 4, "", 600.0).write(out)
     assert cli.main(words(data, out, "--resume", "--device", "nonexistent")) == 4
     capsys.readouterr()
     (out / "plan.json").write_text("{}")

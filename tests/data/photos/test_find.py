@@ -144,6 +144,14 @@ def test_a_data_set_of_ours_has_its_photos_in_images(tmp_path: Path):
     assert [one.name for one in find_photos(tmp_path).photos] == ["a.jpg"]
 
 
+@pytest.mark.parametrize("name", ["plan.json", "progress.csv"])
+def test_the_folder_of_a_run_has_no_photos(tmp_path: Path, name: str):
+    write(tmp_path / "preview.png", 1)
+    (tmp_path / name).touch()
+    with pytest.raises(DataError, match="was made by clgs; name the folder of your own photos"):
+        find_photos(tmp_path)
+
+
 def test_no_folder(tmp_path: Path):
     with pytest.raises(DataError, match="no such folder"):
         find_photos(tmp_path / "none")

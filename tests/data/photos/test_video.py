@@ -85,6 +85,21 @@ def test_a_truncated_video_gives_what_is_whole(clip: Path, tmp_path: Path):
         assert 2 <= extract_frames(path, tmp_path / "frames", 10) < 10
 
 
+def test_frames_that_stand_still_are_left_out(tmp_path: Path):
+    path = tmp_path / "frozen.mkv"
+    writer = imageio_ffmpeg.write_frames(str(path), SIZE, fps=RATE, codec="ffv1")
+    writer.send(None)
+    for number in range(20):
+        writer.send(np.ascontiguousarray(frame(number if number < 8 else 8, True)))
+    writer.close()
+    (tmp_path / "frames").mkdir()
+    seen: list[int] = []
+    with pytest.warns(UserWarning, match="11 of its frames are equal to the one before"):
+        assert extract_frames(path, tmp_path / "frames", 20, seen.append) == 9
+    assert seen == list(range(1, 10))
+    assert len(list((tmp_path / "frames").iterdir())) == 9
+
+
 @pytest.mark.parametrize("content", [b"", b"no video", b"#EXTM3U\n#EXTINF:1,\n/etc/passwd\n"])
 def test_what_is_no_video_is_refused(tmp_path: Path, content: bytes):
     path = tmp_path / "-i clip.mp4"

@@ -1,4 +1,4 @@
-"""The process beside: what it made outlives its success, and goes if its parent is killed."""
+"""The process beside: its result comes through, and it ends with its parent."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def work(arguments, on_stage):
     time.sleep(seconds)
     return 42
 def main():
-    serve(work, scratch=lambda arguments: arguments[0])
+    serve(work)
     time.sleep(1.0)  # as a process that takes its time to end
 """
 PARENT = """
@@ -35,28 +35,7 @@ from clgs.data.sfm.child import run_child, serve
 def work(arguments, on_stage):
     return run_child("work_beside", "a nested test", arguments, on_stage)
 def main():
-    serve(work, scratch=lambda arguments: arguments[0])
-"""
-TALKING = """
-from clgs.data.sfm.child import serve
-def work(arguments, on_stage):
-    while True:  # the first word after the parent's end finds nobody to listen
-        on_stage("made")
-def main():
-    serve(work, scratch=lambda arguments: arguments[0])
-"""
-FRAGILE = """
-from pathlib import Path
-from clgs.data.sfm.child import serve
-def work(arguments, on_stage):
-    for number in range(1000):
-        (Path(arguments[0]) / str(number)).mkdir()
-    on_stage("made")
-    while True:  # fails as soon as the removal has begun
-        for number in range(1000):
-            (Path(arguments[0]) / str(number)).stat()
-def main():
-    serve(work, scratch=lambda arguments: arguments[0])
+    serve(work)
 """
 HANG = 60
 """Seconds after which the clean-up is given up."""
@@ -66,8 +45,6 @@ HANG = 60
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "work_beside.py").write_text(MODULE)
     (tmp_path / "nested.py").write_text(NESTED)
-    (tmp_path / "talking.py").write_text(TALKING)
-    (tmp_path / "fragile.py").write_text(FRAGILE)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     (tmp_path / "new").mkdir()
@@ -102,15 +79,6 @@ def kill_parent(folder: Path, module: str) -> None:
         assert parent.stdout is not None
         assert parent.stdout.readline() == "made\n"
         parent.kill()
-
-
-@pytest.mark.parametrize("module", ["work_beside", "nested", "talking", "fragile"])
-def test_what_was_made_goes_with_a_killed_parent(folder: Path, module: str):
-    kill_parent(folder, module)
-    end = time.monotonic() + HANG
-    while folder.exists() and time.monotonic() < end:
-        time.sleep(0.05)
-    assert not folder.exists()
 
 
 @pytest.mark.parametrize("module", ["work_beside", "nested"])

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from clgs.data.sfm.judging.verdict import GOOD, LEFT_OUT, PhotoVerdict
 
-CONNECT = "take photos that connect both parts"
+CONNECT = "take photos that connect both parts, or prepare each by itself"
 
 
 def leave_out_parts(
@@ -34,7 +34,7 @@ def leave_out_parts(
 
 def part_reason(others: int) -> str:
     """Why a photo is left out that forms a part with ``others`` more."""
-    return f"it and {others} others form a part of their own"
+    return f"it and {others} other{'s' * (others > 1)} form a part of their own"
 
 
 def _mostly_good(verdicts: Sequence[PhotoVerdict]) -> bool:
