@@ -216,10 +216,7 @@ def atomic_folder(path: Path, overwrite: bool = False) -> Iterator[Path]:
     path = Path(path)
     if path.exists() and not path.is_dir():
         raise ExistsError(f"{path}: exists and is no folder; choose another")
-    if path.exists() and not overwrite and any(path.iterdir()):
-        raise ExistsError(
-            f"{path}: exists and is not an empty folder; add --overwrite or choose another"
-        )
+    _check_free(path, overwrite)
     target = Path(os.path.realpath(path))
     _check_parent(path, target.parent)
     temporary = _temporary(path, target.parent)
@@ -230,11 +227,20 @@ def atomic_folder(path: Path, overwrite: bool = False) -> Iterator[Path]:
             for entry in temporary.rglob("*"):
                 _sync_folder(entry) if entry.is_dir() else _sync(entry)
             _sync_folder(temporary)
+            _check_free(path, overwrite)  # another process may have been faster
             _take_name(temporary, target)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
     _sync_folder(target.parent)
+
+
+def _check_free(path: Path, overwrite: bool) -> None:
+    """Raise ExistsError if ``path`` is a folder that holds something, and may not be replaced."""
+    if path.exists() and not overwrite and any(path.iterdir()):
+        raise ExistsError(
+            f"{path}: exists and is not an empty folder; add --overwrite or choose another"
+        )
 
 
 def _take_name(folder: Path, target: Path) -> None:

@@ -114,6 +114,21 @@ def test_a_full_folder_and_a_file_are_not_overwritten(tmp_path):
     assert names(tmp_path) == ["file", "run"]
 
 
+def test_what_appeared_meanwhile_is_not_overwritten(tmp_path):
+    target = tmp_path / "run"
+
+    def make():
+        with atomic_folder(target) as folder:
+            (folder / "slow").touch()
+            target.mkdir()
+            (target / "fast").touch()
+
+    with pytest.raises(ExistsError, match="add --overwrite"):
+        make()
+    assert names(tmp_path) == ["run"]
+    assert names(target) == ["fast"]
+
+
 def test_a_link_is_written_through(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "real.bin").write_bytes(b"old")

@@ -103,7 +103,10 @@ def bring_in(
         extract_frames(source.path, images, source.frames, on_frame)
         sizes = [image_size(path) for path in sorted(images.iterdir())]
         if len(sizes) < LEAST_PHOTOS:
-            raise DataError(f"{source.path}: {len(sizes)} frames; at least 3 are needed")
+            raise DataError(
+                f"{source.path}: only {len(sizes)} of its frames can be used, at least 3 are "
+                "needed; record a longer one"
+            )
         return sizes
     masks.mkdir()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
