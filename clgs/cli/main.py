@@ -8,15 +8,13 @@ from __future__ import annotations
 import importlib
 import os
 import shlex
-import signal
 import sys
-import threading
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from clgs import __version__
+from clgs.cli.interruptions import Interruptions
 from clgs.errors import ClgsError, DeviceError
 from clgs.files import is_full
 
@@ -98,7 +96,7 @@ def run_command(argv: Sequence[str] | None = None) -> int:
         KeyboardInterrupt: it was interrupted; the other command says so.
     """
     try:
-        with _terminations_interrupt(), warnings.catch_warnings():
+        with Interruptions(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
             code = _run(argv)
         if sys.stdout is not None:  # closed by the caller: `clgs info scene.clgs >&-`
@@ -110,28 +108,6 @@ def run_command(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         return _complain(error)
     return code
-
-
-@contextmanager
-def _terminations_interrupt() -> Iterator[None]:
-    """Let SIGTERM, and a terminal that closes, raise KeyboardInterrupt as SIGINT does.
-
-    A process that ends in the middle of native code, which has threads and handlers of its own,
-    may leave with a native stack trace instead of one line.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {name: signal.getsignal(getattr(signal, name)) for name in names}
-    for name, handler in before.items():
-        if name != "SIGHUP" or handler is not signal.SIG_IGN:  # as nohup leaves it
-            signal.signal(getattr(signal, name), signal.default_int_handler)
-    try:
-        yield
-    finally:
-        for name, handler in before.items():
-            signal.signal(getattr(signal, name), handler or signal.SIG_DFL)
 
 
 def _run(argv: Sequence[str] | None) -> int:

@@ -77,7 +77,7 @@ def find_source(path: Path, frames: int | None = None) -> Source:
 
 
 def bring_in(
-    source: Source, work: Path, on_frame: Callable[[int], None] = lambda count: None
+    source: Source, work: Path, on_read: Callable[[int], None] = lambda count: None
 ) -> list[tuple[int, int]]:
     """Fill ``work``/images, and ``work``/masks if photos are masked; a warning names what is not.
 
@@ -88,7 +88,8 @@ def bring_in(
     Args:
         source: from :func:`find_source`.
         work: an empty folder.
-        on_frame: called with the number of frames of a video that were written so far.
+        on_read: called with the number of photos that were read so far, or of a video's frames that
+            were written.
 
     Returns:
         Sizes (width, height) of the photos in ``work``/images, in the order of their names.
@@ -100,7 +101,7 @@ def bring_in(
     images.mkdir()
     found = source.collection
     if found is None:
-        extract_frames(source.path, images, source.frames, on_frame)
+        extract_frames(source.path, images, source.frames, on_read)
         sizes = [image_size(path) for path in sorted(images.iterdir())]
         if len(sizes) < LEAST_PHOTOS:
             raise DataError(
@@ -110,7 +111,10 @@ def bring_in(
         return sizes
     masks.mkdir()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        written = list(pool.map(lambda one: _write(one, images, masks), found.photos))
+        written = []
+        for error in pool.map(lambda one: _write(one, images, masks), found.photos):
+            written.append(error)
+            on_read(len(written))
     failed = [(one, error) for one, error in zip(found.photos, written, strict=True) if error]
     for one, error in failed:
         below = one.path.relative_to(found.root).as_posix()

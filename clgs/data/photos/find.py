@@ -27,6 +27,8 @@ NAMED = 5
 
 _FOREIGN_FOLDERS = (MASKS, "__MACOSX", "@eaDir")
 _RUNS = ("plan.json", "progress.csv")
+"""A folder with one of these was made by clgs run or train."""
+
 _OWN = (*_RUNS, "sparse/0/cameras.bin")
 """A folder below with one of these was made by clgs run, train or prepare."""
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 STAGES = (
-    *("read", "features", "matches", "poses", "other poses", "second look", "check"),
-    *("undistort", "training"),
+    *("read", "features", "matches", "poses", "other poses", "second look", "more poses"),
+    *("check", "undistort", "training"),
 )
 """Of a reconstruction, in their order; not all are needed by each."""
 

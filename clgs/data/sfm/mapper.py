@@ -6,8 +6,11 @@ import errno
 import os
 import shutil
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 from clgs.data.photos.find import MASKS
@@ -28,6 +31,9 @@ JPEG_QUALITY = 95
 
 LEAST_ROOM = 1 << 20
 """Bytes; a failure with less room than that is blamed on the disk."""
+
+COUNT_SECONDS = 0.5
+"""From one count of the undistorted photos to the next."""
 
 _TASK = "structure from motion"
 
@@ -113,16 +119,43 @@ def _reconstruct(
 
 def _undistort(job: Job, model: Any, names: dict[str, str], target: Path) -> None:
     """Undistorted images and the model with pinhole cameras, in place in ``target``."""
-    job.on_progress("undistort", 0, 0)
     for image in model.images.values():
         image.name = names[image.name]
     work = job.folder
     (work / "model").mkdir()
     model.write(work / "model")
-    job.pycolmap.undistort_images(
-        work / "undistorted", work / "model", work / "images", jpeg_quality=JPEG_QUALITY
-    )
-    (work / "undistorted" / "images").rename(target / "images")
+    made, total = work / "undistorted" / "images", model.num_reg_images()
+    with _files_counted(made, lambda done: job.on_progress("undistort", done, total)):
+        job.pycolmap.undistort_images(
+            work / "undistorted", work / "model", work / "images", jpeg_quality=JPEG_QUALITY
+        )
+    made.rename(target / "images")
     undistort_masks(job.pycolmap, model, work / MASKS, target / "images", target / MASKS)
     (target / "sparse").mkdir()
     (work / "undistorted" / "sparse").rename(target / "sparse" / "0")
+
+
+@contextmanager
+def _files_counted(folder: Path, on_count: Callable[[int], None]) -> Iterator[None]:
+    """Within the block ``on_count`` is told how many files ``folder`` holds; at last at its end.
+
+    pycolmap does not tell how many photos it has undistorted.
+    """
+    ended = Event()
+
+    def count() -> None:
+        on_count(sum(len(names) for _, _, names in os.walk(folder)))
+
+    def watch() -> None:
+        while not ended.wait(COUNT_SECONDS):
+            count()
+
+    on_count(0)
+    thread = Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+    count()

@@ -124,7 +124,7 @@ def look_again(job: Job, choice: Choice) -> Choice:
     options.multiple_models = False
     options.mapper.abs_pose_min_num_inliers = LOOSE_INLIERS
     options.mapper.abs_pose_min_inlier_ratio = LOOSE_SHARE
-    again = _run_incremental(job, "second look", job.folder / "second_look", options, folder)
+    again = _run_incremental(job, "more poses", job.folder / "second_look", options, folder)
     evidence = read_evidence(job)
     found = [model, *again]
     models = [Model(choice.kept.mapper, one, explain(one, evidence)) for one in found]
@@ -215,6 +215,7 @@ def _run_incremental(
         input_path=start or "",
         next_image_callback=count,
     )
+    job.on_progress(stage, total, total)  # what was not placed will not be
     return list(models.values())
 
 

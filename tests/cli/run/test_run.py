@@ -209,7 +209,7 @@ def test_warning_and_interruption_are_told_once(tmp_path, instant):
     ) as process:
         assert process.stdout is not None
         for line in process.stdout:
-            if line.startswith("[train]"):
+            if line.startswith(instant):
                 break
         process.send_signal(signal.SIGINT)
         assert process.wait() == 130

@@ -50,7 +50,10 @@ def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str
     command.register(parser.add_subparsers())
     args = parser.parse_args(["prepare", str(photos), "-o", str(output)])
     assert args.run(args) == 0
-    line = capsys.readouterr().out.splitlines()
+    told = capsys.readouterr()
+    for stage in ("read", "features", "poses", "undistort"):
+        assert f"\n{stage} 9/9" in "\n" + told.err
+    line = told.out.splitlines()
     assert "registered 9 of 9 photos" in line[0]
     assert line[1].startswith("sure: a second reconstruction")
     assert line[1].endswith("a short training shows every photo")

@@ -33,7 +33,7 @@ def conclude(choice: Choice, second: Any | None, checked: bool, real: Mapping[st
     found = figures(model, poses, kept.explained)
     again = differences(poses, poses_of(second)) if second is not None else {}
     compared = Comparison(again if checked else None, _rival(choice))
-    judged = leave_out_parts(judge(found, compared), choice.apart)
+    judged = leave_out_parts(judge(found, compared), choice.apart, checked)
     ambiguous = is_ambiguous(compared, kept.explained, len(found))
     for name, verdict in judged.items():
         if verdict.status == LEFT_OUT:

@@ -1,0 +1,129 @@
+"""Interruptions that come in the middle of an import wait for its end."""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import pytest
+
+from clgs.cli.interruptions import Interruptions
+from tests.terminal import as_from_a_terminal
+
+INTERRUPTED = "import signal\nexec('signal.raise_signal(signal.{})')\ndone = True\n"
+"""``python -m`` would end by the signal itself: an exception left a text that ``exec`` runs."""
+
+PROGRAM = """
+import clgs.cli.main as cli
+cli._run = lambda argv: __import__("interrupted_module").forever()
+raise SystemExit(cli.main([]))
+"""
+
+
+@pytest.fixture
+def write_module(tmp_path, monkeypatch):
+    """Write a module of this text, which can be imported for as long as the test runs."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def write(text: str) -> str:
+        (tmp_path / "interrupted_module.py").write_text(text)
+        importlib.invalidate_caches()
+        return "interrupted_module"
+
+    yield write
+    sys.modules.pop("interrupted_module", None)
+
+
+@pytest.fixture(autouse=True)
+def _handlers():
+    before = {
+        number: signal.signal(number, signal.default_int_handler)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def within(*functions: Callable[[], object]) -> None:
+    """Call them one after the other in a block."""
+    with Interruptions():
+        for function in functions:
+            function()
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_an_import_ends_before_the_interruption(write_module, name):
+    module = write_module(INTERRUPTED.format(name))
+    reached: list[str] = []
+    with pytest.raises(KeyboardInterrupt):
+        within(
+            lambda: importlib.import_module(module),
+            lambda: reached.append("imported"),
+            lambda: time.sleep(60),  # it wakes
+            lambda: reached.append("woke by itself"),
+        )
+    assert reached == ["imported"]
+    assert sys.modules[module].done
+
+
+def test_an_interruption_that_still_waits_comes_at_the_end_of_the_block(write_module, monkeypatch):
+    monkeypatch.setattr("clgs.cli.interruptions.LATER", 60)
+    module = write_module(INTERRUPTED.format("SIGINT"))
+    with pytest.raises(KeyboardInterrupt):
+        within(lambda: importlib.import_module(module))
+    assert sys.modules[module].done
+
+
+def test_a_second_interruption_does_not_wait(write_module, monkeypatch):
+    monkeypatch.setattr("clgs.cli.interruptions.LATER", 60)
+    module = write_module(2 * INTERRUPTED.format("SIGINT"))
+    with pytest.raises(KeyboardInterrupt):
+        within(lambda: importlib.import_module(module))
+    assert module not in sys.modules
+
+
+def test_a_module_that_runs_a_command_as_it_is_imported_can_be_interrupted(write_module):
+    text = (
+        "import signal\nfrom clgs.cli.interruptions import Interruptions\n"
+        "with Interruptions():\n    signal.raise_signal(signal.SIGTERM)\n    assert False\n"
+    )
+    with pytest.raises(KeyboardInterrupt):
+        importlib.import_module(write_module(text))
+
+
+def test_handlers_of_the_caller_and_ignored_signals_stay(monkeypatch):
+    seen: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with Interruptions():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGHUP)
+    assert seen == [signal.SIGINT]
+    assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler
+
+
+def test_an_error_of_the_block_is_told_and_not_the_interruption(write_module, monkeypatch):
+    monkeypatch.setattr("clgs.cli.interruptions.LATER", 60)
+    module = write_module(INTERRUPTED.format("SIGINT"))
+    with pytest.raises(ValueError, match="first"):
+        within(lambda: importlib.import_module(module), lambda: int("first"))
+
+
+def test_exit_code_of_an_interruption_within_an_import(tmp_path):
+    text = INTERRUPTED.format("SIGINT") + "def forever():\n    import time\n    time.sleep(60)\n"
+    (tmp_path / "interrupted_module.py").write_text(text)
+    (tmp_path / "program.py").write_text(PROGRAM)
+    done = subprocess.run(
+        [sys.executable, "-m", "program"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        preexec_fn=as_from_a_terminal,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (130, "clgs: interrupted\n")
