@@ -88,11 +88,12 @@ def is_ply(path: Path) -> bool:
 
 def sources(args: argparse.Namespace) -> list[Path]:
     """The files that are read."""
+    from clgs.cli.run.source import run_folder
     from clgs.data.ply.mlps_archive import mlps_path
 
     if is_ply(args.scene):
         return [args.scene, args.mlps or mlps_path(args.scene)]
-    return [args.scene, args.scene / "scene.npz"]
+    return [args.scene, run_folder(args.scene) / "scene.npz"]
 
 
 def read_source(args: argparse.Namespace) -> QuantizedScene:

@@ -47,13 +47,16 @@ def read_file(path: Path) -> bytes:
         DataError: there is none, or it is damaged.
     """
     from clgs.cli.options.scene import instead, naming, read_bytes
+    from clgs.cli.run.source import run_folder
     from clgs.codec import scene_decoder, splats
     from clgs.errors import DataError
 
-    if path.is_dir() and (path / "scene.clgs").exists():
-        path = path / "scene.clgs"
-    elif path.is_dir():
-        raise DataError(f"{path}: is a folder without scene.clgs; {instead(path)}")
+    if path.is_dir():
+        files = [folder / "scene.clgs" for folder in (path, run_folder(path))]
+        found = next((file for file in files if file.exists()), None)
+        if found is None:
+            raise DataError(f"{path}: is a folder without scene.clgs; {instead(path)}")
+        path = found
     elif path.suffix.lower() == ".ply":
         raise DataError(f"{path}: a page is made of a .clgs file; `clgs pack` makes one of splats")
     data = read_bytes(path)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from clgs.cli.run.source import run_folder
 from clgs.codec.box import Box, decode_box
 from clgs.codec.container.source import BytesSource, FileSource
 from clgs.codec.scene_decoder import decode
@@ -66,7 +67,8 @@ def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
 
 
 def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:
-    """The scene of a finished run and the size of its bitstream."""
+    """The scene of a finished run, or of the output of `clgs run`, and its bitstream's size."""
+    folder = run_folder(folder)
     if not (folder / "scene.npz").exists():
         raise DataError(f"{folder}: holds no scene.npz; {instead(folder)}")
     bitstream = folder / "scene.clgs"
@@ -76,8 +78,6 @@ def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:
 
 def instead(folder: Path) -> str:
     """What to do with a folder that holds no scene."""
-    if (folder / "run" / "scene.npz").exists():
-        return f"name {folder / 'run'}"
     if (folder / "config.toml").exists():
         return "let `clgs train` finish (--resume)"
     return "name a run folder; a data set is trained first (`clgs train`)"

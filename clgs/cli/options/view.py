@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clgs.cli.run.source import run_folder
 from clgs.data.reduction import MAX_SIZE, Reduction
 from clgs.errors import DataError, UsageError
 from clgs.options import PRESETS
@@ -140,7 +141,7 @@ def load_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> 
     reduction = _reduction(args)
     dataset = load_dataset(args.data, downscale=reduction, load_images=False, load_points=False)
     posed = repose(dataset, scene.transform)
-    origin = read_origin(_run_folder(args.scene))
+    origin = read_origin(run_folder(args.scene))
     if isinstance(scene, SplatScene):
         return posed
     if origin is not None and origin.check(posed.train + posed.test, args.data):
@@ -170,7 +171,7 @@ def known_data(scene: Path) -> Path | None:
     """The data set that the run folder of ``scene`` names; None if there is none."""
     from clgs.data.origin import read_origin
 
-    origin = read_origin(_run_folder(scene))
+    origin = read_origin(run_folder(scene))
     return origin.folder if origin is not None and origin.folder.is_dir() else None
 
 
@@ -187,7 +188,7 @@ def name_data(args: argparse.Namespace) -> None:
     """
     from clgs.data.origin import read_origin
 
-    origin = read_origin(_run_folder(args.scene))
+    origin = read_origin(run_folder(args.scene))
     if origin is None:
         raise UsageError("the photos are not known; name their data set with --data")
     if not origin.folder.exists():
@@ -218,14 +219,9 @@ def selected_options(args: argparse.Namespace) -> RenderOptions:
     )
 
 
-def _run_folder(scene: Path) -> Path:
-    """The folder that is, or holds, ``scene``."""
-    return scene if scene.is_dir() else scene.parent
-
-
 def _trained_config(scene: Path) -> TrainConfig | None:
     """The settings in the run folder that ``scene`` is or lies in."""
-    path = _run_folder(scene) / "config.toml"
+    path = run_folder(scene) / "config.toml"
     return from_toml(path.read_text(encoding="utf-8"), str(path)) if path.is_file() else None
 
 

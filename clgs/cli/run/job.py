@@ -212,22 +212,26 @@ class Job:
         return ("--split", str(summary["split"]))
 
     def _exports(self) -> int:
-        """Page, Gaussians and clip; the exit code of the last that failed, 0 if none did."""
+        """Page, Gaussians and clip that are not there; the exit code of the last that failed.
+
+        0 if none did. A run that goes on made those that are there, whole, after its training.
+        """
         run, code = self._out / "run", 0
         for name in (PAGE, SPLATS, CLIP):
             remove_temporaries(self._out / name)
         on = ("--device", self._device.name, "--overwrite")
         path = ("--path", "interpolate", "--frames", str(CLIP_FRAMES))
-        wanted: dict[str, tuple[str | Path, ...]] = {
-            "page": ("export", run, "-o", self._out / PAGE, *on),
-            "Gaussians": ("export", run, "-o", self._out / SPLATS, *on),
-            "clip": ("render", run, *path, "-o", self._out / CLIP, *on),
+        wanted: dict[str, tuple[str, tuple[str | Path, ...]]] = {
+            "page": (PAGE, ("export", run, *on)),
+            "Gaussians": (SPLATS, ("export", run, *on)),
+            "clip": (CLIP, ("render", run, *path, *on)),
         }
         if find_spec("imageio_ffmpeg") is None:
             del wanted["clip"]
             print("\n[clip] left out; it needs: pip install 'clgs[video]'")
-        for name, words in wanted.items():
-            code = self._stages.attempt(name, *words) or code
+        for name, (file, words) in wanted.items():
+            if not (self._out / file).exists():
+                code = self._stages.attempt(name, *words, "-o", self._out / file) or code
         return code
 
     def _report(self, source: Source, settings: dict[str, Any]) -> None:

@@ -30,6 +30,13 @@ class Source:
     digest: str = ""
 
 
+def run_folder(scene: Path) -> Path:
+    """The run folder that ``scene`` is, or lies in; of the output of `clgs run`, the one below."""
+    folder = scene if scene.is_dir() else scene.parent
+    below = folder / "run"
+    return below if (folder / PLAN).is_file() and below.is_dir() else folder
+
+
 def find_source(path: Path) -> Source:
     """Look at ``path``.
 

@@ -100,9 +100,28 @@ def test_run_is_neither_replaced_nor_continued_unasked(data, finished, capsys):
 
 def test_finished_run_is_left_as_it_is(data, finished, capsys):
     before = (finished / "scene.clgs").read_bytes()
+    (finished / "scene.html").unlink()
     assert cli.main(words(data, finished, "--resume")) == 0
-    assert "is finished already" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "is finished already" in printed
+    assert "[page]" in printed
+    assert "[Gaussians]" not in printed
     assert (finished / "scene.clgs").read_bytes() == before
+    test_everything_is_there(finished)
+
+
+@pytest.mark.parametrize("name", ["", "scene.clgs", "scene.ply"])
+def test_what_a_run_made_knows_its_photos(finished, name, capsys):
+    """The folder as a whole is as good as the folder ``run`` in it."""
+    assert cli.main(["eval", str(finished / name), "--json"]) == 0
+    scores = json.loads(capsys.readouterr().out)
+    psnr = json.loads((finished / "scores.json").read_text())["psnr"]
+    assert scores["psnr"] == pytest.approx(psnr, abs=1.5 if name == "scene.ply" else 0)
+
+
+def test_the_folder_of_a_run_is_encoded_as_its_scene(finished, tmp_path):
+    assert cli.main(["encode", str(finished), "-o", str(tmp_path / "x.clgs")]) == 0
+    assert (tmp_path / "x.clgs").read_bytes() == (finished / "scene.clgs").read_bytes()
 
 
 def test_run_goes_on_with_its_own_input_and_options_alone(data, finished, tmp_path, capsys):
