@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from clgs.data.sfm.judging.agreement import Difference, differences, poses_of
-from clgs.data.sfm.judging.figures import figures
+from clgs.data.sfm.judging.figures import figures, inlier_ratios
 from clgs.data.sfm.judging.judge import (
     MIN_EQUAL,
     SHARPER,
+    WRONG_RATIO,
     Comparison,
     is_ambiguous,
     judge,
@@ -58,12 +59,19 @@ def conclude(choice: Choice, second: Any | None, checked: bool, real: Mapping[st
 
 
 def _rival(choice: Choice) -> dict[str, Difference]:
-    """Differences from the other mapper's model, if that explains about as much."""
+    """Differences from the other mapper's model, if that explains about as much.
+
+    Of the photos alone that it does not contradict itself: mappers lose a few, now and then.
+    """
     kept = choice.kept
     for one in choice.candidates:
         equal = one.explained.total >= MIN_EQUAL * kept.explained.total
         if one.mapper != kept.mapper and equal:
-            return differences(poses_of(kept.reconstruction), poses_of(one.reconstruction))
+            model, ratio = one.reconstruction, inlier_ratios(one.explained)
+            found = differences(poses_of(kept.reconstruction), poses_of(model))
+            number = {name: model.find_image_with_name(name).image_id for name in found}
+            lost = {name for name in found if ratio.get(number[name], 0.0) < WRONG_RATIO}
+            return {name: one for name, one in found.items() if name not in lost}
     return {}
 
 
