@@ -35,6 +35,7 @@ class Interruptions:
         self._base: FrameType | None = None
         self._waiting = 0
         self._repeated = False
+        self._lock = _thread.allocate_lock()
 
     def __enter__(self) -> None:
         if threading.current_thread() is not threading.main_thread():
@@ -43,18 +44,24 @@ class Interruptions:
         for name in filter(lambda name: hasattr(signal, name), _NAMES):
             number = getattr(signal, name)
             handler = signal.getsignal(number)
-            free = {"SIGINT": handler is signal.default_int_handler, "SIGTERM": True}
-            if free.get(name, handler is not signal.SIG_IGN):
+            free = {
+                "SIGINT": handler is signal.default_int_handler,
+                "SIGHUP": handler is signal.SIG_DFL,
+            }
+            if free.get(name, True):
                 self._before[number] = handler
                 signal.signal(number, self._raise)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
     ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler or signal.SIG_DFL)
-        self._base = None
-        waiting, self._waiting = self._waiting, 0
+        try:
+            with self._lock:  # no signal is sent from here on
+                waiting, self._waiting = self._waiting, 0
+        finally:
+            for number, handler in self._before.items():
+                signal.signal(number, handler or signal.SIG_DFL)
+            self._base = None
         if waiting and kind is None:
             raise KeyboardInterrupt
 
@@ -65,13 +72,18 @@ class Interruptions:
             self._waiting = 0
             raise KeyboardInterrupt
         self._waiting = number
-        _thread.start_new_thread(self._repeat, ())  # threading's own start may hold a lock here
+        try:
+            _thread.start_new_thread(self._repeat, ())  # threading's start may hold a lock here
+        except RuntimeError:  # too many threads
+            self._waiting = 0
+            raise KeyboardInterrupt from None
 
     def _repeat(self) -> None:
         time.sleep(LATER)
-        if self._waiting:
-            self._repeated = True
-            _send(self._waiting)
+        with self._lock:
+            if self._waiting:
+                self._repeated = True
+                _send(self._waiting)
 
     def _imports(self, frame: FrameType | None) -> bool:
         """Whether an import that began within the block is under way."""

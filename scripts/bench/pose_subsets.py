@@ -59,6 +59,9 @@ def main() -> None:
             Path(name).name: one.turn
             for name, one in differences(truth, known_poses(made, "images", {})).items()
         }
+    missing = {photo.name for photo in verdict.of(GOOD)} - set(turns)
+    if missing:
+        raise SystemExit(f"{args.data}: no pose is known of {', '.join(sorted(missing))}")
     counts = []
     for status in (GOOD, DOUBTFUL, LEFT_OUT):
         found = [photo.name for photo in verdict.of(status)]

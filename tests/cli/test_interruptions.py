@@ -40,10 +40,12 @@ def write_module(tmp_path, monkeypatch):
 
 @pytest.fixture(autouse=True)
 def _handlers():
-    before = {
-        number: signal.signal(number, signal.default_int_handler)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    usual = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
     }
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -99,12 +101,23 @@ def test_a_module_that_runs_a_command_as_it_is_imported_can_be_interrupted(write
 def test_handlers_of_the_caller_and_ignored_signals_stay(monkeypatch):
     seen: list[int] = []
     signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    with Interruptions():
-        signal.raise_signal(signal.SIGINT)
-        signal.raise_signal(signal.SIGHUP)
-    assert seen == [signal.SIGINT]
-    assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler
+    for handler in (signal.SIG_IGN, signal.getsignal(signal.SIGINT)):
+        signal.signal(signal.SIGHUP, handler)
+        with Interruptions():
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGHUP)
+    assert seen == [signal.SIGINT, signal.SIGINT, signal.SIGHUP]
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_an_interruption_is_not_lost_if_no_thread_starts(write_module, monkeypatch):
+    def fail(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("clgs.cli.interruptions._thread.start_new_thread", fail)
+    module = write_module(INTERRUPTED.format("SIGINT"))
+    with pytest.raises(KeyboardInterrupt):
+        within(lambda: importlib.import_module(module))
 
 
 def test_an_error_of_the_block_is_told_and_not_the_interruption(write_module, monkeypatch):

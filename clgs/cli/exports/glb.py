@@ -24,4 +24,6 @@ def run(args: argparse.Namespace) -> None:
 
 def is_scene(path: Path) -> bool:
     """Whether a file or a run folder is named, no data set."""
-    return path.is_file() or (path / "scene.npz").exists()
+    from clgs.cli.run.source import run_folder
+
+    return path.is_file() or (run_folder(path) / "scene.npz").exists()

@@ -52,11 +52,10 @@ def read_file(path: Path) -> bytes:
     from clgs.errors import DataError
 
     if path.is_dir():
-        files = [folder / "scene.clgs" for folder in (path, run_folder(path))]
-        found = next((file for file in files if file.exists()), None)
-        if found is None:
+        file = run_folder(path) / "scene.clgs"
+        if not file.exists():
             raise DataError(f"{path}: is a folder without scene.clgs; {instead(path)}")
-        path = found
+        path = file
     elif path.suffix.lower() == ".ply":
         raise DataError(f"{path}: a page is made of a .clgs file; `clgs pack` makes one of splats")
     data = read_bytes(path)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from clgs.cli.run.source import run_folder
+from clgs.cli.run.source import PLAN, run_folder
 from clgs.codec.box import Box, decode_box
 from clgs.codec.container.source import BytesSource, FileSource
 from clgs.codec.scene_decoder import decode
@@ -78,6 +78,8 @@ def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:
 
 def instead(folder: Path) -> str:
     """What to do with a folder that holds no scene."""
+    if any((place / PLAN).is_file() for place in (folder, folder.parent)):
+        return "let `clgs run` finish (--resume)"
     if (folder / "config.toml").exists():
         return "let `clgs train` finish (--resume)"
     return "name a run folder; a data set is trained first (`clgs train`)"

@@ -212,26 +212,22 @@ class Job:
         return ("--split", str(summary["split"]))
 
     def _exports(self) -> int:
-        """Page, Gaussians and clip that are not there; the exit code of the last that failed.
-
-        0 if none did. A run that goes on made those that are there, whole, after its training.
-        """
+        """Page, Gaussians and clip; the exit code of the last that failed, 0 if none did."""
         run, code = self._out / "run", 0
         for name in (PAGE, SPLATS, CLIP):
             remove_temporaries(self._out / name)
         on = ("--device", self._device.name, "--overwrite")
         path = ("--path", "interpolate", "--frames", str(CLIP_FRAMES))
-        wanted: dict[str, tuple[str, tuple[str | Path, ...]]] = {
-            "page": (PAGE, ("export", run, *on)),
-            "Gaussians": (SPLATS, ("export", run, *on)),
-            "clip": (CLIP, ("render", run, *path, *on)),
+        wanted: dict[str, tuple[str | Path, ...]] = {
+            "page": ("export", run, "-o", self._out / PAGE, *on),
+            "Gaussians": ("export", run, "-o", self._out / SPLATS, *on),
+            "clip": ("render", run, *path, "-o", self._out / CLIP, *on),
         }
         if find_spec("imageio_ffmpeg") is None:
             del wanted["clip"]
             print("\n[clip] left out; it needs: pip install 'clgs[video]'")
-        for name, (file, words) in wanted.items():
-            if not (self._out / file).exists():
-                code = self._stages.attempt(name, *words, "-o", self._out / file) or code
+        for name, words in wanted.items():
+            code = self._stages.attempt(name, *words) or code
         return code
 
     def _report(self, source: Source, settings: dict[str, Any]) -> None:
@@ -267,7 +263,7 @@ def _tell(source: Source, plan: Plan, device: str, hurry: bool, allowed: float) 
     print(f"training: {_training(plan)}")
     print(f"the rest: about {in_words(plan.other_seconds)}: scores, page, Gaussians, clip")
     late = f", more than the {in_words(allowed)} of --time" if plan.seconds > 1.05 * allowed else ""
-    print(f"in all:   about {in_words(plan.seconds)} on {device}{late}")
+    print(f"in all:   about {in_words(plan.seconds)} on {device}{late}", flush=True)
 
 
 def _training(plan: Plan) -> str:

@@ -100,14 +100,9 @@ def test_run_is_neither_replaced_nor_continued_unasked(data, finished, capsys):
 
 def test_finished_run_is_left_as_it_is(data, finished, capsys):
     before = (finished / "scene.clgs").read_bytes()
-    (finished / "scene.html").unlink()
     assert cli.main(words(data, finished, "--resume")) == 0
-    printed = capsys.readouterr().out
-    assert "is finished already" in printed
-    assert "[page]" in printed
-    assert "[Gaussians]" not in printed
+    assert "is finished already" in capsys.readouterr().out
     assert (finished / "scene.clgs").read_bytes() == before
-    test_everything_is_there(finished)
 
 
 @pytest.mark.parametrize("name", ["", "scene.clgs", "scene.ply"])
@@ -119,9 +114,24 @@ def test_what_a_run_made_knows_its_photos(finished, name, capsys):
     assert scores["psnr"] == pytest.approx(psnr, abs=1.5 if name == "scene.ply" else 0)
 
 
-def test_the_folder_of_a_run_is_encoded_as_its_scene(finished, tmp_path):
+def test_the_folder_of_a_run_is_written_as_its_scene(finished, tmp_path):
     assert cli.main(["encode", str(finished), "-o", str(tmp_path / "x.clgs")]) == 0
     assert (tmp_path / "x.clgs").read_bytes() == (finished / "scene.clgs").read_bytes()
+    for name in ("x.html", "x.glb"):
+        assert cli.main(["export", str(finished), "-o", str(tmp_path / name)]) == 0
+        assert (tmp_path / name).stat().st_size > 0
+
+
+@pytest.mark.parametrize("command", ["eval", "export"])
+def test_what_is_not_finished_is_told_to_go_on(tmp_path, command, capsys):
+    out = tmp_path / "out"
+    (out / "run").mkdir(parents=True)
+    (out / "plan.json").write_text("{}")
+    (out / "run" / "config.toml").touch()
+    for folder in (out, out / "run"):
+        more = ["--data", str(tmp_path)] if command == "eval" else ["-o", str(tmp_path / "x.html")]
+        assert cli.main([command, str(folder), *more]) == 3
+        assert "let `clgs run` finish (--resume)" in capsys.readouterr().err
 
 
 def test_run_goes_on_with_its_own_input_and_options_alone(data, finished, tmp_path, capsys):
