@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from clgs import __version__
 from clgs.cli.interruptions import Interruptions
+from clgs.cli.tell import tell
 from clgs.errors import ClgsError, DeviceError
 from clgs.files import is_full
 
@@ -85,7 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return run_command(argv)
     except KeyboardInterrupt as error:
-        print(f"clgs: interrupted{error}", file=sys.stderr)  # a command may say how to go on
+        tell(f"clgs: interrupted{error}")  # a command may say how to go on
         return 130
 
 
@@ -147,7 +148,7 @@ def _lacked_memory(error: BaseException | None) -> bool:
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"clgs: warning: {' '.join(str(message).split())}", file=sys.stderr)
+    tell(f"clgs: warning: {' '.join(str(message).split())}")
 
 
 def _complain(error: Exception) -> int:
@@ -156,7 +157,7 @@ def _complain(error: Exception) -> int:
 
         traceback.print_exception(error)
     message, code = explain(error)
-    print(f"clgs: error: {' '.join(message.split())}", file=sys.stderr)
+    tell(f"clgs: error: {' '.join(message.split())}")
     return code
 
 

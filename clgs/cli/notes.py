@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from clgs.cli.tell import tell
 
 LOGGER = "clgs.notes"
 """As in clgs.opencl.device, which takes long to import."""
@@ -16,7 +17,7 @@ class _Shown(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print one line."""
-        print(f"clgs: {record.getMessage()}", file=sys.stderr, flush=True)
+        tell(f"clgs: {record.getMessage()}")
 
 
 def show_notes() -> None:

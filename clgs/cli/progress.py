@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ from rich.table import Table
 
 from clgs.cli.live import Live
 from clgs.cli.stages import describe
+from clgs.cli.tell import tell
 from clgs.train.quality.savings import Saving
 from clgs.train.run.finished_run import RunResult
 from clgs.train.run.session import Progress as TrainingProgress
@@ -64,7 +64,7 @@ class _Lines:
         if now - self._printed >= PLAIN_SECONDS:
             self._printed = now
             line = describe(self._label, self._done, self._total, now - self._began)
-            print(line, file=sys.stderr, flush=True)
+            tell(line)
 
 
 def track(items: list[Item], label: str) -> Iterable[Item]:
@@ -113,7 +113,7 @@ class TrainingDisplay(Live):
         due = now - self._printed > PLAIN_SECONDS or step == self._steps
         if due and not self._console.is_terminal:
             self._printed = now
-            print(f"step {step}/{self._steps}  {speed}  {note}", file=sys.stderr, flush=True)
+            tell(f"step {step}/{self._steps}  {speed}  {note}")
 
 
 def print_profile(rows: list[tuple[str, int, float, float]], saved: list[Saving]) -> None:

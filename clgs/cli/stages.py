@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 
@@ -17,6 +16,7 @@ from rich.progress import (
 )
 
 from clgs.cli.live import Live
+from clgs.cli.tell import tell
 
 PLAIN_SECONDS = 10.0
 """Without a terminal, a stage prints one line this often, and one when it is complete."""
@@ -64,7 +64,7 @@ class StageDisplay(Live):
         line = describe(self._stage, done, total, now - self._began)
         if line != self._said:
             self._said, self._printed = line, now
-            print(line, file=sys.stderr, flush=True)
+            tell(line)
 
 
 def describe(stage: str, done: int, total: int, seconds: float) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from clgs.bench.facts import host_facts
 from clgs.cli.accept.part import Outcome, Part, run_part
+from clgs.cli.tell import tell
 from clgs.errors import DeviceError
 from clgs.opencl.choose import choose_device, list_devices
 from clgs.train.run.session import write_json
@@ -40,7 +40,7 @@ def run_parts(
     """Run all parts, each line as it is told; ``output`` has every part that ended."""
     outcomes: list[Outcome] = []
     for number, part in enumerate(todo, 1):
-        print(f"[{number}/{len(todo)}] {part.name} ...", file=sys.stderr, flush=True)
+        tell(f"[{number}/{len(todo)}] {part.name} ...")
         outcome = run_part(part, folder)
         outcomes.append(outcome)
         write_json(output, record(outcomes, folder, device))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.options.view import add_size_options, positive_int, seed
 from clgs.cli.options.workload import add_figure_options, check_figure_options
+from clgs.cli.tell import tell
 
 if TYPE_CHECKING:
     from clgs.bench.accuracy import Point, Subject, SubjectFigures
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _say(line: str) -> None:
-    print(f"clgs: {line}", file=sys.stderr)
+    tell(f"clgs: {line}")
 
 
 def _subjects(args: argparse.Namespace) -> list[Subject]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.options.view import positive_int, seed
+from clgs.cli.tell import tell
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
 
     def note(line: str) -> None:
         if line not in said:
-            print(f"clgs: {line}", file=sys.stderr)
+            tell(f"clgs: {line}")
         said.add(line)
 
     with bar(None, "runs") as advance:

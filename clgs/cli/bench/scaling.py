@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import TYPE_CHECKING
 
 from clgs.cli.options.view import positive_int
@@ -13,6 +12,7 @@ from clgs.cli.options.workload import (
     edge_length,
     gaussian_count,
 )
+from clgs.cli.tell import tell
 
 if TYPE_CHECKING:
     from clgs.bench.scaling import Growth, Run, Scaling
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         args.gaussians or GAUSSIANS,
         args.sizes or SIZES,
         args.repeats,
-        lambda line: print(f"clgs: {line}", file=sys.stderr),
+        lambda line: tell(f"clgs: {line}"),
     )
     _show(found)
     if args.output:

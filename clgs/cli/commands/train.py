@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 from clgs.cli.options.output import add_overwrite
 from clgs.cli.options.training import add_training_options, make_config
 from clgs.cli.options.view import check_apart, named_path
+from clgs.cli.tell import tell
 
 if TYPE_CHECKING:
     from clgs.cli.progress import TrainingDisplay
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         check_same_data(args.output, args.data)
     device = Device(args.device)
     device.profile.enabled = args.profile
-    dataset = load_for(config, args.data, args.output, partial(print, file=sys.stderr, flush=True))
+    dataset = load_for(config, args.data, args.output, tell)
     config = config.for_dataset(dataset.kind)
     if args.resume and (finished := finished_run(args.output, dataset, config)):
         print(f"{args.output}: is finished already, after {config.steps} steps; nothing is changed")

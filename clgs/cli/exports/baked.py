@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from clgs.cli.counted import counted
 from clgs.cli.options.view import add_size_options, whole_number
+from clgs.cli.tell import tell
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -128,10 +128,9 @@ def _views(
     from clgs.cli.options.view import load_views
 
     if args.data is None:
-        print(
+        tell(
             "clgs: without --data cameras around the scene are assumed; with the data set it fits "
-            "better",
-            file=sys.stderr,
+            "better"
         )
         around = [BakeView(camera) for camera in cameras_around(scene)]
         return around, evenly(around, SCORED_VIEWS), ""

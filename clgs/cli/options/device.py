@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
+
+from clgs.cli.tell import tell
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
@@ -39,7 +40,7 @@ def open_devices(name: str | None) -> Iterator[tuple[str, Device]]:
         if is_emulator(device) and device != chosen:
             skipped.append(f"{device.name.strip()}: an emulator; name it with --device {index}")
     for line in skipped:
-        print(f"clgs: skipped: {line}", file=sys.stderr)
+        tell(f"clgs: skipped: {line}")
     for index, device in enumerate(devices):
         if not is_emulator(device) or device == chosen:
             yield str(index), Device(str(index))

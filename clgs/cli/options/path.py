@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.options.view import named_path, positive_int
+from clgs.cli.tell import tell
 from clgs.errors import UsageError
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def _framing(
         framing = frame_cameras([view.camera for view in dataset.train], framing)
     elif up is None:
         guess = next(name for name, axis in UPS.items() if np.array_equal(axis, framing.up))
-        print(f"clgs: up is taken to be {guess}; --up or --data may correct it", file=sys.stderr)
+        tell(f"clgs: up is taken to be {guess}; --up or --data may correct it")
     return replace(framing, size=args.size) if args.size else framing
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clgs.cli.run.source import run_folder
+from clgs.cli.tell import tell
 from clgs.data.reduction import MAX_SIZE, Reduction
 from clgs.errors import DataError, UsageError
 from clgs.options import PRESETS
@@ -148,10 +148,9 @@ def load_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> 
         return posed
     if alike(dataset.transform, scene.transform, dataset.radius):
         if origin is not None:
-            print(
+            tell(
                 f"clgs: {args.data} has none of the photos that the scene was trained with; if it "
-                f"shows another scene, name {origin.folder} with --data",
-                file=sys.stderr,
+                f"shows another scene, name {origin.folder} with --data"
             )
     else:
         if origin is not None:
@@ -159,10 +158,9 @@ def load_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> 
                 f"{args.data}: has none of the photos that the scene was trained with, and other "
                 f"cameras; name {origin.folder} with --data"
             )
-        print(
+        tell(
             f"clgs: the cameras of {args.data} are placed unlike those that the scene was trained "
-            "with; if it shows another scene, name the right one with --data",
-            file=sys.stderr,
+            "with; if it shows another scene, name the right one with --data"
         )
     return posed
 
@@ -234,9 +232,7 @@ def _reduction(args: argparse.Namespace) -> Reduction:
     config = _trained_config(args.scene)
     if config is not None:
         return Reduction(config.downscale, config.max_size)
-    print(
-        f"clgs: no config.toml beside the scene; --max-size {MAX_SIZE} is assumed", file=sys.stderr
-    )
+    tell(f"clgs: no config.toml beside the scene; --max-size {MAX_SIZE} is assumed")
     return Reduction()
 
 

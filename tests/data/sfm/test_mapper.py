@@ -39,8 +39,8 @@ def extract_features(*arguments, **keywords):
 """
 DEAF = """
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
-    os.write(2, b"deaf\\n")
-    time.sleep(3600)
+    open("deaf", "x").close()
+    time.sleep(600)
 """
 """As native code that looks for no signal."""
 
@@ -52,7 +52,8 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="no such signals")
 
 @pytest.fixture
 def start(tmp_path):
-    """Start ``clgs prepare`` with a pycolmap that does something else."""
+    """Start ``clgs prepare`` with a pycolmap that does something else; it ends with the test."""
+    started: list[subprocess.Popen[str]] = []
     (tmp_path / "photos").mkdir()
     for number in range(3):
         Image.fromarray(noise_image(8, 8, number)).save(tmp_path / "photos" / f"{number}.png")
@@ -61,7 +62,7 @@ def start(tmp_path):
     def start_with(act):
         (tmp_path / "pycolmap.py").write_text(PYCOLMAP.format(act=act.strip()))
         module = ["-m", "clgs.cli.main", "prepare", "photos", "-o", "data/new"]
-        return subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, *module],
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(tmp_path)},
@@ -70,29 +71,33 @@ def start(tmp_path):
             text=True,
             preexec_fn=as_from_a_terminal,
         )
+        started.append(process)
+        return process
 
-    return start_with
+    yield start_with
+    for process in started:
+        process.kill()
+        process.communicate(timeout=HANG)
 
 
-def until_deaf(process):
-    for line in process.stderr:
-        if line == "deaf\n":
-            return
-    raise AssertionError("the features were never searched")
+def until_deaf(process, folder):
+    """Wait for the file that the features' search makes; what is printed may come mixed."""
+    end = time.monotonic() + HANG
+    while not (folder / "deaf").exists():
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < end, "the features were never searched"
+        time.sleep(0.05)
 
 
 def ended(process):
     """The rest of its output, once every process that could write to it is gone."""
-    try:
-        return process.communicate(timeout=HANG)
-    finally:
-        process.kill()
+    return process.communicate(timeout=HANG)
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, name: str):
     process = start(DEAF)
-    until_deaf(process)
+    until_deaf(process, tmp_path)
     process.send_signal(getattr(signal, name))
     out, err = ended(process)
     assert (out, err.splitlines()[-1]) == ("", "clgs: interrupted")
@@ -102,7 +107,7 @@ def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, name: str
 
 def test_a_killed_parent_leaves_neither_process_nor_folder(start, tmp_path: Path):
     process = start(DEAF)
-    until_deaf(process)
+    until_deaf(process, tmp_path)
     process.kill()
     assert ended(process)[0] == ""
     end = time.monotonic() + HANG
