@@ -33,12 +33,16 @@ class StepTimes:
     """Median milliseconds of a whole step, of each stage, and what the step worked on.
 
     step: of a stream of steps; render: of a picture alone, from the camera to the host's array;
-    launches: kernels of a step.
+    launches: kernels of a step; waits: of the host for the device, in a step, the mean; host: its
+    processor, but for these waits; kernels: by the device's clock, by name.
     """
 
     step: float
     render: float
     launches: int
+    waits: float
+    host: float
+    kernels: dict[str, float]
     stages: dict[str, float]
     anchors: int
     gaussians: int
@@ -55,9 +59,10 @@ def bench_step(
 def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
     """Time ``repeats`` steps as a stream, then as many stage by stage (with waits in between)."""
     device = trainer.device
-    before = device.launches
-    whole = stream_times(trainer, repeats)
-    launches = round((device.launches - before) / (WARM_UP + repeats))
+    launches, waits = device.launches, device.waits.count
+    whole, host = zip(*stream(trainer, repeats), strict=True)
+    launches, waits = device.launches - launches, device.waits.count - waits
+    kernels = kernel_times(trainer, repeats)
     device.profile.clear()
     device.profile.enabled = True
     for _ in range(repeats):
@@ -66,24 +71,47 @@ def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
     stages = {name: milliseconds for name, _, milliseconds, _ in device.profile.rows()}
     counts = count_frame(device, trainer.render_next())
     return StepTimes(
-        median(whole),
-        median(render_times(trainer, repeats)),
-        launches,
-        stages,
-        trainer.parameters.count,
-        counts.gaussians,
-        counts.intersections,
+        step=median(whole),
+        render=median(render_times(trainer, repeats)),
+        launches=round(launches / (WARM_UP + repeats)),
+        waits=waits / (WARM_UP + repeats),
+        host=median(host),
+        kernels=kernels,
+        stages=stages,
+        anchors=trainer.parameters.count,
+        gaussians=counts.gaussians,
+        intersections=counts.intersections,
     )
 
 
-def stream_times(trainer: Trainer, repeats: int) -> list[float]:
-    """Milliseconds between the results of ``repeats`` steps after a few to warm up."""
-    start, times = 0.0, []
+def stream(trainer: Trainer, repeats: int) -> list[tuple[float, float]]:
+    """Milliseconds between the results of ``repeats`` steps after a few to warm up.
+
+    By the clock, and of the host's processor outside of waits for the device.
+    """
+    waits, times = trainer.device.waits, []
+    start = busy = waited = 0.0
     for _ in trainer.steps(WARM_UP + repeats):
-        now = time.perf_counter()
-        times.append(1e3 * (now - start))
-        start = now
+        now, used, idle = time.perf_counter(), time.thread_time(), waits.seconds
+        times.append((1e3 * (now - start), 1e3 * (used - busy - (idle - waited))))
+        start, busy, waited = now, used, idle
     return times[WARM_UP:]
+
+
+def stream_times(trainer: Trainer, repeats: int) -> list[float]:
+    """As :func:`stream`, by the clock alone."""
+    return [milliseconds for milliseconds, _ in stream(trainer, repeats)]
+
+
+def kernel_times(trainer: Trainer, repeats: int) -> dict[str, float]:
+    """Median milliseconds of a step by kernel, by the clock of the device."""
+    found: dict[str, list[float]] = {}
+    with trainer.device.timed_kernels() as times:
+        for _ in range(repeats):
+            trainer.step()
+            for kernel, milliseconds in times.take().items():
+                found.setdefault(kernel, []).append(milliseconds)
+    return {kernel: median(each) for kernel, each in found.items()}
 
 
 def render_times(trainer: Trainer, repeats: int) -> list[float]:

@@ -21,6 +21,7 @@ from clgs import constants
 from clgs.errors import DeviceError, NoRoomError, UsageError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import choose_device, compiles_vectors, is_emulator
+from clgs.opencl.kernel_times import KernelTimes, Waits
 from clgs.opencl.profile import Profile
 from clgs.opencl.source import program_file, read_program
 from clgs.opencl.transfer import Download, Transfers
@@ -77,7 +78,9 @@ class Device:
         self._largest_array = int(self.cl_device.max_mem_alloc_size)
         self._build_options = [*BUILD_OPTIONS, *([EXACT_DIVISION] if self.exact_division else [])]
         self.profile = Profile()
-        self._transfers = Transfers(self.queue)
+        self.waits = Waits()
+        """Of downloads."""
+        self._transfers = Transfers(self.queue, self.waits)
         allocator = cl.tools.ImmediateAllocator(self.queue)
         # Sizes are rounded up, so that more arrays share memory: on a CPU, where memory that
         # nobody touches takes no room, to powers of two.
@@ -87,6 +90,7 @@ class Device:
         self._kernels: dict[tuple[Any, ...], cl.Kernel] = {}
         self._programs: dict[tuple[Any, ...], cl.Program] = {}
         self._told = False
+        self._kernel_times: KernelTimes | None = None
         self.launches = 0
         """Kernels enqueued so far."""
 
@@ -204,10 +208,7 @@ class Device:
 
     def download(self, array: DeviceArray) -> npt.NDArray[Any]:
         """Copy of a device array on the host; waits for all work before it."""
-        host = np.empty(array.shape, array.dtype)
-        if array.nbytes:
-            cl.enqueue_copy(self.queue, host, array.buffer)
-        return host
+        return self.download_later(array).get()
 
     def hand_over(self, array: DeviceArray) -> npt.NDArray[Any]:
         """As :meth:`download`, of an array that nothing on the device will write to any more.
@@ -280,7 +281,26 @@ class Device:
             return
         self.launches += 1
         plain = [a.buffer if isinstance(a, DeviceArray) else a for a in arguments]
-        kernel(self.queue, tuple(global_size), tuple(local_size) if local_size else None, *plain)
+        sizes = tuple(global_size), tuple(local_size) if local_size else None
+        event = kernel(self.queue, *sizes, *plain)
+        if self._kernel_times:
+            self._kernel_times.add(kernel.function_name, event)
+
+    @contextmanager
+    def timed_kernels(self) -> Iterator[KernelTimes]:
+        """Within the block the device takes the time of every kernel."""
+        usual = self.queue, self._transfers
+        self.finish()
+        properties = cl.command_queue_properties.PROFILING_ENABLE
+        self.queue = cl.CommandQueue(self.context, properties=properties)
+        self._transfers = Transfers(self.queue, self.waits)
+        self._kernel_times = KernelTimes()
+        try:
+            yield self._kernel_times
+        finally:
+            self.finish()
+            self.queue, self._transfers = usual
+            self._kernel_times = None
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

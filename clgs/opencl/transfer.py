@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pyopencl as cl
 
 from clgs.opencl.array import DeviceArray
+from clgs.opencl.kernel_times import Waits, is_complete
 
 LARGEST_PATTERN = 128
 """Bytes that a fill command takes along, so that nothing on the host must be kept for it."""
@@ -24,14 +25,14 @@ WAITING_SIZE = 1 << 22
 class Download:
     """A pending copy to the host."""
 
-    def __init__(self, host: npt.NDArray[Any], event: Any) -> None:
+    def __init__(self, host: npt.NDArray[Any], event: Any, waits: Waits) -> None:
         """``event`` is None if there is nothing to copy."""
-        self._host, self._event = host, event
+        self._host, self._event, self._waits = host, event, waits
 
     def get(self) -> npt.NDArray[Any]:
         """The array; waits for the copy."""
         if self._event is not None:
-            self._event.wait()
+            self._waits.wait(self._event)
         return self._host
 
 
@@ -49,9 +50,9 @@ class _Mapped:
 class Transfers:
     """Writes and reads of one queue; keeps host arrays alive until commands are complete."""
 
-    def __init__(self, queue: Any) -> None:
-        """``queue`` executes in order."""
-        self._queue = queue
+    def __init__(self, queue: Any, waits: Waits) -> None:
+        """``queue`` executes in order; ``waits`` counts those for it."""
+        self._queue, self._waits = queue, waits
         self._under_way: deque[Any] = deque()
 
     def write(self, buffer: Any, host: npt.NDArray[Any]) -> None:
@@ -72,9 +73,9 @@ class Transfers:
         """Copy ``array`` to the host when the commands before are through."""
         host = np.empty(array.shape, array.dtype)
         if not array.nbytes:
-            return Download(host, None)
+            return Download(host, None, self._waits)
         event = cl.enqueue_copy(self._queue, host, array.buffer, is_blocking=False)
-        return Download(host, event)
+        return Download(host, event, self._waits)
 
     def hand_over(self, array: DeviceArray) -> npt.NDArray[Any]:
         """The memory of ``array``, which is not empty, as an array of the host; waits for it."""
@@ -92,11 +93,6 @@ class Transfers:
 
     def _keep(self, event: Any) -> None:
         """Hold ``event``, which holds its host array; release those that are complete."""
-        while self._under_way and _done(self._under_way[0]):
+        while self._under_way and is_complete(self._under_way[0]):
             self._under_way.popleft()
         self._under_way.append(event)
-
-
-def _done(event: Any) -> bool:
-    status: int = event.command_execution_status
-    return status <= cl.command_execution_status.COMPLETE

@@ -26,6 +26,11 @@ def test_a_single_gaussian_is_enough(tmp_path):
     times = json.loads(file.read_text())
     assert times["anchors"] == 1
     assert 30 < times["launches"] < 70  # of either form
+    kernels = times["kernels"]
+    assert {"adam_step", "blend_backward", "mlp_backward", "project_forward"} <= set(kernels)
+    assert all(milliseconds > 0 for milliseconds in kernels.values())
+    assert times["host"] > 0
+    assert times["waits"] >= 0
 
 
 def test_width_and_height_are_given_apart(capsys):

@@ -107,7 +107,8 @@ def _machine(folder: Path) -> str:
 def _step(name: str, folder: Path) -> str:
     times = _read(folder, name)
     return (
-        f"{times['step']:.2f} ms a step, {times['render']:.2f} ms a picture, "
+        f"{times['step']:.2f} ms a step (kernels {sum(times['kernels'].values()):.2f}, "
+        f"host {times['host']:.2f}), {times['render']:.2f} ms a picture, "
         f"{times['gaussians']:,} Gaussians"
     )
 

@@ -68,6 +68,9 @@ def run(args: argparse.Namespace) -> int:
     table.add_row("whole step", f"{times.step:.2f}")
     table.add_row("render only", f"{times.render:.2f}")
     table.add_section()
+    table.add_row("kernels of a step, by the device's clock", f"{sum(times.kernels.values()):.2f}")
+    table.add_row("host in a step, but for waits", f"{times.host:.2f}")
+    table.add_row("waits in a step", f"{times.waits:.1f}")
     table.add_row("launches of a step", str(times.launches))
     Console().print(table)
     if args.json:
