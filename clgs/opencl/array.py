@@ -32,3 +32,7 @@ class DeviceArray:
 
     def __len__(self) -> int:
         return self.shape[0]
+
+    def first(self, rows: int) -> DeviceArray:
+        """The first ``rows``, in the same memory."""
+        return DeviceArray(self.buffer, (rows, *self.shape[1:]), self.dtype)

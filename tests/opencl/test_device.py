@@ -42,6 +42,14 @@ def fresh_device():
     return Device(specialisation="cpu")
 
 
+def test_first_rows_share_the_memory(device):
+    array = device.upload(np.arange(12, dtype=np.int32).reshape(4, 3))
+    rows = array.first(2)
+    device.fill_zero(array.first(1))
+    assert device.download(rows).tolist() == [[0, 0, 0], [3, 4, 5]]
+    assert device.download(array)[2:].tolist() == [[6, 7, 8], [9, 10, 11]]
+
+
 @pytest.mark.parametrize("dtype", [np.float32, np.int32, np.uint8, np.uint32])
 @pytest.mark.parametrize("shape", [(), (1,), (7,), (5, 3), (2, 3, 4), (0,), (0, 3), (4, 0)])
 def test_arrays_come_back_as_they_went(device, rng, dtype, shape):

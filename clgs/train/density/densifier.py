@@ -68,7 +68,7 @@ class Densifier:
         state = self.download(parameters)
         visible = device.download(frame.activations.visible)
         columns = np.flatnonzero(visible >= 0)
-        opacity = device.download(frame.activations.output)[:K_OFFSETS, columns].T
+        opacity = device.download(frame.activations.output.first(K_OFFSETS))[:, columns].T
         mask_prune(state, visible[columns], opacity)
         grow(state, self._config, rng)
         prune(state, self._config)
