@@ -19,8 +19,6 @@ from clgs.cli.run.plan import (
     DEFAULT_SECONDS,
     Photos,
     Plan,
-    Speed,
-    fit_speed,
     frames_within,
     make_plan,
     must_hurry,
@@ -38,17 +36,9 @@ if TYPE_CHECKING:
     from clgs.train.run.folder_lock import FolderLock
 
 PAGE, SPLATS, CLIP = "scene.html", "scene.ply", "clip.mp4"
-MADE = (DATA, "run", "scene.clgs", "scores.json", "report.html", PAGE, SPLATS, CLIP)
+RUN = "run"
+MADE = (DATA, RUN, "scene.clgs", "scores.json", "report.html", PAGE, SPLATS, CLIP)
 CLIP_FRAMES = 120
-
-TYPICAL_GAUSSIANS = 50_000
-"""Gaussians of the synthetic scene that the speed is measured on."""
-
-EDGES = (160, 960)
-"""Pixels of its pictures' edges."""
-
-REPEATS = 12
-"""Steps that are timed on each."""
 
 
 class Job:
@@ -95,7 +85,8 @@ class Job:
         settings = record.settings if record else {}
         if not settings:
             hurry = self._must_hurry(source)
-            plan = self._plan(source.photos, self._preparing(source, hurry))
+            ready = source.path if source.complete else None
+            plan = self._plan(source.photos, self._preparing(source, hurry), ready)
             _tell(source, plan, self._device.name, hurry, self._time)
             if self._args.plan:
                 return 0
@@ -121,23 +112,17 @@ class Job:
 
         return Device(self._args.device)
 
-    @cached_property
-    def _speed(self) -> Speed:
-        """Of a training step on this device."""
-        from statistics import median
+    def _plan(self, photos: Photos, preparing: float, data: Path | None) -> Plan:
+        """By the speed on ``data``, if that is there already."""
+        from clgs.cli.run.measure import speed_on, synthetic_speed
 
-        from clgs.bench.step import stream_times, synthetic_trainer
-
-        def seconds(edge: int) -> float:
-            trainer = synthetic_trainer(self._device, TYPICAL_GAUSSIANS, edge, 0)
-            return median(stream_times(trainer, REPEATS)) / 1e3
-
-        return fit_speed(seconds, EDGES)
-
-    def _plan(self, photos: Photos, preparing: float) -> Plan:
         args = self._args
+        if data is None:
+            speed = synthetic_speed(self._device)
+        else:
+            speed = speed_on(self._device, data, photos, self._out / RUN, args.seed or 0)
         left = self._time - (time.perf_counter() - self._start)
-        return make_plan(photos, self._speed, preparing, left, args.steps, args.max_size)
+        return make_plan(photos, speed, preparing, left, args.steps, args.max_size)
 
     def _must_hurry(self, source: Source) -> bool:
         return must_hurry(source.photos.count, os.cpu_count() or 1, self._time)
@@ -183,11 +168,12 @@ class Job:
         return data
 
     def _settings(self, source: Source, data: Path, plan: Plan, begun: Record) -> dict[str, Any]:
-        """Steps and size of training, planned again once it is known how long the poses took."""
-        if not source.posed:
-            plan = self._plan(measure_data(data), 0.0)
+        """Steps and size of training, planned again once there are poses and points."""
+        if not source.complete:
+            plan = self._plan(measure_data(data), 0.0, data)
             print(f"training: {_training(plan)}")
         settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self._args.seed or 0}
+        settings["coarse_to_fine"] = plan.coarse
         make_folder(self._out)
         self._hold()
         figures = asdict(plan)
@@ -196,9 +182,10 @@ class Job:
 
     def _train(self, data: Path, settings: dict[str, Any]) -> None:
         """Train, encode, and score the file."""
-        run, scene = self._out / "run", self._out / "scene.clgs"
+        run, scene = self._out / RUN, self._out / "scene.clgs"
         on = ("--device", self._device.name)
-        options = [f"--{name.replace('_', '-')}={value}" for name, value in settings.items()]
+        options = [f"{_option(name)}={value}" for name, value in _chosen(settings)]
+        options += [_option(name) for name, value in settings.items() if value is True]
         words: list[str | Path] = [data, "-o", run, "--preset", "quick", *options, *on, "--resume"]
         self._stages.run("train", "train", *words)
         self._stages.run("encode", "encode", run, "-o", scene, "--overwrite")
@@ -213,7 +200,7 @@ class Job:
 
     def _exports(self) -> int:
         """Page, Gaussians and clip; the exit code of the last that failed, 0 if none did."""
-        run, code = self._out / "run", 0
+        run, code = self._out / RUN, 0
         for name in (PAGE, SPLATS, CLIP):
             remove_temporaries(self._out / name)
         on = ("--device", self._device.name, "--overwrite")
@@ -238,7 +225,7 @@ class Job:
         links = [(label, name) for label, name in made.items() if (self._out / name).exists()]
         seconds, photos = self._stages.seconds, self._photos(source)
         story = RunStory(_command(self._args, settings), f"{photos}.", seconds, links)
-        write_run_report(self._out / "run", story, self._out / "report.html")
+        write_run_report(self._out / RUN, story, self._out / "report.html")
         scores = json.loads((self._out / "scores.json").read_text(encoding="utf-8"))
         print_box(self._out, photos, scores, seconds, self._args.resume)
 
@@ -276,8 +263,17 @@ def _training(plan: Plan) -> str:
 def _command(args: argparse.Namespace, settings: dict[str, Any]) -> str:
     """What repeats the run, whatever the clock says."""
     words = ["clgs", "run", str(args.input), "-o", str(args.output)]
-    for name, value in settings.items():
-        words += [f"--{name.replace('_', '-')}", str(value)]
+    for name, value in _chosen(settings):
+        words += [_option(name), str(value)]
     if args.device is not None:
         words += ["--device", args.device]
     return shlex.join(words)
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _chosen(settings: dict[str, Any]) -> list[tuple[str, Any]]:
+    """What the user may choose as well; the rest follows from it."""
+    return [(name, value) for name, value in settings.items() if not isinstance(value, bool)]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+
+from clgs.train.step.schedule import COARSE_STAGES
 
 DEFAULT_SECONDS = 600.0
 """For everything, unless the user says otherwise."""
@@ -14,6 +15,11 @@ SIZES = (1600, 1280, 960, 800, 640, 480, 400, 320, 240)
 
 ENOUGH_STEPS = 1500
 """Below this, smaller pictures with more steps give the better scene (docs/guide/run.md)."""
+
+SHORT_STEPS, LARGE_PIXELS = 1_900, 100_000
+"""Runs of fewer steps, on photos of so many pixels, begin with photos of half the size: pictures as
+good in fewer bytes and less time (docs/benchmarks/size_trials.md), but not of synthetic objects.
+"""
 
 MOST_STEPS = 30_000
 LEAST_STEPS = 300
@@ -33,13 +39,8 @@ POSES_SHARE = 0.45
 FRAMES = (100, 80, 60, 50, 40, 30)
 """Frames of a video: the most whose poses take no larger share without that test."""
 
-ROUNDS = 1.3
-"""A step of a whole run takes so many times that of a quiet stream: rounds, growth, reading."""
-
-DEEPER = 4.0
-"""A pixel of a photo takes so many times one of the synthetic scene: more Gaussians lie one behind
-the other.
-"""
+ROUNDS = 1.6
+"""A step of a whole run takes so many times one of the first: rounds, growth, reading."""
 
 LATER_STEPS = 650
 """Baking and the clip take as long as so many steps; all else that follows LATER_SECONDS."""
@@ -49,11 +50,12 @@ LATER_SECONDS = 8.0
 
 @dataclass(frozen=True)
 class Photos:
-    """The photos of a run: their number, and the size of the first."""
+    """The photos of a run: their number, the size of the first, and if they are synthetic."""
 
     count: int
     width: int
     height: int
+    synthetic: bool = False
 
     def at(self, width: int) -> int:
         """Pixels of a photo that is at most ``width`` wide."""
@@ -75,10 +77,14 @@ class Speed:
 
 @dataclass(frozen=True)
 class Plan:
-    """max_size: photos wider than that are reduced; steps of training; seconds by stage."""
+    """max_size: photos wider than that are reduced; steps of training; seconds by stage.
+
+    coarse: whether training begins with photos of half the size.
+    """
 
     max_size: int
     steps: int
+    coarse: bool
     prepare_seconds: float
     train_seconds: float
     other_seconds: float
@@ -89,15 +95,10 @@ class Plan:
         return self.prepare_seconds + self.train_seconds + self.other_seconds
 
 
-def fit_speed(measure: Callable[[int], float], edges: tuple[int, int]) -> Speed:
-    """The line through the seconds of a step at two square pictures of ``edges`` pixels.
-
-    ``measure`` is of the synthetic scene; pixels of photos take longer.
-    """
-    small, large = edges
-    first, second = measure(small), measure(large)
-    pixel = max(0.0, second - first) / (large**2 - small**2)
-    return Speed(max(1e-4, first - pixel * small**2), DEEPER * pixel)
+def fit_speed(small: tuple[int, float], large: tuple[int, float]) -> Speed:
+    """The line through what two steps took: the pixels of their pictures, and seconds."""
+    pixel = max(0.0, large[1] - small[1]) / max(1, large[0] - small[0])
+    return Speed(max(1e-4, small[1] - pixel * small[0]), pixel)
 
 
 def prepare_seconds(count: int, cores: int, quick: bool) -> float:
@@ -136,19 +137,46 @@ def make_plan(
         steps: of training, if chosen by the user.
         max_size: of the photos, likewise.
     """
-
-    def later(width: int) -> float:
-        return LATER_SECONDS + LATER_STEPS * speed.step(photos.at(width))
-
-    def affordable(width: int) -> int:
-        left = max(0.0, seconds - preparing - later(width))
-        return math.floor(left / (ROUNDS * speed.step(photos.at(width))))
-
+    speeds = {width: _Pace(photos, speed, min(width, photos.width)) for width in SIZES}
+    left = max(0.0, seconds - preparing)
     if max_size is None:
         wanted = steps if steps is not None else ENOUGH_STEPS
-        fitting = (size for size in SIZES if affordable(size) >= wanted)
+        fitting = (size for size in SIZES if speeds[size].affordable(left) >= wanted)
         max_size = min(next(fitting, SIZES[-1]), photos.width)
+    pace = _Pace(photos, speed, max_size)
     if steps is None:
-        steps = min(max(affordable(max_size), LEAST_STEPS), MOST_STEPS)
-    training = steps * ROUNDS * speed.step(photos.at(max_size))
-    return Plan(max_size, steps, preparing, training, later(max_size))
+        steps = min(max(pace.affordable(left), LEAST_STEPS), MOST_STEPS)
+    coarse = pace.coarse(steps)
+    return Plan(max_size, steps, coarse, preparing, pace.training(steps), pace.later)
+
+
+class _Pace:
+    """What steps on photos at most ``width`` wide take."""
+
+    def __init__(self, photos: Photos, speed: Speed, width: int) -> None:
+        pixels = photos.at(width)
+        self._large = pixels >= LARGE_PIXELS and not photos.synthetic
+        self._step = speed.step(pixels)
+        ((share, factor),) = COARSE_STAGES
+        self._coarse_step = share * speed.step(pixels // factor**2) + (1 - share) * self._step
+
+    @property
+    def later(self) -> float:
+        """Seconds of all that follows training."""
+        return LATER_SECONDS + LATER_STEPS * self._step
+
+    def coarse(self, steps: int) -> bool:
+        """Whether a run of ``steps`` begins with photos of half the size."""
+        return self._large and steps < SHORT_STEPS
+
+    def training(self, steps: int) -> float:
+        """Seconds of a run of ``steps``."""
+        return ROUNDS * steps * (self._coarse_step if self.coarse(steps) else self._step)
+
+    def affordable(self, seconds: float) -> int:
+        """The most steps for which ``seconds`` suffice, what follows them included."""
+        left = max(0.0, seconds - self.later)
+        steps = math.floor(left / (ROUNDS * self._step))
+        if not self.coarse(steps):
+            return steps
+        return min(math.floor(left / (ROUNDS * self._coarse_step)), SHORT_STEPS - 1)

@@ -29,6 +29,11 @@ class Source:
     video: bool = False
     digest: str = ""
 
+    @property
+    def complete(self) -> bool:
+        """Whether there are poses and points."""
+        return self.posed and not self.pointless
+
 
 def run_folder(scene: Path) -> Path:
     """The run folder that ``scene`` is, or lies in; of the output of `clgs run`, the one below."""
@@ -57,11 +62,13 @@ def measure_data(folder: Path) -> Photos:
     """Number and size of the photos of a data set."""
     from clgs.data.dataset import load_dataset
     from clgs.data.reduction import Reduction
+    from clgs.train.config.settings import BLENDER
 
     whole = Reduction(0, 0)
     dataset = load_dataset(folder, downscale=whole, load_images=False, load_points=False)
     first = dataset.train[0].camera
-    return Photos(len(dataset.train) + len(dataset.test), first.width, first.height)
+    count = len(dataset.train) + len(dataset.test)
+    return Photos(count, first.width, first.height, dataset.kind == BLENDER)
 
 
 def _is_data(folder: Path) -> bool:

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from clgs.cli.run.duration import duration, in_words
 from clgs.cli.run.plan import (
-    DEEPER,
     ENOUGH_STEPS,
     FRAMES,
     LATER_SECONDS,
@@ -19,6 +18,8 @@ from clgs.cli.run.plan import (
     LEAST_STEPS,
     MOST_STEPS,
     POSES_SHARE,
+    ROUNDS,
+    SHORT_STEPS,
     SIZES,
     Photos,
     Speed,
@@ -49,12 +50,30 @@ def test_more_time_is_never_spent_on_smaller_pictures(seconds, times):
         assert plans[0].steps <= plans[1].steps
 
 
+def step_of_short_run(width):
+    """Seconds of a step, a third of which are on photos of half the size."""
+    pixels = PHOTOS.at(width)
+    return ROUNDS * (0.35 * SPEED.step(pixels // 4) + 0.65 * SPEED.step(pixels))
+
+
 def test_largest_pictures_that_leave_enough_steps():
     plan = make_plan(PHOTOS, SPEED, 0.0, 300.0)
     larger = SIZES[SIZES.index(plan.max_size) - 1]
     assert plan.steps >= ENOUGH_STEPS
-    step = SPEED.step(PHOTOS.at(larger))
-    assert (300 - LATER_SECONDS - LATER_STEPS * step) / (1.3 * step) < ENOUGH_STEPS
+    later = LATER_SECONDS + LATER_STEPS * SPEED.step(PHOTOS.at(larger))
+    assert (300 - later) / step_of_short_run(larger) < ENOUGH_STEPS
+
+
+def test_short_runs_on_large_photos_begin_coarse():
+    plan = make_plan(PHOTOS, SPEED, 0.0, 300.0, max_size=800)
+    assert plan.coarse
+    assert LEAST_STEPS < plan.steps < SHORT_STEPS
+    assert plan.train_seconds == pytest.approx(plan.steps * step_of_short_run(800))
+    assert not make_plan(PHOTOS, SPEED, 0.0, 300.0, max_size=240).coarse
+    assert not make_plan(PHOTOS, SPEED, 0.0, 3000.0, max_size=800).coarse
+    assert not make_plan(replace(PHOTOS, synthetic=True), SPEED, 0.0, 300.0, max_size=800).coarse
+    chosen = [make_plan(PHOTOS, SPEED, 0.0, 300.0, steps, 800) for steps in (1899, 1900)]
+    assert [one.coarse for one in chosen] == [True, False]
 
 
 def test_what_the_user_chose_stays():
@@ -71,16 +90,16 @@ def test_small_photos_are_not_enlarged():
 
 
 def test_speed_is_the_line_through_two_pictures():
-    synthetic = Speed(SPEED.fixed, SPEED.pixel / DEEPER)
-    found = fit_speed(lambda edge: synthetic.step(edge**2), (100, 300))
+    found = fit_speed(*((pixels, SPEED.step(pixels)) for pixels in (100**2, 300**2)))
     assert found.fixed == pytest.approx(SPEED.fixed)
     assert found.pixel == pytest.approx(SPEED.pixel)
 
 
-def test_noise_never_gives_a_speed_below_zero():
-    found = fit_speed(lambda edge: 1.0 / edge, (100, 300))
+@pytest.mark.parametrize("pixels", [90_000, 10_000])
+def test_noise_never_gives_a_speed_below_zero(pixels):
+    found = fit_speed((10_000, 0.01), (pixels, 0.003))
     assert found.pixel == 0
-    assert found.fixed > 0
+    assert found.fixed == 0.01
 
 
 def test_more_photos_take_longer_to_pose_and_more_cores_less():

@@ -176,6 +176,20 @@ def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, capsys
     assert "is damaged" in capsys.readouterr().err
 
 
+def test_what_follows_from_the_plan_is_kept(data, tmp_path, capsys):
+    """A run that began coarse goes on so; the command that repeats it names what may be chosen."""
+    out = tmp_path / "out"
+    out.mkdir()
+    settings = {"steps": 30, "max_size": 40, "seed": 0, "coarse_to_fine": True}
+    Record(str(data), 8, "", 600.0, settings).write(out)
+    assert cli.main(["run", str(data), "-o", str(out), "--resume"]) == 0
+    assert "--coarse-to-fine" in capsys.readouterr().out
+    assert "coarse_to_fine = true" in (out / "run" / "config.toml").read_text()
+    page = (out / "report.html").read_text()
+    assert "--steps 30 --max-size 40 --seed 0" in page
+    assert "--coarse-to-fine" not in page
+
+
 def test_output_of_a_run_is_no_input(finished, tmp_path, capsys):
     assert cli.main(words(finished, tmp_path / "out")) == 3
     assert "was made by clgs run" in capsys.readouterr().err

@@ -1,0 +1,84 @@
+"""How fast this device trains: on a synthetic scene, or on the data set of the run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+from clgs.bench.step import stream_times, synthetic_trainer
+from clgs.cli.run.plan import Photos, Speed, fit_speed
+from clgs.cli.tell import tell
+from clgs.opencl.device import Device
+from clgs.train.config import TrainConfig, preset
+from clgs.train.run.load import load_for
+from clgs.train.run.trainer import Trainer
+
+TYPICAL_GAUSSIANS = 50_000
+"""Gaussians of the synthetic scene."""
+
+EDGES = (160, 960)
+"""Pixels of its pictures' edges."""
+
+REPEATS = 12
+"""Steps that are timed on each."""
+
+DEEPER = 4.0
+"""A pixel of a photo takes so many times one of the synthetic scene: more Gaussians lie one behind
+the other.
+"""
+
+WIDTHS = (240, 480)
+"""Of photos of a data set, on which steps are timed."""
+
+VIEWS = 5
+"""Photos that these steps are on: once all of them were read, reading takes no time."""
+
+EPOCHS = 2
+"""Of these photos, to warm up, and to be timed."""
+
+
+def synthetic_speed(device: Device) -> Speed:
+    """Of steps on a photo, guessed from those on a synthetic scene."""
+
+    def measure(edge: int) -> tuple[int, float]:
+        trainer = synthetic_trainer(device, TYPICAL_GAUSSIANS, edge, 0)
+        return edge**2, median(stream_times(trainer, REPEATS)) / 1e3
+
+    found = fit_speed(*map(measure, EDGES))
+    return replace(found, pixel=DEEPER * found.pixel)
+
+
+def speed_on(device: Device, data: Path, photos: Photos, run: Path, seed: int) -> Speed:
+    """Of the first steps on a data set.
+
+    Args:
+        device: that will train.
+        data: the data set.
+        photos: what it holds.
+        run: folder of the run, which keeps points that are found for it.
+        seed: of the run.
+
+    Raises:
+        ClgsError: it cannot be trained on.
+    """
+    large = min(WIDTHS[1], photos.width)
+    small = min(WIDTHS[0], max(1, large // 2))
+
+    def measure(width: int) -> tuple[int, float]:
+        config = replace(preset("quick"), max_size=width, seed=seed)
+        return photos.at(width), _first_steps(device, config, data, run)
+
+    return fit_speed(measure(small), measure(large))
+
+
+def _first_steps(device: Device, config: TrainConfig, data: Path, run: Path) -> float:
+    """Seconds of one."""
+    dataset = load_for(config, data, run, tell)
+    apart = max(1, len(dataset.train) // VIEWS)
+    dataset = replace(dataset, train=dataset.train[::apart][:VIEWS])
+    trainer = Trainer(device, dataset, config.for_dataset(dataset.kind))
+    steps = EPOCHS * len(dataset.train)
+    for _ in trainer.steps(steps):
+        pass
+    return median(stream_times(trainer, steps)) / 1e3
