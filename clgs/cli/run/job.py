@@ -117,10 +117,11 @@ class Job:
         from clgs.cli.run.measure import speed_on, synthetic_speed
 
         args = self._args
-        if data is None:
-            speed = synthetic_speed(self._device)
-        else:
-            speed = speed_on(self._device, data, photos, self._out / RUN, args.seed or 0)
+        with self._stages.timed("plan"):
+            if data is None:
+                speed = synthetic_speed(self._device)
+            else:
+                speed = speed_on(self._device, data, photos, self._out / RUN, args.seed or 0)
         left = self._time - (time.perf_counter() - self._start)
         return make_plan(photos, speed, preparing, left, args.steps, args.max_size)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shlex
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -44,10 +46,15 @@ class Stages:
 
         command = [str(word) for word in words]
         print(f"\n[{name}] {shlex.join(['clgs', *command])}", flush=True)
+        with self.timed(name):
+            try:
+                return run_command(command)
+            except SystemExit as error:  # of the parser
+                return int(error.code or 0)
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Add the seconds of the block to those of stage ``name``."""
         start = time.perf_counter()
-        try:
-            code = run_command(command)
-        except SystemExit as error:  # of the parser
-            code = int(error.code or 0)
-        self.seconds[name] = time.perf_counter() - start
-        return code
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
