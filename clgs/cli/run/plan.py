@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from clgs.train.step.schedule import COARSE_STAGES
-
 DEFAULT_SECONDS = 600.0
 """For everything, unless the user says otherwise."""
 
@@ -154,6 +152,8 @@ class _Pace:
     """What steps on photos at most ``width`` wide take."""
 
     def __init__(self, photos: Photos, speed: Speed, width: int) -> None:
+        from clgs.train.step.schedule import COARSE_STAGES
+
         pixels = photos.at(width)
         self._large = pixels >= LARGE_PIXELS and not photos.synthetic
         self._step = speed.step(pixels)
