@@ -21,10 +21,11 @@ from clgs import constants
 from clgs.errors import DeviceError, NoRoomError, UsageError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import choose_device, compiles_vectors, is_emulator
-from clgs.opencl.kernel_times import KernelTimes, Waits
+from clgs.opencl.kernel_times import KernelTimes
 from clgs.opencl.profile import Profile
 from clgs.opencl.source import program_file, read_program
 from clgs.opencl.transfer import Download, Transfers
+from clgs.opencl.waits import Waits
 from clgs.shapes import check_type
 
 POOL_BITS = {"cpu": 0, "gpu": 2}

@@ -1,14 +1,12 @@
-"""How long kernels take by the device's own clock, and how long the host waits for them."""
+"""How long kernels take by the device's own clock."""
 
 from __future__ import annotations
 
-import time
 from collections import defaultdict
-from typing import Any
 
 import pyopencl as cl
 
-NANOSECONDS = 1e-6
+NANOSECOND = 1e-6
 """Of a millisecond."""
 
 
@@ -27,33 +25,6 @@ class KernelTimes:
         found: defaultdict[str, float] = defaultdict(float)
         for kernel, event in self._events:
             event.wait()
-            found[kernel] += NANOSECONDS * (event.profile.end - event.profile.start)
+            found[kernel] += NANOSECOND * (event.profile.end - event.profile.start)
         self._events.clear()
         return dict(found)
-
-
-class Waits:
-    """Waits of the host for a device.
-
-    count: of those that had to wait; seconds: of the host's processor, which some drivers keep
-    busy meanwhile.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.seconds = 0.0
-
-    def wait(self, event: Any) -> None:
-        """Wait for ``event``; raises what the driver says if its command failed."""
-        waiting = not is_complete(event)
-        start = time.thread_time()
-        event.wait()
-        if waiting:
-            self.seconds += time.thread_time() - start
-            self.count += 1
-
-
-def is_complete(event: Any) -> bool:
-    """Whether a command has ended, well or not."""
-    status: int = event.command_execution_status
-    return status <= cl.command_execution_status.COMPLETE

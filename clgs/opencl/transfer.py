@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pyopencl as cl
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.kernel_times import Waits, is_complete
+from clgs.opencl.waits import Waits, is_complete
 
 LARGEST_PATTERN = 128
 """Bytes that a fill command takes along, so that nothing on the host must be kept for it."""

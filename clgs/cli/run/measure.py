@@ -15,6 +15,7 @@ from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig, preset
 from clgs.train.run.load import load_for
 from clgs.train.run.trainer import Trainer
+from clgs.train.step.schedule import COARSE_STAGES
 
 TYPICAL_GAUSSIANS = 50_000
 """Gaussians of the synthetic scene."""
@@ -68,10 +69,10 @@ def speed_on(device: Device, data: Path, photos: Photos, run: Path, seed: int) -
     config = replace(preset("quick"), max_size=width, seed=seed)
     dataset = _some_photos(config, data, run)
     config = config.for_dataset(dataset.kind)
-    pixels = photos.at(width)
+    pixels, ((_, factor),) = photos.at(width), COARSE_STAGES
     coarse = _first_steps(Trainer(device, dataset, replace(config, coarse_to_fine=True)))
     fine = _first_steps(Trainer(device, dataset, config))
-    return fit_speed((pixels // 4, coarse), (pixels, fine))
+    return fit_speed((pixels // factor**2, coarse), (pixels, fine))
 
 
 def _some_photos(config: TrainConfig, data: Path, run: Path) -> Dataset:
