@@ -1,8 +1,12 @@
-"""Statistics for growing and pruning anchors (Scaffold-GS; Voxel-GS).
+"""Statistics for growing and pruning anchors.
 
-Per anchor the sum of the positive opacities of its slots and the number of views that it was
-visible in; per slot the sum of the screen-space gradient norms in NDC units,
-|(d_x W/2, d_y H/2)|, and the number of views that it was drawn in.
+:func:`accumulate` (Scaffold-GS; Voxel-GS): per anchor the sum of the positive opacities of its
+slots and the number of views that it was visible in; per slot the sum of the screen-space gradient
+norms in NDC units, |(d_x W/2, d_y H/2)|, and the number of views that it was drawn in.
+
+:func:`add_importance` and :func:`add_curvature`: squares of derivatives of a picture's dot product
+with random signs, whose means over signs are squared lengths of derivatives of the picture
+(Hutchinson's estimator).
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import numpy as np
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.ops.neural import NeuralGaussians
 from clgs.shapes import Shaped, Shapes
 
 Array = TypeVar("Array", bound=Shaped)
@@ -126,6 +131,86 @@ def accumulate(
         stop,
         statistics.gradient_sum,
         statistics.gradient_count,
+    )
+
+
+@dataclass(frozen=True)
+class Importance:
+    """Of A anchors: total (A,) float32, a sum over views; seen (A,) int32, 1 if one shows it."""
+
+    total: DeviceArray
+    seen: DeviceArray
+
+
+def no_importance(device: Device, anchors: int) -> Importance:
+    """Of anchors that were never seen."""
+    return Importance(device.zeros((anchors,)), device.zeros((anchors,), np.int32))
+
+
+def add_importance(
+    device: Device,
+    importance: Importance,
+    visible: DeviceArray,
+    gaussians: NeuralGaussians,
+    d_opacity: DeviceArray,
+) -> None:
+    """Add (sum over its Gaussians of opacity d_opacity)^2 to every visible anchor, in place.
+
+    Args:
+        device: where the arrays live.
+        importance: of all anchors.
+        visible: (V,) int32, anchors, each at most once; -1 is none.
+        gaussians: N of them; opacity and first are read.
+        d_opacity: (N,) float32.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    shapes = Shapes()
+    shapes.check("total", importance.total, "A", np.float32)
+    shapes.check("seen", importance.seen, "A", np.int32)
+    shapes.check("visible", visible, "V", np.int32)
+    shapes.check("opacity", gaussians.opacity, "N", np.float32)
+    shapes.check("d_opacity", d_opacity, "N", np.float32)
+    if gaussians.first.size != visible.size + 1:
+        raise ValueError(f"first: size is {gaussians.first.size}, expected {visible.size + 1}")
+    device.run(
+        device.kernel("anchors/density", "density_importance", VEC=device.lanes),
+        (round_up(visible.size, GROUP_SIZE),),
+        (GROUP_SIZE,),
+        visible,
+        gaussians.first,
+        np.int32(visible.size),
+        np.int32(gaussians.opacity.size),
+        gaussians.opacity,
+        d_opacity,
+        importance.total,
+        importance.seen,
+    )
+
+
+def add_curvature(device: Device, curvature: DeviceArray, derivative: DeviceArray) -> None:
+    """Add the square of every element of ``derivative`` to ``curvature``, in place.
+
+    Args:
+        device: where the arrays live.
+        curvature: float32, any shape.
+        derivative: float32, of the same shape.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    axes = " ".join(f"axis{i}" for i in range(len(curvature.shape)))
+    shapes = Shapes()
+    shapes.check("curvature", curvature, axes, np.float32)
+    shapes.check("derivative", derivative, axes, np.float32)
+    device.run(
+        device.kernel("anchors/density", "density_curvature", VEC=device.lanes),
+        (round_up(-(-derivative.size // device.lanes), GROUP_SIZE),),
+        (GROUP_SIZE,),
+        derivative,
+        np.uint32(derivative.size),
+        curvature,
     )
 
 

@@ -1,11 +1,14 @@
 /* Statistics that decide where anchors grow and which are pruned. Every anchor and every slot
- * appears at most once in a view: plain additions, no atomics. Nothing happens unless *stop is 0.
+ * appears at most once in a view: plain additions, no atomics. In density_visit and
+ * density_gradient nothing happens unless *stop is 0.
  *
- * density_visit: a work-item per visible anchor.
+ * density_visit, density_importance: a work-item per visible anchor.
  * density_gradient: a work-item per SHARE Gaussians, counted from the middle on.
+ * density_curvature: a work-item per VEC elements.
  * Work-group: any; no local memory.
  */
 #include "common/items.h"
+#include "common/lanes.h"
 #include "common/method.h"
 #include "common/prefetch.h"
 
@@ -65,4 +68,33 @@ __kernel void density_gradient(__global const int *visible, __global const int *
         gradient_sum[place[i]] += sqrt(fma(gradient.x, gradient.x, gradient.y * gradient.y));
         gradient_count[place[i]] += 1;
     }
+}
+
+/* Adds to each visible anchor the square of the sum of opacity times derivative by it over its
+ * Gaussians, which are numbers first[v] to first[v + 1] of `gaussians`, and marks it as seen. */
+__kernel void density_importance(__global const int *visible, __global const int *first,
+                                 const int count, const int gaussians,
+                                 __global const float *opacity, __global const float *d_opacity,
+                                 __global float *importance, __global int *seen)
+{
+    const size_t v = get_global_id(0);
+    if (v >= (size_t)count || visible[v] < 0)
+        return;
+    const int end = min(first[v + 1], gaussians);
+    float sum = 0.0f;
+    for (int n = first[v]; n < end; ++n)
+        sum = fma(opacity[n], d_opacity[n], sum);
+    importance[visible[v]] += sum * sum;
+    seen[visible[v]] = 1;
+}
+
+/* Adds to each of `total` elements the square of the derivative by it. */
+__kernel void density_curvature(__global const float *derivative, const uint total,
+                                __global float *curvature)
+{
+    const size_t vector = get_global_id(0);
+    if (vector * VEC >= (size_t)total)
+        return;
+    const fv d = load_lanes(derivative, vector, total);
+    store_lanes(fma(d, d, load_lanes(curvature, vector, total)), vector, curvature, total);
 }

@@ -7,6 +7,7 @@ import pytest
 
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.ops import density
+from clgs.ops.neural import NeuralGaussians
 from clgs.reference.stages import density as reference
 from tests.compare import assert_close
 
@@ -97,3 +98,79 @@ def test_wrong_shapes_are_refused(device, rng):
         add(device, statistics, output, visible, slot, extent[1:], d_mean2d)
     with pytest.raises(TypeError, match="slot"):
         add(device, statistics, output, visible, slot.astype(np.int64), extent, d_mean2d)
+
+
+def signed_view(rng, anchors, visible_count, drawn=0.3):
+    """Visible anchors, slots in ascending order, opacities and derivatives by them, one view."""
+    visible = rng.choice(anchors, visible_count, replace=False).astype(np.int32)
+    slot = np.flatnonzero(rng.random(visible_count * K_OFFSETS) < drawn).astype(np.int32)
+    opacity, d_opacity = rng.random(len(slot)), rng.normal(0, 30, len(slot))
+    return visible, slot, opacity.astype(np.float32), d_opacity.astype(np.float32)
+
+
+def add_importance(device, importance, visible, slot, opacity, d_opacity):
+    first = np.searchsorted(slot, np.arange(len(visible) + 1) * K_OFFSETS).astype(np.int32)
+    unread = device.zeros((0,))
+    uploaded = [device.upload(each) for each in (opacity, slot, first)]
+    gaussians = NeuralGaussians(*[unread] * 4, *uploaded, drawn=unread, total=unread)
+    values = device.upload(d_opacity)
+    density.add_importance(device, importance, device.upload(visible), gaussians, values)
+
+
+def test_importance_agrees_with_reference(device, rng):
+    found, expected, seen = density.no_importance(device, 700), np.zeros(700), np.zeros(700, bool)
+    size = np.zeros(700)
+    for count in (700, 0, 1, 333):
+        visible, slot, opacity, d_opacity = signed_view(rng, 700, count)
+        add_importance(device, found, visible, slot, opacity, d_opacity)
+        wide = opacity.astype(np.float64), d_opacity.astype(np.float64)
+        expected += reference.importance(visible, slot, *wide, 700)
+        size += reference.importance(visible, slot, wide[0], np.abs(wide[1]), 700)
+        seen[visible] = True
+    # ten products, a square and three views, of a sum whose terms may cancel
+    limit = 16 * 2.0**-24 * size
+    assert_close(device.download(found.total), expected, limit, "total")
+    assert np.array_equal(device.download(found.seen), seen)
+
+
+def test_importance_knows_of_anchors_without_gaussians_and_of_padding(device, rng):
+    visible, slot, opacity, d_opacity = signed_view(rng, 60, 40)
+    plain, padded = density.no_importance(device, 60), density.no_importance(device, 60)
+    add_importance(device, plain, visible, slot, opacity, d_opacity)
+    add_importance(
+        device,
+        padded,
+        np.append(visible, np.full(9, -1, np.int32)),
+        np.append(slot, np.full(70, 2**30, np.int32)),
+        np.append(opacity, np.ones(70, np.float32)),
+        np.append(d_opacity, np.ones(70, np.float32)),
+    )
+    for name in ("total", "seen"):
+        found, wanted = (device.download(getattr(one, name)) for one in (padded, plain))
+        assert np.array_equal(found, wanted), name
+    empty = density.no_importance(device, 60)
+    nothing = np.zeros(0, np.float32)
+    add_importance(device, empty, visible, np.zeros(0, np.int32), nothing, nothing)
+    assert not device.download(empty.total).any()
+    assert np.flatnonzero(device.download(empty.seen)).tolist() == sorted(visible)
+
+
+@pytest.mark.parametrize("shape", [(1,), (7, 6), (33, 10, 3), (1000, 50), (0, 6)])
+def test_curvature_adds_squares(device, rng, shape):
+    sums, expected = device.zeros(shape), np.zeros(shape)
+    for _ in range(3):
+        derivative = rng.normal(size=shape).astype(np.float32)
+        density.add_curvature(device, sums, device.upload(derivative))
+        expected += np.square(derivative.astype(np.float64))
+    assert_close(device.download(sums), expected, 4 * 2.0**-24 * expected, "curvature")
+
+
+def test_wrong_shapes_of_importance_and_curvature_are_refused(device, rng):
+    importance = density.no_importance(device, 50)
+    visible, slot, opacity, d_opacity = signed_view(rng, 50, 40)
+    with pytest.raises(ValueError, match="d_opacity"):
+        add_importance(device, importance, visible, slot, opacity, d_opacity[1:])
+    with pytest.raises(TypeError, match="visible"):
+        add_importance(device, importance, visible.astype(np.int64), slot, opacity, d_opacity)
+    with pytest.raises(ValueError, match="derivative"):
+        density.add_curvature(device, device.zeros((5, 6)), device.zeros((6, 5)))

@@ -51,3 +51,14 @@ def accumulate(
         norm = np.hypot(d_mean2d[0] * width / 2, d_mean2d[1] * height / 2)
         statistics.gradient_sum[visible[column], offset] += norm
         statistics.gradient_count[visible[column], offset] += 1
+
+
+def importance(
+    visible: Integers, slot: Integers, opacity: Array, d_opacity: Array, anchors: int
+) -> Array:
+    """(A,) squares of the sums of opacity times derivative over the Gaussians of each anchor."""
+    sums = np.zeros(anchors)
+    for number, product in zip(slot, opacity * d_opacity, strict=True):
+        if number >= 0:
+            sums[visible[number // K_OFFSETS]] += product
+    return np.square(sums)

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clgs.constants import K_OFFSETS
 from clgs.opencl.device import Device
+from clgs.ops import density
 from clgs.ops.project import ProjectedGradients
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_view
+from clgs.render.frame import DeviceScene, Frame, upload_view
 from clgs.render.pipeline import blend_backward, roomy_forward, scene_backward
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, RenderSettings
@@ -41,12 +41,12 @@ def importance(
     At least 0. Summed over pixels and channels, colors in [0, 1]. ``on_render`` is called after
     each camera.
     """
-    total = np.zeros(len(scene.anchors))
+    found = density.no_importance(device, len(scene.anchors))
     for frame, gradients in _sign_passes(device, scene, settings, cameras, options):
-        _add_importance(device, frame, gradients, total)
+        _add_importance(device, found, frame, gradients)
         del frame, gradients  # before the next ones are made
         on_render()
-    return total
+    return device.download(found.total).astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -94,19 +94,19 @@ def sensitivity(
     <signs, d image / d x>^2 is the squared length of d image / d x. It is left out unless
     ``curved``.
     """
-    total = np.zeros(len(scene.anchors))
+    found = density.no_importance(device, len(scene.anchors))
     sizes = {n: array.shape for n, array in scene.anchors.items() if n != "position"}
-    curvature = {name: np.zeros(size) for name, size in sizes.items() if curved}
-    seen = np.zeros(len(scene.anchors), np.bool_)
+    curvature = {name: device.zeros(size) for name, size in sizes.items() if curved}
     for frame, gradients in _sign_passes(device, scene, settings, cameras, options):
-        _add_importance(device, frame, gradients, total)
+        _add_importance(device, found, frame, gradients)
         if curved:
-            _add_curvature(device, scene_backward(device, scene, frame, gradients), curvature)
-        visible = device.download(frame.activations.visible)
-        seen[visible[visible >= 0]] = True
+            derivatives = scene_backward(device, scene, frame, gradients)
+            for name, total in curvature.items():
+                density.add_curvature(device, total, getattr(derivatives, f"d_{name}"))
+            del derivatives
         del frame, gradients  # before the next ones are made
-    narrow = {name: sums.astype(np.float32) for name, sums in curvature.items()}
-    return Sensitivity(total.astype(np.float32), narrow, seen)
+    sums = {name: device.download(array) for name, array in curvature.items()}
+    return Sensitivity(device.download(found.total), sums, device.download(found.seen) > 0)
 
 
 def importance_without_views(scene: QuantizedScene) -> npt.NDArray[np.float64]:
@@ -135,25 +135,9 @@ def _sign_passes(
         del frame
 
 
-def _add_curvature(
-    device: Device, gradients: SceneGradients, curvature: dict[str, npt.NDArray[np.float64]]
-) -> None:
-    for name, sums in curvature.items():
-        change = device.download(getattr(gradients, f"d_{name}")).reshape(sums.shape)
-        sums += np.square(change)
-
-
 def _add_importance(
-    device: Device,
-    frame: Frame,
-    gradients: ProjectedGradients,
-    total: npt.NDArray[np.float64],
+    device: Device, found: density.Importance, frame: Frame, gradients: ProjectedGradients
 ) -> None:
-    """Add <d, signs>^2 of every anchor of the frame to ``total`` (A,)."""
-    gaussians = frame.gaussians
-    change = device.download(gaussians.opacity) * device.download(gradients.d_opacity)
-    visible, slot = device.download(frame.activations.visible), device.download(gaussians.slot)
-    seen, drawn = visible >= 0, slot >= 0
-    row = slot[drawn] // K_OFFSETS
-    sums = np.bincount(row, change[drawn], len(visible))[seen].astype(np.float64)
-    total[visible[seen]] += np.square(sums)
+    """Add <d, signs>^2 of every anchor of the frame to what was ``found``."""
+    visible = frame.activations.visible
+    density.add_importance(device, found, visible, frame.gaussians, gradients.d_opacity)
