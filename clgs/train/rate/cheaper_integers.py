@@ -20,8 +20,8 @@ SCALES_PER_OCTAVE = 4
 LEAST_POWER, MOST_POWER = -2 * SCALES_PER_OCTAVE, 8 * SCALES_PER_OCTAVE
 """From 1/4 to 256 integers per unit."""
 
-BLOCK = 2048
-"""Rows looked at at once, which bounds the memory."""
+BLOCK = 256
+"""Rows looked at at once: what is computed of them stays in a processor's cache."""
 
 SAMPLED = 4096
 """Rows that :func:`best_scale` looks at, at least if there are so many."""
@@ -58,8 +58,13 @@ class LaplaceLaw:
 
     def nats(self, integers: Floats) -> Floats:
         """Of the integers (A, channels), each."""
-        far = (np.abs(integers - self.mean) - 0.5) / self.scale + self.edge
-        return np.where(integers == self.centre, self.at_centre, far)
+        nats = np.subtract(integers, self.mean)
+        np.abs(nats, out=nats)
+        nats -= 0.5
+        nats /= self.scale
+        nats += self.edge
+        np.copyto(nats, self.at_centre, where=integers == self.centre)
+        return nats
 
 
 def cheaper_integers(
@@ -98,13 +103,21 @@ def _cheapest(exact: Floats, weight: Floats, nat: float, law: LaplaceLaw) -> Flo
     side = np.sign(distance)
     soft = law.mean + side * np.maximum(np.abs(distance) - threshold, 0.0)
     middle = np.broadcast_to(law.centre, soft.shape)
-    best = nearest
-    least = weight * np.square(nearest - exact) + nat * law.nats(nearest)
+    best, least = nearest, _sum(nearest - exact, weight, nat, law.nats(nearest))
     for candidate in (np.floor(soft), np.ceil(soft), middle, middle + side):
-        cost = weight * np.square(candidate - exact) + nat * law.nats(candidate)
-        best = np.where(cost < least, candidate, best)
-        least = np.minimum(cost, least)
+        cost = _sum(candidate - exact, weight, nat, law.nats(candidate))
+        np.copyto(best, candidate, where=cost < least)
+        np.minimum(cost, least, out=least)
     return best
+
+
+def _sum(error: Floats, weight: Floats, nat: float, nats: Floats) -> Floats:
+    """What an error of integers costs, and its bits; ``error`` and ``nats`` are used up."""
+    np.square(error, out=error)
+    error *= weight
+    nats *= nat
+    error += nats
+    return error
 
 
 def best_scale(values: npt.NDArray[np.float32], curvature: Floats, price: float) -> float:
@@ -119,9 +132,12 @@ def best_scale(values: npt.NDArray[np.float32], curvature: Floats, price: float)
 
     def cost(power: int) -> float:
         q = 2.0 ** (power / SCALES_PER_OCTAVE)
-        integers = np.rint(flat * q)
+        integers = np.multiply(flat, q)
+        np.rint(integers, out=integers)
         nats = LaplaceLaw.of(integers).nats(integers)
-        return float((weight * np.square(integers / q - flat) + nat * nats).sum())
+        integers /= q
+        integers -= flat
+        return float(_sum(integers, weight, nat, nats).sum())
 
     octave = min(range(LEAST_POWER, MOST_POWER + 1, SCALES_PER_OCTAVE), key=cost)
     first, last = octave - SCALES_PER_OCTAVE + 1, octave + SCALES_PER_OCTAVE
