@@ -31,6 +31,9 @@ HEAT_COLORS = np.array(
 )
 """Black over violet and orange to cream: lightness grows evenly, so it reads in grey as well."""
 
+COMPRESSION = 4
+"""Of PNG: takes half the time of Pillow's own level, 6, for 2 % more bytes."""
+
 
 def save_png(path: str | Path, picture: Picture) -> None:
     """Write ``picture`` (H, W, 3) uint8 to ``path``: the whole file or none.
@@ -43,7 +46,7 @@ def save_png(path: str | Path, picture: Picture) -> None:
 
     Shapes().check("picture", picture, "H W 3", np.uint8)
     with atomic_path(Path(path)) as temporary:
-        Image.fromarray(picture).save(temporary, format="PNG")
+        Image.fromarray(picture).save(temporary, format="PNG", compress_level=COMPRESSION)
 
 
 def jpeg_bytes(picture: Picture, quality: int = 92) -> bytes:

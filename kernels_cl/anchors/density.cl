@@ -11,6 +11,7 @@
 #include "common/lanes.h"
 #include "common/method.h"
 #include "common/prefetch.h"
+#include "common/real.h"
 
 /* Gaussians of a work-item: a CPU prefetches their sums together. */
 #ifndef SHARE

@@ -30,7 +30,7 @@ from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.importance import importance, importance_without_views
-from clgs.train.quality.metrics import psnr_8bit, to_8bit
+from clgs.train.quality.score_views import mean_psnr
 
 Encode = Callable[[QuantizedScene], bytes]
 
@@ -73,12 +73,8 @@ class Judge:
     def psnr(self, scene: QuantizedScene, count: int | None = None) -> float:
         """Mean over the views, or ``count`` of them, in dB, as ``clgs eval`` measures it."""
         renderer = Renderer(self.device, scene.dequantize(), self.options)
-        scores = []
-        for view in self.views[:: max(1, len(self.views) // count) if count else 1]:
-            photo = view.photo.planes(scene.settings.background).transpose(1, 2, 0)
-            scores.append(psnr_8bit(to_8bit(renderer.render(view.camera)), photo, view.used()))
-            self.on_render()
-        return float(np.mean(scores))
+        views = self.views[:: max(1, len(self.views) // count) if count else 1]
+        return mean_psnr(renderer, views, scene.settings.background, self.on_render)
 
     def importance(self, scene: QuantizedScene) -> npt.NDArray[np.float64]:
         """Of each anchor, (A,)."""

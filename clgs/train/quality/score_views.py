@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.stored_photo import Planes
+from clgs.data.stored_photo import Color, Planes
 from clgs.data.view import View, with_photos
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
@@ -89,6 +89,27 @@ def evaluate_views(
         if on_view is not None:
             on_view(score, pictures)
     return scores
+
+
+def mean_psnr(
+    renderer: Renderer,
+    views: Sequence[View],
+    color: Color,
+    on_view: Callable[[], None] = lambda: None,
+) -> float:
+    """Mean 8-bit PSNR of renders of ``views`` over the background ``color``.
+
+    Raises:
+        DataError: a photo is damaged.
+        BudgetError: the renderer's budget is too small for one of ``views``.
+    """
+    renderer.check_budget((view.name, view.camera) for view in views)
+    found = []
+    for view, planes in with_photos(views, color):
+        photo = np.ascontiguousarray(planes.transpose(1, 2, 0))
+        found.append(psnr_8bit(to_8bit(renderer.render(view.camera)), photo, view.used()))
+        on_view()
+    return float(np.mean(found))
 
 
 def _score(

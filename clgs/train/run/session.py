@@ -23,12 +23,19 @@ from clgs.errors import DataError
 from clgs.export.image import comparison, picture_names, save_png
 from clgs.files import atomic_write, make_folder
 from clgs.opencl.device import Device
+from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
 from clgs.shapes import check_type
 from clgs.train.config import TrainConfig
 from clgs.train.quality.rate_control import MAX_CAMERAS, Judge, reduce_to_size, spread
-from clgs.train.quality.score_views import Pictures, ViewScore, evaluate_views, summarize
+from clgs.train.quality.score_views import (
+    Pictures,
+    ViewScore,
+    evaluate_views,
+    mean_psnr,
+    summarize,
+)
 from clgs.train.run.finished_run import (
     RESULTS,
     RunResult,
@@ -227,8 +234,8 @@ class Session:
         if not self.dataset.test:
             return {}
         chosen = [views[i] for i in spread([view.camera for view in views], TRAINING_VIEWS)]
-        scores = evaluate_views(self.device, scene, chosen, options=self.trainer.options)
-        mean = float(np.mean([score.psnr for score in scores]))
+        renderer = Renderer(self.device, scene.dequantize(), self.trainer.options)
+        mean = mean_psnr(renderer, chosen, scene.settings.background)
         return {"train_psnr": mean, "train_views": len(chosen)}
 
     def _within_size(self, scene: QuantizedScene) -> QuantizedScene:

@@ -25,7 +25,7 @@ from clgs.train.config import TrainConfig
 from clgs.train.config.settings import BLENDER, LEAST_ANCHORS
 from clgs.train.density.densifier import Densifier
 from clgs.train.density.initial_anchors import initial_anchors
-from clgs.train.quality.metrics import psnr_8bit, to_8bit
+from clgs.train.quality.score_views import mean_psnr
 from clgs.train.rate.economy import Economy, Round
 from clgs.train.run.start_mlps import start_mlps
 from clgs.train.state.parameters import Parameters, new_parameters
@@ -259,12 +259,7 @@ class Trainer:
         scene = self.queue.seen(self.parameters, self.steps_done)
         settings = self.settings
         renderer = Renderer.of_device_scene(self.device, scene, settings, self.options)
-        values = []
-        for view in views:
-            image = renderer.render(view.camera)
-            photo = view.photo.planes(settings.background).transpose(1, 2, 0)
-            values.append(psnr_8bit(to_8bit(image), photo, view.used()))
-        return float(np.mean(values))
+        return mean_psnr(renderer, views, settings.background)
 
     def quantized_scene(self) -> QuantizedScene:
         """The trained scene as integers, in Morton order: what is encoded and rendered."""

@@ -95,6 +95,16 @@ def test_ssim_against_direct_sums_at_one_pixel() -> None:
     assert ssim_map(render, photo)[5, 5, 1] == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.parametrize("height", [1, 64, 65, 200])
+def test_ssim_is_that_of_the_whole_picture_at_once(
+    height: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    render, photo = np.random.default_rng(2).integers(0, 256, (2, height, 31, 3)).astype(np.uint8)
+    by_bands = ssim_map(render, photo)
+    monkeypatch.setattr("clgs.train.quality.metrics.BAND", height)
+    np.testing.assert_array_equal(by_bands, ssim_map(render, photo))
+
+
 def test_ssim_is_symmetric_and_falls_with_noise() -> None:
     render, photo = pictures()
     assert ssim(render, photo) == pytest.approx(ssim(photo, render), abs=1e-14)
