@@ -165,10 +165,24 @@ class Device:
         self.fill_zero(array)
         return array
 
-    def fill_zero(self, array: DeviceArray) -> None:
-        """Overwrite an array with zero bytes."""
-        if array.nbytes:
-            cl.enqueue_fill_buffer(self.queue, array.buffer, np.zeros(1, np.uint8), 0, array.nbytes)
+    def fill_zero(self, array: DeviceArray, first: int = 0) -> None:
+        """Overwrite an array with zero bytes, from element ``first`` on, counted flat."""
+        start = first * array.dtype.itemsize
+        if array.nbytes > start:
+            zero, rest = np.zeros(1, np.uint8), array.nbytes - start
+            cl.enqueue_fill_buffer(self.queue, array.buffer, zero, start, rest)
+
+    def extended(self, array: DeviceArray, rows: int) -> DeviceArray:
+        """``array`` with ``rows`` rows, no fewer than it has; what the new ones hold is undefined.
+
+        In the same memory if that has room, which it often has: the pool rounds sizes up.
+        """
+        longer = DeviceArray(array.buffer, (rows, *array.shape[1:]), array.dtype)
+        if longer.nbytes <= array.buffer.size:
+            return longer
+        longer = self.empty(longer.shape, array.dtype)
+        self.copy_part(array, longer, 0, array.size)
+        return longer
 
     def copy_part(self, source: DeviceArray, target: DeviceArray, first: int, count: int) -> None:
         """Copy elements ``first`` to ``first + count - 1``, counted flat; both of one dtype."""
@@ -219,6 +233,19 @@ class Device:
         if array.nbytes and self.cl_device.type & cl.device_type.CPU:
             return self._transfers.hand_over(array)
         return self.download(array)
+
+    @contextmanager
+    def mapped(self, *arrays: DeviceArray) -> Iterator[list[npt.NDArray[Any]]]:
+        """Host views of arrays, to be read within the block; waits for all work before it.
+
+        On a CPU nothing is copied.
+        """
+        views = [self._transfers.map(array) for array in arrays]
+        try:
+            yield [view.get() for view in views]
+        finally:
+            for view in views:
+                view.release()
 
     def download_later(self, array: DeviceArray) -> Download:
         """As :meth:`download`, but only ``Download.get`` waits, and not for later work."""

@@ -36,6 +36,26 @@ class Download:
         return self._host
 
 
+class MappedView:
+    """An array of the device, mapped for reading."""
+
+    def __init__(self, queue: Any, array: DeviceArray, waits: Waits) -> None:
+        """Of an array that is not empty; does not wait."""
+        self._queue, self._waits = queue, waits
+        self._view, self._event = cl.enqueue_map_buffer(
+            queue, array.buffer, cl.map_flags.READ, 0, array.shape, array.dtype, is_blocking=False
+        )
+
+    def get(self) -> npt.NDArray[Any]:
+        """The view; waits until it can be read."""
+        self._waits.wait(self._event)
+        return np.asarray(self._view)
+
+    def release(self) -> None:
+        """Unmap it: the view must not be read any more."""
+        self._view.base.release(self._queue)
+
+
 class _Mapped:
     """Device memory as NumPy's array interface shows it; keeps it mapped and out of the pool."""
 
@@ -76,6 +96,10 @@ class Transfers:
             return Download(host, None, self._waits)
         event = cl.enqueue_copy(self._queue, host, array.buffer, is_blocking=False)
         return Download(host, event, self._waits)
+
+    def map(self, array: DeviceArray) -> MappedView:
+        """``array``, which is not empty, for the host to read where it is."""
+        return MappedView(self._queue, array, self._waits)
 
     def hand_over(self, array: DeviceArray) -> npt.NDArray[Any]:
         """The memory of ``array``, which is not empty, as an array of the host; waits for it."""

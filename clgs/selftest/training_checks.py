@@ -9,20 +9,22 @@ from statistics import median
 
 import numpy as np
 
-from clgs.constants import K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
+from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, density, exposure, mask, quantize, rate, scan, sort, splats
+from clgs.ops import adam, density, exposure, growth, mask, quantize, rate, scan, sort, splats
 from clgs.ops.neural import GaussianGradients
 from clgs.reference.stages import adam as adam_reference
 from clgs.reference.stages import density as density_reference
 from clgs.reference.stages import exposure as exposure_reference
+from clgs.reference.stages import growth as growth_reference
 from clgs.reference.stages import mask as mask_reference
 from clgs.reference.stages import quantize as quantize_reference
 from clgs.reference.stages import rate as rate_reference
 from clgs.reference.stages import scan as scan_reference
 from clgs.reference.stages import sort as sort_reference
 from clgs.reference.stages import splats as splats_reference
+from clgs.scene.anchors import AnchorSet
 from clgs.scene.gaussians import OrdinaryGaussians
 from clgs.selftest.errors import largest, relative_l2
 from clgs.synthetic.anchor_scene import square_camera
@@ -34,7 +36,8 @@ Found = tuple[str, str, float, float, float]
 def training_checks(device: Device, count: int = COUNT) -> Iterator[Found]:
     """(stage, quantity, error, limit, milliseconds) of every check, on ``count`` numbers."""
     rng = np.random.default_rng(SEED)
-    for check in (_scan, _sort, _quantize, _rate, _adam, _density, _exposure, _mask, _splats):
+    numbers = _scan, _sort, _quantize, _rate, _adam
+    for check in (*numbers, _density, _growth, _exposure, _mask, _splats):
         yield from check(device, rng, count)
 
 
@@ -150,6 +153,30 @@ def _density(device: Device, rng: np.random.Generator, count: int) -> Iterator[F
     ]
     milliseconds = _milliseconds(device, partial(density.accumulate, device, statistics, seen))
     yield "density", "sums and counts", max(errors), 1e-6, milliseconds
+
+
+def _growth(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    anchors = max(count // K_OFFSETS, 1)
+    shapes = (anchors, 3), (anchors, K_OFFSETS, 3), (anchors, FEATURE_DIM), (anchors, 6)
+    host = AnchorSet(*(rng.normal(size=shape).astype(np.float32) for shape in shapes))
+    sizes = rng.integers(1, 5, anchors // 20 + 1)
+    new = growth.NewAnchors(
+        rng.normal(size=(len(sizes), 3)).astype(np.float32),
+        rng.normal(size=len(sizes)).astype(np.float32),
+        np.append(0, np.cumsum(sizes)).astype(np.int32),
+        rng.integers(0, anchors, int(sizes.sum())).astype(np.int32),
+    )
+    wanted = growth_reference.features(host.feature.astype(np.float64), new.first, new.parents)
+    there = host.map(device.upload)
+    longer = device.download(growth.append(device, there, new).feature)
+    error = largest(longer, np.concatenate([host.feature, wanted]))
+    yield (
+        "growth",
+        "features",
+        error,
+        0.0,
+        _milliseconds(device, partial(growth.append, device, there, new)),
+    )
 
 
 def _exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:

@@ -6,6 +6,9 @@
 #ifndef K_OFFSETS
 #define K_OFFSETS 10
 #endif
+#ifndef FEATURE_DIM
+#define FEATURE_DIM 50
+#endif
 #define OUTPUT_ROWS (11 * K_OFFSETS) /* outputs of the MLPs */
 #ifndef LOG_SCALE_LIMIT
 #define LOG_SCALE_LIMIT 20.0f

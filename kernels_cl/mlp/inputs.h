@@ -5,6 +5,7 @@
 #include "common/camera.h"
 #include "common/lane_math.h"
 #include "common/lanes.h"
+#include "common/method.h"
 #include "common/own_function.h"
 #include "common/prefetch.h"
 #include "common/real.h"

@@ -11,9 +11,6 @@
 #include "common/method.h"
 #include "common/real.h"
 
-#ifndef FEATURE_DIM
-#define FEATURE_DIM 50
-#endif
 #ifndef HIDDEN_DIM
 #define HIDDEN_DIM 50
 #endif

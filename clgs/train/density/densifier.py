@@ -1,27 +1,21 @@
-"""Decide when anchors grow and are pruned, and move them between device and host for it."""
+"""Decide when anchors grow and are pruned, and move them between device and host for rounds."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from clgs.constants import K_OFFSETS
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import density as density_op
 from clgs.render.frame import Frame, SceneGradients
 from clgs.train.config import TrainConfig
-from clgs.train.density.grow_and_prune import (
-    TrainState,
-    grow,
-    mask_prune,
-    merge_cells,
-    prune,
-)
+from clgs.train.density.grow_and_prune import DeviceState, compact, grow, mask_prune, prune
+from clgs.train.density.host_state import TrainState, merge_cells
 from clgs.train.state.parameters import Parameters
 
 
 class Densifier:
-    """Accumulates statistics on the device; every interval grows and prunes on the host."""
+    """Accumulates statistics on the device; every interval grows and prunes there."""
 
     def __init__(self, device: Device, config: TrainConfig, count: int) -> None:
         """Start with zero statistics for ``count`` anchors."""
@@ -63,19 +57,27 @@ class Densifier:
     def replace_anchors(
         self, parameters: Parameters, frame: Frame, rng: np.random.Generator
     ) -> Parameters:
-        """Prune and grow after a step that rendered ``frame``."""
-        device = self._device
-        state = self.download(parameters)
-        visible = device.download(frame.activations.visible)
-        columns = np.flatnonzero(visible >= 0)
-        opacity = device.download(frame.activations.output.first(K_OFFSETS))[:, columns].T
-        mask_prune(state, visible[columns], opacity)
-        grow(state, self._config, rng)
-        prune(state, self._config)
-        return self.replaced(parameters, state)
+        """Prune and grow after a step that rendered ``frame``; anchors that go are hidden."""
+        device, config = self._device, self._config
+        seen = frame.activations.visible, frame.activations.output
+        state = mask_prune(device, parameters, self.statistics, *seen)
+        grow(device, state, config, rng)
+        prune(device, state, config)
+        self.statistics = state.statistics
+        return state.settled()
+
+    def compacted(self, parameters: Parameters) -> Parameters:
+        """The anchors that are not hidden, in the same order."""
+        if not parameters.hidden:
+            return parameters
+        state = DeviceState.of(self._device, parameters, self.statistics)
+        compact(self._device, state)
+        self.statistics = state.statistics
+        return state.parameters
 
     def download(self, parameters: Parameters) -> TrainState:
-        """Host copies of all that has a row per anchor."""
+        """Host copies of all that has a row per anchor; none may be hidden."""
+        assert not parameters.hidden
         device = self._device
         device.release_unused()
         return TrainState(

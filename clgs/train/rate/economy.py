@@ -39,7 +39,7 @@ from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
 from clgs.train.config.settings import default_lambda
 from clgs.train.density.densifier import Densifier
-from clgs.train.density.grow_and_prune import TrainState, keep_rows
+from clgs.train.density.host_state import TrainState, keep_rows
 from clgs.train.quality.importance import Sensitivity
 from clgs.train.quality.rate_control import spread
 from clgs.train.rate.judgement import Judge, Judgement

@@ -16,7 +16,8 @@ from clgs.scene.anchors import (
     dequantize,
     take,
 )
-from clgs.train.density.grow_and_prune import TrainState, keep_rows, position_integers
+from clgs.train.density.cells import position_integers
+from clgs.train.density.host_state import TrainState, keep_rows
 from clgs.train.rate.cheaper_integers import best_scale, cheaper_integers
 from clgs.train.rate.judgement import Judgement
 

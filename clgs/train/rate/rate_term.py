@@ -102,11 +102,9 @@ class RateTerm:
 
     def estimated_bits(self, parameters: Parameters) -> float:
         """Bits per anchor of the rounded attributes, about as the file will have them."""
+        anchors = parameters.download_anchors(self._device)
         integers = {
-            name: rounded(
-                self._device.download(getattr(parameters.scene.anchors, name)),
-                getattr(self.scales, name),
-            )
+            name: rounded(getattr(anchors, name), getattr(self.scales, name))
             for name in ANCHOR_GROUPS
         }
         return sum(coded_bits(integers).values()) / parameters.count

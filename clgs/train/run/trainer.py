@@ -145,6 +145,8 @@ class Trainer:
         )
 
     def _begin(self, step: int) -> None:
+        if step == self.config.switch_step + 1 or step - 1 in self.economy.steps:
+            self.compact()
         if step == self.config.switch_step + 1:
             self._align_positions()
         if step - 1 in self.economy.steps:
@@ -229,6 +231,11 @@ class Trainer:
             f"{what} at step {failed.plan.step}, view {name}; parameters untouched"
         )
 
+    def compact(self) -> None:
+        """Leave out the rows of anchors that were pruned; no result depends on it."""
+        assert not self._under_way, "their frames count by the rows that there were"
+        self.parameters = self.densifier.compacted(self.parameters)
+
     def _align_positions(self) -> None:
         """At the switch step, if Q_P is not that of the voxels: one anchor per cell of 1/Q_P."""
         if abs(self.config.position_q * self.config.voxel - 1.0) > 1e-9:
@@ -263,7 +270,7 @@ class Trainer:
 
     def quantized_scene(self) -> QuantizedScene:
         """The trained scene as integers, in Morton order: what is encoded and rendered."""
-        anchors = self.parameters.scene.anchors.map(self.device.download)
+        anchors = self.parameters.download_anchors(self.device)
         return QuantizedScene(
             sort_anchors(quantize(anchors, self.queue.scales)),
             Mlps(self.device.download(self.queue.final_weights(self.parameters))),

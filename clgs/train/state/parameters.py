@@ -10,7 +10,7 @@ import numpy.typing as npt
 from clgs.opencl.device import Device
 from clgs.ops import adam
 from clgs.render.frame import DeviceScene
-from clgs.scene.anchors import FIELDS, AnchorSet
+from clgs.scene.anchors import FIELDS, AnchorSet, take
 from clgs.scene.mlps import Mlps
 
 Moments = adam.Moments[npt.NDArray[np.float32]]
@@ -23,16 +23,28 @@ ANCHOR_GROUPS = tuple(name for name in FIELDS if name != "position")
 class Parameters:
     """Device copies of anchors and MLP weights with their moments.
 
-    ``moments`` holds those of ANCHOR_GROUPS and of "weights", shaped as these are.
+    ``moments`` holds those of ANCHOR_GROUPS and of "weights", shaped as these are. ``hidden``
+    anchors have a position of NaN and count no more; the densifier leaves out their rows later.
     """
 
     scene: DeviceScene
     moments: dict[str, adam.DeviceMoments]
+    hidden: int = 0
+
+    @property
+    def rows(self) -> int:
+        """Number of rows, those of hidden anchors among them."""
+        return len(self.scene.anchors)
 
     @property
     def count(self) -> int:
         """Number of anchors."""
-        return len(self.scene.anchors)
+        return self.rows - self.hidden
+
+    def download_anchors(self, device: Device) -> AnchorSet:
+        """Host copies of the anchors that are not hidden."""
+        anchors = self.scene.anchors.map(device.download)
+        return take(anchors, ~np.isnan(anchors.position[:, 0])) if self.hidden else anchors
 
     def download_moments(self, device: Device) -> dict[str, Moments]:
         """Host copies of the moments of ANCHOR_GROUPS."""

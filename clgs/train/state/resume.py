@@ -29,6 +29,7 @@ SHOWN = 3
 
 def save_checkpoint(folder: Path, trainer: Trainer) -> None:
     """Write everything that the next steps depend on."""
+    trainer.compact()
     trainer.device.release_unused()
     arrays = _by_name(trainer.parameters, trainer.densifier.statistics)
     if trainer.queue.exposures is not None:

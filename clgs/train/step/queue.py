@@ -110,8 +110,8 @@ class StepQueue:
     def enqueue(self, plan: Plan, parameters: Parameters, densifier: Densifier) -> Enqueued:
         """Enqueue a step; anchors that are about to be replaced are not updated."""
         device, capacity = self._device, self.capacity
-        if self._sizes != (capacity, parameters.count):
-            self._sizes = capacity, parameters.count
+        if self._sizes != (capacity, parameters.rows):
+            self._sizes = capacity, parameters.rows
             device.release_unused()
         target, scene = self._target(plan), self.seen(parameters, plan.step)
         frame = view_forward(device, scene, target.view, self.options, capacity)

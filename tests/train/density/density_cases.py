@@ -8,11 +8,16 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.opencl.device import Device
 from clgs.ops.density import Statistics
+from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import AnchorSet
 from clgs.train.config import TrainConfig
-from clgs.train.density.grow_and_prune import TrainState, position_integers
-from clgs.train.state.parameters import Moments
+from clgs.train.density import grow_and_prune
+from clgs.train.density.cells import position_integers
+from clgs.train.density.grow_and_prune import DeviceState
+from clgs.train.density.host_state import TrainState
+from clgs.train.state.parameters import Moments, Parameters
 
 VOXEL = 0.5
 CONFIG = TrainConfig(voxel=VOXEL, growth_threshold=0.25)
@@ -108,3 +113,50 @@ def random_state(seed: int, count: int = 30, spread: int = 25) -> TrainState:
     state.statistics.visits[:] = rng.integers(0, 160, count)
     state.statistics.opacity_sum[:] = rng.uniform(0, 1, count)
     return state
+
+
+def on_device(device: Device, state: TrainState) -> DeviceState:
+    """The same on the device; the MLPs have no weights."""
+    scene = DeviceScene(state.anchors.map(device.upload), device.zeros((1,)))
+    moments = {name: one.map(device.upload) for name, one in state.moments.items()}
+    statistics = state.statistics.map(device.upload)
+    return DeviceState.of(device, Parameters(scene, moments), statistics)
+
+
+def take_back(device: Device, state: TrainState, there: DeviceState) -> None:
+    """Make ``state`` what is ``there``, without the rows that are hidden."""
+    before = np.flatnonzero(~np.isnan(there.position[:, 0]))
+    grow_and_prune.compact(device, there)
+    assert len(there.position) == len(before)
+    state.anchors = there.parameters.scene.anchors.map(device.download)
+    state.statistics = there.statistics.map(device.download)
+    state.moments = there.parameters.download_moments(device)
+    np.testing.assert_array_equal(state.anchors.position, there.position)
+
+
+def mask_prune(
+    device: Device, state: TrainState, visible: npt.NDArray[np.int32], opacity: npt.NDArray[Any]
+) -> int:
+    """How many anchors go, of which ``opacity`` (V, K) shows nothing; ``state`` changes."""
+    there, before = on_device(device, state), len(state.anchors)
+    output = device.upload(np.ascontiguousarray(opacity.T, np.float32))
+    seen = device.upload(visible), output
+    there = grow_and_prune.mask_prune(device, there.parameters, there.statistics, *seen)
+    take_back(device, state, there)
+    return before - len(state.anchors)
+
+
+def grow(device: Device, state: TrainState, config: TrainConfig, rng: Any) -> int:
+    """How many anchors come; ``state`` changes."""
+    there = on_device(device, state)
+    count = grow_and_prune.grow(device, there, config, rng)
+    take_back(device, state, there)
+    return count
+
+
+def prune(device: Device, state: TrainState, config: TrainConfig) -> int:
+    """How many anchors go; ``state`` changes."""
+    there = on_device(device, state)
+    count = grow_and_prune.prune(device, there, config)
+    take_back(device, state, there)
+    return count

@@ -13,24 +13,26 @@ from hypothesis import strategies as st
 
 from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
+from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
-from clgs.train.density.grow_and_prune import TrainState, grow
+from clgs.train.density.host_state import TrainState
 from tests.train.density.density_cases import (
     CONFIG,
     VOXEL,
     Draws,
     ask,
     assert_rows,
+    grow,
     integers_of,
     random_state,
     state_at,
 )
 
 
-def test_a_new_anchor_by_hand() -> None:
+def test_a_new_anchor_by_hand(device: Device) -> None:
     state = state_at([(0, 0, 0), (100, 0, 0)])
     ask(state, 0, 3, (8.9, -6.5, 1.9), 0.3)
-    assert grow(state, CONFIG, Draws()) == 1
+    assert grow(device, state, CONFIG, Draws()) == 1
     # cells of 4 voxels: 8.9 -> 2, -6.5 -> -2 (-1.6 rounded), 1.9 -> 0
     assert integers_of(state)[2] == (8, -8, 0)
     np.testing.assert_array_equal(state.anchors.scaling[2], np.float32(np.log(4 * VOXEL)))
@@ -40,22 +42,22 @@ def test_a_new_anchor_by_hand() -> None:
     assert (state.statistics.opacity_sum.tolist(), state.statistics.visits[2]) == ([1, 2, 0], 0)
 
 
-def test_slot_position_scales_with_exp_of_scaling() -> None:
+def test_slot_position_scales_with_exp_of_scaling(device: Device) -> None:
     state = state_at([(11, 0, 0)])
     ask(state, 0, 0, (4.0, 4.0, 4.0), 0.3)
     state.anchors.scaling[0] = [np.log(2), np.log(3), 0, 7, 7, 7]
-    grow(state, CONFIG, Draws())
+    grow(device, state, CONFIG, Draws())
     assert integers_of(state)[1] == (20, 12, 4)  # cell 5 of 4 voxels is nearest to 11 + 2 * 4
 
 
-def test_levels_have_cells_of_4_and_1_voxels_and_doubled_thresholds() -> None:
+def test_levels_have_cells_of_4_and_1_voxels_and_doubled_thresholds(device: Device) -> None:
     state = state_at([(0, 0, 0)])
     ask(state, 0, 0, (9.0, 0, 0), 0.25)  # asks at level 0 only
     ask(state, 0, 1, (21.0, 0, 0), 0.5)  # at levels 0 and 1
     ask(state, 0, 2, (33.0, 0, 0), np.nextafter(np.float32(0.5), np.float32(0)))
     ask(state, 0, 3, (50.0, 0, 0), np.nextafter(np.float32(0.25), np.float32(0)))
     draws = Draws()
-    assert grow(state, CONFIG, draws) == 4
+    assert grow(device, state, CONFIG, draws) == 4
     assert integers_of(state)[1:] == [(8, 0, 0), (20, 0, 0), (32, 0, 0), (21, 0, 0)]
     assert draws.sizes == [3, 1]  # level 2 would have cells of 4 // 16 = 0 voxels
     np.testing.assert_array_equal(
@@ -63,70 +65,70 @@ def test_levels_have_cells_of_4_and_1_voxels_and_doubled_thresholds() -> None:
     )
 
 
-def test_without_room_for_all_the_slots_of_the_largest_gradient_grow() -> None:
+def test_without_room_for_all_the_slots_of_the_largest_gradient_grow(device: Device) -> None:
     state = state_at([(0, 0, 0), (100, 0, 0)])
     ask(state, 0, 0, (12.0, 0, 0), 0.3)
     ask(state, 1, 9, (8.0, 0, 0), 0.4)
     ask(state, 1, 4, (40.0, 0, 0), 0.35)
-    assert grow(state, replace(CONFIG, max_anchors=4), Draws()) == 2
+    assert grow(device, state, replace(CONFIG, max_anchors=4), Draws()) == 2
     assert integers_of(state)[2:] == [(108, 0, 0), (140, 0, 0)]
-    assert grow(state, replace(CONFIG, max_anchors=4), Draws()) == 0
+    assert grow(device, state, replace(CONFIG, max_anchors=4), Draws()) == 0
 
 
-def test_large_scenes_may_use_three_levels() -> None:
+def test_large_scenes_may_use_three_levels(device: Device) -> None:
     state = state_at([(0, 0, 0)])
     ask(state, 0, 0, (37.0, 0, 0), 1.0)
     config = TrainConfig(voxel=VOXEL, growth_threshold=0.25, growth_cell=16)
-    assert grow(state, config, Draws()) == 3
+    assert grow(device, state, config, Draws()) == 3
     assert integers_of(state)[1:] == [(32, 0, 0), (36, 0, 0), (37, 0, 0)]
 
 
-def test_a_cell_that_holds_an_anchor_is_not_new() -> None:
+def test_a_cell_that_holds_an_anchor_is_not_new(device: Device) -> None:
     state = state_at([(0, 0, 0), (9, 0, 0)])
     ask(state, 0, 0, (8.0, 0, 0), 0.3)  # cell 2, where voxel 9 lies too
-    assert grow(state, CONFIG, Draws()) == 0
+    assert grow(device, state, CONFIG, Draws()) == 0
     assert_rows(state, [1, 2])
 
 
-def test_deeper_levels_wait_for_level_0() -> None:
+def test_deeper_levels_wait_for_level_0(device: Device) -> None:
     state = state_at([(0, 0, 0)])
     ask(state, 0, 0, (1.0, 0, 0), 9.0)  # its own cell at level 0, a free voxel at level 1
     draws = Draws()
-    assert grow(state, CONFIG, draws) == 0
+    assert grow(device, state, CONFIG, draws) == 0
     assert draws.sizes == [1]
     ask(state, 0, 0, (1.0, 0, 0), 9.0)
     ask(state, 0, 1, (8.0, 0, 0), 0.3)
-    assert grow(state, CONFIG, Draws()) == 2
+    assert grow(device, state, CONFIG, Draws()) == 2
     assert integers_of(state)[1:] == [(8, 0, 0), (1, 0, 0)]
 
 
-def test_an_anchor_of_level_0_occupies_its_voxel_at_level_1() -> None:
+def test_an_anchor_of_level_0_occupies_its_voxel_at_level_1(device: Device) -> None:
     state = state_at([(0, 0, 0)])
     ask(state, 0, 0, (8.0, 0, 0), 9.0)
-    assert grow(state, CONFIG, Draws()) == 1
+    assert grow(device, state, CONFIG, Draws()) == 1
 
 
-def test_offset_zero_stays_in_the_anchors_own_cell() -> None:
+def test_offset_zero_stays_in_the_anchors_own_cell(device: Device) -> None:
     """Also halfway between two cells, where float32 positions would round either way."""
     config = TrainConfig(voxel=0.005, growth_threshold=0.25)
     state = state_at([(4 * i + 2, -4 * i - 2, 6 * i) for i in range(50)])
     state.anchors.position[:] *= np.float32(0.005 / VOXEL)
     state.statistics.gradient_count[:] = 64
     state.statistics.gradient_sum[:] = 64.0
-    assert grow(state, config, Draws()) == 0
+    assert grow(device, state, config, Draws()) == 0
 
 
-def test_kept_with_probability_1_minus_half_to_the_level_plus_1() -> None:
+def test_kept_with_probability_1_minus_half_to_the_level_plus_1(device: Device) -> None:
     state = state_at([(0, 0, 0)])
     for slot in range(4):
         ask(state, 0, slot, (8.0 + 8 * slot + 1, 0, 0), 1.0)
     above = np.nextafter([0.5, 0.25], 1)
     draws = Draws([0.0, 0.5, above[0], 1.0], [0.0, 0.25, above[1], 1.0])
-    assert grow(state, CONFIG, draws) == 4
+    assert grow(device, state, CONFIG, draws) == 4
     assert integers_of(state)[1:] == [(24, 0, 0), (32, 0, 0), (25, 0, 0), (33, 0, 0)]
 
 
-def test_feature_is_the_maximum_over_the_anchors_that_asked() -> None:
+def test_feature_is_the_maximum_over_the_anchors_that_asked(device: Device) -> None:
     state = state_at([(0, 0, 0), (20, 0, 0), (0, 20, 0), (20, 20, 0)])
     feature = state.anchors.feature
     feature[:] = np.random.default_rng(0).normal(-3, 1, feature.shape)
@@ -135,18 +137,18 @@ def test_feature_is_the_maximum_over_the_anchors_that_asked() -> None:
     ask(state, 1, 2, (-8, 13, 1), 0.3)
     ask(state, 2, 9, (12, -8, 0), 0.2)  # below the threshold
     ask(state, 3, 0, (-8, -8, 0), 0.3)  # its draw fails
-    assert grow(state, CONFIG, Draws([0.9, 0.9, 0.9, 0.1])) == 1
+    assert grow(device, state, CONFIG, Draws([0.9, 0.9, 0.9, 0.1])) == 1
     expected = np.maximum(feature[0], feature[1])
     np.testing.assert_array_equal(state.anchors.feature[4], expected)
 
 
-def test_slots_seen_often_start_anew_and_others_accumulate() -> None:
+def test_slots_seen_often_start_anew_and_others_accumulate(device: Device) -> None:
     state = state_at([(0, 0, 0), (40, 0, 0)])
     statistics = state.statistics
     statistics.gradient_count[0, :3] = [40, 41, 500]
     statistics.gradient_sum[0, :3] = [30.0, 1.0, 400.0]
     state.anchors.offset[0, :3, 1] = [20, 40, 60]
-    assert grow(state, CONFIG, Draws()) > 0  # slot 0 is strong but seen too rarely; 2 grows
+    assert grow(device, state, CONFIG, Draws()) > 0  # slot 0 is strong but seen too rarely; 2 grows
     assert (0, 40, 0) not in integers_of(state)
     assert state.statistics.gradient_count[0, :3].tolist() == [40, 0, 0]
     assert state.statistics.gradient_sum[0, :3].tolist() == [30.0, 0.0, 0.0]
@@ -155,27 +157,27 @@ def test_slots_seen_often_start_anew_and_others_accumulate() -> None:
 
 
 @pytest.mark.parametrize("voxels", [np.nan, np.inf, 2.0**21, -(2.0**21), 1e30])
-def test_slots_beyond_the_grid_are_not_served(voxels: float) -> None:
+def test_slots_beyond_the_grid_are_not_served(device: Device, voxels: float) -> None:
     state = state_at([(0, 0, 0), (5, 0, 0)])
     ask(state, 0, 0, (voxels, 0, 0), 9.0)
     ask(state, 0, 1, (16, 0, 0), 0.3)
-    assert grow(state, CONFIG, Draws()) == 1
+    assert grow(device, state, CONFIG, Draws()) == 1
     assert integers_of(state)[2] == (16, 0, 0)
 
 
-def test_growth_never_makes_the_scene_too_large() -> None:
+def test_growth_never_makes_the_scene_too_large(device: Device) -> None:
     half = 2**20
     state = state_at([(0, 0, 0), (half, 0, 0)])
     ask(state, 0, 0, (-(half // 2) + 4, 0, 0), 9.0)
     ask(state, 1, 0, (half // 2 - 4, 0, 0), 9.0)
     ask(state, 0, 1, (-half // 2 - 8, 0, 0), 9.0)
     ask(state, 1, 1, (half // 2 + 8, 0, 0), 9.0)
-    assert grow(state, CONFIG, Draws()) == 2
+    assert grow(device, state, CONFIG, Draws()) == 2
     rows = np.array(integers_of(state))
     assert np.ptp(rows, axis=0).max() < 2**21
     state = state_at([(0, 0, 0), (2**21, 0, 0)])
     with pytest.raises(ClgsError, match=r"extent is 2097152 grid cells"):
-        grow(state, CONFIG, Draws())
+        grow(device, state, CONFIG, Draws())
 
 
 def brute_grow(state: TrainState, config: TrainConfig, rng: np.random.Generator) -> list[Any]:
@@ -210,11 +212,11 @@ def brute_grow(state: TrainState, config: TrainConfig, rng: np.random.Generator)
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_growth_agrees_with_plain_loops(seed: int) -> None:
+def test_growth_agrees_with_plain_loops(device: Device, seed: int) -> None:
     state = random_state(seed)
     expected = brute_grow(state, CONFIG, np.random.default_rng(seed))
     before, old = copy.deepcopy(state), len(state.anchors)
-    assert grow(state, CONFIG, np.random.default_rng(seed)) == len(expected)
+    assert grow(device, state, CONFIG, np.random.default_rng(seed)) == len(expected)
     assert integers_of(state)[old:] == [item[0] for item in expected]
     assert len(set(integers_of(state))) == len(state.anchors)
     for item, feature, scaling in zip(

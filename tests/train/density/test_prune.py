@@ -11,33 +11,31 @@ from hypothesis import strategies as st
 
 from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
-from clgs.train.density.grow_and_prune import (
-    TrainState,
-    grow,
-    mask_prune,
-    merge_cells,
-    position_integers,
-    prune,
-)
+from clgs.opencl.device import Device
+from clgs.train.density.cells import position_integers
+from clgs.train.density.host_state import TrainState, merge_cells
 from tests.train.density.density_cases import (
     CONFIG,
     VOXEL,
     assert_rows,
     assert_same,
+    grow,
     integers_of,
+    mask_prune,
+    prune,
     random_state,
     state_at,
 )
 
 
-def test_mask_prune_by_hand() -> None:
+def test_mask_prune_by_hand(device: Device) -> None:
     state = state_at([(i, 0, 0) for i in range(5)])
     state.anchors.offset[:] = 1.0
     opacity = np.full((3, K_OFFSETS), -0.5, np.float32)
     opacity[0, 2], opacity[0, 4] = 0.3, 0.0  # anchor 1 draws slot 2 alone
     opacity[2] = 0.1  # anchor 4 draws all
     opacity[1, 3] = np.nan  # anchor 3 draws nothing
-    assert mask_prune(state, np.array([1, 3, 4], np.int32), opacity) == 1
+    assert mask_prune(device, state, np.array([1, 3, 4], np.int32), opacity) == 1
     assert_rows(state, [1, 2, 3, 5])
     assert integers_of(state) == [(0, 0, 0), (1, 0, 0), (2, 0, 0), (4, 0, 0)]
     drawn = np.ones((4, K_OFFSETS), bool)
@@ -45,14 +43,16 @@ def test_mask_prune_by_hand() -> None:
     np.testing.assert_array_equal(state.anchors.offset, np.repeat(drawn[..., None], 3, axis=2))
 
 
-def test_mask_prune_without_visible_anchors_changes_nothing() -> None:
+def test_mask_prune_without_visible_anchors_changes_nothing(device: Device) -> None:
     state = random_state(1)
     before = copy.deepcopy(state)
-    assert mask_prune(state, np.empty(0, np.int32), np.empty((0, K_OFFSETS), np.float32)) == 0
+    assert (
+        mask_prune(device, state, np.empty(0, np.int32), np.empty((0, K_OFFSETS), np.float32)) == 0
+    )
     assert_same(state, before)
 
 
-def test_prune_by_hand() -> None:
+def test_prune_by_hand(device: Device) -> None:
     state = state_at([(i, 0, 0) for i in range(6)])
     statistics = state.statistics
     least = np.float32(0.005) * np.float32(100)
@@ -60,45 +60,45 @@ def test_prune_by_hand() -> None:
     statistics.opacity_sum[:] = [
         *(0.0, 0.0, least, np.nextafter(least, np.float32(0)), np.nan, 0.0),
     ]
-    assert prune(state, CONFIG) == 3  # 1, 3 and 4; 0 and 5 were not visited often enough
+    assert prune(device, state, CONFIG) == 3  # 1, 3 and 4; 0 and 5 were not visited often enough
     assert_rows(state, [1, 3, 6])
     assert state.statistics.visits.tolist() == [80, 0, 0]
     assert state.statistics.opacity_sum.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_prune_keeps_sums_of_rarely_visited_anchors() -> None:
+def test_prune_keeps_sums_of_rarely_visited_anchors(device: Device) -> None:
     state = state_at([(0, 0, 0), (1, 0, 0)])
     state.statistics.visits[:] = [80, 81]
     state.statistics.opacity_sum[:] = [0.25, 9.0]
     state.statistics.gradient_sum[:] = 3.0
-    assert prune(state, CONFIG) == 0
+    assert prune(device, state, CONFIG) == 0
     assert state.statistics.visits.tolist() == [80, 0]
     assert state.statistics.opacity_sum.tolist() == [0.25, 0.0]
     assert (state.statistics.gradient_sum == 3.0).all()
 
 
-def test_prune_caps_the_shape_scaling_of_all_anchors() -> None:
+def test_prune_caps_the_shape_scaling_of_all_anchors(device: Device) -> None:
     state = state_at([(0, 0, 0), (1, 0, 0)])
     state.anchors.scaling[0] = [1, 2, 3, 1, 0.05, -4]
-    assert prune(state, CONFIG) == 0
+    assert prune(device, state, CONFIG) == 0
     np.testing.assert_array_equal(
         state.anchors.scaling[0], np.array([1, 2, 3, 0.05, 0.05, -4], np.float32)
     )
 
 
-def test_pruning_everything_is_an_error() -> None:
+def test_pruning_everything_is_an_error(device: Device) -> None:
     state = state_at([(0, 0, 0)])
     with pytest.raises(ClgsError, match="left no anchors"):
-        mask_prune(state, np.array([0], np.int32), np.zeros((1, K_OFFSETS), np.float32))
+        mask_prune(device, state, np.array([0], np.int32), np.zeros((1, K_OFFSETS), np.float32))
     state.statistics.visits[:] = 81
     state.statistics.opacity_sum[:] = 0.0
     with pytest.raises(ClgsError, match="left no anchors"):
-        prune(state, CONFIG)
+        prune(device, state, CONFIG)
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_rows_stay_together_through_a_whole_step(seed: int) -> None:
+def test_rows_stay_together_through_a_whole_step(device: Device, seed: int) -> None:
     """Every surviving anchor keeps its own values and moments; the step is deterministic."""
 
     def step() -> TrainState:
@@ -107,9 +107,9 @@ def test_rows_stay_together_through_a_whole_step(seed: int) -> None:
         state.anchors.feature[:, 0] = number
         visible = np.flatnonzero(rng.random(len(number)) < 0.7).astype(np.int32)
         opacity = rng.normal(-0.8, 1, (len(visible), K_OFFSETS)).astype(np.float32)
-        mask_prune(state, visible, opacity)
-        grow(state, CONFIG, rng)
-        prune(state, CONFIG)
+        mask_prune(device, state, visible, opacity)
+        grow(device, state, CONFIG, rng)
+        prune(device, state, CONFIG)
         return state
 
     state = step()

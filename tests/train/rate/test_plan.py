@@ -8,7 +8,7 @@ import pytest
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.errors import ClgsError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
-from clgs.train.density.grow_and_prune import TrainState
+from clgs.train.density.host_state import TrainState
 from clgs.train.rate.judgement import Judgement
 from clgs.train.rate.plan import (
     LEAST_PRICE,
