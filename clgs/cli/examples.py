@@ -12,6 +12,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "prepare": (
         "clgs prepare PHOTOS -o data",
         "clgs prepare clip.mp4 -o data --frames 80",
+        "clgs prepare PHOTOS -o data --drop-doubtful",
         "clgs prepare PHOTOS -o data --quick",
     ),
     "train": (

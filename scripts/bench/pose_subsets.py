@@ -21,7 +21,7 @@ from PIL import Image, ImageFilter
 from clgs.data.dataset import load_dataset
 from clgs.data.sfm.judging.agreement import Poses, differences
 from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT
-from clgs.data.sfm.prepare import prepare
+from clgs.data.sfm.prepare import Doubts, prepare
 from clgs.opencl.device import Device
 from clgs.scene.camera import Camera
 from clgs.train.quality.pose_check import check_poses
@@ -52,7 +52,7 @@ def main() -> None:
             chosen,
             made,
             args.seed,
-            training=lambda data, on_step: check_poses(data, device, on_step),
+            doubts=Doubts(lambda data, on_step: check_poses(data, device, on_step)),
         )
         truth = known_poses(args.data, args.photos.name, names)
         turns = {

@@ -51,6 +51,11 @@ def register(subparsers: Subparsers) -> None:
         action="store_true",
         help="fewer features, one mapper, poses not tested",
     )
+    parser.add_argument(
+        "--drop-doubtful",
+        action="store_true",
+        help="leave out photos whose poses are in doubt (default: they are named, and stay)",
+    )
     add_overwrite(parser, "DATA if an earlier run of this command made it (default: refuse)")
     parser.set_defaults(run=run)
 
@@ -58,7 +63,7 @@ def register(subparsers: Subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Prepare ``args.photos`` into ``args.output`` and print the verdict; returns the exit code."""
     from clgs.cli.stages import StageDisplay
-    from clgs.data.sfm.prepare import prepare
+    from clgs.data.sfm.prepare import Doubts, prepare
     from clgs.export.poses_page import write_poses_page
 
     start = time.perf_counter()
@@ -71,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
             overwrite=args.overwrite,
             quick=args.quick,
             frames=args.frames,
-            training=None if args.quick else _short_training,
+            doubts=Doubts(None if args.quick else _short_training, args.drop_doubtful),
         )
     write_poses_page(args.output / PAGE, args.output, verdict)
     _print_verdict(args.output, verdict, time.perf_counter() - start)

@@ -7,13 +7,14 @@ import logging
 import shutil
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from clgs.data.photos.bring_in import Source, bring_in, find_source
 from clgs.data.pycolmap_lazy import SEEDS
 from clgs.data.sfm.contact_sheet import contact_sheet
+from clgs.data.sfm.drop import drop_doubtful
 from clgs.data.sfm.guard import removed_if_killed
 from clgs.data.sfm.job import OnProgress
 from clgs.data.sfm.judging.training import untrained, with_training
@@ -35,6 +36,19 @@ MADE = {"images", "masks", "sparse", REPORT, CONTACT_SHEET, "report.html"}
 ShortTraining = Callable[[Path, Callable[[int, int], None]], Mapping[str, float]]
 """Of the data set in a folder, told of its progress: see clgs.train.quality.pose_check."""
 
+
+@dataclass(frozen=True)
+class Doubts:
+    """What else tests poses, and what becomes of photos that are in doubt.
+
+    training: a short one, which tests whether every photo can be shown; None: none is made;
+    drop: whether photos in doubt are left out.
+    """
+
+    training: ShortTraining | None = None
+    drop: bool = False
+
+
 _log = logging.getLogger(__name__)
 
 
@@ -46,7 +60,7 @@ def prepare(
     overwrite: bool = False,
     quick: bool = False,
     frames: int | None = None,
-    training: ShortTraining | None = None,
+    doubts: Doubts = Doubts(),
 ) -> Verdict:
     """Poses and points of the photos in and below ``photos``, or of a video, in ``output``.
 
@@ -63,10 +77,11 @@ def prepare(
         overwrite: ``output`` may replace what an earlier call made.
         quick: half the features, one mapper, and no second reconstruction that tests the poses.
         frames: taken of a video; default 100.
-        training: a short one, which tests whether every photo can be shown; without, none is made.
+        doubts: what else tests the poses, and what becomes of photos that are in doubt.
 
     Raises:
-        DataError: too few or damaged photos, no reconstruction, no pycolmap.
+        DataError: too few or damaged photos, no reconstruction, no pycolmap; too few would be
+            left without those in doubt.
         OutputError: ``output`` is not empty, or cannot be made.
         OSError: the disk is full, or another fault of ``output``.
     """
@@ -80,7 +95,9 @@ def prepare(
         with atomic_folder(output, overwrite) as target:
             with owned(target / "work"), removed_if_killed(target):
                 verdict = _prepare(source, target, seed, quick, on_progress)
-                verdict = _trained(verdict, target, training, on_progress)
+                verdict = _trained(verdict, target, doubts.training, on_progress)
+                if doubts.drop:
+                    verdict = drop_doubtful(target, verdict)
                 _write_report(verdict, target)
             shutil.rmtree(target / "work")
             return verdict
