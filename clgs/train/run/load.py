@@ -11,6 +11,7 @@ from clgs.data.points import RandomStart
 from clgs.data.reduction import Reduction
 from clgs.data.stored_photo import PhotoMemory
 from clgs.train.config import TrainConfig
+from clgs.train.config.run_length import shortness
 
 
 def load_for(
@@ -31,7 +32,7 @@ def load_for(
         DataError: as of :func:`clgs.load_dataset`.
     """
     points: PointFile | RandomStart = RandomStart(
-        config.start_points, config.start_volume == "hull"
+        config.start_points, config.start_volume == "hull", shortness(config.steps)
     )
     if config.points:
         points = PointFile(Path(config.points), config.point_samples)
