@@ -21,11 +21,6 @@ BLENDER_HALF_EDGE = 1.3
 HULL_POINTS = 10_000
 """Random points in the visual hull of a Blender scene; anchors grow from there."""
 
-SHORT_POWER, MOST_SHORTER = 0.3, 10.0
-"""Times HULL_POINTS, this power of how many times shorter than a whole run a training is, at most
-so many: anchors of short runs grow less often, so they start from more points.
-"""
-
 RAY_POINTS = 100_000
 """Random points among photos, most of them in empty space."""
 
@@ -67,19 +62,12 @@ def viewpoint(camera: Camera, alpha: npt.NDArray[np.uint8] | None) -> Viewpoint:
 class RandomStart:
     """How many random points a data set without points starts from, and whether they are carved.
 
-    count 0: HULL_POINTS in Blender scenes, more of them in short runs, RAY_POINTS among photos. Not
-    carved, those of a Blender scene fill its cube, background or not (Voxel-GS). shorter: how many
-    times shorter than a whole run the training is.
+    count 0: HULL_POINTS in Blender scenes, RAY_POINTS among photos. Not carved, those of a Blender
+    scene fill its cube, background or not (Voxel-GS).
     """
 
     count: int = 0
     carved: bool = True
-    shorter: float = 1.0
-
-    def wanted(self, blender: bool) -> int:
-        """How many points."""
-        few = round(HULL_POINTS * min(self.shorter, MOST_SHORTER) ** SHORT_POWER)
-        return self.count or (few if blender else RAY_POINTS)
 
 
 def random_points(
@@ -93,7 +81,7 @@ def random_points(
     depths of 0.2 to 5 times ``radius``. Scene units.
     """
     rng = np.random.default_rng(seed)
-    count = start.wanted(blender)
+    count = start.count or (HULL_POINTS if blender else RAY_POINTS)
     if blender and not start.carved:
         edge = BLENDER_HALF_EDGE
         return rng.uniform(-edge, edge, (count, 3)).astype(np.float32)

@@ -119,21 +119,6 @@ def test_a_start_has_the_number_of_points_that_is_asked_for(tmp_path: Path):
     np.testing.assert_allclose(cube.mean(axis=0), 0.0, atol=0.06)
 
 
-@pytest.mark.parametrize(
-    ("start", "blender", "count"),
-    [
-        (RandomStart(), True, 10_000),
-        (RandomStart(shorter=3.0), True, 13_904),
-        (RandomStart(shorter=10.0), True, 19_953),
-        (RandomStart(shorter=100.0), True, 19_953),
-        (RandomStart(shorter=10.0), False, 100_000),
-        (RandomStart(count=700, shorter=10.0), True, 700),
-    ],
-)
-def test_short_runs_start_from_more_points(start: RandomStart, blender: bool, count: int):
-    assert start.wanted(blender) == count
-
-
 def test_blender_points_are_carved_and_seeded(tmp_path: Path):
     write_blender(tmp_path)
     data = load_dataset(tmp_path)

@@ -66,7 +66,7 @@ class RunSettings:
         "random points to start from if the data set has none (code: 100,000)",
         Range(0, MAX_SAMPLES),
         unit="points",
-        open_default="10,000 in Blender scenes, 20,000 in short runs; 100,000 among photos",
+        open_default="10,000 in Blender scenes, 100,000 among photos",
     )
     start_volume: str = option(
         "hull",

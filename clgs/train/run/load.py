@@ -11,7 +11,6 @@ from clgs.data.points import RandomStart
 from clgs.data.reduction import Reduction
 from clgs.data.stored_photo import PhotoMemory
 from clgs.train.config import TrainConfig
-from clgs.train.config.run_length import shortness
 
 
 def load_for(
@@ -32,7 +31,7 @@ def load_for(
         DataError: as of :func:`clgs.load_dataset`.
     """
     points: PointFile | RandomStart = RandomStart(
-        config.start_points, config.start_volume == "hull", shortness(config.steps)
+        config.start_points, config.start_volume == "hull"
     )
     if config.points:
         points = PointFile(Path(config.points), config.point_samples)
