@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.posed_photo import Photo
-from clgs.doctor.finding import NOTE, WARNING, Finding, named
+from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, named
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,11 +33,13 @@ INWARD, AWAY = 35.0, 95.0
 
 def check_poses(photos: list[Photo]) -> Iterator[Finding]:
     """Findings of all poses."""
-    if len(photos) < FEW:
-        problem = f"{len(photos)} photos are few" if len(photos) != 1 else "one photo is few"
-        yield Finding(NOTE, "", problem, "take more if the result has holes; 50 to 200 are usual")
     if len(photos) < 2:
+        problem = "one photo is too few to train on" if photos else "there is no photo"
+        yield Finding(ERROR, "", problem, "give at least two; 50 to 200 are usual")
         return
+    if len(photos) < FEW:
+        problem = f"{len(photos)} photos are few"
+        yield Finding(NOTE, "", problem, "take more if the result has holes; 50 to 200 are usual")
     centres = np.array([photo.centre for photo in photos])
     distance = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
     scale = float(np.median(distance))

@@ -141,6 +141,12 @@ def test_cameras_apart_tipped_or_turned_away(healthy: Path):
     assert len(found) == 3
 
 
+def test_one_photo_is_an_error(tmp_path: Path):
+    write_transforms(tmp_path, 1, (80, 64))
+    found = levels(tmp_path)
+    assert found[ERROR] == [": one photo is too few to train on"]
+
+
 def test_cameras_in_one_place(healthy: Path):
     document = json.loads((healthy / "transforms.json").read_text())
     for frame in document["frames"]:

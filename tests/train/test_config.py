@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -206,3 +207,9 @@ def test_a_loss_without_weights_is_refused() -> None:
     assert TrainConfig(ssim_weight=0).l1_weight > 0
     with pytest.raises(UsageError, match="both are 0"):
         TrainConfig(l1_weight=0, ssim_weight=0)
+
+
+def test_what_is_logged_and_saved_when_is_no_part_of_the_digest() -> None:
+    config = TrainConfig()
+    assert replace(config, checkpoint_interval=9, log_interval=7).digest() == config.digest()
+    assert replace(config, growth_interval=9).digest() != config.digest()

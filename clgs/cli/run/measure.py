@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -31,6 +32,11 @@ DEEPER = 4.0
 the other.
 """
 
+GROWN = 3_000
+"""Fewer anchors than these at the start become many more: their steps say little of later ones,
+which may take as long as those of the synthetic scene.
+"""
+
 WIDTH = 480
 """Of photos of a data set, on which steps are timed; and of half the size."""
 
@@ -43,13 +49,18 @@ EPOCHS = 2
 
 def synthetic_speed(device: Device) -> Speed:
     """Of steps on a photo, guessed from those on a synthetic scene."""
+    found = _synthetic(device)
+    return replace(found, pixel=DEEPER * found.pixel)
+
+
+def _synthetic(device: Device) -> Speed:
+    """Of steps on the synthetic scene."""
 
     def measure(edge: int) -> tuple[int, float]:
         trainer = synthetic_trainer(device, TYPICAL_GAUSSIANS, edge, 0)
         return edge**2, median(stream_times(trainer, REPEATS)) / 1e3
 
-    found = fit_speed(*map(measure, EDGES))
-    return replace(found, pixel=DEEPER * found.pixel)
+    return fit_speed(*map(measure, EDGES))
 
 
 def speed_on(device: Device, data: Path, photos: Photos, run: Path, seed: int) -> Speed:
@@ -70,9 +81,19 @@ def speed_on(device: Device, data: Path, photos: Photos, run: Path, seed: int) -
     dataset = _some_photos(config, data, run)
     config = config.for_dataset(dataset.kind)
     pixels, ((_, factor),) = photos.at(width), COARSE_STAGES
+    trainer = Trainer(device, dataset, config)
+    start = trainer.parameters.count
     coarse = _first_steps(Trainer(device, dataset, replace(config, coarse_to_fine=True)))
-    fine = _first_steps(Trainer(device, dataset, config))
-    return fit_speed((pixels // factor**2, coarse), (pixels, fine))
+    found = fit_speed((pixels // factor**2, coarse), (pixels, _first_steps(trainer)))
+    if start >= GROWN:
+        return found
+    usual = _synthetic(device)
+    return Speed(_between(found.fixed, usual.fixed), _between(found.pixel, usual.pixel))
+
+
+def _between(first: float, later: float) -> float:
+    """Halfway by ratio from what first steps take to what later ones do, if that is more."""
+    return max(first, math.sqrt(first * later))
 
 
 def _some_photos(config: TrainConfig, data: Path, run: Path) -> Dataset:

@@ -53,7 +53,7 @@ def check_text_poses(folder: Path) -> None:
     for line in lines:
         if _counts(line):
             line.check_pose(_IMAGE)
-            next(lines, None)  # its image points
+            next(lines, line.after()).check_points()
     for line in _lines(folder / "frames.txt"):
         line.check_pose(_FRAME)
     for line in _lines(folder / "rigs.txt"):
@@ -94,6 +94,19 @@ class _Line:
                 self.fail(f"{name} is missing")
             self.check_word(name, self.words[index])
         return self.words[len(names) :]
+
+    def after(self) -> _Line:
+        """The line that a file lacks if it ends here."""
+        return _Line(self.path, self.number + 1, [])
+
+    def check_points(self) -> None:
+        """Refuse what cannot be the image points of the line before."""
+        if len(self.words) % 3:
+            self.fail(
+                "POINTS2D are not of three numbers each; the line of an image without any is empty"
+            )
+        if self.words:
+            self.check_word("POINT3D_ID", self.words[-1])
 
     def check_pose(self, names: tuple[str, ...]) -> None:
         """Refuse fields QW to TZ that are not finite, or a quaternion that is not of length 1."""
@@ -158,9 +171,8 @@ def _images(path: Path, cameras: set[int]) -> Iterator[tuple[int, int]]:
         camera = line.field(_IMAGE, "CAMERA_ID")
         if camera not in cameras:
             line.fail(f"CAMERA_ID {camera} is not in cameras.txt")
-        points = next(lines, _Line(path, line.number + 1, []))
-        if len(points.words) % 3:
-            points.fail("POINTS2D are not of three numbers each")
+        points = next(lines, line.after())
+        points.check_points()
         for index, word in enumerate(points.words):
             points.check_word(("X", "Y", "POINT3D_ID")[index % 3], word)
         yield line.field(_IMAGE, "IMAGE_ID"), len(points.words) // 3

@@ -80,7 +80,7 @@ def gaussians_of(columns: Columns, path: Path) -> HostGaussians:
     """The Gaussians of columns (N,) by name of the property; ``path`` is named in errors.
 
     Raises:
-        DataError: a property is missing.
+        DataError: a property is missing, or there are no splats.
     """
     rest = [f"{REST}{i}" for i in range(sum(name.startswith(REST) for name in columns))]
     needed = [*POSITION, *DC, *rest, "opacity", *SCALE, *ROTATION]
@@ -107,14 +107,17 @@ def gaussians_of(columns: Columns, path: Path) -> HostGaussians:
         stack(["opacity"])[:, 0],
         np.ascontiguousarray(np.concatenate([sh[:, None, :3], higher], axis=1)),
     )
-    return _finite(found, path)
+    found = _finite(found, path)
+    if not len(found):
+        raise DataError(f"{path}: holds no splats that can be drawn; write it again with some")
+    return found
 
 
 def _finite(gaussians: HostGaussians, path: Path) -> HostGaussians:
     """Those whose numbers are all finite."""
     good = np.ones(len(gaussians), np.bool_)
     for _, array in gaussians.items():
-        good &= np.isfinite(array.reshape(len(array), -1)).all(axis=1)
+        good &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
     if good.all():
         return gaussians
     lost = len(good) - int(good.sum())

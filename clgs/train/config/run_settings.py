@@ -95,12 +95,14 @@ class RunSettings:
         "steps between rows of progress.csv, each with the PSNR of the fixed views",
         at_least(1),
         unit="steps",
+        in_digest=False,
     )
     checkpoint_interval: int = option(
         1000,
         "steps between checkpoints; 0: only when the run is interrupted",
         at_least(0),
         unit="steps",
+        in_digest=False,
     )
     background: str = option(
         "black",

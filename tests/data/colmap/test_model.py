@@ -177,6 +177,12 @@ IMAGE = "1 1 0 0 0 0 0 0 1 001.png\n"
         ("images", IMAGE.replace("0 1 001", "1e13 1 001"), "line 1: TX, TY, TZ are larger"),
         ("images", "1 1 0 0\n", "line 1: QZ is missing"),
         ("images", f"{IMAGE}1 2\n", "line 2: POINTS2D are not of three numbers each"),
+        (
+            "images",
+            f"{IMAGE}{IMAGE}",
+            "line 2: POINTS2D are not of three numbers each; the line of",
+        ),
+        ("images", f"{IMAGE}1 2 3 0 0 0 0 0 1 1 b 001.png\n", "line 2: POINT3D_ID is '001.png'"),
         ("images", f"{IMAGE}1 2 x\n", "line 2: POINT3D_ID is 'x', not a whole number"),
         ("points3D", "7 2\n", "line 1: Y is missing"),
         ("points3D", "7 2 3 nan 1 2 3 0.1\n", "line 1: Z is 'nan', not a finite number"),

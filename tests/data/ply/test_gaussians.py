@@ -82,6 +82,14 @@ def test_what_is_no_splat_is_named(tmp_path, rng):
         read_gaussians(tmp_path / "none.ply")
 
 
+@pytest.mark.parametrize("count", [0, 3])
+def test_a_file_without_splats_to_draw_is_one_line(tmp_path, rng, count):
+    columns = {key: value[:count].copy() for key, value in columns_of(stored(rng, 3)).items()}
+    columns["opacity"][:] = np.nan
+    with pytest.raises(DataError, match=r"^[^\n]*s\.ply: holds no splats that can be drawn"):
+        read_gaussians(write(tmp_path / "s.ply", columns))
+
+
 def test_broken_splats_are_left_out_and_counted(tmp_path, rng, caplog):
     columns = columns_of(stored(rng, 10))
     columns["opacity"] = columns["opacity"].copy()
