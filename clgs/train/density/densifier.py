@@ -59,6 +59,7 @@ class Densifier:
     ) -> Parameters:
         """Prune and grow after a step that rendered ``frame``; anchors that go are hidden."""
         device, config = self._device, self._config
+        device.release_unused()  # arrays of other sizes come next
         seen = frame.activations.visible, frame.activations.output
         state = mask_prune(device, parameters, self.statistics, *seen)
         grow(device, state, config, rng)
@@ -70,6 +71,7 @@ class Densifier:
         """The anchors that are not hidden, in the same order."""
         if not parameters.hidden:
             return parameters
+        self._device.release_unused()
         state = DeviceState.of(self._device, parameters, self.statistics)
         compact(self._device, state)
         self.statistics = state.statistics
