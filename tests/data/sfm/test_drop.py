@@ -76,9 +76,6 @@ def test_what_is_in_doubt_is_left_out(
 
 
 def test_too_few_good_photos_are_refused_and_leave_nothing(photos: Path, tmp_path: Path) -> None:
-    def training(data: Path, on_step: object) -> dict[str, float]:
-        return {"0.png": 0.01, "1.png": 0.01} | {f"{number}.png": 0.9 for number in range(2, 4)}
-
     verdict = prepare(photos, tmp_path / "all", quick=True)
     none = replace(verdict, photos=tuple(replace(p, status=GOOD) for p in verdict.photos))
     assert drop.drop_doubtful(tmp_path / "all", none) is none
