@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from clgs.data.apart import ASTRAY, apart
 from clgs.data.images import Pixels, box_resized, check_image, list_images, read_image
 from clgs.data.lens import Lens, forget_sources, undistort_lens, undistort_pixels
 from clgs.data.photos.masks import StoredMask, read_mask
@@ -39,7 +40,7 @@ MIN_POINTS = 100
 LEAST_POINTS = 4
 """Training cannot start from fewer."""
 
-MISSING_NAMED = 8
+NAMED = 8
 """Of missing photos, at most so many are named."""
 
 _log = logging.getLogger(__name__)
@@ -104,7 +105,7 @@ def load_dataset(
         raise DataError(f"downscale is {downscale}; give a whole number of at least 1")
     photos = read_photo_set(Path(path))
     _check_photos(path, photos, reduction)
-    transform, radius = _normalise(photos, preset_units)
+    transform, radius = _normalise(photos, preset_units, _astray(path, photos))
     if source := load_points if isinstance(load_points, PointFile) else None:
         _take_points(photos, source, seed, transform, radius)
     memory = load_images if isinstance(load_images, PhotoMemory) else PhotoMemory()
@@ -146,12 +147,29 @@ def _check_photos(path: Path | str, photos: PhotoSet, reduction: Reduction) -> N
 def _name_missing(path: Path | str, photos: PhotoSet) -> None:
     """Warn of the photos that the data set names but lacks, with the first of their names."""
     missing = photos.missing
-    if not missing:
-        return
-    total = len(missing) + len(photos.train) + len(photos.test)
-    shown = [name[:80] if name.isprintable() else repr(name[:80]) for name in missing]
-    named = ", ".join(shown[:MISSING_NAMED]) + ", ..." * (len(missing) > MISSING_NAMED)
-    _log.warning("%s: %d of %d photos are missing: %s", path, len(missing), total, named)
+    if missing:
+        total = len(missing) + len(photos.train) + len(photos.test)
+        named = _named(missing)
+        _log.warning("%s: %d of %d photos are missing: %s", path, len(missing), total, named)
+
+
+def _named(names: list[str]) -> str:
+    """The first of some names, printable."""
+    shown = [name[:80] if name.isprintable() else repr(name[:80]) for name in names[:NAMED]]
+    return ", ".join(shown) + ", ..." * (len(names) > NAMED)
+
+
+def _astray(path: Path | str, photos: PhotoSet) -> npt.NDArray[np.bool_]:
+    """Which training cameras (N,) no capture has where they are; warns of them."""
+    astray = apart(np.array([photo.centre for photo in photos.train]), ASTRAY)
+    if astray.any():
+        names = [photo.name for photo, far in zip(photos.train, astray, strict=True) if far]
+        _log.warning(
+            "%s: more than %d times as far from the middle as half of the cameras, so their poses "
+            "are wrong: %s; leave these photos out",
+            *(path, ASTRAY, _named(names)),
+        )
+    return astray
 
 
 def _take_points(
@@ -227,9 +245,11 @@ def _is_posed(folder: Path) -> bool:
     return any((folder / name).is_file() for name in names) or find_model(folder) is not None
 
 
-def _normalise(photos: PhotoSet, keep_units: bool) -> tuple[SceneTransform, float]:
-    """Scene units and the camera radius in them, from the training cameras."""
-    centres = np.array([photo.centre for photo in photos.train])
+def _normalise(
+    photos: PhotoSet, keep_units: bool, astray: npt.NDArray[np.bool_]
+) -> tuple[SceneTransform, float]:
+    """Scene units and the camera radius in them, from the training cameras that are not astray."""
+    centres = np.array([photo.centre for photo in photos.train])[~astray]
     middle = centres.mean(axis=0)
     radius = RADIUS_MARGIN * float(np.linalg.norm(centres - middle, axis=1).max())
     if not radius > 1e-9 * (1.0 + float(np.abs(centres).max())):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from clgs.data.colmap.model import find_model
 from clgs.data.dataset import MIN_POINTS, read_photo_set
+from clgs.data.origin import read_origin
 from clgs.data.photos.find import find_photos
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.transforms import each_frame, parse_leniently
@@ -73,6 +74,8 @@ def _unposed(root: Path, error: DataError) -> Examined:
         raise error
     if (root / "plan.json").is_file() and (root / "data").is_dir():
         raise DataError(f"{root}: was made by clgs run; name {root / 'data'}, what it trained on")
+    if origin := read_origin(root):
+        raise DataError(f"{root}: is a run; name what it was trained on: {origin.folder}")
     found = find_photos(root)
     if not found.photos:
         raise error

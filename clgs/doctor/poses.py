@@ -7,19 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
+from clgs.data.apart import APART, LEAST, apart, spread
 from clgs.data.posed_photo import Photo
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, named
 
 Floats = npt.NDArray[np.float64]
 
-LEAST = 5
-"""Fewer cameras say nothing of what is usual."""
-
 FEW = 20
 """Fewer photos leave holes in most scenes."""
-
-APART = 5.0
-"""Times the median distance from the middle of all cameras."""
 
 SAME = 1e-6
 """Poses closer than this, relative to the cameras' median distance, are one."""
@@ -41,8 +36,7 @@ def check_poses(photos: list[Photo]) -> Iterator[Finding]:
         problem = f"{len(photos)} photos are few"
         yield Finding(NOTE, "", problem, "take more if the result has holes; 50 to 200 are usual")
     centres = np.array([photo.centre for photo in photos])
-    distance = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
-    scale = float(np.median(distance))
+    _, scale = spread(centres)
     names = [photo.name for photo in photos]
     if not scale > 1e-9 * (1.0 + float(np.abs(centres).max())):
         yield Finding(
@@ -52,9 +46,8 @@ def check_poses(photos: list[Photo]) -> Iterator[Finding]:
     yield from _same(photos, centres / scale)
     if len(photos) < LEAST:
         return
-    apart = [name for name, far in zip(names, distance > APART * scale, strict=True) if far]
     yield from _warn(
-        apart,
+        [name for name, far in zip(names, apart(centres, APART), strict=True) if far],
         f"more than {APART:.0f} times as far from the middle as half of the cameras",
         "look at the cameras (clgs export DATA -o cameras.glb); leave these out if they are wrong",
     )

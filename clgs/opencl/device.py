@@ -19,6 +19,7 @@ import pyopencl.tools
 
 from clgs import constants
 from clgs.errors import DeviceError, NoRoomError, UsageError
+from clgs.memory import return_unused_memory
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import choose_device, compiles_vectors, is_emulator
 from clgs.opencl.kernel_times import KernelTimes
@@ -136,6 +137,7 @@ class Device:
     def release_unused(self) -> None:
         """Give back the memory that the pool keeps for reuse: arrays of other sizes come next."""
         self._pool.free_held()
+        return_unused_memory()  # on a CPU it is the host's
 
     def empty(self, shape: Sequence[int], dtype: npt.DTypeLike = np.float32) -> DeviceArray:
         """Uninitialised array.

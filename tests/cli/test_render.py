@@ -134,6 +134,7 @@ def test_splats_are_scored_and_over_another_background_differ(here, tmp_path):
         ("render s.npz -o x", 2, "nothing to render: name the photos with --data, or a path"),
         ("render s.npz --path circle -o x", 2, "--path circle: is not orbit, spiral"),
         ("render s.npz --path interpolate -o x", 2, "--path interpolate: goes through photos"),
+        ("render s.npz --data data -o x.mp4", 2, "x.mp4: a video is a clip; give --path"),
         ("render s.npz --data data --frames 3 -o x", 2, "--frames: belongs to a clip"),
         ("render s.npz --data data --save-path p.json -o x", 2, "--save-path: belongs to a clip"),
         ("render s.npz --path orbit --size 40 -o x", 2, "40 is not WIDTHxHEIGHT"),

@@ -252,6 +252,19 @@ def test_parts_of_a_data_set_and_runs_are_named_as_what_they_are(tmp_path: Path)
         load_dataset(data / "images" / "000.png")
 
 
+@pytest.mark.parametrize("far", [1e3, 1e8])
+def test_a_camera_astray_is_named_and_leaves_the_units_alone(tmp_path: Path, caplog, far: float):
+    document = write_transforms(tmp_path)
+    document["frames"][3]["transform_matrix"][0][3] = far
+    save_json(tmp_path, document)
+    found = load_dataset(tmp_path, load_images=False)
+    told = [one.getMessage() for one in caplog.records]
+    assert len(told) == 1
+    assert "more than 20 times as far" in told[0]
+    assert "wrong: images/003.png; leave" in told[0]
+    assert 4.0 * found.transform.scale == pytest.approx(found.radius / 1.1, rel=0.2)
+
+
 def test_missing_photos_are_named(tmp_path: Path, caplog):
     write_transforms(tmp_path, 12)
     for number in range(2, 12):

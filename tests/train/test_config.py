@@ -85,10 +85,16 @@ def test_scaled_moves_moments_and_keeps_intervals() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"target_size": 12_999}, "target_size: 12999 bytes hardly hold the MLPs; give at least"),
+        (
+            {"target_size": 12_999},
+            "target_size: 12999 is out of range; give a whole number, 0 or",
+        ),
         ({"target_size": 40_000, "mlp": "float32"}, "give at least 50000"),
-        ({"start_points": 3}, "start_points: 3 is too few; give at least 4, or 0"),
-        ({"max_anchors": 3}, "max_anchors: 3 is too few; give at least 4, or 0"),
+        ({"start_points": 3}, "start_points: 3 is out of range; give a whole number, 0 or from"),
+        (
+            {"max_anchors": 3},
+            "max_anchors: 3 is out of range; give a whole number, 0 or at",
+        ),
     ],
 )
 def test_what_cannot_be_met_is_refused(values: dict, message: str) -> None:

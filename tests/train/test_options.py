@@ -75,6 +75,21 @@ def parse_command(*words: str) -> TrainConfig:
     return training.make_config(parser.parse_args(words))
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--growth-end 900 --steps 1000", "--growth-end: 900 is after --switch-step 500; scale"),
+        ("--loss-weights 0 0", "--l1-weight, --ssim-weight: both are 0"),
+        ("--target-size 20k --mlp float32", "--target-size: 20000 bytes hardly"),
+        ("--set max_anchors=3", "--set max_anchors: 3 is out of range; give a whole number, 0 or"),
+    ],
+)
+def test_what_does_not_go_together_is_named_as_it_was_given(words: str, said: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_command(*words.split())
+    assert str(caught.value).startswith(said)
+
+
 def value_in(config: TrainConfig, name: str) -> Any:
     table, _, inner = name.rpartition(".")
     return getattr(getattr(config, table) if table else config, inner)

@@ -101,7 +101,7 @@ def test_what_cannot_become_a_page_is_one_line(decoder, data, tmp_path, capsys):
     (tmp_path / "cut.clgs").write_bytes(data[:-1])
     cases = [
         ([], 2, "name a SCENE, or give --viewer"),
-        ([str(tmp_path / "cut.clgs"), "--viewer"], 2, "name a SCENE, or give --viewer"),
+        ([str(tmp_path / "cut.clgs"), "--viewer"], 2, "--viewer makes a page without a scene"),
         ([str(tmp_path / "cut.clgs")], 3, "cut.clgs: "),
         ([str(tmp_path / "none.clgs")], 3, "no such file"),
         ([str(tmp_path)], 3, "is a folder"),

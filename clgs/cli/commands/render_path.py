@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from clgs.scene.camera import Camera
     from clgs.scene.scene import SceneTransform
 
-OTHER_VIDEOS = (".mov", ".webm", ".gif", ".avi", ".mkv", ".m4v")
 Add = Callable[["Frame"], None]
 
 
@@ -59,6 +58,7 @@ def render_path(args: argparse.Namespace) -> int:
 
 def _check_output(args: argparse.Namespace) -> bool:
     """Whether the output is a video; refuses, before long work, what cannot be written."""
+    from clgs.cli.options.path import OTHER_VIDEOS
     from clgs.errors import UsageError
     from clgs.export.clip.video import SUFFIX, load_writer
     from clgs.files import check_folder

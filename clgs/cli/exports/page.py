@@ -27,7 +27,9 @@ def run(args: argparse.Namespace) -> None:
     from clgs.export.page import scene_page
     from clgs.files import atomic_write, check_output
 
-    if args.viewer == (args.source is not None):
+    if args.viewer and args.source is not None:
+        raise UsageError("--viewer makes a page without a scene; leave it out, or the SCENE")
+    if not args.viewer and args.source is None:
         raise UsageError("name a SCENE, or give --viewer for a page without one")
     data = b""
     if args.source is not None:

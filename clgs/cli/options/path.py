@@ -21,6 +21,9 @@ FRAMES = 120
 FPS = 30.0
 SIZE = 800, 600
 MAX_SIDE = 16384
+OTHER_VIDEOS = (".mov", ".webm", ".gif", ".avi", ".mkv", ".m4v")
+"""Suffixes of videos that are not written."""
+
 UPS = {
     f"{sign}{axis}": tuple((-1.0 if sign else 1.0) * (axis == other) for other in "xyz")
     for axis in "xyz"
@@ -94,6 +97,8 @@ def check_path(args: argparse.Namespace) -> None:
         for name in ("frames", "fps", "size", "up", "save_path"):
             if getattr(args, name) is not None:
                 raise UsageError(f"--{name.replace('_', '-')}: belongs to a clip; give --path too")
+        if args.output.suffix.lower() in (".mp4", *OTHER_VIDEOS):
+            raise UsageError(f"{args.output}: a video is a clip; give --path, or name a folder")
         if args.data is None:
             raise UsageError(
                 "nothing to render: name the photos with --data, or a path with --path"

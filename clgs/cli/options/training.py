@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,20 @@ def make_config(args: argparse.Namespace) -> TrainConfig:
         UsageError: a value has the wrong type or range, or values do not go together.
     """
     file: Path | None = args.config
-    return layered(read_settings(file) if file else {}, _given(args))
+    settings, given = read_settings(file) if file else {}, _given(args)
+    try:
+        return layered(settings, given)
+    except UsageError as error:
+        raise UsageError(with_flags(str(error))) from None
+
+
+def with_flags(message: str) -> str:
+    """``message`` with the settings that it names as the command line has them."""
+    for one in options_of(TrainConfig).values():
+        name, flag = re.escape(one.name), describe(one).flag
+        place = rf"\b{name}\b" if "_" in one.name else rf"^{name}(?=:)"
+        message = re.sub(place, flag, message)
+    return message
 
 
 def _given(args: argparse.Namespace) -> dict[str, Any]:

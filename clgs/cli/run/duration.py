@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import re
 
-UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "": 1.0}
-_FORM = re.compile(r"(\d+(?:\.\d+)?)(s|m|h|)")
+UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0}
+_FORM = re.compile(r"(\d+(?:\.\d+)?)(s|m|h)")
 
 
 def duration(text: str) -> float:
-    """An argument that is a time; in seconds if it has no unit."""
+    """Seconds of an argument that is a time; without a unit it could mean two things."""
     found = _FORM.fullmatch(text.strip().lower())
     seconds = float(found[1]) * UNITS[found[2]] if found else 0.0
     if not 0 < seconds < 1e7:

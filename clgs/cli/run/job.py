@@ -36,8 +36,9 @@ if TYPE_CHECKING:
     from clgs.train.run.folder_lock import FolderLock
 
 PAGE, SPLATS, CLIP = "scene.html", "scene.ply", "clip.mp4"
+SCORES = "scores.json"
 RUN = "run"
-MADE = (DATA, RUN, "scene.clgs", "scores.json", "report.html", PAGE, SPLATS, CLIP)
+MADE = (DATA, RUN, "scene.clgs", SCORES, "report.html", PAGE, SPLATS, CLIP)
 CLIP_FRAMES = 120
 
 
@@ -47,7 +48,8 @@ class Job:
     def __init__(self, args: argparse.Namespace) -> None:
         self._args = args
         self._out: Path = args.output
-        self._stages = Stages()
+        self._stages = Stages(on_time=self._keep)
+        self._record: Record | None = None  # nothing is written before there is one
         self._lock: FolderLock | None = None
         self._start = time.perf_counter()
         self._time: float = args.time or DEFAULT_SECONDS
@@ -79,6 +81,8 @@ class Job:
         if record:
             record.check(self._out, source, self._args)
             self._time = self._args.time or record.time
+            self._stages.seconds |= record.seconds
+            self._record = record
         where, count = str(source.path.resolve()), source.photos.count
         begun = Record(where, count, source.digest, self._time)
         source = self._shortened(source)
@@ -93,7 +97,7 @@ class Job:
             if not record:
                 self._clear(source, begun)
         data = self._data(source)
-        settings = settings or self._settings(source, data, plan, begun)
+        settings = settings or self._settings(source, data, plan)
         self._train(data, settings)
         failed = self._exports()
         self._report(source, settings)
@@ -135,6 +139,12 @@ class Job:
             return 0.0
         return prepare_seconds(source.photos.count, os.cpu_count() or 1, hurry)
 
+    def _keep(self, record: Record | None = None) -> None:
+        """Write what is known of the run, once it has begun."""
+        self._record = record or self._record
+        if self._record:
+            replace(self._record, seconds=self._stages.seconds).write(self._out)
+
     def _clear(self, source: Source, begun: Record) -> None:
         """Make OUT, without what an earlier run left there.
 
@@ -147,7 +157,7 @@ class Job:
             raise UsageError(f"{source.path}: lies in the folder that is written to; copy it first")
         make_folder(self._out)
         self._hold()
-        begun.write(self._out)
+        self._keep(begun)
         for path in doomed:
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
@@ -159,40 +169,40 @@ class Job:
         if source.posed:
             return source.path
         data = self._out / DATA
-        if not data.is_dir():
-            options = ["--seed", str(self._args.seed or 0)]
-            if self._must_hurry(source):
-                options.append("--quick")
-            if source.video:
-                options += ["--frames", str(source.photos.count)]
-            self._stages.run("prepare", "prepare", source.path, "-o", data, *options)
+        options = ["--seed", str(self._args.seed or 0)]
+        if self._must_hurry(source):
+            options.append("--quick")
+        if source.video:
+            options += ["--frames", str(source.photos.count)]
+        self._stages.run("prepare", data, "prepare", source.path, "-o", data, *options)
         return data
 
-    def _settings(self, source: Source, data: Path, plan: Plan, begun: Record) -> dict[str, Any]:
+    def _settings(self, source: Source, data: Path, plan: Plan) -> dict[str, Any]:
         """Steps and size of training, planned again once there are poses and points."""
         if not source.complete:
             plan = self._plan(measure_data(data), 0.0, data)
             print(f"training: {_training(plan)}")
         settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self._args.seed or 0}
         settings["coarse_to_fine"] = plan.coarse
-        make_folder(self._out)
-        self._hold()
-        figures = asdict(plan)
-        replace(begun, settings=settings, plan=figures).write(self._out)
+        assert self._record is not None
+        self._keep(replace(self._record, settings=settings, plan=asdict(plan)))
         return settings
 
     def _train(self, data: Path, settings: dict[str, Any]) -> None:
         """Train, encode, and score the file."""
+        from clgs.train.run.finished_run import RESULTS
+
         run, scene = self._out / RUN, self._out / "scene.clgs"
         on = ("--device", self._device.name)
         options = [f"{_option(name)}={value}" for name, value in _chosen(settings)]
         options += [_option(name) for name, value in settings.items() if value is True]
         words: list[str | Path] = [data, "-o", run, "--preset", "quick", *options, *on, "--resume"]
-        self._stages.run("train", "train", *words)
-        self._stages.run("encode", "encode", run, "-o", scene, "--overwrite")
+        self._stages.run("train", run / RESULTS, "train", *words)
+        self._stages.run("encode", scene, "encode", run, "-o", scene)
+        scores = self._out / SCORES
         views = ("--max-size", str(settings["max_size"]), *self._split(run), *on)
-        into = ("--data", data, "--json", self._out / "scores.json")
-        self._stages.run("eval", "eval", scene, *into, *views)
+        into = ("--data", data, "--json", scores)
+        self._stages.run("eval", scores, "eval", scene, *into, *views)
 
     def _split(self, run: Path) -> tuple[str, ...]:
         """Which views the run was scored on."""
@@ -204,18 +214,19 @@ class Job:
         run, code = self._out / RUN, 0
         for name in (PAGE, SPLATS, CLIP):
             remove_temporaries(self._out / name)
-        on = ("--device", self._device.name, "--overwrite")
+        on = ("--device", self._device.name)
         path = ("--path", "interpolate", "--frames", str(CLIP_FRAMES))
-        wanted: dict[str, tuple[str | Path, ...]] = {
-            "page": ("export", run, "-o", self._out / PAGE, *on),
-            "Gaussians": ("export", run, "-o", self._out / SPLATS, *on),
-            "clip": ("render", run, *path, "-o", self._out / CLIP, *on),
+        wanted: dict[str, tuple[str, tuple[str | Path, ...]]] = {
+            "page": (PAGE, ("export", run)),
+            "Gaussians": (SPLATS, ("export", run)),
+            "clip": (CLIP, ("render", run, *path)),
         }
         if find_spec("imageio_ffmpeg") is None:
             del wanted["clip"]
             print("\n[clip] left out; it needs: pip install 'clgs[video]'")
-        for name, words in wanted.items():
-            code = self._stages.attempt(name, *words) or code
+        for name, (file, words) in wanted.items():
+            made = self._out / file
+            code = self._stages.attempt(name, made, *words, "-o", made, *on) or code
         return code
 
     def _report(self, source: Source, settings: dict[str, Any]) -> None:
@@ -227,8 +238,8 @@ class Job:
         seconds, photos = self._stages.seconds, self._photos(source)
         story = RunStory(_command(self._args, settings), f"{photos}.", seconds, links)
         write_run_report(self._out / RUN, story, self._out / "report.html")
-        scores = json.loads((self._out / "scores.json").read_text(encoding="utf-8"))
-        print_box(self._out, photos, scores, seconds, self._args.resume)
+        scores = json.loads((self._out / SCORES).read_text(encoding="utf-8"))
+        print_box(self._out, photos, scores, seconds)
 
     def _photos(self, source: Source) -> str:
         """How many photos were used, in words."""

@@ -24,7 +24,7 @@ class Record:
 
     input: the absolute path that it began with; photos: their number there; digest: as a source
     has it; time: seconds that it was planned for; settings: of training, empty until it is planned;
-    plan: figures behind them.
+    plan: figures behind them; seconds: that its stages took so far, over all calls.
     """
 
     input: str
@@ -33,6 +33,7 @@ class Record:
     time: float
     settings: dict[str, Any] = field(default_factory=dict)
     plan: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
 
     def write(self, out: Path) -> None:
         """Into the folder ``out``."""
@@ -101,6 +102,7 @@ def read_record(out: Path, args: argparse.Namespace) -> Record | None:
             photos=int(found.photos),
             time=float(found.time),
             settings=dict(found.settings),
+            seconds={str(name): float(value) for name, value in found.seconds.items()},
         )
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise DataError(f"{path}: is damaged ({error}); start anew with --overwrite") from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,21 +22,25 @@ class StageError(ClgsError):
 
 @dataclass
 class Stages:
-    """Runs commands in this process and keeps the seconds of each stage."""
+    """Runs commands in this process and keeps the seconds of each stage.
+
+    on_time is called whenever they have grown.
+    """
 
     seconds: dict[str, float] = field(default_factory=dict)
+    on_time: Callable[[], None] = lambda: None
 
-    def run(self, name: str, *words: str | Path) -> None:
-        """Run ``clgs NAME WORDS`` as stage ``name``.
+    def run(self, name: str, made: Path, *words: str | Path) -> None:
+        """Run ``clgs NAME WORDS`` as stage ``name``, unless ``made`` is there.
 
         Raises:
             StageError: it failed.
         """
-        code = self.attempt(name, *words)
+        code = self.attempt(name, made, *words)
         if code:
             raise StageError(name, code)
 
-    def attempt(self, name: str, *words: str | Path) -> int:
+    def attempt(self, name: str, made: Path, *words: str | Path) -> int:
         """As :meth:`run`, but the exit code is returned.
 
         Raises:
@@ -44,6 +48,9 @@ class Stages:
         """
         from clgs.cli.main import run_command
 
+        if made.exists():
+            print(f"\n[{name}] is there: {made}")
+            return 0
         command = [str(word) for word in words]
         print(f"\n[{name}] {shlex.join(['clgs', *command])}", flush=True)
         with self.timed(name):
@@ -56,5 +63,8 @@ class Stages:
     def timed(self, name: str) -> Iterator[None]:
         """Add the seconds of the block to those of stage ``name``."""
         start = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            self.on_time()

@@ -15,7 +15,6 @@ def print_box(
     photos: str,
     scores: Mapping[str, Any],
     seconds: Mapping[str, float],
-    resumed: bool = False,
 ) -> None:
     """A box of the run's numbers.
 
@@ -23,8 +22,7 @@ def print_box(
         out: folder of the run.
         photos: how many there were, in words.
         scores: as `clgs eval --json` gives them.
-        seconds: by stage.
-        resumed: whether an earlier call did a part of the work, which has no time here.
+        seconds: by stage, over all calls that worked on the run.
     """
     from rich.console import Console
     from rich.panel import Panel
@@ -32,7 +30,7 @@ def print_box(
     from rich.text import Text
 
     table = Table.grid(padding=(0, 2))
-    for name, value in rows(out, photos, scores, seconds, resumed):
+    for name, value in rows(out, photos, scores, seconds):
         table.add_row(Text(name, style="dim"), Text(value))
     Console().print(Panel(table, title="clgs run: done", border_style="green", expand=False))
 
@@ -42,10 +40,8 @@ def rows(
     photos: str,
     scores: Mapping[str, Any],
     seconds: Mapping[str, float],
-    resumed: bool = False,
 ) -> list[tuple[str, str]]:
     """Labels and values of the box."""
-    since = " since --resume" if resumed else ""
     stages = "  ".join(f"{name} {one:.0f}" for name, one in seconds.items())
     split = "held-out view" if scores["split"] == "test" else "training view"
     views = counted(scores["views"], split)
@@ -54,6 +50,6 @@ def rows(
         ("PSNR", f"{scores['psnr']:.2f} dB on {views}, from the file"),
         ("SSIM", f"{scores['ssim']:.4f}"),
         ("bytes", f"{scores['bytes']:,} for {scores['anchors']:,} anchors"),
-        ("time", f"{in_words(sum(seconds.values()))}{since}; seconds: {stages}"),
+        ("time", f"{in_words(sum(seconds.values()))}; seconds: {stages}"),
         ("look at", str(out / "report.html")),
     ]

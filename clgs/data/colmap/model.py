@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from clgs.data.colmap.binary_check import check_binary_model, check_name
-from clgs.data.colmap.text_check import check_text_poses, explain_text_model
+from clgs.data.colmap.binary_check import check_name
+from clgs.data.colmap.reconstruction import PosedImage, Reconstruction, read_elsewhere
 from clgs.data.images import stored_size
 from clgs.data.lens import Lens
 from clgs.data.photos.find import find_mask
 from clgs.data.posed_photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
-from clgs.data.pycolmap_lazy import quiet_pycolmap
 from clgs.errors import DataError
 
 CAMERA_MODELS = {
@@ -48,48 +45,31 @@ def read_colmap(root: Path, model: Path) -> PhotoSet:
     Raises:
         DataError: naming file, field and remedy.
     """
-    photos, missing, points, colors = _read_model(root, model)
-    train, test = hold_out(photos)
-    return PhotoSet("colmap", train, test, missing, points, colors)
-
-
-def _read_model(
-    root: Path, model: Path
-) -> tuple[list[Photo], list[str], npt.NDArray[np.float64], npt.NDArray[np.uint8]]:
-    """Photos that exist, the names of missing ones, points (P, 3) and colors (P, 3)."""
     suffix = ".bin" if (model / "cameras.bin").is_file() else ".txt"
     for name in _FILES:
         file = model / f"{name}{suffix}"
         if not file.is_file():
             raise DataError(f"{file}: missing; export the model again")
-    if suffix == ".bin":
-        check_binary_model(model)
-    with quiet_pycolmap(f"{model}: unreadable COLMAP model") as pycolmap:
-        reconstruction = pycolmap.Reconstruction()
-        if suffix == ".bin":
-            reconstruction.read_binary(str(model))
-        else:
-            _read_text(reconstruction, model)
-        folder = root / "images" if (root / "images").is_dir() else root
-        photos, missing = _photos(reconstruction, root, folder, model)
-        points, colors = _points(reconstruction)
-    return photos, missing, points, colors
+    return photo_set(root, model, read_elsewhere(model))
 
 
-def _read_text(reconstruction: Any, model: Path) -> None:
-    """Fill ``reconstruction``; an error names file, line and field if they can be found."""
-    check_text_poses(model)
-    try:
-        reconstruction.read_text(str(model))
-    except Exception:
-        explain_text_model(model)
-        raise
+def photo_set(root: Path, model: Path, found: Reconstruction) -> PhotoSet:
+    """Photos of ``root``/images that are there, and finite points, of what ``model`` holds.
+
+    Raises:
+        DataError: naming file, field and remedy.
+    """
+    folder = root / "images" if (root / "images").is_dir() else root
+    photos, missing = _photos(found.images, root, folder, model)
+    train, test = hold_out(photos)
+    finite = np.all(np.abs(found.position) < 1e12, axis=1)
+    points, colors = found.position[finite], found.color[finite]
+    return PhotoSet("colmap", train, test, missing, points, colors)
 
 
 def _photos(
-    reconstruction: Any, root: Path, folder: Path, model: Path
+    posed: list[PosedImage], root: Path, folder: Path, model: Path
 ) -> tuple[list[Photo], list[str]]:
-    posed = [image for image in reconstruction.images.values() if image.has_pose]
     photos, names, missing = [], set(), []
     for image in posed:
         source = f"{model}: image {image.name[:80]!r}"
@@ -107,24 +87,24 @@ def _photos(
     return photos, missing
 
 
-def _photo(image: Any, path: Path, source: str) -> Photo:
-    pose = np.asarray(image.cam_from_world().matrix(), np.float64)
-    rotation = rigid(pose[:, :3], f"{source}: rotation")
-    if not np.all(np.abs(pose[:, 3]) < 1e12):
+def _photo(image: PosedImage, path: Path, source: str) -> Photo:
+    rotation = rigid(np.array(image.rotation), f"{source}: rotation")
+    translation = np.array(image.translation)
+    if not np.all(np.abs(translation) < 1e12):
         raise DataError(f"{source}: translation is not finite; export the model again")
-    lens = _lens(image.camera, source)
+    lens = _lens(image, source)
     lens = fit_lens(lens, stored_size(path, (lens.width, lens.height)), path)
-    return Photo(image.name, path, lens, rotation, pose[:, 3])
+    return Photo(image.name, path, lens, rotation, translation)
 
 
-def _lens(camera: Any, source: str) -> Lens:
-    model = camera.model_name
+def _lens(camera: PosedImage, source: str) -> Lens:
+    model = camera.model
     if model not in CAMERA_MODELS:
         raise DataError(
             f"{source}: camera model {model} cannot be undistorted here; run COLMAP's "
             "image_undistorter first"
         )
-    values = dict(zip(CAMERA_MODELS[model].split(), map(float, camera.params), strict=True))
+    values = dict(zip(CAMERA_MODELS[model].split(), camera.params, strict=True))
     fx, fy = values.get("fx", values.get("f", 0.0)), values.get("fy", values.get("f", 0.0))
     if not (np.all(np.isfinite(list(values.values()))) and fx > 0 and fy > 0):
         raise DataError(f"{source}: camera parameters are not finite and positive; export again")
@@ -143,12 +123,3 @@ def _lens(camera: Any, source: str) -> Lens:
         (values.get("p1", 0.0), values.get("p2", 0.0)),
         "FISHEYE" in model,
     )
-
-
-def _points(reconstruction: Any) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint8]]:
-    """Finite points (P, 3) in id order, and their colors (P, 3)."""
-    ordered = [point for _, point in sorted(reconstruction.points3D.items())]
-    points = np.array([point.xyz for point in ordered], np.float64).reshape(-1, 3)
-    colors = np.array([point.color for point in ordered], np.uint8).reshape(-1, 3)
-    finite = np.all(np.abs(points) < 1e12, axis=1)
-    return points[finite], colors[finite]

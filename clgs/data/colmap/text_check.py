@@ -36,6 +36,8 @@ _POINT = ("POINT3D_ID", "X", "Y", "Z", "R", "G", "B", "ERROR")
 _FRAME = ("FRAME_ID", "RIG_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
 _RIG = ("RIG_ID", "NUM_SENSORS", "REF_SENSOR_TYPE", "REF_SENSOR_ID")
 _SENSOR = ("SENSOR_TYPE", "SENSOR_ID", "HAS_POSE", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
+_BINARY = "export the model as .bin, or rename the photo"
+
 _UNPOSED = 3
 """Fields of a sensor without a pose."""
 
@@ -53,6 +55,9 @@ def check_text_poses(folder: Path) -> None:
     for line in lines:
         if _counts(line):
             line.check_pose(_IMAGE)
+            if len(line.words) > len(_IMAGE):
+                name = " ".join(line.words[len(_IMAGE) - 1 :])[:80]
+                line.fail(f"NAME {name!r} has a blank, at which readers cut it", _BINARY)
             next(lines, line.after()).check_points()
     for line in _lines(folder / "frames.txt"):
         line.check_pose(_FRAME)
@@ -80,8 +85,8 @@ class _Line:
     number: int
     words: list[str]
 
-    def fail(self, problem: str) -> NoReturn:
-        raise DataError(f"{self.path}: line {self.number}: {problem}; export the model again")
+    def fail(self, problem: str, remedy: str = "export the model again") -> NoReturn:
+        raise DataError(f"{self.path}: line {self.number}: {problem}; {remedy}")
 
     def field(self, names: tuple[str, ...], name: str) -> int:
         """The whole number in field ``name``."""

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from clgs.data.native.child import OnStage, run_child, serve
+from clgs.data.native.pycolmap_lazy import quiet_pycolmap
 from clgs.data.photos.find import MASKS
-from clgs.data.pycolmap_lazy import quiet_pycolmap
-from clgs.data.sfm.child import OnStage, run_child, serve
 from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 from clgs.errors import DataError
 

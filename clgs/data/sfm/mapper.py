@@ -13,10 +13,10 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
+from clgs.data.native.child import OnStage, run_child, serve
+from clgs.data.native.pycolmap_lazy import quiet_pycolmap
 from clgs.data.photos.find import MASKS
 from clgs.data.photos.masks import undistort_masks
-from clgs.data.pycolmap_lazy import quiet_pycolmap
-from clgs.data.sfm.child import OnStage, run_child, serve
 from clgs.data.sfm.features import extract
 from clgs.data.sfm.job import Job, OnProgress
 from clgs.data.sfm.judging.check import reconstruct_half

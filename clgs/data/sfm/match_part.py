@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from clgs.data.pycolmap_lazy import quiet_pycolmap
-from clgs.data.sfm.child import OnStage, run_child, serve
+from clgs.data.native.child import OnStage, run_child, serve
+from clgs.data.native.pycolmap_lazy import quiet_pycolmap
 from clgs.data.sfm.job import Job
 
 TASK = "matching"

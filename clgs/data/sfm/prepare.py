@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from clgs.data.native.pycolmap_lazy import SEEDS
 from clgs.data.photos.bring_in import Source, bring_in, find_source
-from clgs.data.pycolmap_lazy import SEEDS
 from clgs.data.sfm.contact_sheet import contact_sheet
 from clgs.data.sfm.drop import drop_doubtful
 from clgs.data.sfm.guard import removed_if_killed

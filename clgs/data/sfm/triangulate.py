@@ -24,10 +24,10 @@ from PIL import Image
 
 from clgs.data.images import read_image
 from clgs.data.lens import Lens
+from clgs.data.native.child import run_child, serve
+from clgs.data.native.pycolmap_lazy import SEEDS, quiet_pycolmap
 from clgs.data.photos.masks import read_mask, save_mask
 from clgs.data.posed_photo import Photo
-from clgs.data.pycolmap_lazy import SEEDS, quiet_pycolmap
-from clgs.data.sfm.child import run_child, serve
 from clgs.data.sfm.judging.epipolar import sampson_error
 from clgs.errors import DataError
 from clgs.files import atomic_path, make_folder

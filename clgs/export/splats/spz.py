@@ -69,7 +69,8 @@ def _fraction_bits(gaussians: HostGaussians) -> int:
     largest = float(np.abs(gaussians.mean).max(initial=0.0))
     if not largest < 2.0 ** (FIXED_BITS - 1):
         raise DataError(
-            f"a coordinate is {largest:.3g}: too large for .spz; give --units scene, or write .ply"
+            f"a coordinate is {largest:.3g}: too large for .spz; write .ply, or give "
+            "--units scene if the scene was trained"
         )
     return min(MAX_FRACTION, FIXED_BITS - 1 - int(np.floor(np.log2(max(largest, 0.5)))))
 

@@ -28,7 +28,8 @@ class GrowthSettings:
     )
     growth_end: int = option(
         15_000,
-        "first step at which anchors cannot change any more (paper); the last change is at 14,900",
+        "first step at which anchors cannot change any more, at most switch_step (paper); the last "
+        "change is at 14,900",
         at_least(0),
         unit="step number",
         scaled=True,

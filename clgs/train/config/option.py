@@ -32,18 +32,23 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers from ``least`` to ``most``, both included unless ``open_below``."""
+    """Numbers from ``least`` to ``most``, both included unless ``open_below``; 0 if ``or_zero``."""
 
     least: float
     most: float = float("inf")
     open_below: bool = False
+    or_zero: bool = False
 
     def holds(self, value: float) -> bool:
         """Whether ``value`` lies in the range."""
+        if self.or_zero and value == 0:
+            return True
         return self.least <= value <= self.most and not (self.open_below and value == self.least)
 
     def __str__(self) -> str:
-        """In words: "at least 1", "above 0", "from 0 to 8"; empty if every number is allowed."""
+        """In words: "at least 1", "0 or from 4 to 8"; empty if every number is allowed."""
+        if self.or_zero:
+            return f"0 or {replace(self, or_zero=False)}"
         if self.most < float("inf"):
             return f"from {self.least:g} to {self.most:g}"
         if self.least == -float("inf"):
@@ -121,7 +126,10 @@ class Option:
         example = ", such as 800k or 1.5M" if self.unit == "bytes" else ""
         if self.kind == Pair:
             example = ", such as {:g},{:g}".format(*self.default)
-        limits = str(self.allowed).replace("at least", "of at least")
+        limits = str(self.allowed)
+        if self.allowed.or_zero:
+            return f"{noun}, {limits}{example}"
+        limits = limits.replace("at least", "of at least")
         return " ".join(filter(None, (noun, limits))) + example
 
     def check(self, value: object) -> Any:

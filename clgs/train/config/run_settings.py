@@ -15,6 +15,9 @@ MAX_PIXELS = 65536
 MAX_SAMPLES = 20_000_000
 """No device of today has memory for more anchors."""
 
+LEAST_ANCHORS = 4
+"""Fewer have no three neighbours, whose distance sets the first scale."""
+
 
 @dataclass(frozen=True)
 class RunSettings:
@@ -64,7 +67,7 @@ class RunSettings:
     start_points: int = option(
         0,
         "random points to start from if the data set has none (code: 100,000)",
-        Range(0, MAX_SAMPLES),
+        Range(LEAST_ANCHORS, MAX_SAMPLES, or_zero=True),
         unit="points",
         open_default="10,000 in Blender scenes, 100,000 among photos",
     )

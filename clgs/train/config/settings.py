@@ -25,7 +25,7 @@ from clgs.train.config.option import (
 from clgs.train.config.photo_settings import PhotoSettings
 from clgs.train.config.run_length import check_order, scaled_moments, shortness
 from clgs.train.config.run_settings import RunSettings
-from clgs.train.config.size_settings import SizeSettings
+from clgs.train.config.size_settings import LEAST_TARGET, SizeSettings
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
@@ -44,13 +44,6 @@ pictures and smaller files.
 def default_lambda(kind: str, steps: int) -> float:
     """Of a run of ``steps`` on a kind of data set, see :meth:`TrainConfig.for_dataset`."""
     return LAMBDA[kind == BLENDER] * float((steps / LAMBDA_STEPS) ** LAMBDA_POWER)
-
-
-LEAST_TARGET = {"quantized": 14_000, "float32": 50_000}
-"""Bytes of the smallest file that may be asked for: the MLPs take most of it."""
-
-LEAST_ANCHORS = 4
-"""Fewer have no three neighbours, whose distance sets the first scale."""
 
 
 @dataclass(frozen=True)
@@ -164,14 +157,6 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         if 0 < self.target_size < least:
             raise UsageError(
                 f"target_size: {self.target_size} bytes hardly hold the MLPs; give at least {least}"
-            )
-        if 0 < self.max_anchors < LEAST_ANCHORS:
-            raise UsageError(
-                f"max_anchors: {self.max_anchors} is too few; give at least {LEAST_ANCHORS}, or 0"
-            )
-        if 0 < self.start_points < LEAST_ANCHORS:
-            raise UsageError(
-                f"start_points: {self.start_points} is too few; give at least {LEAST_ANCHORS}, or 0"
             )
         check_order(vars(self))
 

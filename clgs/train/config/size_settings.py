@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from clgs.train.config.option import WEIGHT, at_least, option
+from clgs.train.config.option import WEIGHT, Range, at_least, option
+from clgs.train.config.run_settings import LEAST_ANCHORS
+
+LEAST_TARGET = {"quantized": 14_000, "float32": 50_000}
+"""Bytes of the smallest file that may be asked for: the MLPs take most of it."""
 
 
 @dataclass(frozen=True)
@@ -24,13 +28,13 @@ class SizeSettings:
         0,
         "bytes of the file, such as 800k or 1.5M; it ends at most 2 % below, never above; lambda "
         "follows from it; 0: as lambda has it",
-        at_least(0),
+        Range(LEAST_TARGET["quantized"], or_zero=True),
         unit="bytes",
     )
     max_anchors: int = option(
         0,
         "most anchors at any time, which bounds memory; 0: no limit",
-        at_least(0),
+        Range(LEAST_ANCHORS, or_zero=True),
         unit="anchors",
     )
     prune_end: int = option(

@@ -124,6 +124,7 @@ class Session:
 
     def _train(self, on_progress: Callable[[Progress], None] | None) -> None:
         """All steps that are left, and a checkpoint of the last one."""
+        self.device.release_unused()  # after reading the data and the memory check
         try:
             with interruptions() as interrupted:
                 while self.trainer.steps_done < self.config.steps:

@@ -22,7 +22,8 @@ from clgs.scene.anchors import quantize
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
-from clgs.train.config.settings import BLENDER, LEAST_ANCHORS
+from clgs.train.config.run_settings import LEAST_ANCHORS
+from clgs.train.config.settings import BLENDER
 from clgs.train.density.densifier import Densifier
 from clgs.train.density.initial_anchors import initial_anchors
 from clgs.train.quality.score_views import mean_psnr

@@ -115,13 +115,13 @@ def test_poses_are_tested_if_there_is_time():
 
 
 @pytest.mark.parametrize(
-    ("text", "seconds"), [("90s", 90), ("5m", 300), ("1.5h", 5400), ("45", 45), (" 2M ", 120)]
+    ("text", "seconds"), [("90s", 90), ("5m", 300), ("1.5h", 5400), (" 2M ", 120)]
 )
 def test_times_are_read(text, seconds):
     assert duration(text) == seconds
 
 
-@pytest.mark.parametrize("text", ["", "0", "-1m", "5 minutes", "1e3s", "nan", "9" * 20])
+@pytest.mark.parametrize("text", ["", "0s", "5", "-1m", "5 minutes", "1e3s", "nan", "9" * 20])
 def test_no_times_are_refused(text):
     with pytest.raises(argparse.ArgumentTypeError, match="is not a time such as"):
         duration(text)

@@ -99,10 +99,27 @@ def test_run_is_neither_replaced_nor_continued_unasked(data, finished, capsys):
 
 
 def test_finished_run_is_left_as_it_is(data, finished, capsys):
-    before = (finished / "scene.clgs").read_bytes()
+    def files():
+        paths = (path for path in finished.rglob("*") if path.is_file())
+        return {path: path.stat().st_mtime_ns for path in paths}
+
+    before, told = files(), (finished / "report.html").read_text()
     assert cli.main(words(data, finished, "--resume")) == 0
-    assert "is finished already" in capsys.readouterr().out
-    assert (finished / "scene.clgs").read_bytes() == before
+    assert "[page] is there" in capsys.readouterr().out
+    changed = {path.name for path, when in files().items() if before.get(path) != when}
+    assert changed == {"report.html"}
+    assert (finished / "report.html").read_text() == told
+
+
+def test_what_is_lacking_is_made_again_and_its_time_is_added(data, finished, capsys):
+    before = json.loads((finished / "plan.json").read_text())["seconds"]
+    splats = (finished / "scene.ply").read_bytes()
+    (finished / "scene.ply").unlink()
+    assert cli.main(words(data, finished, "--resume")) == 0
+    assert (finished / "scene.ply").read_bytes() == splats
+    after = json.loads((finished / "plan.json").read_text())["seconds"]
+    assert {name for name in after if after[name] != before[name]} == {"Gaussians"}
+    assert after["Gaussians"] > before["Gaussians"]
 
 
 @pytest.mark.parametrize("name", ["", "scene.clgs", "scene.ply"])
@@ -230,9 +247,9 @@ def test_contradiction_is_refused(data, tmp_path, capsys):
 def test_failing_stage_passes_its_exit_code_on(tmp_path, capsys):
     from clgs.cli.run.stages import StageError
 
-    stages = Stages()
+    stages, made = Stages(), tmp_path / "x.npz"
     with pytest.raises(StageError, match="decode failed") as caught:
-        stages.run("decode", "decode", tmp_path / "no.clgs", "-o", tmp_path / "x.npz")
+        stages.run("decode", made, "decode", tmp_path / "no.clgs", "-o", made)
     assert caught.value.exit_code == 3
     assert "[decode] clgs decode" in capsys.readouterr().out
     assert list(stages.seconds) == ["decode"]

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from clgs.data.colmap.binary_check import PARAMETERS, check_binary_model
-from clgs.data.colmap.model import find_model, read_colmap
+from clgs.data.colmap.model import find_model, photo_set, read_colmap
+from clgs.data.colmap.reconstruction import read
 from clgs.data.colmap.text_check import MODELS, check_text_poses
 from clgs.data.posed_photo import PhotoSet
 from clgs.errors import DataError
@@ -140,7 +141,7 @@ def test_bit_flips_are_refused_or_harmless(tmp_path: Path, rng: np.random.Genera
             file.write_bytes(damaged)
             photos = None
             with contextlib.suppress(DataError):
-                photos = load(tmp_path)
+                photos = photo_set(tmp_path, file.parent, read(file.parent))
             if photos is not None:
                 assert np.isfinite([p.centre for p in photos.train + photos.test]).all()
                 assert photos.points is not None
@@ -226,6 +227,19 @@ def test_poses_of_rigs_in_text_are_checked(tmp_path: Path, name: str, text: str,
     with pytest.raises(DataError) as caught:
         check_text_poses(tmp_path)
     assert str(caught.value).startswith(f"{tmp_path / name}.txt: {fault}")
+
+
+def test_a_name_with_a_blank_is_read_from_binary_models_alone(tmp_path: Path):
+    for text in (False, True):
+        root = tmp_path / str(text)
+        write_colmap(root, text=text, rigs=False)
+        name = "images.txt" if text else "images.bin"
+        file = root / "sparse" / "0" / name
+        file.write_bytes(file.read_bytes().replace(b"002.png", b"0 2.png"))
+        (root / "images" / "002.png").rename(root / "images" / "0 2.png")
+    assert load(tmp_path / "False").test[0].name == "0 2.png"
+    with pytest.raises(DataError, match=r"NAME '0 2\.png' has a blank.*as \.bin, or rename"):
+        load(tmp_path / "True")
 
 
 @pytest.mark.parametrize("text", [False, True])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.data.pycolmap_lazy import quiet_pycolmap
+from clgs.data.native.pycolmap_lazy import quiet_pycolmap
 from clgs.data.sfm import matching
 from clgs.data.sfm.features import extract
 from clgs.data.sfm.job import Job

@@ -23,7 +23,13 @@ OnStage = Callable[[Any], None]
 """Called with whatever a process tells of its progress, ready for JSON."""
 
 
-def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
+def run_child(
+    module: str,
+    task: str,
+    arguments: Any,
+    on_stage: OnStage,
+    remedy: str = "try other photos",
+) -> Any:
     """What ``main()`` of a module, which calls :func:`serve`, makes of ``arguments``.
 
     Args:
@@ -31,6 +37,7 @@ def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
         task: what it does, for messages.
         arguments: ready for JSON; the result comes as JSON, too.
         on_stage: called with what the process says of its progress.
+        remedy: what to do if it crashes.
 
     Raises:
         DataError: the work failed, or the process crashed.
@@ -45,7 +52,7 @@ def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
     ) as child:
         _running.append(child)
         try:
-            return _follow(child, task, arguments, on_stage)
+            return _follow(child, arguments, on_stage, task, remedy)
         except BaseException:
             _kill(child)
             raise
@@ -68,7 +75,9 @@ def _kill(child: subprocess.Popen[str]) -> None:
         os.killpg(child.pid, signal.SIGKILL)
 
 
-def _follow(child: subprocess.Popen[str], task: str, arguments: Any, on_stage: OnStage) -> Any:
+def _follow(
+    child: subprocess.Popen[str], arguments: Any, on_stage: OnStage, task: str, remedy: str
+) -> Any:
     """Hand over the arguments, pass on the stages, return the result."""
     assert child.stdin is not None
     assert child.stdout is not None
@@ -82,7 +91,7 @@ def _follow(child: subprocess.Popen[str], task: str, arguments: Any, on_stage: O
         if kind == "error":
             raise DataError(value)
         on_stage(value)
-    raise DataError(f"{task}: pycolmap crashed (exit code {child.wait()}); try other photos")
+    raise DataError(f"{task}: pycolmap crashed (exit code {child.wait()}); {remedy}")
 
 
 def serve(work: Callable[[Any, OnStage], Any]) -> None:

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from clgs.data.sfm.child import run_child
+from clgs.data.native.child import run_child
 
 MODULE = """
 import os, time
 from pathlib import Path
-from clgs.data.sfm.child import serve
+from clgs.data.native.child import serve
 def work(arguments, on_stage):
     folder, seconds = arguments
     (Path(folder) / "made").touch()
@@ -27,11 +27,11 @@ def main():
     time.sleep(1.0)  # as a process that takes its time to end
 """
 PARENT = """
-from clgs.data.sfm.child import run_child
+from clgs.data.native.child import run_child
 run_child("{module}", "a test", [{folder!r}, 3600], lambda told: print(told, flush=True))
 """
 NESTED = """
-from clgs.data.sfm.child import run_child, serve
+from clgs.data.native.child import run_child, serve
 def work(arguments, on_stage):
     return run_child("work_beside", "a nested test", arguments, on_stage)
 def main():

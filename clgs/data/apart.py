@@ -1,0 +1,36 @@
+"""Cameras that are apart from the rest: most often, poses that are wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+LEAST = 5
+"""Fewer cameras say nothing of what is usual."""
+
+APART, ASTRAY = 5.0, 20.0
+"""Times the median distance from the middle of all: of cameras to look at, and of those that no
+capture has.
+"""
+
+
+def spread(centres: Floats) -> tuple[Floats, float]:
+    """Distances (N,) of cameras from their median centre, and the median of these.
+
+    Args:
+        centres: (N, 3), N at least 1, world units.
+    """
+    distance = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
+    return distance, float(np.median(distance))
+
+
+def apart(centres: Floats, times: float) -> npt.NDArray[np.bool_]:
+    """Which cameras (N,) are more than ``times`` the median distance from the middle of all.
+
+    None of fewer than LEAST cameras, nor of cameras that are mostly in one place.
+    """
+    distance, usual = spread(centres)
+    told = len(centres) >= LEAST and usual > 1e-9 * (1.0 + float(np.abs(centres).max()))
+    return np.asarray((distance > times * usual) & told)
