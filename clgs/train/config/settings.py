@@ -10,6 +10,7 @@ TOML file and the documentation follow.
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import asdict, dataclass, field, replace
 
 from clgs.errors import UsageError
@@ -24,8 +25,15 @@ from clgs.train.config.option import (
 )
 from clgs.train.config.photo_settings import PhotoSettings
 from clgs.train.config.run_length import check_order, scaled_moments, shortness
-from clgs.train.config.run_settings import RunSettings
-from clgs.train.config.size_settings import LEAST_TARGET, SizeSettings
+from clgs.train.config.run_settings import LEAST_ANCHORS, RunSettings
+from clgs.train.config.size_settings import (
+    AMPLE,
+    ANCHOR_BITS,
+    LEARNING,
+    LEAST_TARGET,
+    MLP_BYTES,
+    SizeSettings,
+)
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
@@ -159,6 +167,20 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
                 f"target_size: {self.target_size} bytes hardly hold the MLPs; give at least {least}"
             )
         check_order(vars(self))
+
+    @property
+    def held_anchors(self) -> int:
+        """How many anchors target_size holds, about; 0: none is asked for."""
+        if not self.target_size:
+            return 0
+        bits = 8 * (self.target_size - MLP_BYTES[self.mlp])
+        return max(LEAST_ANCHORS, math.ceil(bits / ANCHOR_BITS))
+
+    @property
+    def most_anchors(self) -> int:
+        """Most anchors at any time, by max_anchors and target_size; 0: no limit."""
+        ample = math.ceil(AMPLE * self.held_anchors) if self.steps >= LEARNING else 0
+        return min(filter(None, (self.max_anchors, ample)), default=0)
 
     def for_dataset(self, kind: str) -> TrainConfig:
         """Values left open (voxel, position_q, volume_weight, lambda) for a kind of data set.

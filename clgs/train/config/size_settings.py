@@ -10,6 +10,20 @@ from clgs.train.config.run_settings import LEAST_ANCHORS
 LEAST_TARGET = {"quantized": 14_000, "float32": 50_000}
 """Bytes of the smallest file that may be asked for: the MLPs take most of it."""
 
+MLP_BYTES = {"quantized": 12_000, "float32": 46_000}
+"""Of the MLPs in a file, about."""
+
+ANCHOR_BITS = 223.4
+"""Bits of an anchor of the paper, a mean."""
+
+AMPLE = 1.5
+"""If a size is asked for: there are at most so many times the anchors that it holds, about. What
+has to go once integers have a price leaves each anchor too few digits.
+"""
+
+LEARNING = 10
+"""Steps below which anchors have nearly no digits yet, and only many of them fill a file."""
+
 
 @dataclass(frozen=True)
 class SizeSettings:

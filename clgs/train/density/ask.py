@@ -96,7 +96,7 @@ def wanted_anchors(
     rounded to cells of ``growth_cell`` // 4^i voxels. Cells that hold no anchor get one, with
     log(cell edge) as scalings; those that asked are its parents. Levels with cells below a voxel
     are skipped, and those after a first level that added nothing. Cells more than 2^20 voxels from
-    the middle of the anchors are not served, and none once there are ``max_anchors``: the first
+    the middle of the anchors are not served, and none once there are ``most_anchors``: the first
     slots to ask are then those with the largest gradient.
 
     Args:
@@ -112,7 +112,8 @@ def wanted_anchors(
     slots, mean = strong.slots, strong.mean
     live = ~np.isnan(position[:, 0])
     occupied = position_integers(position if live.all() else position[live], 1.0 / config.voxel)
-    room = max(0, config.max_anchors - len(occupied)) if config.max_anchors else 1 << 62
+    most = config.most_anchors
+    room = max(0, most - len(occupied)) if most else 1 << 62
     found = _Found(occupied, Grid.around(occupied))
     for level in range(config.growth_levels):
         factor = config.growth_cell // CELL_DIVISOR**level

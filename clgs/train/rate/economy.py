@@ -38,6 +38,7 @@ from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
 from clgs.train.config.settings import default_lambda
+from clgs.train.config.size_settings import ANCHOR_BITS
 from clgs.train.density.densifier import Densifier
 from clgs.train.density.host_state import TrainState, keep_rows
 from clgs.train.quality.importance import Sensitivity
@@ -78,14 +79,8 @@ THINNED = (0.5, 0.7, 0.9)
 MOST_THINNED = 0.3
 """Share of the anchors that goes at most each time: they gain importance as others go."""
 
-AMPLE = 1.5
-"""If a size is asked for: times the anchors that it holds, about, stay before the switch."""
-
 VIEWS = 48
 """At most this many views say what is useful."""
-
-ANCHOR_BITS = 223.4
-"""Bits of an anchor of the paper, a mean: with it anchors stand for bytes when the price is set."""
 
 MOST_LOSS = 1.35
 """Times the loss of the finest integers, the loss after the first round at most; to a power if
@@ -216,8 +211,7 @@ class Economy:
         """Which anchors stay before the switch, by their worth per bit (A,)."""
         least = len(worth) - int(MOST_THINNED * len(worth))
         if self._config.target_size:
-            held = 8 * self._config.target_size / ANCHOR_BITS
-            least, price = max(least, math.ceil(AMPLE * held)), math.inf
+            least, price = max(least, self._config.held_anchors), math.inf
         if least >= len(worth):
             return np.ones(len(worth), np.bool_)
         limit = float(np.partition(worth, -least)[-least])

@@ -28,6 +28,7 @@ from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
 from clgs.shapes import check_type
 from clgs.train.config import TrainConfig
+from clgs.train.config.size_settings import MLP_BYTES
 from clgs.train.quality.rate_control import MAX_CAMERAS, Judge, reduce_to_size, spread
 from clgs.train.quality.score_views import (
     Pictures,
@@ -53,7 +54,6 @@ from clgs.train.state.hashes import fingerprint
 from clgs.train.state.resume import load_checkpoint, run_digest
 
 HASHED_VIEWS = 3
-MLP_BYTES = {"quantized": 12_000, "float32": 46_000}
 POSITION_BITS = 12.0
 """Bits that an anchor's position takes, for the size estimate shown while training."""
 

@@ -283,7 +283,7 @@ class Trainer:
 
 def _most_at_start(dataset: Dataset, config: TrainConfig) -> int:
     """Anchors to start from at most; 0: as many as there are voxels with points."""
-    limits = [config.max_anchors] if config.max_anchors else []
+    limits = [config.most_anchors] if config.most_anchors else []
     if config.start_pixels and dataset.kind != BLENDER:
         pixels = max(view.camera.width * view.camera.height for view in dataset.train)
         limits.append(max(LEAST_ANCHORS, int(pixels / config.start_pixels)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.codec.scene_encoder import encode
-from clgs.train.config import preset
+from clgs.train.config import TrainConfig, preset
 from clgs.train.rate import economy
 from clgs.train.rate.economy import ANCHOR_BITS, LEAST_ROUNDS, ROUNDS, THINNED, Economy
 from clgs.train.run.session import train_scene
@@ -120,13 +120,32 @@ def test_a_size_is_met_and_never_exceeded(cpu, dataset, untouched, share):
     assert 0.98 * target <= size <= target
 
 
-def test_sizes_keep_ample_anchors_before_the_switch(cpu, dataset):
+def test_a_size_bounds_the_anchors_and_thinning_leaves_as_many_as_it_holds(cpu, dataset):
     target = 40_000
-    trainer = Trainer(cpu, dataset, config(dataset, target_size=target))
-    for _ in trainer.steps(trainer.config.switch_step):
-        pass
+    settings = config(dataset, target_size=target)
+    held = 8 * (target - 12_000) / ANCHOR_BITS
+    assert held <= settings.held_anchors < held + 1
+    trainer = Trainer(cpu, dataset, settings)
+    counts = [result.anchors for result in trainer.steps(settings.switch_step)]
+    assert max(counts) <= 1.5 * held + 2
     assert trainer.rounds[0].after < trainer.rounds[0].before
-    assert trainer.parameters.count >= 1.5 * 8 * target / ANCHOR_BITS
+    assert min(one.after for one in trainer.rounds) >= held
+
+
+@pytest.mark.parametrize(
+    ("steps", "values", "most"),
+    [
+        (3000, {}, 0),
+        (3000, {"max_anchors": 900}, 900),
+        (3000, {"target_size": 12_000 + 223_400}, 12_000),
+        (3000, {"target_size": 12_000 + 223_400, "max_anchors": 900}, 900),
+        (3000, {"target_size": 46_000 + 223_400, "mlp": "float32"}, 12_000),
+        (3000, {"target_size": 14_000}, 108),
+        (9, {"target_size": 14_000}, 0),
+    ],
+)
+def test_most_anchors(steps, values, most):
+    assert replace(TrainConfig().scaled(steps), **values).most_anchors == most
 
 
 def test_growth_stops_at_the_most_anchors(cpu, dataset, untouched):
