@@ -160,16 +160,17 @@ def _named(names: list[str]) -> str:
 
 
 def _astray(path: Path | str, photos: PhotoSet) -> npt.NDArray[np.bool_]:
-    """Which training cameras (N,) no capture has where they are; warns of them."""
-    astray = apart(np.array([photo.centre for photo in photos.train]), ASTRAY)
+    """Which training cameras (N,) no capture has where they are; warns of those held out, too."""
+    everyone = photos.train + photos.test
+    astray = apart(np.array([photo.centre for photo in everyone]), ASTRAY)
     if astray.any():
-        names = [photo.name for photo, far in zip(photos.train, astray, strict=True) if far]
+        names = [photo.name for photo, far in zip(everyone, astray, strict=True) if far]
         _log.warning(
             "%s: more than %d times as far from the middle as half of the cameras, so their poses "
             "are wrong: %s; leave these photos out",
             *(path, ASTRAY, _named(names)),
         )
-    return astray
+    return astray[: len(photos.train)]
 
 
 def _take_points(

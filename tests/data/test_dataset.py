@@ -265,6 +265,15 @@ def test_a_camera_astray_is_named_and_leaves_the_units_alone(tmp_path: Path, cap
     assert 4.0 * found.transform.scale == pytest.approx(found.radius / 1.1, rel=0.2)
 
 
+def test_a_held_out_camera_astray_is_named(tmp_path: Path, caplog):
+    document = write_transforms(tmp_path)
+    document["frames"][0]["transform_matrix"][0][3] = 1e8
+    save_json(tmp_path, document)
+    found = load_dataset(tmp_path, load_images=False)
+    assert found.test[0].name == "images/000.png"
+    assert "wrong: images/000.png; leave" in caplog.records[0].getMessage()
+
+
 def test_missing_photos_are_named(tmp_path: Path, caplog):
     write_transforms(tmp_path, 12)
     for number in range(2, 12):

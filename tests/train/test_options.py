@@ -79,6 +79,7 @@ def parse_command(*words: str) -> TrainConfig:
     ("words", "said"),
     [
         ("--growth-end 900 --steps 1000", "--growth-end: 900 is after --switch-step 500; scale"),
+        ("--target-size 60k --lambda 1", "--lambda: follows from --target-size; give one"),
         ("--loss-weights 0 0", "--l1-weight, --ssim-weight: both are 0"),
         ("--target-size 20k --mlp float32", "--target-size: 20000 bytes hardly"),
         ("--set max_anchors=3", "--set max_anchors: 3 is out of range; give a whole number, 0 or"),

@@ -41,6 +41,9 @@ RUN = "run"
 MADE = (DATA, RUN, "scene.clgs", SCORES, "report.html", PAGE, SPLATS, CLIP)
 CLIP_FRAMES = 120
 
+NEEDED = ("scene.clgs", "scene.npz", "hashes.json", "per_view.json", "progress.csv")
+"""Files of the run that what follows needs."""
+
 
 class Job:
     """One call of the command."""
@@ -82,6 +85,7 @@ class Job:
             record.check(self._out, source, self._args)
             self._time = self._args.time or record.time
             self._stages.seconds |= record.seconds
+            self._stages.made |= record.made
             self._record = record
         where, count = str(source.path.resolve()), source.photos.count
         begun = Record(where, count, source.digest, self._time)
@@ -143,7 +147,8 @@ class Job:
         """Write what is known of the run, once it has begun."""
         self._record = record or self._record
         if self._record:
-            replace(self._record, seconds=self._stages.seconds).write(self._out)
+            seconds, made = self._stages.seconds, self._stages.made
+            replace(self._record, seconds=seconds, made=made).write(self._out)
 
     def _clear(self, source: Source, begun: Record) -> None:
         """Make OUT, without what an earlier run left there.
@@ -197,8 +202,10 @@ class Job:
         options = [f"{_option(name)}={value}" for name, value in _chosen(settings)]
         options += [_option(name) for name, value in settings.items() if value is True]
         words: list[str | Path] = [data, "-o", run, "--preset", "quick", *options, *on, "--resume"]
+        if not all((run / name).is_file() for name in NEEDED):
+            (run / RESULTS).unlink(missing_ok=True)  # made again from the last checkpoint
         self._stages.run("train", run / RESULTS, "train", *words)
-        self._stages.run("encode", scene, "encode", run, "-o", scene)
+        self._stages.run("encode", scene, "encode", run, "-o", scene, "--overwrite")
         scores = self._out / SCORES
         views = ("--max-size", str(settings["max_size"]), *self._split(run), *on)
         into = ("--data", data, "--json", scores)
@@ -214,7 +221,7 @@ class Job:
         run, code = self._out / RUN, 0
         for name in (PAGE, SPLATS, CLIP):
             remove_temporaries(self._out / name)
-        on = ("--device", self._device.name)
+        on = ("--device", self._device.name, "--overwrite")
         path = ("--path", "interpolate", "--frames", str(CLIP_FRAMES))
         wanted: dict[str, tuple[str, tuple[str | Path, ...]]] = {
             "page": (PAGE, ("export", run)),

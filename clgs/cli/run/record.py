@@ -24,7 +24,8 @@ class Record:
 
     input: the absolute path that it began with; photos: their number there; digest: as a source
     has it; time: seconds that it was planned for; settings: of training, empty until it is planned;
-    plan: figures behind them; seconds: that its stages took so far, over all calls.
+    plan: figures behind them; seconds: that its stages took so far, over all calls; made: bytes of
+    the files that they made, by name.
     """
 
     input: str
@@ -34,6 +35,7 @@ class Record:
     settings: dict[str, Any] = field(default_factory=dict)
     plan: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+    made: dict[str, int] = field(default_factory=dict)
 
     def write(self, out: Path) -> None:
         """Into the folder ``out``."""
@@ -85,6 +87,11 @@ def read_record(out: Path, args: argparse.Namespace) -> Record | None:
     if args.resume and args.overwrite:
         raise UsageError("--resume goes on with a run and --overwrite replaces it; give one")
     if not path.is_file():
+        if (out / "run" / "config.toml").is_file():
+            raise ExistsError(
+                f"{out}: holds a run, but not its {PLAN}; finish {out / 'run'} by `clgs train "
+                "--resume`, or choose another folder"
+            )
         if out.is_dir() and any(out.iterdir()):
             raise ExistsError(f"{out}: holds other files; choose another folder")
         return None
@@ -102,6 +109,7 @@ def read_record(out: Path, args: argparse.Namespace) -> Record | None:
             photos=int(found.photos),
             time=float(found.time),
             settings=dict(found.settings),
+            made=dict(found.made),
             seconds={str(name): float(value) for name, value in found.seconds.items()},
         )
     except (ValueError, TypeError, AttributeError) as error:

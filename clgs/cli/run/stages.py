@@ -24,14 +24,15 @@ class StageError(ClgsError):
 class Stages:
     """Runs commands in this process and keeps the seconds of each stage.
 
-    on_time is called whenever they have grown.
+    made: bytes of the files that they made, by name; on_time is called whenever seconds have grown.
     """
 
     seconds: dict[str, float] = field(default_factory=dict)
+    made: dict[str, int] = field(default_factory=dict)
     on_time: Callable[[], None] = lambda: None
 
     def run(self, name: str, made: Path, *words: str | Path) -> None:
-        """Run ``clgs NAME WORDS`` as stage ``name``, unless ``made`` is there.
+        """Run ``clgs NAME WORDS`` as stage ``name``, unless ``made`` is there as it was made.
 
         Raises:
             StageError: it failed.
@@ -48,16 +49,19 @@ class Stages:
         """
         from clgs.cli.main import run_command
 
-        if made.exists():
+        if made.is_dir() or (made.is_file() and self.made.get(made.name) == made.stat().st_size):
             print(f"\n[{name}] is there: {made}")
             return 0
         command = [str(word) for word in words]
         print(f"\n[{name}] {shlex.join(['clgs', *command])}", flush=True)
         with self.timed(name):
             try:
-                return run_command(command)
+                code = run_command(command)
             except SystemExit as error:  # of the parser
-                return int(error.code or 0)
+                code = int(error.code or 0)
+            if code == 0 and made.is_file():
+                self.made[made.name] = made.stat().st_size
+            return code
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:

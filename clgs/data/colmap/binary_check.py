@@ -66,7 +66,7 @@ class _Reader:
         """``count`` finite doubles of sensible size."""
         values = self.take(f"<{count}d")
         if not all(abs(value) <= MAX_COORDINATE for value in values):
-            self.fail(f"{what} is not finite")
+            self.fail(f"{what} is not finite, or beyond {MAX_COORDINATE:g}")
         return values
 
     def bounded(self, count: int, size: int) -> int:

@@ -83,7 +83,10 @@ def _photos(
         else:
             missing.append(image.name)
     if not photos:
-        raise DataError(f"{folder}: none of the {len(posed)} posed images of {model} is there")
+        first = f"; put them there, {missing[0][:80]} and so on" if missing else ""
+        raise DataError(
+            f"{folder}: none of the {len(posed)} posed images of {model} is there{first}"
+        )
     return photos, missing
 
 

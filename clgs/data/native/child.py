@@ -103,7 +103,10 @@ def serve(work: Callable[[Any, OnStage], Any]) -> None:
     _serving.append(True)
     output = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever a library prints is no result
-    arguments = json.loads(sys.stdin.readline())
+    given = sys.stdin.readline()
+    if not given:  # the parent was interrupted before it said what to do
+        return
+    arguments = json.loads(given)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     one_at_a_time = threading.Lock()
 

@@ -111,6 +111,26 @@ def test_finished_run_is_left_as_it_is(data, finished, capsys):
     assert (finished / "report.html").read_text() == told
 
 
+def test_what_is_damaged_or_gone_is_made_again(data, finished, capsys):
+    files = [finished / name for name in ("scene.clgs", "scene.ply", "run/scene.clgs")]
+    whole = [file.read_bytes() for file in files]
+    for file in files[:2]:
+        file.write_bytes(file.read_bytes()[:500])
+    files[2].unlink()
+    assert cli.main(words(data, finished, "--resume")) == 0
+    assert [file.read_bytes() for file in files] == whole
+    assert "[page] is there" in capsys.readouterr().out
+
+
+def test_a_run_without_its_plan_is_told_as_such(data, finished, capsys):
+    plan = finished / "plan.json"
+    text = plan.read_text()
+    plan.unlink()
+    assert cli.main(words(data, finished, "--resume")) == 2
+    assert "holds a run, but not its plan.json; finish" in capsys.readouterr().err
+    plan.write_text(text)
+
+
 def test_what_is_lacking_is_made_again_and_its_time_is_added(data, finished, capsys):
     before = json.loads((finished / "plan.json").read_text())["seconds"]
     splats = (finished / "scene.ply").read_bytes()
