@@ -24,7 +24,7 @@ from clgs.cli.run.plan import (
     must_hurry,
     prepare_seconds,
 )
-from clgs.cli.run.record import DATA, Record, read_record
+from clgs.cli.run.record import DATA, RUN, Record, read_record
 from clgs.cli.run.source import Source, find_source, measure_data
 from clgs.cli.run.stages import Stages
 from clgs.cli.run.summary import print_box
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 PAGE, SPLATS, CLIP = "scene.html", "scene.ply", "clip.mp4"
 SCORES = "scores.json"
-RUN = "run"
 MADE = (DATA, RUN, "scene.clgs", SCORES, "report.html", PAGE, SPLATS, CLIP)
 CLIP_FRAMES = 120
 

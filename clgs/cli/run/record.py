@@ -17,6 +17,9 @@ from clgs.files import atomic_write
 DATA = "data"
 """The data set in it, if poses had to be found."""
 
+RUN = "run"
+"""The run folder of training in it."""
+
 
 @dataclass(frozen=True)
 class Record:
@@ -87,9 +90,9 @@ def read_record(out: Path, args: argparse.Namespace) -> Record | None:
     if args.resume and args.overwrite:
         raise UsageError("--resume goes on with a run and --overwrite replaces it; give one")
     if not path.is_file():
-        if (out / "run" / "config.toml").is_file():
+        if (out / RUN / "config.toml").is_file():
             raise ExistsError(
-                f"{out}: holds a run, but not its {PLAN}; finish {out / 'run'} by `clgs train "
+                f"{out}: holds a run, but not its {PLAN}; finish {out / RUN} by `clgs train "
                 "--resume`, or choose another folder"
             )
         if out.is_dir() and any(out.iterdir()):

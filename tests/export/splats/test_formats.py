@@ -62,7 +62,9 @@ def test_spz_header_size_and_rounding(degree):
 def test_spz_refuses_coordinates_without_room():
     far = gaussians()
     far.mean[3, 1] = 5e6
-    with pytest.raises(DataError, match=r"5e\+06: too large for \.spz; write \.ply"):
+    with pytest.raises(
+        DataError, match=r"5e\+06: too large for \.spz; write \.ply, or give --units scene"
+    ):
         encode_spz(far)
 
 
