@@ -26,11 +26,17 @@ def spread(centres: Floats) -> tuple[Floats, float]:
     return distance, float(np.median(distance))
 
 
+def in_one_place(centres: Floats) -> bool:
+    """Whether most cameras are where their median centre is, so that photos show no depth."""
+    _, usual = spread(centres)
+    return not usual > 1e-9 * (1.0 + float(np.abs(centres).max()))
+
+
 def apart(centres: Floats, times: float) -> npt.NDArray[np.bool_]:
     """Which cameras (N,) are more than ``times`` the median distance from the middle of all.
 
     None of fewer than LEAST cameras, nor of cameras that are mostly in one place.
     """
     distance, usual = spread(centres)
-    told = len(centres) >= LEAST and usual > 1e-9 * (1.0 + float(np.abs(centres).max()))
+    told = len(centres) >= LEAST and not in_one_place(centres)
     return np.asarray((distance > times * usual) & told)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.apart import ASTRAY, apart
+from clgs.data.apart import ASTRAY, apart, in_one_place
 from clgs.data.images import Pixels, box_resized, check_image, list_images, read_image
 from clgs.data.lens import Lens, forget_sources, undistort_lens, undistort_pixels
 from clgs.data.photos.masks import StoredMask, read_mask
@@ -137,6 +137,7 @@ def _check_photos(path: Path | str, photos: PhotoSet, reduction: Reduction) -> N
     _name_missing(path, photos)
     if not photos.train:
         raise DataError(f"{path}: no photo is left to train on; at least two are needed")
+    _name_standing(path, photos)
     least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)
     if reduction.times > least:
         raise DataError(
@@ -151,6 +152,15 @@ def _name_missing(path: Path | str, photos: PhotoSet) -> None:
         total = len(missing) + len(photos.train) + len(photos.test)
         named = _named(missing)
         _log.warning("%s: %d of %d photos are missing: %s", path, len(missing), total, named)
+
+
+def _name_standing(path: Path | str, photos: PhotoSet) -> None:
+    """Warn of a camera that only turned."""
+    centres = np.array([photo.centre for photo in photos.train])
+    if len(centres) > 1 and in_one_place(centres):
+        _log.warning(
+            "%s: all cameras are in one place, so no depth can be told; walk, not turn", path
+        )
 
 
 def _named(names: list[str]) -> str:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 MAX_SIZE = 1600
 """Pixels; wider photos are reduced to this width, as the reference code of 3DGS does."""
 
+LEAST_SIZE = 16
+"""Pixels; no narrower width can be asked for: such photos show nothing that can be learned."""
+
 
 @dataclass(frozen=True)
 class Reduction:

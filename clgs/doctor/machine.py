@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from clgs.data.native.probe import import_problem
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding
 from clgs.errors import ClgsError, UsageError
 
@@ -132,6 +133,9 @@ def _packages() -> Iterator[Finding]:
     for module, (use, remedy) in OPTIONAL.items():
         if importlib.util.find_spec(module) is None:
             yield Finding(NOTE, module, f"is not installed; {use} need it", remedy)
+        elif problem := import_problem(module):
+            again = remedy.replace("install", "install --force-reinstall")
+            yield Finding(WARNING, module, f"cannot be loaded ({problem}); {use} need it", again)
 
 
 def _devices(findings: list[Finding]) -> Iterator[Tried]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.apart import APART, LEAST, apart, spread
+from clgs.data.apart import APART, LEAST, apart, in_one_place, spread
 from clgs.data.posed_photo import Photo
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, named
 
@@ -36,14 +36,13 @@ def check_poses(photos: list[Photo]) -> Iterator[Finding]:
         problem = f"{len(photos)} photos are few"
         yield Finding(NOTE, "", problem, "take more if the result has holes; 50 to 200 are usual")
     centres = np.array([photo.centre for photo in photos])
-    _, scale = spread(centres)
     names = [photo.name for photo in photos]
-    if not scale > 1e-9 * (1.0 + float(np.abs(centres).max())):
+    if in_one_place(centres):
         yield Finding(
             WARNING, "", "all cameras are in one place, so no depth can be told", "walk, not turn"
         )
         return
-    yield from _same(photos, centres / scale)
+    yield from _same(photos, centres / spread(centres)[1])
     if len(photos) < LEAST:
         return
     yield from _warn(

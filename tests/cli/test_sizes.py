@@ -51,8 +51,16 @@ def test_another_width_is_another_run(command, tmp_path: Path, capsys):
     again = ("train", "-o", run, "--steps", 2, "--resume")
     assert command(*again, "--downscale", 2) == 0
     capsys.readouterr()
-    assert command(*again, "--max-size", 20) == 3
+    assert command(*again, "--max-size", 20) == 2
     assert "other settings" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["train", "eval", "render", "run"])
+def test_photos_of_a_few_pixels_are_refused(name: str, tmp_path: Path, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([name, str(tmp_path), "--max-size", "3", *(["-o", "x"] if name != "eval" else [])])
+    assert caught.value.code == 2
+    assert "--max-size: 3 is out of range; give a whole number" in capsys.readouterr().err
 
 
 def test_a_scene_alone_is_drawn_at_the_default_size(command, tmp_path: Path, capsys):

@@ -274,6 +274,17 @@ def test_a_held_out_camera_astray_is_named(tmp_path: Path, caplog):
     assert "wrong: images/000.png; leave" in caplog.records[0].getMessage()
 
 
+def test_cameras_in_one_place_are_told(tmp_path: Path, caplog):
+    document = write_transforms(tmp_path)
+    for frame in document["frames"]:
+        for row in frame["transform_matrix"][:3]:
+            row[3] = 0.5
+    save_json(tmp_path, document)
+    load_dataset(tmp_path, load_images=False)
+    said = f"{tmp_path}: all cameras are in one place, so no depth can be told; walk, not turn"
+    assert [one.getMessage() for one in caplog.records] == [said]
+
+
 def test_missing_photos_are_named(tmp_path: Path, caplog):
     write_transforms(tmp_path, 12)
     for number in range(2, 12):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from clgs.cli.main import main
-from clgs.doctor.finding import ERROR
+from clgs.doctor.finding import ERROR, WARNING
 from clgs.doctor.machine import available_memory, examine_machine
 from clgs.opencl import absence, choose
 
@@ -77,6 +77,23 @@ def test_a_device_that_computes_wrongly_is_an_error(monkeypatch):
     found = examine_machine()
     assert not found.usable
     assert any("scan offsets" in one.problem for one in found.findings)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such signals")
+@pytest.mark.parametrize(
+    ("source", "problem"),
+    [
+        ("import os; os.abort()", "its import ends by signal 6"),
+        ("raise OSError('no libX here')", "OSError: no libX here"),
+    ],
+)
+def test_a_package_that_cannot_be_loaded_is_found(tmp_path, monkeypatch, source, problem):
+    (tmp_path / "pycolmap.py").write_text(source)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (found,) = [one for one in examine_machine().findings if one.where == "pycolmap"]
+    assert found.level == WARNING
+    assert found.problem.startswith(f"cannot be loaded ({problem}); clgs prepare")
+    assert found.remedy == "pip install --force-reinstall pycolmap"
 
 
 @pytest.mark.parametrize("variable", ["CLGS_LANES", "CLGS_SPECIALISATION"])

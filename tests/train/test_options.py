@@ -78,7 +78,10 @@ def parse_command(*words: str) -> TrainConfig:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--growth-end 900 --steps 1000", "--growth-end: 900 is after --switch-step 500; scale"),
+        (
+            "--growth-end 900 --steps 1000",
+            "--growth-end: 900 is after --switch-step 500; give at most that, or a later --switch-",
+        ),
         ("--target-size 60k --lambda 1", "--lambda: follows from --target-size; give one"),
         ("--loss-weights 0 0", "--l1-weight, --ssim-weight: both are 0"),
         ("--target-size 20k --mlp float32", "--target-size: 20000 bytes hardly"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from clgs.cli.options.output import add_overwrite
-from clgs.cli.options.view import named_path, positive_int, seed
+from clgs.cli.options.view import named_path, photo_width, positive_int, seed
 from clgs.cli.run.duration import duration
 
 DESCRIPTION = """\
@@ -38,7 +38,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add("--steps", type=positive_int, metavar="N", help="of training (default: what T allows)")
     add(
         "--max-size",
-        type=positive_int,
+        type=photo_width,
         metavar="PIXELS",
         help="reduce wider photos to this width (default: what T allows)",
     )

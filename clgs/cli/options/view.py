@@ -14,7 +14,7 @@ from clgs.data.reduction import MAX_SIZE, Reduction
 from clgs.errors import DataError, UsageError
 from clgs.options import PRESETS
 from clgs.train.config import TrainConfig, from_toml
-from clgs.train.config.option import Option, options_of
+from clgs.train.config.option import Option, Range, options_of
 
 if TYPE_CHECKING:
     from clgs.data.dataset import Dataset
@@ -252,6 +252,14 @@ def value_of(one: Option) -> Callable[[str], Any]:
             raise argparse.ArgumentTypeError(str(error).removeprefix(f"{one.name}: ")) from None
 
     return parse
+
+
+def photo_width(text: str) -> int:
+    """The type of arguments that photos are reduced to; unlike --max-size of training never 0."""
+    declared = options_of(TrainConfig)["max_size"]
+    assert isinstance(declared.allowed, Range)
+    allowed = replace(declared.allowed, or_zero=False)
+    return int(value_of(replace(declared, allowed=allowed))(text))
 
 
 def whole_number(largest: int) -> Callable[[str], int]:

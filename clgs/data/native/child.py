@@ -16,6 +16,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+from clgs.data.native.probe import import_problem
 from clgs.errors import DataError
 from clgs.memory import return_freed_memory
 
@@ -91,7 +92,14 @@ def _follow(
         if kind == "error":
             raise DataError(value)
         on_stage(value)
-    raise DataError(f"{task}: pycolmap crashed (exit code {child.wait()}); {remedy}")
+    raise DataError(_crash(task, child.wait(), remedy))
+
+
+def _crash(task: str, code: int, remedy: str) -> str:
+    """What to say of a child that crashed: of the data, unless pycolmap never worked here."""
+    if problem := import_problem("pycolmap"):
+        return f"{task}: pycolmap cannot be loaded ({problem}); install it again"
+    return f"{task}: pycolmap crashed (exit code {code}); {remedy}"
 
 
 def serve(work: Callable[[Any, OnStage], Any]) -> None:

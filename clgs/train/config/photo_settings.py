@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from clgs.data.reduction import MAX_SIZE
-from clgs.train.config.option import WEIGHT, at_least, option
+from clgs.data.reduction import LEAST_SIZE, MAX_SIZE
+from clgs.train.config.option import WEIGHT, Range, at_least, option
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class PhotoSettings:
     max_size: int = option(
         MAX_SIZE,
         "reduce photos that are wider to this width (3DGS); 0: never",
-        at_least(0),
+        Range(LEAST_SIZE, or_zero=True),
         unit="pixels",
     )
     photo_memory: int = option(

@@ -41,6 +41,6 @@ def check_order(values: Mapping[str, Any]) -> None:
     for first, second in pairwise(ORDER):
         if values[first] > values[second]:
             raise UsageError(
-                f"{first}: {values[first]} is after {second} {values[second]}; scale the run by "
-                "--steps instead"
+                f"{first}: {values[first]} is after {second} {values[second]}; give at most that, "
+                f"or a later {second}"
             )

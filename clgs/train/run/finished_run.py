@@ -58,7 +58,8 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
         config: the settings that it must have had, resolved for ``dataset``.
 
     Raises:
-        DataError: it is finished and had other settings or photos, or its files are damaged.
+        DataError: its files are damaged.
+        ExistsError: it is finished and had other settings or photos; a DataError, too.
     """
     if not (folder / RESULTS).exists():
         return None
@@ -73,7 +74,7 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
     config = settings_for(dataset, config)
     if digest != run_digest(dataset, config):
         changed = changed_settings(folder, config)
-        raise DataError(
+        raise ExistsError(
             f"{folder}: holds a finished run with other settings or photos{changed}; give the same "
             "options (config.toml lists them) or choose another run folder"
         )
@@ -104,13 +105,13 @@ def check_same_data(folder: Path, data: Path) -> None:
     A data set that is not where it was any more may be this one.
 
     Raises:
-        DataError: it is of another one.
+        ExistsError: it is of another one; a DataError, too.
     """
     origin = read_origin(folder)
     if not origin or not origin.folder.is_dir():
         return
     if data.resolve() not in (place.resolve() for place in origin.places):
-        raise DataError(
+        raise ExistsError(
             f"{folder}: holds a run of {origin.folder}; name that, or another run folder"
         )
 

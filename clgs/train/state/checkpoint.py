@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.errors import ClgsError, DataError
+from clgs.errors import ClgsError, DataError, ExistsError
 from clgs.files import atomic_path, is_full
 
 FORMAT_VERSION = 1
@@ -77,7 +77,8 @@ def load(folder: Path, digest: str, changed: str = "") -> tuple[Arrays, Scalars]
     """(arrays, scalars) of the newest usable checkpoint; a warning names each damaged one.
 
     Raises:
-        DataError: there is none, all are damaged, or it has another digest or format.
+        DataError: there is none, all are damaged, or it has another format.
+        ExistsError: it has another digest; a DataError, too.
     """
     paths = checkpoints(folder)
     for path in reversed(paths):
@@ -87,7 +88,7 @@ def load(folder: Path, digest: str, changed: str = "") -> tuple[Arrays, Scalars]
             warnings.warn(f"{path}: damaged checkpoint ({error}), skipped", stacklevel=2)
             continue
         if written_for != digest:
-            raise DataError(
+            raise ExistsError(
                 f"{path}: was made with other settings or photos{changed}; "
                 "give the same options (config.toml lists them) or choose another run folder"
             )

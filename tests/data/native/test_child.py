@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from clgs.data.native.child import run_child
+from clgs.errors import DataError
 
 MODULE = """
 import os, time
@@ -37,6 +39,15 @@ def work(arguments, on_stage):
 def main():
     serve(work)
 """
+USER = """
+from clgs.data.native.child import serve
+from clgs.data.native.pycolmap_lazy import quiet_pycolmap
+def work(arguments, on_stage):
+    with quiet_pycolmap("a test"):
+        pass
+def main():
+    serve(work)
+"""
 HANG = 60
 """Seconds after which the clean-up is given up."""
 
@@ -49,6 +60,15 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     (tmp_path / "new").mkdir()
     return tmp_path / "new"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such signals")
+def test_a_pycolmap_that_aborts_is_blamed_not_the_data(folder: Path):
+    (folder.parent / "pycolmap.py").write_text("import os; os.abort()")
+    (folder.parent / "user.py").write_text(USER)
+    said = r"^a test: pycolmap cannot be loaded \(its import ends by signal 6\); install it again$"
+    with pytest.raises(DataError, match=said):
+        run_child("user", "a test", [], lambda told: None)
 
 
 def test_a_result_keeps_what_was_made(folder: Path):

@@ -67,11 +67,11 @@ def test_the_command_says_that_a_run_is_finished(data, tmp_path, monkeypatch, ca
     capsys.readouterr()
     assert cli.main(command) == 0
     assert "is finished already, after 3 steps; nothing is changed" in capsys.readouterr().out
-    assert cli.main([*command, "--seed", "1"]) == 3
+    assert cli.main([*command, "--seed", "1"]) == 2
     assert "finished run with other settings or photos (--seed: 0 there, 1 here)" in (
         capsys.readouterr().err
     )
-    assert cli.main([*command, "--steps", "4"]) == 3
+    assert cli.main([*command, "--steps", "4"]) == 2
     assert "(--steps: 3 there, 4 here); give the same" in capsys.readouterr().err
     assert files(tmp_path / "run") == before
 
@@ -84,7 +84,7 @@ def test_another_data_set_is_refused_before_it_is_read(tmp_path, monkeypatch, ca
     assert cli.main(["train", str(data), "-o", str(run), *options]) == 0
     before = files(run)
     (tmp_path / "empty").mkdir()
-    assert cli.main(["train", str(tmp_path / "empty"), "-o", str(run), *options]) == 3
+    assert cli.main(["train", str(tmp_path / "empty"), "-o", str(run), *options]) == 2
     assert f"{run}: holds a run of {data}; name that" in capsys.readouterr().err
     assert files(run) == before
     copy = shutil.copytree(pair, tmp_path / "copy")  # both together, while the first is there
