@@ -40,6 +40,9 @@ MIN_POINTS = 100
 LEAST_POINTS = 4
 """Training cannot start from fewer."""
 
+POINT_SAMPLES = 100_000
+"""Points on the surfaces of a mesh that a data set names."""
+
 NAMED = 8
 """Of missing photos, at most so many are named."""
 
@@ -100,14 +103,14 @@ def load_dataset(
     Raises:
         DataError: nothing usable there; one line with file, field and remedy.
     """
-    reduction = downscale if isinstance(downscale, Reduction) else Reduction(downscale)
-    if reduction.times < 0 or downscale == 0:
-        raise DataError(f"downscale is {downscale}; give a whole number of at least 1")
+    reduction = _reduction(downscale)
     photos = read_photo_set(Path(path))
     _check_photos(path, photos, reduction)
     transform, radius = _normalise(photos, preset_units, _astray(path, photos))
-    if source := load_points if isinstance(load_points, PointFile) else None:
-        _take_points(photos, source, seed, transform, radius)
+    source = load_points if isinstance(load_points, PointFile) else None
+    wanted = load_images is not False and load_points is not False
+    if named := source or _own_points(photos, wanted):
+        _take_points(photos, named, seed, transform, radius)
     memory = load_images if isinstance(load_images, PhotoMemory) else PhotoMemory()
     train, test = (
         [_view(photo, transform, reduction, memory) for photo in some]
@@ -115,7 +118,7 @@ def load_dataset(
     )
     if load_images is not False:
         _load(train, test, photos.test)
-    make_points = load_images is not False and load_points is not False and not source
+    make_points = wanted and not source
     if make_points and photos.points is None and photos.kind != "blender":
         _triangulate(photos, cache, seed, on_stage)
     points, colors = _scene_points(photos, transform, radius)
@@ -132,11 +135,19 @@ def load_dataset(
     )
 
 
+def _reduction(downscale: int | Reduction) -> Reduction:
+    """What ``downscale`` stands for."""
+    found = downscale if isinstance(downscale, Reduction) else Reduction(downscale)
+    if not isinstance(found.times, int) or found.times < 0 or downscale == 0:
+        raise DataError(f"downscale is {downscale}; give a whole number of at least 1")
+    return found
+
+
 def _check_photos(path: Path | str, photos: PhotoSet, reduction: Reduction) -> None:
     """Raise DataError unless there is something to train on that can be reduced so."""
     _name_missing(path, photos)
     if not photos.train:
-        raise DataError(f"{path}: no photo is left to train on; at least two are needed")
+        raise DataError(f"{path}: no photo is left to train on; hold out fewer")
     _name_standing(path, photos)
     least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)
     if reduction.times > least:
@@ -181,6 +192,12 @@ def _astray(path: Path | str, photos: PhotoSet) -> npt.NDArray[np.bool_]:
             *(path, ASTRAY, _named(names)),
         )
     return astray[: len(photos.train)]
+
+
+def _own_points(photos: PhotoSet, wanted: bool) -> PointFile | None:
+    """The file that the data set names for its points, if they are ``wanted``."""
+    file = photos.points_file
+    return PointFile(file, POINT_SAMPLES) if wanted and file is not None else None
 
 
 def _take_points(

@@ -42,7 +42,8 @@ class PhotoSet:
     """A data set before its images are decoded.
 
     kind: "blender", "transforms" or "colmap"; missing: names of photos that are not on disk;
-    points (P, 3) float64 world units and point_colors (P, 3) uint8, or None if the set has none.
+    points (P, 3) float64 world units and point_colors (P, 3) uint8, or None if the set has none;
+    points_file: the file that it names for them, which is not read yet.
     """
 
     kind: str
@@ -51,6 +52,7 @@ class PhotoSet:
     missing: list[str] = field(default_factory=list)
     points: npt.NDArray[np.float64] | None = None
     point_colors: npt.NDArray[np.uint8] | None = None
+    points_file: Path | None = None
 
 
 def hold_out(photos: list[Photo], interval: int = 8) -> tuple[list[Photo], list[Photo]]:

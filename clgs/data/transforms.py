@@ -6,6 +6,7 @@ Poses are OpenGL camera-to-world matrices: y and z of the camera are flipped to 
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -18,6 +19,8 @@ from clgs.data.images import SUFFIXES, image_size, stored_size
 from clgs.data.lens import Lens
 from clgs.data.posed_photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
 from clgs.errors import DataError
+
+_log = logging.getLogger(__name__)
 
 CAMERA_MODELS = {
     "SIMPLE_PINHOLE": "",
@@ -63,16 +66,41 @@ def read_transforms(root: Path) -> PhotoSet:
     file = root / "transforms.json"
     document = _parse(file)
     photos, missing = _read_photos(root, file)
+    found = PhotoSet("transforms", *hold_out(photos), missing)
+    found.points_file = _points_file(root, document, file)
     test_key = "test_filenames" if "test_filenames" in document else "val_filenames"
     if test_key not in document:
-        return PhotoSet("transforms", *hold_out(photos), missing)
+        return found
     test_names = _names(document, test_key, file)
+    _name_strangers(file, test_key, test_names, [photo.name for photo in photos] + missing)
     test = [photo for photo in photos if _listed(photo, test_names)]
     train = [photo for photo in photos if not _listed(photo, test_names)]
     if "train_filenames" in document:
         train_names = _names(document, "train_filenames", file)
         train = [photo for photo in train if _listed(photo, train_names)]
-    return PhotoSet("transforms", train, test, missing)
+    found.train, found.test = train, test
+    return found
+
+
+def _points_file(root: Path, document: dict[str, Any], file: Path) -> Path | None:
+    """The file of ``ply_file_path``, nerfstudio's field for points; a warning if it is missing."""
+    name = document.get("ply_file_path")
+    if name is None:
+        return None
+    if not isinstance(name, str):
+        raise DataError(f"{file}: ply_file_path is not a string; correct it")
+    path = inside(root, name, f"{file}: ply_file_path")
+    if not path.is_file():
+        _log.warning("%s: ply_file_path: there is no file %s; points are found anew", file, name)
+        return None
+    return path
+
+
+def _name_strangers(file: Path, key: str, listed: set[str], known: list[str]) -> None:
+    """Warn of listed names that no frame has."""
+    names = set(known) | {str(PurePosixPath(name).with_suffix("")) for name in known}
+    if strangers := sorted(listed - names):
+        _log.warning("%s: %s: no frame has the name %s", file, key, ", ".join(strangers[:8]))
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,9 @@ def examine(root: Path) -> Examined:
         photos = found.photos
     everyone = photos.train + photos.test
     findings += _missing(root, photos)
+    if len(photos.test) > 1 and not photos.train:
+        problem = "all photos are held out, none is left to train on"
+        findings.append(Finding(ERROR, "", problem, "hold out fewer"))
     if everyone:
         findings += check_lenses(everyone)
         findings += check_poses(everyone)

@@ -85,13 +85,13 @@ def make_report(
 ) -> Report:
     """The page's content, of results.json, the bytes by section and the curve."""
     held_out, anchors = summary["split"] == "test", int(summary["anchors"])
-    in_training = [("PSNR in training", f"{summary['train_psnr']:.2f} dB")] * held_out
+    trained = [summary["train_psnr"]] if held_out else []
     return Report(
         title="From photos to one compressed file and back",
         lead=story.lead,
         headline=[
             ("PSNR, held out" if held_out else "PSNR in training", f"{summary['psnr']:.2f} dB"),
-            *in_training,
+            *(("PSNR in training", f"{psnr:.2f} dB") for psnr in trained),
             ("SSIM", f"{summary['ssim']:.4f}"),
             ("scene.clgs", f"{summary['bytes'] / 2**10:,.0f} KiB"),
             ("anchors", f"{anchors:,}"),

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from numbers import Integral
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FRUSTUM_MARGIN
+from clgs.errors import UsageError
+
+ORTHONORMAL = 1e-3
+"""How far the products of a rotation's rows may be from those of unit axes."""
 
 PACKED_SIZE = 26
 """Floats in a packed camera; ``kernels_cl/common/camera.h`` names them."""
@@ -19,6 +24,9 @@ class Camera:
 
     rotation (3, 3) float64, translation (3,) float64 in scene units; fx, fy, cx, cy in pixels,
     pixel centres at +0.5; width, height in pixels.
+
+    Raises:
+        UsageError: a field is no such number; names it.
     """
 
     rotation: npt.NDArray[np.float64]
@@ -29,6 +37,11 @@ class Camera:
     cy: float
     width: int
     height: int
+
+    def __post_init__(self) -> None:
+        """See that a picture can be taken."""
+        if problem := _problem(self):
+            raise UsageError(f"camera: {problem}")
 
     @property
     def centre(self) -> npt.NDArray[np.float64]:
@@ -82,3 +95,23 @@ class Camera:
                 self.centre,
             ]
         ).astype(np.float32)
+
+
+def _problem(camera: Camera) -> str:
+    """What is wrong with the fields, and what they should be; empty if nothing is."""
+    sizes = camera.width, camera.height
+    if not all(isinstance(size, Integral) and size >= 1 for size in sizes):
+        return f"width, height are {sizes[0]}, {sizes[1]}; give whole numbers of at least 1"
+    if not (0 < camera.fx < np.inf and 0 < camera.fy < np.inf):
+        return f"fx, fy are {camera.fx}, {camera.fy}; give pixels, above 0"
+    rotation, translation = np.asarray(camera.rotation), np.asarray(camera.translation)
+    if rotation.shape != (3, 3) or translation.shape != (3,):
+        found = f"{rotation.shape}, {translation.shape}"
+        return f"rotation, translation have the shapes {found}; give (3, 3), (3,)"
+    if not np.isfinite([camera.cx, camera.cy, *translation]).all():
+        return "cx, cy or translation is not finite; correct it"
+    if not np.abs(rotation @ rotation.T - np.eye(3)).max() <= ORTHONORMAL:
+        return "rotation is none: its rows are not unit axes; correct it"
+    if np.linalg.det(rotation) < 0:
+        return "rotation mirrors; turn one axis round"
+    return ""

@@ -90,14 +90,15 @@ def load_scene(path: Path | str) -> QuantizedScene:
             arrays = {name: archive[name] for name in ARRAY_NAMES if name in archive.files}
         return _scene(arrays)
     except FileNotFoundError:
-        raise DataError(f"{path}: no such file; train first or name a .clgs file") from None
+        raise DataError(f"{path}: no such file; name the scene.npz of a run") from None
     except PermissionError:
         raise DataError(f"{path}: may not be read; give yourself the permission") from None
     except DAMAGE as error:
         if isinstance(error, MemoryError) and _can_hold(path, error):
             raise
         problem = describe_damage(error)
-        raise DataError(f"{path}: not a scene archive ({problem}); write the file again") from None
+        remedy = "clgs.decode reads it" if path.suffix == ".clgs" else "write the file again"
+        raise DataError(f"{path}: not a scene archive ({problem}); {remedy}") from None
 
 
 def _can_hold(path: Path, error: MemoryError) -> bool:

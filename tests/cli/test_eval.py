@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
 from clgs.cli import main as cli
 from clgs.codec.scene_encoder import encode
+from clgs.scene.storage import save_scene
 from clgs.train.config import preset
 from tests.codec.scenes import random_scene
 from tests.small_scene import write_scene
@@ -89,3 +91,25 @@ def test_rows_without_lpips_are_added_by_name(folder, capsys, tmp_path):
     rows = (tmp_path / "x.csv").read_text().splitlines()
     assert [row.split(",")[0] for row in rows] == ["Submethod", "-small", ""]
     assert rows[1].split(",")[3] == ""
+
+
+def test_a_run_is_scored_by_its_file(folder, capsys, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(folder / "run", run)
+    save_scene(run / "scene.npz", random_scene(np.random.default_rng(7), 50))
+    about = ["eval", str(run), "--data", str(folder / "data"), "--json"]
+    assert cli.main(about) == 0
+    assert json.loads(capsys.readouterr().out)["psnr"] == evaluate(folder, capsys)["psnr"]
+    (run / "scene.clgs").write_bytes((run / "scene.clgs").read_bytes()[:1000])
+    assert cli.main(about) == 3
+    assert f"{run / 'scene.clgs'}: " in capsys.readouterr().err
+
+
+def test_photos_that_are_gone_are_named(folder, capsys, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(folder / "run", run)
+    there = {"folder": str(tmp_path / "gone"), "relative": "../gone", "radius": 1.0, "cameras": {}}
+    (run / "data.json").write_text(json.dumps(there))
+    assert cli.main(["eval", str(run)]) == 2
+    said = f"the data set {tmp_path / 'gone'} is gone; name it with --data"
+    assert said in capsys.readouterr().err

@@ -105,7 +105,7 @@ def work(tmp_path, monkeypatch):
         ("unpack none.clgs -o x.ply", 3, "none.clgs: no such file; `clgs encode` and `clgs pack`"),
         ("bench codec none.clgs", 3, "none.clgs: No such file or directory; name a .npz or .clgs"),
         ("bench codec file", 3, "file: is no .npz archive with `values` or `positions`, and no"),
-        ("eval s.clgs", 2, "nothing to do"),
+        ("eval s.clgs", 2, "the photos are not known; name their data set with --data"),
         ("eval none.clgs --data none --json nodir/x.json", 2, "nodir/x.json: cannot be written"),
         ("eval none.clgs --data none --csv nodir/x.csv", 2, "nodir/x.csv: cannot be written"),
         ("eval s.clgs --data none --csv x.txt", 2, "x.txt: the table is a .csv file; name it so"),

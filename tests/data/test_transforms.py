@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
+from clgs.data.dataset import load_dataset
 from clgs.data.posed_photo import Photo
 from clgs.data.transforms import read_blender, read_transforms
 from clgs.errors import DataError
@@ -61,6 +63,29 @@ def test_own_split_is_honoured(tmp_path: Path):
     photos = read_transforms(tmp_path)
     assert [p.name for p in photos.train] == ["images/000.png", "images/002.png"]
     assert [p.name for p in photos.test] == ["images/001.png"]
+
+
+def test_a_listed_name_that_no_frame_has_is_told(tmp_path: Path, caplog):
+    document = write_transforms(tmp_path, 6) | {"test_filenames": ["images/001", "nope.jpg"]}
+    save_json(tmp_path, document)
+    assert [p.name for p in read_transforms(tmp_path).test] == ["images/001.png"]
+    said = f"{tmp_path / 'transforms.json'}: test_filenames: no frame has the name nope.jpg"
+    assert [one.getMessage() for one in caplog.records] == [said]
+
+
+def test_points_that_the_file_names_are_taken(tmp_path: Path, caplog):
+    document = write_transforms(tmp_path, 6) | {"ply_file_path": "sparse_pc.ply"}
+    save_json(tmp_path, document)
+    assert read_transforms(tmp_path).points_file is None
+    assert "there is no file sparse_pc.ply; points are found anew" in caplog.text
+    points = np.random.default_rng(0).uniform(-1, 1, (200, 3))
+    trimesh.PointCloud(points).export(tmp_path / "sparse_pc.ply")
+    found = load_dataset(tmp_path)
+    world = found.points / found.transform.scale + np.array(found.transform.centre)
+    np.testing.assert_allclose(world, points, atol=1e-5)
+    save_json(tmp_path, document | {"ply_file_path": "../sparse_pc.ply"})
+    with pytest.raises(DataError, match=r"ply_file_path: path '../sparse_pc.ply' must stay"):
+        read_transforms(tmp_path)
 
 
 def test_intrinsics_of_a_frame_win(tmp_path: Path):

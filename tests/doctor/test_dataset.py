@@ -147,6 +147,13 @@ def test_one_photo_is_an_error(tmp_path: Path):
     assert found[ERROR] == [": one photo is too few to train on"]
 
 
+def test_nothing_left_to_train_on_is_an_error(healthy: Path):
+    document = json.loads((healthy / "transforms.json").read_text())
+    names = [frame["file_path"] for frame in document["frames"]]
+    save_json(healthy, document | {"test_filenames": names})
+    assert has(levels(healthy)[ERROR], "all photos are held out, none is left to train on")
+
+
 def test_cameras_in_one_place(healthy: Path):
     document = json.loads((healthy / "transforms.json").read_text())
     for frame in document["frames"]:

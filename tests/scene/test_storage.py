@@ -42,7 +42,10 @@ def test_a_scene_comes_back_exactly(scene, tmp_path):
 
 
 def test_a_missing_file_and_another_kind_are_named(scene, tmp_path):
-    assert "no such file" in refusal(str(tmp_path / "none.npz"))
+    assert "no such file; name the scene.npz of a run" in refusal(str(tmp_path / "none.npz"))
+    (tmp_path / "x.clgs").write_bytes(b"CLGS")
+    assert refusal(str(tmp_path / "x.clgs")).endswith("; clgs.decode reads it")
+    (tmp_path / "x.clgs").unlink()
     with pytest.raises(UsageError, match=r"foo\.txt: .* name it \.npz"):
         save_scene(str(tmp_path / "foo.txt"), scene)
     with pytest.raises(TypeError, match="scene: is NoneType, QuantizedScene is needed"):

@@ -123,7 +123,7 @@ def _check(args: argparse.Namespace) -> None:
         if named:
             raise UsageError(f"{named[0]}: scores need photos; name them with --data")
         if args.hashes is None:
-            raise UsageError("nothing to do: name the photos with --data, or hashes with --hashes")
+            name_data(args)  # it says why there are none
     elif args.data is None and (args.hashes is None or named or args.json):
         name_data(args)
     if args.submethod is not None and not (args.csv and args.submethod.isprintable()):

@@ -47,6 +47,8 @@ def check_there(path: Path) -> None:
 def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
     """As :func:`read_scene`; ordinary splats, a PLY file or packed ones, are read, too.
 
+    Of a run it is the scene in its file, if there is one: what is shown and scored.
+
     Raises:
         DataError: there is no scene at ``path``, or it is damaged.
     """
@@ -55,6 +57,9 @@ def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
     if path.suffix.lower() == ".ply" and not path.is_dir():
         gaussians = read_gaussians(path)
         return SplatScene(gaussians), path.stat().st_size
+    bitstream = run_folder(path) / "scene.clgs"
+    if path.is_dir() and bitstream.is_file():
+        return read_bitstream(bitstream)
     if path.is_dir() or not path.exists() or path.suffix.lower() == ".npz":
         return read_scene(path)
     if path.suffix.lower() in WRITTEN_ONLY and path.is_file():

@@ -28,6 +28,7 @@ from clgs.cli.run.record import DATA, RUN, Record, read_record
 from clgs.cli.run.source import Source, find_source, measure_data
 from clgs.cli.run.stages import Stages
 from clgs.cli.run.summary import print_box
+from clgs.cli.tell import tell
 from clgs.errors import UsageError
 from clgs.files import check_folder, make_folder, remove_temporaries
 
@@ -125,6 +126,7 @@ class Job:
 
         args = self._args
         with self._stages.timed("plan"):
+            tell("clgs: measuring how fast this device trains")
             if data is None:
                 speed = synthetic_speed(self._device)
             else:

@@ -27,6 +27,8 @@ from clgs.scene.camera import Camera
 
 MAX_BYTES = 64 * 2**20
 MAX_SIZE = 16384
+FARTHEST = 1e12
+"""From the origin, in world units: as of the cameras of data sets."""
 DEFAULT_SIZE = 800, 600
 FLIP = np.diag([1.0, -1.0, -1.0])
 """From OpenGL's axes of a camera to OpenCV's, and back."""
@@ -99,10 +101,11 @@ def _camera(frame: Any, where: str, size: tuple[int, int]) -> Camera:
 
 def _pose(frame: dict[str, Any], where: str) -> npt.NDArray[np.float64]:
     """Camera to world (4, 4), its rotation made exact."""
-    field = "camera_to_world" if "camera_to_world" in frame else "matrix"
+    field = "camera_to_world" if "matrix" not in frame else "matrix"
+    field = "camera_to_world" if "camera_to_world" in frame else field
     flat = _numbers(frame.get(field))
-    if flat.size not in (12, 16) or not np.isfinite(flat).all():
-        raise _PathError(f"{where}.{field}: 16 finite numbers are needed")
+    if flat.size not in (12, 16) or not (np.abs(flat) < FARTHEST).all():
+        raise _PathError(f"{where}.{field}: 16 numbers below {FARTHEST:g} are needed")
     pose = np.eye(4)
     pose[: flat.size // 4] = flat.reshape(-1, 4)
     if field == "matrix" and pose[3, :3].any():

@@ -11,6 +11,7 @@ Source of the format: Niantic's description (github.com/nianticlabs/spz, README)
 from __future__ import annotations
 
 import gzip
+import logging
 import struct
 
 import numpy as np
@@ -19,6 +20,8 @@ import numpy.typing as npt
 from clgs.errors import DataError
 from clgs.export.splats.encoded import Encoded, logit, sigmoid, unit_rotation
 from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
+
+_log = logging.getLogger(__name__)
 
 MAGIC, VERSION = 0x5053474E, 3
 FIXED_BITS = 23
@@ -44,6 +47,7 @@ def encode_spz(gaussians: HostGaussians) -> Encoded:
     opacity = _bytes(sigmoid(gaussians.opacity) * 255)
     color = _bytes(gaussians.sh[:, 0] * COLOR_SCALE + 127.5)
     scale = _bytes((gaussians.log_scale - SCALE_LEAST) * SCALE_STEPS)
+    _name_clamped(gaussians.log_scale)
     largest, small = _smallest_three(unit_rotation(gaussians.rotation))
     rest = _bytes(gaussians.sh[:, 1:] * SH_STEPS + SH_STEPS)
     head = struct.pack("<IIIBBBB", MAGIC, VERSION, len(gaussians), gaussians.degree, fraction, 0, 0)
@@ -62,6 +66,17 @@ def encode_spz(gaussians: HostGaussians) -> Encoded:
         sh=_colors(color, rest),
     )
     return Encoded(gzip.compress(data, LEVEL, mtime=0), stored)
+
+
+def _name_clamped(log_scale: npt.NDArray[np.float32]) -> None:
+    """Warn of sizes that the format has no bytes for; tiny ones are drawn as points anyway."""
+    most = SCALE_LEAST + 255 / SCALE_STEPS
+    if count := int((log_scale > most + 0.5 / SCALE_STEPS).any(axis=1).sum()):
+        _log.warning(
+            "%d Gaussians are larger than the %.0f units that .spz can tell, and are made smaller; "
+            "write .ply to keep them",
+            *(count, np.exp(most)),
+        )
 
 
 def _fraction_bits(gaussians: HostGaussians) -> int:

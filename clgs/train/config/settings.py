@@ -43,15 +43,16 @@ LAMBDA = {True: 0.33, False: 0.9}
 
 LAMBDA_STEPS = 3000
 
-LAMBDA_POWER = 0.55
-"""Of the steps: what is not learned yet cannot show its worth, and longer runs give both better
-pictures and smaller files.
+LAMBDA_POWERS = {False: 0.55, True: 0.7}
+"""Of the steps, in runs up to LAMBDA_STEPS and in longer ones: what is not learned yet cannot show
+its worth, and longer runs would spend all of theirs on better pictures, none on smaller files.
 """
 
 
 def default_lambda(kind: str, steps: int) -> float:
     """Of a run of ``steps`` on a kind of data set, see :meth:`TrainConfig.for_dataset`."""
-    return LAMBDA[kind == BLENDER] * float((steps / LAMBDA_STEPS) ** LAMBDA_POWER)
+    power = LAMBDA_POWERS[steps > LAMBDA_STEPS]
+    return LAMBDA[kind == BLENDER] * float((steps / LAMBDA_STEPS) ** power)
 
 
 @dataclass(frozen=True)

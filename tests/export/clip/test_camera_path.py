@@ -12,6 +12,7 @@ from clgs.export.clip.camera_path import read_camera_path, to_json, write_camera
 from tests.export.clip.test_paths import ring
 
 POSE = np.eye(4).ravel().tolist()
+FAR = [1e300, *POSE[1:]]
 
 
 def written(tmp_path, record):
@@ -81,12 +82,14 @@ def test_keyframes_are_read_by_rows_and_by_columns(tmp_path):
         (record(render_width=0), "render_width: 0 is not a number from 1"),
         (record(render_height="800"), "render_height: 800 is not a number"),
         (record(fps=float("nan")), "fps: nan"),
-        (record(camera_path=[{"fov": 50}]), r"camera_path\[0\].matrix: 16 finite numbers"),
+        (record(camera_path=[{"fov": 50}]), r"camera_path\[0\].camera_to_world: 16 numbers"),
         (record(camera_path=[{"camera_to_world": POSE, "fov": 0}]), r"camera_path\[0\].fov: 0"),
-        (record(camera_path=[{"camera_to_world": POSE[:9]}]), "camera_to_world: 16 finite"),
+        (record(camera_path=[{"camera_to_world": POSE[:9]}]), "camera_to_world: 16 numbers"),
         (record(camera_path=[{"camera_to_world": [0.0] * 16}]), "its rotation is none"),
-        (record(camera_path=[{"camera_to_world": "x"}]), "camera_to_world: 16 finite"),
-        (record(camera_path=[{"camera_to_world": [float("inf")] * 16}]), "16 finite numbers"),
+        (record(camera_path=[{"camera_to_world": "x"}]), "camera_to_world: 16 numbers"),
+        (record(camera_path=[{"camera_to_world": [float("inf")] * 16}]), "16 numbers below 1e.12"),
+        (record(camera_path=[{"camera_to_world": FAR}]), "16 numbers below 1e.12"),
+        (record(camera_path=[{"matrix": POSE[:9]}]), "matrix: 16 numbers"),
     ],
 )
 def test_bad_files_are_refused_by_name(tmp_path, text, said):

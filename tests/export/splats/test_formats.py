@@ -7,6 +7,7 @@ import io
 import json
 import struct
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,6 +67,17 @@ def test_spz_refuses_coordinates_without_room():
         DataError, match=r"5e\+06: too large for \.spz; write \.ply, or give --units scene"
     ):
         encode_spz(far)
+
+
+def test_spz_tells_of_sizes_that_it_cannot_hold(caplog):
+    whole = gaussians()
+    encode_spz(whole)
+    assert caplog.records == []
+    sizes = whole.log_scale.copy()
+    sizes[1] = 80.0
+    stored = encode_spz(replace(whole, log_scale=sizes)).gaussians
+    assert stored.log_scale[1] == pytest.approx(5.94, abs=0.01)
+    assert "1 Gaussians are larger than the 379 units that .spz can tell" in caplog.text
 
 
 def test_spz_keeps_the_largest_coordinate():
