@@ -27,6 +27,9 @@ from clgs.scene.camera import Camera
 
 MAX_BYTES = 64 * 2**20
 MAX_SIZE = 16384
+POSES = "camera_to_world", "matrix"
+"""Fields that hold a pose; the first that a frame has is taken."""
+
 FARTHEST = 1e12
 """From the origin, in world units: as of the cameras of data sets."""
 DEFAULT_SIZE = 800, 600
@@ -101,8 +104,7 @@ def _camera(frame: Any, where: str, size: tuple[int, int]) -> Camera:
 
 def _pose(frame: dict[str, Any], where: str) -> npt.NDArray[np.float64]:
     """Camera to world (4, 4), its rotation made exact."""
-    field = "camera_to_world" if "matrix" not in frame else "matrix"
-    field = "camera_to_world" if "camera_to_world" in frame else field
+    field = next((name for name in POSES if name in frame), POSES[0])
     flat = _numbers(frame.get(field))
     if flat.size not in (12, 16) or not (np.abs(flat) < FARTHEST).all():
         raise _PathError(f"{where}.{field}: 16 numbers below {FARTHEST:g} are needed")
