@@ -110,6 +110,7 @@ def test_photos_that_are_gone_are_named(folder, capsys, tmp_path):
     shutil.copytree(folder / "run", run)
     there = {"folder": str(tmp_path / "gone"), "relative": "../gone", "radius": 1.0, "cameras": {}}
     (run / "data.json").write_text(json.dumps(there))
-    assert cli.main(["eval", str(run)]) == 2
     said = f"the data set {tmp_path / 'gone'} is gone; name it with --data"
-    assert said in capsys.readouterr().err
+    for words in (["eval", str(run)], ["render", str(run), "-o", str(tmp_path / "pictures")]):
+        assert cli.main(words) == 2
+        assert said in capsys.readouterr().err

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import named_path, positive_int
+from clgs.cli.options.view import check_photos_there, named_path, positive_int
 from clgs.cli.tell import tell
 from clgs.errors import UsageError
 
@@ -100,6 +100,7 @@ def check_path(args: argparse.Namespace) -> None:
         if args.output.suffix.lower() in (".mp4", *OTHER_VIDEOS):
             raise UsageError(f"{args.output}: a video is a clip; give --path, or name a folder")
         if args.data is None:
+            check_photos_there(args.scene)
             raise UsageError(
                 "nothing to render: name the photos with --data, or a path with --path"
             )

@@ -189,9 +189,17 @@ def name_data(args: argparse.Namespace) -> None:
     origin = read_origin(run_folder(args.scene))
     if origin is None:
         raise UsageError("the photos are not known; name their data set with --data")
-    if not origin.folder.exists():
-        raise UsageError(f"the data set {origin.folder} is gone; name it with --data")
+    check_photos_there(args.scene)
     args.data = origin.folder
+
+
+def check_photos_there(scene: Path) -> None:
+    """Raise UsageError if the run folder of ``scene`` names a data set that is gone."""
+    from clgs.data.origin import read_origin
+
+    origin = read_origin(run_folder(scene))
+    if origin is not None and not origin.folder.exists():
+        raise UsageError(f"the data set {origin.folder} is gone; name it with --data")
 
 
 def over_background(
