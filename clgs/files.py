@@ -125,6 +125,24 @@ def make_folder(path: Path) -> None:
         raise OutputError(f"{path}: {problem}") from None
 
 
+@contextmanager
+def folder_to_fill(path: Path) -> Iterator[None]:
+    """As :func:`make_folder`; on a failure a folder that is new and still empty is removed.
+
+    Raises:
+        OutputError: as there.
+    """
+    new = not path.exists()
+    make_folder(path)
+    try:
+        yield
+    except BaseException:
+        if new:
+            with suppress(OSError):
+                path.rmdir()
+        raise
+
+
 def check_folder(path: Path) -> None:
     """Raise OutputError if ``path`` is, or lies in, what is no folder or may not be written to.
 

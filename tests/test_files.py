@@ -19,6 +19,7 @@ from clgs.files import (
     atomic_write_all,
     check_folder,
     check_output,
+    folder_to_fill,
     make_folder,
     remove_temporaries,
 )
@@ -308,3 +309,16 @@ def test_what_cannot_be_added_whole_is_not_added(tmp_path, monkeypatch):
     monkeypatch.undo()
     append(path, b"four\n")
     assert path.read_bytes() == b"one\nfour\n"
+
+
+def test_a_folder_that_stays_empty_is_removed_on_a_failure(tmp_path):
+    (tmp_path / "old").mkdir()
+    for name in ("new", "old", "full"):
+        with pytest.raises(OSError, match="disk"), folder_to_fill(tmp_path / name):
+            if name == "full":
+                (tmp_path / name / "picture.png").touch()
+            raise OSError("disk")
+    assert names(tmp_path) == ["full", "old"]
+    with folder_to_fill(tmp_path / "new"):
+        pass
+    assert names(tmp_path) == ["full", "new", "old"]

@@ -28,7 +28,14 @@ def test_scripts_name_every_command_and_its_options(shell, capsys):
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 @pytest.mark.parametrize(
     ("typed", "offered"),
-    [("clgs tr", ["train"]), ("clgs train --down", ["--downscale"]), ("clgs train fo", [])],
+    [
+        ("clgs tr", ["train"]),
+        ("clgs train --down", ["--downscale"]),
+        ("clgs train fo", []),
+        ("clgs train fox --preset q", ["quick"]),
+        ("clgs export scene --units s", ["scene"]),
+        ("clgs render scene --preset q", []),
+    ],
 )
 def test_bash_completes(typed, offered, capsys):
     with pytest.raises(SystemExit):

@@ -176,7 +176,7 @@ def _score(
     size: int | None,
     lpips: Measure | None,
 ) -> None:
-    from clgs.cli.options.view import selected_options, selected_views
+    from clgs.cli.options.view import selected_options, selected_views, split_of
     from clgs.cli.progress import bar
     from clgs.scene.scene import SplatScene
     from clgs.train.quality.score_views import evaluate_views, summarize
@@ -190,7 +190,7 @@ def _score(
         summary["gaussians"] = _count_gaussians(device, scene, views, options)
     summary |= {
         "accuracy": options.accuracy.name,
-        "split": args.split,
+        "split": split_of(args),
         "device": device.name,
     }
     if args.json == STDOUT:

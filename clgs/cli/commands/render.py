@@ -64,7 +64,7 @@ def _render_views(args: argparse.Namespace) -> int:
     )
     from clgs.cli.progress import track
     from clgs.export.image import picture_names
-    from clgs.files import check_folder, make_folder
+    from clgs.files import check_folder, folder_to_fill
     from clgs.opencl.device import Device
     from clgs.render.renderer import Renderer
     from clgs.scene.scene import drawable
@@ -81,8 +81,8 @@ def _render_views(args: argparse.Namespace) -> int:
     renderer = Renderer(Device(args.device), shown, selected_options(args))
     renderer.check_budget((view.name, view.camera) for view in views)
     frames = Frames(renderer, args.kind, [view.camera for view in views])
-    make_folder(args.output)
-    for name, view in track(list(zip(names, views, strict=True)), "rendering"):
-        save_frame(args.output / name, frames.draw(view.camera), scene.transform)
+    with folder_to_fill(args.output):
+        for name, view in track(list(zip(names, views, strict=True)), "rendering"):
+            save_frame(args.output / name, frames.draw(view.camera), scene.transform)
     print(f"{args.output}: {counted(len(views), 'picture')}")
     return 0

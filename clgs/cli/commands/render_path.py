@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clgs.cli.counted import counted
 from clgs.cli.options.output import check_new
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ def render_path(args: argparse.Namespace) -> int:
     if args.save_path is not None:
         _save_path(args.save_path, cameras, scene.transform, fps)
     size = f"{cameras[0].width}x{cameras[0].height}"
-    print(f"{args.output}: {len(cameras)} frames of {size}, {len(cameras) / fps:.1f} s at {fps:g}")
+    frames_made = counted(len(cameras), "frame")
+    print(f"{args.output}: {frames_made} of {size}, {len(cameras) / fps:.1f} s at {fps:g} a second")
     return 0
 
 
@@ -101,9 +103,8 @@ def _video(output: Path, camera: Camera, fps: float) -> Iterator[Add]:
 
 @contextmanager
 def _folder(args: argparse.Namespace, transform: SceneTransform) -> Iterator[Add]:
-    from clgs.files import make_folder
+    from clgs.files import folder_to_fill
 
-    make_folder(args.output)
     count = 0
 
     def add(frame: Frame) -> None:
@@ -111,7 +112,8 @@ def _folder(args: argparse.Namespace, transform: SceneTransform) -> Iterator[Add
         save_frame(args.output / _name(count), frame, transform)
         count += 1
 
-    yield add
+    with folder_to_fill(args.output):
+        yield add
 
 
 def _name(number: int) -> str:

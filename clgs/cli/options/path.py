@@ -94,25 +94,49 @@ def check_path(args: argparse.Namespace) -> None:
         UsageError: names the option.
     """
     if args.path is None:
-        for name in ("frames", "fps", "size", "up", "save_path"):
-            if getattr(args, name) is not None:
-                raise UsageError(f"--{name.replace('_', '-')}: belongs to a clip; give --path too")
-        if args.output.suffix.lower() in (".mp4", *OTHER_VIDEOS):
-            raise UsageError(f"{args.output}: a video is a clip; give --path, or name a folder")
-        if args.data is None:
-            check_photos_there(args.scene)
-            raise UsageError(
-                "nothing to render: name the photos with --data, or a path with --path"
-            )
-        return
+        _check_views(args)
+    else:
+        _check_clip(args)
+
+
+def _check_views(args: argparse.Namespace) -> None:
+    """Of pictures of the photos' views."""
+    if name := _given(args, "frames", "fps", "size", "up", "save_path"):
+        raise UsageError(f"{name}: belongs to a clip; give --path too")
+    if args.output.suffix.lower() in (".mp4", *OTHER_VIDEOS):
+        raise UsageError(f"{args.output}: a video is a clip; give --path, or name a folder")
+    if args.data is None:
+        check_photos_there(args.scene)
+        raise UsageError("nothing to render: name the photos with --data, or a path with --path")
+
+
+def _check_clip(args: argparse.Namespace) -> None:
+    """Of a clip along a path."""
     if args.path not in PATHS and Path(args.path).suffix.lower() != ".json":
         raise UsageError(f"--path {args.path}: is not {', '.join(PATHS)} or a .json file")
     if args.path == "interpolate" and args.data is None:
         raise UsageError("--path interpolate: goes through photos; name them with --data")
-    if args.up is not None and (args.data is not None or args.path not in PATHS):
-        raise UsageError("--up: cameras say what is up; leave it out")
     if args.save_path is not None and args.save_path.suffix.lower() != ".json":
         raise UsageError(f"{args.save_path}: a camera path is a .json file; name it so")
+    _check_cameras(args)
+
+
+def _check_cameras(args: argparse.Namespace) -> None:
+    """Of the cameras of a clip: options that would have no effect."""
+    named = args.path in PATHS
+    if args.up is not None and (args.data is not None or not named):
+        raise UsageError("--up: cameras say what is up; leave it out")
+    if args.split is not None:
+        raise UsageError("--split: a clip shows no views of the data set; leave it out")
+    name = _given(args, "downscale", "max_size")
+    if name and not (named and args.data is not None):
+        raise UsageError(f"{name}: no photos give the frames their size; use --size")
+
+
+def _given(args: argparse.Namespace, *names: str) -> str | None:
+    """The first of the options ``names`` that is given, as it is typed; None if none is."""
+    found = (name for name in names if getattr(args, name) is not None)
+    return next((f"--{name.replace('_', '-')}" for name in found), None)
 
 
 def make_path(

@@ -33,7 +33,7 @@ def add_view_options(parser: argparse.ArgumentParser, split: bool = True) -> Non
     add("--data", type=Path, help=f"the data set that the scene was made of (default: {where})")
     if split:
         splits = ("train", "test")
-        add("--split", choices=splits, default="test", help="which views (default: test)")
+        add("--split", choices=splits, help="which views (default: test)")
     add(
         "--background",
         choices=BACKGROUNDS,
@@ -118,10 +118,17 @@ def selected_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene)
         DataError: the split is empty, or the data set is that of another scene.
     """
     dataset = load_views(args, scene)
-    views = dataset.test if args.split == "test" else dataset.train
+    split = split_of(args)
+    views = dataset.test if split == "test" else dataset.train
     if not views:
-        raise DataError(f"{args.data}: has no {args.split} views; try --split train")
+        other = "train" if split == "test" else "test"
+        raise DataError(f"{args.data}: has no {split} views; try --split {other}")
     return views
+
+
+def split_of(args: argparse.Namespace) -> str:
+    """Which views the options name."""
+    return args.split or "test"
 
 
 def load_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> Dataset:

@@ -112,7 +112,10 @@ def _lens(camera: PosedImage, source: str) -> Lens:
     if not (np.all(np.isfinite(list(values.values()))) and fx > 0 and fy > 0):
         raise DataError(f"{source}: camera parameters are not finite and positive; export again")
     if not (1 <= camera.width <= 1e6 and 1 <= camera.height <= 1e6):
-        raise DataError(f"{source}: camera size {camera.width}x{camera.height} is impossible")
+        raise DataError(
+            f"{source}: camera size {camera.width}x{camera.height} is impossible; "
+            "export the model again"
+        )
     full = model == "FULL_OPENCV"
     return Lens(
         camera.width,

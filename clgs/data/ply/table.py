@@ -153,9 +153,11 @@ def _read_header(data: bytes) -> tuple[_Header, int]:
             return header, end
         try:
             _read_line(header, line.split() if number > 1 else [])
-        except (ValueError, IndexError, KeyError):
-            shown = line.strip()[:60]
-            raise ValueError(f"line {number} of the header, {shown!r}, is not read") from None
+        except (ValueError, IndexError, KeyError) as error:
+            shown, why = line.strip()[:60], ""
+            if isinstance(error, ValueError) and str(error):
+                why = f": {error}"
+            raise ValueError(f"line {number} of the header, {shown!r}, is not read{why}") from None
     raise ValueError(f"no end of the header in the first {MAX_HEADER} bytes")
 
 
@@ -181,18 +183,24 @@ def _read_line(header: _Header, words: list[str]) -> None:
             header.order = FORMATS[name]
         case ["element", "vertex", count] if header.rows is None and header.alone:
             if not (count.isascii() and count.isdecimal() and len(count) < 19):
-                raise ValueError
+                raise ValueError("the number of rows is no whole number")
             header.rows = int(count)
         case ["element", _, _] if header.rows is not None:
             header.alone = False
         case ["property", *_] if not header.alone:
             return
         case ["property", kind, name] if header.rows is not None:
-            if name in dict(header.properties) or len(header.properties) == MAX_PROPERTIES:
-                raise ValueError
-            header.properties.append((name, TYPES[kind]))
+            _add_property(header, name, TYPES[kind])
         case _:
             raise ValueError
+
+
+def _add_property(header: _Header, name: str, kind: str) -> None:
+    if name in dict(header.properties):
+        raise ValueError(f"there are two properties {name}")
+    if len(header.properties) == MAX_PROPERTIES:
+        raise ValueError(f"there are more than {MAX_PROPERTIES} properties")
+    header.properties.append((name, kind))
 
 
 def pack_ply(table: Table) -> bytes:

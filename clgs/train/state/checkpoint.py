@@ -93,7 +93,8 @@ def load(folder: Path, digest: str, changed: str = "") -> tuple[Arrays, Scalars]
                 "give the same options (config.toml lists them) or choose another run folder"
             )
         return arrays, scalars
-    found = f"all {len(paths)} checkpoints are damaged" if paths else "no checkpoint"
+    damaged = "its one checkpoint is" if len(paths) == 1 else f"all {len(paths)} checkpoints are"
+    found = f"{damaged} damaged" if paths else "no checkpoint"
     raise DataError(f"{folder}: {found}; start the run anew")
 
 
