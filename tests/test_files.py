@@ -311,14 +311,19 @@ def test_what_cannot_be_added_whole_is_not_added(tmp_path, monkeypatch):
     assert path.read_bytes() == b"one\nfour\n"
 
 
+def fail_in(folder, filled):
+    with folder_to_fill(folder):
+        if filled:
+            (folder / "picture.png").touch()
+        raise OSError("disk")
+
+
 def test_a_folder_that_stays_empty_is_removed_on_a_failure(tmp_path):
     (tmp_path / "old").mkdir()
     for name in ("new", "old", "full"):
-        with pytest.raises(OSError, match="disk"), folder_to_fill(tmp_path / name):
-            if name == "full":
-                (tmp_path / name / "picture.png").touch()
-            raise OSError("disk")
+        with pytest.raises(OSError, match="disk"):
+            fail_in(tmp_path / name, name == "full")
     assert names(tmp_path) == ["full", "old"]
     with folder_to_fill(tmp_path / "new"):
-        pass
+        assert names(tmp_path) == ["full", "new", "old"]
     assert names(tmp_path) == ["full", "new", "old"]

@@ -43,6 +43,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **options: Any) -> None:
         options.setdefault("formatter_class", Help)
         super().__init__(**options)
+        self._words: list[str] = []
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """As in the base class, but an unknown command is answered by the one most like it."""
@@ -53,7 +54,10 @@ class Parser(argparse.ArgumentParser):
         self.error(f"{action.metavar} {value!r} is unknown{near}")
 
     def error(self, message: str) -> NoReturn:
-        """Exit with code 2."""
+        """Exit with code 2; a mistyped option is told before what is missing."""
+        mistyped = [word for word in self._words if self._suggestion([word])]
+        if mistyped and message.startswith("the following arguments are required"):
+            message = f"unrecognized arguments: {mistyped[0]}{self._suggestion(mistyped)}"
         if message.startswith("argument -"):
             message = message.removeprefix("argument ")
         else:
@@ -65,6 +69,7 @@ class Parser(argparse.ArgumentParser):
     ) -> tuple[Any, list[str]]:
         """As in the base class, but unknown words are errors, and lists may begin with a minus."""
         words = list(sys.argv[1:] if args is None else args)
+        self._words = words
         found, unknown = super().parse_known_args(_join_numbers(words), namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}{self._suggestion(unknown)}")
@@ -73,7 +78,10 @@ class Parser(argparse.ArgumentParser):
     def _suggestion(self, unknown: list[str]) -> str:
         """The option most like the first unknown one, in brackets; empty if none is near."""
         options = (word.partition("=")[0] for word in unknown if word.startswith("--"))
-        return _nearest(next(options, ""), self._option_string_actions)
+        first = next(options, "")
+        if any(option.startswith(first) for option in self._option_string_actions):
+            return ""
+        return _nearest(first, self._option_string_actions)
 
 
 def _nearest(word: str, known: Iterable[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import signal
@@ -149,6 +150,20 @@ def test_every_command_has_help_with_examples_within_80_columns(command, monkeyp
     assert max(map(len, out.splitlines())) <= 80
 
 
+def parsers(parser):
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for one in action.choices.values():
+                yield from parsers(one)
+
+
+def test_help_tells_each_default_once():
+    for parser in parsers(cli.build_parser()):
+        text = " ".join(parser.format_help().split())
+        assert not re.search(r"\(default[^()]*\) \(default|\(default: None", text), parser.prog
+
+
 @pytest.mark.parametrize("command", cli.COMMANDS)
 def test_examples_are_understood(command, capsys):
     for line in EXAMPLES[command]:
@@ -173,6 +188,14 @@ def test_help_is_a_command_too(words, usage, capsys):
     [
         (["tran"], "COMMAND 'tran' is unknown (did you mean train?); see clgs --help"),
         (["xyzzy"], "COMMAND 'xyzzy' is unknown; see clgs --help"),
+        (
+            ["--versoin"],
+            "unrecognized arguments: --versoin (did you mean --version?); see clgs --help",
+        ),
+        (
+            ["train", "--stepz=9"],
+            "unrecognized arguments: --stepz=9 (did you mean --steps?); see clgs train --help",
+        ),
         (["bench", "stp"], "WHAT 'stp' is unknown (did you mean step?); see clgs bench --help"),
     ],
 )

@@ -11,11 +11,7 @@ from clgs.cli.options.workload import gaussian_count, picture_size
 
 def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the kind and its options."""
-    step = kinds.add_parser(
-        "step",
-        help="one training step on a seeded synthetic scene",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
+    step = kinds.add_parser("step", help="one training step on a seeded synthetic scene")
     add = step.add_argument
     add(
         "--gaussians",
