@@ -15,7 +15,10 @@ from clgs.opencl.choose import choose_device, list_devices
 from clgs.train.run.session import write_json
 
 FORMAT = "clgs accept 1"
-KEPT = ("conformance", "selftest", "stages", "step", "large step", "first start", "second start")
+KEPT = (
+    "conformance", "selftest", "stages", "step", "large step", "first start", "second start",
+    "gsplat", "gsplat large",
+)  # fmt: skip
 """Parts whose figures go into the record, besides the line that is told."""
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from clgs.bench.peer.gsplat_times import has_gsplat
 from clgs.cli.accept.part import Part
 from clgs.cli.commands.conformance import SHIPPED
 from clgs.errors import ClgsError
@@ -58,9 +59,9 @@ def parts(device: str, folder: Path, size: Size, data: list[str]) -> list[Part]:
     def file(name: str) -> str:
         return str(folder / f"{name}.json")
 
-    def step(name: str, work: tuple[int, int | str], repeats: int = 1) -> Part:
+    def step(name: str, work: tuple[int, int | str], repeats: int = 1, kind: str = "step") -> Part:
         counts = zip(("--gaussians", "--size", "--repeats"), (*work, repeats), strict=True)
-        words = ("bench", "step", *on, *map(str, chain(*counts)), "--json", file(name))
+        words = ("bench", kind, *on, *map(str, chain(*counts)), "--json", file(name))
         return Part(name, words, partial(_step, name))
 
     def start(name: str, told: str) -> Part:
@@ -89,6 +90,14 @@ def parts(device: str, folder: Path, size: Size, data: list[str]) -> list[Part]:
         step("step", (size.gaussians, size.edge), size.repeats),
         step("large step", size.large, size.repeats),
     ]
+    if has_gsplat():
+        found += [
+            replace(step(name, work, size.repeats, "gsplat"), tell=partial(_beside, name))
+            for name, work in (
+                ("gsplat", (size.gaussians, size.edge)),
+                ("gsplat large", size.large),
+            )
+        ]
     if data:
         words = ("train", *data, "-o", str(folder / "data"), *on)
         found.append(Part("data", words, _data))
@@ -110,6 +119,18 @@ def _step(name: str, folder: Path) -> str:
         f"{times['step']:.2f} ms a step (kernels {sum(times['kernels'].values()):.2f}, "
         f"host {times['host']:.2f}), {times['render']:.2f} ms a picture, "
         f"{times['gaussians']:,} Gaussians"
+    )
+
+
+def _beside(name: str, folder: Path) -> str:
+    """Our times over gsplat's."""
+    found = _read(folder, name)
+    ours, theirs = found["clgs"], found["gsplat"]
+    forward = ours["blend forward"] / theirs["forward"]
+    backward = ours["blend backward"] / theirs["backward"]
+    return (
+        f"{ours['step'] / theirs['step']:.2f} of gsplat's step, rasteriser forward {forward:.2f}, "
+        f"backward {backward:.2f}; pictures alike: {theirs['psnr']:.1f} dB"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 
-KINDS = ("step", "ops", "accuracy", "scaling", "codec")
+KINDS = ("step", "ops", "accuracy", "scaling", "codec", "gsplat")
 """Each is a module ``clgs.cli.bench.<kind>`` with ``register(kinds)`` and ``run(args)``."""
 
 SMALLER = {
@@ -13,6 +13,7 @@ SMALLER = {
     "ops": "a smaller --size, fewer --gaussians or --elements need",
     "accuracy": "fewer or smaller --scenes, or a larger --downscale of --scene, need",
     "codec": "fewer --anchors, or smaller DATA with --levels-only, need",
+    "gsplat": "a smaller --size or fewer --gaussians need",
     "scaling": "smaller --sizes or fewer --gaussians need",
 }
 """What to change if memory is short."""
