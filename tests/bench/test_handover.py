@@ -64,5 +64,5 @@ def test_gaussians_in_space_project_to_those_on_the_screen(view):
 
 def test_without_gsplat_it_says_what_is_needed(monkeypatch):
     monkeypatch.setitem(sys.modules, "gsplat", None)
-    with pytest.raises(UsageError, match="pip install torch gsplat"):
+    with pytest.raises(UsageError, match=r"pip install .clgs\[gsplat\]"):
         require_gsplat()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.util import find_spec
 from statistics import median
 from typing import Any
@@ -26,7 +27,7 @@ STILL = 1e-12
 SSIM_SHARE = 0.2
 """Of the loss, the rest is L1; as of 3DGS."""
 
-NEEDED = "it needs PyTorch with CUDA and gsplat: pip install torch gsplat"
+NEEDED = "it needs PyTorch with CUDA and gsplat: pip install 'clgs[gsplat]'"
 
 
 @dataclass(frozen=True)
@@ -186,11 +187,11 @@ class _Step:
 
 
 def _fused_ssim() -> Any:
+    """The function of fused-ssim, which PyPI does not have; None if it is not installed."""
     try:
-        from fused_ssim import fused_ssim
+        return import_module("fused_ssim").fused_ssim
     except ImportError:
         return None
-    return fused_ssim
 
 
 def _loader(torch: Any) -> Callable[[npt.NDArray[Any]], Any]:
