@@ -156,6 +156,8 @@ def open_image(path: Path) -> Iterator[Image.Image]:
             if picture.width * picture.height > MAX_PIXELS:
                 raise DataError(_too_large(path, f"{picture.width}x{picture.height} pixels"))
             yield picture
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file; put it back") from None
     except Image.DecompressionBombError:  # Pillow's own limit, before the size is known here
         raise DataError(_too_large(path, "its pixels")) from None
     except UnidentifiedImageError:

@@ -92,6 +92,14 @@ def test_damaged_photos_are_found_before_training(tmp_path: Path):
         path.write_bytes(whole)
 
 
+def test_a_photo_that_vanished_is_not_called_damaged(tmp_path: Path):
+    write_transforms(tmp_path, 2)
+    view = load_dataset(tmp_path, load_images=PhotoMemory(0), load_points=False).train[0]
+    (tmp_path / view.name).unlink()
+    with pytest.raises(DataError, match=rf"{Path(view.name).name}: no such file; put it back"):
+        view.photo.pixels()
+
+
 @pytest.mark.parametrize("size", [(40, 30), (41, 31), (53, 39)])
 @pytest.mark.parametrize("downscale", [1, 2, 3])
 def test_downscaled_intrinsics(tmp_path: Path, size: tuple[int, int], downscale: int):

@@ -83,6 +83,11 @@ def parse_command(*words: str) -> TrainConfig:
             "--growth-end: 900 is after --switch-step 500; give at most that, or a later --switch-",
         ),
         ("--target-size 60k --lambda 1", "--lambda: follows from --target-size; give one"),
+        ("--target-size 60k --lambda 0", "--lambda: follows from --target-size; give one"),
+        (
+            "--target-size 60k --preset paper",
+            "--target-size: preset paper keeps the published integers per unit",
+        ),
         ("--loss-weights 0 0", "--l1-weight, --ssim-weight: both are 0"),
         ("--target-size 20k --mlp float32", "--target-size: 20000 bytes hardly"),
         ("--set max_anchors=3", "--set max_anchors: 3 is out of range; give a whole number, 0 or"),

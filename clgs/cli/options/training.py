@@ -84,7 +84,7 @@ def make_config(args: argparse.Namespace) -> TrainConfig:
     """
     file: Path | None = args.config
     settings, given = read_settings(file) if file else {}, _given(args)
-    if given.get("target_size") and given.get("size_lambda"):
+    if given.get("target_size") and given.get("size_lambda") is not None:
         raise UsageError("--lambda: follows from --target-size; give one of the two")
     try:
         return layered(settings, given)

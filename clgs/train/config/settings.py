@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
@@ -47,6 +48,10 @@ LAMBDA_POWERS = {False: 0.55, True: 0.7}
 """Of the steps, in runs up to LAMBDA_STEPS and in longer ones: what is not learned yet cannot show
 its worth, and longer runs would spend all of theirs on better pictures, none on smaller files.
 """
+
+
+FINE_Q = {"offset_q": 16.0, "feature_q": 16.0, "scaling_q": 64.0}
+"""Integers per unit if bytes have no price: finer than a quarter of the usual lambda chooses."""
 
 
 def default_lambda(kind: str, steps: int) -> float:
@@ -167,6 +172,11 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
             raise UsageError(
                 f"target_size: {self.target_size} bytes hardly hold the MLPs; give at least {least}"
             )
+        if self.target_size and self.preset == "paper":
+            raise UsageError(
+                "target_size: preset paper keeps the published integers per unit, which cannot "
+                "meet a size; leave out one of the two"
+            )
         check_order(vars(self))
 
     @property
@@ -196,12 +206,15 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         price = self.size_lambda
         if price is None:
             price = default_lambda(kind, self.steps)
+        priced = price > 0 or self.target_size > 0
+        fine: dict[str, Any] = {n: getattr(self, n) or q for n, q in FINE_Q.items()}
         return replace(
             self,
             voxel=voxel,
             volume_weight=weight,
             position_q=position_q,
             size_lambda=price,
+            **({} if priced else fine),
         )
 
     def scaled(self, steps: int) -> TrainConfig:

@@ -32,7 +32,7 @@ class SizeSettings:
     size_lambda: float | None = option(
         None,
         "what halving the file may cost, the one knob between size and quality: what saves less "
-        "than its share is left out; 0: nothing is",
+        "than its share is left out; 0: nothing is, and rounding is fine",
         WEIGHT,
         unit="dB per halving",
         group="size",

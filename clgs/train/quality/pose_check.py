@@ -58,7 +58,7 @@ def unexplained(
     views = [*dataset.train, *dataset.test]
     steps = min(max(LEAST_STEPS, VISITS * len(views)), MOST_STEPS)
     config = preset("default").for_dataset(dataset.kind).scaled(steps)
-    config = replace(config, size_lambda=0.0)
+    config = replace(config, size_lambda=0.0, offset_q=1.0, feature_q=1.0, scaling_q=8.0)
     trainer = Trainer(device, replace(dataset, train=views, test=[]), config)
     for result in trainer.steps(steps):
         on_step(result.step, steps)

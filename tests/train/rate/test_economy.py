@@ -9,6 +9,7 @@ import pytest
 
 from clgs.codec.scene_encoder import encode
 from clgs.train.config import TrainConfig, preset
+from clgs.train.config.settings import FINE_Q
 from clgs.train.rate import economy
 from clgs.train.rate.economy import ANCHOR_BITS, LEAST_ROUNDS, ROUNDS, THINNED, Economy
 from clgs.train.run.session import train_scene
@@ -39,7 +40,15 @@ def untouched(open_device, dataset):
 
 def test_without_lambda_there_are_no_rounds(untouched):
     assert untouched.rounds == []
-    assert (untouched.queue.scales.feature, untouched.queue.scales.scaling) == (1.0, 8.0)
+    scales = untouched.queue.scales
+    found = {f"{name}_q": getattr(scales, name) for name in ("offset", "feature", "scaling")}
+    assert found == FINE_Q
+
+
+def test_without_lambda_pictures_are_not_worse(cpu, dataset, untouched):
+    """Once they were: anchors were rounded as in the paper, far coarser than any price chose."""
+    priced = trained(cpu, dataset, size_lambda=0.05)
+    assert untouched.psnr(dataset.train) > priced.psnr(dataset.train) - 0.1
 
 
 def test_lambda_trades_size_for_quality(cpu, dataset, untouched):
