@@ -34,6 +34,9 @@ LEAST_PRICE, MOST_PRICE = 1e-15, 1e-3
 
 PRICE_STEPS = 16
 
+SMALL_PRICE = 1e-13
+"""A size that leaves less may hold everything, which is then tried: each trial codes a file."""
+
 CHEAPER = 0.5
 """Times the price is the next that is tried."""
 
@@ -101,10 +104,14 @@ def plan_for_size(size: int, now: Situation, measure: Measure) -> Plan:
     for _ in range(PRICE_STEPS):
         middle = (low + high) / 2
         trial = plan_at(float(np.exp(middle)), now)
-        if measure(trial.kept, trial.scales) <= size:
-            best, high = trial, middle
-        else:
+        if measure(trial.kept, trial.scales) > size:
             low = middle
+            continue
+        best, high = trial, middle
+        if trial.price < SMALL_PRICE:
+            finest = plan_at(LEAST_PRICE, now)
+            if measure(finest.kept, finest.scales) <= size:
+                return finest
     return best
 
 

@@ -104,6 +104,18 @@ def test_a_size_is_met_from_below(now: Situation, share: float) -> None:
     assert measure(cheaper.kept, cheaper.scales) >= found
 
 
+def test_a_size_that_holds_everything_is_seen_soon(now: Situation) -> None:
+    measured = []
+
+    def counted(anchors: QuantizedAnchors, scales: QuantizationScales) -> int:
+        measured.append(len(anchors))
+        return measure(anchors, scales)
+
+    plan = plan_for_size(10**9, now, counted)
+    assert plan.price == LEAST_PRICE
+    assert len(measured) <= 5
+
+
 def test_what_is_carried_out(now: Situation, state: TrainState) -> None:
     plan = plan_at(3e-6, now)
     integers, rows = plan.integers, np.flatnonzero(plan.worth >= plan.price)
