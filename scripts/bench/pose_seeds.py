@@ -17,6 +17,7 @@ import numpy as np
 from clgs.data.dataset import load_dataset
 from clgs.data.sfm.judging.agreement import Poses, differences
 from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict, verdict_of
+from clgs.errors import ClgsError
 
 
 def main() -> None:
@@ -39,12 +40,21 @@ def main() -> None:
 
 def read_verdict(folder: Path) -> Verdict:
     """As `clgs prepare` wrote it."""
-    return verdict_of(json.loads((folder / "report.json").read_text(encoding="utf-8")))
+    path = folder / "report.json"
+    try:
+        return verdict_of(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, KeyError, TypeError):
+        raise SystemExit(
+            f"{path}: no report of `clgs prepare`; name a folder that it made"
+        ) from None
 
 
 def read_poses(folder: Path) -> Poses:
     """Of a data set's photos, by their names without folder and suffix, for these may change."""
-    dataset = load_dataset(folder, load_images=False, load_points=False)
+    try:
+        dataset = load_dataset(folder, load_images=False, load_points=False)
+    except ClgsError as error:
+        raise SystemExit(str(error)) from None
     views = [*dataset.train, *dataset.test]
     cameras = {Path(view.name).stem: view.camera for view in views}
     if len(cameras) < len(views):

@@ -62,3 +62,10 @@ def test_names_that_photos_share_are_told(tmp_path):
 def test_a_verdict_is_one_line(tmp_path):
     said = summary(read_verdict(prepared(tmp_path / "a", wrong=True)))
     assert said == "8 of 8 with a pose, 1 doubtful, 0 left out; 0.50 px, 5 s; mostly sure"
+
+
+def test_a_folder_that_prepare_did_not_make_is_named(tmp_path):
+    with pytest.raises(SystemExit, match=r"report.json: no report of `clgs prepare`"):
+        read_verdict(tmp_path)
+    with pytest.raises(SystemExit, match=str(tmp_path)):
+        read_poses(tmp_path)

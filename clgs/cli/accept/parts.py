@@ -130,7 +130,7 @@ def _beside(name: str, folder: Path) -> str:
     backward = ours["blend backward"] / theirs["backward"]
     return (
         f"{ours['step'] / theirs['step']:.2f} of gsplat's step, rasteriser forward {forward:.2f}, "
-        f"backward {backward:.2f}; pictures alike: {theirs['psnr']:.1f} dB"
+        f"backward {backward:.2f}; pictures differ by {theirs['difference']:.1e}"
     )
 
 

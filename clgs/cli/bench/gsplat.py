@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
-from clgs.cli.options.view import positive_int, seed
-from clgs.cli.options.workload import gaussian_count, picture_size
+from clgs.cli.options.workload import add_step_options
 
 ROWS = {
     "lists of the tiles": ("tiles", "tiles"),
@@ -26,26 +24,7 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
         "synthetic scene: on the same card if --device names it. The step of clgs has MLPs, "
         "that of gsplat has none.",
     )
-    add = parser.add_argument
-    add(
-        "--gaussians",
-        type=gaussian_count,
-        default=200_000,
-        help="Gaussians with positive opacity (default: 200000)",
-    )
-    add(
-        "--size",
-        type=picture_size,
-        default=(400, 400),
-        metavar="N|WxH",
-        help="width and height of the image, pixels (default: 400x400)",
-    )
-    add(
-        "--repeats", type=positive_int, default=15, help="steps to take the median of (default: 15)"
-    )
-    add("--seed", type=seed, default=0, help="of the scene (default: 0)")
-    add("--device", help="number or part of the name, see `clgs devices`")
-    add("--json", type=Path, metavar="F", help="write the times to F")
+    add_step_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -94,4 +73,4 @@ def _show(name: str, record: dict[str, Any]) -> None:
     for row, (own, other) in pairs.items():
         table.add_row(row, f"{own:.3f}", f"{other:.3f}", f"{own / other:.2f}")
     Console().print(table)
-    print(f"loss of gsplat's step: {theirs['loss']}; pictures alike: {theirs['psnr']:.1f} dB")
+    print(f"loss of gsplat's step: {theirs['loss']}; pictures differ by {theirs['difference']:.1e}")

@@ -3,35 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from clgs.cli.options.view import positive_int, seed
-from clgs.cli.options.workload import gaussian_count, picture_size
+from clgs.cli.options.workload import add_step_options
 
 
 def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the kind and its options."""
     step = kinds.add_parser("step", help="one training step on a seeded synthetic scene")
-    add = step.add_argument
-    add(
-        "--gaussians",
-        type=gaussian_count,
-        default=200_000,
-        help="Gaussians with positive opacity (default: 200000)",
-    )
-    add(
-        "--size",
-        type=picture_size,
-        default=(400, 400),
-        metavar="N|WxH",
-        help="width and height of the image, pixels (default: 400x400)",
-    )
-    add(
-        "--repeats", type=positive_int, default=15, help="steps to take the median of (default: 15)"
-    )
-    add("--seed", type=seed, default=0, help="of the scene (default: 0)")
-    add("--device", help="number or part of the name, see `clgs devices`")
-    add("--json", type=Path, metavar="F", help="write the times to F")
+    add_step_options(step)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from clgs.cli.options.view import whole_number
+from clgs.cli.options.view import positive_int, seed, whole_number
 
 gaussian_count = whole_number(20_000_000)
 """No device of today has memory for more."""
@@ -23,6 +23,30 @@ def picture_size(text: str) -> tuple[int, int]:
 
 
 element_count = whole_number(100_000_000)
+
+
+def add_step_options(parser: argparse.ArgumentParser) -> None:
+    """Add what says which step is timed, how often and where: scene, picture, device, JSON."""
+    add = parser.add_argument
+    add(
+        "--gaussians",
+        type=gaussian_count,
+        default=200_000,
+        help="Gaussians with positive opacity (default: 200000)",
+    )
+    add(
+        "--size",
+        type=picture_size,
+        default=(400, 400),
+        metavar="N|WxH",
+        help="width and height of the image, pixels (default: 400x400)",
+    )
+    add(
+        "--repeats", type=positive_int, default=15, help="steps to take the median of (default: 15)"
+    )
+    add("--seed", type=seed, default=0, help="of the scene (default: 0)")
+    add("--device", help="number or part of the name, see `clgs devices`")
+    add("--json", type=Path, metavar="F", help="write the times to F")
 
 
 def add_figure_options(parser: argparse.ArgumentParser) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from clgs.train.config.learning_rates import LearningRates
-from clgs.train.config.settings import TrainConfig
+from clgs.train.config.settings import PAPER_Q, TrainConfig
 
 PAPER_RATES = LearningRates(feature=(0.0075, 0.0075), scaling=(0.007, 0.007))
 
@@ -37,9 +37,7 @@ def preset(name: str) -> TrainConfig:
             size_lambda=0.0,
             rate_weight=1e-4,
             freeze_step=config.steps,
-            offset_q=1.0,
-            feature_q=1.0,
-            scaling_q=8.0,
+            **PAPER_Q,
             mlp="float32",
             learning_rates=PAPER_RATES,
             start_points=100_000,

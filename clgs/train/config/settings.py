@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -50,7 +51,10 @@ its worth, and longer runs would spend all of theirs on better pictures, none on
 """
 
 
-FINE_Q = {"offset_q": 16.0, "feature_q": 16.0, "scaling_q": 64.0}
+PAPER_Q: Mapping[str, Any] = {"offset_q": 1.0, "feature_q": 1.0, "scaling_q": 8.0}
+"""Integers per unit of the paper; other runs choose their own."""
+
+FINE_Q: Mapping[str, Any] = {"offset_q": 16.0, "feature_q": 16.0, "scaling_q": 64.0}
 """Integers per unit if bytes have no price: finer than a quarter of the usual lambda chooses."""
 
 
@@ -207,14 +211,14 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         if price is None:
             price = default_lambda(kind, self.steps)
         priced = price > 0 or self.target_size > 0
-        fine: dict[str, Any] = {n: getattr(self, n) or q for n, q in FINE_Q.items()}
+        fine = {} if priced else {name: getattr(self, name) or q for name, q in FINE_Q.items()}
         return replace(
             self,
             voxel=voxel,
             volume_weight=weight,
             position_q=position_q,
             size_lambda=price,
-            **({} if priced else fine),
+            **fine,
         )
 
     def scaled(self, steps: int) -> TrainConfig:

@@ -13,6 +13,7 @@ from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.reduction import Reduction
 from clgs.opencl.device import Device
 from clgs.train.config import preset
+from clgs.train.config.settings import PAPER_Q
 from clgs.train.quality.metrics import Used
 from clgs.train.quality.score_views import Pictures, ViewScore, evaluate_views
 from clgs.train.run.trainer import Trainer
@@ -58,7 +59,7 @@ def unexplained(
     views = [*dataset.train, *dataset.test]
     steps = min(max(LEAST_STEPS, VISITS * len(views)), MOST_STEPS)
     config = preset("default").for_dataset(dataset.kind).scaled(steps)
-    config = replace(config, size_lambda=0.0, offset_q=1.0, feature_q=1.0, scaling_q=8.0)
+    config = replace(config, size_lambda=0.0, **PAPER_Q)
     trainer = Trainer(device, replace(dataset, train=views, test=[]), config)
     for result in trainer.steps(steps):
         on_step(result.step, steps)

@@ -100,7 +100,7 @@ def plan_within(most: float, price: float, now: Situation, loss: Callable[[Plan]
 def plan_for_size(size: int, now: Situation, measure: Measure) -> Plan:
     """What the least price leaves that leaves at most ``size`` bytes."""
     low, high = np.log(LEAST_PRICE), np.log(MOST_PRICE)
-    best = plan_at(MOST_PRICE, now)
+    best, small = plan_at(MOST_PRICE, now), SMALL_PRICE
     for _ in range(PRICE_STEPS):
         middle = (low + high) / 2
         trial = plan_at(float(np.exp(middle)), now)
@@ -108,8 +108,8 @@ def plan_for_size(size: int, now: Situation, measure: Measure) -> Plan:
             low = middle
             continue
         best, high = trial, middle
-        if trial.price < SMALL_PRICE:
-            finest = plan_at(LEAST_PRICE, now)
+        if trial.price < small:
+            finest, small = plan_at(LEAST_PRICE, now), 0.0
             if measure(finest.kept, finest.scales) <= size:
                 return finest
     return best

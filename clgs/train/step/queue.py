@@ -16,6 +16,7 @@ from clgs.render.frame import Capacity, DeviceScene, Frame
 from clgs.render.pipeline import check_capacity, render_backward, view_forward
 from clgs.scene.anchors import QuantizationScales
 from clgs.train.config import TrainConfig
+from clgs.train.config.settings import PAPER_Q
 from clgs.train.density.densifier import Densifier
 from clgs.train.rate.rate_term import RateTerm
 from clgs.train.state.parameters import Parameters
@@ -81,8 +82,9 @@ class StepQueue:
         self.exposures = Exposures(device, config, len(dataset.train)) if config.exposure else None
         self._stop = adam.stop_flag(device)
         self.options = config.render_options()
+        q = {name: getattr(config, name) or paper for name, paper in PAPER_Q.items()}
         scales = QuantizationScales(
-            config.position_q, config.offset_q or 1, config.feature_q or 1, config.scaling_q or 8
+            config.position_q, q["offset_q"], q["feature_q"], q["scaling_q"]
         )
         self.rate = RateTerm(device, config, scales)
         quantized = config.mlp == "quantized"
