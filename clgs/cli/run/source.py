@@ -79,8 +79,8 @@ def _is_data(folder: Path) -> bool:
 
 
 def _measure_photos(path: Path) -> Source:
-    from clgs.data.images import image_size
     from clgs.data.photos.bring_in import find_source as find_photos
+    from clgs.data.photos.bring_in import readable_sizes
     from clgs.data.photos.video import frame_size
 
     found = find_photos(path)
@@ -89,8 +89,8 @@ def _measure_photos(path: Path) -> Source:
         return Source(
             path, False, Photos(found.frames, *frame_size(path)), video=True, digest=digest
         )
-    photos = Photos(len(found.files), *image_size(found.files[0]))
-    return Source(path, False, photos, digest=digest)
+    sizes = readable_sizes(found.collection)
+    return Source(path, False, Photos(len(sizes), *sizes[0]), digest=digest)
 
 
 def _digest(files: list[Path]) -> str:

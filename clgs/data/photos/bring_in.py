@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,21 @@ def find_source(path: Path, frames: int | None = None) -> Source:
     return Source(path, found, 0)
 
 
+def readable_sizes(found: Collection) -> list[tuple[int, int]]:
+    """Sizes (width, height) of the photos whose headers can be read; the others are skipped.
+
+    Raises:
+        DataError: fewer than 3 can be read, or no program that reads HEIC.
+    """
+    sizes: list[tuple[int, int]] = []
+
+    def look(one: Found) -> None:
+        sizes.append(image_size(one.path))
+
+    _set_aside(found, [_fault(partial(look, one)) for one in found.photos])
+    return sizes
+
+
 def bring_in(
     source: Source, work: Path, on_read: Callable[[int], None] = lambda count: None
 ) -> list[tuple[int, int]]:
@@ -112,15 +128,12 @@ def bring_in(
     masks.mkdir()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         written = []
-        for error in pool.map(lambda one: _write(one, images, masks), found.photos):
+        for error in pool.map(
+            lambda one: _fault(partial(_write, one, images, masks)), found.photos
+        ):
             written.append(error)
             on_read(len(written))
-    failed = [(one, error) for one, error in zip(found.photos, written, strict=True) if error]
-    for one, error in failed:
-        below = one.path.relative_to(found.root).as_posix()
-        found.skipped.append((below, error.removeprefix(f"{one.path}: ")))
-    found.photos = [one for one, error in zip(found.photos, written, strict=True) if not error]
-    _check_enough(found)
+    _set_aside(found, written)
     for line in found.lines():
         _log.warning("%s", line)
     paths = sorted(images.iterdir())
@@ -151,10 +164,21 @@ def _check_enough(found: Collection) -> None:
         )
 
 
-def _write(one: Found, images: Path, masks: Path) -> str:
-    """Write a photo and its mask; what is wrong with it, else an empty text."""
+def _set_aside(found: Collection, faults: list[str]) -> None:
+    """Skip the photos with a fault; DataError if too few are left."""
+    judged = list(zip(found.photos, faults, strict=True))
+    for one, fault in judged:
+        if fault:
+            below = one.path.relative_to(found.root).as_posix()
+            found.skipped.append((below, fault.removeprefix(f"{one.path}: ")))
+    found.photos = [one for one, fault in judged if not fault]
+    _check_enough(found)
+
+
+def _fault(work: Callable[[], None]) -> str:
+    """What is wrong with the photo that is read by ``work``, else an empty text."""
     try:
-        _write_photo(one, images, masks)
+        work()
     except DataError as error:
         if "clgs[heif]" in str(error):  # the photo is whole, and a half of the set of no use
             raise
@@ -162,7 +186,8 @@ def _write(one: Found, images: Path, masks: Path) -> str:
     return ""
 
 
-def _write_photo(one: Found, images: Path, masks: Path) -> None:
+def _write(one: Found, images: Path, masks: Path) -> None:
+    """Write a photo and its mask."""
     mask: Mask | None = None
     if is_plain(one.path):
         check_image(one.path)

@@ -14,7 +14,7 @@ from PIL import Image
 
 from clgs.cli import main as cli
 from clgs.cli.run.duration import duration
-from clgs.cli.run.plan import FRAMES, frames_within
+from clgs.cli.run.plan import FRAMES, Photos, frames_within
 from clgs.cli.run.record import Record
 from clgs.cli.run.source import find_source
 from clgs.cli.run.stages import Stages
@@ -180,6 +180,22 @@ def test_run_goes_on_with_its_own_input_and_options_alone(data, finished, tmp_pa
     assert cli.main(words(data, finished, "--resume", "--time", "7m")) == 2
     assert "--time: the run in" in capsys.readouterr().err
     assert "--steps 30 --max-size 40" in (finished / "report.html").read_text()
+
+
+def test_damaged_photos_do_not_end_the_plan(tmp_path, capsys):
+    photos, out = tmp_path / "photos", tmp_path / "out"
+    photos.mkdir()
+    for name, color in (("b", "red"), ("c", "blue"), ("d", "green")):
+        Image.new("RGB", (64, 48), color).save(photos / f"{name}.png")
+    (photos / "a.png").write_bytes((photos / "b.png").read_bytes()[:20])
+    assert find_source(photos).photos == Photos(3, 64, 48)
+    (photos / "d.png").write_bytes(b"")
+    assert cli.main(words(photos, out)) == 3
+    said = capsys.readouterr().err
+    assert "2 photos that can be read" in said
+    assert "a.png" in said
+    assert "d.png" in said
+    assert not out.exists()
 
 
 def test_run_goes_on_with_its_own_photos_alone(tmp_path, capsys):
