@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -13,6 +14,9 @@ from clgs.errors import DataError
 
 ASPECT_TOLERANCE = 1.5
 """Pixels by which an image may differ from its declared size scaled evenly (sizes are rounded)."""
+
+LONGEST_NAME, LONGEST_PATH = 255, 4096
+"""Bytes, of Linux; others allow as much or less."""
 
 
 @dataclass(frozen=True)
@@ -81,11 +85,21 @@ def fit_lens(lens: Lens, size: tuple[int, int], path: Path) -> Lens:
     return lens.resized(width, height)
 
 
+def nameable(path: Path) -> bool:
+    """Whether common file systems can have such a file."""
+    try:
+        lengths = [len(os.fsencode(part)) for part in path.parts]
+    except UnicodeEncodeError:
+        return False
+    return max(lengths) <= LONGEST_NAME and sum(lengths) + len(lengths) < LONGEST_PATH
+
+
 def inside(root: Path, name: str, source: str) -> Path:
     """The path of ``name`` below ``root``.
 
     Raises:
-        DataError: empty, absolute, with '..' or NUL, or a link that leads out of ``root``.
+        DataError: empty, absolute, with '..' or NUL, no name that a file can have, or a link that
+            leads out of ``root``.
     """
     portable = name.replace("\\", "/")
     relative = PurePosixPath(portable)
@@ -93,6 +107,10 @@ def inside(root: Path, name: str, source: str) -> Path:
     if not relative.parts or absolute or ".." in relative.parts or "\0" in name:
         raise DataError(f"{source}: path {name[:80]!r} must stay inside the data folder")
     path = root / relative
+    if not nameable(path):
+        raise DataError(
+            f"{source}: path {name[:80]!r} cannot be a file's name; shorten or correct it"
+        )
     if not path.resolve().is_relative_to(root.resolve()):
         raise DataError(f"{source}: path {name[:80]!r} is a link out of the data folder; copy it")
     return path

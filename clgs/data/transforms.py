@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from clgs.data.images import SUFFIXES, image_size, stored_size
 from clgs.data.lens import Lens
-from clgs.data.posed_photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
+from clgs.data.posed_photo import Photo, PhotoSet, fit_lens, hold_out, inside, nameable, rigid
 from clgs.errors import DataError
 
 _log = logging.getLogger(__name__)
@@ -226,7 +226,7 @@ def _find_image(root: Path, fields: _Fields) -> Path | None:
         return path
     suffixes = (*SUFFIXES, *(suffix.upper() for suffix in SUFFIXES))
     extended = (path.with_name(path.name + suffix) for suffix in suffixes)
-    found = next((candidate for candidate in extended if candidate.is_file()), None)
+    found = next((each for each in extended if nameable(each) and each.is_file()), None)
     return found and inside(root, found.relative_to(root).as_posix(), fields.source)
 
 
