@@ -7,6 +7,7 @@ of time is written, so that neighbours are never much closer or farther than oth
 
 from __future__ import annotations
 
+import logging
 import math
 import warnings
 from collections.abc import Callable, Iterator
@@ -52,6 +53,7 @@ def _library(path: Path) -> Any:
             f'{path}: videos need imageio-ffmpeg; pip install "clgs[video]", or give a folder of '
             "photos"
         ) from error
+    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # it warns of every turned video
     return imageio_ffmpeg
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from PIL import Image
 from scipy.ndimage import uniform_filter
 
 from clgs.data.photos.bring_in import find_source
-from clgs.data.photos.video import extract_frames, sharpness
+from clgs.data.photos.video import extract_frames, frame_size, sharpness
 from clgs.errors import DataError
 from tests.data.folders import noise_image
 
@@ -55,6 +56,22 @@ def test_a_sharp_frame_of_every_span(clip: Path, tmp_path: Path):
     assert [number // 6 for number in numbers] == list(range(10))
     assert all(number % 4 == 1 for number in numbers)
     assert all(Image.open(path).size == SIZE for path in files)
+
+
+def test_an_upright_phone_video_gives_upright_frames(clip: Path, tmp_path: Path, caplog):
+    turned = tmp_path / "turned.mp4"
+    program, copied = imageio_ffmpeg.get_ffmpeg_exe(), ["-i", str(clip), "-c", "copy"]
+    words = [program, "-v", "error", "-display_rotation", "90", *copied, str(turned)]
+    subprocess.run(words, check=True, timeout=60)
+    (tmp_path / "frames").mkdir()
+    assert extract_frames(turned, tmp_path / "frames", 3) == 3
+    assert frame_size(turned) == SIZE[::-1]
+    for path in (tmp_path / "frames").iterdir():
+        picture = Image.open(path)
+        assert picture.size == SIZE[::-1]
+        even = np.asarray(picture.convert("L"))[-14:-4].std()  # the left edge, turned to the left
+        assert even < 4
+    assert not caplog.records
 
 
 def test_the_same_frames_again(clip: Path, tmp_path: Path):
