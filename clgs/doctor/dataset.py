@@ -10,6 +10,7 @@ from clgs.data.colmap.model import find_model
 from clgs.data.dataset import MIN_POINTS, read_photo_set
 from clgs.data.origin import read_origin
 from clgs.data.photos.find import find_photos
+from clgs.data.point_file import PointFile, read_points
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.transforms import each_frame, parse_leniently
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, from_error, named
@@ -149,6 +150,11 @@ def _points(root: Path, photos: PhotoSet) -> Iterator[Finding]:
     if photos.points is not None and len(photos.points) < MIN_POINTS:
         problem = f"only {len(photos.points)} points to start from"
         yield Finding(WARNING, "", problem, "prepare again, or give --points FILE")
+    if photos.points_file is not None:
+        try:
+            read_points(PointFile(photos.points_file, MIN_POINTS), photos.kind, seed=0)
+        except DataError as error:
+            yield from_error(error)
     others = [p for p in sorted((root / "sparse").glob("[0-9]*")) if p.name != "0" and p.is_dir()]
     if photos.kind == "colmap" and others:
         problem = f"there are {len(others) + 1} models; sparse/0 is used"

@@ -225,3 +225,16 @@ def test_a_damaged_colmap_model(tmp_path: Path):
     file = tmp_path / "sparse" / "0" / "images.bin"
     file.write_bytes(file.read_bytes()[:50])
     assert len(levels(tmp_path)[ERROR]) == 1
+
+
+def test_a_damaged_file_of_points(healthy: Path):
+    document = json.loads((healthy / "transforms.json").read_text())
+    save_json(healthy, document | {"ply_file_path": "points.ply"})
+    points = healthy / "points.ply"
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    points.write_text("ply\nformat ascii 1.0\nelement vertex 9\n")
+    assert has(levels(healthy)[ERROR], "points.ply", "is damaged")
+    points.write_text(
+        f"ply\nformat ascii 1.0\nelement vertex 3\n{axes}end_header\n0 0 0\n1 0 0\n0 1 0\n"
+    )
+    assert not levels(healthy)[ERROR]
