@@ -91,6 +91,8 @@ def load_scene(path: Path | str) -> QuantizedScene:
         return _scene(arrays)
     except FileNotFoundError:
         raise DataError(f"{path}: no such file; name the scene.npz of a run") from None
+    except IsADirectoryError:
+        raise DataError(f"{path}: is a folder; name the scene.npz of a run") from None
     except PermissionError:
         raise DataError(f"{path}: may not be read; give yourself the permission") from None
     except DAMAGE as error:

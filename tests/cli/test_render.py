@@ -29,6 +29,8 @@ def work(tmp_path_factory):
     save_scene(folder / "s.npz", scene)
     (folder / "s.clgs").write_bytes(encode(scene))
     path = write(folder / "splats.ply", columns_of(stored(np.random.default_rng(5), 300)))
+    (folder / "run").mkdir()
+    (folder / "run" / "config.toml").touch()
     (folder / "splats.clgs").write_bytes(pack(read_splats(path, {})[0]))
     return folder
 
@@ -100,6 +102,19 @@ def test_depth_comes_as_pictures_and_as_numbers(here, tmp_path):
     assert shown.max() > 100
 
 
+def test_a_clip_replaces_all_of_an_older_one(here, tmp_path):
+    words = f"render s.npz --data data --path orbit --size 16x12 -o {tmp_path} --frames"
+    succeed(f"{words} 3 --depth")
+    assert len(list(tmp_path.glob("*.npy"))) == 3
+    done = clgs(*f"{words} 2".split())
+    assert done.returncode == 2
+    assert "frame_00000.png: exists already" in done.stderr
+    (tmp_path / "own.png").touch()
+    succeed(f"{words} 2 --overwrite")
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == ["frame_00000.png", "frame_00001.png", "own.png"]
+
+
 def test_a_video_is_written(here, tmp_path):
     pytest.importorskip("imageio_ffmpeg", reason="needs clgs[video]")
     clip = tmp_path / "clip.mp4"
@@ -149,6 +164,9 @@ def test_splats_are_scored_and_over_another_background_differ(here, tmp_path):
         ("render s.npz --path p.json --max-size 90 -o x", 2, "--max-size: no photos give the"),
         ("render s.npz --path orbit --save-path p.txt -o x", 2, "p.txt: a camera path is a .json"),
         ("render s.npz --path orbit --depth --opacity -o x", 2, "not allowed with"),
+        ("render s.npz --path orbit -o x.png", 2, "x.png: pictures go into a folder; name one"),
+        ("render s.npz --data data -o x.JPG", 2, "x.JPG: pictures go into a folder; name one"),
+        ("render s.npz --path orbit -o run", 2, "run: holds a run; name another folder"),
         ("render data/no.ply --path orbit -o x", 3, "no.ply: no such file"),
         ("eval splats.ply --hashes s.npz", 2, "splats.ply: holds splats; --hashes are those of"),
     ],

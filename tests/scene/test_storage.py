@@ -43,6 +43,7 @@ def test_a_scene_comes_back_exactly(scene, tmp_path):
 
 def test_a_missing_file_and_another_kind_are_named(scene, tmp_path):
     assert "no such file; name the scene.npz of a run" in refusal(str(tmp_path / "none.npz"))
+    assert "is a folder; name the scene.npz of a run" in refusal(str(tmp_path))
     (tmp_path / "x.clgs").write_bytes(b"CLGS")
     assert refusal(str(tmp_path / "x.clgs")).endswith("; clgs.decode reads it")
     (tmp_path / "x.clgs").unlink()

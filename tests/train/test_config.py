@@ -190,6 +190,14 @@ def test_bad_files_are_refused_with_one_line(text: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("kept", [0, 0.3, 0.8])
+def test_a_run_s_file_that_was_cut_short_is_refused(kept: float) -> None:
+    lines = preset("quick").to_toml().splitlines()
+    rest = "\n".join(lines[: int(kept * lines.index("[learning_rates]"))])
+    with pytest.raises(DataError, match=r"^config.toml: has no .*, as if cut short; restore it"):
+        from_toml(rest)
+
+
 def test_bad_values_in_code_are_usage_errors() -> None:
     with pytest.raises(UsageError) as caught:
         TrainConfig(growth_interval=0)

@@ -48,7 +48,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "be an ordinary 3DGS PLY file, too, whose coordinates are those of its data set.",
     )
     parser.add_argument(
-        "scene", type=Path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
+        "scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
     )
     add_view_options(parser)
     parser.add_argument(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from clgs.cli.counted import counted
 from clgs.cli.options.output import add_overwrite, check_new
@@ -23,7 +22,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "render", help="render views or a clip of a scene", description=DESCRIPTION
     )
     parser.add_argument(
-        "scene", type=Path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
+        "scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
     )
     add_view_options(parser)
     parser.add_argument(
@@ -55,6 +54,7 @@ def run(args: argparse.Namespace) -> int:
 def _render_views(args: argparse.Namespace) -> int:
     from clgs.cli.commands.render_path import save_frame
     from clgs.cli.frames import Frames
+    from clgs.cli.options.output import check_picture_folder
     from clgs.cli.options.scene import read_drawable
     from clgs.cli.options.view import (
         check_apart,
@@ -64,12 +64,12 @@ def _render_views(args: argparse.Namespace) -> int:
     )
     from clgs.cli.progress import track
     from clgs.export.image import picture_names
-    from clgs.files import check_folder, folder_to_fill
+    from clgs.files import folder_to_fill
     from clgs.opencl.device import Device
     from clgs.render.renderer import Renderer
     from clgs.scene.scene import drawable
 
-    check_folder(args.output)
+    check_picture_folder(args.output)
     check_apart(args.output, args.data)
     scene, _ = read_drawable(args.scene)
     views = selected_views(args, scene)

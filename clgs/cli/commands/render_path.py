@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.counted import counted
-from clgs.cli.options.output import check_new
+from clgs.cli.options.output import check_new, check_picture_folder
 
 if TYPE_CHECKING:
     from clgs.cli.frames import Frame
@@ -63,7 +63,6 @@ def _check_output(args: argparse.Namespace) -> bool:
     from clgs.cli.options.path import OTHER_VIDEOS
     from clgs.errors import UsageError
     from clgs.export.clip.video import SUFFIX, load_writer
-    from clgs.files import check_folder
 
     suffix = args.output.suffix.lower()
     if suffix in OTHER_VIDEOS:
@@ -74,9 +73,9 @@ def _check_output(args: argparse.Namespace) -> bool:
         check_new(args, args.output, args.scene)
         load_writer()
         return True
-    check_folder(args.output)
-    if args.output.exists():
-        check_new(args, args.output / _name(0))
+    check_picture_folder(args.output)
+    for path in _frames_in(args.output)[:1]:
+        check_new(args, path)
     return False
 
 
@@ -114,6 +113,14 @@ def _folder(args: argparse.Namespace, transform: SceneTransform) -> Iterator[Add
 
     with folder_to_fill(args.output):
         yield add
+    for path in _frames_in(args.output)[count:]:
+        path.unlink()
+        path.with_suffix(".npy").unlink(missing_ok=True)
+
+
+def _frames_in(folder: Path) -> list[Path]:
+    """The pictures of a clip in ``folder``, in order."""
+    return sorted(folder.glob(f"frame_{'[0-9]' * 5}.png"))
 
 
 def _name(number: int) -> str:
@@ -130,10 +137,13 @@ def save_frame(path: Path, frame: Frame, transform: SceneTransform) -> None:
     from clgs.files import atomic_write
 
     save_png(path, frame.picture)
-    if frame.depth is not None:
+    depths = path.with_suffix(".npy")
+    if frame.depth is None:
+        depths.unlink(missing_ok=True)  # of an older picture of this name
+    else:
         buffer = io.BytesIO()
         np.save(buffer, (frame.depth / transform.scale).astype(np.float32), allow_pickle=False)
-        atomic_write(path.with_suffix(".npy"), buffer.getvalue())
+        atomic_write(depths, buffer.getvalue())
 
 
 def _save_path(path: Path, cameras: list[Camera], transform: SceneTransform, fps: float) -> None:

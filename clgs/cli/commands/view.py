@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import add_view_options, whole_number
+from clgs.cli.options.view import add_view_options, named_path, whole_number
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device
@@ -30,7 +29,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "view", help="look at a scene in the browser", description=DESCRIPTION
     )
     parser.add_argument(
-        "scene", type=Path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
+        "scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
     )
     parser.add_argument(
         "--port",
@@ -51,12 +50,15 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; exit code 130 then."""
     from clgs.cli.options.scene import read_drawable
+    from clgs.cli.tell import tell
     from clgs.opencl.device import Device
     from clgs.viewer.server import close_server, load_viser, open_server
 
     load_viser()
     scene, size = read_drawable(args.scene)
     server = open_server(prepare(args, Device(args.device), scene, size), args.host, args.port)
+    if server.get_port() != args.port:
+        tell(f"clgs: port {args.port} is taken")
     print(f"http://{args.host}:{server.get_port()}  (Ctrl-C ends it)", flush=True)
     try:
         server.sleep_forever()

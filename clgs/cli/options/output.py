@@ -5,6 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+
+RUN_FILES = ("config.toml", "plan.json")
+"""What the folders that `clgs train` and `clgs run` make are known by."""
+
 
 def add_overwrite(parser: argparse.ArgumentParser, what: str) -> None:
     """Add --overwrite; ``what`` it replaces, in words."""
@@ -25,6 +30,23 @@ def check_new(args: argparse.Namespace, path: Path, *sources: Path) -> None:
     check_output(path, *sources)
     if path.exists() and not args.overwrite:
         raise ExistsError(f"{path}: exists already; add --overwrite or choose another name")
+
+
+def check_picture_folder(output: Path) -> None:
+    """Refuse, before long work, a folder that cannot receive pictures, or should not.
+
+    Raises:
+        UsageError: it is named like a picture, or holds a run.
+        OutputError: as of :func:`clgs.files.check_folder`.
+    """
+    from clgs.errors import UsageError
+    from clgs.files import check_folder
+
+    check_folder(output)
+    if output.suffix.lower() in PICTURES and not output.is_dir():
+        raise UsageError(f"{output}: pictures go into a folder; name one, such as {output.stem}")
+    if any((output / name).is_file() for name in RUN_FILES):
+        raise UsageError(f"{output}: holds a run; name another folder, such as {output / 'views'}")
 
 
 def check_suffix(output: Path, suffix: str) -> None:

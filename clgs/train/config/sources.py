@@ -16,23 +16,29 @@ from clgs.train.config.settings import TrainConfig
 MAX_BYTES = 1 << 20
 """A larger file holds no settings."""
 
+ALWAYS = ("steps", "accuracy", "downscale", "max_size", "learning_rates.offset")
+"""Without these a run's file is cut short, or its photos would have another size."""
+
 
 def from_toml(text: str, name: str = "config.toml") -> TrainConfig:
     """The configuration that :meth:`TrainConfig.to_toml` wrote.
 
-    Missing settings are those of the file's preset, scaled to the file's steps.
+    Missing settings are those of the file's preset, scaled to the file's steps; some must be there.
 
     Raises:
-        DataError: not TOML, an unknown name or a value of the wrong type or range.
+        DataError: not TOML, cut short, an unknown name or a value of the wrong type or range.
     """
     try:
         values = parse_settings(text, name)
     except UsageError as error:
         raise DataError(str(error)) from error
     try:
-        return layered(values)
+        config = layered(values)
     except UsageError as error:
         raise DataError(f"{name}: {error}") from error
+    if missing := [each for each in ALWAYS if each not in values]:
+        raise DataError(f"{name}: has no {', '.join(missing)}, as if cut short; restore it")
+    return config
 
 
 def read_settings(path: Path) -> dict[str, Any]:

@@ -75,11 +75,13 @@ def evaluate_views(
     Raises:
         DataError: a photo is damaged.
         BudgetError: ``options.max_memory`` is too small for one of ``views``.
-        TypeError: ``scene`` is neither a quantised scene nor one of splats.
+        TypeError: ``scene`` is neither a quantised scene nor one of splats, or a view is none.
     """
     if not isinstance(scene, SplatScene):
         remedy = "a run has it as .scene, clgs.load_scene reads one"
         check_type("scene", scene, QuantizedScene, remedy)
+    for view in views:
+        check_type("views", view, View, "a data set has them as .train and .test")
     renderer = Renderer(device, drawable(scene), options)
     renderer.check_budget((view.name, view.camera) for view in views)
     scores = []

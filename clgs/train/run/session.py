@@ -19,7 +19,7 @@ from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
 from clgs.data.origin import write_origin
 from clgs.data.view import View
-from clgs.errors import DataError
+from clgs.errors import DataError, UsageError
 from clgs.export.image import comparison, picture_names, save_png
 from clgs.files import atomic_write, make_folder
 from clgs.opencl.device import Device
@@ -344,13 +344,15 @@ def train_scene(
     Raises:
         DataError: nothing to train on, or the folder holds another run.
         ExistsError: it holds a run, which is neither to be resumed nor overwritten; a DataError.
-        UsageError: ``resume`` and ``overwrite`` contradict each other.
+        UsageError: ``folder`` is empty, or ``resume`` and ``overwrite`` contradict each other.
         BudgetError: the memory budget is too small for some view.
         NonFiniteLossError: the loss is not finite; names step and view.
         TypeError: ``dataset`` or ``config`` is of another class.
     """
     check_type("dataset", dataset, Dataset, "clgs.load_dataset(folder) reads one")
     check_type("config", config or TrainConfig(), TrainConfig, "clgs.preset(name) makes one")
+    if not str(folder).strip():
+        raise UsageError("folder: the name is empty; name the run folder")
     check_run_folder(Path(folder), resume, overwrite)
     resolved = (config or TrainConfig()).for_dataset(dataset.kind)
     finished = finished_run(Path(folder), dataset, resolved) if resume else None

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 import clgs
-from clgs.errors import DataError, ExistsError
+from clgs.errors import DataError, ExistsError, UsageError
 from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.config import preset
 from clgs.train.run.session import interruptions, train_scene
+from tests.codec.scenes import random_scene
 from tests.small_scene import write_scene
 
 STEPS = 160
@@ -80,6 +81,7 @@ def test_a_run_is_replaced_only_if_asked_for_and_leaves_no_mixture(dataset, open
 def test_arguments_of_other_classes_are_one_line(dataset, open_device, tmp_path):
     device, view = open_device("cpu"), dataset.train[0]
     scene, _ = anchor_scene(100, 20, 1)
+    quantized = random_scene(np.random.default_rng(1), 20)
     for call, said in (
         (lambda: clgs.train_scene("DATA", tmp_path / "x"), r"dataset: is str.*load_dataset"),
         (lambda: clgs.train_scene(dataset, tmp_path / "x", "quick"), r"config: is str.*preset"),
@@ -91,10 +93,13 @@ def test_arguments_of_other_classes_are_one_line(dataset, open_device, tmp_path)
         (lambda: clgs.Renderer(device, None), r"scene: is NoneType.*dequantize"),
         (lambda: clgs.Renderer("0", scene), r"device: is str, Device is needed"),
         (lambda: clgs.evaluate_views(device, scene, []), "scene: is Scene, QuantizedScene is"),
+        (lambda: clgs.evaluate_views(device, quantized, [view.camera]), "views: is Camera, View"),
     ):
         with pytest.raises(TypeError, match=said):
             call()
     assert not (tmp_path / "x").exists()
+    with pytest.raises(UsageError, match="folder: the name is empty"):
+        clgs.train_scene(dataset, "")
 
 
 def test_signals_wait_for_the_step():
