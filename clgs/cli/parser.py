@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import sys
 from collections.abc import Iterable, Sequence
@@ -58,6 +59,8 @@ class Parser(argparse.ArgumentParser):
         mistyped = [word for word in self._words if self._suggestion([word])]
         if mistyped and message.startswith("the following arguments are required"):
             message = f"unrecognized arguments: {mistyped[0]}{self._suggestion(mistyped)}"
+        elif files := [word for word in self._words if word[:1] == "-" and os.path.exists(word)]:
+            message += f"; the file {files[0]} is written ./{files[0]}"
         if message.startswith("argument -"):
             message = message.removeprefix("argument ")
         else:

@@ -15,6 +15,9 @@ APART, ASTRAY = 5.0, 20.0
 capture has.
 """
 
+ALONE = 0.5
+"""Times its distance from the middle is the least from a camera to all others, if it is lonely."""
+
 
 def spread(centres: Floats) -> tuple[Floats, float]:
     """Distances (N,) of cameras from their median centre, and the median of these.
@@ -40,3 +43,17 @@ def apart(centres: Floats, times: float) -> npt.NDArray[np.bool_]:
     distance, usual = spread(centres)
     told = len(centres) >= LEAST and not in_one_place(centres)
     return np.asarray((distance > times * usual) & told)
+
+
+def lonely(centres: Floats) -> npt.NDArray[np.bool_]:
+    """Which cameras (N,) to look at: far from the middle, and from all others.
+
+    Who walks away from where most photos were taken is never far from the photo before. Cameras
+    that are astray count even if there are several of them.
+    """
+    distance, _ = spread(centres)
+    found = apart(centres, APART)
+    for i in np.flatnonzero(found):
+        others = np.delete(centres, i, axis=0)
+        found[i] = np.linalg.norm(others - centres[i], axis=1).min() > ALONE * distance[i]
+    return found | apart(centres, ASTRAY)

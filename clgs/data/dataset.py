@@ -72,6 +72,11 @@ class Dataset:
     points_file: str = ""
     folder: Path | None = None
 
+    def __repr__(self) -> str:
+        """One line: the fields would be pages."""
+        views = f"{len(self.train)} training and {len(self.test)} test views"
+        return f"<Dataset {self.kind}: {views}, {len(self.points):,} points>"
+
 
 def load_dataset(
     path: Path | str,

@@ -97,7 +97,7 @@ def read_origin(run: Path) -> Origin | None:
         folder = moved if moved.is_dir() and not named.is_dir() else named
         return Origin(folder, (named, moved), float(record["radius"]), cameras)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise DataError(f"{path}: is damaged ({error}); remove it and use --data") from error
+        raise DataError(f"{path}: is damaged; remove it and use --data") from error
 
 
 def _relative(folder: Path, run: Path) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.apart import APART, LEAST, apart, in_one_place, spread
+from clgs.data.apart import APART, LEAST, in_one_place, lonely, spread
 from clgs.data.posed_photo import Photo
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, named
 
@@ -46,7 +46,7 @@ def check_poses(photos: list[Photo]) -> Iterator[Finding]:
     if len(photos) < LEAST:
         return
     yield from _warn(
-        [name for name, far in zip(names, apart(centres, APART), strict=True) if far],
+        [name for name, far in zip(names, lonely(centres), strict=True) if far],
         f"more than {APART:.0f} times as far from the middle as half of the cameras",
         "look at the cameras (clgs export DATA -o cameras.glb); leave these out if they are wrong",
     )

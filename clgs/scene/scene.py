@@ -56,6 +56,10 @@ class Scene:
     def __post_init__(self) -> None:
         self.anchors.check(np.float32)
 
+    def __repr__(self) -> str:
+        """One line: the fields would be pages."""
+        return f"<Scene: {len(self.anchors):,} anchors>"
+
 
 @dataclass
 class QuantizedScene:
@@ -73,6 +77,10 @@ class QuantizedScene:
     def __post_init__(self) -> None:
         self.anchors.check(np.int32)
 
+    def __repr__(self) -> str:
+        """One line: the fields would be pages."""
+        return f"<QuantizedScene: {len(self.anchors):,} anchors>"
+
     def dequantize(self) -> Scene:
         """The float32 scene that is rendered."""
         anchors = dequantize(self.anchors, self.scales)
@@ -89,6 +97,10 @@ class SplatScene:
 
     def __post_init__(self) -> None:
         self.gaussians.check(np.float32)
+
+    def __repr__(self) -> str:
+        """One line: the fields would be pages."""
+        return f"<SplatScene: {len(self.gaussians):,} Gaussians>"
 
 
 def drawable(scene: QuantizedScene | SplatScene) -> Scene | SplatScene:

@@ -206,6 +206,15 @@ def test_a_mistyped_command_is_answered_by_the_nearest(words, said, capsys):
     assert capsys.readouterr().err == f"clgs: error: {said}\n"
 
 
+def test_a_file_that_looks_like_an_option_is_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "-x.mp4").touch()
+    with pytest.raises(SystemExit) as done:
+        cli.main(["prepare", "-x.mp4", "-o", "data"])
+    assert done.value.code == 2
+    assert "PHOTOS; the file -x.mp4 is written ./-x.mp4; see" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

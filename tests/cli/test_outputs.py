@@ -34,7 +34,9 @@ def work(tmp_path, monkeypatch):
     save_scaffold(tmp_path / "s.ply", scene)
     save_scaffold(tmp_path / "s.quantized.ply", scene)
     (tmp_path / "folder").mkdir()
-    (tmp_path / "file").touch()
+    (tmp_path / "begun").mkdir()
+    for name in ("file", "begun/config.toml"):
+        (tmp_path / name).touch()
     (tmp_path / "link").symlink_to("s.ply")
     return tmp_path
 
@@ -97,6 +99,7 @@ def work(tmp_path, monkeypatch):
         ("encode s.ply -o x.clgs --q 1e8,1,1,8", 3, "s.ply: position: x spans "),
         ("encode s.ply -o x.clgs --q 1e-9,1,1,8", 3, "s.ply: position: rows 0 and 1 share cell"),
         ("info folder", 3, "folder: is a folder; name a .clgs file"),
+        ("info begun", 3, "begun: is a folder; let `clgs train` finish (--resume)"),
         (f"info {os.devnull}", 3, f"{os.devnull}: is neither a file nor a pipe"),
         ("encode s.clgs -o new.npz", 2, "new.npz: the output is a .clgs file; name it so"),
         ("pack s.ply -o new.PLY", 2, "new.PLY: the output is a .clgs file; name it so"),

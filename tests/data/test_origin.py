@@ -73,7 +73,7 @@ def test_data_in_memory_have_no_folder(tmp_path, data):
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"folder": 1, "relative": "", "radius": 1}'])
 def test_damaged_record_is_named(tmp_path, text):
     (tmp_path / ORIGIN).write_text(text)
-    with pytest.raises(DataError, match=r"data\.json: is damaged .* use --data"):
+    with pytest.raises(DataError, match=r"data\.json: is damaged; remove it and use --data"):
         read_origin(tmp_path)
 
 

@@ -72,8 +72,10 @@ def steps_by_group(splats: Splats) -> dict[str, str]:
 def run(args: argparse.Namespace) -> int:
     """Pack; exit code 0."""
     from clgs.cli.options.output import check_new, check_suffix
+    from clgs.cli.tell import tell
     from clgs.codec.octree.position_coder import PositionsError
     from clgs.codec.splats import pack
+    from clgs.data.ply.gaussians import lacking
     from clgs.data.ply.splats import read_splats
     from clgs.errors import CodecError, UsageError
     from clgs.files import atomic_write
@@ -92,6 +94,11 @@ def run(args: argparse.Namespace) -> int:
     atomic_write(args.output, data)
     for group, steps in steps_by_group(splats).items():
         print(f"{group}: step {steps}, rounded by at most {errors[group]:.2g}")
+    if missing := lacking(splats.names):
+        tell(
+            f"clgs: {args.splats}: property {missing[0]} is missing, so these are points, no 3DGS "
+            "splats: `clgs unpack` alone reads what was packed"
+        )
     size = args.splats.stat().st_size
     print(
         f"{args.output}: {len(data):,} bytes, {len(splats):,} splats, "

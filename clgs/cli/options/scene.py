@@ -148,6 +148,15 @@ def _readable(path: Path) -> Iterator[None]:
         raise DataError(f"{path}: may not be read; give yourself the permission") from None
 
 
+def _file_in(folder: Path) -> str:
+    """What to do if ``folder`` is named in place of a .clgs file."""
+    file = folder / "scene.clgs"
+    if file.is_file():
+        return f"name a .clgs file, such as {file}"
+    begun = (folder / "config.toml").exists() or (folder / PLAN).is_file()
+    return instead(folder) if begun else "name a .clgs file"
+
+
 def _mode(path: Path) -> int:
     """The mode of a file or pipe."""
     try:
@@ -155,7 +164,7 @@ def _mode(path: Path) -> int:
     except FileNotFoundError:
         raise DataError(f"{path}: no such file; `clgs encode` and `clgs pack` make some") from None
     if stat.S_ISDIR(mode):
-        raise DataError(f"{path}: is a folder; name a .clgs file, such as {path / 'scene.clgs'}")
+        raise DataError(f"{path}: is a folder; {_file_in(path)}")
     if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
         raise DataError(f"{path}: is neither a file nor a pipe; name a .clgs file")
     return mode

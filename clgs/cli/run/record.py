@@ -11,6 +11,7 @@ from typing import Any
 from clgs.cli.counted import counted
 from clgs.cli.run.duration import in_words
 from clgs.cli.run.source import PLAN, Source
+from clgs.cli.tell import tell
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.files import atomic_write
 
@@ -97,6 +98,8 @@ def read_record(out: Path, args: argparse.Namespace) -> Record | None:
             )
         if out.is_dir() and any(out.iterdir()):
             raise ExistsError(f"{out}: holds other files; choose another folder")
+        if args.resume:
+            tell(f"clgs: {out} holds no run yet; one begins")
         return None
     if args.plan or args.overwrite:
         return None
@@ -116,4 +119,4 @@ def read_record(out: Path, args: argparse.Namespace) -> Record | None:
             seconds={str(name): float(value) for name, value in found.seconds.items()},
         )
     except (ValueError, TypeError, AttributeError) as error:
-        raise DataError(f"{path}: is damaged ({error}); start anew with --overwrite") from error
+        raise DataError(f"{path}: is damaged; start anew with --overwrite") from error

@@ -79,9 +79,13 @@ def find_photos(folder: Path) -> Collection:
         DataError: ``folder`` is none, or that of a run.
     """
     if folder.is_file():
-        raise DataError(f"{folder}: is a file; name the folder of the photos ({folder.parent})")
+        photo = _is_photo(folder)
+        remedy = (
+            f"({folder.parent})" if photo else "or a video (.mp4, .mov, .mkv, .webm and others)"
+        )
+        raise DataError(f"{folder}: is a file; name the folder of the photos {remedy}")
     if not folder.is_dir():
-        raise DataError(f"{folder}: no such folder; check the path")
+        raise DataError(f"{folder}: no such file or folder; name photos or a video")
     if any((folder / file).is_file() for file in _RUNS):
         raise DataError(f"{folder}: was made by clgs; name the folder of your own photos")
     images = folder / "images"

@@ -7,7 +7,7 @@ next channel's), opacity (logit), scale_0 to 2 (log), rot_0 to 3 (w x y z). Othe
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +76,11 @@ def gaussians_of_splats(splats: Splats, path: Path) -> HostGaussians:
     return gaussians_of({name: splats.values[:, i] * step for i, (name, step) in pairs}, path)
 
 
+def lacking(names: Collection[str]) -> list[str]:
+    """What a file with the properties ``names`` lacks to be one of 3DGS splats."""
+    return [name for name in (*POSITION, *DC, "opacity", *SCALE, *ROTATION) if name not in names]
+
+
 def gaussians_of(columns: Columns, path: Path) -> HostGaussians:
     """The Gaussians of columns (N,) by name of the property; ``path`` is named in errors.
 
@@ -83,8 +88,7 @@ def gaussians_of(columns: Columns, path: Path) -> HostGaussians:
         DataError: a property is missing, or there are no splats.
     """
     rest = [f"{REST}{i}" for i in range(sum(name.startswith(REST) for name in columns))]
-    needed = [*POSITION, *DC, *rest, "opacity", *SCALE, *ROTATION]
-    if missing := [name for name in needed if name not in columns]:
+    if missing := [*lacking(columns), *(name for name in rest if name not in columns)]:
         raise DataError(f"{path}: property {missing[0]} is missing; these are no 3DGS splats")
     if len(rest) % 3 or 1 + len(rest) // 3 not in DEGREES:
         raise DataError(

@@ -56,7 +56,7 @@ def choose_steps(
     known = {*values, *map(group_of, values)}
     if unknown := [name for name in named if name not in known]:
         raise UsageError(f"--step {unknown[0]}: the file has no such property or group")
-    chosen = {}
+    chosen, open_names = {}, []
     for name in values:
         group = group_of(name)
         step = named.get(name, named.get(group, STEPS.get(group)))
@@ -65,7 +65,11 @@ def choose_steps(
         if step is not None:
             chosen[name] = step
         elif group != "position":
-            raise UsageError(f"property {name} has no default step; give --step {name}=STEP")
+            open_names.append(name)
+    if open_names:
+        options = " ".join(f"--step {name}=STEP" for name in open_names)
+        which = f"property {open_names[0]} has" if len(open_names) == 1 else "properties have"
+        raise UsageError(f"{which} no default step; give {options}")
     open_axes = {name for name in POSITION if name not in chosen}
     if open_axes:
         steps = position_steps(values, {name: kinds[name] for name in POSITION}, open_axes)

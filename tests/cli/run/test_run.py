@@ -267,6 +267,11 @@ def test_foreign_folder_is_refused(data, tmp_path, capsys):
     assert "holds other files" in capsys.readouterr().err
 
 
+def test_nothing_to_go_on_with_is_told(data, tmp_path, capsys):
+    assert cli.main(words(data, tmp_path / "new", "--resume", "--device", "nonexistent")) == 4
+    assert "new holds no run yet; one begins" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["missing", "empty"])
 def test_nothing_to_train_on_is_named(tmp_path, capsys, name):
     (tmp_path / "empty").mkdir()

@@ -153,8 +153,11 @@ def test_the_folder_of_a_run_has_no_photos(tmp_path: Path, name: str):
 
 
 def test_no_folder(tmp_path: Path):
-    with pytest.raises(DataError, match="no such folder"):
+    with pytest.raises(DataError, match="no such file or folder; name photos or a video"):
         find_photos(tmp_path / "none")
+    (tmp_path / "sound.wav").touch()
+    with pytest.raises(DataError, match=r"sound.wav: is a file; .* or a video \(.mp4"):
+        find_photos(tmp_path / "sound.wav")
     with pytest.raises(DataError, match="name the folder of the photos"):
         find_photos(write(tmp_path / "a.jpg"))
     assert not is_video(tmp_path / "none.mp4")

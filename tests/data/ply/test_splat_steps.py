@@ -202,6 +202,16 @@ def test_steps_that_are_missing_or_name_nothing(rng: np.random.Generator, tmp_pa
         steps_of(tmp_path, cloud(rng), weight=1.0)
     with pytest.raises(UsageError, match="property odd has no default step; give --step odd=STEP"):
         steps_of(tmp_path, cloud(rng) | {"odd": np.zeros(1000)})
+    with pytest.raises(UsageError, match=r"give --step odd=STEP --step \w+=STEP$"):
+        steps_of(tmp_path, cloud(rng) | {"odd": np.zeros(1000), "even": np.zeros(1000)})
+
+
+def test_points_that_are_no_splats_are_called_so(tmp_path, rng, capsys) -> None:
+    path = tmp_path / "points.ply"
+    path.write_bytes(pack_ply(Table(cloud(rng) | {"odd": np.zeros(1000, np.float32)}, [])))
+    words = ["pack", str(path), "-o", str(tmp_path / "p.clgs"), "--step", "odd=1"]
+    assert main(words) == 0
+    assert "property f_dc_0 is missing, so these are points, no 3DGS" in capsys.readouterr().err
 
 
 @pytest.mark.filterwarnings("error")

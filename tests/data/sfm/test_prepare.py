@@ -135,7 +135,7 @@ def test_only_results_of_the_same_command_are_overwritten(tmp_path: Path):
 
 
 def test_bad_folders(tmp_path: Path):
-    with pytest.raises(DataError, match="no such folder"):
+    with pytest.raises(DataError, match="no such file or folder"):
         prepare(tmp_path / "none", tmp_path / "data")
     (tmp_path / "file").touch()
     for number in range(3):
