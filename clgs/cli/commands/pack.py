@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     if missing := lacking(splats.names):
         tell(
             f"clgs: {args.splats}: property {missing[0]} is missing, so these are points, no 3DGS "
-            "splats: `clgs unpack` alone reads what was packed"
+            "splats: `clgs unpack` gives them back, but nothing draws them"
         )
     size = args.splats.stat().st_size
     print(
