@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -89,10 +89,11 @@ def views(stops: int = STOPS, width: int = WIDTH) -> Iterator[View]:
     for azimuth in np.linspace(0, 2 * np.pi, stops, endpoint=False):
         place = np.array([2.0 * np.cos(azimuth), 2.0 * np.sin(azimuth), 1.5])
         target = np.array([0.0, 0.0, 0.8])
-        yield _look(place + rng.uniform(-0.1, 0.1, 3), target + rng.uniform(-0.2, 0.2, 3), width)
+        yield look(place + rng.uniform(-0.1, 0.1, 3), target + rng.uniform(-0.2, 0.2, 3), width)
 
 
-def _look(place: np.ndarray, target: np.ndarray, width: int) -> View:
+def look(place: np.ndarray, target: np.ndarray, width: int = WIDTH) -> View:
+    """From ``place`` to ``target``, upright."""
     forward = (target - place) / np.linalg.norm(target - place)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -102,9 +103,14 @@ def _look(place: np.ndarray, target: np.ndarray, width: int) -> View:
 
 def photograph(folder: Path, stops: int = STOPS, width: int = WIDTH) -> dict[str, View]:
     """Write images/ and transforms.json; the true cameras by the photos' names."""
-    (folder / "images").mkdir(parents=True, exist_ok=True)
-    scene = build()
     taken = {f"room_{number:03d}.jpg": view for number, view in enumerate(views(stops, width))}
+    write_capture(folder, build(), taken)
+    return taken
+
+
+def write_capture(folder: Path, scene: RayScene, taken: Mapping[str, View]) -> None:
+    """Write images/ and transforms.json of views by the photos' names; all have one lens."""
+    (folder / "images").mkdir(parents=True, exist_ok=True)
     for name, view in taken.items():
         with atomic_path(folder / "images" / name) as temporary:
             Image.fromarray(scene.render(view)).save(temporary, quality=QUALITY, subsampling=0)
@@ -120,7 +126,6 @@ def photograph(folder: Path, stops: int = STOPS, width: int = WIDTH) -> dict[str
     }
     with atomic_path(folder / "transforms.json") as temporary:
         temporary.write_text(json.dumps(document, indent=1), encoding="utf-8")
-    return taken
 
 
 def _frame(name: str, view: View) -> dict[str, object]:

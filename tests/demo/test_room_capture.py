@@ -41,6 +41,26 @@ def test_poses_of_the_room_are_right_or_doubted(tmp_path: Path):
     assert {name for name, one in different.items() if one.turn > 1.0} <= set(taken) - good
 
 
+@pytest.mark.slow
+def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path: Path):
+    """Its four sides are equal: all photos may agree on one of them."""
+    pytest.importorskip("embreex")
+    pytest.importorskip("skimage")
+    pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+    import alike_captures
+
+    taken = alike_captures.photograph("tower", tmp_path / "tower")
+    verdict = prepare(tmp_path / "tower", tmp_path / "data")
+    photos = read_colmap(tmp_path / "data", tmp_path / "data" / "sparse" / "0")
+    found = [(one.name, one.rotation, one.centre) for one in [*photos.train, *photos.test]]
+    true = [(name, view.rotation, view.centre) for name, view in taken.items()]
+    good = {one.name for one in verdict.of(GOOD)}
+    different = differences(poses(true), poses(found))
+    wrong = {name for name, one in different.items() if one.turn > 1.0}
+    assert not wrong & good
+    assert not wrong or verdict.sure.startswith("not sure")
+
+
 def test_the_true_poses_are_written(tmp_path: Path):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")

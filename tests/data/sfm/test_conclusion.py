@@ -45,6 +45,25 @@ def explained(model: Any, share: float, turned: tuple[int, ...] = ()) -> Explain
     return Explained(links, counts, np.round(counts * found).astype(np.int64))
 
 
+@pytest.mark.parametrize(("share", "doubted"), [(0.2, True), (0.4, False)])
+def test_none_is_good_if_the_best_matches_contradict_the_poses(pycolmap, share, doubted):
+    """Three links across, which the poses explain badly; each photo has two that they explain."""
+    model = synthetic(pycolmap)
+    along, none = explained(model, 1.0), np.zeros((0, 2), np.uint32)
+    numbers = sorted(model.reg_image_ids())
+    across = [Pair(numbers[i], numbers[i + 20], none) for i in (5, 9, 13)]
+    found = [*along.explained, *[round(share * MATCHES)] * len(across)]
+    links = [*along.links, *across]
+    every = Explained(links, np.full(len(links), MATCHES), np.array(found, np.int64))
+    kept = Model(INCREMENTAL, model, every)
+    names = {model.image(number).name: model.image(number).name for number in numbers}
+    verdict = conclude(Choice(kept, [kept], Evidence([], {}), []), model, True, names)
+    assert verdict.ambiguous == doubted
+    reasons = [photo.reasons for photo in verdict.of(DOUBTFUL)]
+    reason = "7 % of the best matches of all photos contradict the poses"
+    assert reasons == ([(reason,)] * PHOTOS if doubted else [])
+
+
 @pytest.mark.parametrize(("share", "heard"), [(0.9, True), (0.3, True), (0.2, False), (0.0, False)])
 def test_another_mapper_is_heard_on_photos_whose_matches_it_explains(pycolmap, share, heard):
     kept, rival = synthetic(pycolmap), synthetic(pycolmap, TURNED)

@@ -12,6 +12,7 @@ from clgs.data.sfm.judging.judge import (
     SHARPER,
     WRONG_RATIO,
     Comparison,
+    doubt_all,
     is_ambiguous,
     judge,
 )
@@ -36,9 +37,12 @@ def conclude(choice: Choice, second: Any | None, checked: bool, real: Mapping[st
     compared = Comparison(again if checked else None, _rival(choice))
     judged = leave_out_parts(judge(found, compared), choice.apart, checked)
     ambiguous = is_ambiguous(compared, kept.explained, len(found))
-    for name, verdict in judged.items():
-        if verdict.status == LEFT_OUT:
-            model.deregister_frame(model.find_image_with_name(name).frame_id)
+    left_out = [
+        model.find_image_with_name(n) for n, one in judged.items() if one.status == LEFT_OUT
+    ]
+    judged = doubt_all(judged, kept.explained.without({image.image_id for image in left_out}))
+    for image in left_out:
+        model.deregister_frame(image.frame_id)
     photos = tuple(_named(judged.get(name), name, choice, real) for name in real)
     return Verdict(
         registered=model.num_reg_images(),

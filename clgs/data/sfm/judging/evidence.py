@@ -102,6 +102,12 @@ class Explained:
         bad = self.explained < CONTRADICTED * self.matches
         return float(self.matches[strong & bad].sum() / max(int(self.matches[strong].sum()), 1))
 
+    def without(self, photos: set[int]) -> Explained:
+        """The links between other photos than these, by number."""
+        rest = np.array([not {one.first, one.second} & photos for one in self.links], np.bool_)
+        links = [one for one, kept in zip(self.links, rest, strict=True) if kept]
+        return Explained(links, self.matches[rest], self.explained[rest])
+
 
 def read_evidence(job: Job) -> Evidence:
     """All verified pairs of the database."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,6 +77,22 @@ def is_ambiguous(compared: Comparison, explained: Explained, photos: int) -> boo
     }
     many = len(elsewhere) >= max(2.0, MAX_ELSEWHERE * photos)
     return many or explained.contradicted > MAX_CONTRADICTED
+
+
+def doubt_all(judged: Mapping[str, PhotoVerdict], explained: Explained) -> dict[str, PhotoVerdict]:
+    """None is good if too many of the links between photos that stay contradict the poses.
+
+    Photos of sides that look alike then agree on one place, each as well as if it were right.
+    """
+    contradicted = explained.contradicted
+    if contradicted <= MAX_CONTRADICTED:
+        return dict(judged)
+    reason = f"{100 * contradicted:.0f} % of the best matches of all photos contradict the poses"
+
+    def doubted(one: PhotoVerdict) -> PhotoVerdict:
+        return replace(one, status=DOUBTFUL, reasons=(reason,), remedy=SIDES)
+
+    return {n: doubted(one) if one.status == GOOD else one for n, one in judged.items()}
 
 
 def _kept(verdict: PhotoVerdict) -> PhotoVerdict:
