@@ -20,7 +20,7 @@ STEPS, BACK = 36, 24
 """Photos of the tower and the façade; of the corridor, each way."""
 
 SPAN = 6.0
-"""Of the corridor, metres from its middle; of the façade 8."""
+"""Metres from the middle of the corridor to its ends."""
 
 STOREYS = (1.8, 3.6)
 
@@ -119,7 +119,10 @@ def main() -> None:
     """The command."""
     if len(sys.argv) != 3 or sys.argv[1] not in SCENES:
         raise SystemExit(f"usage: python alike_captures.py {'|'.join(SCENES)} FOLDER")
-    photograph(sys.argv[1], Path(sys.argv[2]))
+    try:
+        photograph(sys.argv[1], Path(sys.argv[2]))
+    except OSError as error:
+        raise SystemExit(f"{sys.argv[2]}: {error.strerror}; name another folder") from None
 
 
 if __name__ == "__main__":

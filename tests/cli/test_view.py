@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 import sys
 import urllib.request
@@ -17,13 +18,20 @@ from tests.small_scene import write_scene
 pytest.importorskip("viser", reason="needs clgs[view]")
 
 
+PORT = 18090
+"""Is taken, so that the viewer takes the next."""
+
+
 def test_the_viewer_says_where_it_is_and_ends_when_interrupted(tmp_path):
     save_scene(tmp_path / "s.npz", random_scene(np.random.default_rng(3), 40))
     write_scene(tmp_path / "data", train=4, test=1, size=16)
-    words = [tmp_path / "s.npz", "--data", tmp_path / "data", "--port", "18090"]
+    words = [tmp_path / "s.npz", "--data", tmp_path / "data", "--port", str(PORT)]
     command = [sys.executable, "-m", "clgs.cli.main", "view", *map(str, words)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, **pipes) as process:
+    with (
+        socket.create_server(("127.0.0.1", PORT)),
+        subprocess.Popen(command, text=True, **pipes) as process,
+    ):
         assert process.stdout is not None
         try:
             address, _, rest = process.stdout.readline().partition("  ")
@@ -34,5 +42,7 @@ def test_the_viewer_says_where_it_is_and_ends_when_interrupted(tmp_path):
             process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 130
+    assert f"port {PORT} is taken" in said
+    assert not address.endswith(str(PORT))
     assert "interrupted" in said
     assert "Traceback" not in said

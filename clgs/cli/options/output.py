@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-PICTURES = (".png", ".jpg", ".jpeg", ".webp")
-
 RUN_FILES = ("config.toml", "plan.json")
 """What the folders that `clgs train` and `clgs run` make are known by."""
 
@@ -32,6 +30,11 @@ def check_new(args: argparse.Namespace, path: Path, *sources: Path) -> None:
         raise ExistsError(f"{path}: exists already; add --overwrite or choose another name")
 
 
+def holds_run(folder: Path) -> bool:
+    """Whether `clgs train` or `clgs run` made ``folder``, finished or not."""
+    return any((folder / name).is_file() for name in RUN_FILES)
+
+
 def check_picture_folder(output: Path) -> None:
     """Refuse, before long work, a folder that cannot receive pictures, or should not.
 
@@ -39,13 +42,14 @@ def check_picture_folder(output: Path) -> None:
         UsageError: it is named like a picture, or holds a run.
         OutputError: as of :func:`clgs.files.check_folder`.
     """
+    from clgs.data.images import SUFFIXES
     from clgs.errors import UsageError
     from clgs.files import check_folder
 
     check_folder(output)
-    if output.suffix.lower() in PICTURES and not output.is_dir():
+    if output.suffix.lower() in SUFFIXES and not output.is_dir():
         raise UsageError(f"{output}: pictures go into a folder; name one, such as {output.stem}")
-    if any((output / name).is_file() for name in RUN_FILES):
+    if holds_run(output):
         raise UsageError(f"{output}: holds a run; name another folder, such as {output / 'views'}")
 
 

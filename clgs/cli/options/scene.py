@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from clgs.cli.options.output import holds_run
 from clgs.cli.run.source import PLAN, run_folder
 from clgs.codec.box import Box, decode_box
 from clgs.codec.container.source import BytesSource, FileSource
@@ -153,8 +154,7 @@ def _file_in(folder: Path) -> str:
     file = folder / "scene.clgs"
     if file.is_file():
         return f"name a .clgs file, such as {file}"
-    begun = (folder / "config.toml").exists() or (folder / PLAN).is_file()
-    return instead(folder) if begun else "name a .clgs file"
+    return instead(folder) if holds_run(folder) else "name a .clgs file"
 
 
 def _mode(path: Path) -> int:
