@@ -166,17 +166,19 @@ def number(device: Device, activations: Activations) -> tuple[DeviceArray, scan.
     """
     count = len(activations.visible)
     drawn, counts = device.empty((count,), np.int32), device.empty((count,), np.int32)
+    parts = scan.parts_of(device, count, device.vec)
     device.run(
         device.kernel("gaussian/neural", "neural_count"),
-        *by_lanes(device, len(counts), device.vec),
+        *scan.counting_grid(device, count, device.vec, group=1),
         activations.output,
         activations.visible,
         np.int32(count),
         np.int32(activations.output.shape[1]),
         drawn,
         counts,
+        parts.sum,
     )
-    return drawn, scan.on_device(device, counts)
+    return drawn, scan.on_device(device, counts, parts=parts)
 
 
 def pad(device: Device, gaussians: NeuralGaussians) -> None:

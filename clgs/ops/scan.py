@@ -12,7 +12,7 @@ import numpy as np
 
 from clgs.errors import ClgsError
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device
+from clgs.opencl.device import Device, round_up
 from clgs.shapes import Shapes
 
 GROUP_SIZE = 256
@@ -22,7 +22,8 @@ LACKS_ROOM = 2
 """Bit of the stop flag (see ``clgs.ops.adam``): an array was too short for what belongs in it."""
 
 SHORTEST_CHUNK = {"cpu": 32768, "gpu": 1024}
-MOST_CHUNKS = {"cpu": 32, "gpu": 2048}
+MOST_CHUNKS = {"cpu": 32, "gpu": 256}
+"""Every chunk adds up the sums of all parts before it, so they are few."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,17 @@ class Offsets:
 
     offset: DeviceArray
     total: DeviceArray
+
+
+@dataclass(frozen=True)
+class PartSums:
+    """``sum`` (parts,) int64 of ``length`` counts each; of the last part, of those that are left.
+
+    A kernel that counts leaves them (scan/part_sums.h), which saves a launch that reads the counts.
+    """
+
+    sum: DeviceArray
+    length: int
 
 
 def exclusive(device: Device, counts: DeviceArray) -> tuple[DeviceArray, int]:
@@ -62,22 +74,42 @@ def checked_total(device: Device, offsets: Offsets) -> int:
     return total
 
 
-def on_device(device: Device, counts: DeviceArray, limit: int = NO_LIMIT) -> Offsets:
-    """As :func:`exclusive`, but nothing is downloaded; offsets are all 0 if total > limit."""
+def on_device(
+    device: Device, counts: DeviceArray, limit: int = NO_LIMIT, parts: PartSums | None = None
+) -> Offsets:
+    """As :func:`exclusive`, but nothing is downloaded; offsets are all 0 if total > limit.
+
+    ``parts``: sums of the same counts; by default they are added up here.
+    """
     shapes = Shapes()
     shapes.check("counts", counts, "n", np.int32)
     count = shapes.axes["n"]
-    chunk, chunks = chunk_plan(device, count)
-    offset = device.empty((count + 1,), np.int32)
-    sums, total = device.empty((chunks,), np.int64), device.empty((1,), np.int64)
+    chunk, chunks = chunk_plan(device, count, 1 if parts is None else parts.length)
+    offset, total = device.empty((count + 1,), np.int32), device.empty((1,), np.int64)
     wide = GROUP_SIZE if device.specialisation == "gpu" else 1
     grid = (chunks * wide,), (wide,)
     items = counts, np.int32(count), np.int32(chunk)
-    if chunks > 1:
-        device.run(device.kernel("scan/offsets", "scan_reduce"), *grid, *items, sums)
+    if parts is None:
+        parts = PartSums(device.empty((chunks,), np.int64), chunk)
+        device.run(device.kernel("scan/offsets", "scan_reduce"), *grid, *items, parts.sum)
+    before = parts.sum, np.int32(len(parts.sum)), np.int32(parts.length)
     apply = device.kernel("scan/offsets", "scan_apply")
-    device.run(apply, *grid, *items, sums, np.int64(limit), total, offset)
+    device.run(apply, *grid, *items, *before, np.int64(limit), total, offset)
     return Offsets(offset, total)
+
+
+def parts_of(device: Device, count: int, lanes: int) -> PartSums:
+    """Room for the sums of what a kernel counts whose work-items take ``lanes`` items each."""
+    length = GROUP_SIZE if device.specialisation == "gpu" else lanes
+    return PartSums(device.empty((-(-count // length),), np.int64), length)
+
+
+def counting_grid(
+    device: Device, count: int, lanes: int, group: int
+) -> tuple[tuple[int], tuple[int]]:
+    """Launch size of such a kernel; ``group``: work-items of a work-group on a CPU."""
+    wide = GROUP_SIZE if device.specialisation == "gpu" else group
+    return (round_up(-(-count // lanes), wide),), (wide,)
 
 
 def check_fits(
@@ -104,9 +136,9 @@ def check_fits(
     return gathered
 
 
-def chunk_plan(device: Device, count: int) -> tuple[int, int]:
-    """(items per chunk, chunks): few long chunks on a CPU, many on a GPU; at least one chunk."""
+def chunk_plan(device: Device, count: int, part: int) -> tuple[int, int]:
+    """(items per chunk, a multiple of ``part``, chunks): few long ones on a CPU, more on a GPU."""
     shortest, most = (table[device.specialisation] for table in (SHORTEST_CHUNK, MOST_CHUNKS))
     chunks = max(1, min(most, count // shortest))
-    chunk = max(1, -(-count // chunks))
+    chunk = round_up(max(1, -(-count // chunks)), part)
     return chunk, max(1, -(-count // chunk))

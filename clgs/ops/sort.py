@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
 from clgs.opencl.grid import chunk_count
 from clgs.shapes import Shapes
 
@@ -41,6 +41,8 @@ def by_key(
     shapes.check("values", values, "n", np.int32)
     if not 0 <= bits <= KEY_BITS:
         raise ValueError(f"bits: {bits}, expected 0..{KEY_BITS}")
+    if device.specialisation == "gpu" and bits > 0:
+        return _by_groups(device, keys, values, bits)
     for shift, width in digits(bits, DIGIT_BITS[device.specialisation]):
         keys, values = _pass(device, keys, values, shift, width)
     return keys, values
@@ -70,21 +72,24 @@ def chosen(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
     shapes.check("keys", keys, "n", np.uint32)
     shapes.check("choice", choice, "n", np.int32)
     if device.specialisation == "gpu":
-        return _chosen_by_key(device, keys, choice)
+        return _chosen_by_groups(device, keys, choice)
     return _chosen_by_plan(device, keys, choice)
 
 
-def _chosen_by_key(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
-    count = len(keys)
-    chosen_keys, index = device.empty((count,), np.uint32), device.empty((count,), np.int32)
-    grid = (round_up(count, GROUP_SIZE["gpu"]),), (GROUP_SIZE["gpu"],)
-    choose = device.kernel("sort/chosen", "sort_choose")
-    device.run(choose, *grid, keys, choice, np.int32(count), chosen_keys, index)
-    sorted_keys, index = by_key(device, chosen_keys, index)
+def _chosen_by_groups(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
+    """A launch that counts the first digit of the chosen, then one for each digit."""
+    plan = _GroupPlan.of(device, len(keys), KEY_BITS)
+    items = keys, choice, *plan.items, *plan.digits
+    device.run(device.kernel("sort/chosen", "sort_count_chosen"), *plan.grid, *items)
     end = device.empty((1,), np.int32)
-    device.run(
-        device.kernel("sort/chosen", "sort_end"), (1,), (1,), sorted_keys, np.int32(count), end
-    )
+    keys, index = _like(device, keys)
+    first = device.kernel("sort/chosen", "sort_place_chosen")
+    device.run(first, *plan.grid, *items, end, keys, index)
+    place = device.kernel("sort/chosen", "sort_place_next")
+    for number in range(1, plan.passes):
+        out = _like(device, keys)
+        device.run(place, *plan.grid, keys, index, *plan.digits, end, np.int32(number), *out)
+        keys, index = out
     return Order(index, end)
 
 
@@ -123,17 +128,70 @@ def digits(bits: int, widest: int) -> list[tuple[int, int]]:
 def _pass(
     device: Device, keys: DeviceArray, values: DeviceArray, shift: int, width: int
 ) -> tuple[DeviceArray, DeviceArray]:
-    count, form = len(keys), device.specialisation
-    chunks = max(1, min(MOST_CHUNKS[form], count // SHORTEST_CHUNK[form]))
-    group = GROUP_SIZE[form]
-    size = (chunks * group,), (group,)
+    """One digit on a CPU: a work-item counts and places a chunk of the keys."""
+    count, chunks = len(keys), _chunks(len(keys), "cpu")
+    size = (chunks,), (1,)
     plan = np.int32(count), np.int32(-(-count // chunks))
     digit = np.int32(shift), np.uint32(2**width - 1)
-    histogram = device.empty((chunks * 2 ** DIGIT_BITS[form],), np.int32)
-    out = device.empty(keys.shape, np.uint32), device.empty(keys.shape, np.int32)
+    histogram = device.empty((chunks * 2 ** DIGIT_BITS["cpu"],), np.int32)
+    out = _like(device, keys)
     device.run(
         device.kernel("sort/by_key", "sort_histogram"), *size, keys, *plan, *digit, histogram
     )
     scatter = device.kernel("sort/by_key", "sort_scatter")
     device.run(scatter, *size, keys, values, *plan, *digit, histogram, *out)
     return out
+
+
+def _by_groups(
+    device: Device, keys: DeviceArray, values: DeviceArray, bits: int
+) -> tuple[DeviceArray, DeviceArray]:
+    """On a GPU: a launch that counts the first digit, then one for each digit."""
+    plan = _GroupPlan.of(device, len(keys), bits)
+    sizes = *plan.items, *plan.digits
+    device.run(device.kernel("sort/by_key", "sort_histogram"), *plan.grid, keys, *sizes)
+    place = device.kernel("sort/by_key", "sort_scatter")
+    for number in range(plan.passes):
+        out = _like(device, keys)
+        device.run(place, *plan.grid, keys, values, *sizes, np.int32(number), *out)
+        keys, values = out
+    return keys, values
+
+
+@dataclass(frozen=True)
+class _GroupPlan:
+    """How work-groups sort: launch size, and arguments of the kernels.
+
+    items: their number, and that of a chunk; digits: bits of a digit, of all, and room for the
+    histograms of all passes.
+    """
+
+    passes: int
+    grid: tuple[tuple[int], tuple[int]]
+    items: tuple[np.int32, np.int32]
+    digits: tuple[np.int32, np.int32, DeviceArray]
+
+    @classmethod
+    def of(cls, device: Device, count: int, bits: int) -> _GroupPlan:
+        """For ``count`` items and at least one bit."""
+        group, chunks, plan = (
+            GROUP_SIZE["gpu"],
+            _chunks(count, "gpu"),
+            digits(bits, DIGIT_BITS["gpu"]),
+        )
+        histograms = device.empty((len(plan), chunks, 2 ** DIGIT_BITS["gpu"]), np.int32)
+        return cls(
+            len(plan),
+            ((chunks * group,), (group,)),
+            (np.int32(count), np.int32(max(1, -(-count // chunks)))),
+            (np.int32(plan[0][1]), np.int32(bits), histograms),
+        )
+
+
+def _chunks(count: int, form: str) -> int:
+    return max(1, min(MOST_CHUNKS[form], count // SHORTEST_CHUNK[form]))
+
+
+def _like(device: Device, keys: DeviceArray) -> tuple[DeviceArray, DeviceArray]:
+    """Room for as many keys and values."""
+    return device.empty(keys.shape, np.uint32), device.empty(keys.shape, np.int32)

@@ -64,7 +64,7 @@ class _Footprints:
     """The tiles of N Gaussians, and all that finds them again.
 
     geometry: arguments that kernels start with; size: of the image; boxes (N, 4) int32; counts
-    (N,) int32.
+    (N,) int32; parts: sums of the counts.
     """
 
     geometry: tuple[DeviceArray | np.int32, ...]
@@ -72,6 +72,7 @@ class _Footprints:
     defines: dict[str, int | float]
     boxes: DeviceArray
     counts: DeviceArray
+    parts: scan.PartSums
 
     @property
     def columns(self) -> int:
@@ -111,7 +112,7 @@ def forward(
     keys = DeviceArray(projected.depth.buffer, projected.depth.shape, np.dtype(np.uint32))
     order = sort.chosen(device, keys, found.counts)  # the bits of positive floats keep their order
     limit = scan.MAX_TOTAL if capacity is None else capacity
-    rows = scan.on_device(device, found.counts, limit)
+    rows = scan.on_device(device, found.counts, limit, found.parts)
     finish = _sort_entries if device.specialisation == "gpu" else _count_entries
     return finish(device, found, order, rows, capacity)
 
@@ -160,10 +161,12 @@ def _footprints(
         },
         boxes=device.empty((count, 4), np.int32),
         counts=device.empty((count,), np.int32),
+        parts=scan.parts_of(device, count, device.lanes),
     )
     kernel = device.kernel("tiles/footprint", "tiles_footprint", **found.defines)
-    grid = (round_up(-(-count // device.lanes), GROUP_SIZE),), (GROUP_SIZE,)
-    device.run(kernel, *grid, *found.geometry, np.int32(count), found.boxes, found.counts)
+    grid = scan.counting_grid(device, count, device.lanes, GROUP_SIZE)
+    written = found.boxes, found.counts, found.parts.sum
+    device.run(kernel, *grid, *found.geometry, np.int32(count), *written)
     return found
 
 
@@ -216,25 +219,25 @@ def _sort_entries(
 ) -> TileLists:
     """Write the entries in depth order, then sort them by tile."""
     count, tiles = len(found.counts), found.tiles
-    grid = (round_up(count, GROUP_SIZE),), (GROUP_SIZE,)
     ordered = order.index, order.count
-    ranked_counts = device.empty((count,), np.int32)
+    ranked_counts, parts = device.empty((count,), np.int32), scan.parts_of(device, count, 1)
     rank = device.kernel("tiles/lists", "tiles_rank", **found.defines)
-    device.run(rank, *grid, *ordered, found.counts, np.int32(count), ranked_counts)
-    places = scan.on_device(device, ranked_counts)
+    grid = scan.counting_grid(device, count, 1, GROUP_SIZE)
+    ranked = found.counts, np.int32(count), ranked_counts, parts.sum
+    device.run(rank, *grid, *ordered, *ranked)
+    places = scan.on_device(device, ranked_counts, parts=parts)
     entries = scan.checked_total(device, rows) if capacity is None else capacity
     limit = rows.total, np.int32(entries)
     tile, row, owner = (device.empty((entries,), t) for t in (np.uint32, np.int32, np.int32))
     emit = device.kernel("tiles/lists", "tiles_emit", **found.defines)
-    at = found.boxes, places.offset, rows.offset
-    device.run(emit, *grid, *found.geometry, *ordered, *at, *limit, tile, row, owner)
-    per_entry = (round_up(entries + 1, GROUP_SIZE),), (GROUP_SIZE,)
-    pad = device.kernel("tiles/lists", "tiles_pad_entries", **found.defines)
-    device.run(pad, *per_entry, *limit, np.int32(tiles), tile, row, owner)
+    at = *ordered, found.boxes, places.offset, rows.offset, *limit, np.int32(tiles)
+    grid = (round_up(max(count, entries), GROUP_SIZE),), (GROUP_SIZE,)
+    device.run(emit, *grid, *found.geometry, *at, tile, row, owner)
     tile, row = sort.by_key(device, tile, row, tiles.bit_length())
     gaussian = device.empty((entries,), np.int32)
     tile_range = device.empty((tiles + 1,), np.int32)
     ranges = device.kernel("tiles/lists", "tiles_ranges", **found.defines)
+    per_entry = (round_up(entries + 1, GROUP_SIZE),), (GROUP_SIZE,)
     sizes = np.int32(entries), np.int32(tiles)
     device.run(ranges, *per_entry, tile, row, *sizes, owner, tile_range, gaussian)
     return TileLists(found.size, gaussian, row, tile_range, rows.offset, rows.total)

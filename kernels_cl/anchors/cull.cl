@@ -4,7 +4,7 @@
  * cull_test: a work-item per VEC anchors.
  * cull_compact: a work-item per anchor and per entry of the list, whichever are more.
  * cull_mark: a work-item per anchor.
- * Work-group: any; no local memory.
+ * Work-group: see scan/part_sums.h for cull_test, else any.
  */
 #include "common/camera.h"
 #include "common/camera_space.h"
@@ -13,6 +13,7 @@
 #include "common/real.h"
 #include "common/rows.h"
 #include "common/tile_size.h"
+#include "scan/part_sums.h"
 
 /* Numbers of a row of scaling: three for the offsets, which count here, three for the shape. */
 #define SCALING_DIM 6
@@ -43,16 +44,12 @@ static inline iv touches(const fv centre, const fv radius, const float size)
     return (centre + radius > (fv)(0.0f)) & (centre - radius < (fv)(tiled));
 }
 
-/* keep[i] = 1 if anchor i may be seen, else 0. A NaN is not seen, nor is an anchor less than
- * `smallest` pixels wide (6 sigma, without the blur). */
-__kernel void cull_test(__global const float *position, __global const float *scaling,
-                        __global const float *camera, const int count, const float smallest,
-                        __global int *keep)
+/* Which of `used` anchors from `first` on may be seen, 1 each, else 0. A NaN is not seen, nor is an
+ * anchor less than `smallest` pixels wide (6 sigma, without the blur). */
+static inline iv seen_anchors(__global const float *position, __global const float *scaling,
+                              __global const float *camera, const size_t first, const size_t used,
+                              const float smallest)
 {
-    const size_t first = get_global_id(0) * VEC, size = (size_t)count;
-    if (first >= size)
-        return;
-    const size_t used = min((size_t)VEC, size - first);
     fv p[3], scale[SCALING_DIM];
     load_rows3(position, first, used, p);
     load_rows6(scaling, first, used, scale);
@@ -75,10 +72,25 @@ __kernel void cull_test(__global const float *position, __global const float *sc
     const iv seen = (z > (fv)(camera[CAMERA_NEAR])) & (radius > (fv)(0.0f)) & (wide | all_wide) &
                     touches(centre[0], radius, camera[CAMERA_WIDTH]) &
                     touches(centre[1], radius, camera[CAMERA_HEIGHT]);
-    int lanes[VEC];
-    STORE_V(seen ? (iv)(1) : (iv)(0), 0, lanes);
-    for (size_t lane = 0; lane < VEC && first + lane < size; ++lane)
+    return seen ? (iv)(1) : (iv)(0);
+}
+
+/* keep[i] = 1 if anchor i may be seen, else 0. */
+PART_GROUP __kernel void cull_test(__global const float *position, __global const float *scaling,
+                                   __global const float *camera, const int count,
+                                   const float smallest, __global int *keep, __global long *sums)
+{
+    DECLARE_PART_SCRATCH(scratch);
+    const size_t first = get_global_id(0) * VEC, size = (size_t)count;
+    const size_t used = first < size ? min((size_t)VEC, size - first) : 0;
+    int lanes[VEC], kept = 0;
+    if (used != 0)
+        STORE_V(seen_anchors(position, scaling, camera, first, used, smallest), 0, lanes);
+    for (size_t lane = 0; lane < used; ++lane) {
         keep[first + lane] = lanes[lane];
+        kept += lanes[lane];
+    }
+    write_part_sum(scratch, first, count, kept, sums);
 }
 
 /* Lists the kept anchors. place: the exclusive prefix sum of keep. Anchors beyond the capacity are

@@ -1,9 +1,10 @@
-/* Exclusive prefix sum with a 64-bit total, CPU form, in two passes over chunks: sum every chunk,
- * then scan every chunk from the sum of those before it. Sums of integers: the result does not
- * depend on the chunks. Sums above the limit are of no use: all offsets are 0 then.
+/* Exclusive prefix sum with a 64-bit total, CPU form: every chunk is scanned from the sum of the
+ * counts before it, which are parts whose sums are known (scan/part_sums.h), or are found by
+ * scan_reduce, a part per chunk. Sums of integers: the result does not depend on parts and chunks.
+ * Sums above the limit are of no use: all offsets are 0 then.
  *
- * A work-item owns a chunk; launch size: the number of chunks, in work-groups of one work-item.
- * scan_reduce is not needed for a single chunk. No local memory. */
+ * A work-item owns a chunk, whole parts; launch size: the number of chunks, in work-groups of one
+ * work-item. No local memory. */
 #include "common/chunk.h"
 
 static inline long chunk_sum(__global const int *counts, const int first, const int end)
@@ -22,23 +23,22 @@ __kernel void scan_reduce(__global const int *counts, const int count, const int
 }
 
 __kernel void scan_apply(__global const int *counts, const int count, const int chunk,
-                         __global const long *sums, const long limit, __global long *total,
-                         __global int *offsets)
+                         __global const long *sums, const int parts, const int part,
+                         const long limit, __global long *total, __global int *offsets)
 {
-    const size_t own = get_global_id(0), chunks = get_global_size(0);
-    const int first = (int)own * chunk;
+    const int first = (int)get_global_id(0) * chunk;
     const int end = chunk_end(first, chunk, count);
     long carry = 0, all = 0;
-    for (size_t i = 0; i < chunks; ++i) {
-        carry = i == own ? all : carry;
-        all += chunks == 1 ? chunk_sum(counts, first, end) : sums[i];
+    for (int i = 0; i < parts; ++i) {
+        carry += i < first / part ? sums[i] : 0L;
+        all += sums[i];
     }
     const bool fits = all <= limit;
     for (int i = first; i < end; ++i) {
         offsets[i] = fits ? (int)carry : 0;
         carry += counts[i];
     }
-    if (own == 0) {
+    if (get_global_id(0) == 0) {
         offsets[count] = fits ? (int)all : 0;
         total[0] = all;
     }

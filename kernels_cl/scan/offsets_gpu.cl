@@ -1,9 +1,10 @@
-/* Exclusive prefix sum with a 64-bit total, GPU form, in two passes over chunks: sum every chunk,
- * then scan every chunk from the sum of those before it. Sums of integers: the result does not
- * depend on the chunks. Sums above the limit are of no use: all offsets are 0 then.
+/* Exclusive prefix sum with a 64-bit total, GPU form: every chunk is scanned from the sum of the
+ * counts before it, which are parts whose sums are known (scan/part_sums.h), or are found by
+ * scan_reduce, a part per chunk. Sums of integers: the result does not depend on parts and chunks.
+ * Sums above the limit are of no use: all offsets are 0 then.
  *
- * A work-group of GROUP_SIZE work-items owns a chunk; launch size: chunks * GROUP_SIZE.
- * scan_reduce is not needed for a single chunk. Local memory holds a number per work-item. */
+ * A work-group of GROUP_SIZE work-items owns a chunk, whole parts; launch size:
+ * chunks * GROUP_SIZE. Local memory holds a number per work-item. */
 #include "common/chunk.h"
 #include "scan/group_scan.h"
 
@@ -28,17 +29,16 @@ SCAN_GROUP __kernel void scan_reduce(__global const int *counts, const int count
 }
 
 SCAN_GROUP __kernel void scan_apply(__global const int *counts, const int count, const int chunk,
-                                    __global const long *sums, const long limit,
-                                    __global long *total, __global int *offsets)
+                                    __global const long *sums, const int parts, const int part,
+                                    const long limit, __global long *total, __global int *offsets)
 {
     __local long scratch[GROUP_SIZE];
-    const int group = (int)get_group_id(0), chunks = (int)get_num_groups(0);
-    const int begin = group * chunk;
+    const int begin = (int)get_group_id(0) * chunk;
     const int end = chunk_end(begin, chunk, count);
-    long own_all = chunks == 1 ? own_sum(counts, begin, end) : 0L, own_before = 0, all, carry;
-    for (int i = (int)get_local_id(0); chunks > 1 && i < chunks; i += GROUP_SIZE) {
+    long own_all = 0, own_before = 0, all, carry;
+    for (int i = (int)get_local_id(0); i < parts; i += GROUP_SIZE) {
         own_all += sums[i];
-        own_before += i < group ? sums[i] : 0L;
+        own_before += i < begin / part ? sums[i] : 0L;
     }
     group_exclusive_scan(own_all, scratch, &all);
     group_exclusive_scan(own_before, scratch, &carry);
@@ -52,7 +52,7 @@ SCAN_GROUP __kernel void scan_apply(__global const int *counts, const int count,
             offsets[i] = fits ? (int)(carry + before) : 0;
         carry += sum;
     }
-    if (group == 0 && get_local_id(0) == 0) {
+    if (get_global_id(0) == 0) {
         offsets[count] = fits ? (int)all : 0;
         total[0] = all;
     }

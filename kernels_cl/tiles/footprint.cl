@@ -1,10 +1,11 @@
 /* The footprint of every projected Gaussian: which tiles it reaches, and how many.
  *
- * A work-item owns VEC Gaussians; launch size: at least Gaussians / VEC, in work-groups of any
- * size. No local memory. */
+ * A work-item owns VEC Gaussians; launch size: at least Gaussians / VEC. Work-groups and local
+ * memory: see scan/part_sums.h. */
 #include "common/items.h"
 #include "common/real.h"
 #include "common/rows.h"
+#include "scan/part_sums.h"
 #include "tiles/box.h"
 #include "tiles/footprints.h"
 #include "tiles/large_footprint.h"
@@ -46,20 +47,12 @@ static inline iv bytes_of_rows(const Footprints *f, const iv down, const int beg
     return bytes;
 }
 
-/* Box (see tiles/box.h) and number of tiles of every Gaussian. */
-__kernel void tiles_footprint(__global const float *mean2d, __global const float *whitening,
-                              __global const float *opacity, __global const float *extent,
-                              const int width, const int height, const int first_row,
-                              const int end_row, const int count, __global float *boxes,
-                              __global int *counts)
+/* Writes boxes (see tiles/box.h) and numbers of tiles of `used` Gaussians from `first` on. Returns
+ * the sum of the numbers. */
+static inline int write_footprints(const Geometry *g, const int first, const int used,
+                                   const Frame frame, __global float *boxes, __global int *counts)
 {
-    const int first = (int)item_from_middle() * VEC;
-    if (first >= count)
-        return;
-    const int used = min(VEC, count - first);
-    const Geometry g = {mean2d, whitening, opacity, extent};
-    const Frame frame = {width, height, first_row, end_row};
-    const Footprints f = load_footprints(&g, first, used, frame);
+    const Footprints f = load_footprints(g, first, used, frame);
     const iv across = f.right - f.left + 1, down = f.bottom - f.top + 1;
     const iv some = (across > (iv)(0)) & (down > (iv)(0));
     const iv large = some & ((across > (iv)(BOX_COLUMNS)) | (down > (iv)(BOX_ROWS)));
@@ -75,7 +68,25 @@ __kernel void tiles_footprint(__global const float *mean2d, __global const float
     STORE_V(large ? (iv)(1) : (iv)(0), 0, is_large);
     for (int lane = 0; lane < used; ++lane)
         if (is_large[lane])
-            tiles[lane] = count_large(&g, first + lane, frame);
-    for (int lane = 0; lane < used; ++lane)
+            tiles[lane] = count_large(g, first + lane, frame);
+    int sum = 0;
+    for (int lane = 0; lane < used; ++lane) {
         counts[first + lane] = tiles[lane];
+        sum += tiles[lane];
+    }
+    return sum;
+}
+
+PART_GROUP __kernel void
+tiles_footprint(__global const float *mean2d, __global const float *whitening,
+                __global const float *opacity, __global const float *extent, const int width,
+                const int height, const int first_row, const int end_row, const int count,
+                __global float *boxes, __global int *counts, __global long *sums)
+{
+    DECLARE_PART_SCRATCH(scratch);
+    const int first = (int)item_from_middle() * VEC, used = min(VEC, count - first);
+    const Geometry g = {mean2d, whitening, opacity, extent};
+    const Frame frame = {width, height, first_row, end_row};
+    const int sum = used > 0 ? write_footprints(&g, first, used, frame, boxes, counts) : 0;
+    write_part_sum(scratch, (size_t)first, count, sum, sums);
 }

@@ -3,22 +3,26 @@
  * the sorted tiles. Every entry also has a row of gradients, contiguous for every Gaussian and in
  * the order of the Gaussians: there the backward pass of the blending leaves its moments.
  *
- * A work-item owns a Gaussian or an entry; launch size: at least their number, in work-groups of
- * any size. No local memory. */
+ * A work-item owns a Gaussian or an entry, or one of each; launch size: at least their number.
+ * Work-groups of any size without local memory, but for tiles_rank (scan/part_sums.h). */
 #include "common/real.h"
 #include "common/tile_size.h"
+#include "scan/part_sums.h"
 #include "tiles/box.h"
 #include "tiles/footprints.h"
 #include "tiles/large_footprint.h"
 
 /* Numbers of tiles in depth order; 0 after the drawn Gaussians. One work-item per rank. */
-__kernel void tiles_rank(__global const int *order, __global const int *ordered,
-                         __global const int *counts, const int count, __global int *ranked_counts)
+PART_GROUP __kernel void tiles_rank(__global const int *order, __global const int *ordered,
+                                    __global const int *counts, const int count,
+                                    __global int *ranked_counts, __global long *sums)
 {
+    DECLARE_PART_SCRATCH(scratch);
     const int rank = (int)get_global_id(0);
-    if (rank >= count)
-        return;
-    ranked_counts[rank] = rank < ordered[0] ? counts[order[rank]] : 0;
+    const int tiles = rank < ordered[0] ? counts[order[rank]] : 0;
+    if (rank < count)
+        ranked_counts[rank] = tiles;
+    write_part_sum(scratch, (size_t)rank, count, tiles, sums);
 }
 
 /* The arrays of entries: tile and row in depth order, Gaussian by row of gradients. */
@@ -39,22 +43,34 @@ static inline int2 emit_tiles(const int first, const int tiles, const int i, int
     return to;
 }
 
-/* Entries of the Gaussian of every depth rank, from place[rank] on. One work-item per rank. */
+/* Entry k belongs to no tile, but has a row of gradients of its own. */
+static inline void pad_entry(const int k, const int tile, const Entries entries)
+{
+    entries.tile[k] = (uint)tile;
+    entries.row[k] = k;
+    entries.gaussian_of_row[k] = 0;
+}
+
+/* Entries of the Gaussian of every depth rank, from place[rank] on; and padding, from total to
+ * capacity, of all if they do not fit. A work-item per rank and per entry, whichever are more. */
 __kernel void tiles_emit(__global const float *mean2d, __global const float *whitening,
                          __global const float *opacity, __global const float *extent,
                          const int width, const int height, const int first_row, const int end_row,
                          __global const int *order, __global const int *ordered,
                          __global const int *boxes, __global const int *place,
                          __global const int *row_range, __global const long *total,
-                         const int capacity, __global uint *tile, __global int *row,
-                         __global int *gaussian_of_row)
+                         const int capacity, const int padding_tile, __global uint *tile,
+                         __global int *row, __global int *gaussian_of_row)
 {
     const int rank = (int)get_global_id(0);
-    if (rank >= ordered[0] || total[0] > (long)capacity)
+    const Entries entries = {tile, row, gaussian_of_row};
+    const bool fits = total[0] <= (long)capacity;
+    if (rank < capacity && (!fits || (long)rank >= total[0]))
+        pad_entry(rank, padding_tile, entries);
+    if (rank >= ordered[0] || !fits)
         return;
     const Geometry g = {mean2d, whitening, opacity, extent};
     const Frame frame = {width, height, first_row, end_row};
-    const Entries entries = {tile, row, gaussian_of_row};
     const int i = order[rank], columns = tiles_across(width);
     const int4 box = vload4((size_t)i, boxes);
     int2 to = (int2)(place[rank], row_range[i]);
@@ -69,20 +85,6 @@ __kernel void tiles_emit(__global const float *mean2d, __global const float *whi
         for (int lane = 0; lane < VEC; ++lane)
             to = emit_tiles((y + lane) * columns + r.first[lane], r.tiles[lane], i, to, entries);
     }
-}
-
-/* Entries from total to capacity, and all if they do not fit: padding after the last tile, each
- * with a row of gradients of its own. One work-item per entry. */
-__kernel void tiles_pad_entries(__global const long *total, const int capacity, const int tiles,
-                                __global uint *tile, __global int *row,
-                                __global int *gaussian_of_row)
-{
-    const int k = (int)get_global_id(0);
-    if (k >= capacity || (total[0] <= (long)capacity && (long)k < total[0]))
-        return;
-    tile[k] = (uint)tiles;
-    row[k] = k;
-    gaussian_of_row[k] = 0;
 }
 
 /* From entries sorted by tile: where the list of every tile starts, and the Gaussian of every

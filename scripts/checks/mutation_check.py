@@ -93,8 +93,9 @@ def caught(bug: Mutation) -> tuple[bool, str]:
         copy_sources(folder)
         seed(bug, folder)
         code, line = run_tests(folder, SUITES[bug.stage], "-x")
-        # 1: tests failed; anything else says that they did not run
-        return code == 1, line
+        # 1: tests failed; below 0: a signal ended them, as the bug wrote where nothing is. Anything
+        # else says that they did not run.
+        return code == 1 or code < 0, line
 
 
 def stale(bugs: list[Mutation]) -> list[str]:

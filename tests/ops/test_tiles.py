@@ -221,6 +221,21 @@ def test_too_many_entries_are_refused_before_allocation(device, rng, monkeypatch
         lists_of(device, scene, (64, 64))
 
 
+def test_more_entries_than_32_bits_hold_are_counted(device):
+    """A part of the Gaussians alone has more: 300 that cover a picture of 60,000 x 60,000 pixels."""
+    count, size = 300, (60_000, 60_000)
+    scene = projected_scene(np.random.default_rng(0), count, *size)
+    scene = replace(
+        scene,
+        mean2d=np.full((count, 2), 30_000, np.float32),
+        whitening=np.float32([[1e-6, 0, 1e-6]]).repeat(count, 0),
+        opacity=np.full(count, 0.9, np.float32),
+        extent=np.full((count, 2), 30_001, np.float32),
+    )
+    with pytest.raises(ClgsError, match=f"{count * (60_000 // TILE_SIZE) ** 2} entries"):
+        lists_of(device, scene, size)
+
+
 def test_other_lengths_are_refused(device, rng):
     scene = projected_scene(rng, 10, 32, 32)
     scene = replace(scene, opacity=scene.opacity[:9])
