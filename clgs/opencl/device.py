@@ -180,11 +180,16 @@ class Device:
         In the same memory if that has room, which it often has: the pool rounds sizes up.
         """
         longer = DeviceArray(array.buffer, (rows, *array.shape[1:]), array.dtype)
-        if longer.nbytes <= array.buffer.size:
+        if self.has_room(array, rows):
             return longer
         longer = self.empty(longer.shape, array.dtype)
         self.copy_part(array, longer, 0, array.size)
         return longer
+
+    def has_room(self, array: DeviceArray, rows: int) -> bool:
+        """Whether the memory of ``array`` holds so many rows."""
+        row = math.prod(array.shape[1:]) * array.dtype.itemsize
+        return rows * row <= int(array.buffer.size)
 
     def copy_part(self, source: DeviceArray, target: DeviceArray, first: int, count: int) -> None:
         """Copy elements ``first`` to ``first + count - 1``, counted flat; both of one dtype."""

@@ -78,22 +78,45 @@ def hide_undrawn(
     _run(device, "growth_hide_undrawn", len(visible), output, visible, *sizes, *hidden)
 
 
-def hide(
+def prune(
     device: Device,
     anchors: DeviceAnchors,
     statistics: DeviceStatistics,
-    rows: npt.NDArray[np.integer],
-) -> None:
-    """Hide the anchors ``rows`` (n,), each named once, in place.
+    visits: int,
+    least_opacity: float,
+    most_scaling: float,
+) -> npt.NDArray[np.intp]:
+    """Hide anchors that stayed transparent, in place; their rows, ascending. Waits for the device.
+
+    Of the anchors visited more than ``visits`` times, those with a summed opacity below
+    ``least_opacity`` per visit go, and the sums of the others are zeroed. Log scales of shapes,
+    ``scaling[:, 3:]``, are brought down to ``most_scaling``.
 
     Raises:
-        ValueError, TypeError: an array has the wrong shape or dtype, or there is no such row.
+        ValueError, TypeError: an array has the wrong shape or dtype.
     """
     _check(anchors, statistics)
-    _check_rows("rows", rows, len(anchors))
-    hidden = anchors.position, statistics.visits, statistics.gradient_count
-    chosen = device.upload(rows.astype(np.int32))
-    _run(device, "growth_hide", len(rows), chosen, np.int32(len(rows)), *hidden)
+    count = len(anchors)
+    gone = device.empty((count,), np.int32)
+    limits = np.int32(visits), np.float32(least_opacity), np.float32(most_scaling)
+    sums = statistics.opacity_sum, statistics.visits, statistics.gradient_count
+    changed = anchors.position, anchors.scaling, *sums
+    _run(device, "growth_prune", count, np.int32(count), *limits, *changed, gone)
+    return np.flatnonzero(device.download(gone))
+
+
+def asking(
+    device: Device, statistics: DeviceStatistics, seen: int, least: float
+) -> npt.NDArray[np.intp]:
+    """Slots, anchor * K + offset, ascending, seen more often than ``seen`` times with large sums.
+
+    That is at least ``least`` per time, in float32. Waits for the device.
+    """
+    sums = statistics.gradient_sum, statistics.gradient_count
+    asks = device.empty((statistics.gradient_sum.size,), np.bool_)
+    limits = np.int32(len(asks)), np.int32(seen), np.float32(least)
+    _run(device, "growth_ask", len(asks), *limits, *sums, asks)
+    return np.flatnonzero(device.download(asks))
 
 
 def places(
@@ -120,13 +143,6 @@ def restart(device: Device, statistics: DeviceStatistics, seen: int) -> None:
     count = statistics.gradient_sum.size
     arrays = np.int32(seen), statistics.gradient_sum, statistics.gradient_count
     _run(device, "growth_restart", count, np.int32(count), *arrays)
-
-
-def cap_scaling(device: Device, anchors: DeviceAnchors, most: float) -> None:
-    """Bring log scales of shapes, ``scaling[:, 3:]``, down to ``most``, in place."""
-    anchors.check(np.float32)
-    arrays = np.int32(len(anchors)), np.float32(most), anchors.scaling
-    _run(device, "growth_cap", len(anchors), *arrays)
 
 
 def append(device: Device, anchors: DeviceAnchors, new: NewAnchors) -> DeviceAnchors:

@@ -1,9 +1,8 @@
 /* Anchors come and go without any row of theirs being moved. An anchor that goes is hidden: its
  * position becomes NaN, which no view sees, and its slots ask for nothing any more.
  *
- * growth_hide_undrawn: a work-item per visible anchor. growth_hide: per anchor that goes.
- * growth_places: a work-item per slot that asks for an anchor.
- * growth_restart: per slot. growth_cap: per anchor.
+ * growth_hide_undrawn: a work-item per visible anchor. growth_prune: per anchor.
+ * growth_ask, growth_restart: per slot. growth_places: per slot that asks for an anchor.
  * growth_append: per number of a feature of each new anchor.
  * growth_take: per number of each row that is kept.
  * Work-group: any; no local memory.
@@ -42,20 +41,50 @@ __kernel void growth_hide_undrawn(__global const float *opacity, __global const 
     for (size_t j = 0; j < K_OFFSETS; ++j) {
         const bool drawn = opacity[j * (size_t)padded + v] > 0.0f;
         any |= drawn;
-        for (size_t i = 0; i < 3 && !drawn; ++i)
-            offset[OFFSET_DIM * anchor + 3 * j + i] = 0.0f;
+        if (!drawn)
+            vstore3((float3)(0.0f), K_OFFSETS * anchor + j, offset);
     }
     if (!any)
         hide(anchor, position, visits, gradient_count);
 }
 
-/* Hides the anchors in `rows`. */
-__kernel void growth_hide(__global const int *rows, const int count, __global float *position,
-                          __global int *visits, __global int *gradient_count)
+/* Of anchors visited more often than `often`, hides those with a summed opacity below `least` per
+ * visit, gone[i] = 1, and zeroes the sums of the others. No log scale of a shape stays above
+ * `most`.
+ */
+__kernel void growth_prune(const int count, const int often, const float least, const float most,
+                           __global float *position, __global float *scaling,
+                           __global float *opacity_sum, __global int *visits,
+                           __global int *gradient_count, __global int *gone)
 {
-    const size_t i = get_global_id(0);
-    if (i < (size_t)count)
-        hide((size_t)rows[i], position, visits, gradient_count);
+    const size_t anchor = get_global_id(0);
+    if (anchor >= (size_t)count)
+        return;
+    const bool visited = visits[anchor] > often;
+    gone[anchor] = visited && !(opacity_sum[anchor] >= least * (float)visits[anchor]) ? 1 : 0;
+    if (visited) {
+        opacity_sum[anchor] = 0.0f;
+        visits[anchor] = 0;
+    }
+    if (gone[anchor])
+        hide(anchor, position, visits, gradient_count);
+    for (size_t i = 3; i < SCALING_DIM; ++i) {
+        const float value = scaling[SCALING_DIM * anchor + i];
+        scaling[SCALING_DIM * anchor + i] = value > most ? most : value;
+    }
+}
+
+/* asks[slot] = 1 if the slot was seen more often than `seen` times, with a sum of at least `least`
+ * per time. */
+__kernel void growth_ask(const int count, const int seen, const float least,
+                         __global const float *gradient_sum, __global const int *gradient_count,
+                         __global uchar *asks)
+{
+    const size_t slot = get_global_id(0);
+    if (slot >= (size_t)count)
+        return;
+    const int times = gradient_count[slot];
+    asks[slot] = times > seen && gradient_sum[slot] >= least * (float)times ? 1 : 0;
 }
 
 /* place[i] = the offset of slot number slots[i], and the log scale that it is multiplied by. */
@@ -82,18 +111,6 @@ __kernel void growth_restart(const int count, const int seen, __global float *gr
         return;
     gradient_sum[slot] = 0.0f;
     gradient_count[slot] = 0;
-}
-
-/* No log scale of a shape is above `most`. */
-__kernel void growth_cap(const int count, const float most, __global float *scaling)
-{
-    const size_t anchor = get_global_id(0);
-    if (anchor >= (size_t)count)
-        return;
-    for (size_t i = 3; i < SCALING_DIM; ++i) {
-        const float value = scaling[SCALING_DIM * anchor + i];
-        scaling[SCALING_DIM * anchor + i] = value > most ? most : value;
-    }
 }
 
 /* Rows `before` and on of the anchors: new anchor i lies at place[3 i], with log scales of edge[i],

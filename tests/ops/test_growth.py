@@ -63,13 +63,30 @@ def test_hiding_what_is_not_drawn(device, rng):
     assert_as_reference(device, there, host)
 
 
-@pytest.mark.parametrize("rows", [[], [4], [0, 99, 37]])
-def test_hiding_rows(device, rng, rows):
-    host = host_arrays(rng, 100)
+@pytest.mark.parametrize("least", [0.0, 0.005, 10.0])
+def test_pruning(device, rng, least):
+    """Nearly none, some and nearly all of those that were visited often enough go."""
+    host = host_arrays(rng, 300)
+    host[1].opacity_sum[5:8], host[1].visits[5:8] = np.float32(100 * least), 100
+    host[1].opacity_sum[7] = np.nan
     there = uploaded(device, host)
-    growth.hide(device, *there, np.array(rows, np.int64))
-    reference.hide(host[0].position, counts(host), np.array(rows, np.int32))
+    rows = growth.prune(device, *there, 80, least, 0.05)
+    sums = host[1].opacity_sum, host[1].visits, host[1].gradient_count
+    host[1].opacity_sum[7] = -1.0  # what is not a number is not opaque
+    arrays = host[0].position, host[0].scaling
+    wanted = reference.prune(arrays, sums, 80, np.float32(least), np.float32(0.05))
+    assert rows.tolist() == wanted
+    assert 7 in wanted
+    assert 5 not in wanted
     assert_as_reference(device, there, host)
+
+
+@pytest.mark.parametrize("least", [0.0, 0.01, 9.0])
+def test_slots_that_ask(device, rng, least):
+    statistics = host_arrays(rng, 333)[1]
+    found = growth.asking(device, statistics.map(device.upload), 40, least)
+    sums = statistics.gradient_sum, statistics.gradient_count
+    assert found.tolist() == reference.asking(*sums, 40, np.float32(least))
 
 
 @pytest.mark.parametrize("count", [0, 1, 500])
@@ -81,15 +98,12 @@ def test_places_of_slots(device, rng, count):
     np.testing.assert_array_equal(found, wanted)
 
 
-def test_restart_and_cap(device, rng):
+def test_restart(device, rng):
     host = host_arrays(rng, 77)
     there = uploaded(device, host)
     growth.restart(device, there[1], 40)
-    growth.cap_scaling(device, there[0], 0.05)
     reference.restart(host[1].gradient_sum, host[1].gradient_count, 40)
-    reference.cap_scaling(host[0].scaling, np.float32(0.05))
     assert (host[1].gradient_count > 0).any()
-    assert (host[0].scaling[:, 3:] < 0).any()
     assert_as_reference(device, there, host)
 
 
@@ -136,9 +150,6 @@ def test_rows_that_are_taken(device, rng, dtype, shape):
 def test_wrong_arguments_are_refused(device, rng):
     host = host_arrays(rng, 20)
     anchors, statistics = uploaded(device, host)
-    for rows in ([20], [-1]):
-        with pytest.raises(ValueError, match="rows: must be a list of numbers from 0 to 19"):
-            growth.hide(device, anchors, statistics, np.array(rows))
     with pytest.raises(ValueError, match="slots: must be"):
         growth.places(device, anchors, np.array([200]))
     new = new_anchors(rng, [1, 2], 20)

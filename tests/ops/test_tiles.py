@@ -222,7 +222,7 @@ def test_too_many_entries_are_refused_before_allocation(device, rng, monkeypatch
 
 
 def test_more_entries_than_32_bits_hold_are_counted(device):
-    """A part of the Gaussians alone has more: 300 that cover a picture of 60,000 x 60,000 pixels."""
+    """A part of the Gaussians alone has more: 300 that cover 60,000 x 60,000 pixels."""
     count, size = 300, (60_000, 60_000)
     scene = projected_scene(np.random.default_rng(0), count, *size)
     scene = replace(

@@ -53,11 +53,32 @@ def restart(gradient_sum: Array, gradient_count: Integers, seen: int) -> None:
             gradient_sum[place], gradient_count[place] = 0.0, 0
 
 
-def cap_scaling(scaling: Array, most: float) -> None:
-    """Bring scaling[:, 3:] of (A, 6) down to ``most``."""
-    for row in scaling:
+def prune(
+    anchors: tuple[Array, Array],
+    sums: tuple[Array, Integers, Integers],
+    visits: int,
+    least_opacity: float,
+    most_scaling: float,
+) -> list[int]:
+    """Change position (A, 3), scaling (A, 6), opacity_sum (A,) and counts; rows that are hidden."""
+    (position, scaling), (opacity_sum, *counts) = anchors, sums
+    gone = []
+    for row in range(len(position)):
         for i in range(3, 6):
-            row[i] = min(row[i], most)
+            scaling[row, i] = min(scaling[row, i], most_scaling)
+        if counts[0][row] <= visits:
+            continue
+        if opacity_sum[row] < least_opacity * counts[0][row]:
+            hide(position, (counts[0], counts[1]), np.array([row], np.int32))
+            gone.append(row)
+        opacity_sum[row], counts[0][row] = 0.0, 0
+    return gone
+
+
+def asking(gradient_sum: Array, gradient_count: Integers, seen: int, least: float) -> list[int]:
+    """Slots of (A, K) seen more often than ``seen`` times, with a sum of ``least`` per time."""
+    pairs = zip(gradient_sum.ravel(), gradient_count.ravel(), strict=True)
+    return [slot for slot, (x, times) in enumerate(pairs) if times > seen and x >= least * times]
 
 
 def features(feature: Array, first: Integers, parents: Integers) -> Array:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from clgs.constants import K_OFFSETS, LOG_SCALE_LIMIT
 from clgs.ops.growth import NewAnchors
 from clgs.train.config import TrainConfig
-from clgs.train.density.cells import Floats, Grid, Integers, cells_of, position_integers
+from clgs.train.density.cells import Axes, Floats, Grid, cells_of, occur, voxels_of
 
 CELL_DIVISOR = 4
 """A level's cells have this fraction of the edge of those of the level before it."""
@@ -20,10 +20,6 @@ THRESHOLD_FACTOR = 2.0
 """A level's gradient threshold over that of the level before it."""
 
 NEARLY = 1.0 - 1e-5
-"""Times the threshold is what a first, quick look in float32 asks for."""
-
-BLOCK = 1 << 15
-"""Slots that are looked at together: what they take fits in a cache."""
 
 Rows = npt.NDArray[np.intp]
 
@@ -41,44 +37,47 @@ class StrongSlots:
 
 @dataclass(frozen=True)
 class _Level:
-    """Cells (n, 3) of ``factor`` voxels that get an anchor, ascending, with their parents."""
+    """Cells (3, n) of ``factor`` voxels that get an anchor, ascending, with their parents."""
 
     factor: int
-    cells: Integers
+    cells: Axes
     first: Rows
     parents: Rows
 
 
 @dataclass
 class _Found:
-    """Voxels (n, 3) that hold an anchor, their window, and the levels so far."""
+    """Voxels (3, A) that held an anchor before, their window, and the levels so far."""
 
-    occupied: Integers
+    occupied: Axes
     grid: Grid
     levels: list[_Level] = field(default_factory=list)
 
     @property
     def count(self) -> int:
         """How many anchors are new."""
-        return sum(len(level.cells) for level in self.levels)
+        return sum(level.cells.shape[1] for level in self.levels)
+
+    @property
+    def voxels(self) -> list[Axes]:
+        """All voxels that hold an anchor."""
+        return [self.occupied, *(level.cells * level.factor for level in self.levels)]
+
+
+def nearly(threshold: float) -> float:
+    """What a quick look in float32 asks for, so that it misses no slot that asks."""
+    return threshold * NEARLY
 
 
 def strong_slots(
+    slots: Rows,
     gradient_sum: npt.NDArray[np.float32],
     gradient_count: npt.NDArray[np.int32],
     config: TrainConfig,
 ) -> StrongSlots:
-    """The slots that ask at level 0, of sums of gradients and counts of views, (A, K) each."""
-    sums, counts = gradient_sum.ravel(), gradient_count.ravel()
-    threshold = config.growth_threshold
-    found = [np.empty(0, np.intp)]
-    for start in range(0, len(sums), BLOCK):
-        part, count = sums[start : start + BLOCK], counts[start : start + BLOCK]
-        least = np.float32(threshold * NEARLY) * count.astype(np.float32)
-        found.append(start + np.flatnonzero((count > config.slot_seen) & (part >= least)))
-    slots = np.concatenate(found)
-    mean = sums[slots] / counts[slots]
-    strong = mean >= threshold
+    """Those of ``slots`` that ask at level 0, from their sums and counts (n,)."""
+    mean = gradient_sum / gradient_count
+    strong = mean >= config.growth_threshold
     return StrongSlots(slots[strong], mean[strong])
 
 
@@ -111,9 +110,9 @@ def wanted_anchors(
     """
     slots, mean = strong.slots, strong.mean
     live = ~np.isnan(position[:, 0])
-    occupied = position_integers(position if live.all() else position[live], 1.0 / config.voxel)
+    occupied = np.compress(live, voxels_of(position, 1.0 / config.voxel), axis=1)
     most = config.most_anchors
-    room = max(0, most - len(occupied)) if most else 1 << 62
+    room = max(0, most - occupied.shape[1]) if most else 1 << 62
     found = _Found(occupied, Grid.around(occupied))
     for level in range(config.growth_levels):
         factor = config.growth_cell // CELL_DIVISOR**level
@@ -135,49 +134,38 @@ def _largest(mean: npt.NDArray[np.float64], asking: Rows, room: int) -> Rows:
     return np.sort(asking[np.argsort(-mean[asking], kind="stable")[:room]])
 
 
-def _coordinates(
-    slots: Rows, position: Floats, places: Places, voxel: float
-) -> npt.NDArray[np.float64]:
-    """P + O exp(S[:3]) in voxels, (n, 3); from the integers, so offset 0 is the anchor's voxel."""
-    place = places(slots)
-    integers = position_integers(position[slots // K_OFFSETS], 1.0 / voxel)
-    log_scale = np.clip(place[:, 3:], -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)
-    shift = place[:, :3] * np.exp(log_scale.astype(np.float64))
-    return np.asarray(integers + shift / voxel)
+def _coordinates(slots: Rows, position: Floats, places: Places, voxel: float) -> Axes:
+    """P + O exp(S[:3]) in voxels, (3, n); from the integers, so offset 0 is the anchor's voxel."""
+    place = places(slots).T
+    voxels = voxels_of(position[slots // K_OFFSETS], 1.0 / voxel)
+    log_scale = np.clip(place[3:], -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)
+    shift = place[:3] * np.exp(log_scale.astype(np.float64))
+    return np.asarray(voxels + shift / voxel)
 
 
-def _add_level(
-    found: _Found, factor: int, rows: Rows, coordinates: npt.NDArray[np.float64]
-) -> None:
-    """Give anchors to cells of ``factor`` voxels that hold none, at the coordinates (n, 3)."""
+def _add_level(found: _Found, factor: int, rows: Rows, coordinates: Axes) -> None:
+    """Give anchors to cells of ``factor`` voxels that hold none, at the coordinates (3, n)."""
     wanted = np.rint(coordinates / factor)
-    inside = found.grid.holds(wanted * factor)
-    cells, rows = wanted[inside].astype(np.int64), rows[inside]
-    keys = found.grid.keys(cells, factor)
+    inside = np.flatnonzero(found.grid.holds(wanted * factor))
+    keys = found.grid.keys(wanted[:, inside], factor)
+    for voxels in found.voxels:
+        free = ~occur(keys, found.grid.keys(cells_of(voxels, factor), factor))
+        keys, inside = keys[free], inside[free]
     order = np.argsort(keys, kind="stable")
-    taken = np.sort(found.grid.keys(cells_of(found.occupied, factor), factor))
-    order = order[~_is_in(keys[order], taken)]
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
     if len(first):
-        level = _Level(factor, cells[order[first]], first, rows[order])
-        found.levels.append(level)
-        found.occupied = np.concatenate([found.occupied, level.cells * factor])
-
-
-def _is_in(keys: Integers, ascending: Integers) -> npt.NDArray[np.bool_]:
-    """Which keys occur among others; by bisection, several times faster than numpy.isin."""
-    place = np.minimum(np.searchsorted(ascending, keys), len(ascending) - 1)
-    return np.asarray(ascending[place] == keys)
+        parents = inside[order]
+        found.levels.append(_Level(factor, wanted[:, parents[first]], first, rows[parents]))
 
 
 def _new_anchors(levels: list[_Level], voxel: float) -> NewAnchors:
     """The anchors of all levels, one level after the other."""
-    integers = [level.cells * level.factor for level in levels]
-    edges = [np.full(len(level.cells), np.log(voxel * level.factor)) for level in levels]
+    voxels = [(level.cells * level.factor).T for level in levels]
+    edges = [np.full(len(level.first), np.log(voxel * level.factor)) for level in levels]
     before = np.cumsum([0, *(len(level.parents) for level in levels)])
     first = [level.first + start for level, start in zip(levels, before, strict=False)]
     return NewAnchors(
-        position=(np.concatenate([np.empty((0, 3)), *integers]) / np.float64(1.0 / voxel)).astype(
+        position=(np.concatenate([np.empty((0, 3)), *voxels]) / np.float64(1.0 / voxel)).astype(
             np.float32
         ),
         edge=np.concatenate([np.empty(0), *edges]).astype(np.float32),

@@ -59,7 +59,6 @@ class Densifier:
     ) -> Parameters:
         """Prune and grow after a step that rendered ``frame``; anchors that go are hidden."""
         device, config = self._device, self._config
-        device.release_unused()  # arrays of other sizes come next
         seen = frame.activations.visible, frame.activations.output
         state = mask_prune(device, parameters, self.statistics, *seen)
         grow(device, state, config, rng)

@@ -19,7 +19,7 @@ from clgs.opencl.device import Device
 from clgs.ops import growth
 from clgs.ops.density import DeviceStatistics
 from clgs.train.config import TrainConfig
-from clgs.train.density.ask import strong_slots, wanted_anchors
+from clgs.train.density.ask import nearly, strong_slots, wanted_anchors
 from clgs.train.density.host_state import NOTHING_LEFT
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 
@@ -95,10 +95,11 @@ def grow(device: Device, state: DeviceState, config: TrainConfig, rng: np.random
     Sums of slots seen more than ``slot_seen`` times are then zeroed.
     """
     statistics, anchors = state.statistics, state.parameters.scene.anchors
+    slots = growth.asking(device, statistics, config.slot_seen, nearly(config.growth_threshold))
     with device.mapped(statistics.gradient_sum, statistics.gradient_count) as sums:
-        slots = strong_slots(sums[0], sums[1], config)
+        strong = strong_slots(slots, sums[0].ravel()[slots], sums[1].ravel()[slots], config)
     places = partial(growth.places, device, anchors)
-    new = wanted_anchors(state.position, slots, places, config, rng)
+    new = wanted_anchors(state.position, strong, places, config, rng)
     growth.restart(device, statistics, config.slot_seen)
     if len(new):
         _append(device, state, new)
@@ -108,6 +109,9 @@ def grow(device: Device, state: DeviceState, config: TrainConfig, rng: np.random
 def _append(device: Device, state: DeviceState, new: growth.NewAnchors) -> None:
     before = state.parameters
     zeros = partial(growth.with_zeros, device, rows=len(new))
+    held = [*before.scene.anchors.items(), *state.statistics.items()]  # moments are as the anchors
+    if not all(device.has_room(array, len(array) + len(new)) for _, array in held):
+        device.release_unused()  # longer arrays come next
     anchors = growth.append(device, before.scene.anchors, new)
     moments = {name: before.moments[name].map(zeros) for name in ANCHOR_GROUPS}
     state.parameters = Parameters(
@@ -128,16 +132,8 @@ def prune(device: Device, state: DeviceState, config: TrainConfig) -> int:
         ClgsError: no anchor is left.
     """
     statistics, anchors = state.statistics, state.parameters.scene.anchors
-    visits = device.download(statistics.visits)
-    opacity_sum = device.download(statistics.opacity_sum)
-    visited = visits > config.anchor_visits
-    opaque = opacity_sum >= np.float32(config.prune_opacity) * visits.astype(np.float32)
-    rows = np.flatnonzero(visited & ~opaque)
-    opacity_sum[visited], visits[visited] = 0.0, 0
-    device.write(statistics.visits, visits)
-    device.write(statistics.opacity_sum, opacity_sum)
-    growth.hide(device, anchors, statistics, rows)
-    growth.cap_scaling(device, anchors, config.scaling_cap)
+    limits = config.anchor_visits, config.prune_opacity, config.scaling_cap
+    rows = growth.prune(device, anchors, statistics, *limits)
     state.position[rows] = np.nan
     state.settled()
     return len(rows)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from clgs.errors import ClgsError
 from clgs.ops.density import Statistics
 from clgs.scene.anchors import AnchorSet
-from clgs.train.density.cells import Grid, position_integers
+from clgs.train.density.cells import Grid, voxels_of
 from clgs.train.state.parameters import Moments
 
 NOTHING_LEFT = (
@@ -45,7 +45,7 @@ def merge_cells(state: TrainState, q_position: float) -> int:
     Raises:
         ClgsError: the grid is too fine for the extent of the anchors.
     """
-    cells = position_integers(state.anchors.position, q_position)
+    cells = voxels_of(state.anchors.position, q_position)
     keys = Grid.around(cells).keys(cells)
     order = np.lexsort((-state.statistics.opacity_sum, keys))
     first = np.ones(len(order), np.bool_)
@@ -53,7 +53,7 @@ def merge_cells(state: TrainState, q_position: float) -> int:
     keep = np.zeros(len(order), np.bool_)
     keep[order[first]] = True
     merged = keep_rows(state, keep)
-    position = (cells[keep] / np.float64(q_position)).astype(np.float32)
+    position = (cells[:, keep].T / np.float64(q_position)).astype(np.float32)
     state.anchors = replace(state.anchors, position=position)
     return merged
 
