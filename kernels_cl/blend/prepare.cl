@@ -62,17 +62,30 @@ __kernel void blend_prepare(__global const float *mean2d, __global const float *
     store_rows16(record, prepared, (size_t)first, used);
 }
 
-/* Units that a Gaussian may touch in the tile at (x, y). */
-static inline uint record_units(__global const float *prepared, int x, int y)
+/* Writes the units that VEC entries from k on, of those before `end`, may touch in the tile at
+ * (x, y). */
+static inline void write_units(__global float *records, const int k, const int end, const int x,
+                               const int y)
 {
-#if !SKIP_UNITS
-    (void)prepared, (void)x, (void)y;
-    return ALL_UNITS;
+    int units[VEC];
+#if SKIP_UNITS
+    float numbers[5][VEC];
+    for (int lane = 0; lane < VEC; ++lane) {
+        __global const float *record = records + RECORD_SIZE * (size_t)min(k + lane, end - 1);
+        numbers[0][lane] = record[0] - (float)x;
+        numbers[1][lane] = record[1] - (float)y;
+        for (int i = 0; i < 3; ++i)
+            numbers[2 + i][lane] = record[RECORD_ELLIPSE + i];
+    }
+    const TileEllipses e = {LOAD_V(0, numbers[0]), LOAD_V(0, numbers[1]), LOAD_V(0, numbers[2]),
+                            LOAD_V(0, numbers[3]), LOAD_V(0, numbers[4])};
+    STORE_V(touched_units(&e), 0, units);
 #else
-    __global const float *ellipse = prepared + RECORD_ELLIPSE;
-    return units_of((float2)(prepared[0] - (float)x, prepared[1] - (float)y), ellipse[0],
-                    ellipse[1], ellipse[2]);
+    (void)x, (void)y;
+    STORE_V((iv)((int)ALL_UNITS), 0, units);
 #endif
+    for (int lane = 0; lane < VEC && k + lane < end; ++lane)
+        records[RECORD_SIZE * (size_t)(k + lane) + RECORD_UNITS] = as_float(units[lane]);
 }
 
 /* Records of the entries of every tile, from those of their Gaussians. */
@@ -83,19 +96,19 @@ __kernel void blend_gather(__global const float *prepared, __global const int *g
     const int tile = (int)get_group_id(0);
     const int columns = tiles_across(width);
     const int x = tile % columns * TILE_SIZE, y = tile / columns * TILE_SIZE;
-    const int begin = tile_range[tile] + (int)get_local_id(0), end = tile_range[tile + 1];
-    const int step = (int)get_local_size(0);
+    const int item = (int)get_local_id(0), step = (int)get_local_size(0);
+    const int end = tile_range[tile + 1];
     /* two loops: in a short one, more of the scattered reads are under way at the same time */
-    for (int k = begin; k < end; k += step) {
+    for (int k = tile_range[tile] + item; k < end; k += step) {
         __global const float *own = prepared + RECORD_SIZE * (size_t)gaussian[k];
         __global float *record = records + RECORD_SIZE * (size_t)k;
         PREFETCH(prepared + RECORD_SIZE * (size_t)gaussian[min(k + RECORDS_AHEAD, end - 1)]);
         vstore8(vload8(0, own), 0, record);
         vstore4(vload4(2, own), 2, record);
     }
-    for (int k = begin; k < end; k += step) {
-        __global float *record = records + RECORD_SIZE * (size_t)k;
-        record[RECORD_UNITS] = as_float(record_units(record, x, y));
-        record[RECORD_ROW] = as_float(row[k]);
+    for (int k = tile_range[tile] + item * VEC; k < end; k += step * VEC) {
+        write_units(records, k, end, x, y);
+        for (int i = k; i < min(k + VEC, end); ++i)
+            records[RECORD_SIZE * (size_t)i + RECORD_ROW] = as_float(row[i]);
     }
 }

@@ -22,11 +22,6 @@
 #if VEC == 8
 #define LANE_X ((float8)(0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f))
 #define LANE_Y ((float8)(0.5f, 0.5f, 0.5f, 0.5f, 1.5f, 1.5f, 1.5f, 1.5f))
-#define ROW_F float8
-#define ROW_I int8
-#define CONVERT_ROWS convert_int8
-#define ROW_Y ((float8)(0.5f, 2.5f, 4.5f, 6.5f, 8.5f, 10.5f, 12.5f, 14.5f))
-#define ROW_SHIFT ((int8)(28, 24, 20, 16, 12, 8, 4, 0))
 #else
 #define LANE_X                                                                                     \
     ((float16)(0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, 2.5f, 3.5f, 0.5f, 1.5f, \
@@ -34,23 +29,7 @@
 #define LANE_Y                                                                                     \
     ((float16)(0.5f, 0.5f, 0.5f, 0.5f, 1.5f, 1.5f, 1.5f, 1.5f, 2.5f, 2.5f, 2.5f, 2.5f, 3.5f, 3.5f, \
                3.5f, 3.5f))
-#define ROW_F float4
-#define ROW_I int4
-#define CONVERT_ROWS convert_int4
-#define ROW_Y ((float4)(0.5f, 4.5f, 8.5f, 12.5f))
-#define ROW_SHIFT ((int4)(28, 24, 20, 16))
 #endif
-
-static inline uint or_rows(ROW_I rows)
-{
-#if VEC == 8
-    const int4 four = rows.lo | rows.hi;
-#else
-    const int4 four = rows;
-#endif
-    const int2 pair = four.lo | four.hi;
-    return (uint)(pair.x | pair.y);
-}
 
 static inline int unit_x(int unit)
 {
@@ -73,32 +52,46 @@ static inline int pixel_y(int item)
     return unit_y(item / UNIT_SIZE) + item % UNIT_SIZE / UNIT_WIDTH;
 }
 
-/* Units that an ellipse touches, its centre relative to the tile; see Ellipses. Of a number that is
- * not finite, all. A little too large, so that rounding never loses a pixel. */
-static inline uint units_of(float2 centre, float slope, float squared, float shrink)
+/* VEC ellipses, see Ellipses; centres relative to the tile. */
+typedef struct {
+    fv x, y, slope, squared, shrink;
+} TileEllipses;
+
+/* Columns of units, four bits, that ellipses touch in a row of units; the first is the highest bit.
+ */
+static inline iv touched_columns(const TileEllipses *e, const int unit_row)
 {
-    const ROW_F width = (ROW_F)((float)TILE_SIZE);
-    ROW_F low = width, high = (ROW_F)(0.0f);
+    const fv width = (fv)((float)TILE_SIZE), zero = (fv)(0.0f);
+    fv low = width, high = zero;
     for (int row = 0; row < UNIT_HEIGHT; ++row) {
-        const ROW_F dy = ROW_Y + (ROW_F)((float)row - centre.y);
-        const ROW_F rest = fma((ROW_F)(-shrink) * dy, dy, (ROW_F)(squared));
-        const ROW_F radius = sqrt(rest);
-        const ROW_F middle = fma((ROW_F)(slope), dy, (ROW_F)(centre.x));
-        const ROW_F reach = fma(radius + fabs(middle), (ROW_F)(1e-6f), radius + 1e-3f);
-        const ROW_F left = middle - reach, right = middle + reach;
-        const ROW_I none = rest < (ROW_F)(0.0f);
+        const fv dy = ((float)(UNIT_HEIGHT * unit_row) + 0.5f) + ((float)row - e->y);
+        const fv rest = fma(-e->shrink * dy, dy, e->squared);
+        const fv radius = sqrt(rest);
+        const fv middle = fma(e->slope, dy, e->x);
+        const fv reach = fma(radius + fabs(middle), (fv)(1e-6f), radius + 1e-3f);
+        const fv left = middle - reach, right = middle + reach;
+        const iv none = rest < zero;
         /* phrased so that a NaN spans the row */
-        const ROW_F bound_left = none ? width : (left > (ROW_F)(0.0f) ? left : (ROW_F)(0.0f));
-        const ROW_F bound_right = none ? (ROW_F)(0.0f) : (right < width ? right : width);
+        const fv bound_left = none ? width : (left > zero ? left : zero);
+        const fv bound_right = none ? zero : (right < width ? right : width);
         low = bound_left < low ? bound_left : low;
         high = bound_right > high ? bound_right : high;
     }
-    const ROW_F scale = (ROW_F)(1.0f / UNIT_WIDTH);
-    const ROW_I first = CONVERT_ROWS((low + (ROW_F)(0.5f)) * scale);
-    const ROW_I end = CONVERT_ROWS((high + (ROW_F)(UNIT_WIDTH - 0.5f)) * scale);
-    /* the first column is the highest of four bits */
-    const ROW_I bits = ((ROW_I)(16) >> first) - ((ROW_I)(16) >> end);
-    return or_rows((end > first ? bits : (ROW_I)(0)) << ROW_SHIFT);
+    const float scale = 1.0f / UNIT_WIDTH;
+    const iv first = TO_IV((low + 0.5f) * scale);
+    const iv end = TO_IV((high + (UNIT_WIDTH - 0.5f)) * scale);
+    const iv bits = ((iv)(16) >> first) - ((iv)(16) >> end);
+    return end > first ? bits : (iv)(0);
+}
+
+/* Units that ellipses touch. Of a number that is not finite, all. A little too large, so that
+ * rounding never loses a pixel. */
+static inline iv touched_units(const TileEllipses *e)
+{
+    iv units = (iv)(0);
+    for (int row = 0; row < UNIT_ROWS; ++row)
+        units |= touched_columns(e, row) << (28 - 4 * row);
+    return units;
 }
 
 /* Sets of units: unit 0 is the highest bit of a uint. */

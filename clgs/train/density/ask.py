@@ -147,15 +147,20 @@ def _add_level(found: _Found, factor: int, rows: Rows, coordinates: Axes) -> Non
     """Give anchors to cells of ``factor`` voxels that hold none, at the coordinates (3, n)."""
     wanted = np.rint(coordinates / factor)
     inside = np.flatnonzero(found.grid.holds(wanted * factor))
-    keys = found.grid.keys(wanted[:, inside], factor)
-    for voxels in found.voxels:
-        free = ~occur(keys, found.grid.keys(cells_of(voxels, factor), factor))
-        keys, inside = keys[free], inside[free]
+    keys = found.grid.keys(np.take(wanted, inside, axis=1), factor)
     order = np.argsort(keys, kind="stable")
-    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    if len(first):
-        parents = inside[order]
-        found.levels.append(_Level(factor, wanted[:, parents[first]], first, rows[parents]))
+    keys, inside = keys[order], inside[order]
+    starts = np.flatnonzero(np.diff(keys, prepend=-1))
+    free = np.ones(len(starts), np.bool_)
+    for voxels in found.voxels:
+        free &= ~occur(keys[starts], found.grid.keys(cells_of(voxels, factor), factor))
+    if free.any():
+        sizes = np.diff(starts, append=len(keys))
+        parents = inside[np.repeat(free, sizes)]
+        first = np.cumsum(sizes[free]) - sizes[free]
+        found.levels.append(
+            _Level(factor, np.take(wanted, parents[first], axis=1), first, rows[parents])
+        )
 
 
 def _new_anchors(levels: list[_Level], voxel: float) -> NewAnchors:

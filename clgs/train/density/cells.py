@@ -75,7 +75,7 @@ def cells_of(voxels: Axes, factor: int) -> Axes:
 
 
 def occur(keys: Integers, among: Integers) -> npt.NDArray[np.bool_]:
-    """Which of a few keys (n,) occur among many.
+    """Which of a few keys (n,), best ascending, occur among many.
 
     Sorting the many takes longest, so a table of the hashes of the few leaves out nearly all that
     are none of them.

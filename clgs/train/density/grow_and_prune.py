@@ -98,9 +98,9 @@ def grow(device: Device, state: DeviceState, config: TrainConfig, rng: np.random
     slots = growth.asking(device, statistics, config.slot_seen, nearly(config.growth_threshold))
     with device.mapped(statistics.gradient_sum, statistics.gradient_count) as sums:
         strong = strong_slots(slots, sums[0].ravel()[slots], sums[1].ravel()[slots], config)
+    growth.restart(device, statistics, config.slot_seen)
     places = partial(growth.places, device, anchors)
     new = wanted_anchors(state.position, strong, places, config, rng)
-    growth.restart(device, statistics, config.slot_seen)
     if len(new):
         _append(device, state, new)
     return len(new)
