@@ -3,10 +3,10 @@
 
     scripts/checks/mutation_check.py [--only WORD]
 
-Every bug of ``mutations.py`` is applied to a copy of kernels and ops; the tests of its stage must
-fail. First every bug must apply to the sources, the same tests must pass on an unchanged copy, and
-fail on one that does not compile. Kernels that a bug leaves as they are come from the tests' cache.
-Exit code 1 if a bug survives, or if a first condition does not hold.
+Every bug of ``mutations.py`` and ``mutations_gpu.py`` is applied to a copy of kernels and ops; the
+tests of its stage must fail. First every bug must apply to the sources, the same tests must pass on
+an unchanged copy, and fail on one that does not compile. Kernels that a bug leaves as they are come
+from the tests' cache. Exit code 1 if a bug survives, or if a first condition does not hold.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from mutations import MUTATIONS, Mutation
+from mutations_gpu import GPU_MUTATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 JOBS = min(os.cpu_count() or 1, 8)
@@ -34,6 +35,7 @@ SUITES = {
     "scan": ["tests/ops/test_scan.py", f"{STRESS}counts.py"],
     "adam": ["tests/ops/test_adam.py", f"{STRESS}sums.py"],
     "loss": ["tests/ops/test_loss.py", f"{STRESS}sums.py"],
+    "exposure": ["tests/ops/test_exposure.py"],
     "rate": ["tests/ops/test_rate.py", f"{STRESS}sums.py"],
     "quantize": ["tests/ops/test_quantize.py"],
     "neural": ["tests/ops/test_neural.py", f"{STRESS}poison.py"],
@@ -131,7 +133,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--only", default="", help="bugs whose stage or description holds this")
     only = parser.parse_args().only
-    bugs = [bug for bug in MUTATIONS if only in f"{bug.stage}: {bug.what}"]
+    every = (*MUTATIONS, *GPU_MUTATIONS)
+    bugs = [bug for bug in every if only in f"{bug.stage}: {bug.what}"]
     start = time.monotonic()
     complaints = stale(bugs) or controls({bug.stage for bug in bugs})
     for complaint in complaints:

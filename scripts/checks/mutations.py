@@ -236,20 +236,6 @@ MUTATIONS = (
     ),
     Mutation(
         "mlp",
-        "gradient through an inactive unit, in work-groups",
-        "kernels_cl/mlp/backward_gpu.cl",
-        "sum[u][i] = hidden[u][i] > 0.0f ? sum[u][i] : 0.0f;",
-        "sum[u][i] = hidden[u][i] >= 0.0f ? sum[u][i] : 0.0f;",
-    ),
-    Mutation(
-        "mlp",
-        "a layer without the inputs of its last slice, in work-groups",
-        "kernels_cl/mlp/group/layer.h",
-        "for (int input = 0; input < inputs; input += SLICE) {",
-        "for (int input = 0; input + SLICE <= inputs; input += SLICE) {",
-    ),
-    Mutation(
-        "mlp",
         "weight gradient without the first block of a run",
         "kernels_cl/mlp/backward_cpu.cl",
         "add_run(&vectors, block * VECTORS, (block + 1) * VECTORS)",
