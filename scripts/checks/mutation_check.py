@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -27,6 +28,7 @@ from mutations_gpu import GPU_MUTATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 JOBS = min(os.cpu_count() or 1, 8)
+CRASHES = (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT)
 STRESS = "tests/stress/test_"
 SUITES = {
     "project": ["tests/ops/test_project.py", f"{STRESS}geometry.py", f"{STRESS}tiers.py"],
@@ -90,13 +92,15 @@ def run_tests(folder: Path, files: list[str], *options: str) -> tuple[int, str]:
 
 
 def caught(bug: Mutation) -> tuple[bool, str]:
-    """Whether the stage's tests fail with the bug, and the first that does."""
+    """Whether the stage's tests fail with the bug or crash, and the first that does."""
     with tempfile.TemporaryDirectory(prefix="clgs-mutant-") as name:
         folder = Path(name)
         copy_sources(folder)
         seed(bug, folder)
         options = ["-k", "not cpu"] if bug in GPU_MUTATIONS else []
         code, line = run_tests(folder, SUITES[bug.stage], "-x", *options)
+        if -code in CRASHES:  # by a kernel that reads or writes where it must not
+            return True, f"crash: {signal.Signals(-code).name}"
         # 1: tests failed; anything else says that they did not run
         return code == 1, line
 
