@@ -3,10 +3,11 @@
 
     scripts/checks/mutation_check.py [--only WORD]
 
-Every bug of ``mutations.py`` is applied to a copy of kernels and ops; the tests of its stage must
-fail. First every bug must apply to the sources, the same tests must pass on an unchanged copy, and
-fail on one that does not compile. Kernels that a bug leaves as they are come from the tests' cache.
-Exit code 1 if a bug survives, or if a first condition does not hold.
+Every bug of ``mutations.py`` and ``mutations_gpu.py`` is applied to a copy of kernels and ops; the
+tests of its stage must fail; those of the CPU form alone cannot, and are left out, if the bug is in
+the GPU form. First every bug must apply to the sources, the same tests must pass on an unchanged
+copy, and fail on one that does not compile. Kernels that a bug leaves as they are come from the
+tests' cache. Exit code 1 if a bug survives, or if a first condition does not hold.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -22,9 +24,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from mutations import MUTATIONS, Mutation
+from mutations_gpu import GPU_MUTATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 JOBS = min(os.cpu_count() or 1, 8)
+CRASHES = (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT)
 STRESS = "tests/stress/test_"
 SUITES = {
     "project": ["tests/ops/test_project.py", f"{STRESS}geometry.py", f"{STRESS}tiers.py"],
@@ -34,6 +38,7 @@ SUITES = {
     "scan": ["tests/ops/test_scan.py", f"{STRESS}counts.py"],
     "adam": ["tests/ops/test_adam.py", f"{STRESS}sums.py"],
     "loss": ["tests/ops/test_loss.py", f"{STRESS}sums.py"],
+    "exposure": ["tests/ops/test_exposure.py"],
     "rate": ["tests/ops/test_rate.py", f"{STRESS}sums.py"],
     "quantize": ["tests/ops/test_quantize.py"],
     "neural": ["tests/ops/test_neural.py", f"{STRESS}poison.py"],
@@ -41,6 +46,7 @@ SUITES = {
     "density": ["tests/ops/test_density.py"],
     "cull": ["tests/ops/test_cull.py"],
     "decode": ["tests/ops/test_project_anchors.py"],
+    "growth": ["tests/ops/test_growth.py", "tests/train/density"],
 }
 """Tests of every stage: all of its own, and all stress tests of its theme."""
 
@@ -87,15 +93,17 @@ def run_tests(folder: Path, files: list[str], *options: str) -> tuple[int, str]:
 
 
 def caught(bug: Mutation) -> tuple[bool, str]:
-    """Whether the stage's tests fail with the bug, and the first that does."""
+    """Whether the stage's tests fail with the bug or crash, and the first that does."""
     with tempfile.TemporaryDirectory(prefix="clgs-mutant-") as name:
         folder = Path(name)
         copy_sources(folder)
         seed(bug, folder)
-        code, line = run_tests(folder, SUITES[bug.stage], "-x")
-        # 1: tests failed; below 0: a signal ended them, as the bug wrote where nothing is. Anything
-        # else says that they did not run.
-        return code == 1 or code < 0, line
+        options = ["-k", "not cpu"] if bug in GPU_MUTATIONS else []
+        code, line = run_tests(folder, SUITES[bug.stage], "-x", *options)
+        if -code in CRASHES:  # by a kernel that reads or writes where it must not
+            return True, f"crash: {signal.Signals(-code).name}"
+        # 1: tests failed; anything else says that they did not run
+        return code == 1, line
 
 
 def stale(bugs: list[Mutation]) -> list[str]:
@@ -132,7 +140,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--only", default="", help="bugs whose stage or description holds this")
     only = parser.parse_args().only
-    bugs = [bug for bug in MUTATIONS if only in f"{bug.stage}: {bug.what}"]
+    every = (*MUTATIONS, *GPU_MUTATIONS)
+    bugs = [bug for bug in every if only in f"{bug.stage}: {bug.what}"]
     start = time.monotonic()
     complaints = stale(bugs) or controls({bug.stage for bug in bugs})
     for complaint in complaints:

@@ -207,6 +207,27 @@ MUTATIONS = (
         "bits / 2",
     ),
     Mutation(
+        "growth",
+        "slots that were seen just often enough ask",
+        "kernels_cl/anchors/growth.cl",
+        "times > seen && gradient_sum",
+        "times >= seen && gradient_sum",
+    ),
+    Mutation(
+        "growth",
+        "an anchor whose opacity is not a number stays",
+        "kernels_cl/anchors/growth.cl",
+        "!(opacity_sum[anchor] >= least * (float)visits[anchor])",
+        "opacity_sum[anchor] < least * (float)visits[anchor]",
+    ),
+    Mutation(
+        "growth",
+        "keys whose hash is that of another count as taken",
+        "clgs/train/density/cells.py",
+        "near[place] == keys",
+        "table[_hashes(keys)]",
+    ),
+    Mutation(
         "scan",
         "total of 32 bits",
         "kernels_cl/scan/offsets_cpu.cl",
@@ -275,20 +296,6 @@ MUTATIONS = (
         "kernels_cl/mlp/block/backward.h",
         "const fv d = active > (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
         "const fv d = active >= (fv)(0.0f) ? sum[o][s] : (fv)(0.0f);",
-    ),
-    Mutation(
-        "mlp",
-        "gradient through an inactive unit, in work-groups",
-        "kernels_cl/mlp/backward_gpu.cl",
-        "sum[u][i] = hidden[u][i] > 0.0f ? sum[u][i] : 0.0f;",
-        "sum[u][i] = hidden[u][i] >= 0.0f ? sum[u][i] : 0.0f;",
-    ),
-    Mutation(
-        "mlp",
-        "a layer without the inputs of its last slice, in work-groups",
-        "kernels_cl/mlp/group/layer.h",
-        "for (int input = 0; input < inputs; input += SLICE) {",
-        "for (int input = 0; input + SLICE <= inputs; input += SLICE) {",
     ),
     Mutation(
         "mlp",

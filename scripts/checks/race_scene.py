@@ -2,8 +2,8 @@
 
 Every kernel that training and rendering launch runs, those of rounding and rate proxy after the
 step: no step has both them and the statistics for growing, and a step takes up to a minute. Then
-the other builds of the rasteriser, which presets of accuracy ask for, forward and backward; and
-lists that lack room. With --step these two are left out.
+the other builds of the rasteriser, which presets of accuracy ask for, forward and backward; lists
+that lack room; and a list that is staged batch after batch. With --step these three are left out.
 """
 
 from __future__ import annotations
@@ -16,14 +16,17 @@ import numpy as np
 import numpy.typing as npt
 import pyopencl as cl
 
+from clgs.constants import TILE_SIZE
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import cull, rate, tiles
+from clgs.ops import blend, cull, rate, tiles
+from clgs.ops.project import Projected
 from clgs.options import RenderOptions, render_options
 from clgs.render import tile_groups
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.camera import Camera
 from clgs.synthetic.anchor_scene import anchor_scene, photo_dataset
+from clgs.synthetic.gaussians import projected_scene
 from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
 from clgs.train.run.trainer import Trainer
@@ -34,6 +37,8 @@ GAUSSIANS = 70
 """About; from 18 anchors, one full lane vector and one that is not."""
 SIZE = 24
 """Four tiles, three of which reach beyond the image."""
+DEEP = 320
+"""Gaussians of a single tile: most of them, more than the 256 of a batch, are in its list."""
 
 
 class ExactDevice(Device):
@@ -62,6 +67,7 @@ def main(name: str, specialisation: str, only: str = "") -> int:
         return 0 if np.isfinite(result.loss + bits) else 1
     largest = max(gradient_by_preset(trainer, camera, name) for name in ("exact", "fast"))
     without_room(trainer, camera)
+    deep_tile(device)
     return 0 if np.isfinite(result.loss + bits + largest) else 1
 
 
@@ -89,6 +95,17 @@ def without_room(trainer: Trainer, camera: Camera) -> None:
     options = RenderOptions(max_memory=int(by_row.max()) * entry)
     grouped = render_forward(device, scene, camera, trainer.settings, options)
     render_backward(device, scene, grouped, device.zeros(frame.image.shape))
+    device.finish()
+
+
+def deep_tile(device: Device) -> None:
+    """Blend a list of several batches, forward and backward; small Gaussians, to be quick."""
+    scene = projected_scene(np.random.default_rng(0), DEEP, TILE_SIZE, TILE_SIZE, 0.6)
+    drawn = Projected(**{name: device.upload(array) for name, array in vars(scene).items()})
+    lists = tiles.forward(device, drawn, (TILE_SIZE, TILE_SIZE))
+    assert len(lists.gaussian) > 256
+    blended = blend.forward(device, drawn, lists, device.zeros((3,)))
+    blend.backward(device, drawn, blended, device.zeros(blended.image.shape))
     device.finish()
 
 

@@ -260,6 +260,22 @@ def test_poison_stays_in_its_anchor(device, rng, slot, poison):
         assert not array[bad].any() or name == "d_weights"
 
 
+@pytest.mark.parametrize("slot", ["feature", "position"])
+def test_poison_does_not_reach_the_weights_if_nothing_is_skipped(device, rng, slot):
+    """Samples that draw nothing are part of the sums then."""
+    options = RenderOptions(skips=Skips(opacity_first=False, slots=False))
+    values, visible = anchors(rng, 70), some(rng, 65, 70)
+    d_of_anchor = random_gradients(rng, 70)
+    bad = int(visible[30])
+    values[slot][bad] = np.inf
+    terms = gradient_terms(values, visible[visible != bad], d_of_anchor)["d_weights"]
+    found = run_backward(device, values, visible, d_of_anchor, options=options)
+    without = run_backward(device, values, visible[visible != bad], d_of_anchor, options=options)
+    # the others may lie elsewhere
+    assert_close(found["d_weights"], without["d_weights"], 4 * EPSILON * terms, "d_weights")
+    assert not found["d_feature"][bad].any()
+
+
 def outputs_by_anchor(device, values, visible):
     activations = run_forward(device, values, visible)
     output = mlp.drawn_output(device, activations)
@@ -293,6 +309,15 @@ def test_both_specialisations_decode_the_same(open_device, rng):
         columns.append(device.download(activations.visible))
     assert np.array_equal(*columns)
     assert np.array_equal(*outputs)
+
+
+def test_both_specialisations_go_back_the_same(open_device, rng):
+    """Samples are summed in one order everywhere; five batches, the last one not full."""
+    values, visible = anchors(rng, 2500), some(rng, 2200, 2500)
+    d_of_anchor = random_gradients(rng, 2500)
+    cpu, gpu = (run_backward(open_device(n), values, visible, d_of_anchor) for n in ("cpu", "gpu"))
+    for name, array in cpu.items():
+        assert np.array_equal(array, gpu[name]), name
 
 
 HASH_SCRIPT = """
