@@ -7,21 +7,27 @@
 #define GROUP_SIZE 256 /* work-items of a work-group */
 #define SCAN_GROUP GROUP_OF(GROUP_SIZE)
 
+#define SCAN_SCRATCH                                                                               \
+    (2 * GROUP_SIZE) /* numbers of local memory; halves are read and written in turn */
+
 /* Sum of the values of the work-items before this one; *total is the sum of all. Every work-item of
- * the group must call it; scratch holds GROUP_SIZE numbers and is free again on return. */
+ * the group must call it; scratch holds SCAN_SCRATCH numbers and is free again on return. */
 static inline long group_exclusive_scan(long value, __local long *scratch, long *total)
 {
     const int item = (int)get_local_id(0);
-    scratch[item] = value;
+    __local long *read = scratch, *write = scratch + GROUP_SIZE;
+    long inclusive = value;
+    read[item] = value;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int step = 1; step < GROUP_SIZE; step *= 2) {
-        const long before = item >= step ? scratch[item - step] : 0L;
+        inclusive += item >= step ? read[item - step] : 0L;
+        write[item] = inclusive;
         barrier(CLK_LOCAL_MEM_FENCE);
-        scratch[item] += before;
-        barrier(CLK_LOCAL_MEM_FENCE);
+        __local long *written = write;
+        write = read;
+        read = written;
     }
-    const long inclusive = scratch[item];
-    *total = scratch[GROUP_SIZE - 1];
+    *total = read[GROUP_SIZE - 1];
     barrier(CLK_LOCAL_MEM_FENCE);
     return inclusive - value;
 }

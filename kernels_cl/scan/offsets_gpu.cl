@@ -8,6 +8,9 @@
 #include "common/chunk.h"
 #include "scan/group_scan.h"
 
+/* Neighbouring numbers that a work-item scans on its own. */
+#define EACH 4
+
 /* What this work-item takes part in adding up of the counts of a chunk. */
 static inline long own_sum(__global const int *counts, const int first, const int end)
 {
@@ -20,7 +23,7 @@ static inline long own_sum(__global const int *counts, const int first, const in
 SCAN_GROUP __kernel void scan_reduce(__global const int *counts, const int count, const int chunk,
                                      __global long *sums)
 {
-    __local long scratch[GROUP_SIZE];
+    __local long scratch[SCAN_SCRATCH];
     const int group = (int)get_group_id(0), first = group * chunk;
     long sum;
     group_exclusive_scan(own_sum(counts, first, chunk_end(first, chunk, count)), scratch, &sum);
@@ -32,7 +35,7 @@ SCAN_GROUP __kernel void scan_apply(__global const int *counts, const int count,
                                     __global const long *sums, const int parts, const int part,
                                     const long limit, __global long *total, __global int *offsets)
 {
-    __local long scratch[GROUP_SIZE];
+    __local long scratch[SCAN_SCRATCH];
     const int begin = (int)get_group_id(0) * chunk;
     const int end = chunk_end(begin, chunk, count);
     long own_all = 0, own_before = 0, all, carry;
@@ -43,14 +46,17 @@ SCAN_GROUP __kernel void scan_apply(__global const int *counts, const int count,
     group_exclusive_scan(own_all, scratch, &all);
     group_exclusive_scan(own_before, scratch, &carry);
     const bool fits = all <= limit;
-    for (int first = begin; first < end; first += GROUP_SIZE) {
-        const int i = first + (int)get_local_id(0);
-        long sum;
-        const long own = i < end ? (long)counts[i] : 0L;
-        const long before = group_exclusive_scan(own, scratch, &sum);
-        if (i < end)
-            offsets[i] = fits ? (int)(carry + before) : 0;
-        carry += sum;
+    for (int first = begin; first < end; first += EACH * GROUP_SIZE) {
+        const int own = first + EACH * (int)get_local_id(0);
+        long sum = 0, all_here;
+        for (int i = own; i < min(own + EACH, end); ++i)
+            sum += counts[i];
+        long before = carry + group_exclusive_scan(sum, scratch, &all_here);
+        for (int i = own; i < min(own + EACH, end); ++i) {
+            offsets[i] = fits ? (int)before : 0;
+            before += counts[i];
+        }
+        carry += all_here;
     }
     if (get_global_id(0) == 0) {
         offsets[count] = fits ? (int)all : 0;

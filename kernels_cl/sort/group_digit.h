@@ -39,7 +39,7 @@ typedef struct {
 /* Local memory of a pass. next: the place of the next key of each digit. having: for each SEGMENT
  * keys and each digit, which of them have it, a bit per key. */
 typedef struct {
-    long scan[GROUP_SIZE];
+    long scan[SCAN_SCRATCH];
     int next[DIGITS];
     uint having[SEGMENTS * DIGITS];
 } SortScratch;
