@@ -25,6 +25,7 @@ struct Cost {
 
 constexpr unsigned PRIVATE = 0, GLOBAL = 1, CONSTANT = 2, LOCAL = 3;
 constexpr uint32_t DIVISION = 9, ROOT = 8, INTEGER_DIVISION = 18, BY_CONSTANT = 4;
+constexpr uint32_t LONG_DIVISION = 24; // of numbers that fit in 32 bits, which is tested
 
 inline uint32_t elements(const llvm::Type *type)
 {
@@ -127,10 +128,13 @@ inline uint32_t split_accesses(const llvm::Type *type, uint64_t alignment, unsig
     return widest && bytes > widest ? static_cast<uint32_t>((bytes + widest - 1) / widest) : 1;
 }
 
-inline Cost division_cost(const llvm::Instruction *instruction, uint32_t n)
+inline Cost division_cost(const llvm::Instruction *instruction)
 {
-    const bool constant = llvm::isa<llvm::Constant>(instruction->getOperand(1));
-    return {n * (constant ? BY_CONSTANT : INTEGER_DIVISION), 0, 0};
+    const llvm::Type *type = instruction->getType();
+    if (llvm::isa<llvm::Constant>(instruction->getOperand(1)))
+        return {registers(type) * BY_CONSTANT, 0, 0};
+    const bool wide = type->getScalarSizeInBits() > 32;
+    return {elements(type) * (wide ? LONG_DIVISION : INTEGER_DIVISION), 0, 0};
 }
 
 inline Cost cost_of(const llvm::Instruction *instruction)
@@ -150,7 +154,7 @@ inline Cost cost_of(const llvm::Instruction *instruction)
     case Instruction::SDiv:
     case Instruction::URem:
     case Instruction::SRem:
-        return division_cost(instruction, n);
+        return division_cost(instruction);
     case Instruction::ICmp:
     case Instruction::FCmp:
         return {registers(instruction->getOperand(0)->getType()), 0, 0};

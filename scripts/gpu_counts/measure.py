@@ -30,8 +30,7 @@ def state(source: Path) -> Json:
     """All that is recorded of a checkout."""
     say(f"{source}: instructions of sm_90")
     found: Json = {"sass": sass.instructions(source), "scenes": {}, "benches": {}}
-    git = ["git", "-C", str(source), "rev-parse", "--short", "HEAD"]
-    found["commit"] = run(git, capture_output=True, text=True, check=True).stdout.strip()
+    found["commit"] = last_commit(source)
     with tempfile.TemporaryDirectory() as folder:
         plugin = oclgrind.build(Path(folder))
         for name, size in SMALL.items():
@@ -43,6 +42,12 @@ def state(source: Path) -> Json:
             kernels = {key: {"launches": each} for key, each in grouped(scene["launches"]).items()}
             found["benches"][name] = {"kernels": kernels, "units": scene["units"]}
     return found
+
+
+def last_commit(source: Path) -> str:
+    """The one that last changed what is counted."""
+    command = ["git", "-C", str(source), "log", "-1", "--format=%h", "--", "clgs", "kernels_cl"]
+    return run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def counted(source: Path, size: tuple[int, int, int], folder: Path, plugin: Path) -> Json:

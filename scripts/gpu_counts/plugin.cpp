@@ -11,6 +11,7 @@
 
 #include "llvm/IR/DebugInfoMetadata.h"
 #include "llvm/IR/DebugLoc.h"
+#include "llvm/Support/CommandLine.h"
 
 #include "cost.h"
 #include "intrinsics.h"
@@ -235,8 +236,16 @@ class Counter : public Plugin
 
 static gpu_counts::Counter *counter;
 
+// A GPU loads whole vectors from local memory; without its cost model LLVM would take them apart.
+static void keep_vectors()
+{
+    const char *const options[] = {"gpu_counts", "-disable-vector-combine"};
+    llvm::cl::ParseCommandLineOptions(2, options);
+}
+
 extern "C" void initializePlugins(oclgrind::Context *context)
 {
+    keep_vectors();
     counter = new gpu_counts::Counter(context);
     context->registerPlugin(counter);
 }
