@@ -1,4 +1,4 @@
-// Intrinsics that LLVM's optimiser makes and that Oclgrind 21.10 lacks.
+// What LLVM's optimiser makes and Oclgrind 21.10 does not know, or does wrong.
 #pragma once
 
 #include <cstdint>
@@ -104,6 +104,16 @@ inline void add_missing_intrinsics()
     for (const auto &one : missing)
         oclgrind::workItemPrefixBuiltins.push_back(
             {one.first, oclgrind::BuiltinFunction(one.second, nullptr)});
+}
+
+// Comparisons of vectors give Oclgrind -1, constants are 1, and so their `xor` never false: what
+// the optimiser makes of a negation. The lowest bit is right.
+inline void mend_truth(const llvm::Type *type, const TypedValue &result)
+{
+    if (!type->isVectorTy() || !type->isIntOrIntVectorTy(1))
+        return;
+    for (unsigned i = 0; i < result.num * result.size; ++i)
+        result.data[i] = result.data[i] & 1 ? 0xff : 0;
 }
 
 } // namespace gpu_counts

@@ -78,8 +78,9 @@ class Counter : public Plugin
     }
 
     void instructionExecuted(const WorkItem *item, const llvm::Instruction *instruction,
-                             const TypedValue &) override
+                             const TypedValue &result) override
     {
+        mend_truth(instruction->getType(), result);
         select(item);
         const uint32_t id = id_of(instruction);
         warp_.executed(id);

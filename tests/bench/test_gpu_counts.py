@@ -60,6 +60,14 @@ __kernel void divergent(__global const float *x, __global float *y)
         sum = fma(sum, x[0], x[1]);
     y[get_global_id(0)] = sum;
 }
+__kernel void negated(__global const float *x, __global float *y)
+{
+    const int i = (int)get_global_id(0);
+    const float4 v = (float4)(x[i], x[i] - 1.0f, 1.0f, -1.0f);
+    const int4 no = v < (float4)(0.0f) || v != v, yes = !no;
+    const float4 chosen = yes ? (float4)(1.0f) : (float4)(10.0f);
+    y[i] = chosen.x + chosen.y + chosen.z + chosen.w;
+}
 __kernel void missing(__global const float *x, __global float *y)
 {
     const int i = (int)get_global_id(0);
@@ -67,7 +75,16 @@ __kernel void missing(__global const float *x, __global float *y)
     y[i] = (float)(popcount(word) + abs((int)word) + (int)rotate(word, 3u) + (int)clz(word));
 }
 """
-KERNELS = ["coalesced", "strided", "vectors", "shared", "counting", "divergent", "missing"]
+KERNELS = [
+    "negated",
+    "coalesced",
+    "strided",
+    "vectors",
+    "shared",
+    "counting",
+    "divergent",
+    "missing",
+]
 
 DRIVER = """
 import sys
@@ -80,6 +97,10 @@ x, y = (cl.Buffer(context, cl.mem_flags.READ_WRITE, 4096) for _ in range(2))
 cl.enqueue_copy(queue, x, np.linspace(0, 1, 1024, dtype=np.float32))
 for name in sys.argv[2:]:
     cl.Kernel(program, name)(queue, (64,), (32,), x, y)
+    if name == "negated":
+        found = np.empty(64, np.float32)
+        cl.enqueue_copy(queue, found, y)
+        assert (found == 22).all(), found
 queue.finish()
 """
 
