@@ -68,17 +68,28 @@ NAMES = (
 
 
 def works(state: Json, key: str) -> list[tuple[Work, Sums]]:
-    """What is known of a kernel, the smallest scene first; elsewhere in a step if not here."""
-    scenes = state["scenes"].values()
-    kernel = key.split(": ")[1]
+    """What is known of a kernel, the smallest scene first.
+
+    Sorts and prefix sums are known from many elements alone, others from steps; from another stage
+    if a kernel is not in this one.
+    """
+    kernel, own = key.split(": ")[1], "scenes"
+    if any(key_of(each, kernel) for each in state["elements"].values()):
+        own, key = "elements", f"elements: {kernel}"
+    scenes = list(state[own].values())
     if not any(key in scene["kernels"] for scene in scenes):
-        others = [k for scene in scenes for k in scene["kernels"] if k.endswith(f": {kernel}")]
-        key = others[0] if others else key
-    return [
+        key = next((found for each in scenes if (found := key_of(each, kernel))), key)
+    known = [
         (Work(scene["kernels"][key]["launches"], scene["units"]), scene["kernels"][key]["sums"])
-        for scene in sorted(scenes, key=lambda scene: int(scene["units"]["pixels"]))
+        for scene in scenes
         if key in scene["kernels"]
     ]
+    return sorted(known, key=lambda one: one[1]["work_items"])
+
+
+def key_of(scene: Json, kernel: str) -> str | None:
+    """A kernel of a scene, in whatever stage."""
+    return next((key for key in scene["kernels"] if key.endswith(f": {kernel}")), None)
 
 
 def kernels(state: Json, bench: str) -> list[Kernel]:
@@ -115,14 +126,13 @@ def row(found: list[Kernel]) -> Row:
 
 
 def scaling_errors(state: Json, name: str = "warp_instructions") -> dict[str, tuple[float, float]]:
-    """By kernel: counts of the largest small scene from the two others, and its own."""
-    scenes = sorted(state["scenes"].values(), key=lambda scene: int(scene["units"]["pixels"]))
-    largest = scenes[-1]
+    """By kernel: counts of the largest small scene from the others, and its own."""
+    largest = max(state["scenes"].values(), key=lambda scene: int(scene["units"]["pixels"]))
     found = {}
     for key, each in largest["kernels"].items():
-        known = works(state, key)
-        if len(known) == len(scenes):
-            target = Work(each["launches"], largest["units"])
-            guess = scaled(key.split(": ")[1], known[:-1], target)
+        known = [one for one in works(state, key) if one[1] is not each["sums"]]
+        target = Work(each["launches"], largest["units"])
+        if known:
+            guess = scaled(key.split(": ")[1], known, target)
             found[key] = guess[name], float(each["sums"][name])
     return found

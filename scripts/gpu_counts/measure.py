@@ -25,25 +25,35 @@ BENCHES = {
 
 SAME_LOSS = 1e-5
 
+ELEMENTS = (16_384, 65_536)
+"""Sorted and summed by themselves: in small scenes these kernels have too few work-groups."""
+
 Json = dict[str, Any]
 
 
 def state(source: Path) -> Json:
     """All that is recorded of a checkout."""
     say(f"{source}: instructions of sm_90")
-    found: Json = {"sass": sass.instructions(source), "scenes": {}, "benches": {}}
+    found: Json = {"sass": sass.instructions(source)}
     found["commit"] = last_commit(source)
     with tempfile.TemporaryDirectory() as folder:
         plugin = oclgrind.build(Path(folder))
-        for name, size in SMALL.items():
-            say(f"{source}: {name} under Oclgrind")
-            found["scenes"][name] = counted(source, size, Path(folder), plugin)
-        for name, size in BENCHES.items():
-            say(f"{source}: {name}, its sizes")
-            scene = run_scene(source, "default", size, 2, Path(folder), None)
-            kernels = {key: {"launches": each} for key, each in grouped(scene["launches"]).items()}
-            found["benches"][name] = {"kernels": kernels, "units": scene["units"]}
+        small = {**SMALL, **{f"{count} elements": (count, 0, 0) for count in ELEMENTS}}
+        scenes = {name: counted(source, size, Path(folder), plugin) for name, size in small.items()}
+        found["scenes"] = {name: scenes[name] for name in SMALL}
+        found["elements"] = {name: each for name, each in scenes.items() if name not in SMALL}
+        found["benches"] = {
+            name: bench(source, size, Path(folder)) for name, size in BENCHES.items()
+        }
     return found
+
+
+def bench(source: Path, size: tuple[int, int, int], folder: Path) -> Json:
+    """The launches of a step of a bench and its units."""
+    say(f"{source}: the sizes of {size[0]} Gaussians")
+    scene = run_scene(source, "default", size, 2, folder, None)
+    kernels = {key: {"launches": each} for key, each in grouped(scene["launches"]).items()}
+    return {"kernels": kernels, "units": scene["units"]}
 
 
 def last_commit(source: Path) -> str:
@@ -54,6 +64,7 @@ def last_commit(source: Path) -> str:
 
 def counted(source: Path, size: tuple[int, int, int], folder: Path, plugin: Path) -> Json:
     """Units of a small scene, and of every kernel its launches and their counts."""
+    say(f"{source}: {size[0]} Gaussians or elements under Oclgrind")
     counts = folder / "counts.jsonl"
     environment = oclgrind.environment(folder, plugin, counts)
     seen = run_scene(source, "oclgrind", size, 1, folder, environment)

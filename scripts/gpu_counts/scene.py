@@ -1,6 +1,6 @@
 """Run training steps of the synthetic scene: scene.py DEVICE GAUSSIANS WIDTH HEIGHT STEPS FILE.
 
-DEVICE "default" is the usual one.
+DEVICE "default" is the usual one. A width of 0: no scene, but so many elements sorted and summed.
 
 Writes to FILE, as JSON, every launch of the last step (kernel, stage, work-items, size of a
 work-group, the first whole number among its arguments) and, of a device that is no emulator, how
@@ -25,7 +25,7 @@ import numpy as np
 from clgs.bench.frame_counts import count_frame
 from clgs.bench.step import trainer_of
 from clgs.opencl.device import Device
-from clgs.ops import blend
+from clgs.ops import blend, scan, sort
 
 SEED = 0
 HERE = Path(__file__).resolve()
@@ -36,17 +36,35 @@ def main(arguments: Sequence[str]) -> None:
     name, steps, file = arguments[0], int(arguments[4]), Path(arguments[5])
     gaussians, width, height = map(int, arguments[1:4])
     device = Recorder(None if name == "default" else name, "gpu")
+    if not width:
+        file.write_text(json.dumps(sorted_elements(device, gaussians)), encoding="utf-8")
+        return
     scene, camera = scene_maker().anchor_scene(gaussians, (width, height), SEED)
     trainer = trainer_of(device, scene, camera, SEED)
     for _ in range(steps):
         device.begin()
         result = trainer.step()
         device.finish()
-    launches = list(device.launched)
-    found = {"launches": launches, "loss": result.loss, "width": width, "height": height}
+    found = {"launches": list(device.launched), "loss": result.loss}
     if not device.is_emulator:
         found["units"] = units(device, trainer)
     file.write_text(json.dumps(found), encoding="utf-8")
+
+
+def sorted_elements(device: Recorder, count: int) -> dict[str, Any]:
+    """One pass of a sort of so many elements, and a prefix sum; the "loss" tells their order."""
+    rng = np.random.default_rng(SEED)
+    keys = device.upload(rng.integers(0, 2**8, count).astype(np.uint32))
+    numbers = device.upload(np.arange(count, dtype=np.int32))
+    device.begin()
+    with device.stage("elements"):
+        values = sort.by_key(device, keys, numbers, 8)[1]
+        offsets = scan.on_device(device, values).offset
+    device.finish()
+    launches = list(device.launched)
+    weights = np.cos(np.arange(count + 1))
+    order = float(device.download(values) @ weights[1:] + device.download(offsets) @ weights)
+    return {"launches": launches, "loss": order, "units": {"elements": count}}
 
 
 def scene_maker() -> Any:

@@ -16,7 +16,7 @@ UNITS: dict[str, tuple[str, ...]] = {
     "density_gradient": ("Gaussians",),
     "density": ("anchors",),
     "loss_volume": ("Gaussians",),
-    "loss": ("pixels",),
+    "loss": ("groups",),
     "mlp_backward_sum": ("launches", "count"),
     "mlp": ("visible anchors",),
     "neural": ("Gaussians",),
@@ -32,7 +32,7 @@ UNITS: dict[str, tuple[str, ...]] = {
     "tiles": ("Gaussians",),
 }
 """By the kernel's name or what it begins with. ``count``: elements, the sum over all launches;
-``groups squared``: each work-group of the kernel reads what all others left."""
+``groups``: work-groups; ``groups squared``: each of them reads what all others left."""
 
 DEPENDENT = 1e-9
 """Two equations whose determinant is this small, relative to its terms, are one."""
@@ -53,6 +53,8 @@ class Work:
             return len(self.launches)
         if unit == "count":
             return float(sum(launch["count"] for launch in self.launches))
+        if unit == "groups":
+            return float(sum(one["items"] / one["group"] for one in self.launches))
         if unit == "groups squared":
             return float(sum((one["items"] / one["group"]) ** 2 for one in self.launches))
         return float(self.scene[unit])

@@ -13,7 +13,10 @@ if not FOLDER.is_dir():
     pytest.skip("needs a checkout", allow_module_level=True)
 sys.path.insert(0, str(FOLDER))
 try:
+    import estimate
     import roofline
+    import sass
+    import table
     import units
 finally:
     sys.path.remove(str(FOLDER))
@@ -90,3 +93,63 @@ def test_the_longest_name_tells_the_unit():
     assert units.units_of("blend_gather") == ("entries",)
     assert units.units_of("blend_sum") == ("Gaussians",)
     assert units.units_of("new_kernel") == ("launches",)
+
+
+def state(factor):
+    """A step of one kernel in two sizes, and a bench ten times as large as the larger one."""
+
+    def scene(gaussians, pixels):
+        launch = {"items": 256 * gaussians, "group": 256, "count": gaussians}
+        sums = {
+            **NOTHING,
+            "work_items": 256 * gaussians,
+            "warp_instructions": 1000 * gaussians * factor,
+            "lane_instructions": 16_000 * gaussians * factor,
+            "global_used_read": 320 * gaussians,
+            "global_sectors_read": 40 * gaussians,
+            "local_wavefronts": 30 * gaussians,
+            "local_ideal_wavefronts": 20 * gaussians,
+        }
+        kernels = {"project forward: project_forward": {"launches": [launch], "sums": sums}}
+        return {"kernels": kernels, "units": {"Gaussians": gaussians, "pixels": pixels}}
+
+    bench = scene(1000, 10_000)
+    for each in bench["kernels"].values():
+        del each["sums"]
+    scenes = {"small": scene(50, 500), "large": scene(100, 1000)}
+    return {"scenes": scenes, "elements": {}, "benches": {"bench": bench}}
+
+
+def test_a_row_compares_two_states():
+    row = table.stages({"before": state(2), "after": state(1)}, "bench").splitlines()[2]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[:3] == ["project forward", "1", "2.00 → 1.00"]
+    assert cells[3:6] == ["50%", "25%", "1.50"]
+    assert cells[6:] == ["5 → 4", "launches"]
+
+
+def test_scaling_is_checked_by_the_largest_scene():
+    assert estimate.scaling_errors(state(1)) == {
+        "project forward: project_forward": (100_000.0, 100_000.0)
+    }
+
+
+def test_instructions_of_a_listing_are_sorted_into_classes():
+    listing = """.text.first:
+        /*0000*/                   LDC R1, c[0x0][0x28] ;
+        /*0010*/              @!P0 LDG.E R2, [R2.64] ;
+        /*0020*/                   FFMA.FTZ R5, R2, R3, R4 ;
+        /*0030*/               @P1 BRA `(.L_x_1) ;
+        /*0040*/                   NOP ;
+.text.second:
+        /*0000*/                   STL [R1], R2 ;
+"""
+    first, second = sass.by_kernel(listing).values()
+    assert {name: count for name, count in first.items() if count} == {
+        "global load": 1,
+        "fused multiply-add": 1,
+        "branch": 1,
+        sass.OTHER: 1,
+        "all": 4,
+    }
+    assert second["spill"] == second["all"] == 1
