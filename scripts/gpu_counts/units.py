@@ -8,7 +8,8 @@ from typing import Any
 
 UNITS: dict[str, tuple[str, ...]] = {
     "adam": ("parameters",),
-    "blend_backward": ("pairs backward",),
+    "adam_check": ("groups",),
+    "blend_backward": ("entries",),
     "blend_forward": ("pairs forward",),
     "blend_gather": ("entries",),
     "blend": ("Gaussians",),
