@@ -15,6 +15,7 @@
 
 #include "cost.h"
 #include "intrinsics.h"
+#include "loops.h"
 #include "memory.h"
 #include "oclgrind.h"
 #include "warp.h"
@@ -40,6 +41,7 @@ class Counter : public Plugin
     void kernelBegin(const KernelInvocation *invocation) override
     {
         ids_.clear();
+        loops_.clear();
         last_instruction_ = nullptr;
         places_.clear();
         sums_.clear();
@@ -83,7 +85,7 @@ class Counter : public Plugin
         mend_truth(instruction->getType(), result);
         select(item);
         const uint32_t id = id_of(instruction);
-        warp_.executed(id);
+        warp_.executed(id, places_[id]);
         lane_instructions_ += places_[id].cost.issued;
         lane_operations_ += places_[id].cost.operations;
         lane_special_ += places_[id].cost.special;
@@ -150,7 +152,7 @@ class Counter : public Plugin
             written_.touch(address, size, group_);
         const size_t part = size / std::max<size_t>(1, parts_of(instruction));
         for (size_t at = 0; at < size; at += part)
-            warp_.access(id, space, kind,
+            warp_.access(id, places_[id], space, kind,
                          {address + at, static_cast<uint32_t>(std::min(part, size - at))});
     }
 
@@ -177,10 +179,15 @@ class Counter : public Plugin
         if (instruction == last_instruction_)
             return last_id_;
         const auto [found, added] = ids_.try_emplace(instruction, places_.size());
-        if (added)
-            places_.push_back({cost_of(instruction), line_of(instruction)});
+        const uint32_t id = found->second;
+        if (added) {
+            places_.push_back({cost_of(instruction), line_of(instruction), id});
+            const llvm::Instruction *begin = loops_.iteration_of(instruction);
+            const uint32_t iteration = begin && begin != instruction ? id_of(begin) : id;
+            places_[id].iteration = iteration;
+        }
         last_instruction_ = instruction;
-        return last_id_ = found->second;
+        return last_id_ = id;
     }
 
     static std::string line_of(const llvm::Instruction *instruction)
@@ -222,6 +229,7 @@ class Counter : public Plugin
 
     std::unordered_map<const llvm::Instruction *, uint32_t> ids_;
     std::vector<Place> places_;
+    Loops loops_;
     const llvm::Instruction *last_instruction_ = nullptr;
     uint32_t last_id_ = 0;
     Sums sums_;

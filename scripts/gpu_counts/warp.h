@@ -1,8 +1,9 @@
-// One warp between two barriers: how often each of its lanes executed every instruction, and what
-// they asked of memory when.
+// One warp between two barriers: what each of its lanes executed and asked of memory in which
+// iteration of the innermost loop.
 //
 // Oclgrind runs a work-item until a barrier, then the next one. Lanes that execute an instruction
-// for the same n-th time count as one issue; so do their requests.
+// in the same iteration, by its number since the barrier, count as one issue; so do their requests.
+// Outside of loops, and in functions that are called, the n-th time counts as the n-th iteration.
 #pragma once
 
 #include <cstdint>
@@ -27,6 +28,7 @@ using Sums = std::map<std::string, uint64_t>;
 struct Place {
     Cost cost;
     std::string line;
+    uint32_t iteration; // the instruction that begins one; its own number outside of loops
 };
 
 class Warp
@@ -40,26 +42,28 @@ class Warp
     }
 
     // `id` is executed once more by the present lane.
-    void executed(uint32_t id)
+    void executed(uint32_t id, const Place &place)
     {
-        if (id >= times_.size()) {
-            times_.resize(id + 1);
-            most_.resize(id + 1);
-        }
+        grow(id);
         if (times_[id]++ == 0)
             run_.push_back(id);
-        if (times_[id] > most_[id]) {
-            if (most_[id] == 0)
+        const uint32_t n = place.iteration == id ? times_[id] - 1 : number_of(place.iteration);
+        std::vector<bool> &seen = seen_[id];
+        if (n >= seen.size())
+            seen.resize(n + 1);
+        if (!seen[n]) {
+            seen[n] = true;
+            if (issues_[id]++ == 0)
                 issued_.push_back(id);
-            most_[id] = times_[id];
         }
         part_ = 0;
     }
 
     // What the instruction that comes next asks for; every part of it is a request of its own.
-    void access(uint32_t id, unsigned space, Kind kind, const Access &access)
+    void access(uint32_t id, const Place &place, unsigned space, Kind kind, const Access &access)
     {
-        const uint32_t n = id < times_.size() ? times_[id] : 0;
+        grow(id);
+        const uint32_t n = place.iteration == id ? times_[id] : number_of(place.iteration);
         requests_[{id, n, space, kind}].push_back({part_++, access});
     }
 
@@ -67,13 +71,14 @@ class Warp
     void finish(const std::vector<Place> &places, Sums &sums, std::map<std::string, Sums> &lines)
     {
         for (const uint32_t id : issued_) {
-            sums["warp_instructions"] += uint64_t{most_[id]} * places[id].cost.issued;
-            sums["warp_special"] += uint64_t{most_[id]} * places[id].cost.special;
-            sums["warp_operations"] += uint64_t{most_[id]} * places[id].cost.operations;
+            sums["warp_instructions"] += uint64_t{issues_[id]} * places[id].cost.issued;
+            sums["warp_special"] += uint64_t{issues_[id]} * places[id].cost.special;
+            sums["warp_operations"] += uint64_t{issues_[id]} * places[id].cost.operations;
             if (places[id].cost.issued)
                 lines[places[id].line]["warp_instructions"] +=
-                    uint64_t{most_[id]} * places[id].cost.issued;
-            most_[id] = 0;
+                    uint64_t{issues_[id]} * places[id].cost.issued;
+            issues_[id] = 0;
+            seen_[id].clear();
         }
         issued_.clear();
         begin_lane();
@@ -83,6 +88,20 @@ class Warp
     }
 
   private:
+    void grow(uint32_t id)
+    {
+        if (id < times_.size())
+            return;
+        times_.resize(id + 1);
+        issues_.resize(id + 1);
+        seen_.resize(id + 1);
+    }
+
+    uint32_t number_of(uint32_t iteration) const
+    {
+        return iteration < times_.size() ? times_[iteration] : 0;
+    }
+
     using Key = std::tuple<uint32_t, uint32_t, unsigned, Kind>;
     struct Part {
         uint32_t part;
@@ -132,7 +151,8 @@ class Warp
         add(sums, line, "local_ideal_wavefronts", found.ideal);
     }
 
-    std::vector<uint32_t> times_, most_, run_, issued_;
+    std::vector<uint32_t> times_, issues_, run_, issued_;
+    std::vector<std::vector<bool>> seen_;
     std::map<Key, std::vector<Part>> requests_;
     uint32_t part_ = 0;
 };

@@ -60,6 +60,14 @@ __kernel void divergent(__global const float *x, __global float *y)
         sum = fma(sum, x[0], x[1]);
     y[get_global_id(0)] = sum;
 }
+__kernel void alternating(__global const float *x, __global float *y)
+{
+    const int i = (int)get_local_id(0);
+#pragma unroll 1
+    for (int k = 0; k < 8; ++k)
+        if ((i + k) % 2)
+            y[i + 32 * k] = 1.0f;
+}
 __kernel void negated(__global const float *x, __global float *y)
 {
     const int i = (int)get_global_id(0);
@@ -77,6 +85,7 @@ __kernel void missing(__global const float *x, __global float *y)
 }
 """
 KERNELS = [
+    "alternating",
     "negated",
     "coalesced",
     "strided",
@@ -181,3 +190,9 @@ def test_loops_of_different_lengths_diverge(counts):
     assert sums["warp_operations"] == 2 * 2 * 31
     assert 32 * sums["warp_instructions"] > 1.5 * sums["lane_instructions"]
     assert 32 * counts["coalesced"]["warp_instructions"] == counts["coalesced"]["lane_instructions"]
+
+
+def test_lanes_that_take_turns_do_not_run_together(counts):
+    assert counts["alternating"]["global_requests"] == 2 * 8
+    assert counts["alternating"]["global_sectors_written"] == 2 * 8 * 4
+    assert counts["alternating"]["global_used_written"] == 2 * 8 * 16 * 4
