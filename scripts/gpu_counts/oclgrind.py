@@ -49,7 +49,7 @@ def build(folder: Path) -> Path:
     plugin = folder / "gpu_counts.so"
     options = ["-std=c++17", "-O2", "-fPIC", "-shared", "-fno-rtti", "-w"]
     include = [f"-I{folder}" for folder in (LLVM, *HEADERS[1:])]
-    source = str(HERE / "plugin.cpp")
+    source = str(HERE / "plugin" / "plugin.cpp")
     libraries = ["-loclgrind", "-lLLVM-14"]
     run(["g++", *options, *include, "-o", str(plugin), source, *libraries], check=True)
     return plugin
