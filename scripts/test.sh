@@ -23,7 +23,7 @@ step() {
 
 # Runs even if the checkout belongs to another user, as in a container.
 source_files() {
-    find "$@" -type f \( -name '*.cl' -o -name '*.c' -o -name '*.h' \) -print0
+    find "$@" -type f \( -name '*.cl' -o -name '*.c' -o -name '*.h' -o -name '*.cpp' \) -print0
 }
 
 install_kernel_lint() {
@@ -39,7 +39,7 @@ lint() {
     "$bin/ruff" format --check .
     "$bin/ruff" check .
     "$bin/mypy"
-    source_files kernels_cl codec_c web/wasm tests/c | xargs -0 "$bin/clang-format" --dry-run --Werror
+    source_files kernels_cl codec_c web/wasm tests/c scripts/gpu_counts | xargs -0 "$bin/clang-format" --dry-run --Werror
     if [ -n "$ci" ] && on_debian_as_root; then
         install_kernel_lint
     fi
