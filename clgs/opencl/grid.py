@@ -16,6 +16,9 @@ PoCL gives each work-item of a group private arrays of its own. Those of 64 of t
 other, fall out of a core's cache.
 """
 
+PARTS_GROUP = 64
+"""Work-items of a group of a launch over several arrays."""
+
 CHUNKS_PER_UNIT, MOST_CHUNKS = 2, 32
 
 
@@ -25,13 +28,13 @@ def by_lanes(device: Device, count: int, lanes: int) -> tuple[tuple[int], tuple[
     return (round_up(-(-count // lanes), group),), (group,)
 
 
-def by_parts(sizes: Iterable[int], per_item: int, group: int) -> tuple[tuple[int], tuple[int]]:
+def by_parts(sizes: Iterable[int], per_item: int) -> tuple[tuple[int], tuple[int]]:
     """Global and local size of a launch over several arrays of so many elements.
 
     Each begins with a work-group; a work-item takes ``per_item`` elements (common/parts.h).
     """
-    groups = sum(-(-size // (per_item * group)) for size in sizes)
-    return (groups * group,), (group,)
+    groups = sum(-(-size // (per_item * PARTS_GROUP)) for size in sizes)
+    return (groups * PARTS_GROUP,), (PARTS_GROUP,)
 
 
 def filled(items: Sequence[Item], count: int) -> list[Item]:

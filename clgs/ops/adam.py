@@ -120,9 +120,7 @@ def check_finite(device: Device, arrays: Iterable[DeviceArray], stop: DeviceArra
         sizes = np.zeros(PARTS_WIDTH, np.uint32)
         sizes[: len(some)] = [array.size for array in some]
         arrays = filled(some, CHECKED_ARRAYS)
-        device.run(
-            kernel, *by_parts(sizes.tolist(), CHECKED_PER_ITEM, GROUP_SIZE), *arrays, sizes, stop
-        )
+        device.run(kernel, *by_parts(sizes.tolist(), CHECKED_PER_ITEM), *arrays, sizes, stop)
 
 
 def mark_rows(device: Device, gradient: DeviceArray, stop: DeviceArray) -> DeviceArray:
@@ -196,7 +194,7 @@ def step_all(device: Device, updates: Sequence[Update], stop: DeviceArray) -> No
         tensors = (one.trained for one in filled(some, UPDATED_PARTS))
         arrays = [array for one in tensors for array in one.arrays()]
         factors_now = _BETAS, corrections, np.float32(EPSILON), steps
-        grid = by_parts(sizes.tolist(), device.vec, GROUP_SIZE)
+        grid = by_parts(sizes.tolist(), device.vec)
         device.run(kernel, *grid, *arrays, starts, sizes, *factors_now, stop)
 
 

@@ -169,8 +169,7 @@ def opacities(
         options=options,
     )
     macros, anchors = defines(device, options), inputs.anchors
-    size, columns = np.int32(count), np.int32(padded)
-    opacity = device.empty((K_OFFSETS, padded))
+    size, columns, opacity = np.int32(count), np.int32(padded), device.empty((K_OFFSETS, padded))
     device.run(
         device.kernel("mlp/forward", "mlp_opacity", **macros),
         *_layer_sizes(device, padded),
@@ -244,8 +243,7 @@ def backward(
         _backward_in_groups(device, activations, read, outputs, partial, macros)
     device.run(
         device.kernel("mlp/backward_sum", "mlp_backward_sum", **common),
-        (_row_tiles(device), _column_tiles(device)),
-        None,
+        *_sum_sizes(device),
         *(partial, np.int32(parts), result.d_weights),
     )
     return result
@@ -291,8 +289,15 @@ def _column_tiles(device: Device) -> int:
 
 def _part_size(device: Device) -> int:
     """Floats of a part of the weight gradient: weights and padding."""
-    sums = WEIGHT_ROWS[device.specialisation] * COLUMNS[device.specialisation]
-    return _row_tiles(device) * _column_tiles(device) * sums
+    form = device.specialisation
+    return _row_tiles(device) * _column_tiles(device) * WEIGHT_ROWS[form] * COLUMNS[form]
+
+
+def _sum_sizes(device: Device) -> tuple[tuple[int], tuple[int]]:
+    """Launch sizes of the sum of the parts: a work-item per sum, on a CPU per register tile."""
+    if device.specialisation == "gpu":
+        return (round_up(_part_size(device), GROUP_SIZE),), (GROUP_SIZE,)
+    return (_row_tiles(device) * _column_tiles(device),), (1,)
 
 
 def _backward_in_groups(

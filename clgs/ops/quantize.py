@@ -52,7 +52,7 @@ def forward_all(device: Device, arrays: Sequence[tuple[DeviceArray, float]]) -> 
         scales[: len(some)] = [q for _, q in some]
         sources = filled([x for x, _ in some], MOST_ARRAYS)
         targets = filled(into, MOST_ARRAYS)
-        grid = by_parts(sizes.tolist(), device.vec, GROUP_SIZE)
+        grid = by_parts(sizes.tolist(), device.vec)
         device.run(kernel, *grid, *sources, sizes, scales, *targets)
     return results
 

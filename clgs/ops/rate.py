@@ -160,7 +160,7 @@ def backward_all(
     owners, sources, targets = zip(*filled(attributes, MOST_ATTRIBUTES), strict=True)
     device.run(
         device.kernel("anchors/rate", "rate_backward"),
-        *by_parts(sizes.tolist(), device.vec, GROUP_SIZE),
+        *by_parts(sizes.tolist(), device.vec),
         *sources,
         sizes,
         scales,

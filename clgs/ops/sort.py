@@ -18,8 +18,8 @@ from clgs.shapes import Shapes
 KEY_BITS = 32
 DIGIT_BITS = {"cpu": 11, "gpu": 8}
 GROUP_SIZE = {"cpu": 1, "gpu": 256}
-SHORTEST_CHUNK = {"cpu": 32768, "gpu": 1024}
-MOST_CHUNKS = {"cpu": 32, "gpu": 256}
+SHORTEST_CHUNK = {"cpu": 32768, "gpu": 2048}
+MOST_CHUNKS = {"cpu": 32, "gpu": 128}
 """Of :func:`by_key`; every chunk adds up the counts of all, so they are few."""
 
 MAX_WIDTH = 16

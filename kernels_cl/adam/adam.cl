@@ -7,6 +7,7 @@
  * Work-group: any; no local memory. Every part and every array begins with a work-group.
  */
 #include "common/lanes.h"
+#include "common/form.h"
 #include "common/parts.h"
 #include "common/real.h"
 
@@ -94,14 +95,15 @@ static inline void update(State *s, const fv gradient, const Factors by)
 
 /* Updates `sizes` elements from `starts` on of up to six parts. Nothing happens unless *stop is 0.
  */
-__kernel void adam_step(PART(0), PART(1), PART(2), PART(3), PART(4), PART(5), const uint8 starts,
-                        const uint8 sizes, const float4 betas, const float8 corrections,
-                        const float epsilon, const float8 steps, __global const int *stop)
+PARTS_GROUP __kernel void adam_step(PART(0), PART(1), PART(2), PART(3), PART(4), PART(5),
+                                    const uint8 starts, const uint8 sizes, const float4 betas,
+                                    const float8 corrections, const float epsilon,
+                                    const float8 steps, __global const int *stop)
 {
     if (*stop != 0)
         return;
     const size_t group = get_group_id(0);
-    size_t first_group = 0, part_group = 0;
+    uint first_group = 0, part_group = 0;
     Factors by = {betas, 0.0f, epsilon, 0.0f};
     __global float *parameter = parameter0, *first = first0, *second = second0;
     __global const float *gradient = gradient0;
@@ -166,12 +168,19 @@ __kernel void adam_step_rows(__global float *parameter, __global const float *gr
 #define SIGN_OFF 0x7fffffff
 #define INFINITE 0x7f800000
 
-/* The largest size, as the bits of a float, of the elements of an item. */
+/* The largest size, as the bits of a float, of the elements of an item: neighbouring ones on a CPU,
+ * each of a group's work-items one in turn on a GPU. */
 static inline int largest_of(__global const float *values, const size_t item, const uint total)
 {
-    const size_t first = item * ELEMENTS_PER_ITEM;
+#if USE_LOCAL
+    const size_t lane = item % PARTS_GROUP_SIZE, step = PARTS_GROUP_SIZE;
+#else
+    const size_t lane = 0, step = 1;
+#endif
+    const size_t first = (item - lane) * ELEMENTS_PER_ITEM;
+    const size_t end = min(first + step * ELEMENTS_PER_ITEM, (size_t)total);
     int largest = 0;
-    for (size_t i = first; i < first + ELEMENTS_PER_ITEM && i < total; ++i) {
+    for (size_t i = first + lane; i < end; i += step) {
         const int size = as_int(values[i]) & SIGN_OFF;
         largest = size > largest ? size : largest;
     }
@@ -188,12 +197,13 @@ static inline int largest_of(__global const float *values, const size_t item, co
     first_group += groups_of((sizes.s##n + ELEMENTS_PER_ITEM - 1) / ELEMENTS_PER_ITEM);
 
 /* Sets a bit of *stop if an element of up to five arrays is infinite or NaN. */
-__kernel void adam_check(__global const float *values0, __global const float *values1,
-                         __global const float *values2, __global const float *values3,
-                         __global const float *values4, const uint8 sizes, __global int *stop)
+PARTS_GROUP __kernel void adam_check(__global const float *values0, __global const float *values1,
+                                     __global const float *values2, __global const float *values3,
+                                     __global const float *values4, const uint8 sizes,
+                                     __global int *stop)
 {
     const size_t group = get_group_id(0);
-    size_t first_group = 0, array_group = 0;
+    uint first_group = 0, array_group = 0;
     __global const float *values = values0;
     uint total = 0;
     CHOOSE_ARRAY(0)

@@ -36,12 +36,12 @@ static inline fv divided(const fv n, const fv q)
     first_group += groups_of(vectors_in(sizes.s##n));
 
 /* rint(x q) / q of up to three arrays. */
-__kernel void quantize_forward(__global const float *x0, __global const float *x1,
-                               __global const float *x2, const uint4 sizes, const float4 scales,
-                               __global float *rounded0, __global float *rounded1,
-                               __global float *rounded2)
+PARTS_GROUP __kernel void quantize_forward(__global const float *x0, __global const float *x1,
+                                           __global const float *x2, const uint4 sizes,
+                                           const float4 scales, __global float *rounded0,
+                                           __global float *rounded1, __global float *rounded2)
 {
-    size_t first_group = 0, array_group = 0;
+    uint first_group = 0, array_group = 0;
     __global const float *x = x0;
     __global float *rounded = rounded0;
     uint total = 0;

@@ -104,13 +104,16 @@ __kernel void rate_statistics(__global const float *x, const uint total, const f
 /* d_x += slope k + (value of k's side) of up to three attributes. tables: [0] centre, [1] low,
  * [2] high, [3] slope, and the values [4] below, [5] at the centre, [6] above, [7] outside of
  * [low, high]. */
-__kernel void rate_backward(__global const float *x0, __global const float *x1,
-                            __global const float *x2, const uint4 sizes, const float4 scales,
-                            const uint4 periods, __global const float *tables0,
-                            __global const float *tables1, __global const float *tables2,
-                            __global float *d_x0, __global float *d_x1, __global float *d_x2)
+PARTS_GROUP __kernel void rate_backward(__global const float *x0, __global const float *x1,
+                                        __global const float *x2, const uint4 sizes,
+                                        const float4 scales, const uint4 periods,
+                                        __global const float *tables0,
+                                        __global const float *tables1,
+                                        __global const float *tables2, __global float *d_x0,
+                                        __global float *d_x1, __global float *d_x2)
 {
-    size_t first_group = 0, attribute_group = 0, step = 1;
+    uint first_group = 0, attribute_group = 0;
+    size_t step = 1;
     __global const float *x = x0, *tables = tables0;
     __global float *d_x = d_x0;
     uint total = 0;

@@ -20,9 +20,10 @@ static inline void stage_record(__local float *staged, __global const float *rec
                                 int end)
 {
     const int item = (int)get_local_id(0);
+    __global const float4 *record = (__global const float4 *)records + RECORD_SIZE / 4 * (size_t)k;
     if (k < end)
-        for (int j = 0; j < RECORD_USED; ++j)
-            staged[RECORD_USED * item + j] = records[RECORD_SIZE * (size_t)k + (size_t)j];
+        for (int j = 0; j < RECORD_USED / 4; ++j)
+            vstore4(record[j], (size_t)j, staged + RECORD_USED * item);
 }
 
 TILE_GROUP __kernel void blend_forward(__global const float *records,

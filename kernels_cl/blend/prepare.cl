@@ -20,7 +20,19 @@
 
 #define RECORDS_AHEAD 16
 
+#if VEC == 1
+/* As below, but 16 bytes at a time: records lie at multiples of 64. */
+static inline void store_rows16(const float columns[16], __global float *values, const size_t first,
+                                const size_t used)
+{
+    (void)used;
+    __global float4 *record = (__global float4 *)values + 4 * first;
+    for (int j = 0; j < 4; ++j)
+        record[j] = vload4((size_t)j, columns);
+}
+#else
 DEFINE_STORE_ROWS(store_rows16, 16)
+#endif
 
 static inline fv clamp_color(const fv value)
 {
@@ -103,8 +115,8 @@ __kernel void blend_gather(__global const float *prepared, __global const int *g
         __global const float *own = prepared + RECORD_SIZE * (size_t)gaussian[k];
         __global float *record = records + RECORD_SIZE * (size_t)k;
         PREFETCH(prepared + RECORD_SIZE * (size_t)gaussian[min(k + RECORDS_AHEAD, end - 1)]);
-        vstore8(vload8(0, own), 0, record);
-        vstore4(vload4(2, own), 2, record);
+        for (int j = 0; j < RECORD_USED / 4; ++j)
+            ((__global float4 *)record)[j] = ((__global const float4 *)own)[j];
     }
     for (int k = tile_range[tile] + item * VEC; k < end; k += step * VEC) {
         write_units(records, k, end, x, y);

@@ -3,16 +3,23 @@
 #ifndef CLGS_PARTS_H
 #define CLGS_PARTS_H
 
+#include "common/form.h"
+
+/* Work-items of a group, PARTS_GROUP in clgs/opencl/grid.py: a number that compilers know, as each
+ * work-item divides by it once per array. */
+#define PARTS_GROUP_SIZE 64
+#define PARTS_GROUP GROUP_OF(PARTS_GROUP_SIZE)
+
 /* Work-groups that have so many work-items. */
-static inline size_t groups_of(const size_t items)
+static inline uint groups_of(const size_t items)
 {
-    return (items + get_local_size(0) - 1) / get_local_size(0);
+    return (uint)((items + PARTS_GROUP_SIZE - 1) / PARTS_GROUP_SIZE);
 }
 
 /* This work-item's number among those of its array, whose first work-group has number `begin`. */
-static inline size_t item_of_part(const size_t begin)
+static inline size_t item_of_part(const uint begin)
 {
-    return (get_group_id(0) - begin) * get_local_size(0) + get_local_id(0);
+    return (get_group_id(0) - begin) * PARTS_GROUP_SIZE + get_local_id(0);
 }
 
 #endif
