@@ -6,8 +6,8 @@
  * adam_mark: a work-item per row of WIDTH elements.
  * Work-group: any; no local memory. Every part and every array begins with a work-group.
  */
-#include "common/lanes.h"
 #include "common/form.h"
+#include "common/lanes.h"
 #include "common/parts.h"
 #include "common/real.h"
 
