@@ -19,7 +19,15 @@ typedef struct {
     iv last; /* entries of the list that these pixels saw in the forward pass */
 } Rays;
 
-/* Takes a record off pixels and adds its gradients to m; `number` counts list entries from 1.
+/* A pixel's share of a moment. In the GPU form a Moments is of one pixel and one record: there,
+ * what it holds is added to a sum later, which is the same for -0 as for 0. */
+#if VEC == 1
+#define GIVE(moment, value) (moment) = (value)
+#else
+#define GIVE(moment, value) (moment) += (value)
+#endif
+
+/* Takes a record off pixels and gives its gradients to m; `number` counts list entries from 1.
  * Returns which pixels had it. */
 static inline iv blend_back(Rays *p, const Record *record, const Touch *t, int number, Moments *m)
 {
@@ -35,16 +43,16 @@ static inline iv blend_back(Rays *p, const Record *record, const Touch *t, int n
     /* an untouched pixel may hold anything, even infinity */
     const fv y1 = blends ? t->y1 : (fv)(0.0f), y2 = blends ? t->y2 : (fv)(0.0f);
     const fv v1 = v * y1, v2 = v * y2;
-    m->y1 += v1;
-    m->y2 += v2;
+    GIVE(m->y1, v1);
+    GIVE(m->y2, v2);
     /* no fma: the GPU form adds up what each pixel gives, and must get the same bits */
-    m->y11 += v1 * y1;
-    m->y12 += v1 * y2;
-    m->y22 += v2 * y2;
-    m->red += weight * p->d_red;
-    m->green += weight * p->d_green;
-    m->blue += weight * p->d_blue;
-    m->alpha += v;
+    GIVE(m->y11, v1 * y1);
+    GIVE(m->y12, v1 * y2);
+    GIVE(m->y22, v2 * y2);
+    GIVE(m->red, weight * p->d_red);
+    GIVE(m->green, weight * p->d_green);
+    GIVE(m->blue, weight * p->d_blue);
+    GIVE(m->alpha, v);
     return blends;
 }
 

@@ -155,6 +155,14 @@ static inline float lane_tree(__local const float *lanes)
     ADD_HALVES(sum, SUM_LANES / 16);
     return sum[0];
 }
+
+/* The same of four vectors, the lanes in their order. */
+static inline float quads_tree(float4 a, float4 b, float4 c, float4 d)
+{
+    const float4 four = (a + c) + (b + d);
+    const float2 two = four.lo + four.hi;
+    return two.x + two.y;
+}
 #endif
 
 #endif
