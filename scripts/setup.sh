@@ -4,6 +4,7 @@
 # Other scripts source it and use $root, $venv, $python, say, die, on_debian_as_root, apt_install
 # and ensure_device.
 set -euo pipefail
+unset CDPATH # else cd would print the folder
 
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd)
 venv=${CLGS_VENV:-$root/.venv}

@@ -357,6 +357,11 @@ class Device:
         self.queue.finish()
 
 
+def check_environment() -> None:
+    """UsageError if CLGS_SPECIALISATION or CLGS_LANES hold what no device takes."""
+    _wanted_specialisation(), _wanted_lanes()
+
+
 def _wanted_specialisation() -> str:
     """What CLGS_SPECIALISATION says; empty if it is not set."""
     chosen = os.environ.get("CLGS_SPECIALISATION", "")

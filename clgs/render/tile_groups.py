@@ -8,6 +8,7 @@ list. All groups have lists of the same length, so that the next one takes the m
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -42,8 +43,9 @@ def plan(by_row: npt.NDArray[np.int64], entry_bytes: int, max_memory: int) -> Gr
     room = min(max_memory // entry_bytes, scan.MAX_TOTAL)
     if len(by_row) and int(by_row.max()) > room:
         needed, given = int(by_row.max()) * entry_bytes, room * entry_bytes
+        least, most = math.ceil(needed / 2**20 * 100) / 100, math.floor(given / 2**20 * 100) / 100
         raise BudgetError(
-            f"a row of tiles needs {needed / 2**20:.1f} MiB, {given / 2**20:.1f} MiB are allowed; "
+            f"a row of tiles needs {least:.2f} MiB, {most:.2f} MiB are allowed; "
             "raise --max-memory, or use a smaller image or fewer Gaussians",
             needed,
         )

@@ -142,6 +142,8 @@ def main() -> int:
     only = parser.parse_args().only
     every = (*MUTATIONS, *GPU_MUTATIONS)
     bugs = [bug for bug in every if only in f"{bug.stage}: {bug.what}"]
+    if not bugs:
+        parser.error(f"--only {only}: no bug has this in its stage or description")
     start = time.monotonic()
     complaints = stale(bugs) or controls({bug.stage for bug in bugs})
     for complaint in complaints:

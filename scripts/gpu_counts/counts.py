@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -36,10 +37,22 @@ ROOT = Path(__file__).resolve().parents[2]
 def main() -> int:
     """Parse the arguments, run."""
     args = arguments()
+    try:
+        return run(args)
+    except (OSError, ValueError, KeyError, TypeError, subprocess.CalledProcessError) as error:
+        named = getattr(args, "file", getattr(args, "source", ""))
+        print(f"gpu_counts: {named}: {type(error).__name__}: {error}", file=sys.stderr)
+        return 1
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what was asked for."""
     if args.action in ("record", "lines") and (lacks := oclgrind.missing()):
         print(f"gpu_counts: needs {', '.join(lacks)}; install it", file=sys.stderr)
         return 1
     if args.action == "record":
+        if not args.file.parent.is_dir():
+            raise FileNotFoundError(f"{args.file.parent}: no such folder")
         known = read(args.file) if args.file.exists() else {}
         known[args.state] = measure.state(args.source.resolve())
         text = json.dumps(known, indent=1, sort_keys=True)

@@ -52,18 +52,23 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def sorted_elements(device: Recorder, count: int) -> dict[str, Any]:
-    """One pass of a sort of so many elements, and a prefix sum; the "loss" tells their order."""
+    """Sorts of so many elements, of one digit and of all, and a prefix sum.
+
+    The "loss" tells their order.
+    """
     rng = np.random.default_rng(SEED)
     keys = device.upload(rng.integers(0, 2**8, count).astype(np.uint32))
     numbers = device.upload(np.arange(count, dtype=np.int32))
     device.begin()
     with device.stage("elements"):
         values = sort.by_key(device, keys, numbers, 8)[1]
+        chosen = sort.chosen(device, keys, values).index
         offsets = scan.on_device(device, values).offset
     device.finish()
     launches = list(device.launched)
     weights = np.cos(np.arange(count + 1))
     order = float(device.download(values) @ weights[1:] + device.download(offsets) @ weights)
+    order += float(device.download(chosen)[: count - 1] @ weights[: count - 1])
     return {"launches": launches, "loss": order, "units": {"elements": count}}
 
 

@@ -4,6 +4,7 @@
 # ziglang wheel compiles for glibc 2.28, for another processor too. The wheels are checked without
 # being run; scripts/release/try_wheel.sh runs one.
 set -euo pipefail
+unset CDPATH # else cd would print the folder
 
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/../.." && pwd)
 output=$root/dist

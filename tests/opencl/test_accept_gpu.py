@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -29,13 +31,38 @@ def libraries(**environment: str) -> list[str]:
     return run("--libraries", **environment).stdout.split()
 
 
-def test_a_driver_is_found_where_the_loader_looks_first(tmp_path):
-    for folder in ("one", "two"):
+def loadable() -> Path:
+    """A library that any process can load."""
+    return Path(importlib.util.find_spec("clgs._codec").origin)
+
+
+def test_the_first_driver_that_loads_is_found(tmp_path):
+    for folder in ("empty", "one", "two"):
         (tmp_path / folder).mkdir()
-        (tmp_path / folder / "libnvidia-opencl.so.1").touch()
-    path = f"{tmp_path / 'none'}:{tmp_path / 'two'}:{tmp_path / 'one'}"
-    assert str(tmp_path / "two" / "libnvidia-opencl.so.1") in libraries(LD_LIBRARY_PATH=path)
+    (tmp_path / "empty" / "libnvidia-opencl.so.1").touch()
+    for folder in ("one", "two"):
+        shutil.copy(loadable(), tmp_path / folder / "libnvidia-opencl.so.1")
+    path = ":".join(str(tmp_path / name) for name in ("none", "empty", "two", "one"))
+    done = run("--libraries", LD_LIBRARY_PATH=path, PYTHON=sys.executable)
+    assert str(tmp_path / "two" / "libnvidia-opencl.so.1") in done.stdout.split()
+    assert "empty/libnvidia-opencl.so.1: file too short" in done.stderr
     assert not [one for one in libraries() if str(tmp_path) in one]
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (("--wheels",), "--wheels needs a folder"),
+        (("--wheels", "/nowhere"), "/nowhere: no such folder"),
+        (("--collect",), "--collect needs a folder"),
+        (("--collect", "x", "9.x"), "9.x: expected a version of Python such as 3.12"),
+    ],
+)
+def test_wrong_words_are_a_line(tmp_path, words, complaint):
+    done = run(*words)
+    assert done.returncode == 2
+    assert complaint in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_devices_without_a_list_of_drivers(tmp_path):

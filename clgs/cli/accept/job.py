@@ -31,7 +31,9 @@ def chosen_device(name: str | None, folder: Path) -> dict[str, Any]:
     """
     outcome = run_part(Part("devices", ("devices", "--json"), lambda folder: ""), folder)
     if not outcome.passed:
-        raise DeviceError(f"`clgs devices`: {outcome.told}")
+        found_by = "; scripts/accept_gpu.sh finds out which driver crashes, and goes on without it"
+        remedy = found_by if "signal" in outcome.told else ""
+        raise DeviceError(f"`clgs devices`: {outcome.told}{remedy}")
     found = json.loads((folder / "devices.out").read_text())
     number = list_devices().index(choose_device(name))  # which did not crash in the part
     return dict(found[number])
@@ -46,14 +48,21 @@ def run_parts(
         tell(f"[{number}/{len(todo)}] {part.name} ...")
         outcome = run_part(part, folder)
         outcomes.append(outcome)
-        write_json(output, record(outcomes, folder, device))
+        found = record(outcomes, folder, device, complete=number == len(todo))
+        write_json(output, found)
     return outcomes
 
 
-def record(outcomes: list[Outcome], folder: Path, device: dict[str, Any]) -> dict[str, Any]:
-    """Everything, ready for JSON; what the parts printed may name the user's own folders."""
+def record(
+    outcomes: list[Outcome], folder: Path, device: dict[str, Any], complete: bool
+) -> dict[str, Any]:
+    """Everything, ready for JSON; what the parts printed may name the user's own folders.
+
+    complete: whether these are all parts, as they are not after an interruption.
+    """
     return {
         "format": FORMAT,
+        "complete": complete,
         **host_facts(),
         "device": device,
         "parts": [_part(one, folder) for one in outcomes],

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from clgs.cli.options.output import add_overwrite, check_new
 from clgs.cli.options.view import positive_int
+from clgs.errors import UsageError
 
 if TYPE_CHECKING:
     from clgs.cli.accept.part import Outcome
@@ -37,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         ClgsError: FILE exists, DATA is no data set, or there is no device.
+        UsageError: ``--downscale`` without DATA, or a variable of the environment is wrong.
     """
     from tempfile import TemporaryDirectory
 
@@ -44,7 +46,11 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.accept.parts import QUICK, WHOLE, parts
     from clgs.cli.accept.photos import write_photos
     from clgs.data.dataset import read_photo_set
+    from clgs.opencl.device import check_environment
 
+    check_environment()
+    if args.downscale and args.data is None:
+        raise UsageError("--downscale: is of the photos of --data, which is not given")
     check_new(args, args.output)
     if args.data is not None:
         read_photo_set(args.data)
