@@ -5,8 +5,8 @@
 #   scripts/accept_gpu.sh --collect FOLDER [VERSION]
 #       with a network: wheels of clgs and what it needs, for Python VERSION (3.12) on x86-64 Linux
 #   scripts/accept_gpu.sh [--wheels FOLDER] [OPTIONS of clgs accept]
-#       the kit; from these wheels, beside the packages of python3 (PYTHON names another), or from
-#       the environment of scripts/setup.sh
+#       the kit; from these wheels, beside the packages of python3 (PYTHON names another); without
+#       them from PYTHON, if it is set, else from the environment of scripts/setup.sh
 #   scripts/accept_gpu.sh [--wheels FOLDER] --devices
 #       only the devices; --libraries: only the drivers that are found
 #
@@ -127,13 +127,15 @@ extend_library_path() {
 
 # Sets $python, which has clgs.
 choose_python() { # folder of wheels, or nothing
-    if [ -z "$1" ]; then
-        [ -x "$root/.venv/bin/python" ] || "$root/scripts/setup.sh"
-        python=$root/.venv/bin/python
+    local usual=$root/.venv/bin/python
+    if [ -z "$1" ] && [ -z "${PYTHON:-}" ]; then
+        [ -x "$usual" ] || "$root/scripts/setup.sh"
+        python=$usual
         return
     fi
     python=${PYTHON:-python3}
     command -v "$python" >/dev/null || die "$python: no such Python; PYTHON names the one to use"
+    [ -n "$1" ] || return 0
     ls "$1"/clgs-*.whl >/dev/null 2>&1 || die "$1: holds no clgs-*.whl; make it with --collect"
     rm -rf "$work/site"
     "$python" -m pip install --quiet --no-index --no-deps --no-compile --target "$work/site" \

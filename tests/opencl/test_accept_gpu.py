@@ -70,7 +70,7 @@ def test_devices_without_a_list_of_drivers(tmp_path):
     if not any(name.endswith("libpocl.so.2") for name in libraries()):
         pytest.skip("PoCL is not among the libraries of this machine's loader")
     wheels = tmp_path / "wheels"
-    done = run("--devices", OCL_ICD_VENDORS=str(tmp_path))
+    done = run("--devices", OCL_ICD_VENDORS=str(tmp_path), PYTHON=sys.executable)
     assert done.returncode == 0, done.stderr
     assert "Portable Computing Language" in done.stdout
     wheels.mkdir()
