@@ -17,6 +17,7 @@ from statistics import median
 import numpy as np
 
 from clgs.bench.step import synthetic_trainer
+from clgs.cli.options.view import positive_int
 from clgs.constants import K_OFFSETS
 from clgs.opencl.device import Device
 from clgs.ops.density import Statistics
@@ -33,8 +34,8 @@ SEEN, VISITED = 60, 120
 def main() -> None:
     """Parse the arguments, measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--gaussians", type=int, default=200_000)
-    parser.add_argument("--repeats", type=int, default=21)
+    parser.add_argument("--gaussians", type=positive_int, default=200_000)
+    parser.add_argument("--repeats", type=positive_int, default=21)
     parser.add_argument("--device")
     args = parser.parse_args()
     device = Device(args.device)

@@ -41,7 +41,9 @@ def main() -> int:
         return run(args)
     except (OSError, ValueError, KeyError, TypeError, subprocess.CalledProcessError) as error:
         named = getattr(args, "file", getattr(args, "source", ""))
-        print(f"gpu_counts: {named}: {type(error).__name__}: {error}", file=sys.stderr)
+        wanted = "FILE is what `record` wrote, --source a checkout that is set up"
+        told = f"{type(error).__name__}: {error}"
+        print(f"gpu_counts: {named}: {told}; {wanted}", file=sys.stderr)
         return 1
 
 
@@ -51,6 +53,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"gpu_counts: needs {', '.join(lacks)}; install it", file=sys.stderr)
         return 1
     if args.action == "record":
+        if not (args.source / "kernels_cl").is_dir():
+            raise FileNotFoundError(f"{args.source}: no checkout of clgs")
         if not args.file.parent.is_dir():
             raise FileNotFoundError(f"{args.file.parent}: no such folder")
         known = read(args.file) if args.file.exists() else {}
