@@ -35,7 +35,7 @@ _HOMES = {
     "load_dataset": "clgs.data.dataset",
     "load_scene": "clgs.scene.storage",
     "load_splats": "clgs.data.ply.gaussians",
-    "prepare": "clgs.data.sfm.prepare",
+    "prepare": "clgs.poses.prepare",
     "preset": "clgs.train.config",
     "render_options": "clgs.options",
     "render_view": "clgs.render.renderer",

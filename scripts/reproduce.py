@@ -24,10 +24,10 @@ from reproduce.table import Entry, Table, chosen, entries, jobs, read_table, run
 from reproduce.worker import Row, stored_row
 
 from clgs import __version__
-from clgs.bench.plots import require_pyplot
 from clgs.cli.main import explain
 from clgs.errors import ClgsError, DataError
 from clgs.files import check_folder
+from clgs.lab.bench.plots import require_pyplot
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = Path(__file__).resolve().parent / "reproduce" / "default.toml"

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.bake.observe import Observation
-from clgs.reference.stages.project import rotation_matrix
-from clgs.reference.stages.splats import HARMONICS
+from clgs.reference.project import rotation_matrix
+from clgs.reference.splats import HARMONICS
 from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
 
 RIDGE = 0.02

@@ -22,27 +22,12 @@ from clgs.files import is_full
 if TYPE_CHECKING:
     import argparse
 
-COMMANDS = (
-    "run",
-    "devices",
-    "doctor",
-    "prepare",
-    "train",
-    "encode",
-    "decode",
-    "pack",
-    "unpack",
-    "render",
-    "view",
-    "eval",
-    "export",
-    "info",
-    "selftest",
-    "bench",
-    "conformance",
-    "accept",
-)
-"""Each is a module of ``clgs.cli.commands`` with ``register(subparsers)`` and ``run(args)``."""
+COMMANDS = {
+    **dict.fromkeys(("run", "devices", "doctor", "prepare", "train", "encode", "decode"), "cli"),
+    **dict.fromkeys(("pack", "unpack", "render", "view", "eval", "export", "info"), "cli"),
+    **dict.fromkeys(("selftest", "bench", "conformance", "accept"), "lab"),
+}
+"""The package of each: a module of ``clgs.<package>.commands`` with ``register`` and ``run``."""
 
 LOST = ("OUT_OF_RESOURCES", "DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE", "INVALID_CONTEXT")
 """What drivers answer once a device has failed, or is gone."""
@@ -75,7 +60,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in COMMANDS:
-        importlib.import_module(f"clgs.cli.commands.{command}").register(subparsers)
+        command_module(command).register(subparsers)
         if command in EXAMPLES:
             subparsers.choices[command].epilog = epilog(command)
     return parser
@@ -122,7 +107,7 @@ def _run(argv: Sequence[str] | None) -> int:
         from clgs.cli.notes import show_notes
 
         show_notes()
-    module = importlib.import_module(f"clgs.cli.commands.{args.command}")
+    module = command_module(args.command)
     try:
         code: int = module.run(args)
     except Exception as error:
@@ -131,6 +116,11 @@ def _run(argv: Sequence[str] | None) -> int:
         less = getattr(module, "LESS_MEMORY", "try a larger --downscale")
         raise ClgsError(f"out of memory; {less}") from error
     return code
+
+
+def command_module(command: str) -> Any:
+    """The module of a command, with ``register(subparsers)`` and ``run(args)``."""
+    return importlib.import_module(f"clgs.{COMMANDS[command]}.commands.{command}")
 
 
 def _with_help(words: Sequence[str]) -> list[str]:

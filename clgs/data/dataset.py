@@ -17,7 +17,7 @@ import numpy.typing as npt
 from clgs.data.apart import ASTRAY, apart, in_one_place
 from clgs.data.images import Pixels, box_resized, check_image, list_images, read_image
 from clgs.data.lens import Lens, forget_sources, undistort_lens, undistort_pixels
-from clgs.data.photos.masks import StoredMask, read_mask
+from clgs.data.masks import StoredMask, read_mask
 from clgs.data.point_file import PointFile, read_points
 from clgs.data.points import RandomStart, keep_near, random_points, viewpoint
 from clgs.data.posed_photo import Photo, PhotoSet
@@ -352,7 +352,7 @@ def _triangulate(
     photos: PhotoSet, cache: Path | None, seed: int, on_stage: Callable[[str], None]
 ) -> None:
     """Fill in the points from the training photos; on failure they stay None."""
-    from clgs.data.sfm.triangulate import triangulate
+    from clgs.poses.triangulate import triangulate
 
     try:
         points = triangulate(photos.train, cache, seed, on_stage)

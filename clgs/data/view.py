@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import chain
 
-from clgs.data.photos.masks import Mask, StoredMask
+from clgs.data.masks import Mask, StoredMask
 from clgs.data.stored_photo import Color, Planes, StoredPhoto
 from clgs.scene.camera import Camera
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from clgs.data.colmap.model import find_model
 from clgs.data.dataset import MIN_POINTS, read_photo_set
+from clgs.data.find import find_photos
 from clgs.data.origin import read_origin
-from clgs.data.photos.find import find_photos
 from clgs.data.point_file import PointFile, read_points
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.transforms import each_frame, parse_leniently

@@ -72,7 +72,7 @@ def examine_machine() -> ExaminedMachine:
 
 
 def _facts() -> dict[str, str]:
-    from clgs.bench.facts import host_facts
+    from clgs.lab.bench.facts import host_facts
 
     host = host_facts()
     versions = host["versions"]
@@ -167,8 +167,8 @@ def _devices(findings: list[Finding]) -> Iterator[Tried]:
 
 def _try(index: int) -> Tried | Finding:
     """A second of checks of one device, and what is wrong with it."""
+    from clgs.lab.selftest.training_checks import training_checks
     from clgs.opencl.device import Device
-    from clgs.selftest.training_checks import training_checks
 
     start, worst, count, name = time.perf_counter(), 0.0, 0, str(index)
     try:

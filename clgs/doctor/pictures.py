@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from clgs.data.images import open_image
-from clgs.data.photos.masks import read_mask
+from clgs.data.masks import read_mask
 from clgs.data.posed_photo import Photo
 from clgs.data.reduction import MAX_SIZE
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, from_error, named

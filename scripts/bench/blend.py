@@ -23,14 +23,14 @@ os.environ["OMP_WAIT_POLICY"] = "passive"  # threads that spin after the C loop 
 import numpy as np
 from naive import NaiveBlend, box_lists, squares_of_three_sigma
 
+from clgs.lab.selftest.errors import relative_l2
+from clgs.lab.synthetic.blend_scenes import BLEND_SCENES
+from clgs.lab.synthetic.gaussians import ProjectedScene
 from clgs.opencl import device as opencl_device
 from clgs.opencl.device import Device
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
 from clgs.options import PRESETS, RenderOptions
-from clgs.selftest.errors import relative_l2
-from clgs.synthetic.blend_scenes import BLEND_SCENES
-from clgs.synthetic.gaussians import ProjectedScene
 
 BACKGROUND = np.array([0.2, 0.5, 0.9], np.float32)
 

@@ -16,9 +16,9 @@ from statistics import median
 
 import numpy as np
 
-from clgs.bench.step import synthetic_trainer
 from clgs.cli.options.view import positive_int
 from clgs.constants import K_OFFSETS
+from clgs.lab.bench.step import synthetic_trainer
 from clgs.opencl.device import Device
 from clgs.ops.density import Statistics
 from clgs.train.density.densifier import Densifier

@@ -28,13 +28,13 @@ from clgs.constants import (
     K_OFFSETS,
     OUTPUT_DIM,
 )
+from clgs.lab.synthetic.anchor_scene import square_camera
 from clgs.opencl.device import Device
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.scene.anchors import DeviceAnchors
 from clgs.scene.camera import Camera
 from clgs.scene.mlps import init_mlps, unpack_head
-from clgs.synthetic.anchor_scene import square_camera
 
 Array = npt.NDArray[np.float32]
 FORWARD_FLOP = 2 * (len(HEAD_DIMS) * INPUT_DIM * HIDDEN_DIM + OUTPUT_DIM * HIDDEN_DIM)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import TILE_SIZE
-from clgs.synthetic.gaussians import ProjectedScene
+from clgs.lab.synthetic.gaussians import ProjectedScene
 
 COMPILER = ("gcc", "-O3", "-march=native", "-fopenmp", "-shared", "-fPIC")
 ROW = 9

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from clgs.data.dataset import load_dataset
-from clgs.data.sfm.judging.agreement import Poses, differences
-from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict, verdict_of
 from clgs.errors import ClgsError
+from clgs.poses.judging.agreement import Poses, differences
+from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict, verdict_of
 
 
 def main() -> None:

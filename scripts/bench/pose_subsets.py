@@ -19,10 +19,10 @@ import numpy.typing as npt
 from PIL import Image, ImageFilter
 
 from clgs.data.dataset import load_dataset
-from clgs.data.sfm.judging.agreement import Poses, differences
-from clgs.data.sfm.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT
-from clgs.data.sfm.prepare import Doubts, prepare
 from clgs.opencl.device import Device
+from clgs.poses.judging.agreement import Poses, differences
+from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT
+from clgs.poses.prepare import Doubts, prepare
 from clgs.scene.camera import Camera
 from clgs.train.quality.pose_check import check_poses
 

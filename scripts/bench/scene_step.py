@@ -14,11 +14,11 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import mean, median
 
-from clgs.bench.step import STILL
 from clgs.cli.options.scene import read_run
 from clgs.data.dataset import load_dataset
 from clgs.data.reduction import Reduction
 from clgs.data.repose import repose
+from clgs.lab.bench.step import STILL
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.train.config import from_toml

@@ -16,10 +16,10 @@ from statistics import median
 
 import numpy as np
 
+from clgs.lab.synthetic.gaussians import projected_scene
 from clgs.opencl.device import Device
 from clgs.ops import tiles
 from clgs.ops.project import Projected
-from clgs.synthetic.gaussians import projected_scene
 
 SCENES = {
     "200k small, 400x400": (200_000, 400, 1.1),

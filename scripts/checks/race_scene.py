@@ -17,6 +17,8 @@ import numpy.typing as npt
 import pyopencl as cl
 
 from clgs.constants import TILE_SIZE
+from clgs.lab.synthetic.anchor_scene import anchor_scene, photo_dataset
+from clgs.lab.synthetic.gaussians import projected_scene
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, cull, rate, tiles
@@ -25,8 +27,6 @@ from clgs.options import RenderOptions, render_options
 from clgs.render import tile_groups
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.camera import Camera
-from clgs.synthetic.anchor_scene import anchor_scene, photo_dataset
-from clgs.synthetic.gaussians import projected_scene
 from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
 from clgs.train.run.trainer import Trainer

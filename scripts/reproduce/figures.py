@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from clgs.bench.plots import MARKERS, PANEL, STYLE, require_pyplot, save
+from clgs.lab.bench.plots import MARKERS, PANEL, STYLE, require_pyplot, save
 from reproduce.baseline import Point
 from reproduce.measure import ATTRIBUTES, LEVELS
 from reproduce.results import Group, Results, matching, proxy_line, proxy_points

@@ -22,11 +22,11 @@ from clgs.bake.cameras import VIEWS, cameras_around
 from clgs.bake.loss import baked_loss
 from clgs.bake.observe import observe
 from clgs.errors import DataError
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.options import DEFAULT
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import SceneTransform
-from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.quality.metrics import to_8bit
 from tests.export.splats.cases import differences, gaussians
 

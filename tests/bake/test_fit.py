@@ -6,8 +6,8 @@ import numpy as np
 
 from clgs.bake.fit import LEAST_WEIGHT, fit, harmonics, quaternions
 from clgs.bake.observe import Observation
-from clgs.reference.stages.project import rotation_matrix
-from clgs.reference.stages.splats import basis
+from clgs.reference.project import rotation_matrix
+from clgs.reference.splats import basis
 
 COUNT, VIEWS = 40, 60
 

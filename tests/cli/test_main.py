@@ -38,7 +38,7 @@ def run_raising(monkeypatch):
 
         module = types.SimpleNamespace(register=register, run=fail)
         monkeypatch.setitem(sys.modules, "clgs.cli.commands.fail", module)
-        monkeypatch.setattr(cli, "COMMANDS", ("fail",))
+        monkeypatch.setattr(cli, "COMMANDS", {"fail": "cli"})
         return cli.main(["fail"])
 
     return run
@@ -107,7 +107,7 @@ def run(args):
     logging.getLogger("clgs.data").warning("3 photos are missing")
     return 0
 module = types.SimpleNamespace(run=run, register=lambda subparsers: subparsers.add_parser("warn"))
-sys.modules["clgs.cli.commands.warn"], cli.COMMANDS = module, ("warn",)
+sys.modules["clgs.cli.commands.warn"], cli.COMMANDS = module, {"warn": "cli"}
 sys.exit(cli.main(["warn"]))
 """
     result = subprocess.run(

@@ -165,7 +165,7 @@ def turn_around(document: dict) -> None:
 
 
 def test_photos_from_the_middle_outwards_start_from_what_two_see(tmp_path: Path, monkeypatch):
-    monkeypatch.setattr("clgs.data.sfm.triangulate.triangulate", no_points)
+    monkeypatch.setattr("clgs.poses.triangulate.triangulate", no_points)
     document = write_transforms(tmp_path, 40)
     turn_around(document)
     save_json(tmp_path, document)
@@ -182,7 +182,7 @@ def no_points(*arguments: object) -> None:
 
 
 def test_cameras_that_share_no_sight_are_one_line(tmp_path: Path, monkeypatch):
-    monkeypatch.setattr("clgs.data.sfm.triangulate.triangulate", no_points)
+    monkeypatch.setattr("clgs.poses.triangulate.triangulate", no_points)
     document = write_transforms(tmp_path, 5)
     turn_around(document)
     save_json(tmp_path, document)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from clgs.data.colmap.model import read_colmap
-from clgs.data.sfm.judging.agreement import Poses, differences
-from clgs.data.sfm.judging.evidence import MAX_CONTRADICTED
-from clgs.data.sfm.judging.verdict import GOOD
-from clgs.data.sfm.prepare import prepare
+from clgs.poses.judging.agreement import Poses, differences
+from clgs.poses.judging.evidence import MAX_CONTRADICTED
+from clgs.poses.judging.verdict import GOOD
+from clgs.poses.prepare import prepare
 
 
 def poses(views) -> Poses:

@@ -68,7 +68,7 @@ def test_drivers_that_are_not_named_or_do_not_load(tmp_path: Path):
 
 
 def test_a_device_that_computes_wrongly_is_an_error(monkeypatch):
-    from clgs.selftest import training_checks
+    from clgs.lab.selftest import training_checks
 
     def wrong(device, count):
         yield "scan", "offsets", 2.0, 1.0, 0.1

@@ -9,11 +9,11 @@ from collections.abc import Iterable, Iterator
 LAYERS = [  # a package may import from its own row and the rows above it
     {"constants", "errors", "shapes", "byte_count", "files", "memory", "options", "reference"},
     {"opencl", "scene"},
-    {"ops", "codec", "data"},
+    {"ops", "codec", "data", "poses"},
     {"render", "export"},
-    {"bake", "synthetic", "selftest", "train"},
-    {"bench", "doctor", "viewer"},
-    {"cli"},
+    {"bake", "train"},
+    {"viewer"},
+    {"cli", "doctor", "lab"},
 ]
 LEVEL = {name: level for level, row in enumerate(LAYERS) for name in row}
 

@@ -65,14 +65,14 @@ def kernel_stages() -> dict[str, str]:
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_every_stage_has_its_kernels_reference_and_test(stage):
-    partners = (f"clgs/reference/stages/{stage}.py", f"tests/ops/test_{stage}.py")
+    partners = (f"clgs/reference/{stage}.py", f"tests/ops/test_{stage}.py")
     missing = [partner for partner in partners if not (ROOT / partner).is_file()]
     assert not missing, f"clgs/ops/{stage}.py lacks them"
     assert stage in kernel_stages().values(), f"clgs/ops/{stage}.py has no kernels"
 
 
 def test_every_reference_has_its_op():
-    references = (ROOT / "clgs" / "reference" / "stages").glob("*.py")
+    references = (ROOT / "clgs" / "reference").glob("*.py")
     assert sorted({path.stem for path in references} - {"__init__"}) == STAGES
 
 

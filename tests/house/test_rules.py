@@ -21,11 +21,11 @@ from tests.house import rules
         ("clgs.train.run.trainer", "import pyopencl as cl", "only clgs.opencl imports pyopencl"),
         ("clgs.ops.mlp", "from clgs.scene.scene import Scene", "ops never know"),
         (
-            "clgs.reference.stages.mlp",
+            "clgs.reference.mlp",
             "from clgs.errors import DataError",
             "references never import",
         ),
-        ("clgs.reference.stages.mlp", "import scipy.ndimage", "references never import scipy"),
+        ("clgs.reference.mlp", "import scipy.ndimage", "references never import scipy"),
     ],
 )
 def test_bad_imports_are_found(module, line, complaint):
@@ -40,7 +40,7 @@ def test_bad_imports_are_found(module, line, complaint):
         ("clgs.cli.commands.train", "from clgs.train.run import trainer"),
         ("clgs.opencl.device", "import pyopencl as cl"),
         (
-            "clgs.reference.stages.mlp",
+            "clgs.reference.mlp",
             "import math\nimport numpy as np\nfrom clgs.constants import BLUR",
         ),
         ("clgs", "from clgs.train.run import trainer"),

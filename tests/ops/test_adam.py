@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.ops import adam
-from clgs.reference.stages import adam as reference
+from clgs.reference import adam as reference
 from clgs.train.step.numpy_adam import State, update
 from tests.compare import assert_close
 

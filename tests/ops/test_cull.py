@@ -8,7 +8,7 @@ import pytest
 from clgs.constants import BLUR, NEAR_PLANE
 from clgs.ops import cull
 from clgs.options import RenderOptions, Skips
-from clgs.reference.stages import cull as reference
+from clgs.reference import cull as reference
 from clgs.scene.camera import Camera
 from tests.ops.cases.anchors import on_device
 from tests.ops.cases.project import camera_at

@@ -8,7 +8,7 @@ import pytest
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.ops import density
 from clgs.ops.neural import NeuralGaussians
-from clgs.reference.stages import density as reference
+from clgs.reference import density as reference
 from tests.compare import assert_close
 
 SIZE = (320, 200)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.ops import exposure
-from clgs.reference.stages import exposure as reference
+from clgs.reference import exposure as reference
 from tests.compare import assert_close
 
 EPSILON = 2.0**-24

@@ -11,7 +11,7 @@ import pytest
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.ops import growth
 from clgs.ops.density import Statistics
-from clgs.reference.stages import growth as reference
+from clgs.reference import growth as reference
 from clgs.scene.anchors import AnchorSet
 
 Host = tuple[AnchorSet, "Statistics[npt.NDArray[Any]]"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.ops import limits
-from clgs.reference.stages import limits as reference
+from clgs.reference import limits as reference
 
 
 @pytest.mark.parametrize("count", [0, 16, 4097])

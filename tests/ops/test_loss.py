@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.ops import loss
-from clgs.reference.stages import loss as reference
+from clgs.reference import loss as reference
 from tests.compare import assert_close, relative_l2
 
 EPSILON = 2.0**-24

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from clgs.ops import loss, mask
-from clgs.reference.stages import loss as loss_reference
-from clgs.reference.stages import mask as reference
+from clgs.reference import loss as loss_reference
+from clgs.reference import mask as reference
 from tests.compare import assert_close, relative_l2
 
 SIZES = [(1, 1), (1, 17), (33, 47), (64, 64), (129, 97)]

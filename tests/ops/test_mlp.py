@@ -11,7 +11,7 @@ import pytest
 
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
-from clgs.reference.stages import mlp as reference
+from clgs.reference import mlp as reference
 from tests.compare import assert_close, relative_l2
 from tests.ops.cases.mlp import (
     anchors,

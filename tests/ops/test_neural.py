@@ -10,7 +10,7 @@ import pytest
 from clgs.ops import neural
 from clgs.ops.mlp import Activations, drawn_rows, padded_size
 from clgs.options import DEFAULT
-from clgs.reference.stages import neural as reference
+from clgs.reference import neural as reference
 from tests.compare import assert_close, relative_l2
 from tests.ops.cases.anchors import on_device
 from tests.ops.cases.neural import case, gradients, widen

@@ -10,7 +10,7 @@ import pytest
 from clgs.constants import NEAR_PLANE
 from clgs.ops import project
 from clgs.options import PARITY, RenderOptions
-from clgs.reference.stages import project as reference
+from clgs.reference import project as reference
 from tests.compare import assert_close, relative_l2
 from tests.ops.cases.project import camera_at, d_projected, gaussians, on_device, widen
 

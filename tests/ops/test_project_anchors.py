@@ -9,7 +9,7 @@ import pytest
 
 from clgs.ops import mlp, neural, project, project_anchors
 from clgs.options import DEFAULT, Skips
-from clgs.reference.stages import project_anchors as reference
+from clgs.reference import project_anchors as reference
 from clgs.scene.anchors import FIELDS
 from tests.compare import assert_close, relative_l2
 from tests.ops.cases.mlp import anchors, decided, mlp_inputs, packed_camera, some

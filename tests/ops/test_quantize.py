@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.ops import quantize
-from clgs.reference.stages import quantize as reference
+from clgs.reference import quantize as reference
 
 SCALES = [1.0, 200.0, 1024.0]
 

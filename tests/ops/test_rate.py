@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.ops import rate
-from clgs.reference.stages import rate as reference
+from clgs.reference import rate as reference
 from tests.compare import assert_close, relative_l2
 
 FORMS = ["channel", "pooled"]

@@ -7,7 +7,7 @@ import pytest
 
 from clgs.errors import ClgsError
 from clgs.ops import scan
-from clgs.reference.stages import scan as reference
+from clgs.reference import scan as reference
 
 
 @pytest.mark.parametrize("count", [0, 1, 255, 256, 257, 100_003])

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from clgs.ops import sort
-from clgs.reference.stages import sort as reference
+from clgs.reference import sort as reference
 
 
 def check(device, keys, bits):

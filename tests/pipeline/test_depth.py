@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clgs.lab.selftest.reference_render import render_reference
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.options import DEFAULT, RenderOptions
-from clgs.reference.stages import blend
+from clgs.reference import blend
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_forward
 from clgs.render.renderer import Renderer
-from clgs.selftest.reference_render import render_reference
-from clgs.synthetic.anchor_scene import anchor_scene
 from tests.compare import assert_close
 
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clgs.lab.selftest.reference_render import backward_reference, render_reference
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.ops import loss
 from clgs.options import DEFAULT, RenderOptions, Skips
-from clgs.reference.stages import loss as loss_reference
+from clgs.reference import loss as loss_reference
 from clgs.render.frame import Capacity, upload_scene, upload_view
 from clgs.render.picture import draw
 from clgs.render.pipeline import render_backward, render_forward, view_forward
 from clgs.scene.scene import RenderSettings
-from clgs.selftest.reference_render import backward_reference, render_reference
-from clgs.synthetic.anchor_scene import anchor_scene
 from tests.compare import relative_l2
 
 LEVEL = 1 / 255

@@ -8,7 +8,7 @@ import pytest
 from clgs.constants import NEAR_PLANE
 from clgs.ops import blend as blend_op
 from clgs.options import RenderOptions
-from clgs.reference.stages import blend, project, splats, tiles
+from clgs.reference import blend, project, splats, tiles
 from clgs.render.frame import upload_view
 from clgs.render.picture import draw
 from clgs.render.renderer import Renderer

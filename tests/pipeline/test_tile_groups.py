@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from clgs.errors import ClgsError, DeviceError
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.ops import scan, tiles
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import tile_groups
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.scene import RenderSettings
-from clgs.synthetic.anchor_scene import anchor_scene
 
 MIB = 2**20
 

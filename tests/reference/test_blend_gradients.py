@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.reference.stages import blend, tiles
-from clgs.reference.stages.project import Projected
-from clgs.synthetic.gaussians import projected_scene
+from clgs.lab.synthetic.gaussians import projected_scene
+from clgs.reference import blend, tiles
+from clgs.reference.project import Projected
 from tests.compare import central_difference
 
 SIZE = 37, 20

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.reference.stages import exposure
+from clgs.reference import exposure
 from tests.compare import assert_close, central_difference
 
 WEIGHT = 0.3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.reference.stages import loss
+from clgs.reference import loss
 from tests.compare import assert_close, central_difference
 
 

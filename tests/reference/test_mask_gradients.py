@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.reference.stages import loss, mask
+from clgs.reference import loss, mask
 from tests.compare import assert_close, central_difference
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.reference.stages import mlp
+from clgs.reference import mlp
 from tests.compare import assert_close, central_difference
 from tests.ops.cases.mlp import anchors, packed_camera
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.constants import LOG_SCALE_LIMIT
-from clgs.reference.stages import neural
+from clgs.reference import neural
 from tests.compare import assert_close, central_difference
 from tests.ops.cases.neural import case, gradients, widen
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.ops import rate as op
-from clgs.reference.stages import rate
+from clgs.reference import rate
 from tests.compare import assert_close, central_difference
 
 SCALES = [1e-4, 1e-2, 0.1, 0.3, 0.69, 0.71, 1.0, 3.0, 100.0, 1000.0]

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from clgs.constants import NEAR_PLANE
+from clgs.lab.synthetic.gaussians import SIGMA_SPREAD, GaussianScene
 from clgs.ops import blend as blend_op
 from clgs.ops import project, tiles
 from clgs.ops.neural import Gaussians
-from clgs.reference.stages import blend as blend_reference
-from clgs.reference.stages import project as project_reference
-from clgs.reference.stages.tiles import TileLists
+from clgs.reference import blend as blend_reference
+from clgs.reference import project as project_reference
+from clgs.reference.tiles import TileLists
 from clgs.scene.camera import Camera
-from clgs.synthetic.gaussians import SIGMA_SPREAD, GaussianScene
 from tests.compare import relative_l2
 from tests.ops.cases.blend import BACKGROUND, Rendered, decisions
 

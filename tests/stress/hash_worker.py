@@ -20,12 +20,12 @@ import numpy as np
 import clgs.opencl.grid
 import clgs.ops
 from clgs.data.dataset import load_dataset
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import loss
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.scene import RenderSettings
-from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clgs.lab.synthetic.anchor_scene import anchor_scene
+from clgs.lab.synthetic.gaussians import projected_scene
 from clgs.opencl import device as device_module
 from clgs.ops import blend
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.scene import RenderSettings
-from clgs.synthetic.anchor_scene import anchor_scene
-from clgs.synthetic.gaussians import projected_scene
 from tests.ops.cases.blend import BACKGROUND, render
 from tests.stress.cases import (
     GRADIENTS,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from clgs.constants import LOG_SCALE_LIMIT
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.scene import RenderSettings
-from clgs.synthetic.anchor_scene import anchor_scene
 from tests.stress.cases import (
     GRADIENTS,
     LEVEL,

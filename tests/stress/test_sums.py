@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from clgs.ops import adam, loss, rate
-from clgs.reference.stages import adam as adam_reference
-from clgs.reference.stages import loss as loss_reference
-from clgs.reference.stages import rate as rate_reference
+from clgs.reference import adam as adam_reference
+from clgs.reference import loss as loss_reference
+from clgs.reference import rate as rate_reference
 from tests.compare import assert_close, relative_l2
 
 SCALES, DISTANCES = (

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from clgs.data.dataset import load_dataset
+from clgs.lab.selftest.reference_render import backward_reference, render_reference
 from clgs.ops import loss
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import RenderSettings, Scene
-from clgs.selftest.reference_render import backward_reference, render_reference
 from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer
 from tests.small_scene import write_scene

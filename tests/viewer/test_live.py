@@ -11,9 +11,9 @@ import pytest
 from clgs.data.images import Pixels
 from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import RenderSettings, SplatScene
-from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.quality.metrics import to_8bit
 from clgs.viewer.importance import scene_importance, splat_importance
 from clgs.viewer.live import MOVING_LEAST, Eye, Follower, LiveScene, eye_of

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from clgs.codec.splats import Splats
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.scene.anchors import QuantizationScales, quantize, take
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
-from clgs.synthetic.anchor_scene import anchor_scene
 
 SCALES = QuantizationScales(200.0, 16.0, 16.0, 32.0)
 

@@ -13,8 +13,8 @@ from clgs.codec.scene_encoder import encode
 from clgs.codec.splats import pack
 from clgs.errors import ClgsError
 from clgs.export import page
+from clgs.lab.synthetic.anchor_scene import square_camera
 from clgs.render.renderer import render_view
-from clgs.synthetic.anchor_scene import square_camera
 from clgs.train.quality.metrics import to_8bit
 from tests.web.browser import Browser, find_browser
 from tests.web.scenes import grey_wall, quantized_scene

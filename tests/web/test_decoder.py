@@ -14,8 +14,8 @@ from clgs import constants
 from clgs.codec import splats
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
-from clgs.reference.stages import mlp, neural
-from clgs.reference.stages.project import rotation_matrix
+from clgs.reference import mlp, neural
+from clgs.reference.project import rotation_matrix
 from tests.codec.scenes import random_scene
 from tests.web import native
 from tests.web.scenes import quantized_scene, random_splats

@@ -12,7 +12,7 @@ from clgs.cli.options.output import add_overwrite
 from clgs.cli.options.view import named_path, positive_int, seed
 
 if TYPE_CHECKING:
-    from clgs.data.sfm.judging.verdict import PhotoVerdict, Verdict
+    from clgs.poses.judging.verdict import PhotoVerdict, Verdict
 
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
@@ -63,8 +63,8 @@ def register(subparsers: Subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Prepare ``args.photos`` into ``args.output`` and print the verdict; returns the exit code."""
     from clgs.cli.stages import StageDisplay
-    from clgs.data.sfm.prepare import Doubts, prepare
     from clgs.export.poses_page import write_poses_page
+    from clgs.poses.prepare import Doubts, prepare
 
     start = time.perf_counter()
     with StageDisplay() as display:
@@ -91,7 +91,7 @@ def _short_training(data: Path, on_step: Callable[[int, int], None]) -> dict[str
 
 
 def _print_verdict(output: Path, verdict: Verdict, seconds: float) -> None:
-    from clgs.data.sfm.judging.verdict import DOUBTFUL, LEFT_OUT
+    from clgs.poses.judging.verdict import DOUBTFUL, LEFT_OUT
 
     print(
         f"{output}: registered {verdict.registered} of {verdict.total} photos, "

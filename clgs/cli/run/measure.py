@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
-from clgs.bench.step import stream_times, synthetic_trainer
 from clgs.cli.run.plan import Photos, Speed, fit_speed
 from clgs.cli.tell import tell
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset
 from clgs.data.reduction import Reduction
+from clgs.lab.bench.step import stream_times, synthetic_trainer
 from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig, preset
 from clgs.train.run.load import load_for

@@ -79,9 +79,9 @@ def _is_data(folder: Path) -> bool:
 
 
 def _measure_photos(path: Path) -> Source:
-    from clgs.data.photos.bring_in import find_source as find_photos
-    from clgs.data.photos.bring_in import readable_sizes
-    from clgs.data.photos.video import frame_size
+    from clgs.poses.photos.bring_in import find_source as find_photos
+    from clgs.poses.photos.bring_in import readable_sizes
+    from clgs.poses.photos.video import frame_size
 
     found = find_photos(path)
     digest = _digest(found.files)

@@ -9,9 +9,9 @@ import numpy as np
 
 from clgs.data.colmap.binary_check import check_name
 from clgs.data.colmap.reconstruction import PosedImage, Reconstruction, read_elsewhere
+from clgs.data.find import find_mask
 from clgs.data.images import stored_size
 from clgs.data.lens import Lens
-from clgs.data.photos.find import find_mask
 from clgs.data.posed_photo import Photo, PhotoSet, fit_lens, hold_out, inside, rigid
 from clgs.errors import DataError
 

@@ -112,7 +112,7 @@ def test_three_and_the_validator_open_glb(tmp_path):
 
 def covariances(unit: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Upper triangles (N, 6)."""
-    from clgs.reference.stages.project import rotation_matrix
+    from clgs.reference.project import rotation_matrix
 
     axes = rotation_matrix(unit) * scale[:, None, :]
     return (axes @ axes.transpose(0, 2, 1))[:, *np.triu_indices(3)]

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from clgs.lab.synthetic.gaussians import ProjectedScene
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
 from clgs.options import DEFAULT, RenderOptions
-from clgs.reference.stages import blend as reference
-from clgs.reference.stages import project as reference_project
-from clgs.reference.stages.tiles import TileLists
-from clgs.synthetic.gaussians import ProjectedScene
+from clgs.reference import blend as reference
+from clgs.reference import project as reference_project
+from clgs.reference.tiles import TileLists
 
 GEOMETRY = ("mean2d", "whitening", "depth", "extent")
 GRADIENTS = ("d_mean2d", "d_whitening", "d_color", "d_opacity")

@@ -8,7 +8,7 @@ import numpy as np
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE
 from clgs.ops.mlp import Inputs
-from clgs.reference.stages import mlp as reference
+from clgs.reference import mlp as reference
 from clgs.scene.mlps import init_mlps, unpack_head
 from tests.ops.cases.anchors import on_device
 from tests.ops.cases.project import camera_at

@@ -4,11 +4,11 @@ from dataclasses import replace
 from typing import Any
 
 from clgs.constants import K_OFFSETS
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.render.frame import upload_scene
 from clgs.render.pipeline import render_forward
 from clgs.scene.anchors import QuantizationScales, quantize
 from clgs.scene.scene import QuantizedScene
-from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.quality.drawn import count_drawn
 
 

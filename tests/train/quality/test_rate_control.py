@@ -12,12 +12,12 @@ from clgs.data.images import Pixels
 from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
 from clgs.errors import UsageError
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
 from clgs.render.frame import upload_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.scene import QuantizedScene
-from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.quality.importance import importance, importance_without_views
 from clgs.train.quality.metrics import to_8bit
 from clgs.train.quality.rate_control import Judge, reduce_to_psnr, reduce_to_size

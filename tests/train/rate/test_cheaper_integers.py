@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clgs.reference.stages.rate import laplace_nats
+from clgs.reference.rate import laplace_nats
 from clgs.train.rate.cheaper_integers import (
     LEAST_SCALE,
     MOST_POWER,

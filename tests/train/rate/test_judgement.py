@@ -10,13 +10,13 @@ import pytest
 from clgs.data.images import Pixels
 from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import loss
 from clgs.options import DEFAULT
 from clgs.render.frame import DeviceScene, DeviceView, upload_scene
 from clgs.render.pipeline import render_forward, view_forward
 from clgs.scene.scene import RenderSettings, Scene
-from clgs.synthetic.anchor_scene import anchor_scene
 from clgs.train.quality.importance import importance, sensitivity
 from clgs.train.quality.metrics import to_8bit
 from clgs.train.rate.judgement import Judge

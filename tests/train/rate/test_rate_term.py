@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.opencl.device import Device
-from clgs.reference.stages import rate as reference
+from clgs.reference import rate as reference
 from clgs.render.frame import SceneGradients
 from clgs.scene.anchors import AnchorSet, QuantizationScales, quantize
 from clgs.scene.mlps import init_mlps

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.data.images import Pixels
-from clgs.data.photos.masks import StoredMask
+from clgs.data.masks import StoredMask
 from clgs.data.stored_photo import StoredPhoto
 from clgs.train.config import preset
 from clgs.train.quality.metrics import psnr_8bit, psnr_channel_mean, ssim

@@ -10,7 +10,7 @@ import pytest
 
 from clgs.errors import DataError
 from clgs.ops import adam
-from clgs.reference.stages import adam as reference
+from clgs.reference import adam as reference
 from clgs.train.config import preset
 from clgs.train.run.session import train_scene
 from clgs.train.state.hashes import scene_hash

@@ -10,7 +10,7 @@ import pytest
 from clgs.codec.container.reader import decode_weights
 from clgs.codec.container.section_table import MLPS, read_container
 from clgs.codec.scene_encoder import encode
-from clgs.reference.stages import quantize as reference
+from clgs.reference import quantize as reference
 from clgs.scene.mlps import HEAD_DIMS, head_slice
 from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer

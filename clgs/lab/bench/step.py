@@ -1,0 +1,146 @@
+"""Time one training step on a seeded synthetic scene, stage by stage."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from itertools import product
+from statistics import median
+
+import numpy as np
+
+from clgs.lab.bench.frame_counts import count_frame
+from clgs.lab.synthetic.anchor_scene import anchor_scene, photo_dataset
+from clgs.opencl.device import Device
+from clgs.render.renderer import Renderer
+from clgs.scene.camera import Camera
+from clgs.scene.scene import Scene
+from clgs.train.config import LearningRates, TrainConfig
+from clgs.train.density.densifier import Densifier
+from clgs.train.run.trainer import Trainer
+from clgs.train.state.parameters import new_parameters
+
+WARM_UP = 3
+STILL = LearningRates(*[(1e-12, 1e-12)] * 6)
+"""Learning rates that leave the scene as it is, so that every step does the same work."""
+
+CORNERS = np.array(list(product((-1, 1), repeat=3)), np.float32)
+"""Points that a trainer can start from, whatever scene it is given then."""
+
+
+@dataclass(frozen=True)
+class StepTimes:
+    """Median milliseconds of a whole step, of each stage, and what the step worked on.
+
+    step: of a stream of steps; render: of a picture alone, from the camera to the host's array;
+    launches: kernels of a step; waits: of the host for the device, in a step, the mean; host: its
+    processor, but for these waits; kernels: by the device's clock, by name.
+    """
+
+    step: float
+    render: float
+    launches: int
+    waits: float
+    host: float
+    kernels: dict[str, float]
+    stages: dict[str, float]
+    anchors: int
+    gaussians: int
+    intersections: int
+
+
+def bench_step(
+    device: Device, gaussians: int, size: int | tuple[int, int], repeats: int, seed: int
+) -> StepTimes:
+    """Time steps on a new synthetic scene, as :func:`time_steps` does."""
+    return time_steps(synthetic_trainer(device, gaussians, size, seed), repeats)
+
+
+def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
+    """Time ``repeats`` steps as a stream, then as many stage by stage (with waits in between)."""
+    device = trainer.device
+    launches, waits = device.launches, device.waits.count
+    whole, host = zip(*stream(trainer, repeats), strict=True)
+    launches, waits = device.launches - launches, device.waits.count - waits
+    kernels = kernel_times(trainer, repeats)
+    device.profile.clear()
+    device.profile.enabled = True
+    for _ in range(repeats):
+        trainer.step()
+    device.profile.enabled = False
+    stages = {name: milliseconds for name, _, milliseconds, _ in device.profile.rows()}
+    counts = count_frame(device, trainer.render_next())
+    return StepTimes(
+        step=median(whole),
+        render=median(render_times(trainer, repeats)),
+        launches=round(launches / (WARM_UP + repeats)),
+        waits=waits / (WARM_UP + repeats),
+        host=median(host),
+        kernels=kernels,
+        stages=stages,
+        anchors=trainer.parameters.count,
+        gaussians=counts.gaussians,
+        intersections=counts.intersections,
+    )
+
+
+def stream(trainer: Trainer, repeats: int) -> list[tuple[float, float]]:
+    """Milliseconds between the results of ``repeats`` steps after a few to warm up.
+
+    By the clock, and of the host's processor outside of waits for the device.
+    """
+    waits, times = trainer.device.waits, []
+    start = busy = waited = 0.0
+    for _ in trainer.steps(WARM_UP + repeats):
+        now, used, idle = time.perf_counter(), time.thread_time(), waits.seconds
+        times.append((1e3 * (now - start), 1e3 * (used - busy - (idle - waited))))
+        start, busy, waited = now, used, idle
+    return times[WARM_UP:]
+
+
+def stream_times(trainer: Trainer, repeats: int) -> list[float]:
+    """As :func:`stream`, by the clock alone."""
+    return [milliseconds for milliseconds, _ in stream(trainer, repeats)]
+
+
+def kernel_times(trainer: Trainer, repeats: int) -> dict[str, float]:
+    """Median milliseconds of a step by kernel, by the clock of the device."""
+    found: dict[str, list[float]] = {}
+    with trainer.device.timed_kernels() as times:
+        for _ in range(repeats):
+            trainer.step()
+            for kernel, milliseconds in times.take().items():
+                found.setdefault(kernel, []).append(milliseconds)
+    return {kernel: median(each) for kernel, each in found.items()}
+
+
+def render_times(trainer: Trainer, repeats: int) -> list[float]:
+    """Milliseconds of ``repeats`` pictures of the first view, after a few to warm up."""
+    camera, settings = trainer.dataset.train[0].camera, trainer.settings
+    scene = trainer.queue.seen(trainer.parameters, trainer.steps_done)
+    renderer = Renderer.of_device_scene(trainer.device, scene, settings, trainer.options)
+    times = []
+    for _ in range(WARM_UP + repeats):
+        start = time.perf_counter()
+        renderer.render(camera)
+        times.append(1e3 * (time.perf_counter() - start))
+    return times[WARM_UP:]
+
+
+def synthetic_trainer(
+    device: Device, gaussians: int, size: int | tuple[int, int], seed: int
+) -> Trainer:
+    """A trainer in the middle of its statistics phase, on a synthetic scene and photo."""
+    return trainer_of(device, *anchor_scene(gaussians, size, seed), seed)
+
+
+def trainer_of(device: Device, scene: Scene, camera: Camera, seed: int = 0) -> Trainer:
+    """As :func:`synthetic_trainer`, of a scene and a camera of one's own."""
+    dataset = photo_dataset(camera, CORNERS, seed)
+    config = replace(TrainConfig(), learning_rates=STILL, seed=seed).for_dataset("photos")
+    trainer = Trainer(device, dataset, config)
+    trainer.parameters = new_parameters(device, scene.anchors, scene.mlps)
+    trainer.densifier = Densifier(device, config, trainer.parameters.count)
+    trainer.steps_done = config.statistics_start + 1
+    trainer.rng = np.random.default_rng(seed)
+    return trainer

@@ -1,0 +1,104 @@
+"""`clgs selftest`: every stage against its float64 reference on every device."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clgs.cli.options.device import add_device_option, open_devices
+
+if TYPE_CHECKING:
+    from clgs.lab.selftest.render_checks import Check
+    from clgs.opencl.device import Device
+
+
+def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command and its options."""
+    parser = subparsers.add_parser(
+        "selftest",
+        help="check every kernel against float64 on every device",
+        description="Error and time of every stage on every device, one line per device; the whole "
+        "table for a single device or with --verbose. Exit code 1 if an error exceeds its limit.",
+    )
+    add_device_option(parser)
+    parser.add_argument("--verbose", action="store_true", help="show every check of every device")
+    parser.add_argument("--json", type=Path, metavar="F", help="write all checks to F")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the checks; exit code 0, or 1 if one fails."""
+    from clgs.files import check_target
+    from clgs.train.run.session import write_json
+
+    if args.json:
+        check_target(args.json)
+    records, tables, failures = [], [], 0
+    for index, device in open_devices(args.device):
+        checks, error = _checks(device)
+        failed = [check for check in checks if not check.passed]
+        failures += len(failed) + bool(error)
+        records.append(_record(device, checks, error))
+        tables.append((device, checks))
+        print(f"{index}: {device.name} ({device.specialisation}): {_verdict(checks, error)}")
+    for device, checks in tables:
+        if args.verbose or len(tables) == 1:
+            _show(device, checks)
+    if args.json:
+        write_json(args.json, {"devices": records})
+    print("all checks passed" if not failures else f"{failures} checks failed")
+    return 1 if failures else 0
+
+
+def _checks(device: Device) -> tuple[list[Check], str]:
+    """The checks of a device, and the error that stopped them; other devices still follow."""
+    from clgs.cli.main import explain
+    from clgs.lab.selftest.render_checks import selftest
+
+    checks: list[Check] = []
+    try:
+        for check in selftest(device):
+            checks.append(check)
+    except Exception as error:
+        return checks, explain(error)[0]
+    return checks, ""
+
+
+def _verdict(checks: list[Check], error: str) -> str:
+    failed = [check for check in checks if not check.passed]
+    if error:
+        return f"FAIL: {error}"
+    if failed:
+        names = ", ".join(f"{check.stage} {check.quantity}" for check in failed)
+        return f"FAIL: {len(failed)} of {len(checks)} checks: {names}"
+    worst = max(checks, key=lambda check: check.share)
+    nearest = f"{worst.stage} {worst.quantity} at {worst.share:.2f} of its limit"
+    return f"{len(checks)} check{'s' * (len(checks) != 1)} passed, nearest to its limit: {nearest}"
+
+
+def _record(device: Device, checks: list[Check], error: str) -> dict[str, object]:
+    from dataclasses import asdict
+
+    from clgs.lab.bench.facts import machine_facts
+
+    found = [asdict(check) | {"passed": check.passed} for check in checks]
+    return machine_facts(device) | {"error": error, "checks": found}
+
+
+def _show(device: Device, checks: list[Check]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("stage", "quantity", title=f"{device.name} ({device.specialisation})")
+    for column in ("error", "limit", "ms", ""):
+        table.add_column(column, justify="right")
+    for check in checks:
+        table.add_row(
+            check.stage,
+            check.quantity,
+            f"{check.error:.2e}",
+            f"{check.limit:.0e}",
+            f"{check.milliseconds:.2f}",
+            "ok" if check.passed else "FAIL",
+        )
+    Console().print(table)

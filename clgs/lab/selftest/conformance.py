@@ -1,0 +1,208 @@
+"""Fingerprints of everything that the kernels compute for fixed inputs, stage by stage."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.constants import K_OFFSETS, OUTPUT_DIM
+from clgs.errors import DataError
+from clgs.lab.selftest.conformance_scenes import ConformanceScene, conformance_scenes
+from clgs.lab.selftest.exact_random import ExactRandom
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.ops import adam, blend, density, limits, loss, mlp, project, quantize, rate, scan, sort
+from clgs.options import PRESETS, RenderOptions
+from clgs.reference import limits as reference
+from clgs.render.frame import DeviceScene, Frame, upload_scene
+from clgs.render.pipeline import render_backward, render_forward
+
+FORMAT = "clgs conformance 1"
+VOLUME_WEIGHT = 0.0625
+COUNT = 5000
+"""Numbers given to the stages outside of a render."""
+
+OPERATIONS = ("division", "square root", "product and sum", "fused product and sum")
+"""What drivers round differently; all stages are made of these and of sums and products."""
+
+Tensor = tuple[str, str, npt.NDArray[Any]]
+"""Stage, name and values."""
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """SHA-256 of the little-endian bytes of one tensor."""
+
+    scene: str
+    stage: str
+    tensor: str
+    sha256: str
+
+    @property
+    def place(self) -> str:
+        """Where it comes from, for people."""
+        return f"scene {self.scene}, {self.stage}, {self.tensor}"
+
+
+def fingerprints(device: Device) -> list[Fingerprint]:
+    """Of every stage on every scene, each in the order of the pipeline."""
+    found = []
+    for one in conformance_scenes():
+        found += [_fingerprint(one.name, *tensor) for tensor in _render_tensors(device, one)]
+    found += [_fingerprint("numbers", *tensor) for tensor in _number_tensors(device)]
+    return found
+
+
+def _fingerprint(scene: str, stage: str, name: str, values: npt.NDArray[Any]) -> Fingerprint:
+    little = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+    return Fingerprint(scene, stage, name, hashlib.sha256(little.tobytes()).hexdigest())
+
+
+def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
+    scene = upload_scene(device, one.scene)
+    frame = render_forward(device, scene, one.camera, one.scene.settings)
+    yield "camera", "packed", device.download(frame.view.camera)
+    yield from _forward_tensors(device, frame)
+    target = device.upload(one.photo)
+    compared = loss.forward(device, frame.image, target)
+    d_image = loss.backward(device, frame.image, target, compared)
+    yield from _named(device, "loss forward", compared, "shift")
+    yield "loss backward", "d_image", device.download(d_image)
+    yield from _backward_tensors(device, scene, frame, d_image)
+    for name, accuracy in PRESETS.items():
+        options = RenderOptions(accuracy)
+        again = render_forward(device, scene, one.camera, one.scene.settings, options)
+        yield f"render ({name})", "image", device.download(again.image)
+
+
+def _forward_tensors(device: Device, frame: Frame) -> Iterator[Tensor]:
+    visible = device.download(frame.activations.visible)
+    yield "cull", "visible", visible
+    yield "mlp forward", "output", mlp.drawn_output(device, frame.activations)
+    for stage, result, names in (
+        ("neural forward", frame.gaussians, "slot opacity mean scale rotation color"),
+        ("project forward", frame.projected, "mean2d depth whitening extent"),
+        ("tiles", frame.tiles, "tile_range gaussian row"),
+        ("blend forward", frame.blended, "image transmittance last_contributor"),
+    ):
+        yield from _named(device, stage, result, *names.split())
+
+
+def _backward_tensors(
+    device: Device, scene: DeviceScene, frame: Frame, d_image: DeviceArray
+) -> Iterator[Tensor]:
+    gaussians, projected = frame.gaussians, frame.projected
+    d_projected = blend.backward(device, projected, frame.blended, d_image)
+    names = ("d_color", "d_opacity", "d_mean2d", "d_whitening")
+    yield from _named(device, "blend backward", d_projected, *names)
+    d_gaussians = project.backward(device, gaussians, frame.view.camera, projected, d_projected)
+    loss.volume(device, gaussians.scale, VOLUME_WEIGHT, d_gaussians.d_scale)
+    yield from _named(device, "project backward", d_gaussians, "d_mean", "d_scale", "d_rotation")
+    gradients = render_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
+    yield from _named(device, "neural backward", gradients, "d_offset", "d_scaling")
+    yield from _named(device, "mlp backward", gradients, "d_feature", "d_weights")
+
+
+def _named(device: Device, stage: str, result: object, *names: str) -> Iterator[Tensor]:
+    for name in names:
+        yield stage, name, device.download(getattr(result, name))
+
+
+def _number_tensors(device: Device) -> Iterator[Tensor]:
+    """The stages outside of a render, on numbers."""
+    random = ExactRandom(COUNT)
+    counts = (random.integers(COUNT) >> np.uint64(58)).astype(np.int32)
+    yield "scan", "offsets", device.download(scan.exclusive(device, device.upload(counts))[0])
+    keys = (random.integers(COUNT) >> np.uint64(50)).astype(np.uint32)
+    values = np.arange(COUNT, dtype=np.int32)
+    order = sort.by_key(device, device.upload(keys), device.upload(values), 14)[1]
+    yield "sort", "order", device.download(order)
+    x = device.upload(random.floats((COUNT // 6, 6), -20.0, 20.0))
+    yield "quantize", "rounded", device.download(quantize.forward(device, x, 8.0))
+    d_x = device.zeros(x.shape)
+    rate.backward(device, rate.forward(device, x, 8.0), x, 1.0, d_x)
+    yield "rate", "d_x", device.download(d_x)
+    yield "adam", "parameter", _adam(device, random)
+    yield from _density(device, random)
+
+
+def _adam(device: Device, random: ExactRandom) -> npt.NDArray[Any]:
+    parameter = device.upload(random.floats((COUNT,), -1.0, 1.0))
+    moments, stop = adam.zero_moments(device, parameter), adam.stop_flag(device)
+    for step in range(1, 4):
+        gradient = device.upload(random.floats((COUNT,), -1.0, 1.0))
+        trained = adam.Trained(parameter, gradient, moments)
+        adam.step(device, trained, adam.factors(0.01, step), stop)
+    return device.download(parameter)
+
+
+def _density(device: Device, random: ExactRandom) -> Iterator[Tensor]:
+    anchors = COUNT // K_OFFSETS
+    output = random.floats((OUTPUT_DIM, anchors), -1.0, 1.0)
+    slot = np.flatnonzero(output[:K_OFFSETS].T.ravel() > 0).astype(np.int32)
+    seen = density.SeenView(
+        output=device.upload(output),
+        visible=device.upload(np.arange(anchors, dtype=np.int32)),
+        slot=device.upload(slot),
+        extent=device.upload(random.floats((len(slot), 2), -1.0, 1.0)),
+        d_mean2d=device.upload(random.floats((len(slot), 2), -1.0, 1.0)),
+        size=(320, 200),
+    )
+    statistics = density.zeros(device, anchors)
+    density.accumulate(device, statistics, seen)
+    for name, array in statistics.items():
+        yield "density", name, device.download(array)
+
+
+def to_record(found: list[Fingerprint], facts: dict[str, object]) -> dict[str, object]:
+    """Ready for JSON."""
+    return {"format": FORMAT, **facts, "tensors": [asdict(one) for one in found]}
+
+
+def from_record(record: object) -> list[Fingerprint]:
+    """The mirror of :func:`to_record`.
+
+    Raises:
+        DataError: it is no such record.
+    """
+    try:
+        assert isinstance(record, dict)
+        if record["format"] != FORMAT:
+            raise DataError(f"made in the form {record['format']!r}, expected {FORMAT!r}")
+        found = [Fingerprint(**one) for one in record["tensors"]]
+        assert all(isinstance(v, str) for one in found for v in vars(one).values())
+    except (AssertionError, KeyError, TypeError, AttributeError) as error:
+        raise DataError("is no file of `clgs conformance -o`") from error
+    place, times = Counter(one.place for one in found).most_common(1)[0] if found else ("", 0)
+    if times > 1:
+        raise DataError(f"lists a tensor {times} times: {place}; make the file anew")
+    return found
+
+
+def roundings(device: Device) -> dict[str, int]:
+    """Of COUNT results of each basic operation, how many are not those of IEEE 754."""
+    random = ExactRandom(COUNT + 1)
+    x, y = random.floats((COUNT,), 1.0, 2.0), random.floats((COUNT,), 1.0, 2.0)
+    z = -random.floats((COUNT,), 1.0, 4.0)
+    found = device.download(limits.rounding(device, *map(device.upload, (x, y, z))))
+    wanted = reference.rounding(*(one.astype(np.float64) for one in (x, y, z)))
+    wrong = (found != wanted).sum(axis=1)
+    return dict(zip(OPERATIONS, map(int, wrong), strict=True))
+
+
+def differences(mine: list[Fingerprint], others: list[Fingerprint]) -> list[Fingerprint]:
+    """Those of ``mine`` that ``others`` have not with the same hash, in the order of the pipeline.
+
+    Raises:
+        DataError: the lists are not of the same tensors.
+    """
+    theirs = {one.place: one.sha256 for one in others}
+    if sorted(theirs) != sorted(one.place for one in mine):
+        raise DataError("holds other tensors: it was made by another version of clgs")
+    return [one for one in mine if theirs[one.place] != one.sha256]

@@ -1,0 +1,129 @@
+"""A whole render and its backward pass in float64, with the decisions of the kernels.
+
+Decision-matched: the order of Gaussians, the contributors of every pixel and the saturation of
+alpha are taken from the device, so that rounding is all that is left to differ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.ops import blend as blend_op
+from clgs.reference import blend, loss, mlp, neural, project, tiles
+from clgs.render.frame import Frame
+from clgs.scene.scene import Scene
+
+Array = npt.NDArray[np.float64]
+Gradients = dict[str, Array]
+
+
+@dataclass(frozen=True)
+class ReferenceFrame:
+    """Float64 results of every stage of one render."""
+
+    scene: dict[str, Array]
+    camera: Array
+    background: Array
+    activations: mlp.Activations
+    gaussians: neural.NeuralGaussians
+    projected: project.Projected
+    lists: tiles.TileLists
+    decisions: blend.Decisions
+    image: Array
+
+
+def wide(scene: Scene) -> dict[str, Array]:
+    """The scene's parameters in float64."""
+    arrays = {**dict(scene.anchors.items()), "weights": scene.mlps.flat}
+    return {name: array.astype(np.float64) for name, array in arrays.items()}
+
+
+def render_reference(
+    device: Device, scene: Scene, frame: Frame, d_image: DeviceArray
+) -> ReferenceFrame:
+    """Repeat a render of the device in float64.
+
+    Args:
+        device: what rendered ``frame``.
+        scene: what was rendered.
+        frame: the render.
+        d_image: (3, H, W) float32; the backward kernel's decisions must equal the forward one's.
+
+    Raises:
+        ValueError: forward and backward kernels decided differently.
+    """
+    host = wide(scene)
+    camera = device.download(frame.view.camera).astype(np.float64)
+    visible = device.download(frame.activations.visible)
+    activations = mlp.forward(host["feature"], host["position"], visible, host["weights"], camera)
+    gaussians = neural.forward(
+        activations.output, visible, host["position"], host["offset"], host["scaling"]
+    )
+    projected = project.forward(
+        gaussians.mean, gaussians.scale, gaussians.rotation, gaussians.opacity, camera
+    )
+    lists = tiles.TileLists(
+        **{
+            name: device.download(getattr(frame.tiles, name))
+            for name in ("gaussian", "row", "tile_range", "row_range")
+        }
+    )
+    decisions = matched_decisions(device, frame, d_image)
+    background = device.download(frame.view.background).astype(np.float64)
+    image = blend.forward(
+        projected, gaussians.color, gaussians.opacity, lists, background, frame.view.size, decisions
+    ).image
+    return ReferenceFrame(
+        host, camera, background, activations, gaussians, projected, lists, decisions, image
+    )
+
+
+def matched_decisions(device: Device, frame: Frame, d_image: DeviceArray) -> blend.Decisions:
+    """The kernels' decisions for every list entry and pixel, forward equal to backward."""
+    ahead, back = blend_op.decisions(device, frame.blended, d_image)
+    if not np.array_equal(ahead.contributed, back.contributed):
+        raise ValueError("forward and backward kernels disagree on contributors")
+    return blend.Decisions(ahead.contributed, ahead.saturated)
+
+
+def backward_reference(frame: ReferenceFrame, d_image: Array, volume_weight: float) -> Gradients:
+    """d_offset, d_feature, d_scaling, d_weights for given d_image (3, H, W) float64."""
+    shape = (frame.gaussians.mean, frame.gaussians.scale, frame.gaussians.rotation)
+    splats = blend.backward(
+        frame.projected,
+        frame.gaussians.color,
+        frame.gaussians.opacity,
+        frame.lists,
+        frame.background,
+        frame.decisions,
+        d_image,
+    )
+    d_mean, d_scale, d_rotation = project.backward(
+        shape, frame.camera, frame.projected, splats.d_mean2d, splats.d_whitening
+    )
+    d_scale = d_scale + loss.volume(frame.gaussians.scale, volume_weight)[1]
+    d_gaussians = neural.GaussianGradients(
+        d_mean, d_scale, d_rotation, splats.d_color, splats.d_opacity
+    )
+    d_output, d_offset, d_scaling, _ = neural.backward(
+        frame.gaussians,
+        frame.activations.output,
+        frame.activations.visible,
+        frame.scene["offset"],
+        frame.scene["scaling"],
+        d_gaussians,
+    )
+    d_weights, d_feature, _ = mlp.backward(
+        frame.activations, frame.scene["position"], frame.scene["weights"], frame.camera, d_output
+    )
+    return {
+        "d_offset": d_offset,
+        "d_feature": d_feature,
+        "d_scaling": d_scaling,
+        "d_weights": d_weights,
+    }

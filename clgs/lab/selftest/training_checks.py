@@ -1,0 +1,246 @@
+"""The stages outside of a scene's render, from scan and sort to exposure, mask and splats."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from statistics import median
+
+import numpy as np
+
+from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
+from clgs.lab.selftest.errors import largest, relative_l2
+from clgs.lab.synthetic.anchor_scene import square_camera
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.ops import adam, density, exposure, growth, mask, quantize, rate, scan, sort, splats
+from clgs.ops.neural import GaussianGradients
+from clgs.reference import adam as adam_reference
+from clgs.reference import density as density_reference
+from clgs.reference import exposure as exposure_reference
+from clgs.reference import growth as growth_reference
+from clgs.reference import mask as mask_reference
+from clgs.reference import quantize as quantize_reference
+from clgs.reference import rate as rate_reference
+from clgs.reference import scan as scan_reference
+from clgs.reference import sort as sort_reference
+from clgs.reference import splats as splats_reference
+from clgs.scene.anchors import AnchorSet
+from clgs.scene.gaussians import OrdinaryGaussians
+
+COUNT, SEED, REPEATS = 20_000, 5, 3
+Found = tuple[str, str, float, float, float]
+
+
+def training_checks(device: Device, count: int = COUNT) -> Iterator[Found]:
+    """(stage, quantity, error, limit, milliseconds) of every check, on ``count`` numbers."""
+    rng = np.random.default_rng(SEED)
+    numbers = _scan, _sort, _quantize, _rate, _adam
+    for check in (*numbers, _density, _growth, _exposure, _mask, _splats):
+        yield from check(device, rng, count)
+
+
+def _milliseconds(device: Device, work: Callable[[], object]) -> float:
+    times = []
+    for _ in range(REPEATS + 1):
+        start = time.perf_counter()
+        work()
+        device.finish()
+        times.append(1e3 * (time.perf_counter() - start))
+    return median(times[1:])
+
+
+def _scan(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    counts = rng.integers(0, 50, count).astype(np.int32)
+    uploaded = device.upload(counts)
+    offsets, total = scan.exclusive(device, uploaded)
+    wanted, wanted_total = scan_reference.exclusive(counts)
+    milliseconds = _milliseconds(device, lambda: scan.exclusive(device, uploaded))
+    error = largest(device.download(offsets), wanted) + abs(total - wanted_total)
+    yield "scan", "offsets and total", error, 0.0, milliseconds
+
+
+def _sort(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    keys = rng.integers(0, 2**32, count).astype(np.uint32)
+    keys[::3] = keys[0]
+    values = np.arange(count, dtype=np.int32)
+    uploaded = device.upload(keys), device.upload(values)
+    _, sorted_values = sort.by_key(device, *uploaded, 32)
+    milliseconds = _milliseconds(device, lambda: sort.by_key(device, *uploaded, 32))
+    wanted = sort_reference.by_key(keys, values, 32)[1]
+    yield "sort", "order", largest(device.download(sorted_values), wanted), 0.0, milliseconds
+
+
+def _quantize(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    x = (rng.normal(0, 4, count)).astype(np.float32)
+    uploaded = device.upload(x)
+    rounded = device.download(quantize.forward(device, uploaded, 8.0))
+    integers = device.download(quantize.integers(device, uploaded, 8.0))
+    milliseconds = _milliseconds(device, lambda: quantize.forward(device, uploaded, 8.0))
+    error = largest(rounded, quantize_reference.forward(x, 8.0))
+    error += largest(integers, quantize_reference.integers(x, 8.0))
+    q = (2.0 ** rng.integers(0, 12, count)).astype(np.float32)
+    each = device.download(quantize.elements(device, uploaded, device.upload(q)))
+    error += largest(each, quantize_reference.elements(x, q))
+    yield "quantize", "values and integers", error, 0.0, milliseconds
+
+
+def _rate(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    x = rng.laplace(0.3, np.arange(1, 7), (count // 6, 6)).astype(np.float32)
+    uploaded = device.upload(x)
+    forms: tuple[rate.Form, ...] = ("channel", "pooled")
+    for form in forms:
+        d_x = device.zeros(x.shape)
+        result = rate.forward(device, uploaded, 1.0, form)
+        rate.backward(device, result, uploaded, 1.0, d_x)
+        symbols = rate_reference.symbols(x, 1.0)
+        bits = rate_reference.forward(symbols, form)
+        gradient = rate_reference.backward(symbols, form)
+        milliseconds = _milliseconds(device, partial(rate.forward, device, uploaded, 1.0, form))
+        error = relative_l2(np.array([result.bits]), np.array([bits]))
+        yield "rate", f"bits ({form})", error, 1e-6, milliseconds
+        error = relative_l2(device.download(d_x), gradient)
+        yield "rate", f"d_x ({form})", error, 1e-5, milliseconds
+
+
+def _adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    parameter, gradient = rng.normal(size=(2, count)).astype(np.float32)
+    uploaded = device.upload(parameter)
+    d_parameter = device.upload(gradient)
+    moments, stop = adam.zero_moments(device, uploaded), adam.stop_flag(device)
+    wanted = parameter.astype(np.float64)
+    state = np.zeros(count), np.zeros(count)
+
+    trained = adam.Trained(uploaded, d_parameter, moments)
+
+    def step(number: int) -> None:
+        adam.step(device, trained, adam.factors(0.01, number), stop)
+
+    for number in range(1, 11):
+        step(number)
+        d_wanted = gradient.astype(np.float64)
+        wanted, state = adam_reference.step(wanted, d_wanted, state, 0.01, number)
+    error = largest(device.download(uploaded), wanted)
+    # ten roundings of values up to 8
+    limit = 10 * 8 * 2.0**-24
+    yield "adam", "parameter after 10 steps", error, limit, _milliseconds(device, lambda: step(11))
+
+
+def _density(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    anchors = count // K_OFFSETS
+    output = rng.uniform(-1, 1, (OUTPUT_DIM, anchors)).astype(np.float32)
+    visible = np.sort(rng.permutation(2 * anchors)[:anchors]).astype(np.int32)
+    slot = np.flatnonzero(output[:K_OFFSETS].T.ravel() > 0).astype(np.int32)
+    extent = rng.uniform(-1, 1, (len(slot), 2)).astype(np.float32)
+    d_mean2d = rng.normal(size=(len(slot), 2)).astype(np.float32)
+    statistics = density.zeros(device, 2 * anchors)
+    seen = density.SeenView(
+        output=device.upload(output),
+        visible=device.upload(visible),
+        slot=device.upload(slot),
+        extent=device.upload(extent),
+        d_mean2d=device.upload(d_mean2d),
+        size=(320, 200),
+    )
+    density.accumulate(device, statistics, seen)
+    wanted = density_reference.zeros(2 * anchors)
+    gaussians = slot, extent.astype(np.float64), d_mean2d.astype(np.float64)
+    density_reference.accumulate(wanted, output.astype(np.float64), visible, gaussians, (320, 200))
+    errors = [
+        relative_l2(device.download(array), getattr(wanted, name))
+        for name, array in statistics.items()
+    ]
+    milliseconds = _milliseconds(device, partial(density.accumulate, device, statistics, seen))
+    yield "density", "sums and counts", max(errors), 1e-6, milliseconds
+
+
+def _growth(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    anchors = max(count // K_OFFSETS, 1)
+    shapes = (anchors, 3), (anchors, K_OFFSETS, 3), (anchors, FEATURE_DIM), (anchors, 6)
+    host = AnchorSet(*(rng.normal(size=shape).astype(np.float32) for shape in shapes))
+    sizes = rng.integers(1, 5, anchors // 20 + 1)
+    new = growth.NewAnchors(
+        rng.normal(size=(len(sizes), 3)).astype(np.float32),
+        rng.normal(size=len(sizes)).astype(np.float32),
+        np.append(0, np.cumsum(sizes)).astype(np.int32),
+        rng.integers(0, anchors, int(sizes.sum())).astype(np.int32),
+    )
+    wanted = growth_reference.features(host.feature.astype(np.float64), new.first, new.parents)
+    there = host.map(device.upload)
+    longer = device.download(growth.append(device, there, new).feature)
+    error = largest(longer, np.concatenate([host.feature, wanted]))
+    yield (
+        "growth",
+        "features",
+        error,
+        0.0,
+        _milliseconds(device, partial(growth.append, device, there, new)),
+    )
+
+
+def _exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    shape = 3, 1, count
+    image, d_picture = rng.normal(size=(2, *shape)).astype(np.float32)
+    maps = (np.eye(3, 4) + rng.normal(0, 0.2, (2, 3, 4))).astype(np.float32)
+    uploaded, d_uploaded, on_device = map(device.upload, (image, d_picture, maps))
+    picture = device.download(exposure.forward(device, uploaded, on_device, 1))
+    d_maps, weight = device.zeros(maps.shape), 0.5
+
+    def backward() -> DeviceArray:
+        arrays = uploaded, d_uploaded, on_device
+        return exposure.backward(device, *arrays, 1, weight, d_maps)
+
+    milliseconds = _milliseconds(device, lambda: exposure.forward(device, uploaded, on_device, 1))
+    wide = image.astype(np.float64), d_picture.astype(np.float64), maps[1].astype(np.float64)
+    error = relative_l2(picture, exposure_reference.forward(wide[0], wide[2]))
+    yield "exposure", "picture", error, 1e-6, milliseconds
+    d_image, d_map = exposure_reference.backward(*wide, weight)
+    error = relative_l2(device.download(backward()), d_image)
+    error += relative_l2(device.download(d_maps)[1], d_map)
+    yield "exposure", "d_image and d_map", error, 1e-5, _milliseconds(device, backward)
+
+
+def _mask(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    image = rng.normal(size=(3, 1, count)).astype(np.float32)
+    used = rng.integers(0, 2, (1, count)).astype(np.uint8)
+    uploaded = device.upload(image), device.upload(used)
+    milliseconds = _milliseconds(device, lambda: mask.forward(device, *uploaded))
+    wide = image.astype(np.float64)
+    found = device.download(mask.forward(device, *uploaded))
+    error = largest(found, mask_reference.forward(wide, used))
+    found = device.download(mask.backward(device, *uploaded))
+    error += largest(found, mask_reference.backward(wide, used))
+    yield "mask", "picture and d_image", error, 0.0, milliseconds
+
+
+def _splats(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    widths = {"mean": (3,), "log_scale": (3,), "rotation": (4,), "opacity": (), "sh": (16, 3)}
+    values = [0.3 * rng.normal(size=(count, *width)) for width in widths.values()]
+    stored = OrdinaryGaussians(*(value.astype(np.float32) for value in values))
+    stored.sh[:, 0] += 3  # no color is near 0, where its gradient has a step
+    uploaded = stored.map(device.upload)
+    packed = square_camera(64).pack(NEAR_PLANE)
+    camera = device.upload(packed)
+    seen = splats.forward(device, uploaded, camera)
+    wide = splats_reference.Stored(*(array.astype(np.float64) for _, array in stored.items()))
+    wanted = splats_reference.forward(wide, packed)
+    errors = [
+        relative_l2(device.download(getattr(seen, name)), getattr(wanted, name))
+        for name in ("scale", "rotation", "color", "opacity")
+    ]
+    milliseconds = _milliseconds(device, lambda: splats.forward(device, uploaded, camera))
+    yield "splats", "what a camera sees", max(errors), 1e-5, milliseconds
+
+    names = ("mean", "scale", "rotation", "color", "opacity")
+    singles = [np.ones(getattr(wanted, name).shape, np.float32) for name in names]
+    d_seen = splats_reference.Seen(*(one.astype(np.float64) for one in singles))
+
+    def backward() -> OrdinaryGaussians[DeviceArray]:
+        ones = (device.upload(one) for one in singles)
+        return splats.backward(device, uploaded, camera, seen, GaussianGradients(*ones))
+
+    expected = splats_reference.backward(wide, packed, d_seen)
+    found = backward()
+    errors = [relative_l2(device.download(a), getattr(expected, n)) for n, a in found.items()]
+    yield "splats", "gradients", max(errors), 1e-5, _milliseconds(device, backward)

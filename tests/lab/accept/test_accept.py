@@ -1,0 +1,128 @@
+"""`clgs accept`: a part that fails ends alone, and what the parts found is in the file."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clgs.cli import main as cli
+from clgs.data.dataset import load_dataset
+from clgs.errors import ClgsError
+from clgs.lab.accept import part as parts_run
+from clgs.lab.accept.job import FORMAT, run_parts
+from clgs.lab.accept.part import Part, run_part
+from clgs.lab.accept.parts import QUICK, WHOLE, parts
+from clgs.lab.accept.photos import VIEWS, write_photos
+
+DEVICE = {"index": 0, "name": "cpu", "platform": "PoCL", "driver": "1"}
+HELP = Part("help", ("--version",), lambda folder: "it runs")
+
+
+def test_what_a_command_says_is_told(tmp_path):
+    outcome = run_part(HELP, tmp_path)
+    assert (outcome.passed, outcome.exit_code, outcome.told) == (True, 0, "it runs")
+    assert outcome.printed.startswith("clgs ")
+
+
+def test_failures_are_told_and_end_alone(tmp_path, monkeypatch):
+    def broken(folder):
+        raise KeyError("step")
+
+    def wrong(folder):
+        raise ClgsError("another file")
+
+    todo = [
+        replace(HELP, name="usage", words=("nonsense",)),
+        replace(HELP, name="unreadable", tell=broken),
+        replace(HELP, name="wrong", tell=wrong),
+        HELP,
+    ]
+    outcomes = run_parts(todo, tmp_path, DEVICE, tmp_path / "accept.json")
+    assert [one.passed for one in outcomes] == [False, False, False, True]
+    usage, unreadable, wrong_file, _ = (one.told for one in outcomes)
+    assert usage.startswith("exit code 2: ")
+    assert unreadable == "its figures cannot be read: KeyError"
+    assert wrong_file == "another file"
+    record = json.loads((tmp_path / "accept.json").read_text())
+    assert record["format"] == FORMAT
+    assert record["device"] == DEVICE
+    assert [one["name"] for one in record["parts"]] == ["usage", "unreadable", "wrong", "help"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_crash_and_a_hang_are_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(parts_run, "_CODE", "import os, signal; os.kill(os.getpid(), 11)")
+    assert run_part(HELP, tmp_path).told == "crashed: signal 11"
+    monkeypatch.setattr(parts_run, "_CODE", "import time; time.sleep(600)")
+    outcome = run_part(HELP, tmp_path, seconds=0.2)
+    assert (outcome.passed, outcome.exit_code) == (False, None)
+    assert outcome.told == "took too long and was stopped"
+
+
+def test_every_part_is_a_command_with_its_options(tmp_path):
+    for size in (QUICK, WHOLE):
+        todo = parts("0", tmp_path, size, ["data", "--steps", "1000", "--downscale", "8"])
+        assert len({part.name for part in todo}) == len(todo)
+        for part in todo:
+            args = cli.build_parser().parse_args(part.words)
+            assert getattr(args, "device", "0") == "0"
+
+
+def test_trainings_that_differ_fail(tmp_path):
+    todo = {part.name: part for part in parts("0", tmp_path, QUICK, [])}
+    for name in ("training", "training again"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "scene.clgs").write_bytes(b"one")
+    assert todo["training again"].tell(tmp_path) == todo["training"].tell(tmp_path)
+    (tmp_path / "training again" / "scene.clgs").write_bytes(b"two")
+    with pytest.raises(ClgsError, match="another file"):
+        todo["training again"].tell(tmp_path)
+
+
+def test_the_photos_are_the_same_everywhere(tmp_path):
+    write_photos(tmp_path / "photos")
+    data = load_dataset(tmp_path / "photos")
+    views = sorted([*data.train, *data.test], key=lambda view: view.name)
+    assert len(views) == VIEWS
+    pixels = np.stack([view.photo.pixels().color for view in views])
+    assert int(pixels.sum(dtype=np.int64)) == 15_007_424
+    axes = np.stack([view.camera.rotation for view in views])
+    assert np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(3))
+
+
+def test_the_file_is_not_replaced_unasked(tmp_path, capsys):
+    (tmp_path / "accept.json").write_text("{}")
+    assert cli.main(["accept", "-o", str(tmp_path / "accept.json")]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+
+
+def test_data_that_cannot_be_trained_on_are_refused_at_once(tmp_path, capsys):
+    words = ["accept", "-o", str(tmp_path / "accept.json"), "--data", str(tmp_path)]
+    assert cli.main(words) == 3
+    assert str(tmp_path) in capsys.readouterr().err
+    assert not (tmp_path / "accept.json").exists()
+
+
+def test_unknown_device_is_named(tmp_path, capsys):
+    words = ["accept", "-o", str(tmp_path / "accept.json"), "--device", "nonexistent"]
+    assert cli.main(words) == 4
+    assert "nonexistent" in capsys.readouterr().err
+    assert not (tmp_path / "accept.json").exists()
+
+
+@pytest.mark.slow
+def test_everything_passes_here(tmp_path, capsys):
+    assert cli.main(["accept", "-o", str(tmp_path / "accept.json"), "--quick"]) == 0
+    printed = capsys.readouterr().out
+    assert "conformance again  ok" in printed
+    assert "the same bits" in printed
+    record = json.loads((tmp_path / "accept.json").read_text())
+    assert all(one["passed"] for one in record["parts"])
+    figures = {one["name"]: one["figures"] for one in record["parts"] if "figures" in one}
+    assert figures["step"]["step"] > 0
+    assert len(figures["conformance"]["tensors"]) == 117
+    assert str(tmp_path) not in json.dumps(record)

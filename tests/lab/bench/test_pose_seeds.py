@@ -1,0 +1,71 @@
+"""Poses by two seeds against each other: good photos count, those in doubt are shown apart."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from clgs.poses.judging.verdict import DOUBTFUL, GOOD, PhotoVerdict, Verdict
+from scripts.bench.pose_seeds import apart, good_names, read_poses, read_verdict, summary
+from tests.small_scene import write_scene
+
+TURNED = 20.0
+"""Degrees of the one photo that is wrong."""
+
+
+def prepared(folder, wrong=False):
+    """A data set with the report of `clgs prepare`; ``wrong``: its first photo, as it says."""
+    write_scene(folder, train=8, test=1)
+    path = folder / "transforms.json"
+    (folder / "transforms_train.json").rename(path)
+    (folder / "transforms_test.json").unlink()
+    document = json.loads(path.read_text())
+    photos = []
+    for number, frame in enumerate(document["frames"]):
+        status = DOUBTFUL if wrong and number == 0 else GOOD
+        photos.append(PhotoVerdict(frame["file_path"].rpartition("/")[2] + ".jpg", status))
+        if status == DOUBTFUL:
+            turn = np.radians(TURNED)
+            about_z = np.eye(4)
+            about_z[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+            frame["transform_matrix"] = (np.array(frame["transform_matrix"]) @ about_z).tolist()
+    path.write_text(json.dumps(document))
+    counts = {"incremental": 9}
+    verdict = Verdict(
+        8, 8, 90, 400, 0.5, 4.0, "incremental", counts, (), tuple(photos), True, False, 0.0,
+        "mostly sure", {"features": 3.0, "pairs": 2.0},
+    )  # fmt: skip
+    (folder / "report.json").write_text(json.dumps(verdict.plain()))
+    return folder
+
+
+def test_only_photos_that_are_good_in_both_count(tmp_path):
+    first, second = prepared(tmp_path / "a"), prepared(tmp_path / "b", wrong=True)
+    verdicts = read_verdict(first), read_verdict(second)
+    good = good_names(verdicts[0]) & good_names(verdicts[1])
+    assert len(good) == 7
+    said = apart(read_poses(first), read_poses(second), good)
+    assert said.startswith("7 good ones of ")
+    assert "differ by at most 0.000 degrees" in said
+    assert f"(all: {TURNED:.3f})" in said
+    assert apart(read_poses(first), read_poses(second), set()).startswith("none of ")
+
+
+def test_names_that_photos_share_are_told(tmp_path):
+    write_scene(tmp_path / "data", train=3, test=1)
+    with pytest.raises(SystemExit, match="share names"):
+        read_poses(tmp_path / "data")
+
+
+def test_a_verdict_is_one_line(tmp_path):
+    said = summary(read_verdict(prepared(tmp_path / "a", wrong=True)))
+    assert said == "8 of 8 with a pose, 1 doubtful, 0 left out; 0.50 px, 5 s; mostly sure"
+
+
+def test_a_folder_that_prepare_did_not_make_is_named(tmp_path):
+    with pytest.raises(SystemExit, match=r"report.json: no report of `clgs prepare`"):
+        read_verdict(tmp_path)
+    with pytest.raises(SystemExit, match=str(tmp_path)):
+        read_poses(tmp_path)

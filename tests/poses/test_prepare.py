@@ -1,0 +1,193 @@
+"""Structure from motion: a ray-cast room, real photos, input that cannot work."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from clgs.cli.commands import prepare as command
+from clgs.cli.main import explain
+from clgs.data.dataset import load_dataset
+from clgs.errors import DataError, ExistsError, OutputError
+from clgs.poses.job import STAGES
+from clgs.poses.judging.verdict import GOOD, verdict_of
+from clgs.poses.leftovers import OWNER, owned, remove_leftovers
+from clgs.poses.prepare import prepare
+from tests.data.folders import noise_image, room_image, room_poses
+
+pycolmap = pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+
+
+def similarity_error(found: np.ndarray, true: np.ndarray) -> float:
+    """Largest distance after the best similarity, relative to the spread of the true centres."""
+    a, b = found - found.mean(axis=0), true - true.mean(axis=0)
+    left, values, right = np.linalg.svd(b.T @ a)
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    scale = (values * np.diag(flip)).sum() / (a**2).sum()
+    error = np.linalg.norm(scale * a @ (left @ flip @ right).T - b, axis=1).max()
+    return float(error / np.linalg.norm(b, axis=1).max())
+
+
+def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    photos, output = tmp_path / "photos", tmp_path / "data"
+    photos.mkdir()
+    poses = room_poses(9)
+    for number, pose in enumerate(poses):
+        image = Image.fromarray(room_image(pose, (320, 240), 320.0))
+        if number == 4:
+            exif = Image.Exif()
+            exif[0x0112] = 3
+            image = image.transpose(Image.Transpose.ROTATE_180)
+            image.save(photos / f"{number}.png", exif=exif)
+        else:
+            image.save(photos / f"{number}.png")
+    parser = argparse.ArgumentParser()
+    command.register(parser.add_subparsers())
+    args = parser.parse_args(["prepare", str(photos), "-o", str(output)])
+    assert args.run(args) == 0
+    told = capsys.readouterr()
+    for stage in ("read", "features", "poses", "undistort"):
+        assert f"\n{stage} 9/9" in "\n" + told.err
+    line = told.out.splitlines()
+    assert "registered 9 of 9 photos" in line[0]
+    assert line[1].startswith("sure: a second reconstruction")
+    assert line[1].endswith("a short training shows every photo")
+    assert line[2:] == [str(output / "report.html")]
+    made = ["contact_sheet.jpg", "images", "report.html", "report.json", "sparse"]
+    assert sorted(path.name for path in output.iterdir()) == made
+    verdict = verdict_of(json.loads((output / "report.json").read_text()))
+    assert {photo.status for photo in verdict.photos} == {GOOD}
+    assert (verdict.registered, verdict.checked, verdict.ambiguous) == (9, True, False)
+    data = load_dataset(output)
+    assert (len(data.train), len(data.test), data.skipped) == (7, 2, 0)
+    views = sorted(data.train + data.test, key=lambda view: view.name)
+    centres = np.array([view.camera.centre for view in views])
+    assert similarity_error(centres, np.array([pose[:3, 3] for pose in poses])) <= 0.02
+    assert data.train[0].camera.fx == pytest.approx(320.0, rel=0.03)
+    with pytest.raises(OutputError, match="not an empty folder"):
+        prepare(photos, output)
+
+
+def test_unrelated_photos_leave_nothing(tmp_path: Path):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for number in range(3):
+        Image.fromarray(noise_image(64, 48, number)).save(photos / f"{number}.png")
+    stages: list[str] = []
+    with pytest.raises(DataError, match="overlapping"):
+        prepare(photos, tmp_path / "data", on_progress=lambda stage, *_: stages.append(stage))
+    assert list(dict.fromkeys(stages)) == list(STAGES[:4])
+    assert [path.name for path in tmp_path.iterdir()] == ["photos"]
+
+
+def test_a_thing_that_turns_before_a_camera_that_stands_is_told(tmp_path: Path):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for number in range(3):
+        picture = noise_image(256, 192, 7)
+        picture[60:120, 90:150] = noise_image(60, 60, number)
+        Image.fromarray(picture).save(photos / f"{number}.png")
+    with pytest.raises(DataError, match=r"100% of what they share stands still .* mask all else"):
+        prepare(photos, tmp_path / "data", quick=True)
+
+
+def test_a_full_disk_is_no_fault_of_a_photo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for number in range(3):
+        Image.fromarray(noise_image(64, 48, number)).save(photos / f"{number}.png")
+
+    def fail(source: Path, target: Path) -> None:
+        raise OSError(28, "No space left on device", str(source))
+
+    monkeypatch.setattr("clgs.poses.prepare.shutil.copyfile", fail)
+    with pytest.raises(OSError, match="No space left") as caught:
+        prepare(photos, tmp_path / "data")
+    assert caught.value.filename == str(tmp_path / "data")
+    assert explain(caught.value)[1] == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["photos"]
+
+
+def test_only_results_of_the_same_command_are_overwritten(tmp_path: Path):
+    photos = tmp_path / "images"
+    photos.mkdir()
+    for number in range(3):
+        Image.fromarray(noise_image(64, 48, number)).save(photos / f"{number}.png")
+    with pytest.raises(ExistsError, match="was not made by clgs prepare"):
+        prepare(photos, photos, overwrite=True)
+    (tmp_path / "sparse" / "0").mkdir(parents=True)
+    (tmp_path / "sparse" / "0" / "cameras.bin").touch()
+    with pytest.raises(ExistsError, match="holds the photos that are read"):
+        prepare(tmp_path, tmp_path, overwrite=True)
+    assert len(list(photos.iterdir())) == 3
+    data = tmp_path / "data"
+    (data / "sparse" / "0").mkdir(parents=True)
+    (data / "sparse" / "0" / "cameras.bin").touch()
+    (data / "run").mkdir()
+    with pytest.raises(ExistsError, match="run: was not made by clgs prepare; move it"):
+        prepare(photos, data, overwrite=True)
+    assert (data / "run").is_dir()
+
+
+def test_bad_folders(tmp_path: Path):
+    with pytest.raises(DataError, match="no such file or folder"):
+        prepare(tmp_path / "none", tmp_path / "data")
+    (tmp_path / "file").touch()
+    for number in range(3):
+        Image.fromarray(noise_image(8, 8, number)).save(tmp_path / f"{number}.png")
+    with pytest.raises(OutputError, match="file: is no folder; choose another name"):
+        prepare(tmp_path, tmp_path / "file" / "data")
+    for number in range(3):
+        (tmp_path / f"{number}.png").unlink()
+    with pytest.raises(DataError, match="at least 3"):
+        prepare(tmp_path, tmp_path / "data")
+    for number in range(3):
+        (tmp_path / f"{number}.jpg").write_bytes(b"no image %d" % number)
+    with pytest.raises(DataError, match=r"0\.jpg"):
+        prepare(tmp_path, tmp_path / "data")
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_bits(tmp_path: Path):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for number, pose in enumerate(room_poses(7)):
+        Image.fromarray(room_image(pose, (320, 240), 320.0)).save(photos / f"{number} a.png")
+    made = []
+    for folder in (tmp_path / "first", tmp_path / "second"):
+        prepare(photos, folder, seed=5)
+        files = sorted((folder / "sparse" / "0").iterdir()) + sorted((folder / "images").iterdir())
+        made.append([(path.name, path.read_bytes()) for path in files])
+    assert made[0] == made[1]
+
+
+@pytest.mark.slow
+def test_sceaux_castle_registers_completely(shared_data: Path, tmp_path: Path):
+    source = shared_data / "sceaux_castle"
+    if not source.is_dir():
+        pytest.skip(f"no shared data: {source} is missing")
+    summary = prepare(source, tmp_path / "data")
+    assert (summary.registered, summary.total) == (11, 11)
+    assert {photo.status for photo in summary.photos} == {GOOD}
+    assert summary.points >= 4000
+    assert summary.error <= 1.0
+
+
+def test_what_a_killed_run_left_is_removed(tmp_path: Path):
+    left, other = tmp_path / ".data.0123abcd", tmp_path / ".other.0123abcd"
+    for folder in (left, other):
+        (folder / "work").mkdir(parents=True)
+        (folder / "work" / OWNER).touch()
+    mine = tmp_path / ".data.my_notes"
+    mine.mkdir()
+    running = tmp_path / ".data.76543210"
+    running.mkdir()
+    with owned(running / "work"):
+        remove_leftovers(tmp_path / "data")
+        assert sorted(tmp_path.iterdir()) == sorted([other, mine, running])

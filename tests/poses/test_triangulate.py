@@ -1,0 +1,78 @@
+"""Points of a ray-cast room at known poses lie on its walls; the cache; determinism."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from clgs.cli.main import main
+from clgs.data.posed_photo import Photo
+from clgs.data.transforms import read_transforms
+from clgs.poses.triangulate import Points, triangulate
+from tests.data.folders import noise_image, write_room
+
+pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+
+
+def photos(root: Path) -> list[Photo]:
+    return read_transforms(root).train
+
+
+def room_points(root: Path, cache: Path | None = None, seed: int = 0) -> Points:
+    return triangulate(photos(root), cache, seed)
+
+
+def test_points_lie_on_the_walls_and_are_cached(tmp_path: Path):
+    write_room(tmp_path / "room", 8)
+    before = sorted(tmp_path.rglob("*"))
+    points = room_points(tmp_path / "room")
+    assert sorted(tmp_path.rglob("*")) == before
+    assert len(points.position) >= 300
+    off_wall = np.abs(points.position).min(axis=1)
+    assert np.median(off_wall) <= 0.005
+    assert np.percentile(off_wall, 95) <= 0.05
+    assert np.ptp(points.color, axis=1).max() == 0
+
+    cache = tmp_path / "run"
+    again = room_points(tmp_path / "room", cache)
+    assert np.array_equal(again.position, points.position)
+    (file,) = cache.iterdir()
+    np.savez(file, position=points.position[:5], color=points.color[:5])
+    assert len(room_points(tmp_path / "room", cache).position) == 5
+    file.write_bytes(b"damaged")
+    assert len(room_points(tmp_path / "room", cache).position) == len(points.position)
+    assert len(list(cache.iterdir())) == 1
+
+
+def test_changed_images_are_not_answered_from_the_cache(tmp_path: Path):
+    write_room(tmp_path / "room", 3, (64, 48))
+    cache = tmp_path / "run"
+    room_points(tmp_path / "room", cache)
+    Image.fromarray(noise_image(64, 48)).save(tmp_path / "room" / "images" / "001.png")
+    room_points(tmp_path / "room", cache)
+    room_points(tmp_path / "room", cache, seed=1)
+    assert len(list(cache.iterdir())) == 3
+
+
+def test_seeds_may_be_larger_than_pycolmap_takes(tmp_path: Path):
+    write_room(tmp_path / "room", 3, (64, 48))
+    points = [room_points(tmp_path / "room", seed=seed).position for seed in (7, 2**40 + 7)]
+    assert np.array_equal(*points)
+
+
+def test_the_search_for_points_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write_room(tmp_path / "room", 5, (64, 48))
+    command = ["train", str(tmp_path / "room"), "-o", str(tmp_path / "run"), "--steps", "1"]
+    assert main([*command, "--resume"]) == 0
+    out, err = capsys.readouterr()
+    assert "finding points" not in out
+    assert err.splitlines()[:3] == [
+        f"finding points in {len(photos(tmp_path / 'room'))} photos",
+        "matching their features",
+        "triangulating the matches",
+    ]
+    assert main([*command, "--resume"]) == 0  # from the cache in the run folder
+    assert "finding points" not in capsys.readouterr().err
