@@ -18,7 +18,6 @@ LAYERS = [  # a package may import from its own row and the rows above it
 LEVEL = {name: level for level, row in enumerate(LAYERS) for name in row}
 
 MAX_FILE_LINES = 400
-MAX_FUNCTION_LINES = 60
 
 ONLY_HERE = {"pyopencl": "clgs.opencl"}
 """Libraries that a single package may import."""
@@ -79,64 +78,9 @@ def _within(name: str, packages: tuple[str, ...]) -> bool:
 
 
 def length_complaints(name: str, text: str) -> list[str]:
-    """The file or a function in it is too long; the kind of source follows from the suffix."""
-    complaints = []
+    """The file is too long. Functions have no such limit: ruff bounds how complex they are."""
     lines = text.count("\n")
-    if lines > MAX_FILE_LINES:
-        complaints.append(f"{name}: {lines} lines, at most {MAX_FILE_LINES}")
-    functions: list[tuple[str, int, int]] = []
-    if name.endswith(".py"):
-        functions = list(python_functions(text))
-    elif name.endswith((".cl", ".c", ".h", ".js")):
-        functions = list(c_functions(text))
-    for function, line, length in functions:
-        if length > MAX_FUNCTION_LINES:
-            complaints.append(
-                f"{name}:{line}: {function} has {length} lines, at most {MAX_FUNCTION_LINES}"
-            )
-    return complaints
-
-
-def python_functions(text: str) -> Iterator[tuple[str, int, int]]:
-    """(name, first line, lines) of every function, docstring included."""
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            assert node.end_lineno is not None
-            yield node.name, node.lineno, node.end_lineno - node.lineno + 1
-
-
-def c_functions(text: str) -> Iterator[tuple[str, int, int]]:
-    """(name, first line, lines) of every function of C or OpenCL C, by counting braces.
-
-    Raises:
-        ValueError: braces do not balance, as when both branches of an #if open one.
-    """
-    plain = plain_c(text)
-    depth, head_start, name, first = 0, 0, "", 0
-    for match in re.finditer(r"[{};]", plain):
-        if match[0] == "{" and depth == 0:
-            head = plain[head_start : match.start()]
-            name = _function_name(head)
-            first = _line(plain, head_start + len(head) - len(head.lstrip()))
-        depth += {"{": 1, "}": -1, ";": 0}[match[0]]
-        if depth < 0:
-            raise ValueError(f"line {_line(plain, match.start())}: one brace too many")
-        if depth == 0:
-            head_start = match.end()
-            if match[0] == "}" and name:
-                yield name, first, _line(plain, match.start()) - first + 1
-    if depth:
-        raise ValueError("a brace is not closed")
-
-
-def _line(text: str, position: int) -> int:
-    return text.count("\n", 0, position) + 1
-
-
-def _function_name(head: str) -> str:
-    """The name that ``head``, the text before an opening brace, declares; "" for no function."""
-    match = re.search(r"(\w+)\s*\([^{}]*\)\s*$", without_attributes(head))
-    return match[1] if match else ""
+    return [f"{name}: {lines} lines, at most {MAX_FILE_LINES}"] if lines > MAX_FILE_LINES else []
 
 
 def without_attributes(text: str) -> str:

@@ -56,42 +56,6 @@ def test_long_files_are_found():
     assert "401 lines" in found
 
 
-def test_long_python_functions_are_found():
-    body = "    pass\n"
-    assert rules.length_complaints("x.py", "def f():\n" + 59 * body) == []
-    (found,) = rules.length_complaints("x.py", "\nclass C:\n  def f(self):\n" + 60 * body)
-    assert found == "x.py:3: f has 61 lines, at most 60"
-
-
-def test_long_c_functions_are_found():
-    text = """/* { */
-#define OPEN {  \\
-    {
-typedef struct {
-    int x;
-} point;
-static const int table[] = {1, 2};
-__kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
-mlp_forward(__global const float *x,
-            __global float *y) { // {
-    if (x[0] > '{') {
-        y[0] = 1.0f;
-    }
-}
-static int one(void) { return 1; }
-"""
-    assert list(rules.c_functions(text)) == [("mlp_forward", 8, 7), ("one", 15, 1)]
-    long = "void f(void) {\n" + "    ;\n" * 59 + "}\n"
-    (found,) = rules.length_complaints("x.cl", long)
-    assert found == "x.cl:1: f has 61 lines, at most 60"
-
-
-@pytest.mark.parametrize("text", ["void f(void) {\n", "void f(void) { } }"])
-def test_unbalanced_braces_are_an_error(text):
-    with pytest.raises(ValueError, match="brace"):
-        list(rules.c_functions(text))
-
-
 def test_kernels_are_found_by_name():
     text = """// __kernel void not_this(int x)
 __kernel void mlp_forward(__global float *x) {}
