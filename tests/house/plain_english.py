@@ -1,6 +1,6 @@
 """Words and sentence forms that a reader would have to read twice.
 
-``python -m tests.house.plain_english [PATH ...]`` lists them; without a path, in the whole checkout.
+``python -m tests.house.plain_english [PATH ...]`` lists them; without a path, those of all files.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def complaints(name: str, text: str) -> Iterator[str]:
     if name.endswith(".py"):
         for line, first in _first_words(text):
             if first in NO_SUBJECT:
-                yield f'{name}:{line}: a docstring that begins with "{first}"; say what it is or does'
+                yield f'{name}:{line}: a docstring begins with "{first}"; say what it is or does'
 
 
 def _first_words(text: str) -> Iterator[tuple[int, str]]:
