@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from clgs.data.native.probe import import_problem
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding
 from clgs.errors import ClgsError, UsageError
+from clgs.poses.child import import_problem
 
 SECONDS = 1.0
 """After so long no further check of a device is begun; building kernels counts."""
