@@ -72,7 +72,7 @@ def examine_machine() -> ExaminedMachine:
 
 
 def _facts() -> dict[str, str]:
-    from clgs.lab.bench.facts import host_facts
+    from clgs.lab.facts import host_facts
 
     host = host_facts()
     versions = host["versions"]
