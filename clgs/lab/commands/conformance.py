@@ -49,11 +49,10 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Compute, write and compare; exit code 0, or 1 if a tensor differs."""
     from clgs.errors import DataError
-    from clgs.files import check_target
+    from clgs.files import check_target, write_json
     from clgs.lab.bench.facts import machine_facts
     from clgs.lab.selftest import conformance
     from clgs.opencl.device import Device
-    from clgs.train.run.session import write_json
 
     if args.output:
         check_target(args.output)

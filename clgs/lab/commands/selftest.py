@@ -28,8 +28,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(args: argparse.Namespace) -> int:
     """Run the checks; exit code 0, or 1 if one fails."""
-    from clgs.files import check_target
-    from clgs.train.run.session import write_json
+    from clgs.files import check_target, write_json
 
     if args.json:
         check_target(args.json)
