@@ -51,7 +51,8 @@ def run(args: argparse.Namespace) -> int:
     from clgs.files import check_target
     from clgs.lab.bench import codec_subjects
     from clgs.lab.bench.codec import bench_subject
-    from clgs.lab.bench.facts import command_line, host_facts
+    from clgs.lab.bench.facts import command_line
+    from clgs.machine import host_facts
     from clgs.train.run.session import write_json
 
     if args.json:
