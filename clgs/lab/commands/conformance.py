@@ -26,13 +26,9 @@ LARGEST_RECORD = 1 << 24
 """Bytes; today's have 20 thousand."""
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "conformance",
-        help="compare the bits of devices",
-        description=DESCRIPTION,
-    )
+    parser.description = DESCRIPTION
     add = parser.add_argument
     add("-o", "--output", type=named_path, metavar="FILE", help="write the hashes to FILE (JSON)")
     add(
