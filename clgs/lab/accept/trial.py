@@ -17,9 +17,9 @@ from typing import Any
 
 from clgs.cli.tell import tell
 from clgs.errors import ClgsError, DeviceError
-from clgs.lab.facts import host_facts
+from clgs.files import write_json
+from clgs.machine import host_facts
 from clgs.opencl.choose import choose_device, list_devices
-from clgs.train.run.session import write_json
 
 FORMAT = "clgs accept 1"
 KEPT = (

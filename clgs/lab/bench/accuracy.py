@@ -15,6 +15,7 @@ from clgs.cli.options.scene import read_scene
 from clgs.cli.options.view import selected_views
 from clgs.cli.tell import tell
 from clgs.errors import UsageError
+from clgs.files import write_json
 from clgs.lab.bench.accuracy_points import (
     Point,
     Subject,
@@ -35,7 +36,6 @@ from clgs.lab.bench.plots import (
 )
 from clgs.lab.facts import command_line, machine_facts
 from clgs.opencl.device import Device
-from clgs.train.run.session import write_json
 
 ACROSS = ("forward, ms", "forward, ms", "forward and backward, ms")
 UP = (

@@ -24,7 +24,7 @@ from clgs.codec.container.meta import LEVELS
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.errors import ClgsError
-from clgs.files import check_target
+from clgs.files import check_target, write_json
 from clgs.lab.bench.codec_subjects import (
     ANCHORS,
     QUICK_ANCHORS,
@@ -33,9 +33,9 @@ from clgs.lab.bench.codec_subjects import (
     file_subjects,
     seeded_subjects,
 )
-from clgs.lab.facts import command_line, host_facts
+from clgs.lab.facts import command_line
+from clgs.machine import host_facts
 from clgs.scene.scene import QuantizedScene
-from clgs.train.run.session import write_json
 
 Note = Callable[[str], None]
 

@@ -21,12 +21,11 @@ from rich.table import Table
 
 from clgs.constants import TILE_SIZE
 from clgs.errors import UsageError
-from clgs.files import check_target
+from clgs.files import check_target, write_json
 from clgs.lab.bench.handover import Handover, hand_over
 from clgs.lab.bench.step import WARM_UP, synthetic_trainer, time_steps
 from clgs.lab.facts import command_line, machine_facts
 from clgs.opencl.device import Device
-from clgs.train.run.session import write_json
 
 ROWS = {
     "lists of the tiles": ("tiles", "tiles"),

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from clgs.cli.options.device import open_devices
-from clgs.files import check_target
+from clgs.files import check_target, write_json
 from clgs.lab.bench.stage_limits import (
     FORMULAS,
     Counts,
@@ -24,7 +24,6 @@ from clgs.lab.facts import command_line, machine_facts
 from clgs.lab.selftest.render_checks import Check, selftest
 from clgs.lab.selftest.training_checks import training_checks
 from clgs.opencl.device import Device
-from clgs.train.run.session import write_json
 
 ALONE = ("scan", "sort", "quantize", "rate")
 """Stages that a training step does not time by themselves: timed on ``elements`` numbers."""

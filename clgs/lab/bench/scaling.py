@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from clgs.cli.tell import tell
+from clgs.files import write_json
 from clgs.lab.bench.plots import PANEL, STYLE, check_figure_files, require_pyplot, save
 from clgs.lab.bench.step import count_frame, stream_times, trainer_of
 from clgs.lab.facts import command_line, machine_facts
@@ -21,7 +22,6 @@ from clgs.lab.synthetic.anchor_scene import anchor_scene, square_camera
 from clgs.opencl.device import Device
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
-from clgs.train.run.session import write_json
 
 GAUSSIANS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000)
 GROWTHS = (1, 2, 4, 8)

@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from clgs.files import check_target
+from clgs.files import check_target, write_json
 from clgs.lab.facts import command_line, machine_facts
 from clgs.lab.synthetic.anchor_scene import anchor_scene, photo_dataset
 from clgs.opencl.device import Device
@@ -22,7 +22,6 @@ from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
 from clgs.train.config import LearningRates, TrainConfig
 from clgs.train.density.densifier import Densifier
-from clgs.train.run.session import write_json
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.parameters import new_parameters
 

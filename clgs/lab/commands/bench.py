@@ -30,9 +30,8 @@ def picture_size(text: str) -> tuple[int, int]:
     return edge_length(edges[0]), edge_length(edges[-1])
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command, its benchmarks and their options."""
-    parser = subparsers.add_parser("bench", help="measure speed and accuracy on this device")
+def register(parser: argparse.ArgumentParser) -> None:
+    """Add the benchmarks and their options."""
     kinds = parser.add_subparsers(dest="kind", metavar="WHAT", required=True)
     for kind, add in KINDS.items():
         add(kind, kinds)
