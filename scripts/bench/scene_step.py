@@ -15,14 +15,13 @@ from pathlib import Path
 from statistics import mean, median
 
 from clgs.cli.options.scene import read_run
-from clgs.data.dataset import load_dataset
-from clgs.data.reduction import Reduction
 from clgs.data.repose import repose
 from clgs.lab.bench.step import STILL
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.train.config import from_toml
 from clgs.train.density.densifier import Densifier
+from clgs.train.run.load import load_for
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.parameters import new_parameters
 
@@ -60,8 +59,7 @@ def trainer(device: Device, args: argparse.Namespace, ahead: bool) -> Trainer:
     config = from_toml((args.run / "config.toml").read_text(encoding="utf-8"))
     config = replace(config, learning_rates=STILL, adam=args.adam)
     scene = read_run(args.run)[0]
-    reduction = Reduction(config.downscale, config.max_size)
-    loaded = load_dataset(args.data, downscale=reduction, cache=args.run)
+    loaded = load_for(config, args.data, args.run)
     dataset = repose(loaded, scene.transform)
     one = Trainer(device, dataset, config, ahead)
     plain = scene.dequantize()

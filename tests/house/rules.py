@@ -10,8 +10,8 @@ LAYERS = [  # a package may import from its own row and the rows above it
     {"constants", "errors", "shapes", "byte_count", "files", "machine", "memory", "options"}
     | {"reference", "signals"},
     {"opencl", "scene"},
-    {"ops", "codec", "data", "poses"},
-    {"render", "export"},
+    {"ops", "codec", "data"},
+    {"render", "export", "poses"},
     {"bake", "train"},
     {"viewer"},
     {"cli", "doctor", "lab"},

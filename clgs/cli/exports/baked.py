@@ -151,7 +151,7 @@ def _with_photos(scene: Scene, views: Sequence[View]) -> list[BakeView]:
 
 def _encode(output: Path, gaussians: HostGaussians, kind: str = "") -> Encoded:
     """The file that ``output`` names by its suffix; ``kind`` of the data set, if known."""
-    from clgs.data.axes import to_y_up
+    from clgs.data.posed_photo import to_y_up
     from clgs.export.splats.glb import encode_glb
     from clgs.export.splats.ply import encode_ply
     from clgs.export.splats.sog import encode_sog

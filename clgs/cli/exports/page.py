@@ -82,7 +82,7 @@ def read_start(path: Path, data: bytes) -> Start:
     transform = SceneTransform()  # splats keep the data set's units
     if not is_splats(data):
         transform = SceneTransform(**describe(data)["transform"])
-    dataset = load_dataset(path, load_images=False, load_points=False)
+    dataset = load_dataset(path, load_images=False)
     views = repose(dataset, transform)
     first = (views.test or views.train)[0]
     return start_at(first.camera, [view.camera for view in views.train])

@@ -146,7 +146,12 @@ def load_views(args: argparse.Namespace, scene: QuantizedScene | SplatScene) -> 
     if args.data is None:
         name_data(args)
     reduction = _reduction(args)
-    dataset = load_dataset(args.data, downscale=reduction, load_images=False, load_points=False)
+    dataset = load_dataset(
+        args.data,
+        downscale=reduction.times,
+        max_size=reduction.max_size,
+        load_images=False,
+    )
     posed = repose(dataset, scene.transform)
     origin = read_origin(run_folder(args.scene))
     if isinstance(scene, SplatScene):

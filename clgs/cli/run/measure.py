@@ -10,7 +10,6 @@ from statistics import median
 from clgs.cli.run.plan import Photos, Speed, fit_speed
 from clgs.cli.tell import tell
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset
-from clgs.data.reduction import Reduction
 from clgs.lab.bench.step import stream_times, synthetic_trainer
 from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig, preset
@@ -98,8 +97,9 @@ def _between(first: float, later: float) -> float:
 
 def _some_photos(config: TrainConfig, data: Path, run: Path) -> Dataset:
     """The data set with some of its photos, read; the others are not, if its points are known."""
-    reduction = Reduction(config.downscale, config.max_size)
-    dataset = load_dataset(data, downscale=reduction, load_images=False)
+    dataset = load_dataset(
+        data, downscale=config.downscale, max_size=config.max_size, load_images=False
+    )
     if len(dataset.points) < LEAST_POINTS:
         dataset = load_for(config, data, run, tell)
     views = dataset.train[:: max(1, len(dataset.train) // VIEWS)][:VIEWS]

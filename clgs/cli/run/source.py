@@ -61,11 +61,9 @@ def find_source(path: Path) -> Source:
 def measure_data(folder: Path) -> Photos:
     """Number and size of the photos of a data set."""
     from clgs.data.dataset import load_dataset
-    from clgs.data.reduction import Reduction
     from clgs.train.config.settings import BLENDER
 
-    whole = Reduction(0, 0)
-    dataset = load_dataset(folder, downscale=whole, load_images=False, load_points=False)
+    dataset = load_dataset(folder, max_size=0, load_images=False)
     first = dataset.train[0].camera
     count = len(dataset.train) + len(dataset.test)
     return Photos(count, first.width, first.height, dataset.kind == BLENDER)
