@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from clgs.codec.attributes import paper, row_coder, runlength
-from clgs.lab.bench.codec_baselines import ATTRIBUTES
+from clgs.lab.bench.codec_subjects import PUBLISHED_ATTRIBUTES as ATTRIBUTES
 from codec_c.reader.rows import decode_paper_rows, decode_rows
 from tests.codec.samples import INT32, draw, matrices
 
