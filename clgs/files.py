@@ -30,7 +30,11 @@ def atomic_write(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` to ``path`` as indented JSON, as :func:`atomic_write` writes bytes."""
+    """Write ``value`` as indented JSON, atomically.
+
+    Raises:
+        OutputError, OSError: as :func:`atomic_write`.
+    """
     atomic_write(path, (json.dumps(value, indent=1) + "\n").encode())
 
 

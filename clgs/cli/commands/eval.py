@@ -222,8 +222,8 @@ def _count_gaussians(
 
 def _write(args: argparse.Namespace, summary: dict[str, Any], scores: Sequence[ViewScore]) -> None:
     from clgs.cli.options.view import trained_steps
+    from clgs.files import write_json
     from clgs.train.quality.score_tables import append_survey, write_inria
-    from clgs.train.run.session import write_json
 
     if args.json not in (None, STDOUT):
         write_json(args.json, summary | {"per_view": [score.record() for score in scores]})

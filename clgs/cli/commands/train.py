@@ -117,8 +117,8 @@ def _report_profile(session: Session) -> None:
     from dataclasses import asdict
 
     from clgs.cli.progress import print_profile
+    from clgs.files import write_json
     from clgs.train.quality.savings import savings
-    from clgs.train.run.session import write_json
 
     rows = session.device.profile.rows()
     saved = savings(session.trainer)

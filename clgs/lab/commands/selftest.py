@@ -26,8 +26,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the checks; exit code 0, or 1 if one fails."""
-    from clgs.files import check_target
-    from clgs.train.run.session import write_json
+    from clgs.files import check_target, write_json
 
     if args.json:
         check_target(args.json)
@@ -77,7 +76,7 @@ def _verdict(checks: list[Check], error: str) -> str:
 def _record(device: Device, checks: list[Check], error: str) -> dict[str, object]:
     from dataclasses import asdict
 
-    from clgs.lab.bench.facts import machine_facts
+    from clgs.lab.facts import machine_facts
 
     found = [asdict(check) | {"passed": check.passed} for check in checks]
     return machine_facts(device) | {"error": error, "checks": found}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from clgs.lab.bench.codec_baselines import ATTRIBUTES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from clgs.codec.attributes import paper, row_coder
-from clgs.lab.bench.codec_baselines import ATTRIBUTES
 from clgs.reference.codec import paper as reference
 from tests.codec.attributes.matrices import INT32, laplace, matrices
 

@@ -1,4 +1,4 @@
-"""The parts of `clgs accept`, in their order, and what is told of each."""
+"""The list of trials of `clgs accept`, and the line that each shows."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from statistics import median
 from typing import Any
 
 from clgs.errors import ClgsError
-from clgs.lab.accept.part import Part
-from clgs.lab.bench.peer.gsplat_times import has_gsplat
+from clgs.lab.accept.trial import Trial
+from clgs.lab.bench.gsplat import has_gsplat
 from clgs.lab.commands.conformance import SHIPPED
 from clgs.lab.selftest.conformance import differences, from_record
 
@@ -45,8 +45,8 @@ WHOLE = Size(200_000, 400, 1_000_000, (1_000_000, LARGE), 15)
 QUICK = Size(20_000, 128, 100_000, (50_000, "480x270"), 5)
 
 
-def parts(device: str, folder: Path, size: Size, data: list[str]) -> list[Part]:
-    """All parts.
+def trials(device: str, folder: Path, size: Size, data: list[str]) -> list[Trial]:
+    """List all trials.
 
     Args:
         device: as for ``--device``.
@@ -59,30 +59,30 @@ def parts(device: str, folder: Path, size: Size, data: list[str]) -> list[Part]:
     def file(name: str) -> str:
         return str(folder / f"{name}.json")
 
-    def step(name: str, work: tuple[int, int | str], repeats: int = 1, kind: str = "step") -> Part:
+    def step(name: str, work: tuple[int, int | str], repeats: int = 1, kind: str = "step") -> Trial:
         counts = zip(("--gaussians", "--size", "--repeats"), (*work, repeats), strict=True)
         words = ("bench", kind, *on, *map(str, chain(*counts)), "--json", file(name))
-        return Part(name, words, partial(_step, name))
+        return Trial(name, words, partial(_step, name))
 
-    def start(name: str, told: str) -> Part:
-        return replace(step(name, STARTED), tell=lambda folder: told, caches=folder / "caches")
+    def start(name: str, told: str) -> Trial:
+        return replace(step(name, STARTED), summary=lambda folder: told, caches=folder / "caches")
 
-    def training(name: str) -> Part:
+    def training(name: str) -> Trial:
         words = ("train", str(folder / "photos"), "-o", str(folder / name), "--steps", str(STEPS))
-        return Part(name, (*words, *on), partial(_hash, name))
+        return Trial(name, (*words, *on), partial(_hash, name))
 
     ops = ("--gaussians", size.gaussians, "--size", size.edge, "--elements", size.elements)
     hashes = file("conformance")
     found = [
-        Part("machine", ("doctor", "--json"), _machine),
+        Trial("machine", ("doctor", "--json"), _machine),
         start("first start", "kernels compiled"),
         start("second start", "kernels compiled before"),
-        Part("selftest", ("selftest", *on, "--json", file("selftest")), _selftest),
-        Part("conformance", ("conformance", *on, "-o", hashes), _conformance),
-        Part("conformance again", ("conformance", *on, "--check", hashes), _same),
+        Trial("selftest", ("selftest", *on, "--json", file("selftest")), _selftest),
+        Trial("conformance", ("conformance", *on, "-o", hashes), _conformance),
+        Trial("conformance again", ("conformance", *on, "--check", hashes), _same),
         training("training"),
         training("training again"),
-        Part(
+        Trial(
             "stages",
             ("bench", "ops", *on, *map(str, ops), "--json", file("stages")),
             _stages,
@@ -92,7 +92,7 @@ def parts(device: str, folder: Path, size: Size, data: list[str]) -> list[Part]:
     ]
     if has_gsplat():
         found += [
-            replace(step(name, work, size.repeats, "gsplat"), tell=partial(_beside, name))
+            replace(step(name, work, size.repeats, "gsplat"), summary=partial(_beside, name))
             for name, work in (
                 ("gsplat", (size.gaussians, size.edge)),
                 ("gsplat large", size.large),
@@ -100,7 +100,7 @@ def parts(device: str, folder: Path, size: Size, data: list[str]) -> list[Part]:
         ]
     if data:
         words = ("train", *data, "-o", str(folder / "data"), *on)
-        found.append(Part("data", words, _data))
+        found.append(Trial("data", words, _data))
     return found
 
 

@@ -1,13 +1,14 @@
-"""Times of gsplat on the Gaussians of a view of ours, by CUDA's events.
+"""`clgs bench gsplat`: this device and gsplat on the same Gaussians.
 
-Written after the signatures of gsplat 1.5: Ye et al., gsplat: An Open-Source Library for Gaussian
-Splatting, JMLR 2025.
+gsplat is timed by CUDA's events. The calls follow the signatures of gsplat 1.5 (Ye et al., gsplat:
+An Open-Source Library for Gaussian Splatting, JMLR 2025).
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from statistics import median
@@ -15,11 +16,23 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
 
 from clgs.constants import TILE_SIZE
 from clgs.errors import UsageError
-from clgs.lab.bench.peer.handover import Handover
-from clgs.lab.bench.step import WARM_UP
+from clgs.files import check_target, write_json
+from clgs.lab.bench.handover import Handover, hand_over
+from clgs.lab.bench.step import WARM_UP, synthetic_trainer, time_steps
+from clgs.lab.facts import command_line, machine_facts
+from clgs.opencl.device import Device
+
+ROWS = {
+    "lists of the tiles": ("tiles", "tiles"),
+    "rasteriser forward": ("blend forward", "forward"),
+    "rasteriser backward": ("blend backward", "backward"),
+}
+"""Rows of the table: the stage of `clgs bench step`, and the time of gsplat."""
 
 STILL = 1e-12
 """Learning rate that leaves the Gaussians as they are."""
@@ -47,6 +60,35 @@ class PeerTimes:
     difference: float
     card: str
     versions: dict[str, str]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, print and, if asked, write JSON; exit code 0."""
+    if args.json:
+        check_target(args.json)
+    require_gsplat()
+    device = Device(args.device)
+    trainer = synthetic_trainer(device, args.gaussians, args.size, args.seed)
+    view = hand_over(device, trainer.render_next(), trainer.dataset.train[0].camera)
+    ours, theirs = time_steps(trainer, args.repeats), time_gsplat(view, args.repeats, args.seed)
+    record = {
+        "clgs": {"step": ours.step, **{name: ours.stages[name] for name, _ in ROWS.values()}},
+        "gsplat": asdict(theirs),
+        "gaussians": ours.gaussians,
+    }
+    title = f"{device.name}; gsplat on {theirs.card}; {ours.gaussians:,} Gaussians"
+    table = Table("median ms", title=title)
+    for column in ("clgs", "gsplat", "ratio"):
+        table.add_column(column, justify="right")
+    pairs = {row: (ours.stages[name], getattr(theirs, time)) for row, (name, time) in ROWS.items()}
+    pairs["whole step"] = ours.step, theirs.step
+    for row, (own, other) in pairs.items():
+        table.add_row(row, f"{own:.3f}", f"{other:.3f}", f"{own / other:.2f}")
+    Console().print(table)
+    print(f"loss of gsplat's step: {theirs.loss}; pictures differ by {theirs.difference:.1e}")
+    if args.json:
+        write_json(args.json, {"command": command_line(), **machine_facts(device)} | record)
+    return 0
 
 
 def require_gsplat() -> None:

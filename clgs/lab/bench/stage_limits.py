@@ -1,20 +1,68 @@
-"""How many bytes a stage must move and how many operations it must make, by formula.
+"""What a stage must do at least, what the device can do at most, and the share that follows.
 
-Bytes: every input read once and every output written once, as if caches were perfect and nothing
-were read twice. Operations: of the useful work only, counting an FMA as two and an exponential by
-its polynomial; pairs of pixel and Gaussian that contribute nothing count as none. Both are lower
-bounds, so that the share of the limit that follows is one, too.
+Bytes: every input is read once and every output written once, as if caches were perfect.
+Operations: those of the useful work only. An FMA counts as two, an exponential by its polynomial,
+and a pair of pixel and Gaussian that contributes nothing counts as none. Both are lower bounds, so
+the share of the limit that follows from them is a lower bound, too.
 """
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
-from clgs.lab.bench.device_limits import DeviceLimits
-from clgs.lab.bench.frame_counts import count_frame
+from clgs.lab.bench.step import count_frame
 from clgs.opencl.device import Device
-from clgs.ops import blend
+from clgs.ops import blend, limits
 from clgs.render.frame import DeviceScene, Frame
+
+COPY_BYTES = 128 << 20
+"""Size of one array, well beyond the caches of today's processors."""
+EMULATED_BYTES = 1 << 16
+LEAST_SECONDS = 0.02
+REPEATS = 7
+GROUPS_PER_UNIT = {"cpu": 4, "gpu": 64}
+
+
+@dataclass(frozen=True)
+class DeviceLimits:
+    """Measured rates of a device.
+
+    A copied byte counts twice (read, written), a fused multiply-add as two operations.
+    """
+
+    bytes_per_second: float
+    flops_per_second: float
+
+
+def measure_limits(device: Device) -> DeviceLimits:
+    """Measure a copy between two large arrays, and chains of FMAs in registers."""
+    largest = EMULATED_BYTES if device.is_emulator else COPY_BYTES
+    count: int = min(largest, device.cl_device.global_mem_size // 16) // 4
+    source, target = device.zeros((count,)), device.zeros((count,))
+    copying = _best_seconds(device, lambda: limits.copy(device, source, target))
+
+    groups = 1 if device.is_emulator else device.cl_device.max_compute_units
+    groups *= GROUPS_PER_UNIT[device.specialisation]
+    steps = 16
+    if not device.is_emulator:  # chains grow until they take LEAST_SECONDS
+        while _best_seconds(device, partial(limits.fma, device, groups, steps), 2) < LEAST_SECONDS:
+            steps *= 4
+    lanes = len(limits.fma(device, groups, steps))
+    computing = _best_seconds(device, partial(limits.fma, device, groups, steps))
+    return DeviceLimits(8 * count / copying, 2 * limits.CHAINS * steps * lanes / computing)
+
+
+def _best_seconds(device: Device, work: Callable[[], object], repeats: int = REPEATS) -> float:
+    seconds = []
+    for _ in range(repeats + 1):
+        start = time.perf_counter()
+        work()
+        device.finish()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds[1:])
 
 
 @dataclass(frozen=True)
@@ -48,19 +96,19 @@ class Formula:
 
     def evaluate(self, counts: Counts) -> tuple[int, int]:
         """Bytes and operations."""
-        return _sum(self.bytes, counts), _sum(self.flops, counts)
+        moved, made = (
+            sum(factor * getattr(counts, letter) for letter, factor in terms.items())
+            for terms in (self.bytes, self.flops)
+        )
+        return moved, made
 
     def text(self) -> str:
         """For people: "64 I + 20 P B, 30 B flop"."""
-        return f"{_text(self.bytes)} B, {_text(self.flops)} flop"
-
-
-def _sum(terms: Terms, counts: Counts) -> int:
-    return sum(factor * getattr(counts, letter) for letter, factor in terms.items())
-
-
-def _text(terms: Terms) -> str:
-    return " + ".join(f"{factor:,} {letter}" for letter, factor in terms.items()) or "0"
+        moved, made = (
+            " + ".join(f"{factor:,} {letter}" for letter, factor in terms.items()) or "0"
+            for terms in (self.bytes, self.flops)
+        )
+        return f"{moved} B, {made} flop"
 
 
 FORMULAS: dict[str, Formula] = {
@@ -134,7 +182,7 @@ class Share:
 def share_of_limit(
     name: str, counts: Counts, milliseconds: float, limits: DeviceLimits
 ) -> Share | None:
-    """How near a stage comes to the device's limits; None without a formula."""
+    """How near a stage comes to the device's limits; None if it has no formula."""
     formula = FORMULAS.get(name)
     if formula is None or milliseconds <= 0:
         return None
@@ -143,8 +191,3 @@ def share_of_limit(
     by_memory, by_arithmetic = rate / limits.bytes_per_second, speed / limits.flops_per_second
     bound = "copy" if by_memory > by_arithmetic else "FMA"
     return Share(moved, made, rate / 1e9, speed / 1e9, max(by_memory, by_arithmetic), bound)
-
-
-def formula_lines() -> dict[str, str]:
-    """Every formula as text, by stage; the letters are those of Counts."""
-    return {name: formula.text() for name, formula in FORMULAS.items()}
