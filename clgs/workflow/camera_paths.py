@@ -18,6 +18,7 @@ from clgs.scene.scene import QuantizedScene, SceneTransform, SplatScene
 from clgs.workflow.events import Note, OnEvent
 from clgs.workflow.options import FPS, FRAMES, PATHS, SIZE, UPS, PathOptions, ViewOptions
 
+
 def check_clip(path: PathOptions, views: ViewOptions, save_path: Path | None) -> None:
     """Raise UsageError if options do not go together, or would have no effect."""
     named = path.name in PATHS

@@ -18,7 +18,7 @@ from clgs.data.view import View
 from clgs.opencl.device import Device
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
-from clgs.train.config import TrainConfig, preset
+from clgs.train.config import preset
 from clgs.train.run.load import load_for
 from clgs.train.run.trainer import Trainer
 from clgs.train.step.schedule import COARSE_STAGES
@@ -112,7 +112,7 @@ def speed_on(
 
 
 def _between(first: float, later: float) -> float:
-    """The geometric mean of what first steps and later ones take, if that is more than ``first``."""
+    """The geometric mean of the seconds of first and of later steps, but at least ``first``."""
     return max(first, math.sqrt(first * later))
 
 

@@ -32,7 +32,7 @@ class EncodedFile:
 
 
 @dataclass(frozen=True)
-class ReducedFile:
+class FittedScene:
     """What was found, the views that PSNR was measured on, and the number of training views.
 
     Both counts are 0 if no data set is known.
@@ -47,21 +47,21 @@ def encode_within(
     path: Path,
     scene: QuantizedScene,
     encode: Callable[[QuantizedScene], bytes],
+    views: ViewOptions,
     target_size: int | None = None,
     target_psnr: float | None = None,
-    views: ViewOptions = ViewOptions(),
     all_views: bool = False,
     on_event: OnEvent = ignore,
-) -> ReducedFile:
+) -> FittedScene:
     """Leave out anchors, and make Q coarser, until the file meets one of the two targets.
 
     Args:
         path: where the scene was read.
         scene: all of it.
         encode: gives the bytes of a scene.
+        views: the data set whose training views say what is useful; without one, size does.
         target_size: bytes.
         target_psnr: dB; needs a data set.
-        views: the data set whose training views say what is useful; without one, size does.
         all_views: whether PSNR is measured on all training views, not on MEASURED of them.
         on_event: receives the progress.
 
@@ -72,7 +72,7 @@ def encode_within(
     if views.data is None:
         assert target_size is not None
         counter("encoding", 0, on_event)
-        return ReducedFile(reduce_to_size(scene, target_size, encode, None))
+        return FittedScene(reduce_to_size(scene, target_size, encode, None))
     every = select_views(path, scene, replace(views, split="train"), on_event)
     cameras = [view.camera for view in every]
     chosen = [every[i] for i in spread(cameras, len(cameras) if all_views else MEASURED)]
@@ -90,4 +90,4 @@ def encode_within(
     else:
         assert target_size is not None
         found = reduce_to_size(scene, target_size, encode, judge)
-    return ReducedFile(found, len(chosen), len(every))
+    return FittedScene(found, len(chosen), len(every))

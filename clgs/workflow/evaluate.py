@@ -32,7 +32,7 @@ def evaluate(
     path: Path,
     scene: QuantizedScene | SplatScene,
     size: int | None,
-    views: ViewOptions = ViewOptions(),
+    views: ViewOptions,
     *,
     lpips: Measure | None = None,
     count_gaussians: bool = False,

@@ -49,21 +49,21 @@ class RunStage:
 
 
 @dataclass(frozen=True)
-class RunResult:
+class StageRecord:
     """A stage of ``clgs run``, or its planning, gave ``record``."""
 
     record: object
 
 
 @dataclass(frozen=True)
-class RunFailure:
+class StageFailure:
     """A stage of ``clgs run`` that the others do not need failed with ``error``."""
 
     stage: str
     error: Exception
 
 
-Event = Note | StageProgress | TrainingProgress | RunStage | RunResult | RunFailure
+Event = Note | StageProgress | TrainingProgress | RunStage | StageRecord | StageFailure
 OnEvent = Callable[[Event], None]
 
 

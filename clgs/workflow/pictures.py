@@ -84,12 +84,12 @@ def drawer(renderer: Renderer, kind: str, cameras: Sequence[Camera]) -> Draw:
         return lambda camera: DrawnPicture(
             to_8bit(np.repeat(renderer.depth(camera).opacity[None], 3, axis=0))
         )
-    found = [np.empty(0)]
+    found: list[npt.NDArray[np.float32]] = []
     for camera in cameras[:: max(1, len(cameras) // RANGE_CAMERAS)]:
         seen = renderer.depth(camera.reduced(RANGE_REDUCTION))
         found.append(seen.depth[seen.opacity > SEEN])
     depths = np.concatenate(found)
-    near, far = np.percentile(depths, RANGE_PERCENTILES) if len(depths) else (1.0, 2.0)
+    near, far = map(float, np.percentile(depths, RANGE_PERCENTILES) if len(depths) else (1, 2))
     far = max(far, near * 1.001)
 
     def draw(camera: Camera) -> DrawnPicture:
@@ -105,7 +105,7 @@ def drawer(renderer: Renderer, kind: str, cameras: Sequence[Camera]) -> Draw:
 def render_views(
     scene: Path,
     output: Path,
-    views: ViewOptions = ViewOptions(),
+    views: ViewOptions,
     *,
     kind: str = "color",
     overwrite: bool = False,
@@ -156,7 +156,7 @@ def render_clip(
     scene: Path,
     output: Path,
     path: PathOptions,
-    views: ViewOptions = ViewOptions(),
+    views: ViewOptions,
     *,
     kind: str = "color",
     save_path: Path | None = None,
@@ -185,19 +185,9 @@ def render_clip(
         check_there(scene)
         views = replace(views, data=None if path.up else known_data(scene))
     check_clip(path, views, save_path)
-    suffix = output.suffix.lower()
-    is_video = suffix == SUFFIX
-    if suffix in OTHER_VIDEOS:
-        raise UsageError(f"{output}: a video is an {SUFFIX} file; name it so")
     if save_path is not None:
         check_new(save_path, overwrite, scene, Path(path.name))
-    if is_video:
-        check_new(output, overwrite, scene)
-        load_writer()
-    else:
-        check_picture_folder(output)
-        for picture in _frames_in(output)[:1]:
-            check_new(picture, overwrite)
+    is_video = _check_clip_output(output, overwrite, scene)
     found, _ = read_drawable(scene)
     dataset = load_views(scene, found, views, on_event) if views.data is not None else None
     cameras, fps = make_path(path, found, dataset, on_event)
@@ -223,6 +213,21 @@ def render_clip(
         world = [move_camera(camera, found.transform, SceneTransform()) for camera in cameras]
         write_camera_path(save_path, world, fps)
     return Clip(output, len(cameras), width, height, fps)
+
+
+def _check_clip_output(output: Path, overwrite: bool, scene: Path) -> bool:
+    """Refuse an output that cannot be written; whether it is a video."""
+    suffix = output.suffix.lower()
+    if suffix in OTHER_VIDEOS:
+        raise UsageError(f"{output}: a video is an {SUFFIX} file; name it so")
+    if suffix == SUFFIX:
+        check_new(output, overwrite, scene)
+        load_writer()
+        return True
+    check_picture_folder(output)
+    for picture in _frames_in(output)[:1]:
+        check_new(picture, overwrite)
+    return False
 
 
 @contextmanager

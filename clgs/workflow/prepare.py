@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from clgs.export.poses_page import write_poses_page
@@ -13,7 +15,16 @@ from clgs.train.quality.pose_check import check_poses
 from clgs.workflow.events import OnEvent, StageProgress, ignore
 
 PAGE = "report.html"
-"""The page about the poses, in the data set."""
+
+
+@dataclass(frozen=True)
+class PreparedData:
+    """A data set that was made, the verdict on its poses, the page about it, and the seconds."""
+
+    folder: Path
+    verdict: Verdict
+    page: Path
+    seconds: float
 
 
 def prepare_data(
@@ -26,11 +37,12 @@ def prepare_data(
     drop_doubtful: bool = False,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
-) -> Verdict:
+) -> PreparedData:
     """Find poses and points, test them, and write the page about them to ``output``.
 
     :func:`clgs.prepare` describes the arguments, the errors and the other files.
     """
+    start = time.perf_counter()
     verdict = prepare(
         photos,
         output,
@@ -41,8 +53,9 @@ def prepare_data(
         frames=frames,
         doubts=Doubts(None if quick else short_training, drop_doubtful),
     )
-    write_poses_page(output / PAGE, output, verdict)
-    return verdict
+    page = output / PAGE
+    write_poses_page(page, output, verdict)
+    return PreparedData(output, verdict, page, time.perf_counter() - start)
 
 
 def short_training(data: Path, on_step: Callable[[int, int], None]) -> dict[str, float]:

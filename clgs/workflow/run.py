@@ -26,7 +26,7 @@ from clgs.train.run.folder_lock import FolderLock
 from clgs.workflow.device_speed import speed_on, synthetic_speed
 from clgs.workflow.encode import EncodedFile
 from clgs.workflow.evaluate import Evaluation, evaluate
-from clgs.workflow.events import Note, OnEvent, RunFailure, RunResult, RunStage, ignore
+from clgs.workflow.events import Note, OnEvent, RunStage, StageFailure, StageRecord, ignore
 from clgs.workflow.export import export
 from clgs.workflow.options import PathOptions, ViewOptions
 from clgs.workflow.pictures import render_clip
@@ -175,7 +175,7 @@ def run(
         plan = None
         if not record.settings:
             plan = this.plan(given)
-            on_event(RunResult(plan))
+            on_event(StageRecord(plan))
         if found is None:
             _check_apart(given.path, output)
             make_folder(output)
@@ -271,7 +271,7 @@ class _Run:
             training = plan.training
             if not given.complete:
                 training = self._plan_training(measure_data(data), 0.0, data)
-                self._on_event(RunResult(training))
+                self._on_event(StageRecord(training))
             settings = {"steps": training.steps, "max_size": training.max_size}
             settings |= {"seed": self._seed, "coarse_to_fine": training.coarse}
             self._record = replace(self._record, settings=settings, plan=asdict(training))
@@ -401,7 +401,7 @@ class _Run:
                 self._stage(name, file, [*words, "-o", file, *shared], work, needed=False)
             except Exception as error:
                 failures[name] = error
-                on_event(RunFailure(name, error))
+                on_event(StageFailure(name, error))
         return failures
 
     def _stage(
@@ -430,7 +430,7 @@ class _Run:
             if needed:
                 error.add_note(f"{name} failed; mend that and repeat the command with --resume")
             raise
-        self._on_event(RunResult(record))
+        self._on_event(StageRecord(record))
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

@@ -75,7 +75,9 @@ class RunRecord:
             if name in kept and value not in (None, kept[name]):
                 option = "--" + name.replace("_", "-")
                 shown = in_words(self.time) if name == "time" else kept[name]
-                raise UsageError(f"{option}: the run in {out} has {shown}; leave it out, or {again}")
+                raise UsageError(
+                    f"{option}: the run in {out} has {shown}; leave it out, or {again}"
+                )
 
 
 def in_words(seconds: float) -> str:
