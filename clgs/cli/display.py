@@ -25,10 +25,7 @@ WIDE = 120
 """Columns of a terminal from which training has a bar; without it, its figures fit in 80."""
 
 PLAIN_SECONDS = 10.0
-"""Without a terminal, one line is printed this often."""
-
-LONG_SECONDS = 1.0
-"""Without a terminal, a stage that took longer than this prints a line when it is complete."""
+"""Without a terminal a line is printed this often, and one when a stage is complete."""
 
 
 class Display:
@@ -110,11 +107,9 @@ class Display:
             self._bar.update(task, completed=done, total=total or None, note=note)
             return
         now = self._clock()
-        seconds = now - self._began
-        complete = done == total > 0 and seconds >= LONG_SECONDS
-        if complete or now - self._printed >= PLAIN_SECONDS:
+        if done == total > 0 or now - self._printed >= PLAIN_SECONDS:
             self._printed = now
-            line = describe(self._stage, done, total, seconds, self._first)
+            line = describe(self._stage, done, total, now - self._began, self._first)
             tell(f"{line}  {note}" if note else line)
 
 

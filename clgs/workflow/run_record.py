@@ -1,4 +1,4 @@
-"""What an output folder says of the run that it holds, so that --resume continues that run."""
+"""Records of `clgs run`: its plan, what its folder keeps so that --resume continues, its end."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.files import write_json
 from clgs.workflow.run_input import RunInput
+from clgs.workflow.run_plan import TrainingPlan
 from clgs.workflow.scenes import PLAN
 
 DATA = "data"
@@ -78,6 +79,44 @@ class RunRecord:
                 raise UsageError(
                     f"{option}: the run in {out} has {shown}; leave it out, or {again}"
                 )
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """What `clgs run` is going to do.
+
+    Attributes:
+        input: photos, video or data set.
+        training: size, length and times.
+        device: the name of the device.
+        hurry: whether the poses are not tested, for lack of time.
+        allowed: seconds for everything.
+    """
+
+    input: RunInput
+    training: TrainingPlan
+    device: str
+    hurry: bool
+    allowed: float
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """What `clgs run` made.
+
+    Attributes:
+        folder: the output folder.
+        photos: how many photos were used, in words.
+        scores: as ``clgs eval --json`` writes them.
+        seconds: by stage, over all calls that worked on the run.
+        failures: the exports that failed, by stage.
+    """
+
+    folder: Path
+    photos: str
+    scores: dict[str, Any]
+    seconds: dict[str, float]
+    failures: dict[str, Exception]
 
 
 def in_words(seconds: float) -> str:

@@ -16,7 +16,8 @@ from clgs.cli import main as cli
 from clgs.cli.commands.run import duration
 from clgs.errors import DataError
 from clgs.train.run.folder_lock import FolderLock
-from clgs.workflow import run as workflow
+from clgs.workflow import run_stages
+from clgs.workflow.run import run
 from clgs.workflow.run_input import find_input
 from clgs.workflow.run_plan import FRAMES, Photos, frames_within
 from clgs.workflow.run_record import RunRecord
@@ -292,7 +293,7 @@ def test_a_failing_stage_ends_the_run_and_passes_its_exit_code_on(
     def fail(*_, **__):
         raise DataError("the photos are gone")
 
-    monkeypatch.setattr(workflow, "train", fail)
+    monkeypatch.setattr(run_stages, "train", fail)
     assert cli.main(words(data, tmp_path / "out")) == 3
     said = capsys.readouterr()
     assert "[train] clgs train" in said.out
@@ -310,8 +311,8 @@ def test_a_failing_export_does_not_end_the_run(data, tmp_path, monkeypatch, caps
     def fail(source, output, **_):
         raise DataError(f"no {output.name}")
 
-    monkeypatch.setattr(workflow, "export", fail)
-    done = workflow.run(data, tmp_path / "out", steps=30)
+    monkeypatch.setattr(run_stages, "export", fail)
+    done = run(data, tmp_path / "out", steps=30)
     assert {name: str(error) for name, error in done.failures.items()} == {
         "page": "no scene.html",
         "Gaussians": "no scene.ply",

@@ -18,8 +18,8 @@ from clgs.cli.options.view import (
 from clgs.errors import UsageError
 
 if TYPE_CHECKING:
-    from clgs.workflow.run import FinishedRun, RunPlan
     from clgs.workflow.run_plan import TrainingPlan
+    from clgs.workflow.run_record import FinishedRun, RunPlan
 
 DESCRIPTION = """\
 The whole way, each stage a command of clgs that is shown as it runs: find the poses of the photos
@@ -121,8 +121,8 @@ def _show(record: object) -> None:
     from clgs.workflow.evaluate import Evaluation
     from clgs.workflow.pictures import Clip
     from clgs.workflow.prepare import PreparedData
-    from clgs.workflow.run import FinishedRun, RunPlan
     from clgs.workflow.run_plan import TrainingPlan
+    from clgs.workflow.run_record import FinishedRun, RunPlan
     from clgs.workflow.train import TrainedRun
 
     show: dict[type, Callable[[Any], None]] = {
@@ -176,8 +176,8 @@ def _show_box(done: FinishedRun) -> None:
     from rich.text import Text
 
     from clgs.cli.tell import counted
-    from clgs.workflow.run import REPORT
     from clgs.workflow.run_record import in_words
+    from clgs.workflow.run_stages import REPORT
 
     scores, seconds = done.scores, done.seconds
     stages = "  ".join(f"{name} {one:.0f}" for name, one in seconds.items())
