@@ -1,4 +1,4 @@
-"""Part 6: positions of one chunk, as an octree."""
+"""Positions of one chunk, as an octree: part 6 of FORMAT.md."""
 
 from __future__ import annotations
 
@@ -6,10 +6,17 @@ import itertools
 from collections import defaultdict
 from typing import NamedTuple
 
-from tests.codec.from_document.common import ByteReader, check, clamp, in_int32, morton_cell
-from tests.codec.from_document.entropy import Curve, State, mix
-
-Cell = tuple[int, int, int]
+from .coding import (
+    ByteReader,
+    Curve,
+    State,
+    WideRangeDecoder,
+    check,
+    clamp,
+    in_int32,
+    mix,
+    morton_cell,
+)
 
 ONLY = [
     119, 248, 248, 248, 248, 247, 247, 247, 247, 244, 244, 242, 241, 241, 240, 239, 239, 238,
@@ -46,8 +53,8 @@ DIRECTIONS = [d for d in range(27) if d != 13]
 ABSENT, UNCODED = -2, -1  # in place of the children of a node around
 
 
-def cell_key(cell: Cell) -> int:
-    """A key of a cell; that of a cell beside it differs by a number of KEY_STEP."""
+def cell_key(cell: tuple[int, int, int]) -> int:
+    """A key of a cell; the keys of neighbours differ from it by the numbers of KEY_STEP."""
     x, y, z = cell
     return (x + 1 << 44) + (y + 1 << 22) + z + 1
 
@@ -73,9 +80,10 @@ def _child_gain(direction: int, other: int, c: int) -> int:
 
 
 def _density_table(direction: int) -> list[int]:
-    """Densities that a node in a direction gives to our children c, 16 bits each from 16 c on.
+    """The densities that a node in a direction gives to our eight children, by its own children.
 
-    Index: the children that the node has, as bits; -1 is a node that is not yet coded.
+    The density of child c is in the 16 bits from bit 16 c on. The index is the node's children as
+    bits; -1 stands for a node that is not yet coded.
     """
     table = [0] * 257
     for c in range(8):
@@ -96,66 +104,12 @@ def logarithm(x: int) -> int:
     return 4 * e + (4 * x >> e & 3)
 
 
-class RangeDecoder64:
-    """The 64-bit range coder (6.1)."""
-
-    def __init__(self, data: bytes, what: str) -> None:
-        self.size = len(data)
-        self.data = data + bytes(16)
-        self.what = what
-        self.range = 2**64 - 1
-        self.offset = int.from_bytes(self.data[:8], "big")
-        self.at = 8
-
-    def _move(self) -> None:
-        if self.range < 1 << 32:
-            check(self.at + 4 <= self.size + 7, f"{self.what}: stream cut")
-            self.range <<= 32
-            word = int.from_bytes(self.data[self.at : self.at + 4], "big")
-            self.offset = (self.offset << 32 | word) & 0xFFFFFFFFFFFFFFFF
-            self.at += 4
-
-    def decode(self, p: int) -> int:
-        """One decision that is 1 with probability p / 65536."""
-        bound = (self.range >> 16) * p
-        bit = int(self.offset < bound)
-        if bit:
-            self.range = bound
-        else:
-            self.offset -= bound
-            self.range -= bound
-        self._move()
-        return bit
-
-    def plain(self, count: int) -> int:
-        """A number of `count` plain bits."""
-        value = 0
-        while count > 0:
-            k = min(count, 16)
-            self.range >>= k
-            v = self.offset // self.range
-            check(v < 1 << k, f"{self.what}: plain bits of 2^{k} or more")
-            self.offset -= self.range * v
-            self._move()
-            value = value << k | v
-            count -= k
-        return value
-
-    def finish(self) -> None:
-        """The length must be the one that follows from moves and range."""
-        t = 0
-        while self.range << 8 * t < 1 << 56:
-            t += 1
-        expected = self.at - 8 + t + 1
-        check(self.size == expected, f"{self.what}: {self.size} bytes, should be {expected}")
-
-
 class Node(NamedTuple):
-    """A node of a level, and what it has to know of its parent."""
+    """A node of a level, and what its decisions need to know of its parent."""
 
     code: int
-    parent_crowd: int = 0  # class
-    parent_children: int = 0  # bits; 0: none, this is the root
+    parent_crowd: int = 0  # a class
+    parent_children: int = 0  # as bits; 0 for the root
 
 
 class Around:
@@ -186,9 +140,8 @@ class Around:
 class Octree:
     """Decodes the payload of one octree."""
 
-    def __init__(self, payload: bytes, what: str) -> None:
-        self.coder = RangeDecoder64(payload, what)
-        self.what = what
+    def __init__(self, payload: bytes) -> None:
+        self.coder = WideRangeDecoder(payload)
         self.states: dict[tuple, State] = {}
         self.curves: dict[tuple, Curve] = defaultdict(Curve)
         self.weights: dict[tuple, list[int]] = {}
@@ -210,10 +163,10 @@ class Octree:
                 for c in range(8):
                     if children >> c & 1:
                         below.append(Node(node.code << 3 | c, around.crowd, children))
-                check(len(below) <= n - len(ended), f"{self.what}: more points than {n}")
+                check(len(below) <= n - len(ended), f"more points than {n}")
             level = below
         points = sorted(ended + [node.code for node in level])
-        check(len(points) == n, f"{self.what}: {len(points)} points instead of {n}")
+        check(len(points) == n, f"{len(points)} points instead of {n}")
         self.coder.finish()
         return points
 
@@ -303,32 +256,32 @@ class Octree:
 
 
 def decode_octree(
-    data: bytes, n: int, what: str, corner: tuple[list[int], int] | None = None
+    data: bytes, n: int, corner: tuple[list[int], int] | None = None
 ) -> list[list[int]]:
-    """n positions in Morton order; `corner`: origin and depth that mode 3 has."""
+    """n positions in Morton order; `corner` is the origin and the depth that mode 3 needs."""
     if n == 0:
-        check(not data, f"{what}: bytes without points")
+        check(not data, "bytes without points")
         return []
-    check(n <= 32768 * len(data), f"{what}: too many points for {len(data)} bytes")
-    reader = ByteReader(data, what)
-    mode = reader.number("B")
-    check(mode in (0, 2) or (mode == 3 and corner is not None), f"{what}: mode {mode}")
+    check(n <= 32768 * len(data), f"too many points for {len(data)} bytes")
+    reader = ByteReader(data)
+    (mode,) = reader.fields("B")
+    check(mode in (0, 2) or (mode == 3 and corner is not None), f"an octree of mode {mode}")
     if mode == 3 and corner is not None:
         origin, depth = corner
     else:
-        depth = reader.number("B")
-        if mode == 2:
-            origin = [reader.varint(shortest=True) for _ in range(3)]
-        else:
+        (depth,) = reader.fields("B")
+        if mode == 0:
             origin = list(reader.fields("3i"))
-    check(depth <= 21, f"{what}: depth {depth}")
+        else:
+            origin = [reader.varint(shortest=True) for _ in range(3)]
+    check(depth <= 21, f"an octree of depth {depth}")
     if mode == 0:
-        check(reader.left == 8 * n, f"{what}: mode 0 of a wrong length")
+        check(reader.left == 8 * n, "bare codes of a wrong length")
         codes = list(reader.fields(f"{n}Q"))
-        check(all(a < b for a, b in itertools.pairwise(codes)), f"{what}: codes do not ascend")
-        check(codes[-1] < 8**depth, f"{what}: code of 8^depth or more")
+        check(all(a < b for a, b in itertools.pairwise(codes)), "bare codes do not ascend")
+        check(codes[-1] < 8**depth, "a bare code of 8^depth or more")
     else:
-        codes = Octree(reader.rest(), what).points(depth, n)
+        codes = Octree(reader.rest()).points(depth, n)
     positions = [[o + v for o, v in zip(origin, morton_cell(code), strict=True)] for code in codes]
-    check(all(in_int32(v) for p in positions for v in p), f"{what}: position outside of int32")
+    check(all(in_int32(v) for p in positions for v in p), "a position outside of int32")
     return positions
