@@ -12,7 +12,7 @@ from clgs.workflow.events import ignore
 from clgs.workflow.run_plan import Photos, StepSpeed
 from tests.data.folders import write_blender
 
-SLOW = StepSpeed(9.0, 1e-3)
+SLOW = StepSpeed(90.0, 1e-3)
 
 
 @pytest.mark.parametrize(("start", "slow"), [(device_speed.GROWN + 500, False), (200, True)])
