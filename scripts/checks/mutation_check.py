@@ -47,7 +47,7 @@ STRESS = {
     "blend": ("blending", "tiers"), "scan": ("counts",), "adam": ("sums",), "loss": ("sums",),
     "rate": ("sums",), "neural": ("poison",), "mlp": ("tiers",),
 }  # fmt: skip
-"""Files of tests/stress that judge a stage besides its own tests."""
+"""Files of tests/stress that judge a stage in addition to its own tests."""
 
 EQUIVALENT: dict[str, str] = {}
 """Why nobody can notice a mutant, by its number or by its rule."""

@@ -4,7 +4,7 @@
     scripts/checks/same_bits.py record FILE [--data FOLDER]
     scripts/checks/same_bits.py check FILE [--data FOLDER]
 
-FOLDER, by default shared/data beside the checkout, holds the capture fox/ and the arrays of codec/.
+FOLDER, by default shared/data next to the checkout, holds the capture fox/ and the arrays of codec/.
 Recorded: the hashes of ``clgs conformance`` in both forms of the kernels; of a training run of 120
 steps of fox at an eighth of its size, on one and on two threads, the hash of every section of its
 file and of every decoded array; of every array of codec/, at every level, the bytes that it is
