@@ -83,7 +83,7 @@ def summary(verdict: Verdict) -> str:
 def apart(first: Poses, second: Poses, good: set[str]) -> str:
     """The largest and the median turn of the photos in ``good``, and the largest of all."""
     turns = {name: one.turn for name, one in differences(first, second).items()}
-    counted = [angle for name, angle in turns.items() if name in good]
+    counted = [turns[name] for name in good & turns.keys()]
     if not counted:
         return f"none of {len(turns)} common photos is good in both"
     return (

@@ -32,9 +32,11 @@ UNITS: dict[str, tuple[str, ...]] = {
     "tiles_ranges": ("entries",),
     "tiles": ("Gaussians",),
 }
-"""The units of a kernel, by its name or what that begins with.
+"""The units of a kernel, by its name or by what that begins with.
 
-``count``: elements, the sum over all launches; ``groups``: work-groups; ``groups squared``: each of them reads what all others left."""
+count: elements, the sum over all launches. groups: work-groups. groups squared: each of them reads
+what all others left.
+"""
 
 DEPENDENT = 1e-9
 """Two equations whose determinant is this small, relative to its terms, are one."""
