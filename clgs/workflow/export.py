@@ -7,9 +7,18 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from clgs.bake.bake import BakeSettings, BakeView, bake, count_steps, evenly, to_scene, to_world
+from clgs.bake.bake import (
+    BakedLoss,
+    BakeSettings,
+    BakeView,
+    bake,
+    baked_loss,
+    count_steps,
+    evenly,
+    to_scene,
+    to_world,
+)
 from clgs.bake.cameras import cameras_around
-from clgs.bake.loss import BakedLoss, baked_loss
 from clgs.codec import scene_decoder, splats
 from clgs.data.axes import to_y_up
 from clgs.data.dataset import load_dataset
