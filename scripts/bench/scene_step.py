@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import mean, median
 
-from clgs.cli.options.scene import read_run
 from clgs.data.repose import repose
 from clgs.lab.bench.step import STILL
 from clgs.opencl.device import Device
@@ -24,6 +23,7 @@ from clgs.train.density.densifier import Densifier
 from clgs.train.run.load import load_for
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.parameters import new_parameters
+from clgs.workflow.scenes import read_run
 
 ROUNDS = 2
 
