@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from clgs.cli.options.codec import add_files, add_threads
 
 if TYPE_CHECKING:
-    from clgs.codec.box import Box
+    from clgs.codec.scene_decoder import Box
 
 DESCRIPTION = """\
 Decompress a .clgs file into a NumPy archive, or into a PLY file as the reference code writes it.
@@ -71,7 +71,7 @@ def parse_box(text: str) -> Box:
     Raises:
         UsageError: the text is something else, or the box is empty.
     """
-    from clgs.codec.box import Box
+    from clgs.codec.scene_decoder import Box
     from clgs.errors import UsageError
 
     try:

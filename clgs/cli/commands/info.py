@@ -28,12 +28,12 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from clgs.cli.options.scene import read_bytes
-    from clgs.codec import scene_decoder, splats
+    from clgs.codec import scene_decoder, splat_packing
     from clgs.errors import CodecError
 
     data = read_bytes(args.scene)
     try:
-        reader = splats if splats.is_splats(data) else scene_decoder
+        reader = splat_packing if splat_packing.is_splats(data) else scene_decoder
         description: dict[str, Any] = reader.describe(data)
     except CodecError as error:
         raise CodecError(f"{args.scene}: {error}") from error

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from clgs.cli.options.codec import add_files, add_level, add_threads, in_range
 
 if TYPE_CHECKING:
-    from clgs.codec.splats import Splats
+    from clgs.codec.splat_packing import QuantizedSplats
 
 DESCRIPTION = """\
 Compress an ordinary 3DGS file (PLY: x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*, ...).
@@ -50,7 +50,7 @@ def named_step(text: str) -> tuple[str, float]:
     return name, in_range(number)
 
 
-def steps_by_group(splats: Splats) -> dict[str, str]:
+def steps_by_group(splats: QuantizedSplats) -> dict[str, str]:
     """The steps of every group in words: one, or all if its properties differ."""
     from clgs.data.ply.splat_steps import group_of
 
@@ -69,8 +69,8 @@ def run(args: argparse.Namespace) -> int:
     """Pack; exit code 0."""
     from clgs.cli.options.output import check_new, check_suffix
     from clgs.cli.tell import tell
-    from clgs.codec.octree.position_coder import PositionsError
-    from clgs.codec.splats import pack
+    from clgs.codec.octree import PositionsError
+    from clgs.codec.splat_packing import pack
     from clgs.data.ply.gaussians import lacking
     from clgs.data.ply.splats import read_splats
     from clgs.errors import CodecError, UsageError

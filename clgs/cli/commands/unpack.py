@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     """Unpack; exit code 0."""
     from clgs.cli.options.output import check_new, check_suffix
     from clgs.cli.options.scene import naming, read_bytes
-    from clgs.codec.splats import unpack
+    from clgs.codec.splat_packing import unpack
     from clgs.data.ply.splats import write_splats
     from clgs.files import atomic_write
 

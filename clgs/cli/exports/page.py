@@ -50,7 +50,7 @@ def read_file(path: Path) -> bytes:
     """
     from clgs.cli.options.scene import instead, naming, read_bytes
     from clgs.cli.run.source import run_folder
-    from clgs.codec import scene_decoder, splats
+    from clgs.codec import scene_decoder, splat_packing
     from clgs.errors import DataError
 
     if path.is_dir():
@@ -62,7 +62,7 @@ def read_file(path: Path) -> bytes:
         raise DataError(f"{path}: a page is made of a .clgs file; `clgs pack` makes one of splats")
     data = read_bytes(path)
     with naming(path):
-        (splats if splats.is_splats(data) else scene_decoder).describe(data)
+        (splat_packing if splat_packing.is_splats(data) else scene_decoder).describe(data)
     return data
 
 
@@ -73,7 +73,7 @@ def read_start(path: Path, data: bytes) -> Start:
         DataError: there is no data set.
     """
     from clgs.codec.scene_decoder import describe
-    from clgs.codec.splats import is_splats
+    from clgs.codec.splat_packing import is_splats
     from clgs.data.dataset import load_dataset
     from clgs.data.repose import repose
     from clgs.export.page import start_at
