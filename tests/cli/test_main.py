@@ -364,7 +364,7 @@ def test_a_process_short_of_memory(tmp_path):
 import resource, sys
 from clgs.cli import main as cli
 import clgs.cli.commands.info, clgs.cli.commands.encode
-import clgs.codec.splat_packing, clgs.cli.options.scene
+import clgs.codec.splat_packing, clgs.workflow.scenes
 size = 2**29
 open(sys.argv[1], "wb").truncate(size)
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
