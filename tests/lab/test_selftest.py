@@ -8,9 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from clgs.cli.main import main
-from clgs.lab import facts
 from clgs.lab.commands import selftest as command
-from clgs.lab.selftest import render_checks
 from clgs.lab.selftest.render_checks import Check
 from clgs.opencl import choose
 
@@ -31,8 +29,8 @@ def devices(monkeypatch):
                     raise one
                 yield one
 
-        monkeypatch.setattr(render_checks, "selftest", run)
-        monkeypatch.setattr(facts, "machine_facts", lambda device: {"device": device.name})
+        monkeypatch.setattr(command, "selftest", run)
+        monkeypatch.setattr(command, "machine_facts", lambda device: {"device": device.name})
 
     return install
 
