@@ -13,8 +13,9 @@ LAYERS = [  # a package may import from its own row and the rows above it
     {"ops", "codec", "data", "poses"},
     {"render", "export"},
     {"bake", "train"},
-    {"viewer"},
-    {"cli", "doctor", "lab"},
+    {"viewer", "workflow"},
+    {"cli", "doctor"},
+    {"lab"},  # the laboratory measures the product, which never needs it
 ]
 LEVEL = {name: level for level, row in enumerate(LAYERS) for name in row}
 

@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-from clgs.cli.options.output import add_overwrite, check_new
-from clgs.cli.options.view import positive_int
-from clgs.data.dataset import read_photo_set
+from clgs.cli.options.view import add_overwrite, positive_int
 from clgs.errors import UsageError
-from clgs.lab.accept.photos import write_photos
-from clgs.lab.accept.trial import chosen_device, run_trials
-from clgs.lab.accept.trials import QUICK, WHOLE, trials
-from clgs.opencl.device import check_environment
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -40,10 +33,19 @@ def run(args: argparse.Namespace) -> int:
         ClgsError: FILE exists, DATA is no data set, or there is no device.
         UsageError: ``--downscale`` without DATA, or a variable of the environment is wrong.
     """
+    from tempfile import TemporaryDirectory
+
+    from clgs.data.dataset import read_photo_set
+    from clgs.lab.accept.photos import write_photos
+    from clgs.lab.accept.trial import chosen_device, run_trials
+    from clgs.lab.accept.trials import QUICK, WHOLE, trials
+    from clgs.opencl.device import check_environment
+    from clgs.workflow.outputs import check_new
+
     check_environment()
     if args.downscale and args.data is None:
         raise UsageError("--downscale: is of the photos of --data, which is not given")
-    check_new(args, args.output)
+    check_new(args.output, args.overwrite)
     data = []
     if args.data is not None:
         read_photo_set(args.data)

@@ -6,13 +6,12 @@ import argparse
 import hashlib
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from clgs.cli.options.view import named_path
-from clgs.errors import DataError
-from clgs.files import check_target, write_json
-from clgs.lab.facts import machine_facts
-from clgs.lab.selftest import conformance
-from clgs.opencl.device import Device
+
+if TYPE_CHECKING:
+    from clgs.lab.selftest.conformance import Fingerprint
 
 DESCRIPTION = """\
 SHA-256 of every tensor that the kernels compute for fixed scenes: renders, gradients and all stages
@@ -50,6 +49,12 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         DataError: FILE of ``--check`` holds no hashes, or those of other tensors.
     """
+    from clgs.errors import DataError
+    from clgs.files import check_target, write_json
+    from clgs.lab.facts import machine_facts
+    from clgs.lab.selftest import conformance
+    from clgs.opencl.device import Device
+
     if args.output:
         check_target(args.output)
     wanted = read_hashes(args.check) if args.check else []
@@ -81,12 +86,15 @@ def run(args: argparse.Namespace) -> int:
     return 1
 
 
-def read_hashes(path: Path) -> list[conformance.Fingerprint]:
+def read_hashes(path: Path) -> list[Fingerprint]:
     """Read a file of `clgs conformance -o`.
 
     Raises:
         DataError: the file is missing, too large, or another kind of file.
     """
+    from clgs.errors import DataError
+    from clgs.lab.selftest.conformance import from_record
+
     try:
         with path.open("rb") as file:
             text = file.read(LARGEST_RECORD + 1)
@@ -98,7 +106,7 @@ def read_hashes(path: Path) -> list[conformance.Fingerprint]:
     if len(text) > LARGEST_RECORD:
         raise DataError(f"{path}: was not written by `clgs conformance -o`; name one that was")
     try:
-        return conformance.from_record(json.loads(text))
+        return from_record(json.loads(text))
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: is no JSON file; `clgs conformance -o` makes one") from error
     except DataError as error:

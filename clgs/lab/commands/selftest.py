@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.table import Table
+from clgs.lab.devices import add_device_option, open_devices
 
-from clgs.cli.main import explain
-from clgs.cli.options.device import add_device_option, open_devices
-from clgs.files import check_target, write_json
-from clgs.lab.facts import machine_facts
-from clgs.lab.selftest.render_checks import Check, selftest
-from clgs.opencl.device import Device
+if TYPE_CHECKING:
+    from clgs.lab.selftest.render_checks import Check
+    from clgs.opencl.device import Device
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -30,6 +26,13 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the checks; exit code 0, or 1 if one fails."""
+    from dataclasses import asdict
+
+    from clgs.cli.main import explain
+    from clgs.files import check_target, write_json
+    from clgs.lab.facts import machine_facts
+    from clgs.lab.selftest.render_checks import selftest
+
     if args.json:
         check_target(args.json)
     records, tables, failures = [], [], 0
@@ -70,6 +73,9 @@ def verdict(checks: list[Check], problem: str) -> str:
 
 def show(device: Device, checks: list[Check]) -> None:
     """Print a row per check."""
+    from rich.console import Console
+    from rich.table import Table
+
     table = Table("stage", "quantity", title=f"{device.name} ({device.specialisation})")
     for column in ("error", "limit", "ms", ""):
         table.add_column(column, justify="right")
