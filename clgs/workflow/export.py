@@ -26,13 +26,13 @@ from clgs.data.repose import repose
 from clgs.data.stored_photo import Planes
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
-from clgs.export.cameras import cameras_glb
-from clgs.export.page import Start, scene_page, start_at
-from clgs.export.splats.encoded import Encoded
-from clgs.export.splats.glb import encode_glb
-from clgs.export.splats.ply import encode_ply
-from clgs.export.splats.sog import encode_sog
-from clgs.export.splats.spz import encode_spz
+from clgs.exports.cameras import cameras_glb
+from clgs.exports.page import Start, scene_page, start_at
+from clgs.exports.splats.encoded import Encoded
+from clgs.exports.splats.glb import encode_glb
+from clgs.exports.splats.ply import encode_ply
+from clgs.exports.splats.sog import encode_sog
+from clgs.exports.splats.spz import encode_spz
 from clgs.files import atomic_write, check_output
 from clgs.opencl.device import Device
 from clgs.scene.gaussians import HostGaussians

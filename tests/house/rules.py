@@ -11,7 +11,7 @@ LAYERS = [  # a package may import from its own row and the rows above it
     | {"reference", "signals"},
     {"opencl", "scene"},
     {"ops", "codec", "data", "poses"},
-    {"render", "export"},
+    {"render", "exports"},
     {"bake", "train"},
     {"viewer", "workflow"},
     {"cli", "doctor"},

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.export.splats.encoded import Encoded, logit, sigmoid, unit_rotation
-from clgs.export.splats.tables import Palette, make_palette, make_table, nearest
+from clgs.exports.splats.encoded import Encoded, logit, sigmoid, unit_rotation
+from clgs.exports.splats.tables import Palette, make_palette, make_table, nearest
 from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
 
 Bytes = npt.NDArray[np.uint8]

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from clgs.export.report import Report, ReportView, report_html, write_report
+from clgs.exports.report import Report, ReportView, report_html, write_report
 
 PICTURE = np.random.default_rng(2).integers(0, 256, (12, 40, 3), dtype=np.uint8)
 

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 from clgs.data.ply.gaussians import read_gaussians
-from clgs.export.splats.glb import EXTENSION, encode_glb
-from clgs.export.splats.ply import encode_ply
-from clgs.export.splats.sog import encode_sog
-from clgs.export.splats.spz import encode_spz
+from clgs.exports.splats.glb import EXTENSION, encode_glb
+from clgs.exports.splats.ply import encode_ply
+from clgs.exports.splats.sog import encode_sog
+from clgs.exports.splats.spz import encode_spz
 from clgs.render.renderer import Renderer
 from clgs.scene.gaussians import OrdinaryGaussians
 from clgs.scene.scene import SplatScene
-from tests.export.splats.cases import differences, gaussians
+from tests.exports.splats.cases import differences, gaussians
 from tests.ops.cases.project import camera_at
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -14,8 +14,8 @@ import numpy as np
 
 from clgs.data.colmap.model import read_colmap
 from clgs.data.posed_photo import Photo, PhotoSet
-from clgs.export.plan import plan
-from clgs.export.report import STYLE, cards
+from clgs.exports.plan import plan
+from clgs.exports.report import STYLE, cards
 from clgs.files import atomic_write
 from clgs.poses.contact_sheet import CELL, COLUMNS
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict

@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.errors import DataError
-from clgs.export.clip.framing import fov_y
-from clgs.export.clip.paths import pinhole
+from clgs.exports.clip.framing import fov_y
+from clgs.exports.clip.paths import pinhole
 from clgs.files import atomic_write
 from clgs.scene.camera import Camera
 

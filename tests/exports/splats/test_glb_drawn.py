@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.export.splats.glb import encode_glb
+from clgs.exports.splats.glb import encode_glb
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SplatScene
 from clgs.train.quality.metrics import psnr_8bit, to_8bit
-from tests.export.splats.cases import gaussians
-from tests.export.splats.test_other_programs import installed
+from tests.exports.splats.cases import gaussians
+from tests.exports.splats.test_other_programs import installed
 from tests.ops.cases.project import camera_at
 from tests.web.browser import Browser, find_browser
 

@@ -16,7 +16,7 @@ from urllib.parse import quote
 import numpy as np
 import numpy.typing as npt
 
-from clgs.export.image import ERROR_GAIN, error_map, jpeg_bytes
+from clgs.exports.image import ERROR_GAIN, error_map, jpeg_bytes
 from clgs.files import atomic_write
 
 MOST_PICTURES = 12

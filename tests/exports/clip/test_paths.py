@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.export.clip.framing import common_up, fov_y, frame_cameras, frame_scene
-from clgs.export.clip.paths import (
+from clgs.exports.clip.framing import common_up, fov_y, frame_cameras, frame_scene
+from clgs.exports.clip.paths import (
     interpolate,
     look_at,
     orbit,

@@ -9,9 +9,9 @@ import pytest
 
 from clgs.codec.scene_encoder import encode
 from clgs.errors import DataError
-from clgs.export.image import save_png
-from clgs.export.report import MOST_PICTURES
-from clgs.export.run_report import REPORT, RunStory, read_curve, sections, write_run_report
+from clgs.exports.image import save_png
+from clgs.exports.report import MOST_PICTURES
+from clgs.exports.run_report import REPORT, RunStory, read_curve, sections, write_run_report
 from tests.codec.scenes import random_scene
 
 SUMMARY = {

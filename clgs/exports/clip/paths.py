@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from clgs.export.clip.framing import Framing, Vector
+from clgs.exports.clip.framing import Framing, Vector
 from clgs.scene.camera import Camera
 
 SPIRAL_TURNS = 2

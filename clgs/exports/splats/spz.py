@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.errors import DataError
-from clgs.export.splats.encoded import Encoded, logit, sigmoid, unit_rotation
+from clgs.exports.splats.encoded import Encoded, logit, sigmoid, unit_rotation
 from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
 
 _log = logging.getLogger(__name__)

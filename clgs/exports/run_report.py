@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from clgs.codec.scene_decoder import describe
 from clgs.errors import DataError
-from clgs.export.image import picture_names
-from clgs.export.report import Report, ReportView, write_report
+from clgs.exports.image import picture_names
+from clgs.exports.report import Report, ReportView, write_report
 
 REPORT = "report.html"
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.export.splats.encoded import Encoded, sigmoid, unit_rotation
+from clgs.exports.splats.encoded import Encoded, sigmoid, unit_rotation
 from clgs.scene.gaussians import HostGaussians
 
 EXTENSION = "KHR_gaussian_splatting"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.export.image import (
+from clgs.exports.image import (
     ERROR_GAIN,
     GAP,
     comparison,

@@ -15,12 +15,12 @@ from PIL import Image
 
 from clgs.data.ply.gaussians import read_gaussians
 from clgs.errors import DataError
-from clgs.export.splats import tables
-from clgs.export.splats.glb import EXTENSION, encode_glb
-from clgs.export.splats.ply import encode_ply
-from clgs.export.splats.sog import encode_sog
-from clgs.export.splats.spz import encode_spz
-from tests.export.splats.cases import differences, gaussians
+from clgs.exports.splats import tables
+from clgs.exports.splats.glb import EXTENSION, encode_glb
+from clgs.exports.splats.ply import encode_ply
+from clgs.exports.splats.sog import encode_sog
+from clgs.exports.splats.spz import encode_spz
+from tests.exports.splats.cases import differences, gaussians
 
 ENCODERS = (encode_ply, encode_spz, encode_sog, encode_glb)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from clgs.data.ply.table import Table, pack_ply
-from clgs.export.splats.encoded import Encoded
+from clgs.exports.splats.encoded import Encoded
 from clgs.scene.gaussians import HostGaussians
 
 

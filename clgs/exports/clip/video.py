@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from clgs.errors import ClgsError
-from clgs.export.image import Picture
+from clgs.exports.image import Picture
 from clgs.files import atomic_path
 from clgs.shapes import Shapes
 
