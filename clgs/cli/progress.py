@@ -21,8 +21,8 @@ from rich.table import Table
 from clgs.cli.live import Live
 from clgs.cli.stages import describe
 from clgs.cli.tell import tell
-from clgs.train.quality.savings import Saving
 from clgs.train.run.finished_run import RunResult
+from clgs.train.run.savings import Saving
 from clgs.train.run.session import Progress as TrainingProgress
 
 Item = TypeVar("Item")

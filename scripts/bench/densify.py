@@ -21,7 +21,7 @@ from clgs.constants import K_OFFSETS
 from clgs.lab.bench.step import synthetic_trainer
 from clgs.opencl.device import Device
 from clgs.ops.density import Statistics
-from clgs.train.density.densifier import Densifier
+from clgs.train.density.grow_and_prune import replace_anchors
 from clgs.train.run.trainer import Trainer
 
 SHARE_ASKING = 0.02
@@ -60,15 +60,15 @@ def changes(trainer: Trainer) -> tuple[Callable[[], None], Callable[[], None]]:
     mean = rng.random((count, K_OFFSETS)).astype(np.float32)
     threshold = float(np.quantile(mean[seen > trainer.config.slot_seen], 1 - 3 * SHARE_ASKING))
     config, frame = replace(trainer.config, growth_threshold=threshold), trainer.render_next()
-    densifier = trainer.densifier = Densifier(device, config, count)
     visits = rng.integers(0, VISITED + 1, count).astype(np.int32)
     opacity = 0.5 * rng.random(count).astype(np.float32) ** 0.25 * visits
     sums = mean * seen.astype(np.float32)
     host = Statistics(opacity.astype(np.float32), visits, sums, seen)
-    densifier.statistics = host.map(device.upload)
+    state = trainer.state
+    state.parameters = replace(state.parameters, statistics=host.map(device.upload))
 
     def change() -> None:
-        trainer.parameters = densifier.replace_anchors(trainer.parameters, frame, trainer.rng)
+        state.parameters = replace_anchors(device, config, state.parameters, frame, state.rng)
 
     return change, trainer.compact
 

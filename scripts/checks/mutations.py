@@ -223,7 +223,7 @@ MUTATIONS = (
     Mutation(
         "growth",
         "keys whose hash is that of another count as taken",
-        "clgs/train/density/cells.py",
+        "clgs/train/density/voxel_grid.py",
         "near[place] == keys",
         "table[_hashes(keys)]",
     ),

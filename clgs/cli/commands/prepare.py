@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _short_training(data: Path, on_step: Callable[[int, int], None]) -> dict[str, float]:
     from clgs.opencl.device import Device
-    from clgs.train.quality.pose_check import check_poses
+    from clgs.train.run.pose_check import check_poses
 
     return check_poses(data, Device(), on_step)
 

@@ -118,7 +118,7 @@ def _report_profile(session: Session) -> None:
 
     from clgs.cli.progress import print_profile
     from clgs.files import write_json
-    from clgs.train.quality.savings import savings
+    from clgs.train.run.savings import savings
 
     rows = session.device.profile.rows()
     saved = savings(session.trainer)
