@@ -19,7 +19,7 @@ import numpy.typing as npt
 from clgs.opencl.device import Device
 from clgs.ops import density
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import DeviceScene, upload_view
+from clgs.render.frame import EXACT_ROOM, DeviceScene, upload_view
 from clgs.render.pipeline import blend_backward, roomy_forward, scene_backward
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, RenderSettings
@@ -85,10 +85,10 @@ def sensitivity(
     found = density.no_importance(device, len(scene.anchors))
     sizes = {n: array.shape for n, array in scene.anchors.items() if n != "position"}
     curvature = {name: device.zeros(size) for name, size in sizes.items() if curved}
-    rng, capacity = np.random.default_rng(SEED), None
+    rng, room = np.random.default_rng(SEED), EXACT_ROOM
     for camera in cameras:
         view = upload_view(device, camera, settings)
-        frame, capacity = roomy_forward(device, scene, view, options, capacity)
+        frame, room = roomy_forward(device, scene, view, options, room)
         signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
         gradients = blend_backward(device, frame, device.upload(signs))
         visible = frame.activations.visible

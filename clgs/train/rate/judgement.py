@@ -15,7 +15,7 @@ import numpy.typing as npt
 from clgs.data.view import View
 from clgs.opencl.device import Device
 from clgs.ops import loss, mask
-from clgs.render.frame import DeviceScene, upload_view
+from clgs.render.frame import EXACT_ROOM, DeviceScene, upload_view
 from clgs.render.pipeline import roomy_forward
 from clgs.scene.camera import Camera
 from clgs.train.config import TrainConfig
@@ -95,10 +95,10 @@ def compare(
     """Loss and squared error of a view, means over some of ``views``."""
     settings, options = render_settings(config), config.render_options()
     weights = loss.Weights(config.l1_weight, config.ssim_weight)
-    losses, errors, capacity = [], [], None
+    losses, errors, room = [], [], EXACT_ROOM
     for view in views[:: -(-len(views) // COMPARED)]:
         drawn = upload_view(device, view.camera, settings)
-        frame, capacity = roomy_forward(device, scene, drawn, options, capacity)
+        frame, room = roomy_forward(device, scene, drawn, options, room)
         photo = view.photo.planes(settings.background)
         image, used = frame.image, view.used()
         if used is not None:

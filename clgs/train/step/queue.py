@@ -11,8 +11,8 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
 from clgs.ops import adam, exposure, loss, mask, scan
-from clgs.render.frame import Capacity, Frame
-from clgs.render.pipeline import check_capacity, render_backward, view_forward
+from clgs.render.frame import EXACT_ROOM, Frame, Room
+from clgs.render.pipeline import check_room, render_backward, view_forward
 from clgs.train.config import TrainConfig
 from clgs.train.density.grow_and_prune import observe, replaces_anchors
 from clgs.train.rate.rate_term import RateTerm
@@ -39,7 +39,7 @@ class Enqueued:
 
     stop (1,) int32: not 0 if the step, or one before it, changed nothing because it lacked room or
     met a number that is not finite; totals: numbers of visible anchors, Gaussians and tile entries,
-    (3,) int64; capacity: the room there was for them, None if arrays had their exact sizes;
+    (3,) int64; room: the room there was for them;
     rate_bits: per anchor, if the rate proxy ran; frame: if the host needs it to change the anchors.
     """
 
@@ -47,7 +47,7 @@ class Enqueued:
     loss: loss.LaterValue
     stop: Download
     totals: Download
-    capacity: Capacity | None
+    room: Room
     rate_bits: float | None
     frame: Frame | None
 
@@ -56,9 +56,9 @@ class Enqueued:
         """Whether the step, and all before it, changed the parameters; waits for it."""
         return int(self.stop.get()[0]) == 0
 
-    def needed(self) -> Capacity:
+    def needed(self) -> Room:
         """How many visible anchors, Gaussians and entries there were; waits for the step."""
-        return Capacity(*map(int, self.totals.get()))
+        return Room(*map(int, self.totals.get()))
 
     def lacked_room(self) -> bool:
         """Whether more was needed than there was room for; waits for the step."""
@@ -68,8 +68,7 @@ class Enqueued:
 class StepQueue:
     """Enqueues steps. Once its stop flag is set they change nothing.
 
-    ``capacity`` None gives every array its exact size, which waits for the device three times per
-    step.
+    With ``room`` EXACT_ROOM a step waits for the device three times.
     """
 
     def __init__(
@@ -83,8 +82,8 @@ class StepQueue:
         self._rate = RateTerm(device, config)
         self._stop = adam.stop_flag(device)
         self.options = config.render_options()
-        self.capacity: Capacity | None = None
-        self._sizes: tuple[Capacity | None, int] = None, 0
+        self.room = EXACT_ROOM
+        self._sizes = self.room, 0
 
     def next_input(self, state: RunState, step: int) -> StepInput:
         """Take the view and the background of step number ``step`` from ``state``."""
@@ -100,14 +99,14 @@ class StepQueue:
 
     def enqueue(self, given: StepInput, state: RunState) -> Enqueued:
         """Enqueue a step; anchors that are about to be replaced are not updated."""
-        device, config, capacity = self._device, self._config, self.capacity
+        device, config, room = self._device, self._config, self.room
         parameters, step = state.parameters, given.step
-        if self._sizes != (capacity, parameters.rows):
-            self._sizes = capacity, parameters.rows
+        if self._sizes != (room, parameters.rows):
+            self._sizes = room, parameters.rows
             device.release_unused()
         target, scene = self._target(given), self._rounding.scene_at(state, step)
-        frame = view_forward(device, scene, target.view, self.options, capacity)
-        totals = check_capacity(device, frame, capacity, self._stop)
+        frame = view_forward(device, scene, target.view, self.options, room)
+        totals = check_room(device, frame, room, self._stop)
         compared, d_image = self._compare(state, frame, target, given)
         weight = config.volume_weight or 0.0
         gradients = render_backward(device, scene, frame, d_image, weight)
@@ -126,7 +125,7 @@ class StepQueue:
             loss=compared.value_later(device),
             stop=device.download_later(self._stop),
             totals=device.download_later(totals),
-            capacity=capacity,
+            room=room,
             rate_bits=bits,
             frame=frame if replaces else None,
         )
