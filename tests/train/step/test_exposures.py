@@ -87,7 +87,8 @@ def test_a_gradient_that_is_not_finite_changes_no_map(cpu, uneven):
     one = trainer(cpu, uneven, exposure=True)
     before = state(one)
     stop = cpu.upload(np.ones(1, np.int32))
-    ExposureTerm(cpu, one.config, PHOTOS).learn(one.state.exposures, 0, STEPS, stop)
+    term = ExposureTerm(cpu, one.config, len(uneven.train))
+    term.learn(one.state.exposures, 0, STEPS, stop)
     assert state(one) == before
 
 
