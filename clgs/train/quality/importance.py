@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ from clgs.opencl.device import Device
 from clgs.ops import density
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render.frame import EXACT_ROOM, DeviceScene, upload_view
-from clgs.render.pipeline import blend_backward, roomy_forward, scene_backward
+from clgs.render.rasterise import blend_backward, rasterise, rasterise_backward, with_enough_room
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, RenderSettings
 
@@ -88,17 +89,21 @@ def sensitivity(
     rng, room = np.random.default_rng(SEED), EXACT_ROOM
     for camera in cameras:
         view = upload_view(device, camera, settings)
-        frame, room = roomy_forward(device, scene, view, options, room)
-        signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
-        gradients = blend_backward(device, frame, device.upload(signs))
-        visible = frame.activations.visible
-        density.add_importance(device, found, visible, frame.gaussians, gradients.d_opacity)
+        draw = partial(rasterise, device, scene, view, options)
+        frame, room = with_enough_room(device, room, draw)
+        random = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
+        signs = device.upload(random)
         if curved:
-            derivatives = scene_backward(device, scene, frame, gradients)
+            gradients = rasterise_backward(device, scene, frame, signs)
             for name, total in curvature.items():
-                density.add_curvature(device, total, getattr(derivatives, f"d_{name}"))
-            del derivatives
-        del frame, gradients  # before the next ones are made
+                density.add_curvature(device, total, getattr(gradients, f"d_{name}"))
+            d_opacity = gradients.d_projected.d_opacity
+            del gradients
+        else:
+            d_opacity = blend_backward(device, frame, signs).d_opacity
+        visible = frame.activations.visible
+        density.add_importance(device, found, visible, frame.gaussians, d_opacity)
+        del frame, signs, d_opacity  # before the next ones are made
         on_render()
     sums = {name: device.download(array) for name, array in curvature.items()}
     return Sensitivity(device.download(found.total), sums, device.download(found.seen) > 0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ from clgs.data.view import View
 from clgs.opencl.device import Device
 from clgs.ops import loss, mask
 from clgs.render.frame import EXACT_ROOM, DeviceScene, upload_view
-from clgs.render.pipeline import roomy_forward
+from clgs.render.rasterise import rasterise, with_enough_room
 from clgs.scene.camera import Camera
 from clgs.train.config import TrainConfig
 from clgs.train.quality.importance import Sensitivity, sensitivity
@@ -98,7 +99,8 @@ def compare(
     losses, errors, room = [], [], EXACT_ROOM
     for view in views[:: -(-len(views) // COMPARED)]:
         drawn = upload_view(device, view.camera, settings)
-        frame, room = roomy_forward(device, scene, drawn, options, room)
+        draw = partial(rasterise, device, scene, drawn, options)
+        frame, room = with_enough_room(device, room, draw)
         photo = view.photo.planes(settings.background)
         image, used = frame.image, view.used()
         if used is not None:

@@ -12,7 +12,7 @@ from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
 from clgs.ops import adam, exposure, loss, mask, scan
 from clgs.render.frame import EXACT_ROOM, Frame, Room
-from clgs.render.pipeline import check_room, render_backward, view_forward
+from clgs.render.rasterise import check_room, rasterise, rasterise_backward
 from clgs.train.config import TrainConfig
 from clgs.train.density.grow_and_prune import observe, replaces_anchors
 from clgs.train.rate.rate_term import RateTerm
@@ -105,11 +105,11 @@ class StepQueue:
             self._sizes = room, parameters.rows
             device.release_unused()
         target, scene = self._target(given), self._rounding.scene_at(state, step)
-        frame = view_forward(device, scene, target.view, self.options, room)
-        totals = check_room(device, frame, room, self._stop)
+        frame = rasterise(device, scene, target.view, self.options, room)
+        totals = check_room(device, frame, self._stop)
         compared, d_image = self._compare(state, frame, target, given)
         weight = config.volume_weight or 0.0
-        gradients = render_backward(device, scene, frame, d_image, weight)
+        gradients = rasterise_backward(device, scene, frame, d_image, weight)
         bits = self._rate.add(state.rate, parameters, gradients, step)
         replaces = replaces_anchors(config, step)
         with device.stage("adam"):
@@ -125,7 +125,7 @@ class StepQueue:
             loss=compared.value_later(device),
             stop=device.download_later(self._stop),
             totals=device.download_later(totals),
-            room=room,
+            room=frame.room,
             rate_bits=bits,
             frame=frame if replaces else None,
         )
@@ -135,7 +135,7 @@ class StepQueue:
     def render(self, given: StepInput, state: RunState) -> Frame:
         """Render what a step compares with its photo; arrays have their exact sizes."""
         scene = self._rounding.scene_at(state, given.step)
-        return view_forward(self._device, scene, self._target(given).view, self.options)
+        return rasterise(self._device, scene, self._target(given).view, self.options)
 
     def _target(self, given: StepInput) -> TrainingPhoto:
         """The view and the photo of a step."""

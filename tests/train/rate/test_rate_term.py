@@ -40,7 +40,7 @@ def added(device: Device, term: Priced, parameters: Parameters, step: int) -> di
     tensors = dict(parameters.scene.items())
     zeros = {f"d_{name}": device.zeros(tensors[name].shape) for name in ANCHOR_GROUPS}
     unused = device.zeros((1,))
-    gradients = SceneGradients(**zeros, d_weights=unused, d_mean2d=unused)
+    gradients = SceneGradients(**zeros, d_weights=unused, d_projected=unused)
     bits = term[0].add(term[1], parameters, gradients, step)
     return {"bits": bits, **{name: device.download(zeros[f"d_{name}"]) for name in ANCHOR_GROUPS}}
 
