@@ -2,8 +2,8 @@
 """Milliseconds of training steps and of pictures on a trained scene and the photos it was made of.
 
 Steps are those that would follow the run's last one, with learning rates too small to change the
-scene; the views are dealt as in training. "waiting" gives every array its exact size, which
-waits for the device within each step; "ahead" is what training does. They alternate.
+scene; the views are dealt as in training. "waiting" makes every array to measure, which waits for
+the device within each step; "ahead" is what training does. Both take turns.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import mean, median
 
-from clgs.cli.options.scene import read_run
 from clgs.data.dataset import load_dataset
 from clgs.data.reduction import Reduction
 from clgs.data.repose import repose
@@ -24,6 +23,7 @@ from clgs.render.renderer import Renderer
 from clgs.train.config import from_toml
 from clgs.train.run.start import state_of_scene
 from clgs.train.run.trainer import Trainer
+from clgs.workflow.scenes import read_run
 
 ROUNDS = 2
 

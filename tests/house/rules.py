@@ -15,7 +15,7 @@ LAYERS = [  # a package may import from its own row and the rows above it
     {"ops", "codec", "data", "poses"},
     {"render", "export"},
     {"bake", "train"},
-    {"viewer"},
+    {"viewer", "workflow"},
     {"cli", "doctor", "lab"},
 ]
 LEVEL = {name: level for level, row in enumerate(LAYERS) for name in row}

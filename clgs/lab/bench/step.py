@@ -144,7 +144,7 @@ def stream(trainer: Trainer, repeats: int) -> list[tuple[float, float]]:
 
 
 def stream_times(trainer: Trainer, repeats: int) -> list[float]:
-    """As :func:`stream`, by the clock alone."""
+    """Like :func:`stream`, but by the clock alone."""
     return [milliseconds for milliseconds, _ in stream(trainer, repeats)]
 
 
@@ -180,7 +180,7 @@ def synthetic_trainer(
 
 
 def trainer_of(device: Device, scene: Scene, camera: Camera, seed: int = 0) -> Trainer:
-    """As :func:`synthetic_trainer`, of a scene and a camera of one's own."""
+    """Like :func:`synthetic_trainer`, but on the scene and the camera that are given."""
     dataset = photo_dataset(camera, scene.anchors.position, seed)
     config = replace(TrainConfig(), learning_rates=STILL, seed=seed).for_dataset("photos")
     state = state_of_scene(device, dataset, config, scene, config.statistics_start + 1)

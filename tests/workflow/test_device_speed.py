@@ -6,28 +6,30 @@ from pathlib import Path
 
 import pytest
 
-from clgs.cli.run import measure
-from clgs.cli.run.plan import Photos, Speed
 from clgs.opencl.device import Device
+from clgs.workflow import device_speed
+from clgs.workflow.events import ignore
+from clgs.workflow.run_plan import Photos, StepSpeed
 from tests.data.folders import write_blender
 
-SLOW = Speed(9.0, 1e-3)
+SLOW = StepSpeed(90.0, 1e-3)
 
 
-@pytest.mark.parametrize(("start", "slow"), [(measure.GROWN + 500, False), (200, True)])
+@pytest.mark.parametrize(("start", "slow"), [(device_speed.GROWN + 500, False), (200, True)])
 def test_few_anchors_at_the_start_say_little_of_later_steps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: int, slow: bool
 ) -> None:
     write_blender(tmp_path / "data")
     monkeypatch.setattr("clgs.data.points.HULL_POINTS", start)
-    monkeypatch.setattr(measure, "_synthetic", lambda device: SLOW)
+    monkeypatch.setattr(device_speed, "synthetic_speed", lambda device: SLOW)
     photos = Photos(8, 40, 40, synthetic=True)
-    found = measure.speed_on(Device(), tmp_path / "data", photos, tmp_path / "run", 0)
+    data, run = tmp_path / "data", tmp_path / "run"
+    found = device_speed.speed_on(Device(), data, photos, run, 0, ignore)
     assert (found.fixed > 0.05) == slow  # a step takes some milliseconds at most
     assert found.step(1600) < SLOW.step(1600)
 
 
 def test_between_never_shortens() -> None:
-    assert measure._between(0.01, 0.04) == pytest.approx(0.02)
-    assert measure._between(0.04, 0.01) == 0.04
-    assert measure._between(0.0, 1.0) == 0.0
+    assert device_speed._between(0.01, 0.04) == pytest.approx(0.02)
+    assert device_speed._between(0.04, 0.01) == 0.04
+    assert device_speed._between(0.0, 1.0) == 0.0

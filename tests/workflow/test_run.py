@@ -13,12 +13,14 @@ import pytest
 from PIL import Image
 
 from clgs.cli import main as cli
-from clgs.cli.run.duration import duration
-from clgs.cli.run.plan import FRAMES, Photos, frames_within
-from clgs.cli.run.record import Record
-from clgs.cli.run.source import find_source
-from clgs.cli.run.stages import Stages
+from clgs.cli.commands.run import duration
+from clgs.errors import DataError
 from clgs.train.run.folder_lock import FolderLock
+from clgs.workflow import run_stages
+from clgs.workflow.run import run
+from clgs.workflow.run_input import find_input
+from clgs.workflow.run_plan import FRAMES, Photos, frames_within
+from clgs.workflow.run_record import RunRecord
 from tests.small_scene import write_scene
 from tests.terminal import as_from_a_terminal
 
@@ -188,7 +190,7 @@ def test_damaged_photos_do_not_end_the_plan(tmp_path, capsys):
     for name, color in (("b", "red"), ("c", "blue"), ("d", "green")):
         Image.new("RGB", (64, 48), color).save(photos / f"{name}.png")
     (photos / "a.png").write_bytes((photos / "b.png").read_bytes()[:20])
-    assert find_source(photos).photos == Photos(3, 64, 48)
+    assert find_input(photos).photos == Photos(3, 64, 48)
     (photos / "d.png").write_bytes(b"")
     assert cli.main(words(photos, out)) == 3
     said = capsys.readouterr().err
@@ -204,14 +206,14 @@ def test_run_goes_on_with_its_own_photos_alone(tmp_path, capsys):
     for name in ("red", "green", "blue"):
         Image.new("RGB", (64, 64), name).save(photos / f"{name}.png")
     (out / "data").mkdir(parents=True)
-    begun = Record(str(photos.resolve()), 2, "", 600.0)
+    begun = RunRecord(str(photos.resolve()), 2, "", 600.0)
     begun.write(out)
     assert cli.main(words(photos, out, "--resume")) == 2
     assert f"has 3 photos, and the run in {out} began with 2" in capsys.readouterr().err
     replace(begun, photos=3).write(out)  # as many, but others
     assert cli.main(words(photos, out, "--resume")) == 2
     assert f"holds other photos than the run in {out} began with" in capsys.readouterr().err
-    replace(begun, photos=3, digest=find_source(photos).digest).write(out)
+    replace(begun, photos=3, digest=find_input(photos).digest).write(out)
     assert cli.main(words(photos, out, "--resume", "--device", "nonexistent")) == 4
     begun.write(out)
     (out / "data").rmdir()  # no poses yet: those of the third are found with the others
@@ -221,7 +223,7 @@ def test_run_goes_on_with_its_own_photos_alone(tmp_path, capsys):
 def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
-    Record(str(data.resolve()), 4, "", 600.0).write(out)
+    RunRecord(str(data.resolve()), 4, "", 600.0).write(out)
     assert cli.main(words(data, out, "--resume", "--device", "nonexistent")) == 4
     capsys.readouterr()
     (out / "plan.json").write_text("{}")
@@ -234,7 +236,7 @@ def test_what_follows_from_the_plan_is_kept(data, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
     settings = {"steps": 30, "max_size": 40, "seed": 0, "coarse_to_fine": True}
-    Record(str(data), 8, "", 600.0, settings).write(out)
+    RunRecord(str(data), 8, "", 600.0, settings).write(out)
     assert cli.main(["run", str(data), "-o", str(out), "--resume"]) == 0
     assert "--coarse-to-fine" in capsys.readouterr().out
     assert "coarse_to_fine = true" in (out / "run" / "config.toml").read_text()
@@ -285,15 +287,40 @@ def test_contradiction_is_refused(data, tmp_path, capsys):
     assert "give one" in capsys.readouterr().err
 
 
-def test_failing_stage_passes_its_exit_code_on(tmp_path, capsys):
-    from clgs.cli.run.stages import StageError
+def test_a_failing_stage_ends_the_run_and_passes_its_exit_code_on(
+    data, tmp_path, monkeypatch, capsys
+):
+    def fail(*_, **__):
+        raise DataError("the photos are gone")
 
-    stages, made = Stages(), tmp_path / "x.npz"
-    with pytest.raises(StageError, match="decode failed") as caught:
-        stages.run("decode", made, "decode", tmp_path / "no.clgs", "-o", made)
-    assert caught.value.exit_code == 3
-    assert "[decode] clgs decode" in capsys.readouterr().out
-    assert list(stages.seconds) == ["decode"]
+    monkeypatch.setattr(run_stages, "train", fail)
+    assert cli.main(words(data, tmp_path / "out")) == 3
+    said = capsys.readouterr()
+    assert "[train] clgs train" in said.out
+    assert said.err.splitlines()[-2:] == [
+        "clgs: error: the photos are gone",
+        "clgs: error: train failed; mend that and repeat the command with --resume",
+    ]
+    assert set(json.loads((tmp_path / "out" / "plan.json").read_text())["seconds"]) == {
+        "plan",
+        "train",
+    }
+
+
+def test_a_failing_export_does_not_end_the_run(data, tmp_path, monkeypatch, capsys):
+    def fail(source, output, **_):
+        raise DataError(f"no {output.name}")
+
+    monkeypatch.setattr(run_stages, "export", fail)
+    done = run(data, tmp_path / "out", steps=30)
+    assert {name: str(error) for name, error in done.failures.items()} == {
+        "page": "no scene.html",
+        "Gaussians": "no scene.ply",
+    }
+    assert done.scores["views"] == 2
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert cli.main(words(data, tmp_path / "out", "--resume")) == 3
+    assert "clgs: error: no scene.html\n" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("instant", ["[train]", ""], ids=["training", "plan"])

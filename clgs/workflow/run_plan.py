@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from clgs.train.step.schedule import COARSE_STAGES
+
 DEFAULT_SECONDS = 600.0
-"""For everything, unless the user says otherwise."""
+"""The time for everything, unless the user says otherwise."""
 
 SIZES = (1600, 1280, 960, 800, 640, 480, 400, 320, 240)
 """Widths that photos are reduced to, of which the largest that leaves enough steps is taken."""
@@ -24,12 +26,12 @@ LEAST_STEPS = 300
 """Fewer give nothing that is worth looking at."""
 
 FEATURE_SECONDS, PAIR_SECONDS = {True: 1.5, False: 3.0}, {True: 0.12, False: 0.5}
-"""Of a core, per photo and per pair of photos; with `prepare --quick`, and without."""
+"""Seconds of one core per photo and per pair of photos; True: with `prepare --quick`."""
 
 FIXED_SECONDS = 5.0
 
 MOST_PAIRS = 40
-"""Pairs per photo that are matched in large sets, about."""
+"""About this many pairs per photo are matched in large sets."""
 
 POSES_SHARE = 0.45
 """Poses are tested by a second reconstruction if finding them then takes no larger share."""
@@ -38,10 +40,10 @@ FRAMES = (100, 80, 60, 50, 40, 30)
 """Frames of a video: the most whose poses take no larger share without that test."""
 
 ROUNDS = 1.6
-"""A step of a whole run takes so many times one of the first: rounds, growth, reading."""
+"""The mean step of a run takes this many times the first ones: rounds, growth, reading."""
 
 LATER_STEPS = 650
-"""Baking and the clip take as long as so many steps; all else that follows LATER_SECONDS."""
+"""Baking and the clip take as long as this many steps. What else follows takes LATER_SECONDS."""
 
 LATER_SECONDS = 8.0
 
@@ -62,8 +64,8 @@ class Photos:
 
 
 @dataclass(frozen=True)
-class Speed:
-    """Seconds of a step: fixed, and per pixel of a photo."""
+class StepSpeed:
+    """Seconds of a training step: fixed, and per pixel of the photo."""
 
     fixed: float
     pixel: float
@@ -74,10 +76,16 @@ class Speed:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """max_size: photos wider than that are reduced; steps of training; seconds by stage.
+class TrainingPlan:
+    """Size and length of a training, and seconds by stage.
 
-    coarse: whether training begins with photos of half the size.
+    Attributes:
+        max_size: wider photos are reduced to this width in pixels.
+        steps: of training.
+        coarse: whether training begins with photos of half the size.
+        prepare_seconds: for the poses.
+        train_seconds: for training.
+        other_seconds: for all that follows.
     """
 
     max_size: int
@@ -89,18 +97,18 @@ class Plan:
 
     @property
     def seconds(self) -> float:
-        """Of the whole."""
+        """The time of the whole run."""
         return self.prepare_seconds + self.train_seconds + self.other_seconds
 
 
-def fit_speed(small: tuple[int, float], large: tuple[int, float]) -> Speed:
-    """The line through what two steps took: the pixels of their pictures, and seconds."""
+def fit_speed(small: tuple[int, float], large: tuple[int, float]) -> StepSpeed:
+    """The line through two steps, each given by the pixels of its picture and its seconds."""
     pixel = max(0.0, large[1] - small[1]) / max(1, large[0] - small[0])
-    return Speed(max(1e-4, small[1] - pixel * small[0]), pixel)
+    return StepSpeed(max(1e-4, small[1] - pixel * small[0]), pixel)
 
 
 def prepare_seconds(count: int, cores: int, quick: bool) -> float:
-    """What structure from motion takes for ``count`` photos, as a rule."""
+    """What structure from motion usually takes for ``count`` photos."""
     pairs = min(count * (count - 1) / 2, MOST_PAIRS * count)
     seconds = count * FEATURE_SECONDS[quick] + pairs * PAIR_SECONDS[quick]
     return (seconds + FIXED_SECONDS) / max(1, min(cores, 8))
@@ -119,12 +127,12 @@ def frames_within(cores: int, seconds: float) -> int:
 
 def make_plan(
     photos: Photos,
-    speed: Speed,
+    speed: StepSpeed,
     preparing: float,
     seconds: float,
     steps: int | None = None,
     max_size: int | None = None,
-) -> Plan:
+) -> TrainingPlan:
     """The plan that fits ``seconds``, or has the ``steps`` and the ``max_size`` that are given.
 
     Args:
@@ -132,38 +140,33 @@ def make_plan(
         speed: of a step.
         preparing: seconds that the poses take; 0 if they are known.
         seconds: for the whole.
-        steps: of training, if chosen by the user.
-        max_size: of the photos, likewise.
+        steps: of training, if the user chose them.
+        max_size: of the photos, if the user chose it.
     """
-    speeds = {width: _Pace(photos, speed, min(width, photos.width)) for width in SIZES}
     left = max(0.0, seconds - preparing)
     if max_size is None:
         wanted = steps if steps is not None else ENOUGH_STEPS
-        fitting = (size for size in SIZES if speeds[size].affordable(left) >= wanted)
+        paces = ((size, _Pace(photos, speed, min(size, photos.width))) for size in SIZES)
+        fitting = (size for size, pace in paces if pace.affordable(left) >= wanted)
         max_size = min(next(fitting, SIZES[-1]), photos.width)
     pace = _Pace(photos, speed, max_size)
     if steps is None:
         steps = min(max(pace.affordable(left), LEAST_STEPS), MOST_STEPS)
     coarse = pace.coarse(steps)
-    return Plan(max_size, steps, coarse, preparing, pace.training(steps), pace.later)
+    return TrainingPlan(max_size, steps, coarse, preparing, pace.training(steps), pace.later)
 
 
 class _Pace:
     """What steps on photos at most ``width`` wide take."""
 
-    def __init__(self, photos: Photos, speed: Speed, width: int) -> None:
-        from clgs.train.step.schedule import COARSE_STAGES
-
+    def __init__(self, photos: Photos, speed: StepSpeed, width: int) -> None:
         pixels = photos.at(width)
+        ((share, factor),) = COARSE_STAGES
         self._large = pixels >= LARGE_PIXELS and not photos.synthetic
         self._step = speed.step(pixels)
-        ((share, factor),) = COARSE_STAGES
         self._coarse_step = share * speed.step(pixels // factor**2) + (1 - share) * self._step
-
-    @property
-    def later(self) -> float:
+        self.later = LATER_SECONDS + LATER_STEPS * self._step
         """Seconds of all that follows training."""
-        return LATER_SECONDS + LATER_STEPS * self._step
 
     def coarse(self, steps: int) -> bool:
         """Whether a run of ``steps`` begins with photos of half the size."""

@@ -1,4 +1,4 @@
-"""The SCENE argument of commands: a run folder, a .clgs file, a decoded .npz or 3DGS splats."""
+"""Scenes on the disk: run folders, .clgs files, decoded .npz archives and 3DGS splats."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from clgs.cli.options.output import holds_run
-from clgs.cli.run.source import PLAN, run_folder
 from clgs.codec.box import Box, decode_box
 from clgs.codec.container.source import BytesSource, FileSource
 from clgs.codec.scene_decoder import decode
@@ -16,9 +14,23 @@ from clgs.codec.splats import is_splats, unpack
 from clgs.errors import CodecError, DataError
 from clgs.scene.scene import QuantizedScene, SplatScene
 from clgs.scene.storage import load_scene
+from clgs.workflow.outputs import holds_run
+
+PLAN = "plan.json"
+"""The file by which the output folder of `clgs run` is recognised: the plan of that run."""
 
 WRITTEN_ONLY = (".spz", ".sog", ".glb", ".html")
 """Suffixes of what `clgs export` writes and clgs does not read."""
+
+
+def run_folder(scene: Path) -> Path:
+    """The run folder that ``scene`` is or lies in.
+
+    If that is the output folder of `clgs run`, it is the folder ``run`` in it.
+    """
+    folder = scene if scene.is_dir() else scene.parent
+    below = folder / "run"
+    return below if (folder / PLAN).is_file() and below.is_dir() else folder
 
 
 def read_scene(path: Path) -> tuple[QuantizedScene, int | None]:

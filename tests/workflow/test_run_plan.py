@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clgs.cli.run.duration import duration, in_words
-from clgs.cli.run.plan import (
+from clgs.cli.commands.run import duration
+from clgs.workflow.run_plan import (
     ENOUGH_STEPS,
     FRAMES,
     LATER_SECONDS,
@@ -22,16 +22,17 @@ from clgs.cli.run.plan import (
     SHORT_STEPS,
     SIZES,
     Photos,
-    Speed,
+    StepSpeed,
     fit_speed,
     frames_within,
     make_plan,
     must_hurry,
     prepare_seconds,
 )
+from clgs.workflow.run_record import in_words
 
 PHOTOS = Photos(50, 4000, 3000)
-SPEED = Speed(0.02, 2e-7)
+SPEED = StepSpeed(0.02, 2e-7)
 
 
 @given(st.floats(20, 1e5), st.floats(0, 1e3))
