@@ -10,9 +10,9 @@ import numpy as np
 from clgs.data.dataset import Dataset
 from clgs.data.repose import move_camera
 from clgs.errors import UsageError
-from clgs.export.clip.camera_path import read_camera_path
-from clgs.export.clip.framing import frame_cameras, frame_scene
-from clgs.export.clip.paths import interpolate, orbit, spiral, through_photos
+from clgs.exports.clip.camera_path import read_camera_path
+from clgs.exports.clip.framing import frame_cameras, frame_scene
+from clgs.exports.clip.paths import interpolate, orbit, spiral, through_photos
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, SceneTransform, SplatScene
 from clgs.workflow.events import Note, OnEvent

@@ -19,20 +19,20 @@ from clgs.bake.bake import (
     to_world,
 )
 from clgs.bake.cameras import cameras_around
-from clgs.codec import scene_decoder, splats
+from clgs.codec import scene_decoder, splat_packing
 from clgs.data.axes import to_y_up
 from clgs.data.dataset import load_dataset
 from clgs.data.repose import repose
 from clgs.data.stored_photo import Planes
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
-from clgs.export.cameras import cameras_glb
-from clgs.export.page import Start, scene_page, start_at
-from clgs.export.splats.encoded import Encoded
-from clgs.export.splats.glb import encode_glb
-from clgs.export.splats.ply import encode_ply
-from clgs.export.splats.sog import encode_sog
-from clgs.export.splats.spz import encode_spz
+from clgs.exports.cameras import cameras_glb
+from clgs.exports.page import Start, scene_page, start_at
+from clgs.exports.splats.encoded import Encoded
+from clgs.exports.splats.glb import encode_glb
+from clgs.exports.splats.ply import encode_ply
+from clgs.exports.splats.sog import encode_sog
+from clgs.exports.splats.spz import encode_spz
 from clgs.files import atomic_write, check_output
 from clgs.opencl.device import Device
 from clgs.scene.gaussians import HostGaussians
@@ -246,14 +246,14 @@ def _scene_file(path: Path) -> bytes:
         raise DataError(f"{path}: a page is made of a .clgs file; `clgs pack` makes one of splats")
     data = read_bytes(path)
     with naming(path):
-        (splats if splats.is_splats(data) else scene_decoder).describe(data)
+        (splat_packing if splat_packing.is_splats(data) else scene_decoder).describe(data)
     return data
 
 
 def _start(photos: Path, data: bytes) -> Start:
     """Where the page starts: at the first held-out view of the data set ``photos``."""
     transform = SceneTransform()  # splats keep the data set's units
-    if not splats.is_splats(data):
+    if not splat_packing.is_splats(data):
         transform = SceneTransform(**scene_decoder.describe(data)["transform"])
     dataset = load_dataset(photos, load_images=False, load_points=False)
     views = repose(dataset, transform)

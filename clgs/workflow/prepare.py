@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from clgs.export.poses_page import write_poses_page
+from clgs.exports.poses_page import write_poses_page
 from clgs.opencl.device import Device
 from clgs.poses.judging.verdict import Verdict
 from clgs.poses.prepare import Doubts, prepare

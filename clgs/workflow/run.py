@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from clgs.errors import UsageError
-from clgs.export.run_report import RunStory, write_run_report
+from clgs.exports.run_report import RunStory, write_run_report
 from clgs.files import check_folder, make_folder
 from clgs.train.run.folder_lock import FolderLock
 from clgs.workflow.device_speed import speed_on, synthetic_speed

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from clgs.errors import UsageError
-from clgs.export.run_report import RunStory, write_run_report
+from clgs.exports.run_report import RunStory, write_run_report
 from clgs.files import check_folder, write_json
 from clgs.memory import return_freed_memory
 from clgs.opencl.device import Device

@@ -23,7 +23,7 @@ from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.origin import read_origin
 from clgs.data.reduction import Reduction
 from clgs.data.repose import repose
-from clgs.export.page import scene_page
+from clgs.exports.page import scene_page
 from clgs.render.renderer import render_view
 from clgs.scene.camera import Camera
 from clgs.train.config import from_toml

@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
 
 def scene_to_show(path: Path, views: ViewOptions, on_event: OnEvent) -> Shown:
     """Read a scene, and all that the viewer shows of it."""
-    from clgs.export.clip.framing import frame_cameras, frame_scene
+    from clgs.exports.clip.framing import frame_cameras, frame_scene
     from clgs.opencl.device import Device
     from clgs.scene.scene import SplatScene, drawable
     from clgs.viewer.importance import chosen, scene_importance
