@@ -13,8 +13,10 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
-from clgs.data.find import MASKS
-from clgs.data.masks import undistort_masks
+import numpy as np
+from PIL import Image
+
+from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
 from clgs.poses.child import OnStage, run_child, serve
 from clgs.poses.features import extract
@@ -130,7 +132,7 @@ def _undistort(job: Job, model: Any, names: dict[str, str], target: Path) -> Non
             work / "undistorted", work / "model", work / "images", jpeg_quality=JPEG_QUALITY
         )
     made.rename(target / "images")
-    undistort_masks(job.pycolmap, model, work / MASKS, target / "images", target / MASKS)
+    _undistort_masks(job.pycolmap, model, work / MASKS, target / "images", target / MASKS)
     (target / "sparse").mkdir()
     (work / "undistorted" / "sparse").rename(target / "sparse" / "0")
 
@@ -159,3 +161,29 @@ def _files_counted(folder: Path, on_count: Callable[[int], None]) -> Iterator[No
         ended.set()
         thread.join()
     count()
+
+
+def _undistort_masks(pycolmap: Any, model: Any, masks: Path, images: Path, target: Path) -> None:
+    """Write the masks of the photos of a COLMAP model, undistorted as ``undistort_images`` does it.
+
+    Args:
+        pycolmap: the module.
+        model: with the cameras of the photos as they were taken.
+        masks: folder of NAME.png; photos without one, or with a white one, have none afterwards.
+        images: folder of the undistorted photos, whose sizes the masks get.
+        target: folder for the new masks, made if it is needed.
+    """
+    for image in model.images.values():
+        file = masks / f"{image.name}.png"
+        if not (file.is_file() and (images / image.name).is_file()):
+            continue
+        level = np.asarray(Image.open(file).convert("L"))
+        if level.all():
+            continue
+        target.mkdir(exist_ok=True)
+        bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(level))
+        camera = model.cameras[image.camera_id]
+        options = pycolmap.UndistortCameraOptions()
+        undistorted, _ = pycolmap.undistort_image(options, bitmap, camera)
+        used = np.asarray(undistorted.to_array()).reshape(undistorted.height, undistorted.width, -1)
+        save_mask((used[..., 0] == 255).astype(np.uint8), target / f"{image.name}.png")
