@@ -115,16 +115,16 @@ def _write_report(args: argparse.Namespace) -> None:
 
 def _report_profile(session: Session) -> None:
     """Print the time by stage and what the skips saved; write both to profile.json."""
+    import importlib
     from dataclasses import asdict
 
     from clgs.cli.progress import print_profile
-    from clgs.train.quality.savings import savings
     from clgs.train.run.session import write_json
 
     rows = session.device.profile.rows()
-    saved = savings(session.trainer)
+    saved = importlib.import_module("clgs.lab.savings").savings(session.trainer)
     names = ("stage", "calls", "median_ms", "total_s")
     stages = [dict(zip(names, row, strict=True)) for row in rows]
     skips = [{**asdict(saving), "share": saving.share} for saving in saved]
     write_json(session.folder / "profile.json", {"stages": stages, "skips": skips})
-    print_profile(rows, saved)
+    print_profile(rows, skips)

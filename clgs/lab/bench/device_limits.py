@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from clgs.opencl.device import Device
-from clgs.ops import limits
+from clgs.lab import limit_kernels as limits
 
 COPY_BYTES = 128 << 20
 """Of one array: well beyond the caches of today's processors."""

@@ -17,9 +17,8 @@ from clgs.lab.selftest.conformance_scenes import ConformanceScene, conformance_s
 from clgs.lab.selftest.exact_random import ExactRandom
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, blend, density, limits, loss, mlp, project, quantize, rate, scan, sort
+from clgs.ops import adam, blend, density, loss, project, quantize, rate, scan, sort
 from clgs.options import PRESETS, RenderOptions
-from clgs.reference import limits as reference
 from clgs.render.frame import DeviceScene, Frame, upload_scene
 from clgs.render.pipeline import render_backward, render_forward
 

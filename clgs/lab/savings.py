@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from clgs.lab.observe import PairCounts, count_pairs, mlp_work
 from clgs.opencl.device import Device
-from clgs.ops import adam, blend, mlp, tiles
+from clgs.ops import adam, blend, tiles
 from clgs.options import RenderOptions
 from clgs.render.frame import Frame
 from clgs.render.pipeline import render_backward
@@ -44,7 +45,7 @@ def savings(trainer: Trainer) -> list[Saving]:
 
 
 def _of_anchors(trainer: Trainer, frame: Frame) -> Iterator[Saving]:
-    work = mlp.work(trainer.device, frame.activations)
+    work = mlp_work(trainer.device, frame.activations)
     yield Saving("anchors", "anchors decoded", work.all_samples, trainer.parameters.count)
     yield Saving("opacity_first", "anchors with color", work.samples, work.all_samples)
     yield Saving("slots", "rows of color and shape", work.rows, work.all_rows)
@@ -73,11 +74,11 @@ def _of_pairs(device: Device, frame: Frame) -> Iterator[Saving]:
 
 def _pairs(
     device: Device, frame: Frame, options: RenderOptions
-) -> tuple[blend.PairCounts, blend.PairCounts]:
+) -> tuple[PairCounts, PairCounts]:
     background = frame.view.background
     blended = blend.forward(device, frame.projected, frame.tiles, background, options)
     d_image = device.upload(np.ones(blended.image.shape, np.float32))
-    return blend.count_pairs(device, blended, d_image)
+    return count_pairs(device, blended, d_image)
 
 
 def _of_updates(trainer: Trainer, frame: Frame) -> Iterator[Saving]:
