@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import (
@@ -21,7 +21,6 @@ from rich.table import Table
 from clgs.cli.live import Live
 from clgs.cli.stages import describe
 from clgs.cli.tell import tell
-from clgs.train.quality.savings import Saving
 from clgs.train.run.finished_run import RunResult
 from clgs.train.run.session import Progress as TrainingProgress
 
@@ -116,8 +115,11 @@ class TrainingDisplay(Live):
             tell(f"step {step}/{self._steps}  {speed}  {note}")
 
 
-def print_profile(rows: list[tuple[str, int, float, float]], saved: list[Saving]) -> None:
-    """Table of the stages' times, ``Profile.rows``, and of what each skip saved."""
+def print_profile(rows: list[tuple[str, int, float, float]], skips: list[dict[str, Any]]) -> None:
+    """Table of the stages' times, ``Profile.rows``, and of what each skip saved.
+
+    A skip is a ``clgs.lab.savings.Saving`` as a dictionary, with its share.
+    """
     table = Table("stage", title="Time by stage")
     for column in ("calls", "median ms", "total s", "share"):
         table.add_column(column, justify="right")
@@ -130,9 +132,9 @@ def print_profile(rows: list[tuple[str, int, float, float]], saved: list[Saving]
     table = Table("skip", "work", title="Work left out, on the first view")
     for column in ("done", "without", "saved"):
         table.add_column(column, justify="right")
-    for one in saved:
-        counts = f"{one.done:,}", f"{one.without:,}", f"{100 * one.share:.1f} %"
-        table.add_row(one.skip, one.unit, *counts)
+    for one in skips:
+        counts = f"{one['done']:,}", f"{one['without']:,}", f"{100 * one['share']:.1f} %"
+        table.add_row(one["skip"], one["unit"], *counts)
     console.print(table)
 
 

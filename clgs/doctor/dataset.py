@@ -13,7 +13,7 @@ from clgs.data.origin import read_origin
 from clgs.data.point_file import PointFile, read_points
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.transforms import each_frame, parse_leniently
-from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, from_error, named
+from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named
 from clgs.doctor.lenses import check_lenses
 from clgs.doctor.pictures import check_pictures, damaged
 from clgs.doctor.poses import check_poses
@@ -55,9 +55,7 @@ def examine(root: Path) -> Examined:
         findings += check_poses(everyone)
         findings += check_pictures(everyone, photos.kind == "blender")
     findings += _points(root, photos)
-    order = {level: number for number, level in enumerate((ERROR, WARNING, NOTE))}
-    findings.sort(key=lambda finding: order[finding.level])
-    return Examined(_summary(root, photos), findings)
+    return Examined(_summary(root, photos), errors_first(findings))
 
 
 def _is_posed(root: Path) -> bool:

@@ -9,12 +9,12 @@ LEVELS = (ERROR, WARNING, NOTE)
 """An error stops clgs or spoils its result, a warning may spoil it, a note is good to know."""
 
 NAMED = 6
-"""Of many things with one fault, so many are named."""
+"""A finding names at most this many of the things that have its fault."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One fault or fact: its level, the thing concerned, what is the matter, and what to do."""
+    """One fault or fact: its level, the thing concerned, the problem, and what to do."""
 
     level: str
     where: str
@@ -29,8 +29,13 @@ def named(names: list[str]) -> str:
     return ", ".join(shown) + more
 
 
+def errors_first(findings: list[Finding]) -> list[Finding]:
+    """The findings by level: errors, warnings, notes."""
+    return sorted(findings, key=lambda finding: LEVELS.index(finding.level))
+
+
 def from_error(error: Exception) -> Finding:
-    """An error of one line with its remedy after the last semicolon, as clgs words them."""
+    """The finding for an error of clgs, whose remedy follows the last semicolon."""
     text = " ".join(str(error).split())
     problem, mark, remedy = text.rpartition("; ")
     return Finding(ERROR, "", problem if mark else text, remedy if mark else "correct it")

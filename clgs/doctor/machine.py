@@ -10,31 +10,38 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from clgs.data.native.probe import import_problem
-from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding
+import numpy as np
+
+from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first
 from clgs.errors import ClgsError, UsageError
+from clgs.machine import available_memory, host_facts
+from clgs.poses.child import import_problem
 
-SECONDS = 1.0
-"""After so long no further check of a device is begun; building kernels counts."""
+if TYPE_CHECKING:
+    from clgs.opencl.device import Device
 
 COUNT = 1000
 """Numbers that each check computes with."""
+
+MAX_BITS_ERROR = 1e-6
+"""Largest relative error of estimated bits, as in ``clgs selftest``."""
 
 LEAST_MEMORY = 2 << 30
 LEAST_DISK = 1 << 30
 
 OPTIONAL = {
-    "pycolmap": ("clgs prepare and COLMAP models", "pip install pycolmap"),
+    "pycolmap": ("clgs prepare", "pip install pycolmap"),
     "pillow_heif": ("HEIC photos", 'pip install "clgs[heif]"'),
     "imageio_ffmpeg": ("videos", 'pip install "clgs[video]"'),
 }
-"""By module: what needs it, and how to get it."""
+"""Per module: what needs it, and the command that installs it."""
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A device after its checks: how many ran, and how near the worst came to its limit."""
+    """A device that passed its checks: their number, and the largest error divided by its limit."""
 
     index: int
     name: str
@@ -45,7 +52,7 @@ class Tried:
 
 @dataclass(frozen=True)
 class ExaminedMachine:
-    """What it has, the devices that were tried, and all findings."""
+    """Facts of the machine, the devices that passed, and all findings, errors first."""
 
     facts: dict[str, str]
     devices: list[Tried]
@@ -53,49 +60,34 @@ class ExaminedMachine:
 
     @property
     def usable(self) -> bool:
-        """Whether a device computed what it should."""
+        """Whether a device computed correctly."""
         return bool(self.devices)
 
 
 def examine_machine() -> ExaminedMachine:
-    """Everything that clgs needs of this machine, with a second of checks of each device."""
+    """Everything that clgs needs of this machine, with a second of checks per device."""
     findings = [*_memory(), *_disk(), *_packages()]
     devices: list[Tried] = []
     try:
-        devices = list(_devices(findings))
+        for found in _devices():
+            if isinstance(found, Finding):
+                findings.append(found)
+            else:
+                devices.append(found)
     except ImportError as error:
         problem = f"pyopencl cannot be loaded ({error})"
         findings.append(Finding(ERROR, "OpenCL", problem, "pip install pyopencl"))
-    order = (ERROR, WARNING, NOTE)
-    findings.sort(key=lambda finding: order.index(finding.level))
-    return ExaminedMachine(_facts(), devices, findings)
-
-
-def _facts() -> dict[str, str]:
-    from clgs.lab.bench.facts import host_facts
-
-    host = host_facts()
+    host, available, here = host_facts(), available_memory(), Path.cwd()
     versions = host["versions"]
     assert isinstance(versions, dict)
-    free = shutil.disk_usage(Path.cwd()).free
-    available = available_memory()
-    return {
+    facts = {
         "system": str(host["system"]),
         "processor": f"{host['processor']}, {os.cpu_count()} threads",
         "memory": "unknown" if available is None else f"{available / 2**30:.1f} GiB available",
-        "disk": f"{free / 2**30:.1f} GiB free in {Path.cwd()}",
+        "disk": f"{shutil.disk_usage(here).free / 2**30:.1f} GiB free in {here}",
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
     }
-
-
-def available_memory() -> int | None:
-    """Bytes that programs can have without swapping; None if the system does not tell."""
-    try:
-        lines = Path("/proc/meminfo").read_text("ascii").splitlines()
-    except OSError:
-        return None
-    sizes = (line.split() for line in lines if line.startswith("MemAvailable:"))
-    return next((int(words[1]) << 10 for words in sizes), None)
+    return ExaminedMachine(facts, devices, errors_first(findings))
 
 
 def _memory() -> Iterator[Finding]:
@@ -109,11 +101,14 @@ def _memory() -> Iterator[Finding]:
 def _disk() -> Iterator[Finding]:
     from clgs.opencl.absence import write_problem
 
-    for name, folder in (("disk", Path.cwd()), ("temporary files", _temporary_folder())):
-        if folder is None:
-            remedy = "set TMPDIR to a folder that can be written to"
-            yield Finding(ERROR, name, "there is no folder for temporary files", remedy)
-            continue
+    folders = {"disk": Path.cwd()}
+    try:
+        folders["temporary files"] = Path(tempfile.gettempdir())
+    except FileNotFoundError:
+        remedy = "set TMPDIR to a folder that can be written to"
+        problem = "there is no folder for temporary files"
+        yield Finding(ERROR, "temporary files", problem, remedy)
+    for name, folder in folders.items():
         free = shutil.disk_usage(folder).free
         if free < LEAST_DISK:
             problem = f"{free / 2**30:.2f} GiB are free in {folder}"
@@ -122,73 +117,88 @@ def _disk() -> Iterator[Finding]:
             yield Finding(WARNING, name, problem, "run clgs in a folder of yours")
 
 
-def _temporary_folder() -> Path | None:
-    try:
-        return Path(tempfile.gettempdir())
-    except FileNotFoundError:
-        return None
-
-
 def _packages() -> Iterator[Finding]:
     for module, (use, remedy) in OPTIONAL.items():
         if importlib.util.find_spec(module) is None:
-            yield Finding(NOTE, module, f"is not installed; {use} need it", remedy)
+            yield Finding(NOTE, module, f"is not installed; it is needed for {use}", remedy)
         elif problem := import_problem(module):
             again = remedy.replace("install", "install --force-reinstall")
-            yield Finding(WARNING, module, f"cannot be loaded ({problem}); {use} need it", again)
+            problem = f"cannot be loaded ({problem}); it is needed for {use}"
+            yield Finding(WARNING, module, problem, again)
 
 
-def _devices(findings: list[Finding]) -> Iterator[Tried]:
-    """Each device that passes its checks; what is wrong is added to ``findings``."""
+def _devices() -> Iterator[Tried | Finding]:
+    """Each device that passes its checks, and everything that is wrong with the others."""
     from clgs.opencl.absence import INSTALL, reasons
     from clgs.opencl.choose import is_emulator, survey
 
     devices, skipped = survey()
-    level = WARNING if devices else ERROR
     wrong = reasons()
-    findings += [Finding(level, "OpenCL", one.problem, one.remedy) for one in wrong]
+    for one in wrong:
+        yield Finding(WARNING if devices else ERROR, "OpenCL", one.problem, one.remedy)
     for line in skipped if devices else ():
         remedy = "install its driver again, or leave it"
-        findings.append(Finding(NOTE, "OpenCL", f"left out: {line}", remedy))
+        yield Finding(NOTE, "OpenCL", f"left out: {line}", remedy)
     if not devices and not wrong:
-        findings.append(Finding(ERROR, "OpenCL", "there is no device", f"install one: {INSTALL}"))
+        yield Finding(ERROR, "OpenCL", "there is no device", f"install one: {INSTALL}")
     for index, device in enumerate(devices):
         if is_emulator(device):
             name = f"{index}: {device.name.strip()}"
-            remedy = "clgs selftest --device takes minutes on it"
-            findings.append(Finding(NOTE, name, "an emulator, not tried", remedy))
-            continue
-        tried = _try(index)
-        if isinstance(tried, Finding):
-            findings.append(tried)
+            yield Finding(NOTE, name, "an emulator, not tried", "clgs selftest takes minutes on it")
         else:
-            yield tried
+            yield _try(index)
 
 
 def _try(index: int) -> Tried | Finding:
-    """A second of checks of one device, and what is wrong with it."""
-    from clgs.lab.selftest.training_checks import training_checks
+    """The device after its checks, or what is wrong with it."""
     from clgs.opencl.device import Device
 
-    start, worst, count, name = time.perf_counter(), 0.0, 0, str(index)
+    start, name, found = time.perf_counter(), str(index), []
     try:
         device = Device(str(index))
         name = f"{index}: {device.name}"
-        for stage, quantity, error, limit, _ in training_checks(device, COUNT):
-            count += 1
+        for stage, error, limit in device_errors(device):
+            found.append(error / limit if limit else error)
             if not error <= limit:
-                problem = f"{stage} {quantity}: error {error:.1e}, at most {limit:.0e}"
+                problem = f"{stage}: error {error:.1e}, at most {limit:.0e}"
                 remedy = "do not use it; update its driver, then run clgs selftest"
                 return Finding(ERROR, name, problem, remedy)
-            worst = max(worst, error / limit if limit else 0.0)
-            if time.perf_counter() - start > SECONDS:
-                break
     except UsageError as error:  # a variable of the environment
         problem, _, remedy = str(error).rpartition("; ")
         return Finding(ERROR, name, problem, remedy)
     except ClgsError as error:
         return Finding(ERROR, name, str(error), "update its driver, or use another --device")
-    except Exception as error:  # a driver raises whatever it chooses
+    except Exception as error:  # a driver may raise anything
         problem = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
         return Finding(ERROR, name, problem, "update its driver, or use another --device")
-    return Tried(index, device.name, count, worst, time.perf_counter() - start)
+    return Tried(index, device.name, len(found), max(found), time.perf_counter() - start)
+
+
+def device_errors(device: Device) -> Iterator[tuple[str, float, float]]:
+    """(stage, error, limit) of a few short stages, compared with NumPy in float64.
+
+    ``clgs selftest`` compares all stages, which takes longer.
+    """
+    from clgs.ops import quantize, rate, scan, sort
+    from clgs.reference import quantize as quantize_reference
+    from clgs.reference import rate as rate_reference
+
+    rng = np.random.default_rng(5)
+    counts = rng.integers(0, 50, COUNT).astype(np.int32)
+    offsets, total = scan.exclusive(device, device.upload(counts))
+    wanted = np.cumsum(counts, dtype=np.int64)
+    wrong = np.abs(device.download(offsets) - (wanted - counts)).max() + abs(total - wanted[-1])
+    yield "scan", float(wrong), 0.0
+    keys = rng.integers(0, 2**32, COUNT).astype(np.uint32)
+    keys[::3] = keys[0]
+    values = np.arange(COUNT, dtype=np.int32)
+    _, order = sort.by_key(device, device.upload(keys), device.upload(values), 32)
+    wrong = np.abs(device.download(order) - np.argsort(keys, kind="stable")).max()
+    yield "sort", float(wrong), 0.0
+    x = rng.laplace(0.3, np.arange(1, 7), (COUNT // 6, 6)).astype(np.float32)
+    uploaded = device.upload(x)
+    rounded = device.download(quantize.forward(device, uploaded, 8.0))
+    yield "quantize", float(np.abs(rounded - quantize_reference.forward(x, 8.0)).max()), 0.0
+    bits = rate_reference.forward(rate_reference.symbols(x, 1.0), "pooled")
+    error = abs(rate.forward(device, uploaded, 1.0, "pooled").bits - bits) / bits
+    yield "rate", float(error), MAX_BITS_ERROR

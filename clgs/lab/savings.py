@@ -72,9 +72,7 @@ def _of_pairs(device: Device, frame: Frame) -> Iterator[Saving]:
     yield Saving("(bound)", "pairs blended of visited", forward.blended, forward.visited)
 
 
-def _pairs(
-    device: Device, frame: Frame, options: RenderOptions
-) -> tuple[PairCounts, PairCounts]:
+def _pairs(device: Device, frame: Frame, options: RenderOptions) -> tuple[PairCounts, PairCounts]:
     background = frame.view.background
     blended = blend.forward(device, frame.projected, frame.tiles, background, options)
     d_image = device.upload(np.ones(blended.image.shape, np.float32))

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pyopencl as cl
 import pyopencl.tools
 
-from clgs.errors import DeviceError, NoRoomError, UsageError
+from clgs.errors import NoRoomError, UsageError
 from clgs.memory import return_unused_memory
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import choose_device, compiles_vectors, is_emulator
@@ -247,9 +247,9 @@ class Device:
 
         ``<program>_cpu.cl`` or ``<program>_gpu.cl`` if the specialisations have files of their own.
 
-        The method's constants, the specialisation (VEC, USE_LOCAL) and the sizes of work-groups that
-        several stages share are always defined; ``defines`` adds to or overrides them. Floats
-        become float32 literals.
+        The method's constants, the specialisation (VEC, USE_LOCAL) and the sizes of groups that
+        stages share are always defined; ``defines`` adds to or overrides them. Floats become
+        float32 literals.
 
         Raises:
             DeviceError: the program does not build on this device.

@@ -199,7 +199,8 @@ def expand(text: str, macros: Macros, within: frozenset[str] = frozenset()) -> s
             given = _in_parentheses(text, opening.end() - 1)
             start = opening.end() + len(given) + 1
             values = dict(zip(parameters, (one.strip() for one in given.split(",")), strict=False))
-            body = _NAME.sub(lambda name, by=values: by.get(name[0], name[0]), body)
+            words = re.split(r"\b([A-Za-z_]\w*)\b", body)
+            body = "".join(values.get(word, word) for word in words)
             body = re.sub(r"\s*##\s*", "", body)
         out.append(expand(body, macros, within | {match[0]}))
     return "".join([*out, text[start:]])

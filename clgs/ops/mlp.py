@@ -252,7 +252,7 @@ def backward(
             partial=partial,
         )
     else:
-        _backward_in_groups(device, layers, partial, macros)
+        _backward_in_groups(device, activations.output.shape[1], layers, partial, macros)
     form = device.specialisation  # a work-item per sum, on a CPU per register tile
     each = 1 if form == "gpu" else WEIGHT_ROWS[form] * COLUMNS[form]
     device.run(
@@ -288,15 +288,17 @@ def _part_size(device: Device) -> int:
 
 def _backward_in_groups(
     device: Device,
+    padded: int,
     layers: dict[str, Argument],
     partial: DeviceArray,
     macros: dict[str, int | float],
 ) -> None:
     """Fill ``partial`` and the gradients among ``layers``, SLAB batches at a time."""
-    batches = -(-int(layers["padded"]) // BATCH)
+    batches = -(-padded // BATCH)
     values = device.empty((min(SLAB, batches), _batch_size(device)))
     for first in range(0, batches, SLAB):
-        size, batch = min(SLAB, batches - first), {"first_batch": np.int32(first), "values": values}
+        size = min(SLAB, batches - first)
+        batch: dict[str, Argument] = {"first_batch": np.int32(first), "values": values}
         device.run(
             device.kernel("mlp/backward", "mlp_backward_layers", **macros),
             *_layer_sizes(device, size * BATCH),

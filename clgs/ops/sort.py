@@ -120,19 +120,23 @@ def _chosen_by_plan(device: Device, keys: DeviceArray, choice: DeviceArray) -> O
     ranges = device.empty((chunks, 2), np.uint32)
     counters = device.empty((chunks, 2**MAX_WIDTH), np.int32)
     pairs, index = device.empty((len(keys), 2), np.uint32), device.empty(keys.shape, np.int32)
-    chosen = {"keys": keys, "chosen": choice, "count": np.int32(len(keys))}
+    chosen: dict[str, Argument] = {
+        "keys": keys,
+        "chosen": choice,
+        "count": np.int32(len(keys)),
+    }
 
-    def run(name: str, items: int = chunks, **arguments: Argument) -> None:
+    def run(name: str, items: int, /, **arguments: Argument) -> None:
         sizes = {"MAX_WIDTH": MAX_WIDTH, "PLAN_SIZE": PLAN_SIZE}
         device.run(device.kernel("sort/chosen", name, **sizes), (items,), (1,), **arguments)
 
-    run("sort_range", **chosen, ranges=ranges)
-    run("sort_count_chosen", **chosen, ranges=ranges, plan=plan, counters=counters)
+    run("sort_range", chunks, **chosen, ranges=ranges)
+    run("sort_count_chosen", chunks, **chosen, ranges=ranges, plan=plan, counters=counters)
     run("sort_starts", 1, counters=counters, chunks=np.int32(chunks), plan=plan)
-    run("sort_place_chosen", **chosen, plan=plan, places=counters, pairs=pairs)
-    run("sort_count_pairs", pairs=pairs, plan=plan, counters=counters)
+    run("sort_place_chosen", chunks, **chosen, plan=plan, places=counters, pairs=pairs)
+    run("sort_count_pairs", chunks, pairs=pairs, plan=plan, counters=counters)
     run("sort_starts", 1, counters=counters, chunks=np.int32(chunks), plan=plan)
-    run("sort_place_pairs", pairs=pairs, plan=plan, places=counters, order=index)
+    run("sort_place_pairs", chunks, pairs=pairs, plan=plan, places=counters, order=index)
     return Order(index, plan.first(1))
 
 
@@ -151,7 +155,7 @@ def _pass(
     """One digit on a CPU: a work-item counts and places a chunk of the keys."""
     count, chunks, bits = len(keys), _chunks(len(keys), "cpu"), DIGIT_BITS["cpu"]
     sorted_keys, sorted_values = _like(device, keys)
-    digit = {
+    digit: dict[str, Argument] = {
         "keys": keys,
         "count": np.int32(count),
         "chunk": np.int32(-(-count // chunks)),

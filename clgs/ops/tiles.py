@@ -203,7 +203,7 @@ def _count_entries(
     ranked = device.empty(found.boxes.shape, np.int32)
     ordered = {**found.geometry, "order": order.index, "ordered": order.count}
 
-    def run(name: str, items: int, **arguments: Argument) -> None:
+    def run(name: str, items: int, /, **arguments: Argument) -> None:
         kernel = device.kernel("tiles/lists", name, **found.defines)
         device.run(kernel, (items,), (1,), **arguments)
 
@@ -218,7 +218,7 @@ def _count_entries(
         counters=counters,
     )
     entries = scan.checked_total(device, rows) if capacity is None else capacity
-    limit = {"total": rows.total, "capacity": np.int32(entries)}
+    limit: dict[str, Argument] = {"total": rows.total, "capacity": np.int32(entries)}
     starts = device.empty((count_of_rows + 1, 2), np.int32)
     run(
         "tiles_starts",

@@ -23,10 +23,11 @@ os.environ["OMP_WAIT_POLICY"] = "passive"  # threads that spin after the C loop 
 import numpy as np
 from naive import NaiveBlend, box_lists, squares_of_three_sigma
 
+from clgs.lab.observe import count_pairs
 from clgs.lab.selftest.errors import relative_l2
 from clgs.lab.synthetic.blend_scenes import BLEND_SCENES
 from clgs.lab.synthetic.gaussians import ProjectedScene
-from clgs.opencl import device as opencl_device
+from clgs.opencl import programs
 from clgs.opencl.device import Device
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
@@ -70,7 +71,7 @@ class Ours:
 
     def pairs(self) -> dict[str, int]:
         """Visited and blended pairs of both passes."""
-        forward, backward = blend.count_pairs(self.device, self.blended, self.d_image)
+        forward, backward = count_pairs(self.device, self.blended, self.d_image)
         return {
             "intersections": len(self.tiles.gaussian),
             "visited_forward": forward.visited,
@@ -143,11 +144,11 @@ def denormals(device: Device, args: argparse.Namespace) -> dict[str, Any]:
     """Time with subnormal numbers possible over time with them flushed, on thin Gaussians."""
     size, generate = BLEND_SCENES["needles 20k"]
     scene = generate(np.random.default_rng(args.seed))
-    flushing = opencl_device.BUILD_OPTIONS
-    opencl_device.BUILD_OPTIONS = tuple(o for o in flushing if o != "-cl-denorms-are-zero")
+    flushing = programs.BUILD_OPTIONS
+    programs.BUILD_OPTIONS = tuple(o for o in flushing if o != "-cl-denorms-are-zero")
     keeping = Device(args.device)
     kept = Ours(keeping, scene, size, RenderOptions())
-    opencl_device.BUILD_OPTIONS = flushing
+    programs.BUILD_OPTIONS = flushing
     flushed = Ours(device, scene, size, RenderOptions())
     runs = {
         f"{which}_{name}": getattr(ours, which)

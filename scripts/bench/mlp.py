@@ -215,8 +215,8 @@ def fma_peak(device: Device) -> float:
     result, best = device.empty((PEAK_ITEMS,)), np.inf
     for _ in range(5):
         start = time.perf_counter()
-        arguments = (np.int32(PEAK_ROUNDS), np.float32(0.5), np.float32(1), result)
-        device.run(kernel, (PEAK_ITEMS,), (1,), *arguments)
+        arguments = np.int32(PEAK_ROUNDS), np.float32(0.5), np.float32(1), result.buffer
+        kernel(device.queue, (PEAK_ITEMS,), (1,), *arguments)
         device.finish()
         best = min(best, time.perf_counter() - start)
     return 2 * 8 * 12 * PEAK_ITEMS * PEAK_ROUNDS / best / 1e9

@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from clgs.cli.main import main
+from clgs.doctor import machine
 from clgs.doctor.finding import ERROR, WARNING
-from clgs.doctor.machine import available_memory, examine_machine
+from clgs.doctor.machine import examine_machine
+from clgs.machine import available_memory
 from clgs.opencl import absence, choose
 
 
@@ -68,15 +70,10 @@ def test_drivers_that_are_not_named_or_do_not_load(tmp_path: Path):
 
 
 def test_a_device_that_computes_wrongly_is_an_error(monkeypatch):
-    from clgs.lab.selftest import training_checks
-
-    def wrong(device, count):
-        yield "scan", "offsets", 2.0, 1.0, 0.1
-
-    monkeypatch.setattr(training_checks, "training_checks", wrong)
+    monkeypatch.setattr(machine, "device_errors", lambda device: [("scan", 2.0, 1.0)])
     found = examine_machine()
     assert not found.usable
-    assert any("scan offsets" in one.problem for one in found.findings)
+    assert any("scan: error 2.0e+00" in one.problem for one in found.findings)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no such signals")
@@ -92,7 +89,7 @@ def test_a_package_that_cannot_be_loaded_is_found(tmp_path, monkeypatch, source,
     monkeypatch.syspath_prepend(str(tmp_path))
     (found,) = [one for one in examine_machine().findings if one.where == "pycolmap"]
     assert found.level == WARNING
-    assert found.problem.startswith(f"cannot be loaded ({problem}); clgs prepare")
+    assert found.problem.startswith(f"cannot be loaded ({problem}); it is needed for clgs prepare")
     assert found.remedy == "pip install --force-reinstall pycolmap"
 
 

@@ -38,7 +38,7 @@ def test_builds_in_its_specialisations(device, name):
     kernels = kernels_in(read_program(name))
     assert kernels
     for kernel in kernels:
-        limit = device.kernel(program, kernel).get_work_group_info(
+        limit = device.kernel(program, kernel).built.get_work_group_info(
             cl.kernel_work_group_info.LOCAL_MEM_SIZE, device.cl_device
         )
         assert limit <= 32 * 1024, f"{kernel} uses {limit} bytes of local memory"

@@ -6,7 +6,8 @@ import logging
 
 from clgs.cli.notes import LOGGER, show_notes
 from clgs.opencl import device as module
-from clgs.opencl.device import NOTES, Device
+from clgs.opencl.device import Device
+from clgs.opencl.programs import NOTES
 
 
 def test_compiling_is_told_once(monkeypatch, caplog, capsys):

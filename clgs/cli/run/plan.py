@@ -16,7 +16,7 @@ ENOUGH_STEPS = 1500
 
 SHORT_STEPS, LARGE_PIXELS = 1_900, 100_000
 """Runs of fewer steps, on photos of so many pixels, begin with photos of half the size: pictures as
-good in fewer bytes and less time (docs/benchmarks/size_trials.md), but not of synthetic objects.
+good in fewer bytes and less time (docs/benchmarks/sizes.md), but not of synthetic objects.
 """
 
 MOST_STEPS = 30_000

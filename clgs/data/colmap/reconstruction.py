@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from clgs.data.colmap.binary_check import check_binary_model
 from clgs.data.colmap.text_check import check_text_poses, explain_text_model
-from clgs.data.native.child import OnStage, run_child, serve
-from clgs.data.native.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.child import OnStage, run_child, serve
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
 
 _REMEDY = "export the model again"
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from clgs.cli.tell import tell
 from clgs.errors import DeviceError
+from clgs.files import write_json
 from clgs.lab.accept.part import Outcome, Part, run_part
-from clgs.lab.bench.facts import host_facts
+from clgs.machine import host_facts
 from clgs.opencl.choose import choose_device, list_devices
-from clgs.train.run.session import write_json
 
 FORMAT = "clgs accept 1"
 KEPT = (

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from clgs.opencl.device import Device
 from clgs.lab import limit_kernels as limits
+from clgs.opencl.device import Device
 
 COPY_BYTES = 128 << 20
 """Of one array: well beyond the caches of today's processors."""

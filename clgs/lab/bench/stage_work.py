@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from clgs.lab.bench.device_limits import DeviceLimits
 from clgs.lab.bench.frame_counts import count_frame
+from clgs.lab.observe import blend_decisions
 from clgs.opencl.device import Device
-from clgs.ops import blend
 from clgs.render.frame import DeviceScene, Frame
 
 
@@ -105,7 +105,7 @@ FORMULAS: dict[str, Formula] = {
 def count_work(device: Device, frame: Frame, scene: DeviceScene, elements: int) -> Counts:
     """The counts of a render; blended pairs are those that the blend kernel itself reports."""
     shape = (3, frame.view.size[1], frame.view.size[0])
-    made = blend.decisions(device, frame.blended, device.zeros(shape))[0]
+    made = blend_decisions(device, frame.blended, device.zeros(shape))[0]
     counts = count_frame(device, frame)
     return Counts(
         A=len(scene.anchors),

@@ -56,11 +56,11 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; exit code 0."""
+    from clgs.files import write_json
     from clgs.lab.bench.accuracy import bench_accuracy
     from clgs.lab.bench.accuracy_settings import accuracy_settings
     from clgs.lab.bench.plots import plot_accuracy
     from clgs.opencl.device import Device
-    from clgs.train.run.session import write_json
 
     settings = accuracy_settings(args.sweeps)
     check_figure_options(args)

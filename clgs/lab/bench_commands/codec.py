@@ -48,11 +48,11 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from clgs.cli.progress import bar
-    from clgs.files import check_target
+    from clgs.files import check_target, write_json
     from clgs.lab.bench import codec_subjects
     from clgs.lab.bench.codec import bench_subject
-    from clgs.lab.bench.facts import command_line, host_facts
-    from clgs.train.run.session import write_json
+    from clgs.lab.bench.facts import command_line
+    from clgs.machine import host_facts
 
     if args.json:
         check_target(args.json)

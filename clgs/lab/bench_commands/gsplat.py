@@ -31,13 +31,12 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print; exit code 0."""
     from dataclasses import asdict
 
-    from clgs.files import check_target
+    from clgs.files import check_target, write_json
     from clgs.lab.bench.facts import command_line, machine_facts
     from clgs.lab.bench.peer.gsplat_times import require_gsplat, time_gsplat
     from clgs.lab.bench.peer.handover import hand_over
     from clgs.lab.bench.step import synthetic_trainer, time_steps
     from clgs.opencl.device import Device
-    from clgs.train.run.session import write_json
 
     if args.json:
         check_target(args.json)

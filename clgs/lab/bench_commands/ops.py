@@ -42,9 +42,8 @@ def register(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; exit code 0, or 1 if an error exceeds its limit."""
-    from clgs.files import check_target
+    from clgs.files import check_target, write_json
     from clgs.lab.bench.ops import bench_ops
-    from clgs.train.run.session import write_json
 
     if args.json:
         check_target(args.json)

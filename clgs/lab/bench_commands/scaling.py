@@ -42,11 +42,11 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print; exit code 0."""
     from dataclasses import asdict
 
+    from clgs.files import write_json
     from clgs.lab.bench.facts import command_line, machine_facts
     from clgs.lab.bench.plots import plot_scaling
     from clgs.lab.bench.scaling import GAUSSIANS, SIZES, bench_scaling
     from clgs.opencl.device import Device
-    from clgs.train.run.session import write_json
 
     check_figure_options(args)
     device = Device(args.device)

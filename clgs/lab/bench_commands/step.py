@@ -20,11 +20,10 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from clgs.files import check_target
+    from clgs.files import check_target, write_json
     from clgs.lab.bench.facts import command_line, machine_facts
     from clgs.lab.bench.step import bench_step
     from clgs.opencl.device import Device
-    from clgs.train.run.session import write_json
 
     if args.json:
         check_target(args.json)

@@ -14,15 +14,13 @@ if TYPE_CHECKING:
     from clgs.lab.accept.part import Outcome
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "accept",
-        help="try everything on a device, for a report",
-        description="Checks of every kernel, hashes, training, start-up and speed of every stage "
-        "on one device, each in a process of its own: a crash ends one part. Minutes, without "
-        "a network. Prints a table and writes every figure to FILE, "
-        "part by part. Exit code 1 if a part failed.",
+    parser.description = (
+        "Checks of every kernel, hashes, training, start-up and speed of every stage on one "
+        "device, each in a process of its own: a crash ends one part. Minutes, without a "
+        "network. Prints a table and writes every figure to FILE, part by part. Exit code 1 "
+        "if a part failed."
     )
     add = parser.add_argument
     add("-o", "--output", type=Path, metavar="FILE", required=True, help="receives all figures")

@@ -19,9 +19,8 @@ SMALLER = {
 """What to change if memory is short."""
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command, its kinds and their options."""
-    parser = subparsers.add_parser("bench", help="measure speed and accuracy on this device")
     kinds = parser.add_subparsers(dest="kind", metavar="WHAT", required=True)
     for kind in KINDS:
         importlib.import_module(f"clgs.lab.bench_commands.{kind}").register(kinds)

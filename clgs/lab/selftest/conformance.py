@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.errors import DataError
+from clgs.lab import limit_kernels
+from clgs.lab.observe import drawn_output
 from clgs.lab.selftest.conformance_scenes import ConformanceScene, conformance_scenes
 from clgs.lab.selftest.exact_random import ExactRandom
 from clgs.opencl.array import DeviceArray
@@ -83,7 +85,7 @@ def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
 def _forward_tensors(device: Device, frame: Frame) -> Iterator[Tensor]:
     visible = device.download(frame.activations.visible)
     yield "cull", "visible", visible
-    yield "mlp forward", "output", mlp.drawn_output(device, frame.activations)
+    yield "mlp forward", "output", drawn_output(device, frame.activations)
     for stage, result, names in (
         ("neural forward", frame.gaussians, "slot opacity mean scale rotation color"),
         ("project forward", frame.projected, "mean2d depth whitening extent"),
@@ -189,8 +191,8 @@ def roundings(device: Device) -> dict[str, int]:
     random = ExactRandom(COUNT + 1)
     x, y = random.floats((COUNT,), 1.0, 2.0), random.floats((COUNT,), 1.0, 2.0)
     z = -random.floats((COUNT,), 1.0, 4.0)
-    found = device.download(limits.rounding(device, *map(device.upload, (x, y, z))))
-    wanted = reference.rounding(*(one.astype(np.float64) for one in (x, y, z)))
+    found = device.download(limit_kernels.rounding(device, *map(device.upload, (x, y, z))))
+    wanted = limit_kernels.exact_rounding(*(one.astype(np.float64) for one in (x, y, z)))
     wrong = (found != wanted).sum(axis=1)
     return dict(zip(OPERATIONS, map(int, wrong), strict=True))
 

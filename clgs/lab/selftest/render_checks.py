@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.constants import ALPHA_CUT, TILE_SIZE
+from clgs.lab.observe import drawn_output, drawn_rows
 from clgs.lab.selftest.errors import largest, relative_l2
 from clgs.lab.selftest.reference_render import ReferenceFrame, backward_reference, render_reference
 from clgs.lab.selftest.training_checks import training_checks
@@ -15,7 +16,6 @@ from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import loss as loss_op
-from clgs.ops import mlp
 from clgs.reference import cull, loss, tiles
 from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene
 from clgs.render.pipeline import render_backward, render_forward
@@ -134,8 +134,8 @@ def _cull(run: _Run) -> Found:
 
 
 def _mlp(run: _Run) -> Found:
-    output = mlp.drawn_output(run.device, run.frame.activations)
-    wanted = np.where(mlp.drawn_rows(output), run.reference.activations.output, output)
+    output = drawn_output(run.device, run.frame.activations)
+    wanted = np.where(drawn_rows(output), run.reference.activations.output, output)
     # 103 products of order one, each with its rounding
     return [("output", largest(output, wanted), 103 * 2.0**-22)]
 

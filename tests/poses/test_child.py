@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from clgs.data.native.child import run_child
 from clgs.errors import DataError
+from clgs.poses.child import run_child
 
 MODULE = """
 import os, time
 from pathlib import Path
-from clgs.data.native.child import serve
+from clgs.poses.child import serve
 def work(arguments, on_stage):
     folder, seconds = arguments
     (Path(folder) / "made").touch()
@@ -29,19 +29,19 @@ def main():
     time.sleep(1.0)  # as a process that takes its time to end
 """
 PARENT = """
-from clgs.data.native.child import run_child
+from clgs.poses.child import run_child
 run_child("{module}", "a test", [{folder!r}, 3600], lambda told: print(told, flush=True))
 """
 NESTED = """
-from clgs.data.native.child import run_child, serve
+from clgs.poses.child import run_child, serve
 def work(arguments, on_stage):
     return run_child("work_beside", "a nested test", arguments, on_stage)
 def main():
     serve(work)
 """
 USER = """
-from clgs.data.native.child import serve
-from clgs.data.native.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.child import serve
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
 def work(arguments, on_stage):
     with quiet_pycolmap("a test"):
         pass

@@ -1,4 +1,4 @@
-"""pycolmap, imported only when it is needed, kept quiet, its failures in one line."""
+"""pycolmap: imported only if it is needed, kept quiet, with failures in one line."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-# Pillow must be loaded before pycolmap: the other way round its PNG writer calls pycolmap's zlib
-# and corrupts the heap (seen with pycolmap 4.2.1 and Pillow 13).
-import PIL.Image  # noqa: F401 - imported for the order alone
+# Pillow must be loaded before pycolmap. In the other order Pillow's PNG writer calls the zlib of
+# pycolmap and corrupts the heap (seen with pycolmap 4.2.1 and Pillow 13).
+import PIL.Image  # noqa: F401 - only the order of the imports matters
 
 from clgs.errors import DataError
 
 SEEDS = 2**31
-"""Seeds that pycolmap takes: larger ones are reduced modulo this."""
+"""The number of seeds that pycolmap accepts; larger seeds are reduced modulo this."""
 
 _FATAL_ONLY = 3
 """glog severity: information, warnings and errors are not printed."""
@@ -24,7 +24,7 @@ _FATAL_ONLY = 3
 
 @contextmanager
 def quiet_pycolmap(task: str) -> Iterator[Any]:
-    """The pycolmap module, printing nothing; its exceptions become a DataError naming ``task``.
+    """Import pycolmap and keep it quiet; its exceptions become a DataError that names ``task``.
 
     Raises:
         DataError: pycolmap is not installed, or fails.
@@ -36,7 +36,7 @@ def quiet_pycolmap(task: str) -> Iterator[Any]:
         yield pycolmap
     except DataError:
         raise
-    # pycolmap throws whatever its C++ code or pybind11 chooses; all of it means a failed task.
+    # C++ code and pybind11 raise many types; every one of them means that the task failed.
     except Exception as error:
         raise DataError(f"{task}: {' '.join(str(error).split())[-200:]}") from error
     finally:
@@ -52,7 +52,7 @@ def _load(task: str) -> Any:
             f"{task}: pycolmap is missing; pip install pycolmap, or use a machine that it has a "
             "wheel for and copy the result"
         ) from error
-    # It turns an ImportError of its C++ part into a RuntimeError.
+    # pycolmap turns an ImportError of its C++ part into a RuntimeError.
     except (ImportError, RuntimeError) as error:
         reason = " ".join(str(error.__cause__ or error).split())
         raise DataError(
@@ -63,10 +63,10 @@ def _load(task: str) -> Any:
 
 @contextmanager
 def _handlers_kept() -> Iterator[None]:
-    """Within the block signals wait; after it they act as they would have before it.
+    """Delay signals within the block; after it the former handlers receive them.
 
-    pycolmap's C++ part sets handlers of its own, which end the process with a native stack trace,
-    and an exception in the middle of its import comes out as another one.
+    pycolmap's C++ part installs handlers that end the process with a native stack trace. An
+    exception that a handler raises during its import would come out as a different one.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
