@@ -36,7 +36,7 @@ _DIRECTIVE = re.compile(r"\s*#\s*(\w+)\s*(.*)")
 _DEFINE = re.compile(r"(\w+)(?:\(([^)]*)\))?(?:\s+(.*))?$")
 _DEFINED = re.compile(r"\bdefined\s*(?:\(\s*(\w+)\s*\)|(\w+))")
 _NAME = re.compile(r"\b[A-Za-z_]\w*\b")
-_KERNEL = re.compile(r"\b(?:__)?kernel\s+void\s+(\w+)\s*\(")
+_KERNEL = re.compile(r"\b(?:__)?kernel\s+(?:__attribute__\s*\(\([^;{]*?\)\)\s*)?void\s+(\w+)\s*\(")
 _PARAMETER = re.compile(
     r"(?:(?:__)?(?P<space>global|constant|local)\s+)?(?:const\s+)?"
     r"(?P<type>[a-z]+)(?P<lanes>\d*)\s+(?P<pointer>\*?)\s*(?:restrict\s+)?(?P<name>\w+)"
