@@ -24,9 +24,8 @@ import numpy as np
 from naive import NaiveBlend, box_lists, squares_of_three_sigma
 
 from clgs.lab.observe import count_pairs
-from clgs.lab.selftest.errors import relative_l2
-from clgs.lab.synthetic.blend_scenes import BLEND_SCENES
-from clgs.lab.synthetic.gaussians import ProjectedScene
+from clgs.lab.selftest.reference_render import relative_l2
+from clgs.lab.synthetic.gaussians import BLEND_SCENES, ProjectedScene
 from clgs.opencl import programs
 from clgs.opencl.device import Device
 from clgs.ops import blend, tiles

@@ -11,7 +11,7 @@ from clgs.cli.options.view import positive_int
 from clgs.errors import UsageError
 
 if TYPE_CHECKING:
-    from clgs.lab.accept.part import Outcome
+    from clgs.lab.accept.trial import Outcome
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -41,9 +41,9 @@ def run(args: argparse.Namespace) -> int:
     from tempfile import TemporaryDirectory
 
     from clgs.data.dataset import read_photo_set
-    from clgs.lab.accept.job import chosen_device, run_parts
-    from clgs.lab.accept.parts import QUICK, WHOLE, parts
     from clgs.lab.accept.photos import write_photos
+    from clgs.lab.accept.trial import chosen_device, run_trials
+    from clgs.lab.accept.trials import QUICK, WHOLE, trials
     from clgs.opencl.device import check_environment
 
     check_environment()
@@ -57,9 +57,9 @@ def run(args: argparse.Namespace) -> int:
         device = chosen_device(args.device, folder)
         write_photos(folder / "photos")
         size = QUICK if args.quick else WHOLE
-        todo = parts(str(device["index"]), folder, size, _data(args))
+        todo = trials(str(device["index"]), folder, size, _data(args))
         try:
-            outcomes = run_parts(todo, folder, device, args.output)
+            outcomes = run_trials(todo, folder, device, args.output)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"; {args.output} has the parts that ended") from None
     _show(device, outcomes)

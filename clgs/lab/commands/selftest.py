@@ -76,7 +76,7 @@ def _verdict(checks: list[Check], error: str) -> str:
 def _record(device: Device, checks: list[Check], error: str) -> dict[str, object]:
     from dataclasses import asdict
 
-    from clgs.lab.bench.facts import machine_facts
+    from clgs.lab.facts import machine_facts
 
     found = [asdict(check) | {"passed": check.passed} for check in checks]
     return machine_facts(device) | {"error": error, "checks": found}
