@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clgs.lab.observe import PairCounts, count_pairs, mlp_work
+from clgs.lab.observed_kernels import PairCounts, count_pairs, mlp_work
 from clgs.opencl.device import Device
 from clgs.ops import adam, blend, tiles
 from clgs.options import RenderOptions

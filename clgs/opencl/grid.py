@@ -9,7 +9,7 @@ from clgs.opencl.device import Device, round_up
 from clgs.opencl.programs import PARTS_GROUP_SIZE
 
 Item = TypeVar("Item")
-Grid = tuple[tuple[int], tuple[int]]
+LaunchSizes = tuple[tuple[int], tuple[int]]
 """Global and local size of a launch."""
 
 GROUP_SIZE = {"cpu": 1, "gpu": 64}
@@ -25,17 +25,17 @@ ANY_GROUP = 64
 CHUNKS_PER_UNIT, MOST_CHUNKS = 2, 32
 
 
-def by_items(count: int, group: int = ANY_GROUP) -> Grid:
+def by_items(count: int, group: int = ANY_GROUP) -> LaunchSizes:
     """Global and local size of ``count`` work-items, rounded up to whole groups."""
     return (round_up(count, group),), (group,)
 
 
-def by_lanes(device: Device, count: int, lanes: int) -> Grid:
+def by_lanes(device: Device, count: int, lanes: int) -> LaunchSizes:
     """Global and local size for work-items that take ``lanes`` of ``count`` elements each."""
     return by_items(-(-count // lanes), GROUP_SIZE[device.specialisation])
 
 
-def by_parts(sizes: Iterable[int], per_item: int) -> Grid:
+def by_parts(sizes: Iterable[int], per_item: int) -> LaunchSizes:
     """Global and local size of a launch over several arrays of so many elements.
 
     Each begins with a work-group; a work-item takes ``per_item`` elements (common/parts.h).

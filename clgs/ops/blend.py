@@ -22,7 +22,7 @@ import numpy as np
 from clgs.constants import TILE_SIZE
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.opencl.grid import Grid, by_items, by_lanes
+from clgs.opencl.grid import LaunchSizes, by_items, by_lanes
 from clgs.opencl.kernel import Argument
 from clgs.ops.project import Projected, ProjectedGradients
 from clgs.ops.tiles import TileLists, tile_count
@@ -164,7 +164,7 @@ def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
     return {"VEC": device.lanes, **sizes, **options.accuracy.defines(), **skips}
 
 
-def tile_grid(device: Device, tiles: TileLists) -> Grid:
+def tile_grid(device: Device, tiles: TileLists) -> LaunchSizes:
     """One work-item per tile, or one work-group per tile with a work-item per pixel."""
     group = TILE_SIZE**2 if device.specialisation == "gpu" else 1
     return ((len(tiles.tile_range) - 1) * group,), (group,)

@@ -27,7 +27,7 @@ import numpy as np
 from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, K_OFFSETS, OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.opencl.grid import Grid, by_items
+from clgs.opencl.grid import LaunchSizes, by_items
 from clgs.opencl.kernel import Argument
 from clgs.options import DEFAULT, RenderOptions
 from clgs.scene.anchors import DeviceAnchors
@@ -338,14 +338,14 @@ def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
     }
 
 
-def blocks(device: Device, samples: int) -> Grid:
+def blocks(device: Device, samples: int) -> LaunchSizes:
     """Launch sizes of a kernel with one work-item per block of samples."""
     if device.specialisation == "gpu":
         return by_items(samples, GROUP_SIZE)
     return by_items(-(-samples // (VECTORS["cpu"] * device.register_lanes)), 1)
 
 
-def _layer_sizes(device: Device, samples: int) -> Grid:
+def _layer_sizes(device: Device, samples: int) -> LaunchSizes:
     """Launch sizes of a kernel that computes layers: on a GPU a group per SAMPLES samples."""
     if device.specialisation == "gpu":
         return (-(-samples // SAMPLES) * LAYER_ITEMS,), (LAYER_ITEMS,)

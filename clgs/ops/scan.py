@@ -13,7 +13,7 @@ import numpy as np
 from clgs.errors import ClgsError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
-from clgs.opencl.grid import ANY_GROUP, Grid, by_items
+from clgs.opencl.grid import ANY_GROUP, LaunchSizes, by_items
 from clgs.opencl.kernel import Argument
 from clgs.opencl.programs import SCAN_GROUP_SIZE
 from clgs.shapes import Shapes
@@ -130,7 +130,7 @@ def parts_of(device: Device, count: int, lanes: int) -> PartSums:
     return PartSums(device.empty((-(-count // length),), np.int64), length)
 
 
-def counting_grid(device: Device, count: int, lanes: int, group: int = ANY_GROUP) -> Grid:
+def counting_grid(device: Device, count: int, lanes: int, group: int = ANY_GROUP) -> LaunchSizes:
     """Launch size of such a kernel; ``group``: work-items of a work-group on a CPU."""
     return by_items(
         -(-count // lanes), SCAN_GROUP_SIZE if device.specialisation == "gpu" else group

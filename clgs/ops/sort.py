@@ -12,7 +12,7 @@ import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.opencl.grid import Grid, chunk_count
+from clgs.opencl.grid import LaunchSizes, chunk_count
 from clgs.opencl.kernel import Argument
 from clgs.opencl.programs import SCAN_GROUP_SIZE
 from clgs.shapes import Shapes
@@ -208,7 +208,7 @@ class _Groups:
     """
 
     passes: int
-    grid: Grid
+    grid: LaunchSizes
     items: dict[str, Argument]
     digits: dict[str, Argument]
 

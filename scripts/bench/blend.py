@@ -23,7 +23,7 @@ os.environ["OMP_WAIT_POLICY"] = "passive"  # threads that spin after the C loop 
 import numpy as np
 from naive import NaiveBlend, box_lists, squares_of_three_sigma
 
-from clgs.lab.observe import count_pairs
+from clgs.lab.observed_kernels import count_pairs
 from clgs.lab.selftest.reference_render import relative_l2
 from clgs.lab.synthetic.gaussians import BLEND_SCENES, ProjectedScene
 from clgs.opencl import programs

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from clgs.lab.bench.step import count_frame, trainer_of
-from clgs.lab.observe import count_pairs
+from clgs.lab.observed_kernels import count_pairs
 from clgs.opencl.device import Device
 from clgs.ops import scan, sort
 

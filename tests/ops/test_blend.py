@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from clgs.lab.observe import count_pairs
+from clgs.lab.observed_kernels import count_pairs
 from clgs.lab.synthetic.gaussians import projected_scene
 from clgs.ops import blend
 from clgs.options import DEFAULT, PRESETS, RenderOptions, Skips

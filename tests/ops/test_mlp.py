@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from clgs.lab.observe import MlpWork, drawn_output, drawn_rows, mlp_work
+from clgs.lab.observed_kernels import MlpWork, drawn_output, drawn_rows, mlp_work
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import mlp as reference

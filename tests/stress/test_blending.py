@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.lab.observe import blend_decisions
+from clgs.lab.observed_kernels import blend_decisions
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.lab.synthetic.gaussians import projected_scene
 from clgs.opencl import programs

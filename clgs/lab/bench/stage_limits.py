@@ -15,7 +15,7 @@ from functools import partial
 
 from clgs.lab import limit_kernels as limits
 from clgs.lab.bench.step import count_frame
-from clgs.lab.observe import blend_decisions
+from clgs.lab.observed_kernels import blend_decisions
 from clgs.opencl.device import Device
 from clgs.render.frame import DeviceScene, Frame
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.errors import DataError
 from clgs.lab import limit_kernels
-from clgs.lab.observe import drawn_output
+from clgs.lab.observed_kernels import drawn_output
 from clgs.lab.selftest.exact_scenes import ConformanceScene, ExactRandom, conformance_scenes
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.lab.observe import blend_decisions
+from clgs.lab.observed_kernels import blend_decisions
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.reference import blend, loss, mlp, neural, project, tiles

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.constants import ALPHA_CUT, TILE_SIZE
-from clgs.lab.observe import drawn_output, drawn_rows
+from clgs.lab.observed_kernels import drawn_output, drawn_rows
 from clgs.lab.selftest.reference_render import (
     ReferenceFrame,
     backward_reference,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clgs.lab.observe import blend_decisions
+from clgs.lab.observed_kernels import blend_decisions
 from clgs.lab.synthetic.gaussians import ProjectedScene
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
