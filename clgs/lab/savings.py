@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,24 +12,10 @@ from clgs.opencl.device import Device
 from clgs.ops import adam, blend, tiles
 from clgs.options import RenderOptions
 from clgs.render.frame import Frame
-from clgs.render.pipeline import render_backward
+from clgs.render.rasterise import rasterise_backward
 from clgs.train.config import TrainConfig
 from clgs.train.run.trainer import Trainer
-
-
-@dataclass(frozen=True)
-class Saving:
-    """What is ``done`` of the work that would be done ``without`` a skip, both in ``unit``."""
-
-    skip: str
-    unit: str
-    done: int
-    without: int
-
-    @property
-    def share(self) -> float:
-        """Share of the work that is left out."""
-        return 1.0 - self.done / self.without if self.without else 0.0
+from clgs.workflow.train import Saving
 
 
 def savings(trainer: Trainer) -> list[Saving]:
@@ -83,7 +69,7 @@ def _of_updates(trainer: Trainer, frame: Frame) -> Iterator[Saving]:
     device = trainer.device
     scene = trainer.queue.seen(trainer.parameters, trainer.steps_done)
     d_image = device.upload(np.ones(frame.image.shape, np.float32))
-    gradients = render_backward(device, scene, frame, d_image)
+    gradients = rasterise_backward(device, scene, frame, d_image)
     marks = adam.mark_rows(device, gradients.d_feature, adam.stop_flag(device))
     moved = int(device.download(marks).sum())
     rows = trainer.parameters.count

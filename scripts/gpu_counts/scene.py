@@ -1,6 +1,7 @@
 """Run training steps of the synthetic scene: scene.py DEVICE GAUSSIANS WIDTH HEIGHT STEPS FILE.
 
-DEVICE "default" is the usual one. A width of 0: no scene, but so many elements sorted and summed.
+DEVICE "default" is the usual one. A width of 0: no scene; that number of elements
+is sorted and summed.
 
 Writes to FILE, as JSON, every launch of the last step (kernel, stage, work-items, size of a
 work-group, the first whole number among its arguments) and, of a device that is no emulator, how
@@ -10,7 +11,6 @@ an older one perhaps.
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import os
@@ -24,11 +24,11 @@ import numpy as np
 
 from clgs.lab.bench.step import count_frame, trainer_of
 from clgs.lab.observed_kernels import count_pairs
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import scan, sort
 
 SEED = 0
-HERE = Path(__file__).resolve()
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str]) -> None:
     if not width:
         file.write_text(json.dumps(sorted_elements(device, gaussians)), encoding="utf-8")
         return
-    scene, camera = scene_maker().anchor_scene(gaussians, (width, height), SEED)
+    scene, camera = anchor_scene(gaussians, (width, height), SEED)
     trainer = trainer_of(device, scene, camera, SEED)
     for _ in range(steps):
         device.begin()
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def sorted_elements(device: Recorder, count: int) -> dict[str, Any]:
-    """Sorts of so many elements, of one digit and of all, and a prefix sum.
+    """Sort ``count`` elements by one digit and by all, and make a prefix sum.
 
     The "loss" tells their order.
     """
@@ -70,17 +70,6 @@ def sorted_elements(device: Recorder, count: int) -> dict[str, Any]:
     order = float(device.download(values) @ weights[1:] + device.download(offsets) @ weights)
     order += float(device.download(chosen)[: count - 1] @ weights[: count - 1])
     return {"launches": launches, "loss": order, "units": {"elements": count}}
-
-
-def scene_maker() -> Any:
-    """This checkout's module of the synthetic scene, so that all checkouts get the same one."""
-    path = HERE.parents[2] / "clgs" / "synthetic" / "anchor_scene.py"
-    spec = importlib.util.spec_from_file_location("anchor_scene_of_all", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 class Recorder(Device):
@@ -104,7 +93,7 @@ class Recorder(Device):
         /,
         **arguments: Any,
     ) -> None:
-        """As ever; work-groups that are left to the driver hold all items, up to 256."""
+        """Run and record; work-groups that are left to the driver hold all items, up to 256."""
         if 0 in global_size:
             return
         group = tuple(local_size) if local_size else _group(global_size)

@@ -20,8 +20,8 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import adam, blend, density, loss, project, quantize, rate, scan, sort
 from clgs.options import PRESETS, RenderOptions
-from clgs.render.frame import DeviceScene, Frame, upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import DeviceScene, Frame, upload_scene, upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 
 FORMAT = "clgs conformance 1"
 VOLUME_WEIGHT = 0.0625
@@ -51,7 +51,7 @@ class Fingerprint:
 
 
 def fingerprints(device: Device) -> list[Fingerprint]:
-    """Of every stage on every scene, each in the order of the pipeline."""
+    """Hash the results of every stage on every scene, in the order of the pipeline."""
     found = []
     for one in conformance_scenes():
         found += [_fingerprint(one.name, *tensor) for tensor in _render_tensors(device, one)]
@@ -66,7 +66,7 @@ def _fingerprint(scene: str, stage: str, name: str, values: npt.NDArray[Any]) ->
 
 def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     scene = upload_scene(device, one.scene)
-    frame = render_forward(device, scene, one.camera, one.scene.settings)
+    frame = rasterise(device, scene, upload_view(device, one.camera, one.scene.settings))
     yield "camera", "packed", device.download(frame.view.camera)
     yield from _forward_tensors(device, frame)
     target = device.upload(one.photo)
@@ -77,7 +77,9 @@ def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     yield from _backward_tensors(device, scene, frame, d_image)
     for name, accuracy in PRESETS.items():
         options = RenderOptions(accuracy)
-        again = render_forward(device, scene, one.camera, one.scene.settings, options)
+        again = rasterise(
+            device, scene, upload_view(device, one.camera, one.scene.settings), options
+        )
         yield f"render ({name})", "image", device.download(again.image)
 
 
@@ -104,7 +106,7 @@ def _backward_tensors(
     d_gaussians = project.backward(device, gaussians, frame.view.camera, projected, d_projected)
     loss.volume(device, gaussians.scale, VOLUME_WEIGHT, d_gaussians.d_scale)
     yield from _named(device, "project backward", d_gaussians, "d_mean", "d_scale", "d_rotation")
-    gradients = render_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
+    gradients = rasterise_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
     yield from _named(device, "neural backward", gradients, "d_offset", "d_scaling")
     yield from _named(device, "mlp backward", gradients, "d_feature", "d_weights")
 
@@ -181,12 +183,12 @@ def from_record(record: object) -> list[Fingerprint]:
         raise DataError("is no file of `clgs conformance -o`") from error
     place, times = Counter(one.place for one in found).most_common(1)[0] if found else ("", 0)
     if times > 1:
-        raise DataError(f"lists a tensor {times} times: {place}; make the file anew")
+        raise DataError(f"lists a tensor {times} times: {place}; make the file again")
     return found
 
 
 def roundings(device: Device) -> dict[str, int]:
-    """Of COUNT results of each basic operation, how many are not those of IEEE 754."""
+    """How many of COUNT results of each basic operation are not those of IEEE 754."""
     random = ExactRandom(COUNT + 1)
     x, y = random.floats((COUNT,), 1.0, 2.0), random.floats((COUNT,), 1.0, 2.0)
     z = -random.floats((COUNT,), 1.0, 4.0)
@@ -197,7 +199,7 @@ def roundings(device: Device) -> dict[str, int]:
 
 
 def differences(mine: list[Fingerprint], others: list[Fingerprint]) -> list[Fingerprint]:
-    """Those of ``mine`` that ``others`` have not with the same hash, in the order of the pipeline.
+    """Find the fingerprints of ``mine`` that differ in ``others``, in the order of the pipeline.
 
     Raises:
         DataError: the lists are not of the same tensors.

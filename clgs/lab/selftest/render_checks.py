@@ -22,8 +22,8 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import loss as loss_op
 from clgs.reference import cull, loss, tiles
-from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene, upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene
 
@@ -47,7 +47,7 @@ class Case:
 
 
 TINY = Case(gaussians=70, size=24, count=600, repeats=1)
-"""For emulators."""
+"""The size on emulators."""
 
 
 @dataclass(frozen=True)
@@ -120,11 +120,13 @@ def _run(device: Device, case: Case) -> _Run:
 def _step(
     device: Device, scene: DeviceScene, camera: Camera, target: DeviceArray
 ) -> tuple[Frame, DeviceArray, SceneGradients]:
-    frame = render_forward(device, scene, camera, RenderSettings(background=(0.1, 0.2, 0.3)))
+    frame = rasterise(
+        device, scene, upload_view(device, camera, RenderSettings(background=(0.1, 0.2, 0.3)))
+    )
     with device.stage("loss"):
         compared = loss_op.forward(device, frame.image, target)
         d_image = loss_op.backward(device, frame.image, target, compared)
-    return frame, d_image, render_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
+    return frame, d_image, rasterise_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
 
 
 Found = list[tuple[str, float, float]]
@@ -172,7 +174,7 @@ def _tiles(run: _Run) -> Found:
     mine = set(_entries(run.reference.lists))
     missing = sum(_touches(run, tile, index) for tile, index in wanted - mine)
     surplus = len(mine - wanted) / max(1, len(wanted))
-    return [("entries missing", float(missing), 0.0), ("entries in vain", surplus, 0.01)]
+    return [("entries missing", float(missing), 0.0), ("entries without need", surplus, 0.01)]
 
 
 def _touches(run: _Run, tile: int, index: int) -> bool:
