@@ -12,8 +12,8 @@ LAYERS = [  # a package may import from its own row and the rows above it
     {"constants", "errors", "shapes", "byte_count", "files", "machine", "memory", "options"}
     | {"reference", "signals"},
     {"opencl", "scene"},
-    {"ops", "codec", "data", "poses"},
-    {"render", "exports"},
+    {"ops", "codec", "data"},
+    {"render", "exports", "poses"},
     {"bake", "train"},
     {"viewer", "workflow"},
     {"cli", "doctor"},
