@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     """Prepare ``args.photos`` into ``args.output`` and print the verdict; returns the exit code."""
     from clgs.cli.stages import StageDisplay
     from clgs.export.poses_page import write_poses_page
-    from clgs.poses.prepare import Doubts, prepare
+    from clgs.poses.prepare import prepare
 
     start = time.perf_counter()
     with StageDisplay() as display:
@@ -76,18 +75,11 @@ def run(args: argparse.Namespace) -> int:
             overwrite=args.overwrite,
             quick=args.quick,
             frames=args.frames,
-            doubts=Doubts(None if args.quick else _short_training, args.drop_doubtful),
+            drop_doubtful=args.drop_doubtful,
         )
     write_poses_page(args.output / PAGE, args.output, verdict)
     _print_verdict(args.output, verdict, time.perf_counter() - start)
     return 0
-
-
-def _short_training(data: Path, on_step: Callable[[int, int], None]) -> dict[str, float]:
-    from clgs.opencl.device import Device
-    from clgs.train.quality.pose_check import check_poses
-
-    return check_poses(data, Device(), on_step)
 
 
 def _print_verdict(output: Path, verdict: Verdict, seconds: float) -> None:
