@@ -23,9 +23,8 @@ os.environ["OMP_WAIT_POLICY"] = "passive"  # threads that spin after the C loop 
 import numpy as np
 from naive import NaiveBlend, box_lists, squares_of_three_sigma
 
-from clgs.lab.selftest.errors import relative_l2
-from clgs.lab.synthetic.blend_scenes import BLEND_SCENES
-from clgs.lab.synthetic.gaussians import ProjectedScene
+from clgs.lab.selftest.reference_render import relative_l2
+from clgs.lab.synthetic.gaussians import BLEND_SCENES, ProjectedScene
 from clgs.opencl import device as opencl_device
 from clgs.opencl.device import Device
 from clgs.ops import blend, tiles

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from clgs.memory import peak_memory
 from clgs.train.quality.lpips import Lpips
 from clgs.train.quality.lpips_weights import read_lpips_weights
-from clgs.train.run.session import peak_memory
 
 
 def main(weights: str, size: str = "800", runs: str = "2") -> None:

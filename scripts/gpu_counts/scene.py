@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from clgs.lab.bench.frame_counts import count_frame
-from clgs.lab.bench.step import trainer_of
+from clgs.lab.bench.step import count_frame, trainer_of
 from clgs.opencl.device import Device
 from clgs.ops import blend, scan, sort
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
-from clgs.lab.bench.facts import machine_facts
+from clgs.lab.facts import machine_facts
 from clgs.opencl.device import Device
 from clgs.ops import rate
 from clgs.options import RenderOptions
