@@ -13,9 +13,12 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
+import numpy as np
+from PIL import Image
+
 from clgs.data.find import MASKS
 from clgs.data.images import image_size
-from clgs.data.masks import undistort_masks
+from clgs.data.masks import save_mask
 from clgs.errors import DataError
 from clgs.poses.child import OnStage, run_child, serve
 from clgs.poses.features import extract
@@ -171,9 +174,34 @@ def _write_data_set(
             work / "undistorted", work / "model", work / "images", jpeg_quality=JPEG_QUALITY
         )
     made.rename(target / "images")
-    undistort_masks(workspace.pycolmap, model, work / MASKS, target / "images", target / MASKS)
+    _write_masks(workspace.pycolmap, model, work / MASKS, target)
     (target / "sparse").mkdir()
     (work / "undistorted" / "sparse").rename(target / "sparse" / "0")
+
+
+def _write_masks(pycolmap: Any, model: Any, masks: Path, target: Path) -> None:
+    """Undistort masks as the photos of ``target``/images; photos without a black pixel get none.
+
+    Args:
+        pycolmap: the module.
+        model: with the cameras of the photos as they were taken.
+        masks: folder of NAME.png for the photo NAME; it may be missing.
+        target: the new data set; its folder of masks is made if it is needed.
+    """
+    for image in model.images.values():
+        file = masks / f"{image.name}.png"
+        if not (file.is_file() and (target / "images" / image.name).is_file()):
+            continue
+        level = np.asarray(Image.open(file).convert("L"))
+        if level.all():
+            continue
+        (target / MASKS).mkdir(exist_ok=True)
+        bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(level))
+        camera = model.cameras[image.camera_id]
+        options = pycolmap.UndistortCameraOptions()
+        undistorted, _ = pycolmap.undistort_image(options, bitmap, camera)
+        used = np.asarray(undistorted.to_array()).reshape(undistorted.height, undistorted.width, -1)
+        save_mask((used[..., 0] == 255).astype(np.uint8), target / MASKS / f"{image.name}.png")
 
 
 @contextmanager
