@@ -25,7 +25,8 @@ from clgs.ops import blend, cull, rate, tiles
 from clgs.ops.project import Projected
 from clgs.options import RenderOptions, render_options
 from clgs.render import tile_groups
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.camera import Camera
 from clgs.train.config import TrainConfig
 from clgs.train.density.densifier import Densifier
@@ -75,16 +76,16 @@ def gradient_by_preset(trainer: Trainer, camera: Camera, preset: str) -> float:
     """Render with another truncation, and go back; largest gradient of the features."""
     device, scene = trainer.device, trainer.parameters.scene
     options = render_options(preset)
-    frame = render_forward(device, scene, camera, trainer.settings, options)
+    frame = rasterise(device, scene, upload_view(device, camera, trainer.settings), options)
     d_image = device.upload(np.ones(frame.image.shape, np.float32))
-    gradients = render_backward(device, scene, frame, d_image)
+    gradients = rasterise_backward(device, scene, frame, d_image)
     return float(np.abs(device.download(gradients.d_feature)).max())
 
 
 def without_room(trainer: Trainer, camera: Camera) -> None:
     """Too little room for anchors and for entries; then groups of a row of tiles each."""
     device, scene = trainer.device, trainer.parameters.scene
-    frame = render_forward(device, scene, camera, trainer.settings)
+    frame = rasterise(device, scene, upload_view(device, camera, trainer.settings))
     cull.forward(device, scene.anchors, frame.view.camera, room=1)
     drawn, size = frame.projected, (SIZE, SIZE)
     entries = len(frame.tiles.gaussian)
@@ -93,8 +94,8 @@ def without_room(trainer: Trainer, camera: Camera) -> None:
     by_row = tiles.count_by_row(device, drawn, size)
     entry = tile_groups.LIST_BYTES[device.specialisation] + tile_groups.BYTES_BY_ENTRY
     options = RenderOptions(max_memory=int(by_row.max()) * entry)
-    grouped = render_forward(device, scene, camera, trainer.settings, options)
-    render_backward(device, scene, grouped, device.zeros(frame.image.shape))
+    grouped = rasterise(device, scene, upload_view(device, camera, trainer.settings), options)
+    rasterise_backward(device, scene, grouped, device.zeros(frame.image.shape))
     device.finish()
 
 

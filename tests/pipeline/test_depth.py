@@ -11,15 +11,17 @@ from clgs.lab.selftest.reference_render import render_reference
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.options import DEFAULT, RenderOptions
 from clgs.reference import blend
-from clgs.render.frame import upload_scene
-from clgs.render.pipeline import render_forward
+from clgs.render.frame import upload_scene, upload_view
+from clgs.render.rasterise import rasterise
 from clgs.render.renderer import Renderer
 from tests.compare import assert_close
 
 
 def wanted(device, scene, camera):
     """Mean depth and opacity in float64, (H, W) each."""
-    frame = render_forward(device, upload_scene(device, scene), camera, scene.settings)
+    frame = rasterise(
+        device, upload_scene(device, scene), upload_view(device, camera, scene.settings)
+    )
     d_image = device.upload(np.ones(frame.image.shape, np.float32))
     reference = render_reference(device, scene, frame, d_image)
     depth = reference.projected.depth
@@ -38,7 +40,7 @@ def test_depth_and_opacity_match_float64(device, max_memory):
     background = replace(scene.settings, background=(0.3, 0.9, 0.2))  # must not matter
     lit = replace(scene, settings=background)
     renderer = Renderer(device, lit, RenderOptions(max_memory=max_memory))
-    for _ in range(2):  # made to measure, then in room that is there
+    for _ in range(2):  # of the exact size, then in room that is there
         seen = renderer.depth(camera)
         depth, opacity = wanted(device, scene, camera)
         assert (opacity > 0.5).mean() > 0.1

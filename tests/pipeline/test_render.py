@@ -13,8 +13,7 @@ from clgs.ops import loss
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import loss as loss_reference
 from clgs.render.frame import EXACT_ROOM, Room, upload_scene, upload_view
-from clgs.render.picture import draw
-from clgs.render.pipeline import render_backward, render_forward, view_forward
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings
 from tests.compare import relative_l2
 
@@ -26,7 +25,7 @@ def rendered(device, gaussians, size, seed, background):
     scene, camera = anchor_scene(gaussians, size, seed)
     uploaded = upload_scene(device, scene)
     settings = RenderSettings(background=background)
-    frame = render_forward(device, uploaded, camera, settings)
+    frame = rasterise(device, uploaded, upload_view(device, camera, settings))
     photo = np.random.default_rng(seed).integers(0, 256, (3, size, size)).astype(np.uint8)
     return scene, uploaded, frame, photo
 
@@ -40,7 +39,7 @@ def test_image_and_gradients_match_float64(device, gaussians, size, background):
     target = device.upload(photo)
     compared = loss.forward(device, frame.image, target)
     d_image = loss.backward(device, frame.image, target, compared)
-    gradients = render_backward(device, uploaded, frame, d_image, VOLUME_WEIGHT)
+    gradients = rasterise_backward(device, uploaded, frame, d_image, VOLUME_WEIGHT)
     reference = render_reference(device, scene, frame, d_image)
     image = device.download(frame.image).astype(np.float64)
 
@@ -66,7 +65,9 @@ def test_same_bits_twice(device):
     assert images[0] == images[1]
     d_image = device.upload(np.ones((3, 64, 64), np.float32))
     gradients = [
-        device.download(render_backward(device, result[1], result[2], d_image).d_weights).tobytes()
+        device.download(
+            rasterise_backward(device, result[1], result[2], d_image).d_weights
+        ).tobytes()
         for result in (first, second)
     ]
     assert gradients[0] == gradients[1]
@@ -84,13 +85,13 @@ def test_specialisations_agree(open_device):
 
 
 def test_decoding_every_anchor_changes_no_bit(device):
-    """Those outside of the frustum draw nothing."""
+    """Anchors outside of the frustum draw nothing."""
     scene, camera = anchor_scene(2000, 64, 5)
     close = replace(camera, fx=4 * camera.fx, fy=4 * camera.fy)
     uploaded = upload_scene(device, scene)
     options = RenderOptions(skips=Skips(anchors=False))
     one, other = (
-        render_forward(device, uploaded, close, RenderSettings(), chosen)
+        rasterise(device, uploaded, upload_view(device, close, RenderSettings()), chosen)
         for chosen in (DEFAULT, options)
     )
     assert len(one.activations.visible) < 0.9 * len(other.activations.visible)
@@ -105,8 +106,8 @@ def test_pictures_without_gradients_have_the_same_bits(device, max_memory, room)
     scene, camera = anchor_scene(2000, 80, 3)
     uploaded, options = upload_scene(device, scene), RenderOptions(max_memory=max_memory)
     view = upload_view(device, camera, RenderSettings(background=(0.1, 0.4, 0.9)))
-    frame = view_forward(device, uploaded, view, options, room)
-    picture = draw(device, uploaded, view, options, room)
+    frame = rasterise(device, uploaded, view, options, room)
+    picture = rasterise(device, uploaded, view, options, room, keep=False)
     totals = [[int(device.download(t)[0]) for t in one.totals] for one in (frame, picture)]
     assert totals[0] == totals[1]
     assert min(totals[0]) > 0

@@ -10,9 +10,8 @@ from clgs.ops import blend as blend_op
 from clgs.options import RenderOptions
 from clgs.reference import blend, project, splats, tiles
 from clgs.render.frame import upload_view
-from clgs.render.picture import draw
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.render.renderer import Renderer
-from clgs.render.splats import splats_backward, splats_forward
 from clgs.scene.scene import RenderSettings, SplatScene
 from clgs.train.quality.metrics import to_8bit
 from tests.compare import relative_l2
@@ -26,7 +25,7 @@ SETTINGS = RenderSettings(background=(0.2, 0.5, 0.8))
 
 def rendered(device, gaussians):
     uploaded = gaussians.map(device.upload)
-    return uploaded, splats_forward(device, uploaded, upload_view(device, CAMERA, SETTINGS))
+    return uploaded, rasterise(device, uploaded, upload_view(device, CAMERA, SETTINGS))
 
 
 def reference(device, gaussians, frame, d_image):
@@ -54,19 +53,19 @@ def test_image_and_gradients_match_float64(device, rng, degree):
     gaussians.sh[:, 0] += 2  # no color is near 0, where its gradient has a step
     uploaded, frame = rendered(device, gaussians)
     d_image = rng.normal(size=(3, 56, 72)).astype(np.float32)
-    found = splats_backward(device, uploaded, frame, device.upload(d_image))
+    found = rasterise_backward(device, uploaded, frame, device.upload(d_image))
     image, wanted = reference(device, gaussians, frame, d_image)
     error = np.abs(device.download(frame.image) - image)
     assert np.quantile(error, 0.999) <= 1e-3 * LEVEL * max(1, np.abs(image).max())
     assert error.max() <= 5e-3 * LEVEL * max(1, np.abs(image).max())
-    for name, array in found.stored.items():
+    for name, array in found.d_stored.items():
         expected = getattr(wanted, name)
         assert np.abs(expected).max() > 0, name
         assert relative_l2(device.download(array), expected) <= 1e-5, name
 
 
 def test_a_wall_with_a_coefficient_of_minus_one_shows_56(device, rng):
-    """In sRGB: 255 (1/2 - 0.2821) = 55.6, and no display transform.
+    """The color is in sRGB: 255 (1/2 - 0.2821) = 55.6, without a display transform.
 
     Alphas of at most 0.88 leave less than 0.001 of the background where blending stops.
     """
@@ -84,7 +83,7 @@ def test_all_ways_to_draw_give_the_same_bits(device, rng, max_memory):
     uploaded, frame = rendered(device, gaussians)
     image = device.download(frame.image)
     options = RenderOptions(max_memory=max_memory)
-    picture = draw(device, uploaded, frame.view, options)
+    picture = rasterise(device, uploaded, frame.view, options)
     assert np.array_equal(device.download(picture.image), image)
     renderer = Renderer(device, SplatScene(gaussians, SETTINGS), options)
     renderer.check_budget([("one", CAMERA)])

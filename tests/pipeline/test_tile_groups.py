@@ -12,8 +12,8 @@ from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.ops import scan, tiles
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import tile_groups
-from clgs.render.frame import upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import upload_scene, upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings
 
 MIB = 2**20
@@ -25,12 +25,15 @@ def run(device, max_memory, gaussians=4000, size=150):
     camera = replace(camera, height=size - 23)  # a last row of tiles that is cut
     uploaded = upload_scene(device, scene)
     options = replace(DEFAULT, max_memory=max_memory)
-    frame = render_forward(device, uploaded, camera, RenderSettings((0.1, 0.2, 0.3)), options)
+    view = upload_view(device, camera, RenderSettings((0.1, 0.2, 0.3)))
+    frame = rasterise(device, uploaded, view, options)
     d_image = np.random.default_rng(1).normal(size=frame.image.shape).astype(np.float32)
-    gradients = render_backward(device, uploaded, frame, device.upload(d_image), 0.01)
+    gradients = rasterise_backward(device, uploaded, frame, device.upload(d_image), 0.01)
     names = ("image", "transmittance", "last_contributor")
     found = {name: device.download(getattr(frame.blended, name)) for name in names}
-    found |= {name: device.download(array) for name, array in vars(gradients).items()}
+    arrays = {**vars(gradients), **vars(gradients.d_projected)}
+    del arrays["d_projected"]
+    found |= {name: device.download(array) for name, array in arrays.items()}
     return frame, found
 
 
@@ -83,23 +86,23 @@ def test_plans_beyond_31_bits(total):
     by_row = np.full(100, total // 100, np.int64)
     by_row[3] += total - int(by_row.sum())
     for budget in (136 * 2**40, 6 * 2**30, 136 * int(by_row.max())):
-        groups = tile_groups.plan(by_row, 136, budget)
+        groups = tile_groups.split(by_row, 136, budget)
         assert [first for first, _ in groups.rows[1:]] == [end for _, end in groups.rows[:-1]]
         assert (groups.rows[0][0], groups.rows[-1][1]) == (0, 100)
         sums = [int(by_row[first:end].sum()) for first, end in groups.rows]
-        assert max(sums) == groups.entries <= min(scan.MAX_TOTAL, budget // 136)
+        assert max(sums) == groups.longest <= min(scan.MAX_TOTAL, budget // 136)
         for one, other in zip(sums, by_row[[end for _, end in groups.rows[:-1]]], strict=False):
             assert one + other > min(scan.MAX_TOTAL, budget // 136), "a group could be longer"
-    assert (len(tile_groups.plan(by_row, 136, 136 * 2**40).rows) > 1) == (total > scan.MAX_TOTAL)
+    assert (len(tile_groups.split(by_row, 136, 136 * 2**40).rows) > 1) == (total > scan.MAX_TOTAL)
 
 
 def test_a_row_beyond_31_bits_is_refused():
     with pytest.raises(ClgsError, match=r"needs 417792\.01 MiB"):
-        tile_groups.plan(np.array([5, 2**32 + 1 - 2**30]), 136, 2**60)
+        tile_groups.split(np.array([5, 2**32 + 1 - 2**30]), 136, 2**60)
 
 
 def test_no_rows_are_one_empty_group():
-    assert tile_groups.plan(np.zeros(0, np.int64), 136, 2**20).rows == ((0, 0),)
+    assert tile_groups.split(np.zeros(0, np.int64), 136, 2**20).rows == ((0, 0),)
 
 
 def test_impossible_allocations_are_named(device):

@@ -10,8 +10,8 @@ import pytest
 from clgs.data.dataset import load_dataset
 from clgs.lab.selftest.reference_render import backward_reference, render_reference
 from clgs.ops import loss
-from clgs.render.frame import upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import upload_scene, upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import RenderSettings, Scene
 from clgs.train.config import preset
@@ -90,11 +90,11 @@ def test_trained_scene(device, trained, which, view):
     """From parameters to the image of a test view, and back to their gradients."""
     scene, camera = trained[0][which], trained[1][view].camera
     uploaded = upload_scene(device, scene)
-    frame = render_forward(device, uploaded, camera, RenderSettings())
+    frame = rasterise(device, uploaded, upload_view(device, camera, RenderSettings()))
     target = np.random.default_rng(0).integers(0, 256, (3, camera.height, camera.width))
     target = device.upload(target.astype(np.uint8))
     d_image = loss.backward(device, frame.image, target, loss.forward(device, frame.image, target))
-    found = render_backward(device, uploaded, frame, d_image, 0.01)
+    found = rasterise_backward(device, uploaded, frame, d_image, 0.01)
     expected = render_reference(device, scene, frame, d_image)
     error = np.abs(device.download(frame.image) - expected.image) / LEVEL
     assert np.quantile(error, 0.999) <= 1e-3

@@ -15,8 +15,7 @@ from clgs.cli.tell import tell
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from clgs.bake.bake import BakeView
-    from clgs.bake.loss import BakedLoss
+    from clgs.bake.bake import BakedLoss, BakeView
     from clgs.data.dataset import Dataset
     from clgs.data.stored_photo import Planes
     from clgs.data.view import View
@@ -99,8 +98,7 @@ def _at_most(gaussians: HostGaussians, degree: int) -> HostGaussians:
 
 def _bake(args: argparse.Namespace, quantized: QuantizedScene) -> tuple[Encoded, str]:
     """The file, and the line that says what it costs."""
-    from clgs.bake.bake import BakeSettings, bake, count_steps, to_scene, to_world
-    from clgs.bake.loss import baked_loss
+    from clgs.bake.bake import BakeSettings, bake, baked_loss, count_steps, to_scene, to_world
     from clgs.cli.progress import bar
     from clgs.opencl.device import Device
 

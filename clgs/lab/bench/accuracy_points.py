@@ -18,7 +18,7 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.options import Accuracy, RenderOptions
 from clgs.render.frame import DeviceScene, DeviceView, SceneGradients, upload_scene, upload_view
-from clgs.render.pipeline import render_backward, view_forward
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
@@ -135,7 +135,7 @@ def bench_accuracy(
         forward, both = times[accuracy]
         image, stopped, gradient = errors[accuracy]
         points.append(Point(setting.sweep, setting.label, forward, image, stopped, both, gradient))
-    frame = view_forward(device, bench.scene, bench.view)
+    frame = rasterise(device, bench.scene, bench.view)
     counts = len(subject.scene.anchors), len(frame.gaussians), len(frame.tiles.gaussian)
     return SubjectFigures(subject.name, *counts, frame.view.size, points)
 
@@ -174,8 +174,8 @@ class _Bench:
 
     def gradients(self, accuracy: Accuracy) -> SceneGradients:
         """As a training step makes them, on the device."""
-        frame = view_forward(self.device, self.scene, self.view, RenderOptions(accuracy))
-        return render_backward(self.device, self.scene, frame, self.d_image)
+        frame = rasterise(self.device, self.scene, self.view, RenderOptions(accuracy))
+        return rasterise_backward(self.device, self.scene, frame, self.d_image)
 
     def errors(
         self, accuracy: Accuracy, reference: dict[str, Array]

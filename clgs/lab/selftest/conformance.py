@@ -19,8 +19,8 @@ from clgs.opencl.device import Device
 from clgs.ops import adam, blend, density, limits, loss, mlp, project, quantize, rate, scan, sort
 from clgs.options import PRESETS, RenderOptions
 from clgs.reference import limits as reference
-from clgs.render.frame import DeviceScene, Frame, upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import DeviceScene, Frame, upload_scene, upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 
 FORMAT = "clgs conformance 1"
 VOLUME_WEIGHT = 0.0625
@@ -65,7 +65,7 @@ def _fingerprint(scene: str, stage: str, name: str, values: npt.NDArray[Any]) ->
 
 def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     scene = upload_scene(device, one.scene)
-    frame = render_forward(device, scene, one.camera, one.scene.settings)
+    frame = rasterise(device, scene, upload_view(device, one.camera, one.scene.settings))
     yield "camera", "packed", device.download(frame.view.camera)
     yield from _forward_tensors(device, frame)
     target = device.upload(one.photo)
@@ -76,7 +76,9 @@ def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     yield from _backward_tensors(device, scene, frame, d_image)
     for name, accuracy in PRESETS.items():
         options = RenderOptions(accuracy)
-        again = render_forward(device, scene, one.camera, one.scene.settings, options)
+        again = rasterise(
+            device, scene, upload_view(device, one.camera, one.scene.settings), options
+        )
         yield f"render ({name})", "image", device.download(again.image)
 
 
@@ -103,7 +105,7 @@ def _backward_tensors(
     d_gaussians = project.backward(device, gaussians, frame.view.camera, projected, d_projected)
     loss.volume(device, gaussians.scale, VOLUME_WEIGHT, d_gaussians.d_scale)
     yield from _named(device, "project backward", d_gaussians, "d_mean", "d_scale", "d_rotation")
-    gradients = render_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
+    gradients = rasterise_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
     yield from _named(device, "neural backward", gradients, "d_offset", "d_scaling")
     yield from _named(device, "mlp backward", gradients, "d_feature", "d_weights")
 

@@ -22,8 +22,8 @@ from clgs.opencl.device import Device
 from clgs.ops import loss as loss_op
 from clgs.ops import mlp
 from clgs.reference import cull, loss, tiles
-from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene, upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene
 
@@ -120,11 +120,13 @@ def _run(device: Device, case: Case) -> _Run:
 def _step(
     device: Device, scene: DeviceScene, camera: Camera, target: DeviceArray
 ) -> tuple[Frame, DeviceArray, SceneGradients]:
-    frame = render_forward(device, scene, camera, RenderSettings(background=(0.1, 0.2, 0.3)))
+    frame = rasterise(
+        device, scene, upload_view(device, camera, RenderSettings(background=(0.1, 0.2, 0.3)))
+    )
     with device.stage("loss"):
         compared = loss_op.forward(device, frame.image, target)
         d_image = loss_op.backward(device, frame.image, target, compared)
-    return frame, d_image, render_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
+    return frame, d_image, rasterise_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
 
 
 Found = list[tuple[str, float, float]]

@@ -12,16 +12,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
+from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import density
 from clgs.ops.project import ProjectedGradients
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, upload_view
-from clgs.render.pipeline import blend_backward, roomy_forward, scene_backward
+from clgs.render.rasterise import (
+    blend_backward,
+    rasterise,
+    rasterise_backward,
+    with_enough_room,
+)
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, RenderSettings
 
@@ -42,9 +49,9 @@ def importance(
     each camera.
     """
     found = density.no_importance(device, len(scene.anchors))
-    for frame, gradients in _sign_passes(device, scene, settings, cameras, options):
-        _add_importance(device, found, frame, gradients)
-        del frame, gradients  # before the next ones are made
+    for frame, signs in _signed(device, scene, settings, cameras, options):
+        _add_importance(device, found, frame, blend_backward(device, frame, signs))
+        del frame, signs  # before the next ones are made
         on_render()
     return device.download(found.total).astype(np.float64)
 
@@ -97,14 +104,16 @@ def sensitivity(
     found = density.no_importance(device, len(scene.anchors))
     sizes = {n: array.shape for n, array in scene.anchors.items() if n != "position"}
     curvature = {name: device.zeros(size) for name, size in sizes.items() if curved}
-    for frame, gradients in _sign_passes(device, scene, settings, cameras, options):
-        _add_importance(device, found, frame, gradients)
+    for frame, signs in _signed(device, scene, settings, cameras, options):
         if curved:
-            derivatives = scene_backward(device, scene, frame, gradients)
+            gradients = rasterise_backward(device, scene, frame, signs)
+            _add_importance(device, found, frame, gradients.d_projected)
             for name, total in curvature.items():
-                density.add_curvature(device, total, getattr(derivatives, f"d_{name}"))
-            del derivatives
-        del frame, gradients  # before the next ones are made
+                density.add_curvature(device, total, getattr(gradients, f"d_{name}"))
+            del gradients
+        else:
+            _add_importance(device, found, frame, blend_backward(device, frame, signs))
+        del frame, signs  # before the next ones are made
     sums = {name: device.download(array) for name, array in curvature.items()}
     return Sensitivity(device.download(found.total), sums, device.download(found.seen) > 0)
 
@@ -118,20 +127,21 @@ def importance_without_views(scene: QuantizedScene) -> npt.NDArray[np.float64]:
     return np.asarray(np.exp(np.clip(np.sort(shape, axis=1)[:, 1:].sum(axis=1), -80.0, 80.0)))
 
 
-def _sign_passes(
+def _signed(
     device: Device,
     scene: DeviceScene,
     settings: RenderSettings,
     cameras: Sequence[Camera],
     options: RenderOptions,
-) -> Iterator[tuple[Frame, ProjectedGradients]]:
-    """The frame of each camera, and what its backward pass makes of random signs."""
+) -> Iterator[tuple[Frame, DeviceArray]]:
+    """The frame of each camera, and random signs of the shape of its picture."""
     rng, room = np.random.default_rng(SEED), EXACT_ROOM
     for camera in cameras:
         view = upload_view(device, camera, settings)
-        frame, room = roomy_forward(device, scene, view, options, room)
+        draw = partial(rasterise, device, scene, view, options)
+        frame, room = with_enough_room(device, room, draw)
         signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
-        yield frame, blend_backward(device, frame, device.upload(signs))
+        yield frame, device.upload(signs)
         del frame
 
 

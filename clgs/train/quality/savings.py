@@ -11,7 +11,7 @@ from clgs.opencl.device import Device
 from clgs.ops import adam, blend, mlp, tiles
 from clgs.options import RenderOptions
 from clgs.render.frame import Frame
-from clgs.render.pipeline import render_backward
+from clgs.render.rasterise import rasterise_backward
 from clgs.train.config import TrainConfig
 from clgs.train.run.trainer import Trainer
 
@@ -84,7 +84,7 @@ def _of_updates(trainer: Trainer, frame: Frame) -> Iterator[Saving]:
     device = trainer.device
     scene = trainer.queue.seen(trainer.parameters, trainer.steps_done)
     d_image = device.upload(np.ones(frame.image.shape, np.float32))
-    gradients = render_backward(device, scene, frame, d_image)
+    gradients = rasterise_backward(device, scene, frame, d_image)
     marks = adam.mark_rows(device, gradients.d_feature, adam.stop_flag(device))
     moved = int(device.download(marks).sum())
     rows = trainer.parameters.count

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ from clgs.opencl.device import Device
 from clgs.ops import loss, mask
 from clgs.options import RenderOptions
 from clgs.render.frame import EXACT_ROOM, DeviceScene, upload_view
-from clgs.render.pipeline import roomy_forward
+from clgs.render.rasterise import rasterise, with_enough_room
 from clgs.scene.scene import RenderSettings
 from clgs.train.quality.importance import Sensitivity, sensitivity
 
@@ -115,7 +116,8 @@ class Judge:
         device, losses, errors, room = self.device, [], [], EXACT_ROOM
         for view in self.views[:: -(-len(self.views) // COMPARED)]:
             drawn = upload_view(device, view.camera, self.settings)
-            frame, room = roomy_forward(device, scene, drawn, self.options, room)
+            draw = partial(rasterise, device, scene, drawn, self.options)
+            frame, room = with_enough_room(device, room, draw)
             photo = view.photo.planes(self.settings.background)
             image, used = frame.image, view.used()
             if used is not None:

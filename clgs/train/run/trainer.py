@@ -15,7 +15,6 @@ from clgs.data.view import View
 from clgs.errors import BudgetError, ClgsError
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
-from clgs.render.budget import check_budget
 from clgs.render.frame import EXACT_ROOM, Frame
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import quantize
@@ -259,7 +258,8 @@ class Trainer:
         """
         views = [(view.name, view.camera) for view in self.dataset.train + self.dataset.test]
         scene = self.queue.seen(self.parameters, self.steps_done)
-        check_budget(self.device, scene, views, self.settings, self.options)
+        renderer = Renderer.of_device_scene(self.device, scene, self.settings, self.options)
+        renderer.check_budget(views)
 
     def psnr(self, views: list[View]) -> float:
         """Mean 8-bit PSNR of the current parameters on ``views``."""

@@ -13,7 +13,7 @@ from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
 from clgs.ops import adam, loss, mask, quantize, scan
 from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, Room
-from clgs.render.pipeline import check_room, render_backward, view_forward
+from clgs.render.rasterise import check_room, rasterise, rasterise_backward
 from clgs.scene.anchors import QuantizationScales
 from clgs.train.config import TrainConfig
 from clgs.train.config.settings import PAPER_Q
@@ -116,11 +116,11 @@ class StepQueue:
             self._sizes = room, parameters.rows
             device.release_unused()
         target, scene = self._target(plan), self.seen(parameters, plan.step)
-        frame = view_forward(device, scene, target.view, self.options, room)
-        totals = check_room(device, frame, room, self._stop)
+        frame = rasterise(device, scene, target.view, self.options, room)
+        totals = check_room(device, frame, self._stop)
         compared, d_image = self._compare(frame, target, plan)
         weight = self._config.volume_weight or 0.0
-        gradients = render_backward(device, scene, frame, d_image, weight)
+        gradients = rasterise_backward(device, scene, frame, d_image, weight)
         bits = self.rate.add(parameters, gradients, plan.step)
         replaces = densifier.replaces_anchors(plan.step)
         with device.stage("adam"):
@@ -136,7 +136,7 @@ class StepQueue:
             loss=compared.value_later(device),
             stop=device.download_later(self._stop),
             totals=device.download_later(totals),
-            room=room,
+            room=frame.room,
             rate_bits=bits,
             frame=frame if replaces else None,
         )
@@ -146,7 +146,7 @@ class StepQueue:
     def render(self, plan: Plan, parameters: Parameters) -> Frame:
         """What a step compares with its photo, made to measure."""
         scene = self.seen(parameters, plan.step)
-        return view_forward(self._device, scene, self._target(plan).view, self.options)
+        return rasterise(self._device, scene, self._target(plan).view, self.options)
 
     def _target(self, plan: Plan) -> Target:
         """The view and the photo of a step."""

@@ -38,7 +38,7 @@ def added(device: Device, term: RateTerm, parameters: Parameters, step: int) -> 
     tensors = dict(parameters.scene.items())
     zeros = {f"d_{name}": device.zeros(tensors[name].shape) for name in ANCHOR_GROUPS}
     unused = device.zeros((1,))
-    gradients = SceneGradients(**zeros, d_weights=unused, d_mean2d=unused)
+    gradients = SceneGradients(**zeros, d_weights=unused, d_projected=unused)
     bits = term.add(parameters, gradients, step)
     return {"bits": bits, **{name: device.download(zeros[f"d_{name}"]) for name in ANCHOR_GROUPS}}
 
