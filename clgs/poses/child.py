@@ -73,9 +73,7 @@ def run_child(
             exit_code = child.wait()
             if problem := import_problem("pycolmap"):  # then the data is not at fault
                 raise DataError(f"{task}: pycolmap cannot be loaded ({problem}); install it again")
-            raise DataError(
-                f"{task}: pycolmap crashed (exit code {exit_code}); try other photos"
-            )
+            raise DataError(f"{task}: pycolmap crashed (exit code {exit_code}); try other photos")
         except BaseException:
             _kill(child)
             raise

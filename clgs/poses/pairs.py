@@ -13,7 +13,10 @@ MAX_EXHAUSTIVE = 120
 """Up to this number of photos every pair is matched."""
 
 OVERLAP = 10
-"""In larger sets a photo is matched with the next OVERLAP by name, and those 16, 32, 64 later."""
+"""The photos that follow by name with which a photo of a larger set is matched.
+
+It is also matched with those 16, 32, 64 ... later.
+"""
 
 LOOK_ALIKES = 20
 """And with this number of photos whose pooled descriptors are the most similar: they close loops.

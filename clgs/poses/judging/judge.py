@@ -25,7 +25,7 @@ OTHER_SIDE = 30.0
 """Degrees of turn that no noise explains: the photo stands at another, similar place."""
 
 FEW = 50
-"""With fewer points a pose is doubtful; with fewer than twice as many it cannot outvote a doubt."""
+"""A pose on fewer points is doubtful; on fewer than twice as many it cannot outvote a doubt."""
 
 LOW_RATIO, WRONG_RATIO = 0.5, 0.25
 """Shares of a photo's matches in links that agree with its pose: below the first it is doubtful,
