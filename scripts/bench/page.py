@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The web page of a run in headless Chromium: page.py RUN [--seconds S].
 
-Prints the bytes of the page beside those of the file, the PSNR of screenshots against our own
+Prints the bytes of the page and of the file, the PSNR of screenshots against our own
 pictures of the first held-out views, and, while a mouse turns the camera, pictures and sets of
 Gaussians per second. Without a GPU Chromium draws by software.
 """

@@ -31,7 +31,7 @@ WRONG = 1.0
 """Degrees of turn."""
 
 QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""Of a camera whose photo is turned a quarter to the left."""
+"""The rotation of a camera whose photo is turned a quarter to the left."""
 
 
 def main() -> None:

@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def all_seeds() -> list[Seed]:
-    """At least one for every target."""
+    """Make at least one seed for every target."""
     return [*golden_seeds(), *matrix_seeds(), *point_seeds(), *weight_seeds()]
 
 

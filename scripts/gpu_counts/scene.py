@@ -1,6 +1,7 @@
 """Run training steps of the synthetic scene: scene.py DEVICE GAUSSIANS WIDTH HEIGHT STEPS FILE.
 
-DEVICE "default" is the usual one. A width of 0: no scene, but so many elements sorted and summed.
+DEVICE "default" is the usual one. A width of 0: no scene; that number of elements
+is sorted and summed.
 
 Writes to FILE, as JSON, every launch of the last step (kernel, stage, work-items, size of a
 work-group, the first whole number among its arguments) and, of a device that is no emulator, how
@@ -50,7 +51,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def sorted_elements(device: Recorder, count: int) -> dict[str, Any]:
-    """Sorts of so many elements, of one digit and of all, and a prefix sum.
+    """Sort ``count`` elements by one digit and by all, and make a prefix sum.
 
     The "loss" tells their order.
     """
@@ -90,7 +91,7 @@ class Recorder(Device):
         local_size: Sequence[int] | None,
         *arguments: Any,
     ) -> None:
-        """As ever; work-groups that are left to the driver hold all items, up to 256."""
+        """Run and record; work-groups that are left to the driver hold all items, up to 256."""
         if 0 in global_size:
             return
         group = tuple(local_size) if local_size else _group(global_size)

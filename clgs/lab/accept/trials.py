@@ -18,7 +18,7 @@ from clgs.lab.commands.conformance import SHIPPED
 from clgs.lab.selftest.conformance import differences, from_record
 
 STEPS = 20
-"""Of training, twice, whose files must be the same."""
+"""Steps of a training, which runs twice and must give the same file."""
 
 STARTED = (1000, 64)
 """Gaussians, and pixels of the picture's edge, of the step that is timed from a cold start."""
@@ -64,8 +64,8 @@ def trials(device: str, folder: Path, size: Size, data: list[str]) -> list[Trial
         words = ("bench", kind, *on, *map(str, chain(*counts)), "--json", file(name))
         return Trial(name, words, partial(_step, name))
 
-    def start(name: str, told: str) -> Trial:
-        return replace(step(name, STARTED), summary=lambda folder: told, caches=folder / "caches")
+    def start(name: str, line: str) -> Trial:
+        return replace(step(name, STARTED), summary=lambda folder: line, caches=folder / "caches")
 
     def training(name: str) -> Trial:
         words = ("train", str(folder / "photos"), "-o", str(folder / name), "--steps", str(STEPS))

@@ -68,7 +68,7 @@ class ImageError:
 
 @dataclass(frozen=True)
 class GradientError:
-    """By tensor: relative L2, and the 99th percentile of |error| / max(|g|, rms(g) / 1000)."""
+    """The errors of each tensor: relative L2, p99 of |error| / max(|g|, rms(g) / 1000)."""
 
     relative_l2: dict[str, float]
     p99: dict[str, float]
@@ -165,7 +165,7 @@ class _Bench:
         )
 
     def picture(self, accuracy: Accuracy) -> npt.NDArray[np.float32]:
-        """As `clgs render` makes it, on the host."""
+        """Render on the host, like `clgs render`."""
         if accuracy not in self.renderers:
             self.renderers[accuracy] = Renderer.of_device_scene(
                 self.device, self.scene, self.settings, RenderOptions(accuracy)
@@ -173,7 +173,7 @@ class _Bench:
         return self.renderers[accuracy].render(self.subject.camera)
 
     def gradients(self, accuracy: Accuracy) -> SceneGradients:
-        """As a training step makes them, on the device."""
+        """Compute gradients on the device, like a training step."""
         frame = rasterise(self.device, self.scene, self.view, RenderOptions(accuracy))
         return rasterise_backward(self.device, self.scene, frame, self.d_image)
 
@@ -246,7 +246,7 @@ def _times(milliseconds: list[float]) -> Times:
 
 
 def fastest_within(figures: SubjectFigures) -> dict[str, dict[str, object]]:
-    """For every goal: the fastest forward pass within it, by p99.9 and by the largest error."""
+    """Find the fastest forward pass within every goal, by p99.9 and by the largest error."""
     found: dict[str, dict[str, object]] = {}
     for measure in ("p999", "largest"):
         for goal in GOALS:

@@ -55,7 +55,7 @@ class Coder:
 
 @dataclass(frozen=True)
 class Figures:
-    """Of one coder: bytes, median seconds, and the baseline's bytes if these are known."""
+    """What one coder needs: bytes, and median seconds of ``repeats`` runs."""
 
     coder: str
     bytes: int

@@ -127,7 +127,7 @@ def scene_subjects(name: str, scene: QuantizedScene) -> list[Subject]:
 
 
 def file_subjects(paths: Iterable[Path]) -> list[Subject]:
-    """Those of .npz files (``values`` or ``positions``) and .clgs files; folders mean their files.
+    """Read .npz files (``values`` or ``positions``) and .clgs files; folders mean their files.
 
     Raises:
         DataError: no such file, or none of these kinds.

@@ -45,7 +45,7 @@ class Workload:
 
 
 TINY = Workload(gaussians=70, size=24, elements=600, repeats=1)
-"""For emulators."""
+"""The workload on emulators."""
 
 
 @dataclass(frozen=True)

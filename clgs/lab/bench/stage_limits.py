@@ -103,7 +103,7 @@ class Formula:
         return moved, made
 
     def text(self) -> str:
-        """For people: "64 I + 20 P B, 30 B flop"."""
+        """The formula for people: "64 I + 20 P B, 30 B flop"."""
         moved, made = (
             " + ".join(f"{factor:,} {letter}" for letter, factor in terms.items()) or "0"
             for terms in (self.bytes, self.flops)
@@ -147,7 +147,7 @@ FORMULAS: dict[str, Formula] = {
     # a number in; about two exponentials
     "rate": Formula({"E": 4}, {"E": 40}),
 }
-"""By the stage names of the training step's profile."""
+"""The formulas; keys are the stage names of the training step's profile."""
 
 
 def count_work(device: Device, frame: Frame, scene: DeviceScene, elements: int) -> Counts:

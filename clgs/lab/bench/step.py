@@ -30,7 +30,7 @@ STILL = LearningRates(*[(1e-12, 1e-12)] * 6)
 """Learning rates that leave the scene as it is, so that every step does the same work."""
 
 CORNERS = np.array(list(product((-1, 1), repeat=3)), np.float32)
-"""Points that a trainer can start from, whatever scene it is given then."""
+"""Points that a trainer can start from; its scene is replaced then."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def stream(trainer: Trainer, repeats: int) -> list[tuple[float, float]]:
 
 
 def stream_times(trainer: Trainer, repeats: int) -> list[float]:
-    """As :func:`stream`, by the clock alone."""
+    """Like :func:`stream`, but by the clock alone."""
     return [milliseconds for milliseconds, _ in stream(trainer, repeats)]
 
 
@@ -185,7 +185,7 @@ def synthetic_trainer(
 
 
 def trainer_of(device: Device, scene: Scene, camera: Camera, seed: int = 0) -> Trainer:
-    """As :func:`synthetic_trainer`, of a scene and a camera of one's own."""
+    """Like :func:`synthetic_trainer`, but on the scene and the camera that are given."""
     dataset = photo_dataset(camera, CORNERS, seed)
     config = replace(TrainConfig(), learning_rates=STILL, seed=seed).for_dataset("photos")
     trainer = Trainer(device, dataset, config)

@@ -81,4 +81,4 @@ def _show(device: dict[str, Any], outcomes: list[Outcome]) -> None:
     print(f"{device['name']} ({device['platform']}, driver {device['driver']})")
     for one in outcomes:
         verdict = "ok" if one.passed else "FAIL"
-        print(f"  {one.name:<18} {verdict:<5} {one.seconds:7.1f} s  {one.told}")
+        print(f"  {one.name:<18} {verdict:<5} {one.seconds:7.1f} s  {one.summary}")

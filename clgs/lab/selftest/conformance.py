@@ -50,7 +50,7 @@ class Fingerprint:
 
 
 def fingerprints(device: Device) -> list[Fingerprint]:
-    """Of every stage on every scene, each in the order of the pipeline."""
+    """Hash the results of every stage on every scene, in the order of the pipeline."""
     found = []
     for one in conformance_scenes():
         found += [_fingerprint(one.name, *tensor) for tensor in _render_tensors(device, one)]
@@ -182,12 +182,12 @@ def from_record(record: object) -> list[Fingerprint]:
         raise DataError("is no file of `clgs conformance -o`") from error
     place, times = Counter(one.place for one in found).most_common(1)[0] if found else ("", 0)
     if times > 1:
-        raise DataError(f"lists a tensor {times} times: {place}; make the file anew")
+        raise DataError(f"lists a tensor {times} times: {place}; make the file again")
     return found
 
 
 def roundings(device: Device) -> dict[str, int]:
-    """Of COUNT results of each basic operation, how many are not those of IEEE 754."""
+    """How many of COUNT results of each basic operation are not those of IEEE 754."""
     random = ExactRandom(COUNT + 1)
     x, y = random.floats((COUNT,), 1.0, 2.0), random.floats((COUNT,), 1.0, 2.0)
     z = -random.floats((COUNT,), 1.0, 4.0)
@@ -198,7 +198,7 @@ def roundings(device: Device) -> dict[str, int]:
 
 
 def differences(mine: list[Fingerprint], others: list[Fingerprint]) -> list[Fingerprint]:
-    """Those of ``mine`` that ``others`` have not with the same hash, in the order of the pipeline.
+    """Find the fingerprints of ``mine`` that differ in ``others``, in the order of the pipeline.
 
     Raises:
         DataError: the lists are not of the same tensors.

@@ -47,7 +47,7 @@ class Case:
 
 
 TINY = Case(gaussians=70, size=24, count=600, repeats=1)
-"""For emulators."""
+"""The size on emulators."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _tiles(run: _Run) -> Found:
     mine = set(_entries(run.reference.lists))
     missing = sum(_touches(run, tile, index) for tile, index in wanted - mine)
     surplus = len(mine - wanted) / max(1, len(wanted))
-    return [("entries missing", float(missing), 0.0), ("entries in vain", surplus, 0.01)]
+    return [("entries missing", float(missing), 0.0), ("entries without need", surplus, 0.01)]
 
 
 def _touches(run: _Run, tile: int, index: int) -> bool:
