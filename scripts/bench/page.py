@@ -19,16 +19,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from clgs.cli.options.scene import read_run
 from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.origin import read_origin
 from clgs.data.reduction import Reduction
 from clgs.data.repose import repose
-from clgs.export.page import scene_page
+from clgs.exports.page import scene_page
 from clgs.render.renderer import render_view
 from clgs.scene.camera import Camera
 from clgs.train.config import from_toml
 from clgs.train.quality.metrics import to_8bit
+from clgs.workflow.scenes import read_run
 from tests.web.browser import Browser, find_browser
 
 VIEWS = 3

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import mean, median
 
-from clgs.cli.options.scene import read_run
 from clgs.data.dataset import load_dataset
 from clgs.data.reduction import Reduction
 from clgs.data.repose import repose
@@ -25,6 +24,7 @@ from clgs.train.config import from_toml
 from clgs.train.density.densifier import Densifier
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.parameters import new_parameters
+from clgs.workflow.scenes import read_run
 
 ROUNDS = 2
 

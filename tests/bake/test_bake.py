@@ -28,7 +28,7 @@ from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import SceneTransform
 from clgs.train.quality.metrics import to_8bit
-from tests.export.splats.cases import differences, gaussians
+from tests.exports.splats.cases import differences, gaussians
 
 SIZE = 64
 

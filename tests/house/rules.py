@@ -11,9 +11,9 @@ LAYERS = [  # a package may import from its own row and the rows above it
     | {"reference", "signals"},
     {"opencl", "scene"},
     {"ops", "codec", "data", "poses"},
-    {"render", "export"},
+    {"render", "exports"},
     {"bake", "train"},
-    {"viewer"},
+    {"viewer", "workflow"},
     {"cli", "doctor", "lab"},
 ]
 LEVEL = {name: level for level, row in enumerate(LAYERS) for name in row}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from clgs.cli.notes import LOGGER, show_notes
+from clgs.cli.tell import LOGGER, show_notes
 from clgs.opencl import device as module
 from clgs.opencl.device import NOTES, Device
 

@@ -49,7 +49,7 @@ def test_what_is_in_doubt_is_left_out(
         assert sorted(path.name for path in (data / "images").iterdir()) == sorted(shown)
         return shown | {"3.png": 0.9}
 
-    monkeypatch.setattr(command, "_short_training", training)
+    monkeypatch.setattr("clgs.workflow.prepare.short_training", training)
     parser = argparse.ArgumentParser()
     command.register(parser)
     output = tmp_path / "data"

@@ -12,7 +12,7 @@ import pytest
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splats import pack
 from clgs.errors import ClgsError
-from clgs.export import page
+from clgs.exports import page
 from clgs.lab.synthetic.anchor_scene import square_camera
 from clgs.render.renderer import render_view
 from clgs.train.quality.metrics import to_8bit

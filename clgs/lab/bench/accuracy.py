@@ -11,8 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from clgs.cli.options.scene import read_scene
-from clgs.cli.options.view import selected_views
+from clgs.cli.options.view import view_options
 from clgs.cli.tell import tell
 from clgs.errors import UsageError
 from clgs.files import write_json
@@ -36,6 +35,8 @@ from clgs.lab.bench.plots import (
 )
 from clgs.lab.facts import command_line, machine_facts
 from clgs.opencl.device import Device
+from clgs.workflow.scenes import read_scene
+from clgs.workflow.views import select_views
 
 ACROSS = ("forward, ms", "forward, ms", "forward and backward, ms")
 UP = (
@@ -86,7 +87,7 @@ def subjects_of(args: argparse.Namespace) -> list[Subject]:
     subjects = synthetic_subjects(list(args.scenes), args.seed)
     if args.scene is not None:
         quantized, _ = read_scene(args.scene)
-        views = selected_views(args, quantized)
+        views = select_views(args.scene, quantized, view_options(args))
         if not 0 <= args.view < len(views):
             raise UsageError(f"--view {args.view}: there are {len(views)}, from 0")
         name = args.data.resolve().name

@@ -17,7 +17,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from clgs.cli.progress import bar
+from clgs.cli.display import Display
 from clgs.cli.tell import tell
 from clgs.codec import decode_attributes, decode_positions, encode_attributes, encode_positions
 from clgs.codec.container.meta import LEVELS
@@ -36,6 +36,7 @@ from clgs.lab.bench.codec_subjects import (
 from clgs.lab.facts import command_line
 from clgs.machine import host_facts
 from clgs.scene.scene import QuantizedScene
+from clgs.workflow.events import counter
 
 Note = Callable[[str], None]
 
@@ -83,7 +84,8 @@ def run(args: argparse.Namespace) -> int:
             tell(f"clgs: {line}")
         said.add(line)
 
-    with bar(None, "runs") as advance:
+    with Display() as display:
+        advance = counter("runs", 0, display)
         for subject in subjects:
             figures = bench_subject(subject, args.repeats, args.levels_only, note, advance)
             add_rows(table, subject, figures)

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clgs.cli.options.output import add_overwrite, check_new
-from clgs.cli.options.view import positive_int
+from clgs.cli.options.view import add_overwrite, positive_int
 from clgs.errors import UsageError
 
 if TYPE_CHECKING:
@@ -45,11 +44,12 @@ def run(args: argparse.Namespace) -> int:
     from clgs.lab.accept.trial import chosen_device, run_trials
     from clgs.lab.accept.trials import QUICK, WHOLE, trials
     from clgs.opencl.device import check_environment
+    from clgs.workflow.outputs import check_new
 
     check_environment()
     if args.downscale and args.data is None:
         raise UsageError("--downscale: is of the photos of --data, which is not given")
-    check_new(args, args.output)
+    check_new(args.output, args.overwrite)
     if args.data is not None:
         read_photo_set(args.data)
     with TemporaryDirectory(prefix="clgs-accept-") as name:

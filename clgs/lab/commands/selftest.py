@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.device import add_device_option, open_devices
+from clgs.lab.devices import add_device_option, open_devices
 
 if TYPE_CHECKING:
     from clgs.lab.selftest.render_checks import Check
