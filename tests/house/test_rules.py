@@ -13,6 +13,7 @@ from tests.house import rules
         ("clgs.ops.mlp", "from clgs.render import rasterise", "ops imports render"),
         ("clgs.scene.camera", "import clgs.train.run.trainer", "scene imports train"),
         ("clgs.files", "from clgs import opencl", "files imports opencl"),
+        ("clgs.cli.commands.run", "from clgs.lab.bench import step", "cli imports lab"),
         (
             "clgs.cli.commands.train",
             "def run():\n    from . import main",

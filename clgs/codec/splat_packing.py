@@ -18,7 +18,7 @@ from clgs.codec import streams
 from clgs.codec.container import section_table
 from clgs.codec.container.reader import guarded
 from clgs.codec.container.section_table import SATR, SMUL, SPLT, SPOS, Section
-from clgs.codec.octree.position_coder import MAX_EXTENT, PositionsError, morton_codes
+from clgs.codec.octree import MAX_EXTENT, PositionsError, morton_codes
 from clgs.errors import CodecError
 
 Ints = npt.NDArray[np.int32]
@@ -30,8 +30,8 @@ _PROPERTY = struct.Struct("<dB")
 
 
 @dataclass(frozen=True)
-class Splats:
-    """Splats as integers; a value is integer * step.
+class QuantizedSplats:
+    """QuantizedSplats as integers; a value is integer * step.
 
     names: of the properties, the first three those of the position; steps: one per property,
     positive; values (N, properties) int32.
@@ -63,7 +63,7 @@ class Splats:
             raise ValueError(f"dtype is {self.values.dtype}, int32 is needed")
 
 
-def pack(splats: Splats, level: str = "default", threads: int | None = None) -> bytes:
+def pack(splats: QuantizedSplats, level: str = "default", threads: int | None = None) -> bytes:
     """The .clgs file of ``splats``; ``level`` and ``threads`` as of ``encode``.
 
     Raises:
@@ -89,7 +89,7 @@ def pack(splats: Splats, level: str = "default", threads: int | None = None) -> 
     return section_table.write_container(sections)
 
 
-def unpack(data: bytes, threads: int | None = None) -> Splats:
+def unpack(data: bytes, threads: int | None = None) -> QuantizedSplats:
     """The splats that ``pack`` was given, in Morton order.
 
     Raises:
@@ -109,10 +109,10 @@ def unpack(data: bytes, threads: int | None = None) -> Splats:
     values = np.concatenate([np.repeat(position, count[:, 0] + 1, axis=0), rows], axis=1)
     if _hash(values) != content:
         raise sections[SPLT].error("the decoded integers do not match their hash")
-    return Splats(splats.names, splats.steps, values)
+    return QuantizedSplats(splats.names, splats.steps, values)
 
 
-def _check_extent(splats: Splats) -> None:
+def _check_extent(splats: QuantizedSplats) -> None:
     """Raise PositionsError if an axis has more steps than Morton codes have room for."""
     for i, name in enumerate(splats.names[:3] if len(splats) else []):
         column = splats.values[:, i]
@@ -190,12 +190,12 @@ def _decode(
         raise section.error(str(error).partition(";")[0]) from error
 
 
-def _read_head(section: Section) -> tuple[Splats, int, int]:
-    """Splats without values that were read, number of voxels and the hash."""
+def _read_head(section: Section) -> tuple[QuantizedSplats, int, int]:
+    """QuantizedSplats without values that were read, number of voxels and the hash."""
     return guarded(section, _parse_head)
 
 
-def _parse_head(data: memoryview) -> tuple[Splats, int, int]:
+def _parse_head(data: memoryview) -> tuple[QuantizedSplats, int, int]:
     if len(data) < _HEAD.size:
         raise ValueError(f"{len(data)} bytes, at least {_HEAD.size} are needed")
     rows, voxels, properties, reserved, content = _HEAD.unpack_from(data)
@@ -210,7 +210,7 @@ def _parse_head(data: memoryview) -> tuple[Splats, int, int]:
     if at != len(data) or reserved != 0 or voxels > rows:
         raise ValueError("its length or its counts do not agree")
     empty = np.broadcast_to(np.zeros((), np.int32), (rows, properties))
-    splats = Splats(names, steps, empty)
+    splats = QuantizedSplats(names, steps, empty)
     splats.check()
     return splats, voxels, content
 
