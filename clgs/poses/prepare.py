@@ -34,7 +34,7 @@ MADE = {"images", "masks", "sparse", REPORT, CONTACT_SHEET, "report.html"}
 """What an earlier call, or the command of that name, left in the folder that is replaced."""
 
 ShortTraining = Callable[[Path, Callable[[int, int], None]], Mapping[str, float]]
-"""Of the data set in a folder, told of its progress: see clgs.train.quality.pose_check."""
+"""Of the data set in a folder, told of its progress: see clgs.train.run.pose_check."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from clgs.exports.poses_page import write_poses_page
 from clgs.opencl.device import Device
 from clgs.poses.judging.verdict import Verdict
 from clgs.poses.prepare import Doubts, prepare
-from clgs.train.quality.pose_check import check_poses
+from clgs.train.run.pose_check import check_poses
 from clgs.workflow.events import OnEvent, StageProgress, ignore
 
 PAGE = "report.html"

@@ -24,7 +24,7 @@ from clgs.poses.judging.agreement import Poses, differences
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT
 from clgs.poses.prepare import Doubts, prepare
 from clgs.scene.camera import Camera
-from clgs.train.quality.pose_check import check_poses
+from clgs.train.run.pose_check import check_poses
 
 CHANGES = ("none", "tiny", "blur", "light", "turn")
 WRONG = 1.0

@@ -21,9 +21,8 @@ from clgs.lab.bench.step import STILL
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.train.config import from_toml
-from clgs.train.density.densifier import Densifier
+from clgs.train.run.start import state_of_scene
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.parameters import new_parameters
 from clgs.workflow.scenes import read_run
 
 ROUNDS = 2
@@ -63,12 +62,8 @@ def trainer(device: Device, args: argparse.Namespace, ahead: bool) -> Trainer:
     reduction = Reduction(config.downscale, config.max_size)
     loaded = load_dataset(args.data, downscale=reduction, cache=args.run)
     dataset = repose(loaded, scene.transform)
-    one = Trainer(device, dataset, config, ahead)
-    plain = scene.dequantize()
-    one.parameters = new_parameters(device, plain.anchors, plain.mlps)
-    one.densifier = Densifier(device, config, one.parameters.count)
-    one.steps_done = config.steps
-    return one
+    state = state_of_scene(device, dataset, config, scene.dequantize(), config.steps)
+    return Trainer(device, dataset, config, ahead, state)
 
 
 def stream(one: Trainer, count: int) -> list[float]:

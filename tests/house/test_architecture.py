@@ -46,6 +46,11 @@ def test_imports_point_down():
     assert not flat(found)
 
 
+def test_imports_within_a_wing_point_one_way():
+    found = {dotted(path): text for path, text in sources("clgs").items()}
+    assert not rules.arrow_complaints(found)
+
+
 def test_every_module_has_a_layer():
     names = {p.split("/")[1].removesuffix(".py") for p in sources("clgs")} - {"__init__"}
     assert names == set(rules.LEVEL)

@@ -51,6 +51,22 @@ def test_good_imports_pass(module, line):
     assert rules.import_complaints(module, line) == []
 
 
+def test_imports_in_a_circle_are_found():
+    one_way = {
+        "clgs.train.run.session": "from clgs.train.step.queue import StepQueue",
+        "clgs.train.step.queue": "from clgs.train.step import schedule\nimport clgs.codec.box",
+        "clgs.train.helper": "import clgs.train.run.session",
+        "clgs.files": "import json",
+    }
+    assert rules.arrow_complaints(one_way) == []
+    back = {"clgs.train.state.resume": "def f():\n    from clgs.train.run import session"}
+    through = {"clgs.train.step.photos": "import clgs.train.state.resume"}
+    assert rules.arrow_complaints({**one_way, **back}) == []
+    (found,) = rules.arrow_complaints({**one_way, **back, **through})
+    assert "clgs/train" in found
+    assert all(part in found for part in ("run", "step", "state"))
+
+
 def test_long_files_are_found():
     assert rules.length_complaints("x.sh", "a\n" * 400) == []
     (found,) = rules.length_complaints("x.sh", "a\n" * 401)

@@ -46,8 +46,7 @@ from clgs.train.run.full_disk import Keeper
 from clgs.train.run.progress_log import ProgressLog
 from clgs.train.run.trainer import StepResult, Trainer
 from clgs.train.state.checkpoint import checkpoints
-from clgs.train.state.hashes import fingerprint
-from clgs.train.state.resume import load_checkpoint, run_digest
+from clgs.train.state.hashes import fingerprint, run_digest
 
 HASHED_VIEWS = 3
 POSITION_BITS = 12.0
@@ -87,7 +86,7 @@ class Session:
         lock = FolderLock(folder) if folder.is_dir() else None
         self.trainer = Trainer(device, dataset, config)
         if resume and checkpoints(folder / "checkpoint"):
-            load_checkpoint(folder / "checkpoint", self.trainer)
+            self.trainer.resume(folder / "checkpoint")
         self.keeper = Keeper(folder, self.trainer)
         self.trainer.check_budget()
         make_folder(folder)
@@ -219,7 +218,7 @@ class Session:
             "device": self.device.name,
             "skipped_images": self.dataset.skipped,
             "digest": run_digest(self.dataset, self.config),
-            "merged_anchors": self.trainer.merged,
+            "merged_anchors": self.trainer.state.merged,
             "switch_psnr": self.log.events,
         }
         write_json(self.folder / "per_view.json", [score.record() for score in scores])

@@ -13,7 +13,7 @@ from clgs.errors import ClgsError, DataError
 from clgs.scene.mlps import MLP_SIZE, init_mlps
 from clgs.scene.storage import save_scene
 from clgs.train.config import preset
-from clgs.train.run.start_mlps import RANDOM, TRAINED, start_mlps
+from clgs.train.run.start import RANDOM, TRAINED, start_mlps
 from clgs.train.run.trainer import Trainer
 from tests.codec.scenes import random_scene
 

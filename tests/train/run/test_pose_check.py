@@ -9,7 +9,7 @@ import pytest
 
 from clgs.data.dataset import load_dataset
 from clgs.data.view import View
-from clgs.train.quality.pose_check import LEAST_VARIANCE, unexplained, unexplained_share
+from clgs.train.run.pose_check import LEAST_VARIANCE, unexplained, unexplained_share
 from tests.small_scene import write_scene
 
 

@@ -14,12 +14,11 @@ from clgs.data.view import View
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.render.frame import DeviceView
-
-BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
+from clgs.train.config.settings import BACKGROUNDS
 
 
 @dataclass(frozen=True)
-class Target:
+class TrainingPhoto:
     """What one step trains on: the camera with its background, and the photo.
 
     photo (3, H, W) uint8, composited on the background, zero where it is masked; used (H, W) uint8
@@ -31,8 +30,8 @@ class Target:
     used: DeviceArray | None
 
 
-class Targets:
-    """Reduces and composites photos, ahead of their steps if told; uploads each for its step."""
+class TrainingPhotos:
+    """Reduces and composites photos, if asked ahead of their steps; uploads each for its step."""
 
     def __init__(self, device: Device, views: list[View], background: str, near: float) -> None:
         """``background`` is "black", "white" or "random"; ``near`` of the cameras."""
@@ -52,7 +51,7 @@ class Targets:
         return red, green, blue
 
     def prepare(self, indices: Iterable[int], factor: int) -> None:
-        """Let a thread read what :meth:`get` will be asked for next; other photos are let go."""
+        """Let a thread read what :meth:`get` will be asked for next; forget other photos."""
         wanted = {(index, factor) for index in indices}
         for key in set(self._coming) - wanted:
             self._coming.pop(key).cancel()
@@ -60,7 +59,7 @@ class Targets:
             if not self._views[index].photo.has(self._fixed, factor):
                 self._coming[index, factor] = self._worker.submit(self._read, index, factor)
 
-    def get(self, index: int, background: Color, factor: int = 1) -> Target:
+    def get(self, index: int, background: Color, factor: int = 1) -> TrainingPhoto:
         """View ``index`` reduced ``factor`` times, composited on ``background``.
 
         Raises:
@@ -70,9 +69,9 @@ class Targets:
         planes = self._planes(index, background, factor)
         used = self._views[index].used(factor)
         if used is None:
-            return Target(seen, self._device.upload_constant(planes), None)
+            return TrainingPhoto(seen, self._device.upload_constant(planes), None)
         photo, mask = map(self._device.upload_constant, (planes * used, used))
-        return Target(seen, photo, mask)
+        return TrainingPhoto(seen, photo, mask)
 
     def _view(self, index: int, background: Color, factor: int) -> DeviceView:
         """The camera with its background; cameras stay on the device from their first use on."""

@@ -1,6 +1,8 @@
-"""Plans: what a price leaves of anchors, the price of a size, and carrying a plan out."""
+"""Prices: what one leaves of anchors, which one leaves a size, and applying it."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,17 +10,16 @@ import pytest
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.errors import ClgsError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
-from clgs.train.density.host_state import TrainState
 from clgs.train.rate.judgement import Judgement
-from clgs.train.rate.plan import (
+from clgs.train.rate.pricing import (
     LEAST_PRICE,
-    Plan,
+    PricedAnchors,
     Situation,
-    carry_out,
-    plan_at,
-    plan_for_size,
-    plan_within,
+    priced,
+    priced_for_size,
+    priced_within_loss,
 )
+from clgs.train.state.parameters import HostRows
 from tests.train.density.density_cases import state_at
 
 COUNT = 40
@@ -26,7 +27,7 @@ SCALES = QuantizationScales(position=2.0, offset=2.0, feature=2.0, scaling=2.0)
 
 
 @pytest.fixture
-def state(rng: np.random.Generator) -> TrainState:
+def state(rng: np.random.Generator) -> HostRows:
     state = state_at(np.arange(3 * COUNT).reshape(COUNT, 3))
     for name, array in state.anchors.items():
         if name != "position":
@@ -35,7 +36,7 @@ def state(rng: np.random.Generator) -> TrainState:
 
 
 @pytest.fixture
-def now(state: TrainState, rng: np.random.Generator) -> Situation:
+def now(state: HostRows, rng: np.random.Generator) -> Situation:
     shapes = {"offset": (K_OFFSETS, 3), "feature": (FEATURE_DIM,), "scaling": (6,)}
     curvature = {
         name: 10.0 ** rng.uniform(-9, -5, (COUNT, *shape)) for name, shape in shapes.items()
@@ -50,11 +51,11 @@ def measure(anchors: QuantizedAnchors, scales: QuantizationScales) -> int:
     return int(sum(np.log2(1 + np.abs(getattr(anchors, name))).sum() for name in names))
 
 
-def test_bits_for_nothing_change_nothing(now: Situation, state: TrainState) -> None:
-    plan = plan_at(0.0, now)
-    assert len(plan.kept) == COUNT
+def test_bits_for_nothing_change_nothing(now: Situation, state: HostRows) -> None:
+    offer = priced(0.0, now)
+    assert len(offer.kept) == COUNT
     before = state.anchors.map(np.copy)
-    changed, kept = carry_out(plan, state, 0.2)
+    changed, kept = offer.apply(state, 0.2)
     assert changed == 0
     assert kept.all()
     for name, array in before.items():
@@ -64,43 +65,43 @@ def test_bits_for_nothing_change_nothing(now: Situation, state: TrainState) -> N
 def test_dearer_bits_leave_less(now: Situation) -> None:
     sizes = []
     for price in (1e-9, 1e-7, 1e-5):
-        plan = plan_at(price, now)
-        sizes.append((len(plan.kept), measure(plan.integers, plan.scales)))
+        offer = priced(price, now)
+        sizes.append((len(offer.kept), measure(offer.integers, offer.scales)))
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[0] > sizes[-1]
 
 
 def test_only_free_scales_change(now: Situation) -> None:
     free = Situation(now.anchors, now.judged, SCALES, frozenset({"feature"}))
-    plan = plan_at(1e-6, free)
-    assert plan.scales.feature != SCALES.feature
-    assert (plan.scales.offset, plan.scales.scaling) == (SCALES.offset, SCALES.scaling)
+    offer = priced(1e-6, free)
+    assert offer.scales.feature != SCALES.feature
+    assert (offer.scales.offset, offer.scales.scaling) == (SCALES.offset, SCALES.scaling)
 
 
 def test_a_price_that_loses_too_much_is_lowered(now: Situation) -> None:
     tried = []
 
-    def loss(plan: Plan) -> float:
-        tried.append(plan.price)
-        return max(plan.price, 1e-8)
+    def loss(offer: PricedAnchors) -> float:
+        tried.append(offer.price)
+        return max(offer.price, 1e-8)
 
-    plan = plan_within(30.0, 1e-6, now, loss)
+    offer = priced_within_loss(30.0, 1e-6, now, loss)
     assert tried == [LEAST_PRICE, 1e-6, 5e-7, 2.5e-7]
     for name in ("offset", "feature", "scaling"):
-        wanted = getattr(plan_at(2.5e-7, now).integers, name)
-        np.testing.assert_array_equal(getattr(plan.integers, name), wanted)
-    assert plan_within(100.0, 1e-6, now, loss).price == 1e-6
-    assert 0 < plan_within(0.5, 1e-6, now, loss).price <= LEAST_PRICE
+        wanted = getattr(priced(2.5e-7, now).integers, name)
+        np.testing.assert_array_equal(getattr(offer.integers, name), wanted)
+    assert priced_within_loss(100.0, 1e-6, now, loss).price == 1e-6
+    assert 0 < priced_within_loss(0.5, 1e-6, now, loss).price <= LEAST_PRICE
 
 
 @pytest.mark.parametrize("share", [0.9, 0.5, 0.2])
 def test_a_size_is_met_from_below(now: Situation, share: float) -> None:
-    whole = plan_at(0.0, now)
+    whole = priced(0.0, now)
     size = int(share * measure(whole.kept, whole.scales))
-    plan = plan_for_size(size, now, measure)
-    found = measure(plan.kept, plan.scales)
+    offer = priced_for_size(size, now, measure)
+    found = measure(offer.kept, offer.scales)
     assert found <= size
-    cheaper = plan_at(plan.price * 0.9, now)
+    cheaper = priced(offer.price * 0.9, now)
     assert measure(cheaper.kept, cheaper.scales) >= found
 
 
@@ -111,17 +112,17 @@ def test_a_size_that_holds_everything_is_seen_soon(now: Situation) -> None:
         measured.append(len(anchors))
         return measure(anchors, scales)
 
-    plan = plan_for_size(10**9, now, counted)
-    assert plan.price == LEAST_PRICE
+    offer = priced_for_size(10**9, now, counted)
+    assert offer.price == LEAST_PRICE
     assert len(measured) <= 5
 
 
-def test_what_is_carried_out(now: Situation, state: TrainState) -> None:
-    plan = plan_at(3e-6, now)
-    integers, rows = plan.integers, np.flatnonzero(plan.worth >= plan.price)
+def test_what_is_applied(now: Situation, state: HostRows) -> None:
+    offer = priced(3e-6, now)
+    integers, rows = offer.integers, np.flatnonzero(offer.worth >= offer.price)
     first = {name: moments.first.copy() for name, moments in state.moments.items()}
     rounded = {name: np.rint(getattr(state.anchors, name) * 2.0) for name in first}
-    changed, kept = carry_out(plan, state, 1.0)
+    changed, kept = offer.apply(state, 1.0)
     np.testing.assert_array_equal(np.flatnonzero(kept), rows)
     assert changed == sum(int((rounded[n] != getattr(integers, n)).sum()) for n in first)
     assert 0 < len(rows) < COUNT
@@ -133,20 +134,16 @@ def test_what_is_carried_out(now: Situation, state: TrainState) -> None:
         assert (state.moments[name].first[~still] == 0).all()
 
 
-def test_at_most_a_share_goes(now: Situation, state: TrainState) -> None:
-    plan = plan_at(1.0, now)
-    assert len(plan.kept) == 0
+def test_at_most_a_share_goes(now: Situation, state: HostRows) -> None:
+    offer = priced(1.0, now)
+    assert len(offer.kept) == 0
     before = state.anchors.position[:, 0].copy()
-    carry_out(plan, state, 0.25)
+    offer.apply(state, 0.25)
     assert 0.75 * COUNT <= len(state.anchors) <= 0.75 * COUNT + 1
     assert np.isin(state.anchors.position[:, 0], before).all()
 
 
-def test_something_must_be_left(now: Situation, state: TrainState) -> None:
-    plan = plan_at(1.0, now)
+def test_something_must_be_left(now: Situation, state: HostRows) -> None:
+    offer = priced(1.0, now)
     with pytest.raises(ClgsError, match="no anchors"):
-        carry_out(
-            plan.__class__(plan.price, plan.integers, plan.scales, np.full(COUNT, np.nan)),
-            state,
-            1.0,
-        )
+        replace(offer, worth=np.full(COUNT, np.nan)).apply(state, 1.0)

@@ -82,7 +82,7 @@ def _pairs(
 
 def _of_updates(trainer: Trainer, frame: Frame) -> Iterator[Saving]:
     device = trainer.device
-    scene = trainer.queue.seen(trainer.parameters, trainer.steps_done)
+    scene = trainer.rounding.scene_at(trainer.state, trainer.steps_done)
     d_image = device.upload(np.ones(frame.image.shape, np.float32))
     gradients = rasterise_backward(device, scene, frame, d_image)
     marks = adam.mark_rows(device, gradients.d_feature, adam.stop_flag(device))
