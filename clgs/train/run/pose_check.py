@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.dataset import Dataset, load_dataset
-from clgs.data.reduction import Reduction
 from clgs.opencl.device import Device
 from clgs.train.config import preset
 from clgs.train.config.settings import PAPER_Q
@@ -48,7 +47,7 @@ def check_poses(
         DataError: the data set or a photo is damaged.
         ClgsError: training failed.
     """
-    dataset = load_dataset(folder, downscale=Reduction(0, SIZE))
+    dataset = load_dataset(folder, max_size=SIZE)
     return unexplained(dataset, device, on_step)
 
 

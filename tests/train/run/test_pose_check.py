@@ -9,13 +9,16 @@ import pytest
 
 from clgs.data.dataset import load_dataset
 from clgs.data.view import View
+from clgs.train.run.load import with_points
 from clgs.train.run.pose_check import LEAST_VARIANCE, unexplained, unexplained_share
 from tests.small_scene import write_scene
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    return load_dataset(write_scene(tmp_path_factory.mktemp("poses") / "data", train=14, test=2))
+    return with_points(
+        load_dataset(write_scene(tmp_path_factory.mktemp("poses") / "data", train=14, test=2))
+    )
 
 
 def turned(view: View, degrees: float) -> View:
