@@ -14,7 +14,7 @@ from typing import Any
 from clgs.errors import ClgsError
 from clgs.lab.accept.trial import Trial
 from clgs.lab.bench.gsplat import has_gsplat
-from clgs.lab.commands.conformance import SHIPPED
+from clgs.lab.selftest import SHIPPED
 from clgs.lab.selftest.conformance import differences, from_record
 
 STEPS = 20

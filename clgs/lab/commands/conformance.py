@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.options.view import named_path
+from clgs.lab.selftest import SHIPPED
 
 if TYPE_CHECKING:
     from clgs.lab.selftest.conformance import Fingerprint
@@ -19,9 +20,6 @@ in between. With --check: whether another device made the same bits, without a F
 these hashes were made on; names the first stage that did not. Both forms of the kernels, for CPUs
 and for GPUs, make the same bits if a device rounds as IEEE 754 does. Exit code 1 if any tensor
 differs."""
-
-SHIPPED = Path(__file__).parents[1] / "selftest" / "conformance.json"
-"""Made by PoCL 3.1 on a CPU."""
 
 LARGEST_RECORD = 1 << 24
 """Bytes; today's have 20 thousand."""
