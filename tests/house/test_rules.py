@@ -10,7 +10,7 @@ from tests.house import rules
 @pytest.mark.parametrize(
     ("module", "line", "complaint"),
     [
-        ("clgs.ops.mlp", "from clgs.render import pipeline", "ops imports render"),
+        ("clgs.ops.mlp", "from clgs.render import rasterise", "ops imports render"),
         ("clgs.scene.camera", "import clgs.train.run.trainer", "scene imports train"),
         ("clgs.files", "from clgs import opencl", "files imports opencl"),
         ("clgs.cli.commands.run", "from clgs.lab.bench import step", "cli imports lab"),
