@@ -3,36 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from clgs.lab.observed_kernels import PairCounts, count_pairs, mlp_work
 from clgs.opencl.device import Device
-from clgs.ops import adam, blend, mlp, tiles
+from clgs.ops import adam, blend, tiles
 from clgs.options import RenderOptions
 from clgs.render.frame import Frame
 from clgs.render.rasterise import rasterise_backward
 from clgs.train.config import TrainConfig
 from clgs.train.run.trainer import Trainer
-
-
-@dataclass(frozen=True)
-class Saving:
-    """What is ``done`` of the work that would be done ``without`` a skip, both in ``unit``."""
-
-    skip: str
-    unit: str
-    done: int
-    without: int
-
-    @property
-    def share(self) -> float:
-        """Share of the work that is left out."""
-        return 1.0 - self.done / self.without if self.without else 0.0
+from clgs.workflow.train import Saving
 
 
 def savings(trainer: Trainer) -> list[Saving]:
-    """Count on the first training view, with the parameters as they are; renders it anew."""
+    """Count on the first training view, with the parameters as they are; renders it again."""
     frame = trainer.render_next()
     return [
         *_of_anchors(trainer, frame),
@@ -44,7 +31,7 @@ def savings(trainer: Trainer) -> list[Saving]:
 
 
 def _of_anchors(trainer: Trainer, frame: Frame) -> Iterator[Saving]:
-    work = mlp.work(trainer.device, frame.activations)
+    work = mlp_work(trainer.device, frame.activations)
     yield Saving("anchors", "anchors decoded", work.all_samples, trainer.parameters.count)
     yield Saving("opacity_first", "anchors with color", work.samples, work.all_samples)
     yield Saving("slots", "rows of color and shape", work.rows, work.all_rows)
@@ -71,13 +58,11 @@ def _of_pairs(device: Device, frame: Frame) -> Iterator[Saving]:
     yield Saving("(bound)", "pairs blended of visited", forward.blended, forward.visited)
 
 
-def _pairs(
-    device: Device, frame: Frame, options: RenderOptions
-) -> tuple[blend.PairCounts, blend.PairCounts]:
+def _pairs(device: Device, frame: Frame, options: RenderOptions) -> tuple[PairCounts, PairCounts]:
     background = frame.view.background
     blended = blend.forward(device, frame.projected, frame.tiles, background, options)
     d_image = device.upload(np.ones(blended.image.shape, np.float32))
-    return blend.count_pairs(device, blended, d_image)
+    return count_pairs(device, blended, d_image)
 
 
 def _of_updates(trainer: Trainer, frame: Frame) -> Iterator[Saving]:
