@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import stat
@@ -9,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from errno import EDQUOT, ENOSPC
 from pathlib import Path
+from typing import Any
 
 from clgs.errors import ExistsError, OutputError, UsageError
 
@@ -25,6 +27,15 @@ def atomic_write(path: Path, data: bytes) -> None:
     """
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write ``value`` as indented JSON, atomically.
+
+    Raises:
+        OutputError, OSError: as :func:`atomic_write`.
+    """
+    atomic_write(path, (json.dumps(value, indent=1) + "\n").encode())
 
 
 def atomic_write_all(contents: dict[Path, bytes]) -> None:

@@ -1,4 +1,4 @@
-"""How the C library of this process keeps memory that was freed."""
+"""The memory of this process: its peak, and how the C library keeps what was freed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,16 @@ ARENAS = 2
 """Heaps for all threads together: each keeps what was freed in it."""
 
 SETTINGS = {M_TRIM_THRESHOLD: LARGE, M_MMAP_THRESHOLD: LARGE, M_ARENA_MAX: ARENAS}
+
+
+def peak_memory() -> int | None:
+    """The largest resident size of this process so far, in bytes; None if it is unknown."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such module
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def return_freed_memory() -> None:

@@ -14,10 +14,10 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from reproduce.baseline import read_baseline
 from reproduce.cluster import connected, require_distributed, run_jobs
-from reproduce.display import Display
 from reproduce.report import write_report
 from reproduce.results import read_results
 from reproduce.table import Entry, Table, chosen, entries, jobs, read_table, run_folder
@@ -137,18 +137,34 @@ def train(args: argparse.Namespace, table: Table, wanted: list[Entry]) -> list[R
     ]
     if not waiting:
         return []
-    names = {one.run: title(one) for one in reversed(wanted)}
-    with (
-        connected(args.workers, args.scheduler) as client,
-        Display({job["run"]: names[job["run"]] for job in waiting}) as display,
-    ):
-        rows = run_jobs(client, waiting, display.row, display.message)
+    names = {
+        one.run: " ".join(filter(None, (one.scene, one.experiment, one.label, f"seed {one.seed}")))
+        for one in reversed(wanted)
+    }
+    shown: dict[str, int] = {}
+    ended: list[Row] = []
+
+    def show_step(message: dict[str, Any]) -> None:
+        """Print a line at every quarter of a run."""
+        run, step, steps = message["run"], message["step"], message["steps"]
+        if (quarter := 4 * step // steps) != shown.get(run):
+            shown[run] = quarter
+            print(f"{names[run]}: step {step}/{steps}", file=sys.stderr, flush=True)
+
+    def show_row(row: Row) -> None:
+        """Print how a run ended."""
+        ended.append(row)
+        name = names[row["run"]]
+        if "error" in row:
+            print(f"reproduce: {name}: {row['error']}", file=sys.stderr, flush=True)
+            return
+        figures = f"{row['psnr']:.2f} dB, {row['bytes']:,} bytes, {row['seconds']:.0f} s"
+        done = f"{len(ended)} of {len(waiting)}"
+        print(f"{name}: {figures}; {done}", file=sys.stderr, flush=True)
+
+    with connected(args.workers, args.scheduler) as client:
+        rows = run_jobs(client, waiting, show_row, show_step)
     return [row for row in rows if "error" in row]
-
-
-def title(one: Entry) -> str:
-    """What a run is called while it is under way."""
-    return " ".join(filter(None, (one.scene, one.experiment, one.label, f"seed {one.seed}")))
 
 
 def state() -> str:

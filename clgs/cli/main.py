@@ -10,7 +10,7 @@ import os
 import shlex
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 from clgs import __version__
@@ -23,11 +23,33 @@ if TYPE_CHECKING:
     import argparse
 
 COMMANDS = {
-    **dict.fromkeys(("run", "devices", "doctor", "prepare", "train", "encode", "decode"), "cli"),
-    **dict.fromkeys(("pack", "unpack", "render", "view", "eval", "export", "info"), "cli"),
-    **dict.fromkeys(("selftest", "bench", "conformance", "accept"), "lab"),
+    "run": "photos to scene, report, page and video in one go",
+    "devices": "list the OpenCL devices and the one that is used",
+    "doctor": "say what is wrong with a data set or with this machine",
+    "prepare": "find the camera poses of a folder of photos, or of a video",
+    "train": "train a scene from photos with poses",
+    "encode": "compress a trained scene into one .clgs file",
+    "decode": "decompress a .clgs file into a NumPy archive",
+    "pack": "compress an ordinary 3DGS PLY file",
+    "unpack": "decompress what `clgs pack` made into a PLY file",
+    "render": "render views or a clip of a scene",
+    "view": "look at a scene in the browser",
+    "eval": "PSNR, SSIM and LPIPS against the photos",
+    "export": "write a scene or a data set for other programs",
+    "info": "show what a .clgs file holds",
+    "selftest": "check every kernel against float64 on every device",
+    "bench": "measure speed and accuracy on this device",
+    "conformance": "compare the bits of devices",
+    "accept": "try everything on a device, for a report",
 }
-"""The package of each: a module of ``clgs.<package>.commands`` with ``register`` and ``run``."""
+"""Every command and its line in ``clgs --help``."""
+
+LABORATORY = ("selftest", "bench", "conformance", "accept")
+"""The commands that are modules of ``clgs.lab.commands``; all others are in ``clgs.cli.commands``.
+
+A module has ``register(parser)``, which adds the options, and ``run(args)``, which returns the exit
+code. It is imported only if its command is the one that runs.
+"""
 
 LOST = ("OUT_OF_RESOURCES", "DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE", "INVALID_CONTEXT")
 """What drivers answer once a device has failed, or is gone."""
@@ -40,11 +62,14 @@ An output that exists is replaced with --overwrite alone.
 Environment: PYOPENCL_CTX chooses a device as --device does; CLGS_DEBUG=1 shows tracebacks."""
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of all commands; the commands' heavy imports wait until they run."""
-    from clgs.cli.completion import SHELLS, Completion
+def build_parser(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
+    """The parser of ``clgs``, which knows the names of all commands and the options of some.
+
+    Args:
+        commands: those whose modules are imported and whose options are added; default: all.
+    """
     from clgs.cli.examples import EXAMPLES, epilog
-    from clgs.cli.parser import Parser
+    from clgs.cli.parser import SHELLS, Completion, Parser
 
     parser = Parser(
         prog="clgs",
@@ -59,10 +84,11 @@ def build_parser() -> argparse.ArgumentParser:
         help='print a script for your shell, as in: eval "$(clgs --completion bash)"',
     )
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for command in COMMANDS:
-        command_module(command).register(subparsers)
-        if command in EXAMPLES:
-            subparsers.choices[command].epilog = epilog(command)
+    for command, line in COMMANDS.items():
+        child = subparsers.add_parser(command, help=line)
+        if command in commands:
+            command_module(command).register(child)
+            child.epilog = epilog(command) if command in EXAMPLES else None
     return parser
 
 
@@ -97,8 +123,15 @@ def run_command(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: Sequence[str] | None) -> int:
+    if "_ARGCOMPLETE" in os.environ:  # the script of --completion asks
+        import argcomplete
+
+        command = os.environ.get("COMP_LINE", "").split()[1:2]
+        argcomplete.autocomplete(build_parser(command), always_complete_options="long")
     words = list(sys.argv[1:] if argv is None else argv)
-    args = build_parser().parse_args(_with_help(words))
+    if words[:1] == ["help"]:
+        words = [*words[1:], "--help"]
+    args = build_parser(words[:1]).parse_args(words)
     args.command_line = shlex.join(["clgs", *words])
     import logging
 
@@ -119,13 +152,10 @@ def _run(argv: Sequence[str] | None) -> int:
 
 
 def command_module(command: str) -> Any:
-    """The module of a command, with ``register(subparsers)`` and ``run(args)``."""
-    return importlib.import_module(f"clgs.{COMMANDS[command]}.commands.{command}")
-
-
-def _with_help(words: Sequence[str]) -> list[str]:
-    """``help`` and ``help COMMAND`` as the option of that name."""
-    return [*words[1:], "--help"] if list(words[:1]) == ["help"] else list(words)
+    """The module of a command."""
+    return importlib.import_module(
+        f"clgs.{'lab' if command in LABORATORY else 'cli'}.commands.{command}"
+    )
 
 
 def _lacked_memory(error: BaseException | None) -> bool:

@@ -9,6 +9,9 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
+SHELLS = ("bash", "zsh", "fish")
+"""Shells that complete the commands, options and values of ``clgs``."""
+
 RAW = ("examples:", "exit codes:")
 """How paragraphs begin whose lines stay as they are."""
 
@@ -85,6 +88,25 @@ class Parser(argparse.ArgumentParser):
         if any(option.startswith(first) for option in self._option_string_actions):
             return ""
         return _nearest(first, self._option_string_actions)
+
+
+class Completion(argparse.Action):
+    """``--completion SHELL`` prints the script that lets a shell ask ``clgs`` for completions."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        """Print the script for the shell that ``values`` names; exits with code 0."""
+        import argcomplete
+
+        if values == "zsh":
+            print("autoload -U compinit && compinit")
+        print(argcomplete.shellcode(["clgs"], True, values))
+        parser.exit(0)
 
 
 def _nearest(word: str, known: Iterable[str]) -> str:

@@ -47,6 +47,31 @@ class Lens:
     tangential: tuple[float, float] = (0.0, 0.0)
     fisheye: bool = False
 
+    @classmethod
+    def of_model(
+        cls,
+        model: str,
+        size: tuple[int, int],
+        focal: tuple[float, float],
+        centre: tuple[float, float],
+        coefficients: dict[str, float],
+    ) -> Lens:
+        """The lens of a COLMAP camera model.
+
+        Args:
+            model: COLMAP's name of it.
+            size: (width, height) in pixels.
+            focal: in x and y, pixels.
+            centre: the principal point, pixels.
+            coefficients: k1 to k6, p1, p2; those that are missing are 0.
+        """
+        k = [coefficients.get(f"k{i}", 0.0) for i in range(1, 7)]
+        full = model == "FULL_OPENCV"
+        radial, divisor = (k[:3], k[3:]) if full else (k[:4], [])
+        tangential = coefficients.get("p1", 0.0), coefficients.get("p2", 0.0)
+        fisheye = "FISHEYE" in model
+        return cls(*size, *focal, *centre, tuple(radial), tuple(divisor), tangential, fisheye)
+
     @property
     def distorted(self) -> bool:
         """Whether the lens differs from a pinhole."""

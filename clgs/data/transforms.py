@@ -7,22 +7,22 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.images import SUFFIXES, image_size, stored_size
 from clgs.data.lens import Lens
-from clgs.data.posed_photo import Photo, PhotoSet, fit_lens, hold_out, inside, nameable, rigid
+from clgs.data.locate import ListedPhoto, inside, locate_all
+from clgs.data.posed_photo import Photo, PhotoSet, hold_out, rigid
 from clgs.errors import DataError
 
 _log = logging.getLogger(__name__)
 
-CAMERA_MODELS = {
+COEFFICIENTS = {
     "SIMPLE_PINHOLE": "",
     "PINHOLE": "",
     "SIMPLE_RADIAL": "k1",
@@ -36,7 +36,7 @@ CAMERA_MODELS = {
 """Distortion coefficients that each ``camera_model`` reads; missing ones are zero."""
 
 FOCAL_LENGTHS = 1e-3, 1e9
-"""Least and greatest, in pixels: what lies outside is no lens, and overflows in float32."""
+"""Least and greatest, in pixels: beyond them there is no lens, and float32 overflows."""
 
 MAX_BYTES = 256 * 2**20
 """A larger transforms.json is refused before it is parsed."""
@@ -48,7 +48,7 @@ def read_blender(root: Path) -> PhotoSet:
     Without a test file every 8th photo is held out.
 
     Raises:
-        DataError: naming file, frame and field.
+        DataError: names file, frame and field.
     """
     train, missing = _read_photos(root, root / "transforms_train.json")
     if not (root / "transforms_test.json").is_file():
@@ -61,10 +61,10 @@ def read_transforms(root: Path) -> PhotoSet:
     """The photos of transforms.json; split by train_filenames and test_filenames if given.
 
     Raises:
-        DataError: naming file, frame and field.
+        DataError: names file, frame and field.
     """
     file = root / "transforms.json"
-    document = _parse(file)
+    document = read_document(file)
     photos, missing = _read_photos(root, file)
     found = PhotoSet("transforms", *hold_out(photos), missing)
     found.points_file = _points_file(root, document, file)
@@ -72,14 +72,23 @@ def read_transforms(root: Path) -> PhotoSet:
     if test_key not in document:
         return found
     test_names = _names(document, test_key, file)
-    _name_strangers(file, test_key, test_names, [photo.name for photo in photos] + missing)
-    test = [photo for photo in photos if _listed(photo, test_names)]
-    train = [photo for photo in photos if not _listed(photo, test_names)]
+    known = {photo.name for photo in photos} | set(missing)
+    known |= {str(PurePosixPath(name).with_suffix("")) for name in known}
+    if strangers := sorted(test_names - known):
+        _log.warning("%s: %s: no frame has the name %s", file, test_key, ", ".join(strangers[:8]))
+    found.test = [photo for photo in photos if _listed(photo, test_names)]
+    found.train = [photo for photo in photos if not _listed(photo, test_names)]
     if "train_filenames" in document:
         train_names = _names(document, "train_filenames", file)
-        train = [photo for photo in train if _listed(photo, train_names)]
-    found.train, found.test = train, test
+        found.train = [photo for photo in found.train if _listed(photo, train_names)]
     return found
+
+
+def _read_photos(root: Path, file: Path) -> tuple[list[Photo], list[str]]:
+    """Photos that exist in file order, and the names of missing ones."""
+    document = read_document(file)
+    listed = [read_frame(file, document, number) for number in range(count_frames(file, document))]
+    return locate_all(listed, root, root, str(file))
 
 
 def _points_file(root: Path, document: dict[str, Any], file: Path) -> Path | None:
@@ -91,21 +100,54 @@ def _points_file(root: Path, document: dict[str, Any], file: Path) -> Path | Non
         raise DataError(f"{file}: ply_file_path is not a string; correct it")
     path = inside(root, name, f"{file}: ply_file_path")
     if not path.is_file():
-        _log.warning("%s: ply_file_path: there is no file %s; points are found anew", file, name)
+        _log.warning(
+            "%s: ply_file_path: there is no file %s; points are sought in the photos", file, name
+        )
         return None
     return path
 
 
-def _name_strangers(file: Path, key: str, listed: set[str], known: list[str]) -> None:
-    """Warn of listed names that no frame has."""
-    names = set(known) | {str(PurePosixPath(name).with_suffix("")) for name in known}
-    if strangers := sorted(listed - names):
-        _log.warning("%s: %s: no frame has the name %s", file, key, ", ".join(strangers[:8]))
+def count_frames(file: Path, document: dict[str, Any]) -> int:
+    """The number of frames.
+
+    Raises:
+        DataError: there are no frames.
+    """
+    frames = document.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise DataError(f"{file}: frames is missing or empty; list one entry for each photo")
+    return len(frames)
+
+
+def read_frame(file: Path, document: dict[str, Any], number: int) -> ListedPhoto:
+    """One frame of a document whose frames were counted.
+
+    Raises:
+        DataError: names file, frame and field.
+    """
+    frame, source = document["frames"][number], f"{file}: frame {number}"
+    if not isinstance(frame, dict):
+        raise DataError(f"{source} is not an object; correct it")
+    fields = _Fields(frame, document, source)
+    rotation, translation = fields.pose()
+    if "file_path" not in frame:
+        fields.fail("file_path", "is missing; name the image")
+    size = None
+    if fields.has("w") and fields.has("h"):
+        width, height = fields.number("w", 0), fields.number("h", 0)
+        if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
+            fields.fail("w, h", "are not image sizes; correct them")
+        size = round(width), round(height)
+    lens = partial(_read_lens, fields)
+    lens(*(size or (1, 1)))  # a bad file is bad on every machine, even if the image is missing
+    mask = fields.text("mask_path", "") if "mask_path" in frame else None
+    name = fields.text("file_path", "")
+    return ListedPhoto(name, source, rotation, translation, size, lens, mask)
 
 
 @dataclass(frozen=True)
 class _Fields:
-    """One frame's fields, then those that all frames share, read with checks."""
+    """The fields of one frame, then those that all frames share, read with checks."""
 
     frame: dict[str, Any]
     shared: dict[str, Any]
@@ -149,128 +191,17 @@ class _Fields:
         return rotation, -rotation @ centre
 
 
-def _read_photos(root: Path, file: Path) -> tuple[list[Photo], list[str]]:
-    """Photos that exist in file order, and the names of missing ones."""
-    photos: dict[str, Photo] = {}
-    missing: list[str] = []
-    for number, found in enumerate(each_frame(root, file, _parse(file))):
-        if isinstance(found, DataError):
-            raise found
-        if isinstance(found, str):
-            missing.append(found)
-        elif found.name in photos:
-            name = f"file_path {found.name!r}"
-            raise DataError(f"{file}: frame {number}: {name} occurs twice; keep one of the two")
-        else:
-            photos[found.name] = found
-    if not photos:
-        raise DataError(f"{file}: none of the {len(missing)} images of frames exists; add them")
-    return list(photos.values()), missing
-
-
-def each_frame(
-    root: Path, file: Path, document: dict[str, Any]
-) -> Iterator[Photo | str | DataError]:
-    """Each frame by itself: its photo, the name of a missing one, or what is wrong with it.
-
-    Raises:
-        DataError: there are no frames.
-    """
-    frames = document.get("frames")
-    if not isinstance(frames, list) or not frames:
-        raise DataError(f"{file}: frames is missing or empty; list one entry for each photo")
-    for number, frame in enumerate(frames):
-        source = f"{file}: frame {number}"
-        if not isinstance(frame, dict):
-            yield DataError(f"{source} is not an object; correct it")
-            continue
-        fields = _Fields(frame, document, source)
-        try:
-            photo = _read_photo(root, fields)
-            yield fields.text("file_path", "") if photo is None else photo
-        except DataError as error:
-            yield error
-
-
-def _read_photo(root: Path, fields: _Fields) -> Photo | None:
-    """The photo of one frame, or None if its file is missing."""
-    rotation, translation = fields.pose()
-    path = _find_image(root, fields)
-    declared = _declared_size(fields)
-    # Fields are checked even if the image is missing: a bad file is bad on every machine.
-    lens = _read_lens(fields, *(declared or (1, 1)))
-    if path is None:
-        return None
-    actual = image_size(path) if declared is None else stored_size(path, declared)
-    lens = fit_lens(_read_lens(fields, *actual) if declared is None else lens, actual, path)
-    name = path.relative_to(root).as_posix()
-    return Photo(name, path, lens, rotation, translation, _find_mask(root, fields))
-
-
-def _find_mask(root: Path, fields: _Fields) -> Path | None:
-    """The file of ``mask_path``, if the frame has one."""
-    if "mask_path" not in fields.frame:
-        return None
-    path = inside(root, fields.text("mask_path", ""), f"{fields.source}: mask_path")
-    if not path.is_file():
-        fields.fail("mask_path", f"names no file ({path.name[:80]!r}); add it or remove the field")
-    return path
-
-
-def _find_image(root: Path, fields: _Fields) -> Path | None:
-    """The existing file of ``file_path``, which may lack its extension."""
-    if "file_path" not in fields.frame:
-        fields.fail("file_path", "is missing; name the image")
-    path = inside(root, fields.text("file_path", ""), f"{fields.source}: file_path")
-    if path.is_file():
-        return path
-    suffixes = (*SUFFIXES, *(suffix.upper() for suffix in SUFFIXES))
-    extended = (path.with_name(path.name + suffix) for suffix in suffixes)
-    found = next((each for each in extended if nameable(each) and each.is_file()), None)
-    return found and inside(root, found.relative_to(root).as_posix(), fields.source)
-
-
-def _declared_size(fields: _Fields) -> tuple[int, int] | None:
-    if not (fields.has("w") and fields.has("h")):
-        return None
-    width, height = fields.number("w", 0), fields.number("h", 0)
-    if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
-        fields.fail("w, h", "are not image sizes; correct them")
-    return round(width), round(height)
-
-
 def _read_lens(fields: _Fields, width: int, height: int) -> Lens:
     """The lens of a frame for a raster of the given size."""
-    coefficients, fisheye = _distortion(fields)
-    fx, fy = _focal_lengths(fields, width, height)
-    radial = tuple(coefficients.get(f"k{i}", 0.0) for i in (1, 2, 3, 4))
-    divisor: tuple[float, ...] = ()
-    if fields.text("camera_model", "") == "FULL_OPENCV":
-        divisor = tuple(coefficients.get(f"k{i}", 0.0) for i in (4, 5, 6))
-        radial = radial[:3]
-    return Lens(
-        width,
-        height,
-        fx,
-        fy,
-        fields.number("cx", width / 2),
-        fields.number("cy", height / 2),
-        radial,
-        divisor,
-        (coefficients.get("p1", 0.0), coefficients.get("p2", 0.0)),
-        fisheye,
-    )
-
-
-def _distortion(fields: _Fields) -> tuple[dict[str, float], bool]:
-    """Distortion coefficients by name, and whether they are a fisheye's."""
     flagged = fields.frame.get("is_fisheye", fields.shared.get("is_fisheye", False)) is True
     model = fields.text("camera_model", "OPENCV_FISHEYE" if flagged else "OPENCV")
-    if model not in CAMERA_MODELS:
-        known = ", ".join(CAMERA_MODELS)
+    if model not in COEFFICIENTS:
+        known = ", ".join(COEFFICIENTS)
         fields.fail("camera_model", f"{model[:40]!r} is unknown; undistort to one of {known}")
-    coefficients = {key: fields.number(key, 0.0) for key in CAMERA_MODELS[model].split()}
-    return coefficients, "FISHEYE" in model
+    coefficients = {name: fields.number(name, 0.0) for name in COEFFICIENTS[model].split()}
+    focal = _focal_lengths(fields, width, height)
+    centre = fields.number("cx", width / 2), fields.number("cy", height / 2)
+    return Lens.of_model(model, (width, height), focal, centre, coefficients)
 
 
 def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, float]:
@@ -287,7 +218,7 @@ def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, flo
     if not known:
         fields.fail("fl_x", "and camera_angle_x are missing; give one of them")
     fx = known.get("x", known.get("y", 0.0))
-    # A given fl_x without fl_y means square pixels, whatever a rounded camera_angle_y says.
+    # A given fl_x without fl_y means square pixels, even if there is a rounded camera_angle_y.
     fy = known.get("y", fx) if fields.has("fl_y") or not fields.has("fl_x") else fx
     least, most = FOCAL_LENGTHS
     if not (least <= fx <= most and least <= fy <= most):
@@ -296,17 +227,12 @@ def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, flo
     return fx, fy
 
 
-def parse_leniently(file: Path) -> dict[str, Any]:
-    """The JSON object in ``file``, NaN and Infinity as they are.
+def read_document(file: Path, lenient: bool = False) -> dict[str, Any]:
+    """The JSON object in ``file``; NaN and Infinity are numbers if ``lenient``, else refused.
 
     Raises:
         DataError: missing, too large, no JSON object.
     """
-    return _parse(file, refused=False)
-
-
-def _parse(file: Path, refused: bool = True) -> dict[str, Any]:
-    """The JSON object in ``file``; NaN and Infinity are ``refused``."""
     if not file.is_file():
         raise DataError(f"{file}: missing; the data set needs it")
     if file.stat().st_size > MAX_BYTES:
@@ -315,9 +241,8 @@ def _parse(file: Path, refused: bool = True) -> dict[str, Any]:
     def refuse(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is not a number")
 
-    constants = refuse if refused else None
     try:
-        document = json.loads(file.read_bytes(), parse_constant=constants)
+        document = json.loads(file.read_bytes(), parse_constant=None if lenient else refuse)
     except RecursionError:
         raise DataError(f"{file}: nested too deeply; it is no transforms file") from None
     except ValueError as error:

@@ -9,10 +9,11 @@ from pathlib import Path
 from clgs.data.colmap.model import find_model
 from clgs.data.dataset import MIN_POINTS, read_photo_set
 from clgs.data.find import find_photos
+from clgs.data.locate import locate
 from clgs.data.origin import read_origin
 from clgs.data.point_file import PointFile, read_points
 from clgs.data.posed_photo import Photo, PhotoSet
-from clgs.data.transforms import each_frame, parse_leniently
+from clgs.data.transforms import count_frames, read_document, read_frame
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named
 from clgs.doctor.lenses import check_lenses
 from clgs.doctor.pictures import check_pictures, damaged
@@ -42,9 +43,8 @@ def examine(root: Path) -> Examined:
     except DataError as error:
         if not _is_posed(root):
             return _unposed(root, error)
-        found = _piecewise(root)
-        findings += found.findings or [from_error(error)]
-        photos = found.photos
+        photos, found = _piecewise(root)
+        findings += found or [from_error(error)]
     everyone = photos.train + photos.test
     findings += _missing(root, photos)
     if len(photos.test) > 1 and not photos.train:
@@ -89,36 +89,34 @@ def _unposed(root: Path, error: DataError) -> Examined:
     return Examined(f"{root}: {len(found.photos) - len(bad)} photos without poses", findings)
 
 
-@dataclass(frozen=True)
-class _Pieces:
-    photos: PhotoSet
-    findings: list[Finding]
-
-
-def _piecewise(root: Path) -> _Pieces:
-    """Each frame of the data set's files by itself; nothing of a COLMAP model, which is one."""
-    kind = "blender" if (root / FILES[0]).is_file() else "transforms"
+def _piecewise(root: Path) -> tuple[PhotoSet, list[Finding]]:
+    """Each frame of the transforms files by itself; nothing of a COLMAP model."""
     photos: dict[str, Photo] = {}
     missing: list[str] = []
     findings: list[Finding] = []
-    for name in FILES:
-        file = root / name
-        if not file.is_file():
-            continue
+    kind = "blender" if (root / FILES[0]).is_file() else "transforms"
+    for file in filter(Path.is_file, (root / name for name in FILES)):
         try:
-            for number, found in enumerate(each_frame(root, file, parse_leniently(file))):
-                if isinstance(found, DataError):
-                    findings.append(from_error(found))
-                elif isinstance(found, str):
-                    missing.append(found)
-                elif found.name in photos and kind == "transforms":
-                    where, problem = f"{file}: frame {number}", f"{found.name!r} occurs twice"
-                    findings.append(Finding(ERROR, where, problem, "keep one of the two"))
-                else:
-                    photos[found.name] = found
+            document = read_document(file, lenient=True)
+            count = count_frames(file, document)
         except DataError as error:
             findings.append(from_error(error))
-    return _Pieces(PhotoSet(kind, list(photos.values()), [], missing), findings)
+            continue
+        for number in range(count):
+            try:
+                listed = read_frame(file, document, number)
+                photo = locate(listed, root, root)
+            except DataError as error:
+                findings.append(from_error(error))
+                continue
+            if photo is None:
+                missing.append(listed.name)
+            elif photo.name in photos and kind == "transforms":
+                problem = f"{photo.name!r} is listed twice"
+                findings.append(Finding(ERROR, listed.source, problem, "keep one of the two"))
+            else:
+                photos[photo.name] = photo
+    return PhotoSet(kind, list(photos.values()), [], missing), findings
 
 
 def _missing(root: Path, photos: PhotoSet) -> Iterator[Finding]:

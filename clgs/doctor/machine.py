@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clgs.data.native.probe import import_problem
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first
 from clgs.errors import ClgsError, UsageError
 from clgs.machine import available_memory, host_facts
+from clgs.poses.child import import_problem
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device

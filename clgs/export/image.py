@@ -122,3 +122,22 @@ def picture_names(names: Sequence[str]) -> list[str]:
 
 def _plain(text: str) -> str:
     return re.sub(r"[^\w.-]", "_", text.strip("./"))
+
+
+class PictureFolder:
+    """Renders and photos as PNG files in the layout that the tools of the 3DGS family read."""
+
+    def __init__(self, run: Path, steps: int, names: Sequence[str]) -> None:
+        """Make the folders in ``run``, after ``steps`` steps; ``names`` of all views."""
+        self._run, self._folder = run, run / "test" / f"ours_{steps}"
+        self._files = dict(zip(names, picture_names(names), strict=True))
+        for kind in ("renders", "gt"):
+            (self._folder / kind).mkdir(parents=True, exist_ok=True)
+
+    def add(self, name: str, render: Picture, photo: Picture) -> None:
+        """Write the pictures of the view ``name``; those of the first view are also the preview."""
+        file = self._files[name]
+        save_png(self._folder / "renders" / file, render)
+        save_png(self._folder / "gt" / file, photo)
+        if file == next(iter(self._files.values())):
+            save_png(self._run / "preview.png", comparison(photo, render))

@@ -42,7 +42,7 @@ def forward(
     anchors: DeviceAnchors,
     camera: DeviceArray,
     options: RenderOptions = DEFAULT,
-    capacity: int | None = None,
+    room: int = scan.EXACT,
 ) -> Visible:
     """Select the anchors that the camera may see.
 
@@ -54,7 +54,7 @@ def forward(
         anchors: of the whole scene; position and scaling are read.
         camera: (26,) float32 from ``Camera.pack``.
         options: ``smallest_anchor`` and the skip of anchors.
-        capacity: V; None waits for the device to learn it.
+        room: V; EXACT waits for the device to learn it.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -73,7 +73,7 @@ def forward(
         mark = device.kernel("anchors/cull", "cull_mark")
         device.run(mark, *_grid(count), keep, np.int32(count), every)
         return Visible(every, offsets.total)
-    room = scan.checked_total(device, offsets) if capacity is None else capacity
+    room = scan.room_for(device, offsets, room)
     visible = Visible(device.empty((room,), np.int32), offsets.total)
     compact = device.kernel("anchors/cull", "cull_compact")
     limits = np.int32(count), offsets.total, np.int32(room)

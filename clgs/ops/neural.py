@@ -50,7 +50,7 @@ class NeuralGaussians(Gaussians):
     of the first Gaussian of each visible anchor; drawn (V,) int32, bit j for its slot j; total (1,)
     int64, how many Gaussians there are.
 
-    With a capacity N is that, and what follows the first ``total`` is padding: zeros, slot -1. If
+    With a room N is that, and what follows the first ``total`` is padding: zeros, slot -1. If
     ``total`` is larger than N, the last Gaussians are left out.
     """
 
@@ -92,7 +92,7 @@ def forward(
     device: Device,
     activations: Activations,
     anchors: DeviceAnchors,
-    capacity: int | None = None,
+    room: int = scan.EXACT,
 ) -> NeuralGaussians:
     """Gather the Gaussians of the visible anchors.
 
@@ -100,7 +100,7 @@ def forward(
         device: where the arrays live.
         activations: from ``mlp.forward``; output and visible are read.
         anchors: of the whole scene; all but the feature is read.
-        capacity: how many Gaussians to make room for; default: wait for the device to count them.
+        room: N; EXACT waits for the device to learn it.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -108,7 +108,7 @@ def forward(
     _check(activations, anchors)
     output, visible = activations.output, activations.visible
     drawn, offsets = number(device, activations)
-    count = scan.checked_total(device, offsets) if capacity is None else capacity
+    count = scan.room_for(device, offsets, room)
     result = allocate(device, count, drawn, offsets)
     device.run(
         device.kernel("gaussian/neural", "neural_forward"),
@@ -125,7 +125,7 @@ def forward(
         anchors.scaling,
         *fields(result),
     )
-    if capacity is not None:
+    if room != scan.EXACT:
         pad(device, result)
     return result
 

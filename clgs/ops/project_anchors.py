@@ -23,7 +23,7 @@ def forward(
     inputs: mlp.Inputs,
     visible: DeviceArray,
     options: RenderOptions = DEFAULT,
-    capacity: int | None = None,
+    room: int = scan.EXACT,
 ) -> tuple[project.Projected, DeviceArray]:
     """What ``project.forward`` makes of what ``neural.forward`` makes of ``mlp.forward``.
 
@@ -32,11 +32,11 @@ def forward(
         inputs: of the MLPs; here all four tensors of the anchors are read.
         visible: (V,) int32, anchor of each sample, each at most once; -1 at the end: no anchor.
         options: accuracy, and the skips ``opacity_first`` and ``slots``.
-        capacity: how many Gaussians to make room for; default: wait for the device to count them.
+        room: N; EXACT waits for the device to learn it.
 
     Returns:
         N Gaussians on the screen in the order of ``neural.forward``, and (1,) int64, how many there
-        are: with a capacity N is that, and the rest is zero.
+        are: with a room N is that, and the rest is zero.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -46,7 +46,7 @@ def forward(
     else:
         decoded = mlp.opacities(device, inputs, visible, options, K_OFFSETS)
     drawn, offsets = neural.number(device, decoded)
-    count = scan.checked_total(device, offsets) if capacity is None else capacity
+    count = scan.room_for(device, offsets, room)
     result = project.allocate(device, device.empty((count, 3)), device.empty((count,)))
     anchors, columns = inputs.anchors, decoded.output.shape[1]
     macros = {**project.defines(device, options), **mlp.defines(device, options)}
@@ -68,7 +68,7 @@ def forward(
         decoded.output,
         *project.fields(result),
     )
-    if capacity is not None:
+    if room != scan.EXACT:
         device.run(
             device.kernel("gaussian/project_anchors", "project_anchors_pad", **macros),
             (round_up(count, GROUP_SIZE),),

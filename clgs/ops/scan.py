@@ -17,7 +17,9 @@ from clgs.shapes import Shapes
 
 GROUP_SIZE = 256
 MAX_TOTAL = 2**31 - 1
-NO_LIMIT = 2**63 - 1
+EXACT = 2**63 - 1
+"""Room for exactly as many as there are: the host waits until it knows the number."""
+
 LACKS_ROOM = 2
 """Bit of the stop flag (see ``clgs.ops.adam``): an array was too short for what belongs in it."""
 
@@ -74,8 +76,17 @@ def checked_total(device: Device, offsets: Offsets) -> int:
     return total
 
 
+def room_for(device: Device, offsets: Offsets, room: int) -> int:
+    """Length of the array that ``offsets`` lead into: ``room``, or the total if that is EXACT.
+
+    Raises:
+        ClgsError: the room is EXACT, and the total does not fit in 31 bits.
+    """
+    return checked_total(device, offsets) if room == EXACT else room
+
+
 def on_device(
-    device: Device, counts: DeviceArray, limit: int = NO_LIMIT, parts: PartSums | None = None
+    device: Device, counts: DeviceArray, limit: int = EXACT, parts: PartSums | None = None
 ) -> Offsets:
     """As :func:`exclusive`, but nothing is downloaded; offsets are all 0 if total > limit.
 
@@ -115,10 +126,10 @@ def counting_grid(
 def check_fits(
     device: Device,
     totals: tuple[DeviceArray, DeviceArray, DeviceArray],
-    capacities: tuple[int, int, int],
+    rooms: tuple[int, int, int],
     stop: DeviceArray,
 ) -> DeviceArray:
-    """Set LACKS_ROOM in ``stop`` (1,) int32 if a total, (1,) int64, is above its capacity.
+    """Set LACKS_ROOM in ``stop`` (1,) int32 if a total, (1,) int64, is above its room.
 
     Returns the totals in one array, (3,) int64. Waits for nothing.
 
@@ -131,7 +142,7 @@ def check_fits(
     shapes.check("stop", stop, "1", np.int32)
     gathered = device.empty((len(totals),), np.int64)
     kernel = device.kernel("scan/fits", "scan_fits", LACKS_ROOM=LACKS_ROOM)
-    capacity = np.array([*capacities, 0], np.int64)
+    capacity = np.array([*rooms, 0], np.int64)
     device.run(kernel, (1,), (1,), *totals, capacity, gathered, stop)
     return gathered
 

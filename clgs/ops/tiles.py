@@ -42,7 +42,7 @@ class TileLists:
     in (tile, depth) order; row (I,): a number of its own for each entry, by Gaussian, then tile;
     tile_range (T + 1,): the entries of tile t are [tile_range[t], tile_range[t + 1]); row_range
     (N + 1,): the rows of Gaussian n are [row_range[n], row_range[n + 1]); total (1,) int64: number
-    of entries that were found. Lists made with a capacity below it are empty; above it, the entries
+    of entries that were found. Lists made in a smaller room are empty; in a larger one, the entries
     after the last tile's are padding.
     """
 
@@ -90,7 +90,7 @@ def forward(
     projected: Projected,
     size: tuple[int, int],
     options: RenderOptions = DEFAULT,
-    capacity: int | None = None,
+    room: int = scan.EXACT,
     tile_rows: tuple[int, int] | None = None,
 ) -> TileLists:
     """Build the lists.
@@ -100,21 +100,20 @@ def forward(
         projected: N Gaussians on the screen; drawn if extent > 0.
         size: width and height of the image, pixels.
         options: accuracy, for the alpha cut; skips, for the exact test.
-        capacity: I; None waits once for the device to learn the number of entries.
+        room: I; EXACT waits once for the device to learn the number of entries.
         tile_rows: first and end of the rows of tiles that are filled; default all.
 
     Raises:
-        ClgsError: without a capacity, there would be more than 2^31 - 1 entries.
+        ClgsError: the room is EXACT, and there would be more than 2^31 - 1 entries.
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     _check(projected)
     found = _footprints(device, projected, size, tile_rows or (0, tile_count(1, size[1])), options)
     keys = DeviceArray(projected.depth.buffer, projected.depth.shape, np.dtype(np.uint32))
     order = sort.chosen(device, keys, found.counts)  # the bits of positive floats keep their order
-    limit = scan.MAX_TOTAL if capacity is None else capacity
-    rows = scan.on_device(device, found.counts, limit, found.parts)
+    rows = scan.on_device(device, found.counts, min(room, scan.MAX_TOTAL), found.parts)
     finish = _sort_entries if device.specialisation == "gpu" else _count_entries
-    return finish(device, found, order, rows, capacity)
+    return finish(device, found, order, rows, room)
 
 
 def count_by_row(
@@ -175,7 +174,7 @@ def _count_entries(
     found: _Footprints,
     order: sort.Order,
     rows: scan.Offsets,
-    capacity: int | None,
+    room: int,
 ) -> TileLists:
     """Two stable passes: by row of tiles, then by column within each."""
     parts, count_of_rows = chunk_count(device), found.tiles // found.columns
@@ -187,7 +186,7 @@ def _count_entries(
     count = device.kernel("tiles/lists", "tiles_count", **found.defines)
     counted = found.boxes, rows.offset, np.int32(pitch), ranked, counters
     device.run(count, *chunks, *ordered, *counted)
-    entries = scan.checked_total(device, rows) if capacity is None else capacity
+    entries = scan.room_for(device, rows, room)
     limit = rows.total, np.int32(entries)
     starts = device.empty((count_of_rows + 1, 2), np.int32)
     start = device.kernel("tiles/lists", "tiles_starts", **found.defines)
@@ -204,7 +203,7 @@ def _count_entries(
     sizes = np.int32(found.columns), np.int32(count_of_rows), np.int32(pitch)
     lists = places, tile_range, gaussian, row
     device.run(enter, (count_of_rows,), (1,), spans, starts, *sizes, *lists)
-    if capacity is not None:
+    if room != scan.EXACT:
         pad = device.kernel("tiles/lists", "tiles_pad_lists", **found.defines)
         device.run(pad, *chunks, *limit, gaussian, row)
     return TileLists(found.size, gaussian, row, tile_range, rows.offset, rows.total)
@@ -215,7 +214,7 @@ def _sort_entries(
     found: _Footprints,
     order: sort.Order,
     rows: scan.Offsets,
-    capacity: int | None,
+    room: int,
 ) -> TileLists:
     """Write the entries in depth order, then sort them by tile."""
     count, tiles = len(found.counts), found.tiles
@@ -226,7 +225,7 @@ def _sort_entries(
     ranked = found.counts, np.int32(count), ranked_counts, parts.sum
     device.run(rank, *grid, *ordered, *ranked)
     places = scan.on_device(device, ranked_counts, parts=parts)
-    entries = scan.checked_total(device, rows) if capacity is None else capacity
+    entries = scan.room_for(device, rows, room)
     limit = rows.total, np.int32(entries)
     tile, row, owner = (device.empty((entries,), t) for t in (np.uint32, np.int32, np.int32))
     emit = device.kernel("tiles/lists", "tiles_emit", **found.defines)

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from clgs.data.find import MASKS
-from clgs.data.native.child import OnStage, run_child, serve
-from clgs.data.native.pycolmap_lazy import quiet_pycolmap
 from clgs.errors import DataError
+from clgs.poses.child import OnStage, run_child, serve
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
 
 LEAST_GOOD = 3
 """Photos that a data set keeps at least."""

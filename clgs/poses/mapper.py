@@ -15,9 +15,8 @@ from typing import Any
 
 from clgs.data.find import MASKS
 from clgs.data.masks import undistort_masks
-from clgs.data.native.child import OnStage, run_child, serve
-from clgs.data.native.pycolmap_lazy import quiet_pycolmap
 from clgs.errors import DataError
+from clgs.poses.child import OnStage, run_child, serve
 from clgs.poses.features import extract
 from clgs.poses.job import Job, OnProgress
 from clgs.poses.judging.check import reconstruct_half
@@ -25,6 +24,7 @@ from clgs.poses.judging.conclusion import conclude
 from clgs.poses.judging.verdict import Verdict, verdict_of
 from clgs.poses.matching import match
 from clgs.poses.models import build, look_again
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.shots import list_shots, name_files, number_files, number_masks
 
 JPEG_QUALITY = 95

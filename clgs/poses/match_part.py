@@ -11,9 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from clgs.data.native.child import OnStage, run_child, serve
-from clgs.data.native.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.child import OnStage, run_child, serve
 from clgs.poses.job import Job
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
 
 TASK = "matching"
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from clgs.data.native.pycolmap_lazy import SEEDS
 from clgs.errors import ClgsError, DataError, ExistsError, OutputError
 from clgs.files import atomic_folder, check_folder, is_full
 from clgs.poses.contact_sheet import contact_sheet
@@ -23,6 +22,7 @@ from clgs.poses.judging.verdict import Verdict
 from clgs.poses.leftovers import owned, remove_leftovers
 from clgs.poses.mapper import reconstruct
 from clgs.poses.photos.bring_in import Source, bring_in, find_source
+from clgs.poses.pycolmap_lazy import SEEDS
 
 REPORT = "report.json"
 """The verdict, in the new data set."""

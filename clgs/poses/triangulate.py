@@ -25,12 +25,12 @@ from PIL import Image
 from clgs.data.images import read_image
 from clgs.data.lens import Lens
 from clgs.data.masks import read_mask, save_mask
-from clgs.data.native.child import run_child, serve
-from clgs.data.native.pycolmap_lazy import SEEDS, quiet_pycolmap
 from clgs.data.posed_photo import Photo
 from clgs.errors import DataError
 from clgs.files import atomic_path, make_folder
+from clgs.poses.child import run_child, serve
 from clgs.poses.judging.epipolar import sampson_error
+from clgs.poses.pycolmap_lazy import SEEDS, quiet_pycolmap
 
 Floats = npt.NDArray[np.float64]
 

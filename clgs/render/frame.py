@@ -10,6 +10,7 @@ import numpy as np
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, cull, mlp, neural, project
+from clgs.ops.scan import EXACT
 from clgs.ops.tiles import TileLists
 from clgs.scene.anchors import DeviceAnchors
 from clgs.scene.camera import Camera
@@ -47,19 +48,31 @@ class DeviceView:
 
 
 @dataclass(frozen=True)
-class Capacity:
-    """Room for visible anchors, Gaussians and tile entries; more than that is left out."""
+class Room:
+    """Lengths of the arrays of a frame: visible anchors, Gaussians and tile entries.
 
-    visible: int
-    gaussians: int
-    entries: int
+    What there is more of is left out. EXACT makes an array as long as it needs to be, for which the
+    host waits for the device.
+    """
 
-    def grown(self, needed: Capacity) -> Capacity:
-        """With room for ``needed`` and a quarter more if there is too little."""
+    visible: int = EXACT
+    gaussians: int = EXACT
+    entries: int = EXACT
+
+    def holds(self, needed: Room) -> bool:
+        """Whether nothing is left out if so much is ``needed``."""
+        return all(n <= room for n, room in zip(astuple(needed), astuple(self), strict=True))
+
+    def grown(self, needed: Room) -> Room:
+        """The room for the next frame, in which nothing waits for the device.
+
+        A length that is EXACT or less than ``needed`` becomes that and a quarter more.
+        """
         pairs = zip(astuple(needed), astuple(self), strict=True)
-        return Capacity(
-            *(room if count <= room else count + count // 4 + 1024 for count, room in pairs)
-        )
+        return Room(*(room if n <= room != EXACT else n + n // 4 + 1024 for n, room in pairs))
+
+
+EXACT_ROOM = Room()
 
 
 @dataclass(frozen=True)
@@ -101,9 +114,9 @@ class Frame:
         """How many visible anchors, Gaussians and tile entries there are, (1,) int64 each."""
         return self.visible.total, self.gaussians.total, self.tiles.total
 
-    def needed(self, device: Device) -> Capacity:
+    def needed(self, device: Device) -> Room:
         """The same on the host; waits for the device."""
-        return Capacity(*(int(device.download(total)[0]) for total in self.totals))
+        return Room(*(int(device.download(total)[0]) for total in self.totals))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from clgs.opencl.device import Device
 from clgs.ops import blend, cull, mlp, project, project_anchors, splats, tiles
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import tile_groups
-from clgs.render.frame import Capacity, DeviceScene, DeviceView, Drawable
+from clgs.render.frame import EXACT_ROOM, DeviceScene, DeviceView, Drawable, Room
 from clgs.scene.gaussians import DeviceGaussians
 
 
@@ -37,11 +37,11 @@ def draw(
     scene: Drawable,
     view: DeviceView,
     options: RenderOptions = DEFAULT,
-    capacity: Capacity | None = None,
+    room: Room = EXACT_ROOM,
 ) -> Picture:
     """Bit-identical to the picture of ``pipeline.view_forward``, but faster."""
-    projected, *totals = _project(device, scene, view, options, capacity)
-    blended = _blend(device, projected, view, options, capacity)
+    projected, *totals = _project(device, scene, view, options, room)
+    blended = _blend(device, projected, view, options, room)
     totals.append(blended.tiles.total)
     return Picture(blended.image, blended.transmittance, (totals[0], totals[1], totals[2]))
 
@@ -51,20 +51,20 @@ def draw_depth(
     scene: Drawable,
     view: DeviceView,
     options: RenderOptions = DEFAULT,
-    capacity: Capacity | None = None,
+    room: Room = EXACT_ROOM,
 ) -> Picture:
     """The picture if the color of every Gaussian were (its depth, 1, 0), over black.
 
     Blending is linear in the colors: the first channel, in scene units, is the sum of depths
     weighted as colors are, and the second one the sum of the weights. Waits for the device.
     """
-    projected, *totals = _project(device, scene, view, options, capacity)
+    projected, *totals = _project(device, scene, view, options, room)
     depth = device.download(projected.depth)
     unit = float(depth.max(initial=0.0)) or 1.0  # blending clamps colors to +-1000
     color = np.stack([depth / np.float32(unit), np.ones_like(depth), np.zeros_like(depth)], 1)
     deep = replace(projected, color=device.upload(color))
     dark = replace(view, background=device.zeros((3,)))
-    blended = _blend(device, deep, dark, options, capacity)
+    blended = _blend(device, deep, dark, options, room)
     totals.append(blended.tiles.total)
     return Picture(blended.image, blended.transmittance, (totals[0], totals[1], totals[2]), unit)
 
@@ -74,11 +74,11 @@ def _project(
     scene: Drawable,
     view: DeviceView,
     options: RenderOptions,
-    capacity: Capacity | None,
+    room: Room,
 ) -> tuple[project.Projected, DeviceArray, DeviceArray]:
     """The Gaussians on the screen, and how many anchors are visible and Gaussians there are."""
     if isinstance(scene, DeviceScene):
-        return _project_anchors(device, scene, view, options, capacity)
+        return _project_anchors(device, scene, view, options, room)
     return _project_splats(device, scene, view, options)
 
 
@@ -87,15 +87,15 @@ def _project_anchors(
     scene: DeviceScene,
     view: DeviceView,
     options: RenderOptions,
-    capacity: Capacity | None,
+    room: Room,
 ) -> tuple[project.Projected, DeviceArray, DeviceArray]:
     inputs = mlp.Inputs(scene.anchors, scene.weights, view.camera)
     with device.stage("cull"):
-        room = capacity.visible if capacity else None
-        visible = cull.forward(device, scene.anchors, view.camera, options, room)
+        visible = cull.forward(device, scene.anchors, view.camera, options, room.visible)
     with device.stage("project anchors"):
-        room = capacity.gaussians if capacity else None
-        projected, total = project_anchors.forward(device, inputs, visible.anchor, options, room)
+        projected, total = project_anchors.forward(
+            device, inputs, visible.anchor, options, room.gaussians
+        )
     return projected, visible.total, total
 
 
@@ -115,12 +115,11 @@ def _blend(
     projected: project.Projected,
     view: DeviceView,
     options: RenderOptions,
-    capacity: Capacity | None,
+    room: Room,
 ) -> blend.Blended:
     if options.max_memory is not None:
         return tile_groups.forward(device, projected, view, options)[0]
     with device.stage("tiles"):
-        room = capacity.entries if capacity else None
-        lists = tiles.forward(device, projected, view.size, options, room)
+        lists = tiles.forward(device, projected, view.size, options, room.entries)
     with device.stage("blend forward"):
         return blend.forward(device, projected, lists, view.background, options)

@@ -13,17 +13,16 @@ from clgs.ops import blend, cull, loss, mlp, neural, project, scan, tiles
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import tile_groups
 from clgs.render.frame import (
-    Capacity,
+    EXACT_ROOM,
     DeviceScene,
     DeviceView,
     Frame,
+    Room,
     SceneGradients,
     upload_view,
 )
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings
-
-UNLIMITED = Capacity(scan.NO_LIMIT, scan.NO_LIMIT, scan.NO_LIMIT)
 
 
 def render_forward(
@@ -46,30 +45,27 @@ def view_forward(
     scene: DeviceScene,
     view: DeviceView,
     options: RenderOptions = DEFAULT,
-    capacity: Capacity | None = None,
+    room: Room = EXACT_ROOM,
 ) -> Frame:
     """As :func:`render_forward`, of a view that lies on the device.
 
-    With a ``capacity`` nothing waits for the device; :func:`check_capacity` then tells whether it
-    was enough. Without one, all arrays are made to measure.
+    In a ``room`` without EXACT nothing waits for the device; :func:`check_room` then finds out
+    whether it was enough.
     """
     inputs = mlp.Inputs(scene.anchors, scene.weights, view.camera)
     with device.stage("cull"):
-        room = capacity.visible if capacity else None
-        visible = cull.forward(device, scene.anchors, view.camera, options, room)
+        visible = cull.forward(device, scene.anchors, view.camera, options, room.visible)
     with device.stage("mlp forward"):
         activations = mlp.forward(device, inputs, visible.anchor, options)
     with device.stage("neural forward"):
-        room = capacity.gaussians if capacity else None
-        gaussians = neural.forward(device, activations, scene.anchors, room)
+        gaussians = neural.forward(device, activations, scene.anchors, room.gaussians)
     with device.stage("project forward"):
         projected = project.forward(device, gaussians, view.camera, options)
     if options.max_memory is not None:
         blended, groups = tile_groups.forward(device, projected, view, options)
         return Frame(view, visible, activations, gaussians, projected, blended, groups)
     with device.stage("tiles"):
-        room = capacity.entries if capacity else None
-        lists = tiles.forward(device, projected, view.size, options, room)
+        lists = tiles.forward(device, projected, view.size, options, room.entries)
     with device.stage("blend forward"):
         blended = blend.forward(device, projected, lists, view.background, options)
     return Frame(view, visible, activations, gaussians, projected, blended, None)
@@ -80,21 +76,19 @@ def roomy_forward(
     scene: DeviceScene,
     view: DeviceView,
     options: RenderOptions,
-    capacity: Capacity | None,
-) -> tuple[Frame, Capacity | None]:
+    room: Room,
+) -> tuple[Frame, Room]:
     """As :func:`view_forward`, of one view after the other, for which arrays keep their sizes.
 
-    They then share memory, of which arrays made to measure would take more and more. Give ``None``
-    with the first view, and then the capacity that came with the view before.
+    They then share memory, of which exact arrays would take more and more. Give EXACT_ROOM with the
+    first view, and then the room that came with the view before.
     """
     while True:
-        frame = view_forward(device, scene, view, options, capacity)
-        if options.max_memory is not None:
-            return frame, None
-        room = (capacity or Capacity(0, 0, 0)).grown(frame.needed(device))
-        if capacity is None or room == capacity:
-            return frame, room
-        capacity = room
+        frame = view_forward(device, scene, view, options, room)
+        needed = frame.needed(device)
+        if room.holds(needed):
+            return frame, room.grown(needed)
+        room = room.grown(needed)
 
 
 def render_backward(
@@ -155,10 +149,6 @@ def blend_backward(
     return blend.backward(device, frame.projected, frame.blended, d_image)
 
 
-def check_capacity(
-    device: Device, frame: Frame, capacity: Capacity | None, stop: DeviceArray
-) -> DeviceArray:
-    """Set ``stop`` (1,) int32 if ``capacity`` was too small; returns ``frame.totals`` as (3,)."""
-    room = capacity or UNLIMITED
-    capacities = room.visible, room.gaussians, room.entries
-    return scan.check_fits(device, frame.totals, capacities, stop)
+def check_room(device: Device, frame: Frame, room: Room, stop: DeviceArray) -> DeviceArray:
+    """Set ``stop`` (1,) int32 if ``room`` was too small; returns ``frame.totals`` as (3,)."""
+    return scan.check_fits(device, frame.totals, (room.visible, room.gaussians, room.entries), stop)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions, render_options
 from clgs.render.budget import check_budget
-from clgs.render.frame import Capacity, Drawable, upload_drawable, upload_view
+from clgs.render.frame import EXACT_ROOM, Drawable, Room, upload_drawable, upload_view
 from clgs.render.picture import Picture, draw, draw_depth
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene, SplatScene
@@ -69,7 +69,7 @@ class Renderer:
     ) -> None:
         self._device, self._scene, self._settings = device, scene, settings
         self._options = options
-        self._capacity: Capacity | None = None
+        self._room = EXACT_ROOM
 
     def check_budget(self, views: Iterable[tuple[str, Camera]]) -> None:
         """Refuse a memory budget that is too small for one of ``views``, (name, camera).
@@ -110,21 +110,13 @@ class Renderer:
         device, options = self._device, self._options
         view = upload_view(device, camera.reduced(options.accuracy.downscale), self._settings)
         while True:
-            picture = draw_it(device, self._scene, view, options, self._capacity)
+            room = self._room
+            picture = draw_it(device, self._scene, view, options, room)
             totals = [device.download_later(total) for total in picture.totals]
-            needed = Capacity(*(int(total.get()[0]) for total in totals))
-            if self._holds(needed):
+            needed = Room(*(int(total.get()[0]) for total in totals))
+            self._room = room.grown(needed)
+            if room.holds(needed):
                 return picture
-
-    def _holds(self, needed: Capacity) -> bool:
-        """Whether the last picture had room; makes more if not, and after the first one.
-
-        Arrays of the same size take the same memory for every picture, and no stage waits.
-        """
-        made_to_measure = self._capacity is None
-        before = self._capacity or Capacity(0, 0, 0)
-        self._capacity = before.grown(needed)
-        return made_to_measure or self._capacity == before
 
 
 def render_view(

@@ -1,19 +1,22 @@
-"""Time the blend kernels against a naive loop in C, and count the pairs that they visit.
+"""Time the blend kernels against a naive loop in C, which does the same work.
 
-Compared is the same work: naive_blend.c (one pixel after the other, expf, early exit, 16x16 tiles,
-`gcc -O3 -march=native -fopenmp`) walks lists made from the bounding boxes of the Gaussians; the
-kernels walk their own lists, and their time holds everything from Gaussians and lists to the
-picture, and from the picture's gradient to those of the Gaussians, segmented sums included. With
---same-lists the C loop gets the kernels' lists, too. Lists are made beforehand for both. Runs are
-interleaved, times are medians.
+naive_blend.c takes one pixel after the other, with expf, an early exit and tiles of 16x16
+(`gcc -O3 -march=native -fopenmp`). It walks lists made from the bounding boxes of the Gaussians.
+The kernels walk their own lists. Their time holds everything from Gaussians and lists to the
+picture, and from the picture's gradient to those of the Gaussians. Lists are made beforehand for
+both. Runs take turns; times are medians.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import ctypes
 import os
+import subprocess
+import tempfile
 import time
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -21,176 +24,166 @@ from typing import Any
 os.environ["OMP_WAIT_POLICY"] = "passive"  # threads that spin after the C loop slow what follows
 
 import numpy as np
-from naive import NaiveBlend, box_lists, squares_of_three_sigma
+import numpy.typing as npt
 
-from clgs.lab.selftest.errors import relative_l2
-from clgs.lab.synthetic.blend_scenes import BLEND_SCENES
-from clgs.lab.synthetic.gaussians import ProjectedScene
-from clgs.opencl import device as opencl_device
+from clgs.constants import TILE_SIZE
+from clgs.lab.selftest.reference_render import relative_l2
+from clgs.lab.synthetic.gaussians import BLEND_SCENES, ProjectedScene
 from clgs.opencl.device import Device
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
-from clgs.options import PRESETS, RenderOptions
 
+COMPILER = ("gcc", "-O3", "-march=native", "-fopenmp", "-shared", "-fPIC")
 BACKGROUND = np.array([0.2, 0.5, 0.9], np.float32)
+SCENE_ARRAYS = (
+    "tile_range", "gaussian", "mean2d", "whitening", "color", "opacity", "background",
+)  # fmt: skip
+ROW = 9
+"""Floats of a Gaussian's gradient."""
+
+Array = npt.NDArray[Any]
 
 
-class Ours:
-    """A scene on the device, with its lists."""
+class SceneOfC(ctypes.Structure):
+    """The structure Scene of naive_blend.c."""
 
-    def __init__(
-        self, device: Device, scene: ProjectedScene, size: tuple[int, int], options: RenderOptions
-    ) -> None:
-        self.device, self.options = device, options
-        self.projected = Projected(**{name: device.upload(x) for name, x in vars(scene).items()})
-        self.tiles = tiles.forward(device, self.projected, size, options)
-        self.background = device.upload(BACKGROUND)
-        rng = np.random.default_rng(1)
-        self.host_d_image = rng.normal(size=(3, size[1], size[0])).astype(np.float32)
-        self.d_image = device.upload(self.host_d_image)
-        self.forward()
-        self.backward()
+    _fields_ = (
+        ("width", ctypes.c_int),
+        ("height", ctypes.c_int),
+        *((name, ctypes.c_void_p) for name in SCENE_ARRAYS),
+    )
+
+
+class NaiveBlend:
+    """The loop in C, a scene with its lists, and room for what the functions compute."""
+
+    def __init__(self, scene: ProjectedScene, size: tuple[int, int], d_image: Array) -> None:
+        """``d_image``: gradient of the picture, (3, H, W)."""
+        width, height = size
+        self.count = len(scene.opacity)
+        self._arrays = {**vars(scene), **box_lists(scene, size), "background": BACKGROUND}
+        self._scene = SceneOfC(width, height, *(self._arrays[n].ctypes.data for n in SCENE_ARRAYS))
+        gaussian = self._arrays["gaussian"]
+        self.image = np.zeros((3, height, width), np.float32)
+        transmittance = np.zeros((height, width), np.float32)
+        last = np.zeros((height, width), np.int32)
+        self._forward = self.image, transmittance, last
+        place = np.argsort(gaussian, kind="stable").astype(np.int32)
+        numbers = np.bincount(gaussian, minlength=self.count)
+        place_range = np.concatenate([[0], np.cumsum(numbers)]).astype(np.int32)
+        self._backward = transmittance, last, d_image, place, place_range
+        self._rows = np.zeros((len(gaussian), ROW), np.float32)
+        self.gradients = np.zeros((self.count, ROW), np.float32)
 
     def forward(self) -> None:
         """Render."""
-        self.blended = blend.forward(
-            self.device, self.projected, self.tiles, self.background, self.options
-        )
-        self.device.finish()
+        arrays = (ctypes.c_void_p(array.ctypes.data) for array in self._forward)
+        naive_library().naive_forward(ctypes.byref(self._scene), *arrays)
 
     def backward(self) -> None:
-        """Gradients of all Gaussians."""
-        self.gradients = blend.backward(self.device, self.projected, self.blended, self.d_image)
-        self.device.finish()
-
-    def lists(self) -> dict[str, Any]:
-        """Lists on the host: tile_range, gaussian."""
-        names = ("tile_range", "gaussian")
-        return {name: self.device.download(getattr(self.tiles, name)) for name in names}
-
-    def pairs(self) -> dict[str, int]:
-        """Visited and blended pairs of both passes."""
-        forward, backward = blend.count_pairs(self.device, self.blended, self.d_image)
-        return {
-            "intersections": len(self.tiles.gaussian),
-            "visited_forward": forward.visited,
-            "visited_backward": backward.visited,
-            "blended": forward.blended,
-        }
-
-    def disagreement(self, naive: NaiveBlend) -> dict[str, float]:
-        """How far the two are apart, to show that they do the same work."""
-        error = np.abs(self.device.download(self.blended.image) - naive.image)
-        d_color = self.device.download(self.gradients.d_color)
-        return {
-            "image_p999": float(np.quantile(error, 0.999)),
-            "d_color_relative_l2": relative_l2(d_color, naive.d_color),
-        }
-
-
-def milliseconds(run: Any) -> float:
-    """Time of one call."""
-    start = time.perf_counter()
-    run()
-    return 1e3 * (time.perf_counter() - start)
-
-
-def interleaved(runs: dict[str, Any], repeats: int) -> dict[str, float]:
-    """Median milliseconds of each, taking turns."""
-    for run in runs.values():
-        run()
-    times: dict[str, list[float]] = {name: [] for name in runs}
-    for _ in range(repeats):
-        for name, run in runs.items():
-            times[name].append(milliseconds(run))
-    return {name: median(found) for name, found in times.items()}
-
-
-def measure(device: Device, name: str, args: argparse.Namespace) -> dict[str, Any]:
-    """All figures of one scene."""
-    size, generate = BLEND_SCENES[name]
-    scene = generate(np.random.default_rng(args.seed))
-    ours = Ours(device, scene, size, RenderOptions(accuracy=PRESETS[args.accuracy]))
-    lists = ours.lists() if args.same_lists else box_lists(scene, size)
-    found: dict[str, Any] = {"scene": name, "gaussians": len(scene.opacity), **ours.pairs()}
-    runs = {"forward": ours.forward, "backward": ours.backward}
-    if not args.only_ours:
-        naive = NaiveBlend(scene, size, lists, BACKGROUND, ours.host_d_image)
-        runs |= {"naive_forward": naive.forward, "naive_backward": naive.backward}
-    times = interleaved(runs, args.repeats)
-    found |= {f"{run}_ms": value for run, value in times.items()}
-    for which in ("forward", "backward"):
-        found[f"{which}_ns_per_blended"] = 1e6 * times[which] / found["blended"]
-    found["visited_per_blended"] = found["visited_forward"] / found["blended"]
-    found["blended_per_pixel"] = found["blended"] / (size[0] * size[1])
-    if not args.only_ours:
-        squares = NaiveBlend(
-            scene, size, squares_of_three_sigma(scene, size), BACKGROUND, ours.host_d_image
+        """Compute the gradients of all Gaussians."""
+        read, made = (
+            [ctypes.c_void_p(array.ctypes.data) for array in arrays]
+            for arrays in (self._backward, (self._rows, self.gradients))
         )
-        squares.forward()
-        found |= ours.disagreement(naive)
-        found["naive_intersections"] = len(lists["gaussian"])
-        found["naive_visited"] = naive.visited()
-        found["squares_intersections"] = len(squares.gaussian)
-        found["squares_visited"] = squares.visited()
-        found["tests_against_squares"] = found["visited_forward"] / squares.visited()
-        for which in ("forward", "backward"):
-            found[f"{which}_ratio"] = times[f"naive_{which}"] / times[which]
-    return found
+        count = ctypes.c_int(self.count)
+        naive_library().naive_backward(ctypes.byref(self._scene), *read, count, *made)
 
 
-def denormals(device: Device, args: argparse.Namespace) -> dict[str, Any]:
-    """Time with subnormal numbers possible over time with them flushed, on thin Gaussians."""
-    size, generate = BLEND_SCENES["needles 20k"]
-    scene = generate(np.random.default_rng(args.seed))
-    flushing = opencl_device.BUILD_OPTIONS
-    opencl_device.BUILD_OPTIONS = tuple(o for o in flushing if o != "-cl-denorms-are-zero")
-    keeping = Device(args.device)
-    kept = Ours(keeping, scene, size, RenderOptions())
-    opencl_device.BUILD_OPTIONS = flushing
-    flushed = Ours(device, scene, size, RenderOptions())
-    runs = {
-        f"{which}_{name}": getattr(ours, which)
-        for name, ours in (("kept", kept), ("flushed", flushed))
-        for which in ("forward", "backward")
-    }
-    times = interleaved(runs, args.repeats)
+@cache
+def naive_library() -> ctypes.CDLL:
+    """naive_blend.c, compiled."""
+    source = Path(__file__).with_name("naive_blend.c")
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "naive_blend.so"
+        subprocess.run([*COMPILER, str(source), "-o", str(target), "-lm"], check=True)
+        return ctypes.CDLL(str(target))
+
+
+def box_lists(scene: ProjectedScene, size: tuple[int, int]) -> dict[str, Array]:
+    """Lists of the Gaussians whose boxes of visible alpha overlap a tile, front to back."""
+    counts = -(-np.array(size) // TILE_SIZE)
+    low, high = scene.mean2d - scene.extent, scene.mean2d + scene.extent
+    first = np.clip(np.floor(low / TILE_SIZE), 0, counts).astype(np.int64)
+    end = np.clip(np.floor(high / TILE_SIZE) + 1, 0, counts).astype(np.int64)
+    spans = np.maximum(end - first, 0)
+    number = spans.prod(axis=1) * (scene.extent[:, 0] > 0)
+    order = np.argsort(scene.depth, kind="stable")
+    gaussian = np.repeat(order, number[order])
+    starts = np.repeat(np.cumsum(number[order]) - number[order], number[order])
+    within = np.arange(len(gaussian)) - starts
+    column = first[gaussian, 0] + within % spans[gaussian, 0]
+    row = first[gaussian, 1] + within // spans[gaussian, 0]
+    tile = row * counts[0] + column
+    ends = np.cumsum(np.bincount(tile, minlength=counts.prod()))
     return {
-        f"denormals_{which}": times[f"{which}_kept"] / times[f"{which}_flushed"]
-        for which in ("forward", "backward")
+        "tile_range": np.concatenate([[0], ends]).astype(np.int32),
+        "gaussian": gaussian[np.argsort(tile, kind="stable")].astype(np.int32),
+    }
+
+
+def interleaved(runs: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Median milliseconds of each, taking turns."""
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for _ in range(1 + repeats):
+        for name, run in runs.items():
+            start = time.perf_counter()
+            run()
+            times[name].append(1e3 * (time.perf_counter() - start))
+    return {name: median(found[1:]) for name, found in times.items()}
+
+
+def measure(device: Device, name: str, repeats: int, seed: int) -> dict[str, float]:
+    """All figures of one scene; the errors show that both do the same work."""
+    size, generate = BLEND_SCENES[name]
+    scene = generate(np.random.default_rng(seed))
+    d_host = np.random.default_rng(1).normal(size=(3, size[1], size[0])).astype(np.float32)
+    naive = NaiveBlend(scene, size, d_host)
+    projected = Projected(**{field: device.upload(x) for field, x in vars(scene).items()})
+    lists = tiles.forward(device, projected, size)
+    background, d_image = device.upload(BACKGROUND), device.upload(d_host)
+    blended = blend.forward(device, projected, lists, background)
+
+    def forward() -> None:
+        blend.forward(device, projected, lists, background)
+        device.finish()
+
+    def backward() -> None:
+        blend.backward(device, projected, blended, d_image)
+        device.finish()
+
+    runs = {"forward": forward, "backward": backward}
+    runs |= {"naive forward": naive.forward, "naive backward": naive.backward}
+    times = interleaved(runs, repeats)
+    gradients = blend.backward(device, projected, blended, d_image)
+    error = np.abs(device.download(blended.image) - naive.image)
+    return {
+        "Gaussians": len(scene.opacity),
+        **{f"{run}, ms": milliseconds for run, milliseconds in times.items()},
+        "forward, times as fast": times["naive forward"] / times["forward"],
+        "backward, times as fast": times["naive backward"] / times["backward"],
+        "error of the picture, p99.9": float(np.quantile(error, 0.999)),
+        "error of d_color": relative_l2(
+            device.download(gradients.d_color), naive.gradients[:, 5:8]
+        ),
     }
 
 
 def main() -> None:
-    """Measure, print and, if asked, write JSON."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(BLEND_SCENES)}; default all")
-    add("--accuracy", choices=PRESETS, default="parity", help="preset of the kernels")
     add("--repeats", type=int, default=5, help="runs to take the median of")
     add("--seed", type=int, default=0, help="of the scenes")
     add("--device", help="number or part of the name, see `clgs devices`")
-    add("--same-lists", action="store_true", help="give the kernels' lists to the C loop, too")
-    add("--only-ours", action="store_true", help="leave out the C loop")
-    add("--denormals", action="store_true", help="measure the cost of subnormal numbers, too")
-    add("--json", type=Path, metavar="F", help="write the figures to F")
     args = parser.parse_args()
     device = Device(args.device)
     print(f"{device.name} ({device.specialisation})")
-    found = [measure(device, name, args) for name in args.scenes or list(BLEND_SCENES)]
-    for figures in found:
-        print(
-            *(
-                f"  {k}: {v:.6g}" if isinstance(v, float) else f"{k}: {v}"
-                for k, v in figures.items()
-            ),
-            sep="\n",
-        )
-    extra = denormals(device, args) if args.denormals else {}
-    print(*(f"{name}: {value:.3g}" for name, value in extra.items()), sep="\n")
-    if args.json:
-        report = {"device": device.name, "scenes": found, **extra}
-        args.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    for name in args.scenes or list(BLEND_SCENES):
+        print(f"{name}:")
+        for what, value in measure(device, name, args.repeats, args.seed).items():
+            print(f"  {what}: {value:.6g}")
 
 
 if __name__ == "__main__":

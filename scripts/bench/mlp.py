@@ -1,11 +1,11 @@
 """Time of the decoding MLPs against NumPy: ``python scripts/bench/mlp.py [--anchors N]``.
 
 NumPy computes the same numbers in float32 in its best form: inputs gathered into one matrix, one
-product for the three hidden layers, one an output layer, in blocks that stay in the cache, into
-arrays made before, biases in the products. Everything is timed in turn, each right after
-untimed calls of itself, as the threads of a BLAS spin for a tenth of a second after a call and
-disturb the next; medians are printed. GFLOP counts the products that the method needs: two a
-weight and sample forward, four backward (what a pass computes again is not counted).
+product for the three hidden layers, one per output layer, in blocks that stay in the cache, into
+arrays made before, biases in the products. All take turns. Each timed call follows untimed calls
+of the same kind, as the threads of a BLAS spin for a tenth of a second after a call and disturb the
+next. Medians are printed. GFLOP counts the products that the method needs: two per weight and
+sample forward, four backward (what a pass computes again is not counted).
 """
 
 from __future__ import annotations
@@ -14,20 +14,14 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 
 import numpy as np
 import numpy.typing as npt
-import pyopencl as cl
 
-from clgs.constants import (
-    FEATURE_DIM,
-    HEAD_DIMS,
-    HIDDEN_DIM,
-    INPUT_DIM,
-    K_OFFSETS,
-    OUTPUT_DIM,
-)
+from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, K_OFFSETS, OUTPUT_DIM
+from clgs.lab.bench.stage_limits import measure_limits
 from clgs.lab.synthetic.anchor_scene import square_camera
 from clgs.opencl.device import Device
 from clgs.ops import mlp
@@ -42,32 +36,14 @@ BACKWARD_FLOP = 2 * FORWARD_FLOP
 
 ALL = RenderOptions(skips=Skips(opacity_first=False, slots=False))
 MINE = "kernels, all outputs"
+BLOCKS = (1024, 4096)
+"""Anchors that NumPy takes at a time, besides all of them."""
 
 WARM_UP = 0.15
 """Seconds of untimed calls."""
 
 UNITS = [slice(i * (HIDDEN_DIM + 1), (i + 1) * (HIDDEN_DIM + 1)) for i in range(len(HEAD_DIMS))]
-"""Columns of the hidden layer that belong to a head; the last of them is always 1."""
-
-PEAK_SOURCE = """
-__kernel void peak(const int rounds, const float a, const float b, __global float *result)
-{
-    float8 x[12];
-#pragma unroll
-    for (int i = 0; i < 12; ++i)
-        x[i] = (float8)((float)i);
-    for (int round = 0; round < rounds; ++round)
-#pragma unroll
-        for (int i = 0; i < 12; ++i)
-            x[i] = fma(x[i], (float8)(a), (float8)(b));
-    float8 sum = x[0];
-#pragma unroll
-    for (int i = 1; i < 12; ++i)
-        sum += x[i];
-    result[get_global_id(0)] = sum.s0 + sum.s1 + sum.s2 + sum.s3;
-}
-"""
-PEAK_ITEMS, PEAK_ROUNDS = 64, 20000
+"""Columns of the hidden layer that belong to a head; the last of each head is always 1."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +72,9 @@ def make_case(count: int, seed: int) -> Case:
 class NumpyHeads:
     """The three heads in float32 NumPy, sample-major, block by block."""
 
-    def __init__(self, case: Case, block: int, activated: bool) -> None:
+    def __init__(self, case: Case, block: int) -> None:
         """Gather the weights and make the arrays that every call fills."""
-        self.case, self.block, self.activated = case, min(block, len(case.visible)), activated
+        self.case, self.block = case, min(block, len(case.visible))
         layers = {name: unpack_head(case.weights, name) for name in HEAD_DIMS}
         one = np.eye(1, INPUT_DIM + 1, INPUT_DIM, dtype=np.float32)
         hidden = [
@@ -126,19 +102,15 @@ class NumpyHeads:
             x[:, FEATURE_DIM:INPUT_DIM] = step
             np.matmul(x, self.inner, out=hidden)
             np.maximum(hidden, 0, out=hidden)
-            for head in range(len(self.outer)):
-                self._head(head, hidden, self.output[head][part])
+            for head, weight in enumerate(self.outer):
+                np.matmul(hidden[:, UNITS[head]], weight, out=self.output[head][part])
+            opacity, color = self.output[0][part], self.output[1][part]
+            np.tanh(opacity, out=opacity)
+            np.negative(color, out=color)
+            np.exp(color, out=color)
+            color += 1
+            np.reciprocal(color, out=color)
         return self.output
-
-    def _head(self, head: int, hidden: Array, output: Array) -> None:
-        np.matmul(hidden[:, UNITS[head]], self.outer[head], out=output)
-        if self.activated and head == 0:
-            np.tanh(output, out=output)
-        elif self.activated and head == 1:
-            np.negative(output, out=output)
-            np.exp(output, out=output)
-            output += 1
-            np.reciprocal(output, out=output)
 
     def backward(self, d_output: list[Array]) -> tuple[Array, list[Array], Array]:
         """Gradients by hidden weights (54, 153), output weights and features, after forward."""
@@ -149,7 +121,9 @@ class NumpyHeads:
             hidden = self.hidden[part]
             d_hidden = np.empty_like(hidden)
             for head, weight in enumerate(self.outer):
-                d_sum = self._through_activation(head, d_output[head][part], part)
+                d_sum, y = d_output[head][part], self.output[head][part]
+                if head < 2:
+                    d_sum = d_sum * (1 - y * y if head == 0 else y - y * y)
                 d_outer[head] += hidden[:, UNITS[head]].T @ d_sum
                 np.matmul(d_sum, weight.T, out=d_hidden[:, UNITS[head]])
             d_hidden *= hidden > 0
@@ -157,12 +131,6 @@ class NumpyHeads:
             rows = self.case.visible[part]
             self.d_feature[rows] = d_hidden @ self.inner[:FEATURE_DIM].T
         return d_inner, d_outer, self.d_feature
-
-    def _through_activation(self, head: int, d_output: Array, part: slice) -> Array:
-        y = self.output[head][part]
-        if not self.activated or head == 2:
-            return d_output
-        return d_output * (1 - y * y) if head == 0 else d_output * (y - y * y)
 
 
 class DeviceHeads:
@@ -209,19 +177,6 @@ def interleaved(tasks: dict[str, Callable[[], object]], repeats: int) -> dict[st
     return {name: 1e3 * median(values) for name, values in seconds.items()}
 
 
-def fma_peak(device: Device) -> float:
-    """GFLOP/s of multiply-adds that touch registers only; the best of five."""
-    kernel = cl.Kernel(cl.Program(device.context, PEAK_SOURCE).build(), "peak")
-    result, best = device.empty((PEAK_ITEMS,)), np.inf
-    for _ in range(5):
-        start = time.perf_counter()
-        arguments = (np.int32(PEAK_ROUNDS), np.float32(0.5), np.float32(1), result)
-        device.run(kernel, (PEAK_ITEMS,), (1,), *arguments)
-        device.finish()
-        best = min(best, time.perf_counter() - start)
-    return 2 * 8 * 12 * PEAK_ITEMS * PEAK_ROUNDS / best / 1e9
-
-
 def main() -> int:
     """Print tables: what, milliseconds, GFLOP/s; the ratio is that of the same outputs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -231,53 +186,41 @@ def main() -> int:
     args = parser.parse_args()
     device, case = Device(args.device), make_case(args.anchors, 0)
     heads = DeviceHeads(device, case)
-    blocks = {"whole": args.anchors, "blocks of 4096": 4096, "blocks of 1024": 1024}
-    numpy_heads = {
-        f"NumPy {name}, {'with' if activated else 'no'} activations": NumpyHeads(case, n, activated)
-        for name, n in blocks.items()
-        for activated in (True, False)
-    }
+    numpy_heads = {f"NumPy, blocks of {n}": NumpyHeads(case, n) for n in (args.anchors, *BLOCKS)}
     full, drawn = heads.forward(ALL), heads.forward()
-    check(device, full, numpy_heads["NumPy whole, with activations"])
+    columns = device.download(full.visible)
+    for one in numpy_heads.values():
+        expected = np.concatenate(one.forward(), axis=1)[columns].T
+        error = np.abs(device.download(full.output)[:, : len(columns)] - expected).max()
+        assert error <= 1e-5, f"the outputs differ by {error}"
     d_host = np.random.default_rng(1).normal(size=full.output.shape).astype(np.float32)
     d_output = device.upload(d_host)
     splits = np.cumsum(list(HEAD_DIMS.values()))[:-1]
     d_heads = [np.ascontiguousarray(d.T) for d in np.split(d_host[:, : args.anchors], splits)]
-    forward = {name: heads.forward for name, heads in numpy_heads.items()}
-    backward = {name: (lambda one=one: one.backward(d_heads)) for name, one in numpy_heads.items()}
-    print(f"{device.name}, {args.anchors} visible anchors; peak {fma_peak(device):.0f} GFLOP/s")
-    mine = {MINE: lambda: heads.forward(ALL), "kernels, drawn slots": heads.forward}
-    report("forward", {**mine, **forward}, args, FORWARD_FLOP)
-    mine = {
+    peak = measure_limits(device).flops_per_second / 1e9
+    print(f"{device.name}, {args.anchors} visible anchors; peak {peak:.0f} GFLOP/s")
+    forward: dict[str, Callable[[], object]] = {
+        MINE: lambda: heads.forward(ALL),
+        "kernels, drawn slots": heads.forward,
+        **{name: one.forward for name, one in numpy_heads.items()},
+    }
+    backward: dict[str, Callable[[], object]] = {
         MINE: lambda: heads.backward(full, d_output),
         "kernels, drawn slots": lambda: heads.backward(drawn, d_output),
+        **{name: partial(one.backward, d_heads) for name, one in numpy_heads.items()},
     }
-    report("backward", {**mine, **backward}, args, BACKWARD_FLOP)
+    for title, tasks, flop in (
+        ("forward", forward, FORWARD_FLOP),
+        ("backward", backward, BACKWARD_FLOP),
+    ):
+        times = interleaved(tasks, args.repeats)
+        print(f"{title:36}{'ms':>8}{'GFLOP/s':>9}")
+        for name, milliseconds in times.items():
+            rate = flop * args.anchors / milliseconds / 1e6
+            print(f"  {name:34}{milliseconds:8.2f}{rate:9.0f}")
+        best = min(times[name] for name in numpy_heads)
+        print(f"  NumPy's best / {MINE}: {best / times[MINE]:.2f}\n")
     return 0
-
-
-def check(device: Device, activations: mlp.Activations, other: NumpyHeads) -> None:
-    """Refuse to compare the times of different results."""
-    columns = device.download(activations.visible)
-    expected = np.concatenate(other.forward(), axis=1)[columns].T
-    error = np.abs(device.download(activations.output)[:, : len(columns)] - expected).max()
-    assert error <= 1e-5, f"the outputs differ by {error}"
-
-
-def report(
-    title: str, tasks: dict[str, Callable[[], object]], args: argparse.Namespace, flop: int
-) -> None:
-    """Measure and print one table."""
-    times = interleaved(tasks, args.repeats)
-    best = {
-        kind: min(ms for name, ms in times.items() if name.endswith(f"{kind} activations"))
-        for kind in ("with", "no")
-    }
-    print(f"{title:36}{'ms':>8}{'GFLOP/s':>9}")
-    for name, milliseconds in times.items():
-        print(f"  {name:34}{milliseconds:8.2f}{flop * args.anchors / milliseconds / 1e6:9.0f}")
-    ratios = ", ".join(f"{best[kind] / times[MINE]:.2f} {kind}" for kind in best)
-    print(f"  NumPy's best / {MINE}: {ratios} activations\n")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 /* Blending as one would write it first: every pixel walks the list of its tile. For comparison. */
 #include <math.h>
-#include <stdint.h>
 #include <string.h>
 
 #define TILE 16
@@ -32,16 +31,14 @@ static inline Hit hit_of(const Scene *s, int g, float x, float y)
     return h;
 }
 
-/* Returns the number of list entries that the pixel looked at. */
-static int forward_pixel(const Scene *s, int tile, int x, int y, float *image, float *transmittance,
-                         int *last)
+static void forward_pixel(const Scene *s, int tile, int x, int y, float *image,
+                          float *transmittance, int *last)
 {
     const size_t at = (size_t)y * s->width + x, plane = (size_t)s->width * s->height;
     const int first = s->tile_range[tile], end = s->tile_range[tile + 1];
     float t = 1.0f, red = 0.0f, green = 0.0f, blue = 0.0f;
-    int k = first;
     last[at] = 0;
-    for (; k < end; ++k) {
+    for (int k = first; k < end; ++k) {
         const int g = s->gaussian[k];
         const Hit h = hit_of(s, g, x + 0.5f, y + 0.5f);
         if (h.alpha < ALPHA_CUT)
@@ -60,21 +57,17 @@ static int forward_pixel(const Scene *s, int tile, int x, int y, float *image, f
     image[at + plane] = green + t * s->background[1];
     image[at + 2 * plane] = blue + t * s->background[2];
     transmittance[at] = t;
-    return k - first;
 }
 
-/* visited: pairs of a pixel and an entry, one total a tile. */
-void naive_forward(const Scene *s, float *image, float *transmittance, int *last, int64_t *visited)
+void naive_forward(const Scene *s, float *image, float *transmittance, int *last)
 {
     const int columns = (s->width + TILE - 1) / TILE, rows = (s->height + TILE - 1) / TILE;
 #pragma omp parallel for schedule(dynamic, 1)
     for (int tile = 0; tile < columns * rows; ++tile) {
         const int x0 = tile % columns * TILE, y0 = tile / columns * TILE;
-        int64_t looked = 0;
         for (int y = y0; y < y0 + TILE && y < s->height; ++y)
             for (int x = x0; x < x0 + TILE && x < s->width; ++x)
-                looked += forward_pixel(s, tile, x, y, image, transmittance, last);
-        visited[tile] = looked;
+                forward_pixel(s, tile, x, y, image, transmittance, last);
     }
 }
 

@@ -1,133 +1,160 @@
 #!/usr/bin/env python3
-"""Does the numeric suite notice bugs? Seeds them one at a time and runs the tests of the stage.
+"""Do the tests notice bugs? Seeds them one at a time and runs the tests of the stage.
 
-    scripts/checks/mutation_check.py [--only WORD]
+    scripts/checks/mutation_check.py [STAGE ...] [--per-stage N] [--seed N] [--minutes N]
 
-Every bug of ``mutations.py`` and ``mutations_gpu.py`` is applied to a copy of kernels and ops; the
-tests of its stage must fail; those of the CPU form alone cannot, and are left out, if the bug is in
-the GPU form. First every bug must apply to the sources, the same tests must pass on an unchanged
-copy, and fail on one that does not compile. Kernels that a bug leaves as they are come from the
-tests' cache. Exit code 1 if a bug survives, or if a first condition does not hold.
+``mutants.py`` makes the bugs. Of every stage N are drawn; a header counts for one of the stages
+that include it, and the tests of all of them judge it. Each mutant is a copy of the kernels (and an
+op) of its own, and the tests must fail on it. A mutant that changes one form of the kernels alone
+is judged by the tests of that form. First the same tests must pass on an unchanged copy, and fail
+on one that does not compile.
+
+A mutant that does not compile, or whose compiled programs are all known from the original, is no
+mutant; nor is one in EQUIVALENT. Exit code 1 if fewer than LEAST_CAUGHT of the others are caught,
+or if a first condition does not hold. The survivors are named: each asks for a test, or for a line
+in EQUIVALENT that says why nobody can notice it.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import random
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from mutations import MUTATIONS, Mutation
-from mutations_gpu import GPU_MUTATIONS
+from mutants import ROOT, STAGES, Mutant, all_mutants
 
-ROOT = Path(__file__).resolve().parents[2]
 JOBS = min(os.cpu_count() or 1, 8)
-CRASHES = (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT)
-STRESS = "tests/stress/test_"
-SUITES = {
-    "project": ["tests/ops/test_project.py", f"{STRESS}geometry.py", f"{STRESS}tiers.py"],
-    "tiles": ["tests/ops/test_tiles.py", f"{STRESS}order.py"],
-    "sort": ["tests/ops/test_sort.py", f"{STRESS}order.py"],
-    "blend": ["tests/ops/test_blend.py", f"{STRESS}blending.py", f"{STRESS}tiers.py"],
-    "scan": ["tests/ops/test_scan.py", f"{STRESS}counts.py"],
-    "adam": ["tests/ops/test_adam.py", f"{STRESS}sums.py"],
-    "loss": ["tests/ops/test_loss.py", f"{STRESS}sums.py"],
-    "exposure": ["tests/ops/test_exposure.py"],
-    "rate": ["tests/ops/test_rate.py", f"{STRESS}sums.py"],
-    "quantize": ["tests/ops/test_quantize.py"],
-    "neural": ["tests/ops/test_neural.py", f"{STRESS}poison.py"],
-    "mlp": ["tests/ops/test_mlp.py", f"{STRESS}tiers.py"],
-    "density": ["tests/ops/test_density.py"],
-    "cull": ["tests/ops/test_cull.py"],
-    "decode": ["tests/ops/test_project_anchors.py"],
-    "growth": ["tests/ops/test_growth.py", "tests/train/density"],
-}
-"""Tests of every stage: all of its own, and all stress tests of its theme."""
+CRASHES = (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE)
+LEAST_CAUGHT = 0.85
+SECONDS = 600.0
+"""After this the tests of a mutant are stopped: its loop may not end."""
+
+KERNELS = Path(os.environ.get("CLGS_TEST_KERNELS", ROOT / "build" / "test_kernels"))
+"""Where the tests keep what they have built."""
+
+STRESS = {
+    "project": ("geometry", "tiers"), "tiles": ("order",), "sort": ("order",),
+    "blend": ("blending", "tiers"), "scan": ("counts",), "adam": ("sums",), "loss": ("sums",),
+    "rate": ("sums",), "neural": ("poison",), "mlp": ("tiers",),
+}  # fmt: skip
+"""Files of tests/stress that judge a stage besides its own tests."""
+
+EQUIVALENT: dict[str, str] = {}
+"""Why nobody can notice a mutant, by its number or by its rule."""
 
 
-class StaleError(Exception):
-    """A bug no longer applies to the sources."""
+def suite(stage: str) -> list[str]:
+    """The tests of a stage."""
+    stress = [f"tests/stress/test_{theme}.py" for theme in STRESS.get(stage, ())]
+    density = ["tests/train/density"] if stage == "growth" else []
+    return [f"tests/ops/test_{stage}.py", *stress, *density]
 
 
-def copy_sources(folder: Path) -> None:
-    """The kernels, whole."""
-    shutil.copytree(ROOT / "kernels_cl", folder / "kernels_cl")
-    (folder / "clgs").mkdir()
+def drawn(mutants: Iterable[Mutant], stages: list[str], count: int, seed: int) -> list[Mutant]:
+    """Up to ``count`` mutants of every stage, of all rules in turn.
 
-
-def seed(bug: Mutation, folder: Path) -> None:
-    """Write the changed file into the copy.
-
-    Raises:
-        StaleError: the text is not there, or not as often as it should be.
+    The same text and seed give the same ones, and a change of some lines changes few of them.
     """
-    text = (ROOT / bug.file).read_text(encoding="utf-8")
-    found = text.count(bug.old)
-    if found != bug.times:
-        raise StaleError(f"{bug.file} holds its text {found} times, not {bug.times}: {bug.old}")
-    target = folder / bug.file
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(text.replace(bug.old, bug.new), encoding="utf-8")
+    by_stage: dict[str, list[Mutant]] = {stage: [] for stage in stages}
+    for mutant in mutants:
+        stage = mutant.stages[int(mutant.number, 16) % len(mutant.stages)]
+        if stage in by_stage and not {mutant.number, mutant.rule} & set(EQUIVALENT):
+            by_stage[stage].append(mutant)
+    chosen = []
+    for own in by_stage.values():
+        own.sort(key=lambda one: random.Random(f"{seed} {one.number}").random())
+        before = Counter[str]()
+        ranks = {}
+        for mutant in own:
+            ranks[mutant.number] = before[mutant.rule]
+            before[mutant.rule] += 1
+        chosen += sorted(own, key=lambda one: ranks[one.number])[:count]
+    return chosen
 
 
-def run_tests(folder: Path, files: list[str], *options: str) -> tuple[int, str]:
-    """(exit code, first failing test or last line) of pytest on the copy."""
-    command = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-p", "no:cacheprovider"]
-    done = subprocess.run(
-        [*command, *options, *files],
-        cwd=ROOT,
-        env={**os.environ, "CLGS_TEST_MUTANT": str(folder)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def run_tests(folder: Path, files: Iterable[str], *options: str) -> tuple[int, str]:
+    """(exit code, first failing test or last line) of pytest on the copy in ``folder``."""
+    command = [sys.executable, "-m", "pytest", "-q", "--tb=short", "-p", "no:cacheprovider"]
+    variables = {"CLGS_TEST_MUTANT": str(folder), "CLGS_TEST_KERNELS": str(folder / "built")}
+    try:
+        done = subprocess.run(
+            [*command, *options, *files],
+            cwd=ROOT,
+            env={**os.environ, **variables},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=SECONDS,
+        )
+    except subprocess.TimeoutExpired:
+        return 1, "the tests do not end"
+    if -done.returncode in CRASHES:  # a kernel reads or writes where it must not
+        return 1, f"crash: {signal.Signals(-done.returncode).name}"
+    if "BUILD_PROGRAM_FAILURE" in done.stdout:
+        return 1, "does not compile"
     lines = [line for line in done.stdout.splitlines() if line.strip()]
     failed = [line.split(" - ")[0] for line in lines if line.startswith(("FAILED", "ERROR"))]
     return done.returncode, (failed or lines[-1:] or [done.stderr.strip()[-200:]])[0]
 
 
-def caught(bug: Mutation) -> tuple[bool, str]:
-    """Whether the stage's tests fail with the bug or crash, and the first that does."""
+def judge(mutant: Mutant) -> tuple[str, str]:
+    """The verdict (caught, SURVIVED or no mutant), and the test that fails or the reason."""
     with tempfile.TemporaryDirectory(prefix="clgs-mutant-") as name:
-        folder = Path(name)
-        copy_sources(folder)
-        seed(bug, folder)
-        options = ["-k", "not cpu"] if bug in GPU_MUTATIONS else []
-        code, line = run_tests(folder, SUITES[bug.stage], "-x", *options)
-        if -code in CRASHES:  # by a kernel that reads or writes where it must not
-            return True, f"crash: {signal.Signals(-code).name}"
-        # 1: tests failed; anything else says that they did not run
-        return code == 1, line
+        folder = copy_of_sources(Path(name))
+        target = folder / mutant.file
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(mutant.text, encoding="utf-8")
+        files = dict.fromkeys(file for stage in mutant.stages for file in suite(stage))
+        other = {"cpu": "gpu", "gpu": "cpu"}.get(mutant.form)
+        options = ["-k", f"not {other}"] if other else []
+        code, line = run_tests(folder, files, "-x", *options)
+        if line == "does not compile":
+            return "no mutant", line
+        if code == 0 and mutant.file.startswith("kernels_cl/") and not new_programs(folder):
+            return "no mutant", "the compiled programs are the same"
+        # 1: tests failed; anything else but 0 says that they did not run
+        return ("caught" if code == 1 else "SURVIVED"), line
 
 
-def stale(bugs: list[Mutation]) -> list[str]:
-    """Complaints about bugs that no longer apply to the sources."""
-    complaints = []
-    for bug in bugs:
-        with tempfile.TemporaryDirectory(prefix="clgs-mutant-") as name:
-            try:
-                seed(bug, Path(name))
-            except (StaleError, OSError) as error:
-                complaints.append(f"{bug.stage}: {bug.what}: no longer applies: {error}")
-    return complaints
+def copy_of_sources(folder: Path) -> Path:
+    """Fill ``folder`` with the kernels, and with what the tests have built of the original."""
+    shutil.copytree(ROOT / "kernels_cl", folder / "kernels_cl")
+    (folder / "clgs").mkdir()
+    if KERNELS.is_dir():
+        shutil.copytree(KERNELS, folder / "built", copy_function=os.link)
+    return folder
 
 
-def controls(stages: set[str]) -> list[str]:
+def new_programs(folder: Path) -> bool:
+    """Whether the tests compiled a program that the original does not compile to."""
+    known = {path.read_bytes() for path in KERNELS.glob("*/*/program.bc")}
+    return any(path.read_bytes() not in known for path in folder.glob("built/*/*/program.bc"))
+
+
+def controls(stages: Iterable[str]) -> list[str]:
     """Complaints about the check itself: an unchanged copy passes, a broken one fails."""
     complaints = []
-    files = sorted({file for stage in stages for file in SUITES[stage]})
+    files = sorted({file for stage in stages for file in suite(stage)})
     with tempfile.TemporaryDirectory(prefix="clgs-mutant-") as name:
-        folder = Path(name)
-        copy_sources(folder)
+        folder = copy_of_sources(Path(name))
         code, line = run_tests(folder, files, "-n", str(JOBS), "--dist", "loadfile")
         if code != 0:
             complaints.append(f"the unchanged copy fails: {line}")
+        for path in folder.rglob("built/**/*.*"):  # what an original is known by
+            kept = KERNELS / path.relative_to(folder / "built")
+            if path.is_file() and not kept.exists():
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(path, kept)
         for program in (folder / "kernels_cl").rglob("project*.cl"):
             program.write_text("#error broken\n", encoding="utf-8")
         if run_tests(folder, ["tests/ops/test_project.py"], "-x")[0] != 1:
@@ -138,26 +165,39 @@ def controls(stages: set[str]) -> list[str]:
 def main() -> int:
     """Run the check; the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--only", default="", help="bugs whose stage or description holds this")
-    only = parser.parse_args().only
-    every = (*MUTATIONS, *GPU_MUTATIONS)
-    bugs = [bug for bug in every if only in f"{bug.stage}: {bug.what}"]
-    if not bugs:
-        parser.error(f"--only {only}: no bug has this in its stage or description")
-    start = time.monotonic()
-    complaints = stale(bugs) or controls({bug.stage for bug in bugs})
+    add = parser.add_argument
+    add("stages", nargs="*", metavar="STAGE", help=f"of {', '.join(STAGES)}; default: all")
+    add("--per-stage", type=int, default=6, metavar="N", help="mutants of each; default: 6")
+    add("--seed", type=int, default=0, help="of the choice; default: 0")
+    add("--minutes", type=float, default=1e9, help="no mutant is begun after this time")
+    args = parser.parse_args()
+    if wrong := set(args.stages) - set(STAGES):
+        parser.error(f"no stage {', '.join(sorted(wrong))}; there are {', '.join(STAGES)}")
+    stages, start = args.stages or STAGES, time.monotonic()
+    every = all_mutants()
+    mutants = drawn(every, stages, args.per_stage, args.seed)
+    print(f"{len(mutants)} of {len(every)} mutants", flush=True)
+    complaints = controls(stages)
     for complaint in complaints:
         print(f"error: {complaint}", flush=True)
     if complaints:
         return 1
-    number = 0
+
+    def judged(mutant: Mutant) -> tuple[str, str]:
+        late = time.monotonic() - start > 60 * args.minutes
+        return ("left out", "no time is left") if late else judge(mutant)
+
+    counts = Counter[str]()
     with ThreadPoolExecutor(JOBS) as pool:
-        for bug, (found, line) in zip(bugs, pool.map(caught, bugs), strict=True):
-            number += found
-            said = "caught " if found else "MISSED "
-            print(f"{said} {bug.stage}: {bug.what}\n        {line}", flush=True)
-    print(f"{number} of {len(bugs)} caught in {time.monotonic() - start:.0f} s")
-    return int(number < len(bugs))
+        for mutant, (verdict, line) in zip(mutants, pool.map(judged, mutants), strict=True):
+            counts[verdict] += 1
+            print(f"{verdict:9} {mutant.number} {mutant.file}, {mutant.rule}: {line}")
+            print(f"          {mutant.what}", flush=True)
+    total = counts["caught"] + counts["SURVIVED"]
+    share = counts["caught"] / total if total else 0.0
+    print(f"{counts['caught']} of {total} caught ({share:.0%}), {counts['no mutant']} no mutants")
+    print(f"{time.monotonic() - start:.0f} s; at least {LEAST_CAUGHT:.0%} must be caught")
+    return int(share < LEAST_CAUGHT)
 
 
 if __name__ == "__main__":

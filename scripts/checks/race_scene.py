@@ -85,11 +85,11 @@ def without_room(trainer: Trainer, camera: Camera) -> None:
     """Too little room for anchors and for entries; then groups of a row of tiles each."""
     device, scene = trainer.device, trainer.parameters.scene
     frame = render_forward(device, scene, camera, trainer.settings)
-    cull.forward(device, scene.anchors, frame.view.camera, capacity=1)
+    cull.forward(device, scene.anchors, frame.view.camera, room=1)
     drawn, size = frame.projected, (SIZE, SIZE)
     entries = len(frame.tiles.gaussian)
-    for capacity in (0, entries - 1, entries + 1):
-        tiles.forward(device, drawn, size, capacity=capacity)
+    for room in (0, entries - 1, entries + 1):
+        tiles.forward(device, drawn, size, room=room)
     by_row = tiles.count_by_row(device, drawn, size)
     entry = tile_groups.LIST_BYTES[device.specialisation] + tile_groups.BYTES_BY_ENTRY
     options = RenderOptions(max_memory=int(by_row.max()) * entry)

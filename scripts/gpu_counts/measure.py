@@ -1,4 +1,4 @@
-"""Run the scenes of a checkout: what its kernels do on small ones, how large the benches are."""
+"""Run the scenes: what the kernels do on small ones, how large the benches are."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from subprocess import run
 from typing import Any
 
 import oclgrind
-import sass
 
 HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
 SMALL = {"32x32": (1_280, 32, 32), "48x48": (2_880, 48, 48), "64x64": (5_120, 64, 64)}
 """Gaussians, width and height: as many Gaussians per pixel as the first bench has."""
 
@@ -24,6 +24,8 @@ BENCHES = {
 }
 
 SAME_LOSS = 1e-5
+SHOWN = 12
+"""Lines of the source that are named for each kind of cost."""
 
 ELEMENTS = (16_384, 65_536)
 """Sorted and summed by themselves: in small scenes these kernels have too few work-groups."""
@@ -31,44 +33,36 @@ ELEMENTS = (16_384, 65_536)
 Json = dict[str, Any]
 
 
-def state(source: Path) -> Json:
-    """All that is recorded of a checkout."""
-    say(f"{source}: instructions of sm_90")
-    found: Json = {"sass": sass.instructions(source)}
-    found["commit"] = last_commit(source)
+def state() -> Json:
+    """All that is recorded."""
+    command = ["git", "-C", str(ROOT), "log", "-1", "--format=%h", "--", "clgs", "kernels_cl"]
+    commit = run(command, capture_output=True, text=True, check=True).stdout.strip()
+    found: Json = {"commit": commit}
     with tempfile.TemporaryDirectory() as folder:
         plugin = oclgrind.build(Path(folder))
         small = {**SMALL, **{f"{count} elements": (count, 0, 0) for count in ELEMENTS}}
-        scenes = {name: counted(source, size, Path(folder), plugin) for name, size in small.items()}
+        scenes = {name: counted(size, Path(folder), plugin) for name, size in small.items()}
         found["scenes"] = {name: scenes[name] for name in SMALL}
         found["elements"] = {name: each for name, each in scenes.items() if name not in SMALL}
-        found["benches"] = {
-            name: bench(source, size, Path(folder)) for name, size in BENCHES.items()
-        }
+        found["benches"] = {name: bench(size, Path(folder)) for name, size in BENCHES.items()}
     return found
 
 
-def bench(source: Path, size: tuple[int, int, int], folder: Path) -> Json:
+def bench(size: tuple[int, int, int], folder: Path) -> Json:
     """The launches of a step of a bench and its units."""
-    say(f"{source}: the sizes of {size[0]} Gaussians")
-    scene = run_scene(source, "default", size, 2, folder, None)
+    say(f"the sizes of {size[0]} Gaussians")
+    scene = run_scene("default", size, 2, folder, None)
     kernels = {key: {"launches": each} for key, each in grouped(scene["launches"]).items()}
     return {"kernels": kernels, "units": scene["units"]}
 
 
-def last_commit(source: Path) -> str:
-    """The one that last changed what is counted."""
-    command = ["git", "-C", str(source), "log", "-1", "--format=%h", "--", "clgs", "kernels_cl"]
-    return run(command, capture_output=True, text=True, check=True).stdout.strip()
-
-
-def counted(source: Path, size: tuple[int, int, int], folder: Path, plugin: Path) -> Json:
+def counted(size: tuple[int, int, int], folder: Path, plugin: Path) -> Json:
     """Units of a small scene, and of every kernel its launches and their counts."""
-    say(f"{source}: {size[0]} Gaussians or elements under Oclgrind")
+    say(f"{size[0]} Gaussians or elements under Oclgrind")
     counts = folder / "counts.jsonl"
     environment = oclgrind.environment(folder, plugin, counts)
-    seen = run_scene(source, "oclgrind", size, 1, folder, environment)
-    real = run_scene(source, "default", size, 1, folder, None)
+    seen = run_scene("oclgrind", size, 1, folder, environment)
+    real = run_scene("default", size, 1, folder, None)
     assert abs(seen["loss"] - real["loss"]) < SAME_LOSS, "Oclgrind computes something else"
     launches = seen["launches"]
     lines = counts.read_text(encoding="utf-8").splitlines()
@@ -81,7 +75,6 @@ def counted(source: Path, size: tuple[int, int, int], folder: Path, plugin: Path
 
 
 def run_scene(
-    source: Path,
     device: str,
     size: tuple[int, int, int],
     steps: int,
@@ -89,13 +82,9 @@ def run_scene(
     environment: Mapping[str, str] | None,
 ) -> Json:
     """What ``scene.py`` writes."""
-    python, file = source / ".venv" / "bin" / "python", folder / "scene.json"
-    command = [
-        str(python if python.exists() else sys.executable),
-        str(HERE / "scene.py"),
-        *(device, *map(str, size), str(steps), str(file)),
-    ]
-    run(command, check=True, cwd=source, env=dict(environment or os.environ))
+    file = folder / "scene.json"
+    words = [sys.executable, HERE / "scene.py", device, *size, steps, file]
+    run(list(map(str, words)), check=True, env=dict(environment or os.environ))
     return dict(json.loads(file.read_text(encoding="utf-8")))
 
 
@@ -122,3 +111,42 @@ def add(sums: dict[str, int], more: Mapping[str, int]) -> None:
 def say(text: str) -> None:
     """Progress, which is no output."""
     print(f"gpu_counts: {text}", file=sys.stderr, flush=True)
+
+
+def worst_lines() -> Iterator[str]:
+    """Name the lines with most of each kind of cost, and their kernels, on the smallest scene."""
+    found = counted_lines()
+    costs = {
+        "instructions of warps": lambda line: line.get("warp_instructions", 0),
+        "wavefronts of local memory by bank conflicts": lambda line: (
+            line.get("local_wavefronts", 0) - line.get("local_ideal_wavefronts", 0)
+        ),
+        "bytes in sectors that no lane of the warp asked for": wasted,
+    }
+    for name, cost in costs.items():
+        yield f"{name}:"
+        ordered = sorted(found.items(), key=lambda item: -cost(item[1]))
+        shown = [(cost(line), place) for place, line in ordered[:SHOWN] if cost(line)]
+        yield from (f"  {value:>10} {place}" for value, place in shown)
+
+
+def wasted(line: Mapping[str, int]) -> int:
+    """Bytes of the sectors touched without those used."""
+    verbs = ("read", "written")
+    sectors = sum(line.get(f"global_sectors_{verb}", 0) for verb in verbs)
+    return 32 * sectors - sum(line.get(f"global_used_{verb}", 0) for verb in verbs)
+
+
+def counted_lines() -> dict[str, dict[str, int]]:
+    """Counts by kernel and line, of a step of the smallest scene."""
+    size = next(iter(SMALL.values()))
+    found: dict[str, dict[str, int]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        plugin, counts = oclgrind.build(Path(folder)), Path(folder) / "counts.jsonl"
+        environment = oclgrind.environment(Path(folder), plugin, counts)
+        run_scene("oclgrind", size, 1, Path(folder), environment)
+        for text in counts.read_text(encoding="utf-8").splitlines():
+            launch = json.loads(text)
+            for line, sums in launch["lines"].items():
+                add(found.setdefault(f"{launch['kernel']} {line}", {}), sums)
+    return found

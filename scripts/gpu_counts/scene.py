@@ -10,7 +10,6 @@ an older one perhaps.
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import os
@@ -22,13 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from clgs.lab.bench.frame_counts import count_frame
-from clgs.lab.bench.step import trainer_of
+from clgs.lab.bench.step import count_frame, trainer_of
+from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import blend, scan, sort
 
 SEED = 0
-HERE = Path(__file__).resolve()
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -39,7 +37,7 @@ def main(arguments: Sequence[str]) -> None:
     if not width:
         file.write_text(json.dumps(sorted_elements(device, gaussians)), encoding="utf-8")
         return
-    scene, camera = scene_maker().anchor_scene(gaussians, (width, height), SEED)
+    scene, camera = anchor_scene(gaussians, (width, height), SEED)
     trainer = trainer_of(device, scene, camera, SEED)
     for _ in range(steps):
         device.begin()
@@ -70,17 +68,6 @@ def sorted_elements(device: Recorder, count: int) -> dict[str, Any]:
     order = float(device.download(values) @ weights[1:] + device.download(offsets) @ weights)
     order += float(device.download(chosen)[: count - 1] @ weights[: count - 1])
     return {"launches": launches, "loss": order, "units": {"elements": count}}
-
-
-def scene_maker() -> Any:
-    """This checkout's module of the synthetic scene, so that all checkouts get the same one."""
-    path = HERE.parents[2] / "clgs" / "synthetic" / "anchor_scene.py"
-    spec = importlib.util.spec_from_file_location("anchor_scene_of_all", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 class Recorder(Device):

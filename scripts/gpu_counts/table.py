@@ -5,67 +5,44 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from estimate import Kernel, Row, kernels, row, rows, scaling_errors
+from estimate import Row, kernels, row, rows, scaling_errors
 from units import units_of
 
-ARROW = " → "
-NONE = "-"
-
-HEADER = (
-    "| stage | launches | warp instructions, millions | SIMT efficiency | sector efficiency "
+COLUMNS = (
+    "launches | warp instructions, millions | SIMT efficiency | sector efficiency "
     "| wavefronts over ideal | estimate, µs | what binds |"
 )
 
 
-def stages(table: dict[str, Any], bench: str) -> str:
-    """A line a stage: the states of the table side by side, in their order."""
-    found = [kernels(state, bench) for state in table.values()]
-    by_stage = [rows(each) for each in found]
-    names = dict.fromkeys(name for each in reversed(by_stage) for name in each)
-    lines = [HEADER, "|" + "---|" * HEADER[1:].count("|")]
-    lines += [stage(name, [each.get(name) for each in by_stage]) for name in names]
-    return "\n".join([*lines, stage("**all**", [row(each) for each in found])])
-
-
-def stage(name: str, states: list[Row | None]) -> str:
-    """A line of the table; values that all states share stand once."""
-    cells = [[NONE] * 7 if one is None else cells_of(one) for one in states]
-    columns = zip(*cells, strict=True)
-    joined = [one[0] if len(set(one)) == 1 else ARROW.join(one) for one in columns]
-    return f"| {name} | {' | '.join(joined)} |"
-
-
-def cells_of(one: Row) -> list[str]:
-    """Of a state and a stage."""
-    return [
-        str(one.launches),
-        f"{one.warp_instructions:.2f}",
-        f"{one.simt_efficiency:.0%}",
-        f"{one.sector_efficiency:.0%}",
-        f"{one.conflicts:.2f}",
-        f"{one.bound.time:.0f}",
-        one.bound.binds,
-    ]
+def by_stage(state: dict[str, Any], bench: str) -> Iterator[str]:
+    """A line per stage, and one for all."""
+    found = kernels(state, bench)
+    yield f"| stage | {COLUMNS}"
+    yield "|" + "---|" * 8
+    for name, one in {**rows(found), "**all**": row(found)}.items():
+        yield f"| {name} | {cells_of(one)} |"
 
 
 def by_kernel(state: dict[str, Any], bench: str) -> Iterator[str]:
-    """A line a kernel, the slowest first."""
-    yield (
-        "| kernel | unit | launches | warp instructions, millions | SIMT | sectors | wavefronts "
-        "| estimate, µs | what binds |"
-    )
+    """A line per kernel, the slowest first."""
+    yield f"| kernel | unit | {COLUMNS}"
     yield "|" + "---|" * 9
     for one in sorted(kernels(state, bench), key=lambda one: -one.bound.time):
-        cells = cells_of(row([one]))
-        yield f"| {one.stage}: {one.name} | {_units(one)} | {' | '.join(cells)} |"
+        units = " and ".join(units_of(one.name))
+        yield f"| {one.stage}: {one.name} | {units} | {cells_of(row([one]))} |"
 
 
-def _units(one: Kernel) -> str:
-    return " and ".join(units_of(one.name))
+def cells_of(one: Row) -> str:
+    """The cells of a line besides its names."""
+    return (
+        f"{one.launches} | {one.warp_instructions:.2f} | {one.simt_efficiency:.0%} "
+        f"| {one.sector_efficiency:.0%} | {one.conflicts:.2f} | {one.bound.time:.0f} "
+        f"| {one.bound.binds}"
+    )
 
 
 def scaling(state: dict[str, Any]) -> Iterator[str]:
-    """A line a kernel, those with most instructions first: counts scaled, and counted."""
+    """A line per kernel, those with most instructions first: counts scaled, and counted."""
     errors = scaling_errors(state)
     yield "| kernel | scaled | counted | error |"
     yield "|" + "---|" * 4

@@ -1,4 +1,4 @@
-"""Rate-distortion curves: how far one is left of another; and lines through points.
+"""Rate-distortion curves: how many bytes more or fewer one takes than another.
 
 Bjontegaard's mean difference of rates (VCEG-M33), with a piecewise cubic interpolation that keeps
 monotony (PCHIP) in place of one cubic through four points.
@@ -7,7 +7,6 @@ monotony (PCHIP) in place of one cubic through four points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -63,25 +62,3 @@ def _log_bytes(curve: Curve) -> PchipInterpolator:
     if not (np.diff(psnr) > 0).all():
         raise CurveError("two points of a curve have the same PSNR")
     return PchipInterpolator(psnr, np.log(size))
-
-
-@dataclass(frozen=True)
-class Line:
-    """y = slope x + intercept by least squares; Pearson's correlation; ``count`` of points."""
-
-    slope: float
-    intercept: float
-    correlation: float
-    count: int
-
-
-def fit_line(x: Sequence[float], y: Sequence[float]) -> Line | None:
-    """The line through points; None if there are fewer than two, or they do not vary."""
-    across, up = np.asarray(x, np.float64), np.asarray(y, np.float64)
-    if len(across) < 2 or not np.ptp(across) > 0 or not np.ptp(up) > 0:
-        return None
-    across_centred, up_centred = across - across.mean(), up - up.mean()
-    covariance, variance = across_centred @ up_centred, across_centred @ across_centred
-    slope = float(covariance / variance)
-    correlation = float(covariance / np.sqrt(variance * (up_centred @ up_centred)))
-    return Line(slope, float(up.mean() - slope * across.mean()), correlation, len(across))

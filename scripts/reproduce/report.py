@@ -23,9 +23,6 @@ NAME = "results"
 KEPT_BYTES = 1_000_000
 """Scenes of main rows up to this size are copied for others to score; of all there is a hash."""
 
-LEFT_OUT = ("histograms", "settings")
-"""Fields of a row that only its ``row.json`` has; an entry has the settings already."""
-
 COLUMNS = (
     "experiment", "scene", "label", "seed", "steps", "psnr", "psnr_channel_mean", "ssim", "bytes",
     "anchors", "views", "split", "seconds", "load_seconds", "train_seconds", "encode_seconds",
@@ -33,7 +30,6 @@ COLUMNS = (
     "run", "sha256", "scene_hash",
 )  # fmt: skip
 SECTIONS = ("ANCH", "OFFS", "FEAT", "SCAL", "MLPS", "META", "CHNK", "container")
-BITS = ("proxy_classes", "proxy_entropy", "proxy_channel", "proxy_pooled", "paper", "default")
 
 
 def write_report(
@@ -61,13 +57,12 @@ def write_report(
     kept = _keep_scenes(inner, results, output)
     compared = compare(results, baseline) if baseline else []
     text = tables.page(results, command, plots, kept, compared, published, note)
-    rows = [_record(cell.entry, cell.row) for cell in results.cells]
+    rows = [{**cell.row, **asdict(cell.entry)} for cell in results.cells]
     whole = {
         "command": command,
         "rows": rows,
         "missing": sorted({one.run for one in results.missing}),
         "baseline": [asdict(one) for one in compared],
-        "proxy": tables.proxy_records(results),
     }
     contents = {
         folder / f"{NAME}.md": text,
@@ -93,21 +88,14 @@ def _keep_scenes(folder: Path, results: Results, output: Path) -> dict[str, str]
     return found
 
 
-def _record(entry: Any, row: dict[str, Any]) -> dict[str, Any]:
-    """An entry with its row, without what is long."""
-    rest = {name: value for name, value in row.items() if name not in LEFT_OUT}
-    return {**asdict(entry), **rest}
-
-
 def _csv(rows: list[dict[str, Any]]) -> str:
-    """A line an entry; sections are bytes, bits are of the whole file and all attributes."""
+    """A line per entry; sections are in bytes."""
     text = io.StringIO(newline="")
-    columns = [*COLUMNS, *(f"bytes_{name}" for name in SECTIONS), *(f"bits_{one}" for one in BITS)]
+    columns = [*COLUMNS, *(f"bytes_{name}" for name in SECTIONS)]
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     for row in rows:
         sections = {f"bytes_{name}": row["sections"].get(name, 0) for name in SECTIONS}
-        bits = {f"bits_{one}": sum(row["bits"].get(one, {}).values()) for one in BITS}
         device = row["machine"]["device"]["name"]
-        writer.writerow({**row, **sections, **bits, "device": device})
+        writer.writerow({**row, **sections, "device": device})
     return text.getvalue()

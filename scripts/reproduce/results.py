@@ -6,11 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import mean
-from typing import Any
 
 from reproduce.baseline import Point
-from reproduce.curves import Curve, CurveError, Line, bd_rate, fit_line, rate_at
-from reproduce.measure import ATTRIBUTES
+from reproduce.curves import Curve, CurveError, bd_rate, rate_at
 from reproduce.table import Entry, Experiment, Table, run_folder
 from reproduce.worker import Row, stored_row
 
@@ -142,22 +140,3 @@ def _compare(experiment: str, scene: str, ours: Curve, theirs: Curve) -> Compari
     except CurveError as error:
         return Comparison(experiment, scene, kind, None, str(error))
     return Comparison(experiment, scene, kind, change)
-
-
-def proxy_points(rows: Iterable[Row], estimate: str, level: str) -> list[tuple[float, float]]:
-    """(bits that the proxy estimates, bits of the file) of all attributes, a point a run."""
-    return [
-        (_total(row["bits"][estimate]), _total(row["bits"][level]))
-        for row in rows
-        if row["bits"].get(estimate)
-    ]
-
-
-def proxy_line(rows: Iterable[Row], estimate: str, level: str) -> Line | None:
-    """The line through those points."""
-    points = proxy_points(rows, estimate, level)
-    return fit_line([x for x, _ in points], [y for _, y in points])
-
-
-def _total(bits: dict[str, Any]) -> float:
-    return sum(float(bits[name]) for name in ATTRIBUTES)

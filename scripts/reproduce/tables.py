@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
 from statistics import mean
 from typing import Any
 
-from reproduce.curves import Line
-from reproduce.measure import ESTIMATES, LEVELS
-from reproduce.report_text import NOTES
-from reproduce.results import Comparison, Group, Results, proxy_line
+from reproduce.results import Comparison, Group, Results
 from reproduce.table import BASE
 
 MEGABYTE = 2**20
@@ -21,6 +17,33 @@ SECTIONS = {
     "scalings": "SCAL",
     "MLPs": "MLPS",
 }
+NOTES = {
+    "head": (
+        "Made by `{command}`. Scores are of the decoded `.clgs` file alone. All figures, and more "
+        "of them, are in `results.csv` and `results.json` beside this page."
+    ),
+    "main": (
+        "Means over seeds, in brackets the least and the largest. `PSNR` is one MSE over all "
+        "pixels and channels of 8-bit pictures; `PSNR of channels` the mean of the three channels' "
+        "PSNRs of the render before clamping and rounding."
+    ),
+    "bits": ("Bits per anchor, and the share of the file; `rest` is the header and the directory."),
+    "time": (
+        "`training` is reading the photos, training and encoding; not the scores. Times hold if "
+        "one run had the machine: `at once` is the number of workers that shared it. Peak memory "
+        "is that of the worker's process, the largest of the seeds."
+    ),
+    "baseline": (
+        "BD-rate: mean difference of bytes at equal PSNR (Bjontegaard, piecewise cubic), negative "
+        "is smaller; where the baseline has one point, the bytes at its PSNR."
+    ),
+    "ablation": (
+        "Each variant changes what its name says and nothing else; changes are against the first "
+        "row of the scene."
+    ),
+}
+"""What the page says besides figures."""
+
 Rows = Iterable[Sequence[str]]
 
 
@@ -48,10 +71,6 @@ def page(
         parts += ["### Files", _files(main, kept)]
     parts += _curves(results, plots, compared)
     parts += _ablations(results)
-    parts += _proxy(results, plots)
-    if "histograms" in plots:
-        image = _image("Histograms of integers with fitted Laplace laws", plots["histograms"])
-        parts += ["## Integers and Laplace laws", NOTES["histograms"], image]
     if results.missing:
         runs = len({one.run for one in results.missing})
         names = ", ".join(sorted({f"{one.experiment} of {one.scene}" for one in results.missing}))
@@ -219,7 +238,7 @@ def _curves(results: Results, plots: dict[str, str], compared: list[Comparison])
             )
             for group in groups
         )
-        image = _image(f"PSNR against bytes over {one.setting}", plots[one.name])
+        image = f"![PSNR against bytes over {one.setting}](results/{plots[one.name]})"
         points = table(("scene", f"`{one.setting}`", "PSNR", "bytes", "anchors"), rows)
         parts += [f"## Curve {one.name}: `{one.setting}`", image, points]
     if compared:
@@ -263,40 +282,6 @@ def _ablation_row(group: Group, base: Group | None) -> tuple[str, ...]:
         f"{group.mean('anchors'):,.0f}",
         f"{group.mean('seconds'):,.0f}",
     )
-
-
-def proxy_records(results: Results) -> list[dict[str, Any]]:
-    """The line through (bits estimated, bits written) over all runs, by proxy and level."""
-    rows, found = results.rows(), []
-    for form in ESTIMATES:
-        for level in LEVELS:
-            line: Line | None = proxy_line(rows, f"proxy_{form}", level)
-            if line is not None:
-                found.append({"proxy": form, "level": level, **asdict(line)})
-    return found
-
-
-def _proxy(results: Results, plots: dict[str, str]) -> list[str]:
-    rows = [
-        (
-            one["proxy"],
-            f"`{one['level']}`",
-            f"{one['slope']:.4f}",
-            f"{one['intercept'] / 8:+,.0f}",
-            f"{one['correlation']:.5f}",
-            str(one["count"]),
-        )
-        for one in proxy_records(results)
-    ]
-    if not rows:
-        return []
-    head = ("estimate", "level", "slope", "intercept, bytes", "correlation", "runs")
-    image = _image("Bytes of the attributes against the estimate", plots["proxy"])
-    return ["## Rate proxy against the file", NOTES["proxy"], image, table(head, rows)]
-
-
-def _image(text: str, name: str) -> str:
-    return f"![{text}](results/{name})"
 
 
 def table(head: Sequence[str], rows: Rows) -> str:

@@ -40,7 +40,7 @@ INTERVAL = 1.0
 TRAINING = "training"
 """What a worker says that it does after a step."""
 
-FIELDS = ("run", "settings", "psnr", "ssim", "bytes", "anchors", "sections", "bits", "histograms")
+FIELDS = ("run", "settings", "psnr", "ssim", "bytes", "anchors", "sections")
 """What a row must have to be used."""
 
 _alone = threading.Lock()

@@ -1,5 +1,6 @@
 """Small vectors with the SHA-256 of their bytes: every version of clgs makes the same.
 
+The decoders of clgs and the one that is made from FORMAT.md must both give back what was encoded.
 ``python -m tests.codec.test_conformance`` writes ``conformance.txt`` anew, after a change of an
 encoder.
 """
@@ -7,45 +8,30 @@ encoder.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from clgs.codec import decode_attributes, decode_positions, encode_attributes, encode_positions
+from clgs import codec
+from clgs.codec import weights
+from clgs.codec.attributes import paper, row_coder, runlength
 from clgs.codec.container.meta import LEVELS
-from clgs.codec.octree.position_coder import morton_order
+from clgs.codec.octree.subtrees import runs
+from codec_c.reader import attributes as reader_attributes
+from codec_c.reader import files as reader_files
+from codec_c.reader import rows as reader_rows
+from tests.codec.samples import clouds, draw, matrices, mixed_model, tables_model
 
 FILE = Path(__file__).with_name("conformance.txt")
-Vector = tuple[Callable[[], bytes], Callable[[bytes], np.ndarray], np.ndarray]
+Decoder = Callable[[bytes], np.ndarray]
+Vector = tuple[Callable[[], bytes], list[Decoder], np.ndarray]
+"""What encodes, what decodes, and what must come back."""
 
-
-def draw(rows: int, channels: int, spread: int) -> np.ndarray:
-    """Peaked integers (rows, channels), by integer arithmetic alone."""
-    state = np.arange(1, rows * channels + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-    state ^= state >> np.uint64(29)
-    state *= np.uint64(0xBF58476D1CE4E5B9)
-    first, second = ((state >> np.uint64(s) & np.uint64(0xFFFF)).astype(np.int64) for s in (16, 40))
-    value = ((first - 32768) * second * spread >> 31) * (first % 3 > 0)
-    return value.astype(np.int32).reshape(rows, channels)
-
-
-def clouds() -> dict[str, np.ndarray]:
-    far = np.array([[-(2**31)] * 3, [-(2**31) + 2**21 - 1] * 3])
-    found = {
-        "no point": np.empty((0, 3), np.int32),
-        "one point": np.array([[2**31 - 1, -(2**31), 0]]),
-        "two far points": far,
-        "cube": np.argwhere(np.ones((5, 5, 5), bool)),
-        "line": np.arange(100)[:, None] * np.array([[7, 0, -3]]),
-        "scattered": np.unique(draw(60, 3, 2**20), axis=0),
-    }
-    for depth in range(1, 22):
-        found[f"depth {depth}"] = np.array([[0, 0, 0], [1, 0, 0], [2**depth - 1, 5 % 2**depth, 0]])
-        found[f"depth {depth}"] = np.unique(found[f"depth {depth}"], axis=0)
-    return found
+MOST_ROWS = 3000
+"""Longer tables are left to the decoders in C."""
 
 
 def tables() -> dict[str, np.ndarray]:
@@ -63,16 +49,112 @@ def tables() -> dict[str, np.ndarray]:
     return found
 
 
+def model_vectors() -> Iterator[tuple[str, Vector]]:
+    """Header and chunks under models of every kind; chunks of 1 to 3 rows have cut off taps."""
+    for name, value in matrices().items():
+        cases = [("tables", tables_model(value, 300), 300, value)]
+        cases += [("mixed", mixed_model(value[:120]), 300, value[:120])]
+        if name == "mixture":
+            cases += [(f"in {n}", tables_model(value, n), n, value[:12]) for n in (1, 2, 3)]
+        for kind, model, chunk, rows in cases:
+            yield f"{name}, {kind}", one_model(model, chunk, rows)
+
+
+def one_model(model: row_coder.TableModel, chunk: int, rows: np.ndarray) -> Vector:
+    parts = runs(len(rows), chunk)
+    chunks = [model.encode(rows[part]) for part in parts]
+    channels = rows.shape[1]
+
+    def decode(decoder: row_coder.Model | reader_attributes.Attributes, data: bytes) -> np.ndarray:
+        assert data == b"".join([model.header, *chunks])
+        counts = [part.stop - part.start for part in parts]
+        return np.concatenate([decoder.decode(*c) for c in zip(chunks, counts, strict=True)])
+
+    decoders = [row_coder.read(model.header, channels)]
+    decoders += [reader_attributes.Attributes(model.header, channels)]
+    encode = partial(b"".join, [model.header, *chunks])
+    return encode, [partial(decode, decoder) for decoder in decoders], rows
+
+
+LARGEST = float(np.float32(3.4028235e38))
+SHAPES = ((6, 9), (9, 1), (4, 30), (1, 17))
+
+
+def weight_vectors() -> Iterator[tuple[str, Vector]]:
+    """Four matrices of weights: multiples of powers of two, of several, of none, and extremes."""
+    count = sum(rows * columns for rows, columns in SHAPES)
+    integers = draw(1, count, 2**20)[0].astype(np.float64)
+    found = {f"multiples of 2^-{n}": integers % 4096 * 2.0**-n for n in (5, 10, 20)}
+    found["of 3 2^-20"] = integers * 3 * 2.0**-20
+    found["any floats"] = integers / 3
+    steps = integers % 512 * 2.0**-9
+    steps[:54], steps[63:183] = steps[:54] / 8, 0
+    found["steps by matrix"] = steps
+    pairs = {
+        "zeros": (0.0, 0.0),
+        "least denormal": (2.0**-149, 0.0),
+        "denormals": (2.0**-149 * 4097, -(2.0**-130)),
+        "least normal": (2.0**-126, -(2.0**-149)),
+        "2^24 - 1 steps": (0.5, 1.0 - 2.0**-24),
+        "largest": (LARGEST, -(2.0**104)),
+        "power": (2.0**127, -(2.0**127)),
+        "too many steps": (1.0, 2.0**-24),
+        "too far apart": (2.0**127, 2.0**-149),
+        "negative zero": (-0.0, 1.0),
+    }
+    for name, pair in pairs.items():
+        found[name] = np.zeros(count)
+        found[name][::11], found[name][5::11] = pair
+    for name, value in found.items():
+        expected = value.astype(np.float32)
+        yield (
+            f"weights, {name}",
+            (
+                partial(weights.encode, expected, matrices=SHAPES),
+                [
+                    lambda data: weights.decode(data, SHAPES).view(np.uint32),
+                    lambda data: reader_rows.decode_weights(data, list(SHAPES)).view(np.uint32),
+                ],
+                expected.view(np.uint32),
+            ),
+        )
+
+
+def row_vectors() -> Iterator[tuple[str, Vector]]:
+    """The two coders of plain rows."""
+    coders = {
+        "run lengths": (runlength, reader_rows.decode_rows),
+        "paper": (paper, reader_rows.decode_paper_rows),
+    }
+    for name, value in matrices().items():
+        for channels in (1, 2, 3, 7):
+            resized = np.ascontiguousarray(np.resize(value, (min(len(value), 60), channels)))
+            for coder, (module, read) in coders.items():
+                decoders = [partial(call, rows=len(resized), channels=channels, function=f)
+                            for f in (module.decode, read)]  # fmt: skip
+                encode = partial(module.encode, resized)
+                yield f"{coder}, {name} in {channels}", (encode, decoders, resized)
+
+
+def call(data: bytes, rows: int, channels: int, function: Callable[..., object]) -> np.ndarray:
+    return np.array(function(data, rows, channels), np.int32)
+
+
+@cache
 def vectors() -> dict[str, Vector]:
     found: dict[str, Vector] = {}
     for name, cloud in clouds().items():
-        expected = cloud[morton_order(cloud)] if len(cloud) else cloud
-        found[name] = partial(encode_positions, cloud), decode_positions, expected
+        expected = cloud[codec.morton_order(cloud)] if len(cloud) else cloud
+        decoders = [codec.decode_positions, reader_files.decode_positions]
+        found[name] = partial(codec.encode_positions, cloud), decoders, expected
     for name, table in tables().items():
+        decoders = [codec.decode_attributes]
+        if len(table) <= MOST_ROWS:
+            decoders.append(reader_files.decode_attributes)
         for level in LEVELS:
-            encode = partial(encode_attributes, table, level)
-            found[f"{name}, {level}"] = encode, decode_attributes, table
-    return found
+            encode = partial(codec.encode_attributes, table, level)
+            found[f"{name}, {level}"] = encode, decoders, table
+    return found | dict([*model_vectors(), *weight_vectors(), *row_vectors()])
 
 
 def hashes() -> dict[str, str]:
@@ -82,15 +164,26 @@ def hashes() -> dict[str, str]:
 
 @pytest.mark.parametrize("name", vectors())
 def test_vector(name):
-    encode, decode, expected = vectors()[name]
+    encode, decoders, expected = vectors()[name]
     data = encode()
-    np.testing.assert_array_equal(decode(data), expected)
+    for decode in decoders:
+        np.testing.assert_array_equal(decode(data), expected)
     assert hashlib.sha256(data).hexdigest() == hashes()[name], "python -m " + __name__
 
 
 def test_no_vector_is_left_over():
     assert list(hashes()) == list(vectors())
-    assert len(vectors()) >= 60
+
+
+def test_every_feature_of_a_model_is_used():
+    """Terms, activity of the own and of other columns, spans and literals."""
+    models = [tables_model(matrices()[n]).model for n in ("triplets", "busy", "mixture")]
+    assert models[0]["span"].any()
+    assert models[1]["weight"][:, 0].any()
+    assert models[1]["weight"][:, 1].any()
+    assert models[2]["taps"].max() > 1
+    assert models[2]["tap"][..., 1].min() < 0 < models[2]["tap"][..., 1].max()
+    assert tables_model(matrices()["spread 3000"]).model["frequency"][..., 128:].any()
 
 
 if __name__ == "__main__":

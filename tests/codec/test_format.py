@@ -1,4 +1,4 @@
-"""The worked examples, the tables and the map of ``codec_c/FORMAT.md``, by both implementations."""
+"""The worked examples, the tables and the map of ``codec_c/FORMAT.md``, by both decoders."""
 
 from __future__ import annotations
 
@@ -17,19 +17,14 @@ from clgs.codec.container.source import BytesSource
 from clgs.codec.octree import position_coder
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
-from clgs.reference.codec import attributes as attributes_reference
-from clgs.reference.codec import coding, octree_sparse
-from clgs.reference.codec import octree as octree_reference
-from clgs.reference.codec import paper as paper_reference
-from clgs.reference.codec import planes as planes_reference
-from clgs.reference.codec import prediction as prediction_reference
-from clgs.reference.codec import runlength as runlength_reference
-from clgs.reference.codec import weights as weights_reference
-from clgs.reference.codec.varint import read_varint, varint
-from clgs.reference.codec.xxh64 import xxh64
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene
+from codec_c.reader import attributes as reader_attributes
+from codec_c.reader import coding, octree
+from codec_c.reader.coding import ByteReader, xxh64
+from codec_c.reader.octree import decode_octree
+from codec_c.reader.rows import decode_paper_rows, decode_rows, decode_weights
 from tests.codec.scenes import ROOT, assert_same
 
 TEXT = (ROOT / "codec_c" / "FORMAT.md").read_text(encoding="utf-8")
@@ -101,19 +96,17 @@ def test_map_of_a_file() -> None:
 def test_example_of_varints() -> None:
     numbers = [0, -1, 1, 63, -64, 64, 300, 2**31 - 1, -(2**31)]
     (data,) = documented(1)
-    assert data == b"".join(map(varint, numbers))
-    found, at = [], 0
-    while at < len(data):
-        number, at = read_varint(data, at)
-        found.append(number)
-    assert found == numbers
+    reader = ByteReader(data)
+    assert [reader.varint() for _ in numbers] == numbers
+    reader.finish()
 
 
 @pytest.mark.parametrize("number", MATRICES)
 def test_examples_of_run_lengths(number: int) -> None:
-    modules = (paper, paper_reference) if number >= 18 else (runlength, runlength_reference)
-    for module in modules:
-        assert module.encode(MATRICES[number]) == documented(number)[-1]
+    module, read = (paper, decode_paper_rows) if number >= 18 else (runlength, decode_rows)
+    matrix, data = MATRICES[number], documented(number)[-1]
+    assert module.encode(matrix) == data
+    assert read(data, *matrix.shape) == matrix.tolist()
 
 
 def test_example_of_the_directory() -> None:
@@ -138,17 +131,18 @@ def test_example_of_two_groups() -> None:
 def test_examples_of_octrees(number: int) -> None:
     position, data = OCTREES[number], documented(number)[0]
     assert data[0] == 2
-    for module in (position_coder, octree_reference):
-        assert module.encode(position) == data
-        np.testing.assert_array_equal(module.decode(data, len(position)), position)
+    assert position_coder.encode(position) == data
+    np.testing.assert_array_equal(position_coder.decode(data, len(position)), position)
+    assert decode_octree(data, len(position)) == position.tolist()
 
 
 def test_examples_of_octrees_in_a_scene_and_of_bare_codes() -> None:
     bare, corner = documented(8)[1], (5, -2, 7)
     assert position_coder.encode_in(CELLS, corner) == bare
     np.testing.assert_array_equal(position_coder.decode_in(bare, 3, corner, 1), CELLS)
-    for module in (position_coder, octree_reference):
-        np.testing.assert_array_equal(module.decode(documented(11)[0], 3), CELLS)
+    assert decode_octree(bare, 3, (list(corner), 1)) == CELLS.tolist()
+    np.testing.assert_array_equal(position_coder.decode(documented(11)[0], 3), CELLS)
+    assert decode_octree(documented(11)[0], 3) == CELLS.tolist()
 
 
 def table_rows(number: int) -> npt.NDArray[np.int32]:
@@ -171,52 +165,56 @@ def test_examples_of_attributes(number: int) -> None:
     model = row_coder.read(header, rows.shape[1])
     assert model.encode(rows) == chunk
     np.testing.assert_array_equal(model.decode(chunk, len(rows)), rows)
-    channels = attributes_reference.read_header(header, rows.shape[1])
-    assert attributes_reference.write_header(channels) == header
-    assert attributes_reference.encode(channels, rows) == chunk
-    np.testing.assert_array_equal(attributes_reference.decode(channels, chunk, len(rows)), rows)
+    reader = reader_attributes.Attributes(header, rows.shape[1])
+    np.testing.assert_array_equal(reader.decode(chunk, len(rows)), rows)
 
 
 def test_example_of_near_rows() -> None:
     text, (header, chunk) = section_of(17), documented(17)
     triples = re.findall(r"\((\d) (\d) (\d)\)", text)
     position = np.array(triples).astype(np.int32)
-    near = prediction_reference.near_rows(position)
+    near = reader_attributes.near_rows(position.tolist())
     assert ["".join(f"{k} " for k in rows).strip() for rows in near[1:]] == [
         "0", "0 1", "0 2 1", "3 2 1 0", "4 3 2 1",
     ]  # fmt: skip
     rows = np.array([[4, 4, 6, 3, -9, -9]], np.int32).T
-    model, channels = row_coder.read(header, 1), attributes_reference.read_header(header, 1)
-    assert (channels[0].mixed, channels[0].taps) == (True, [(0, -4, 256)])
-    assert attributes_reference.write_header(channels) == header
+    model, reader = row_coder.read(header, 1), reader_attributes.Attributes(header, 1)
+    assert (reader.channels[0].mixed, reader.channels[0].taps) == (True, [(0, -4, 256)])
     assert model.encode(rows, find_near(position)) == chunk
     np.testing.assert_array_equal(model.decode(chunk, 6, find_near(position)), rows)
-    assert attributes_reference.encode(channels, rows, near) == chunk
-    np.testing.assert_array_equal(attributes_reference.decode(channels, chunk, 6, near), rows)
+    np.testing.assert_array_equal(reader.decode(chunk, 6, near), rows)
 
 
 def test_headers_of_the_examples_say_what_the_text_says() -> None:
-    first, second = attributes_reference.read_header(documented(13)[0], 2)
-    assert (first.centre, first.gain, first.frequency[0][:3]) == (10, 64, [2048, 1024, 1024])
-    assert (second.taps, second.weight) == ([(0, 0, 128)], [0, 4096, 0])
-    assert [table[:3] for table in second.frequency] == [[3584, 256, 256], [1024, 1024, 2048]]
-    assert second.class_of == [0] + 31 * [1] + 32 * [0]
-    first, second = attributes_reference.read_header(documented(15)[0], 2)
-    assert (first.centre, first.gain, first.frequency[0][:3]) == (0, 64, [2048, 1024, 1024])
+    first, second = reader_attributes.Attributes(documented(13)[0], 2).channels
+    assert (first.centre, first.gain) == (10, 64)
+    assert first.tables[0].frequencies[:3] == [2048, 1024, 1024]
+    assert (second.taps, second.weights) == ([(0, 0, 128)], (0, 4096, 0))
+    assert [t.frequencies[:3] for t in second.tables] == [[3584, 256, 256], [1024, 1024, 2048]]
+    assert second.classes == [0] + 31 * [1] + 32 * [0]
+    first, second = reader_attributes.Attributes(documented(15)[0], 2).channels
+    assert (first.centre, first.gain) == (0, 64)
+    assert first.tables[0].frequencies[:3] == [2048, 1024, 1024]
     assert (second.centre, second.mixed, second.taps) == (3, True, [])
-    assert (second.weight, second.gain, second.span) == ([1365, 4096, 0], 0, 1)
+    assert (second.weights, second.gain, second.span) == ((1365, 4096, 0), 0, 1)
 
 
 def test_examples_of_weights() -> None:
     pair = np.array([1.0, -1.0], np.float32)
-    assert b"\0" + pair.tobytes() == documented(20)[0]
-    np.testing.assert_array_equal(weights.decode(documented(20)[0], ((2, 1),)), pair)
-    np.testing.assert_array_equal(planes_reference.decode(documented(20)[0], 2), pair)
-    assert weights.encode(pair, "float32") == planes_reference.encode(pair) == documented(21)[0]
     multiples = np.array([0.5, -0.25, 0.0, 0.75, 0.0], np.float32)
-    matrices = ((2, 2), (1, 1))
-    assert weights.encode(multiples, matrices=matrices) == documented(22)[0]
-    assert weights_reference.encode(multiples, matrices) == documented(22)[0]
+    assert b"\0" + pair.tobytes() == documented(20)[0]
+    assert weights.encode(pair, "float32") == documented(21)[0]
+    assert weights.encode(multiples, matrices=((2, 2), (1, 1))) == documented(22)[0]
+    for number, expected, matrices in (
+        (20, pair, ((2, 1),)),
+        (21, pair, ((2, 1),)),
+        (22, multiples, ((2, 2), (1, 1))),
+    ):
+        for decoded in (
+            weights.decode(documented(number)[0], matrices),
+            decode_weights(documented(number)[0], list(matrices)),
+        ):
+            np.testing.assert_array_equal(decoded, expected)
 
 
 def test_examples_of_arrays() -> None:
@@ -246,17 +244,16 @@ def numbers_after(mark: str) -> list[int]:
 
 
 def test_tables_of_the_document() -> None:
-    assert numbers_after("KNOT[0 .. 96]") == coding.SQUASH_KNOTS
+    assert numbers_after("KNOT[0 .. 96]") == coding.KNOT
     for cell, odds in re.findall(r"STRETCH\[(\d+)\] = (-?\d+)", TEXT):
         assert coding.STRETCH[int(cell)] == int(odds)
-    assert numbers_after("ONLY[0 .. 43]") == octree_sparse.ONLY
+    assert numbers_after("ONLY[0 .. 43]") == octree.ONLY
     rows = re.findall(r"row +(\d+)((?: +\d+){8})", TEXT)
-    assert len(rows) == len(octree_sparse.CHILD)
+    assert len(rows) == len(octree.CHILD)
     for row, line in rows:
-        assert [int(number) for number in line.split()] == octree_sparse.CHILD[int(row)]
-    gains = [octree_sparse.GAIN.get(square, 0) for square in range(1, 11)]
-    assert numbers_after("\nGAIN ") == gains
-    assert numbers_after("31 thresholds") == attributes_reference.THRESHOLDS
+        assert [int(number) for number in line.split()] == octree.CHILD[int(row)]
+    assert numbers_after("\nGAIN ") == [*octree.GAIN[1:], 0]
+    assert numbers_after("31 thresholds") == reader_attributes.THRESHOLDS
 
 
 def test_signatures_and_hashes_of_the_document() -> None:

@@ -1,4 +1,4 @@
-"""Weights of the MLPs: bit for bit, whatever they are, in the bytes of the reference."""
+"""Weights of the MLPs: bit for bit, whatever they are (their bytes: test_conformance)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from clgs.codec import weights
-from clgs.reference.codec import weights as reference
 from clgs.scene.mlps import MATRICES, MLP_SIZE, init_mlps
 
 FLOATS = npst.from_dtype(np.dtype(np.float32))
@@ -29,9 +28,7 @@ def assert_round_trip(x: np.ndarray, mode: int | None = None) -> bytes:
     data = weights.encode(x, matrices=SHAPES)
     assert mode is None or data[0] == mode
     assert len(data) <= 1 + 4 * x.size
-    assert data == reference.encode(x, SHAPES)
-    for decoder in (weights.decode, reference.decode):
-        np.testing.assert_array_equal(decoder(data, SHAPES).view(np.uint32), x.view(np.uint32))
+    np.testing.assert_array_equal(weights.decode(data, SHAPES).view(np.uint32), x.view(np.uint32))
     return data
 
 
@@ -51,26 +48,6 @@ def test_every_matrix_has_a_step_of_its_own():
     x[63:183] = 0
     data = assert_round_trip(x, MULTIPLES)
     assert list(data[1:5]) == [150 - 12, 150 - 9, 0, 150 - 9]
-
-
-LARGEST = float(np.float32(3.4028235e38))
-ONES = {
-    "zeros": (0.0, 0.0),
-    "least denormal": (2.0**-149, 0.0),
-    "denormals": (2.0**-149 * 4097, -(2.0**-130)),
-    "least normal": (2.0**-126, -(2.0**-149)),
-    "2^24 - 1 steps": (0.5, 1.0 - 2.0**-24),
-    "largest": (LARGEST, -(2.0**104)),
-    "power": (2.0**127, -(2.0**127)),
-}
-
-
-@pytest.mark.parametrize("name", ONES)
-def test_lonely_extremes(name):
-    x = np.zeros(COUNT, np.float32)
-    x[::11], x[5::11] = ONES[name]
-    assert reference.find_step(x) is not None
-    assert_round_trip(x)
 
 
 @pytest.mark.parametrize("exponent", [-149, -140, 0, 104])
@@ -120,7 +97,6 @@ def test_after_many_zeros_the_least_is_expected():
     x = np.zeros(4000, np.float32)
     x[-1] = 0.5
     data = weights.encode(x, matrices=((1000, 4),))
-    assert data == reference.encode(x, ((1000, 4),))
     np.testing.assert_array_equal(weights.decode(data, ((1000, 4),)), x)
 
 

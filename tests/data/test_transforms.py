@@ -77,7 +77,7 @@ def test_points_that_the_file_names_are_taken(tmp_path: Path, caplog):
     document = write_transforms(tmp_path, 6) | {"ply_file_path": "sparse_pc.ply"}
     save_json(tmp_path, document)
     assert read_transforms(tmp_path).points_file is None
-    assert "there is no file sparse_pc.ply; points are found anew" in caplog.text
+    assert "there is no file sparse_pc.ply; points are sought in the photos" in caplog.text
     points = np.random.default_rng(0).uniform(-1, 1, (200, 3))
     trimesh.PointCloud(points).export(tmp_path / "sparse_pc.ply")
     found = load_dataset(tmp_path)
@@ -220,7 +220,7 @@ def test_no_image_at_all(tmp_path: Path):
     write_transforms(tmp_path, 2)
     for path in (tmp_path / "images").iterdir():
         path.unlink()
-    with pytest.raises(DataError, match="none of the 2 images"):
+    with pytest.raises(DataError, match="none of the 2 listed photos"):
         read_transforms(tmp_path)
 
 

@@ -83,7 +83,7 @@ def test_all_bad_frames_are_named_at_once(healthy: Path, capsys):
     assert has(found[ERROR], "frame 3:", "not a rotation")
     assert has(found[ERROR], "frame 5:", "fl_x")
     assert has(found[ERROR], "frame 6:", "no finite position")
-    assert has(found[ERROR], "frame 8:", "occurs twice")
+    assert has(found[ERROR], "frame 8:", "listed twice")
     assert has(found[ERROR], "010.png", "damaged") or has(found[ERROR], "010.png", "not a JPEG")
     assert has(found[WARNING], "images/none.png", "1 of 18 photos are missing")
     assert main(["doctor", str(healthy), "--json"]) == 3

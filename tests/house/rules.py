@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 
 LAYERS = [  # a package may import from its own row and the rows above it
     {"constants", "errors", "shapes", "byte_count", "files", "machine", "memory", "options"}
-    | {"reference"},
+    | {"reference", "signals"},
     {"opencl", "scene"},
     {"ops", "codec", "data", "poses"},
     {"render", "export"},

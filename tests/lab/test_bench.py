@@ -12,9 +12,9 @@ import pytest
 from clgs.cli.main import main
 from clgs.codec.scene_encoder import encode
 from clgs.errors import NoRoomError
+from clgs.lab.bench import scaling
 from clgs.lab.bench.codec_subjects import file_subjects
 from clgs.lab.bench.scaling import Memory, Run, Scaling, growth
-from clgs.lab.bench_commands import scaling
 from clgs.lab.commands import bench
 from tests.codec.scenes import random_scene
 
@@ -84,7 +84,7 @@ def test_remedies_are_options_of_the_benchmark(monkeypatch, capsys, kind, error,
     def fail(args):
         raise error
 
-    monkeypatch.setattr(importlib.import_module(f"clgs.lab.bench_commands.{kind}"), "run", fail)
+    monkeypatch.setattr(importlib.import_module(f"clgs.lab.bench.{kind}"), "run", fail)
     assert main(["bench", kind]) == code
     said = capsys.readouterr().err
     assert main_help(capsys, kind)
@@ -104,7 +104,7 @@ def test_one_size_has_no_exponent(capsys):
     assert growth([(5.0, 1.0), (5.0, 2.0)]).exponent is None
     run = Run(1000, 2000, 3000, 4.0, 5000)
     one = growth([(1000, 4.0)])
-    scaling._show(Scaling([run], [run], [run], one, one, Memory(None, 2.0, None)))
+    scaling.show(Scaling([run], [run], [run], one, one, Memory(None, 2.0, None)))
     said = capsys.readouterr().out
     assert "nan" not in said
     assert "time ~ count^- " in said

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from clgs.cli.main import main
-from clgs.lab.bench import facts
+from clgs.lab import facts
 from clgs.lab.commands import selftest as command
 from clgs.lab.selftest import render_checks
 from clgs.lab.selftest.render_checks import Check

@@ -108,17 +108,17 @@ def test_poison_stays_in_its_row(device, rng, slot, poison):
         assert 30 in dirty, "a clamped scale is an ordinary one"
 
 
-def test_capacity_gives_the_same_anchors(device, rng):
+def test_any_room_gives_the_same_anchors(device, rng):
     """Any sufficient one; a smaller one leaves the last out, and the total tells so."""
     position, scaling = anchors(rng, 700)
     packed = camera_at().pack(NEAR_PLANE)
     exact = run(device, position, scaling, packed)
     placed = on_device(device, {"position": position, "scaling": scaling})
     camera = device.upload(packed)
-    for capacity in (0, 1, len(exact) - 1, len(exact), len(exact) + 5, 2000):
-        visible = cull.forward(device, placed, camera, capacity=capacity)
+    for room in (0, 1, len(exact) - 1, len(exact), len(exact) + 5, 2000):
+        visible = cull.forward(device, placed, camera, room=room)
         assert device.download(visible.total).tolist() == [len(exact)]
-        padded = np.concatenate([exact, np.full(2000, -1)])[:capacity]
+        padded = np.concatenate([exact, np.full(2000, -1)])[:room]
         assert np.array_equal(device.download(visible.anchor), padded)
 
 

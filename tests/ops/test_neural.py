@@ -302,16 +302,16 @@ def test_padding_changes_no_bit(device, rng, spare):
         assert np.array_equal(found[name], array), name
 
 
-def test_too_small_a_capacity_leaves_out_the_last(device, rng):
+def test_too_small_a_room_leaves_out_the_last(device, rng):
     values = case(rng, 150, 200)
     plain = run_forward(device, values)[1]
     count = len(plain["slot"])
-    for capacity in (0, 1, count - 37):
-        found = neural.forward(device, *upload(device, values), capacity)
-        assert len(found) == capacity
+    for room in (0, 1, count - 37):
+        found = neural.forward(device, *upload(device, values), room)
+        assert len(found) == room
         assert device.download(found.total).tolist() == [count]
         for name, array in plain.items():
-            assert np.array_equal(device.download(getattr(found, name)), array[:capacity]), name
+            assert np.array_equal(device.download(getattr(found, name)), array[:room]), name
 
 
 def test_wrong_shapes_are_refused(device, rng):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.ops import mlp, neural, project, project_anchors
+from clgs.ops import mlp, neural, project, project_anchors, scan
 from clgs.options import DEFAULT, Skips
 from clgs.reference import project_anchors as reference
 from clgs.scene.anchors import FIELDS
@@ -26,16 +26,16 @@ def case(rng, count):
     }
 
 
-def in_one(device, values, visible, options=DEFAULT, capacity=None):
+def in_one(device, values, visible, options=DEFAULT, room=scan.EXACT):
     inputs = mlp_inputs(device, values)
-    return project_anchors.forward(device, inputs, device.upload(visible), options, capacity)
+    return project_anchors.forward(device, inputs, device.upload(visible), options, room)
 
 
-def by_stages(device, values, visible, capacity=None):
+def by_stages(device, values, visible, room=scan.EXACT):
     """What the three stages make, and the anchor of each Gaussian."""
     inputs = mlp_inputs(device, values)
     decoded = mlp.forward(device, inputs, device.upload(visible))
-    drawn = neural.forward(device, decoded, inputs.anchors, capacity)
+    drawn = neural.forward(device, decoded, inputs.anchors, room)
     found = project.forward(device, drawn, inputs.camera), drawn.total
     return found, device.download(decoded.visible)[device.download(drawn.slot) // 10]
 
@@ -61,13 +61,13 @@ def test_the_bits_are_those_of_the_stages(device, rng, counts):
     assert_same(device, found, by_stages(device, values, visible)[0])
 
 
-@pytest.mark.parametrize("capacity", [0, 100, 5000])
-def test_the_bits_are_those_of_the_stages_with_a_capacity(device, rng, capacity):
+@pytest.mark.parametrize("room", [0, 100, 5000])
+def test_the_bits_are_those_of_the_stages_with_a_room(device, rng, room):
     values = case(rng, 400)
     visible = np.append(some(rng, 300, 400), np.full(37, -1, np.int32))
-    found = in_one(device, values, visible, capacity=capacity)
-    assert len(found[0].opacity) == capacity
-    assert_same(device, found, by_stages(device, values, visible, capacity)[0])
+    found = in_one(device, values, visible, room=room)
+    assert len(found[0].opacity) == room
+    assert_same(device, found, by_stages(device, values, visible, room)[0])
 
 
 @pytest.mark.parametrize("skipped", ["opacity_first", "slots"])

@@ -136,21 +136,19 @@ def test_large_gaussians_keep_their_order(device, rng):
         assert np.all(np.diff(by_row[first:end]) > 0), "rows of a Gaussian go by tile"
 
 
-def with_capacity(device, scene, size, capacity, tile_rows=None):
-    return tiles.forward(
-        device, upload(device, scene), size, capacity=capacity, tile_rows=tile_rows
-    )
+def in_room(device, scene, size, room, tile_rows=None):
+    return tiles.forward(device, upload(device, scene), size, room=room, tile_rows=tile_rows)
 
 
 @pytest.mark.parametrize("sigma", [1.1, 90.0])
-def test_capacity_gives_the_same_lists(device, rng, sigma):
+def test_any_room_gives_the_same_lists(device, rng, sigma):
     """Any sufficient one; padding lies after the last tile's entries, in rows of its own."""
     size = (150, 90)
     scene = projected_scene(rng, 500, *size, sigma)
     exact = on_host(device, lists_of(device, scene, size))
     total = len(exact["row"])
     for spare in (0, 1, 1000):
-        lists = with_capacity(device, scene, size, total + spare)
+        lists = in_room(device, scene, size, total + spare)
         assert device.download(lists.total).tolist() == [total]
         found = on_host(device, lists)
         for name in ("tile_range", "row_range"):
@@ -163,18 +161,18 @@ def test_capacity_gives_the_same_lists(device, rng, sigma):
 
 
 @pytest.mark.parametrize("sigma", [1.1, 90.0])
-def test_too_small_a_capacity_tells_the_total(device, rng, sigma):
+def test_too_small_a_room_tells_the_total(device, rng, sigma):
     """The lists are empty then, and nothing is written out of bounds (race_check.sh)."""
     size = (150, 90)
     scene = projected_scene(rng, 500, *size, sigma)
     total = len(lists_of(device, scene, size).row)
-    for capacity in (0, 1, total - 1):
-        lists = with_capacity(device, scene, size, capacity)
+    for room in (0, 1, total - 1):
+        lists = in_room(device, scene, size, room)
         assert device.download(lists.total).tolist() == [total]
         found = on_host(device, lists)
         assert not found["tile_range"].any()
         assert not found["row_range"].any()
-        assert sorted(found["row"]) == list(range(capacity))
+        assert sorted(found["row"]) == list(range(room))
 
 
 def test_lists_of_some_rows_of_tiles(device, rng):
@@ -183,7 +181,7 @@ def test_lists_of_some_rows_of_tiles(device, rng):
     scene = projected_scene(rng, 500, *size, 30.0)
     whole = on_host(device, lists_of(device, scene, size))
     for first, end in ((0, 3), (3, 4), (4, 13), (13, 13)):
-        band = on_host(device, with_capacity(device, scene, size, None, (first, end)))
+        band = on_host(device, in_room(device, scene, size, scan.EXACT, (first, end)))
         cuts = whole["tile_range"][[first * 10, end * 10]]
         assert np.array_equal(band["gaussian"], whole["gaussian"][slice(*cuts)])
         starts = np.clip(whole["tile_range"], *cuts) - cuts[0]

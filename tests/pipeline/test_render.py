@@ -12,7 +12,7 @@ from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.ops import loss
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import loss as loss_reference
-from clgs.render.frame import Capacity, upload_scene, upload_view
+from clgs.render.frame import EXACT_ROOM, Room, upload_scene, upload_view
 from clgs.render.picture import draw
 from clgs.render.pipeline import render_backward, render_forward, view_forward
 from clgs.scene.scene import RenderSettings
@@ -100,13 +100,13 @@ def test_decoding_every_anchor_changes_no_bit(device):
 
 
 @pytest.mark.parametrize("max_memory", [None, 1 << 18])
-@pytest.mark.parametrize("capacity", [None, Capacity(1000, 9000, 90_000)])
-def test_pictures_without_gradients_have_the_same_bits(device, max_memory, capacity):
+@pytest.mark.parametrize("room", [EXACT_ROOM, Room(1000, 9000, 90_000)])
+def test_pictures_without_gradients_have_the_same_bits(device, max_memory, room):
     scene, camera = anchor_scene(2000, 80, 3)
     uploaded, options = upload_scene(device, scene), RenderOptions(max_memory=max_memory)
     view = upload_view(device, camera, RenderSettings(background=(0.1, 0.4, 0.9)))
-    frame = view_forward(device, uploaded, view, options, capacity)
-    picture = draw(device, uploaded, view, options, capacity)
+    frame = view_forward(device, uploaded, view, options, room)
+    picture = draw(device, uploaded, view, options, room)
     totals = [[int(device.download(t)[0]) for t in one.totals] for one in (frame, picture)]
     assert totals[0] == totals[1]
     assert min(totals[0]) > 0

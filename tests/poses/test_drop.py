@@ -51,10 +51,10 @@ def test_what_is_in_doubt_is_left_out(
 
     monkeypatch.setattr(command, "_short_training", training)
     parser = argparse.ArgumentParser()
-    command.register(parser.add_subparsers())
+    command.register(parser)
     output = tmp_path / "data"
-    args = parser.parse_args(["prepare", str(photos), "-o", str(output), "--drop-doubtful"])
-    assert args.run(args) == 0
+    args = parser.parse_args([str(photos), "-o", str(output), "--drop-doubtful"])
+    assert command.run(args) == 0
     told = capsys.readouterr().out.splitlines()
     assert "registered 6 of 7 photos" in told[0]
     assert told[1].endswith("; the 1 in doubt are left out")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.data.native.pycolmap_lazy import quiet_pycolmap
 from clgs.errors import DataError
 from clgs.poses import matching
 from clgs.poses.features import extract
 from clgs.poses.job import Job
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from tests.data.folders import room_image, room_poses
 
 pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")

@@ -47,9 +47,9 @@ def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str
         else:
             image.save(photos / f"{number}.png")
     parser = argparse.ArgumentParser()
-    command.register(parser.add_subparsers())
-    args = parser.parse_args(["prepare", str(photos), "-o", str(output)])
-    assert args.run(args) == 0
+    command.register(parser)
+    args = parser.parse_args([str(photos), "-o", str(output)])
+    assert command.run(args) == 0
     told = capsys.readouterr()
     for stage in ("read", "features", "poses", "undistort"):
         assert f"\n{stage} 9/9" in "\n" + told.err

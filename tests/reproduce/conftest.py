@@ -61,11 +61,6 @@ def row():
 
 
 def make_row(run, psnr=30.0, size=1000, anchors=10, **other):
-    bits = {"offset": 1000.0 * anchors, "feature": 500.0 * anchors, "scaling": 20.0 * anchors}
-    histogram = {
-        "first": -1, "share": [0.2, 0.6, 0.2], "pooled": [0.3, 0.4, 0.3],
-        "channel": [0.25, 0.5, 0.25], "outside": 0.0,
-    }  # fmt: skip
     return {
         "run": run, "settings": {"seed": 0}, "steps": 60, "protocol": "clgs-1", "views": 3,
         "split": "test", "psnr": psnr, "psnr_channel_mean": psnr + 0.1, "ssim": 0.9,
@@ -74,9 +69,7 @@ def make_row(run, psnr=30.0, size=1000, anchors=10, **other):
                      "SCAL": 100, "MLPS": 150, "CHNK": 50},
         "seconds": 10.0, "load_seconds": 1.0, "train_seconds": 8.9, "encode_seconds": 0.1,
         "decode_seconds": 0.05, "pictures_per_second": 20.0, "peak_memory_bytes": 2**28,
-        "bits": {f"proxy_{name}": bits for name in ("classes", "entropy", "channel", "pooled")}
-        | {level: {k: 0.9 * v for k, v in bits.items()} for level in ("paper", "default")},
-        "histograms": {name: histogram for name in bits}, "workers": 1, "state": "abc",
+        "workers": 1, "state": "abc",
         "machine": {"device": {"name": "a device"}, "processor": "a processor"},
         **other,
     }  # fmt: skip

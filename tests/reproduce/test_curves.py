@@ -1,11 +1,11 @@
-"""BD-rate and lines against cases worked out by hand."""
+"""BD-rate against cases worked out by hand."""
 
 from __future__ import annotations
 
 import math
 
 import pytest
-from reproduce.curves import CurveError, bd_rate, fit_line, rate_at
+from reproduce.curves import CurveError, bd_rate, rate_at
 
 BASE = [(100.0, 30.0), (200.0, 32.0), (400.0, 34.0), (800.0, 36.0)]
 """Log bytes is a straight line of PSNR: a factor 2 every 2 dB."""
@@ -66,22 +66,3 @@ def test_bytes_at_the_psnr_of_one_point():
     assert rate_at(BASE, (200.0, 33.0)) == pytest.approx(math.sqrt(2) - 1, abs=1e-12)
     with pytest.raises(CurveError, match=r"does not reach 29\.00 dB"):
         rate_at(BASE, (200.0, 29.0))
-
-
-def test_a_line_through_points_on_a_line():
-    line = fit_line([1.0, 2.0, 4.0], [5.0, 7.0, 11.0])
-    assert (line.slope, line.intercept, line.correlation) == pytest.approx((2.0, 3.0, 1.0))
-    assert line.count == 3
-
-
-def test_a_line_by_least_squares():
-    # deviations -1 0 1 and -2 -1 3: products 5, squares 2 and 14
-    line = fit_line([0.0, 1.0, 2.0], [0.0, 1.0, 5.0])
-    assert line.slope == pytest.approx(2.5)
-    assert line.intercept == pytest.approx(-0.5)
-    assert line.correlation == pytest.approx(5 / math.sqrt(2 * 14))
-
-
-@pytest.mark.parametrize(("x", "y"), [([1.0], [1.0]), ([1.0, 1.0], [1.0, 2.0]), ([], [])])
-def test_no_line_through_too_little(x, y):
-    assert fit_line(x, y) is None

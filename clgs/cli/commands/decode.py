@@ -25,13 +25,9 @@ data. Of the file, only the header, the MLPs and the chunks that the box meets a
 LESS_MEMORY = "--threads 1 needs less, and --box decodes a part alone"
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "decode",
-        help="decompress a .clgs file into a NumPy archive",
-        description=DESCRIPTION,
-    )
+    parser.description = DESCRIPTION
     add_files(parser, "scene", "FILE.clgs", "FILE.npz|FILE.ply")
     parser.add_argument("--box", metavar="x0,y0,z0,x1,y1,z1", help="only the part in this box")
     add_threads(parser)

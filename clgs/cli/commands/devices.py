@@ -14,13 +14,11 @@ HEADINGS = (
 )
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser = subparsers.add_parser(
-        "devices",
-        help="list the OpenCL devices and the one that is used",
-        description="List the OpenCL devices; a star marks the one that is used by default. "
-        "The number or a part of the name goes to --device of other commands.",
+    parser.description = (
+        "List the OpenCL devices; a star marks the one that is used by default. The number or "
+        "a part of the name goes to --device of other commands."
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 

@@ -14,15 +14,13 @@ HEALTHY, BAD_DATA, NO_DEVICE = 0, 3, 4
 """Exit codes: no error was found, an error in the data, no device that computes what it should."""
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser = subparsers.add_parser(
-        "doctor",
-        help="say what is wrong with a data set or with this machine",
-        description="Check a data set (Blender, transforms.json, COLMAP): paths, poses, lenses, "
-        "photos, masks. Without DATA, this machine: devices, with a second of checks of each, "
-        "drivers, memory, disk. Each finding has a remedy. Exit code 3 if the data have an error, "
-        "4 if no device can be used, 0 otherwise, with warnings too.",
+    parser.description = (
+        "Check a data set (Blender, transforms.json, COLMAP): paths, poses, lenses, photos, "
+        "masks. Without DATA, this machine: devices, with a second of checks of each, "
+        "drivers, memory, disk. Each finding has a remedy. Exit code 3 if the data have an "
+        "error, 4 if no device can be used, 0 otherwise, with warnings too."
     )
     parser.add_argument("data", nargs="?", type=Path, metavar="DATA", help="folder of a data set")
     parser.add_argument("--json", action="store_true", help="print JSON")

@@ -43,13 +43,9 @@ it, or from --mlps. That archive holds the arrays of the torch file under their 
 LESS_MEMORY = "--threads 1 and --level fast need less"
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "encode",
-        help="compress a trained scene into one .clgs file",
-        description=DESCRIPTION,
-    )
+    parser.description = DESCRIPTION
     add_files(parser, "scene", "RUN", "FILE.clgs")
     add_level(parser)
     parser.add_argument(

@@ -36,16 +36,15 @@ BASELINE = "Baseline"
 """What the survey's tables call the results that need no name beside the method's."""
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "eval",
-        help="PSNR, SSIM and LPIPS against the photos",
-        description="Scores of a scene. psnr is that of 8-bit pictures, one MSE over all channels; "
-        "psnr_channel_mean, the form of Voxel-GS's code, is the mean of the three channels' PSNRs, "
-        "of the render before clamping. With --hashes: whether this process reproduces, bit for "
-        "bit, the integers and renders that the trainer recorded (exit code 1 if not). SCENE may "
-        "be an ordinary 3DGS PLY file, too, whose coordinates are those of its data set.",
+    parser.description = (
+        "Scores of a scene. psnr is that of 8-bit pictures, one MSE over all channels; "
+        "psnr_channel_mean, the form of Voxel-GS's code, is the mean of the three channels' "
+        "PSNRs, of the render before clamping. With --hashes: whether this process "
+        "reproduces, bit for bit, the integers and renders that the trainer recorded (exit "
+        "code 1 if not). SCENE may be an ordinary 3DGS PLY file, too, whose coordinates are "
+        "those of its data set."
     )
     parser.add_argument(
         "scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
@@ -223,8 +222,8 @@ def _count_gaussians(
 
 def _write(args: argparse.Namespace, summary: dict[str, Any], scores: Sequence[ViewScore]) -> None:
     from clgs.cli.options.view import trained_steps
+    from clgs.files import write_json
     from clgs.train.quality.score_tables import append_survey, write_inria
-    from clgs.train.run.session import write_json
 
     if args.json not in (None, STDOUT):
         write_json(args.json, summary | {"per_view": [score.record() for score in scores]})

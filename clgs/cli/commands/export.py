@@ -28,14 +28,10 @@ Write what other programs open; the suffix of FILE says what:
 """
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
     lines = "\n".join(f"  {_suffixes(name)} {_module(name).HELP}" for name in _modules())
-    parser = subparsers.add_parser(
-        "export",
-        help="write a scene or a data set for other programs",
-        description=DESCRIPTION + lines,
-    )
+    parser.description = DESCRIPTION + lines
     parser.add_argument(
         "source",
         type=Path,

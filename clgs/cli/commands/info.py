@@ -11,13 +11,9 @@ from clgs.cli.options.view import named_path
 LESS_MEMORY = "end other programs, or use a machine that has more"
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser = subparsers.add_parser(
-        "info",
-        help="show what a .clgs file holds",
-        description="Show the header and the sections of a .clgs file, with their bytes.",
-    )
+    parser.description = "Show the header and the sections of a .clgs file, with their bytes."
     parser.add_argument("scene", type=named_path, metavar="scene.clgs", help="the file")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 

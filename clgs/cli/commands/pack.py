@@ -25,13 +25,9 @@ them, even if several share a voxel. `clgs unpack` is the way back."""
 LESS_MEMORY = "--threads 1 and --level fast need less"
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "pack",
-        help="compress an ordinary 3DGS PLY file",
-        description=DESCRIPTION,
-    )
+    parser.description = DESCRIPTION
     add_files(parser, "splats", "FILE.ply", "FILE.clgs")
     parser.add_argument(
         "--step",

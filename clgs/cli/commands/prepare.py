@@ -14,22 +14,18 @@ from clgs.cli.options.view import named_path, positive_int, seed
 if TYPE_CHECKING:
     from clgs.poses.judging.verdict import PhotoVerdict, Verdict
 
-    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
-
 PAGE = "report.html"
 NAMED = 20
 """Of the photos in doubt, at most so many are listed on the terminal."""
 
 
-def register(subparsers: Subparsers) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command to the parser of ``clgs``."""
-    parser = subparsers.add_parser(
-        "prepare",
-        help="find the camera poses of a folder of photos, or of a video",
-        description="Structure from motion: writes DATA/images (undistorted), DATA/sparse/0, a "
-        "verdict on every photo in DATA/report.html and DATA/report.json, and DATA/masks if photos "
-        "have masks (PHOTOS/masks/NAME.png, black where a photo is not to be used, or an alpha "
-        "channel).",
+    parser.description = (
+        "Structure from motion: writes DATA/images (undistorted), DATA/sparse/0, a verdict on "
+        "every photo in DATA/report.html and DATA/report.json, and DATA/masks if photos have "
+        "masks (PHOTOS/masks/NAME.png, black where a photo is not to be used, or an alpha "
+        "channel)."
     )
     parser.add_argument(
         "photos",
@@ -57,7 +53,6 @@ def register(subparsers: Subparsers) -> None:
         help="leave out photos whose poses are in doubt (default: they are named, and stay)",
     )
     add_overwrite(parser, "DATA if an earlier run of this command made it (default: refuse)")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -16,11 +16,9 @@ SCENE is a run folder, a .clgs file of `clgs train` or `clgs pack`, or an ordina
 whose coordinates are those of its data set."""
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "render", help="render views or a clip of a scene", description=DESCRIPTION
-    )
+    parser.description = DESCRIPTION
     parser.add_argument(
         "scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
     )

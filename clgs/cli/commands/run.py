@@ -18,14 +18,10 @@ OUT receives data/ (if poses had to be found), run/, scene.clgs, scores.json, sc
 clip.mp4 (if the extra clgs[video] is installed) and report.html, which links to them."""
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "run",
-        help="photos to scene, report, page and video in one go",
-        usage="%(prog)s PHOTOS|VIDEO|DATA -o OUT [OPTION ...]",
-        description=DESCRIPTION,
-    )
+    parser.usage = "%(prog)s PHOTOS|VIDEO|DATA -o OUT [OPTION ...]"
+    parser.description = DESCRIPTION
     add = parser.add_argument
     add("input", type=named_path, metavar="INPUT", help="folder of photos, video, or data set")
     add("-o", "--output", type=named_path, required=True, metavar="OUT", help="folder for all")

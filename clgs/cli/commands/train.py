@@ -18,16 +18,15 @@ if TYPE_CHECKING:
     from clgs.train.run.session import Progress, Session
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "train",
-        help="train a scene from photos with poses",
-        usage="%(prog)s DATA -o RUN [OPTION ...]",
-        description="Train a scene. RUN receives scene.clgs, scene.npz, config.toml, "
-        "progress.csv, results.json, per_view.json, hashes.json, data.json, report.html, test/, "
-        "preview.png, checkpoint/ and points-*.npz if points were triangulated. Of the options, "
-        "(paper) names values of Voxel-GS, arXiv 2512.17528, and (code) those of its code.",
+    parser.usage = "%(prog)s DATA -o RUN [OPTION ...]"
+    parser.description = (
+        "Train a scene. RUN receives scene.clgs, scene.npz, config.toml, progress.csv, "
+        "results.json, per_view.json, hashes.json, data.json, report.html, test/, "
+        "preview.png, checkpoint/ and points-*.npz if points were triangulated. Of the "
+        "options, (paper) names values of Voxel-GS, arXiv 2512.17528, and (code) those of its "
+        "code."
     )
     add = parser.add_argument
     add("data", type=Path, metavar="DATA", help="Blender, transforms.json or COLMAP folder")
@@ -118,8 +117,8 @@ def _report_profile(session: Session) -> None:
     from dataclasses import asdict
 
     from clgs.cli.progress import print_profile
+    from clgs.files import write_json
     from clgs.train.quality.savings import savings
-    from clgs.train.run.session import write_json
 
     rows = session.device.profile.rows()
     saved = savings(session.trainer)

@@ -9,14 +9,12 @@ from clgs.cli.options.codec import add_files, add_threads
 LESS_MEMORY = "--threads 1 needs less"
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "unpack",
-        help="decompress what `clgs pack` made into a PLY file",
-        description="Decompress what `clgs pack` made: a little-endian PLY file of float32, or "
-        "float64 if float32 would lose a step, with the same properties and splats, rounded to "
-        "the steps, in Morton order.",
+    parser.description = (
+        "Decompress what `clgs pack` made: a little-endian PLY file of float32, or float64 if "
+        "float32 would lose a step, with the same properties and splats, rounded to the "
+        "steps, in Morton order."
     )
     add_files(parser, "splats", "FILE.clgs", "FILE.ply")
     add_threads(parser)

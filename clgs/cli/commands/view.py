@@ -23,11 +23,9 @@ for held-out ones; a click on one goes there, and the photo can be laid over the
 The address is open to this machine alone unless --host says otherwise."""
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "view", help="look at a scene in the browser", description=DESCRIPTION
-    )
+    parser.description = DESCRIPTION
     parser.add_argument(
         "scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
     )

@@ -1,273 +1,198 @@
-"""Work and precision: what a render costs and how far it is from one without truncation."""
+"""`clgs bench accuracy`: what every accuracy setting costs and how far it is from the truth."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
 
-import numpy as np
-import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
 
-from clgs.lab.bench.accuracy_settings import PRESET_SWEEP, Setting, without_stop
-from clgs.lab.bench.untruncated import cached_reference
-from clgs.lab.selftest.errors import relative_l2
-from clgs.lab.synthetic.anchor_scene import anchor_scene
-from clgs.opencl.array import DeviceArray
+from clgs.cli.options.scene import read_scene
+from clgs.cli.options.view import selected_views
+from clgs.cli.tell import tell
+from clgs.errors import UsageError
+from clgs.files import write_json
+from clgs.lab.bench.accuracy_points import (
+    Point,
+    Subject,
+    SubjectFigures,
+    against_parity,
+    bench_accuracy,
+    fastest_within,
+    synthetic_subjects,
+)
+from clgs.lab.bench.accuracy_settings import PRESET_SWEEP, accuracy_settings
+from clgs.lab.bench.plots import (
+    MARKERS,
+    PANEL,
+    STYLE,
+    check_figure_files,
+    require_pyplot,
+    save,
+)
+from clgs.lab.facts import command_line, machine_facts
 from clgs.opencl.device import Device
-from clgs.options import Accuracy, RenderOptions
-from clgs.render.frame import DeviceScene, DeviceView, SceneGradients, upload_scene, upload_view
-from clgs.render.pipeline import render_backward, view_forward
-from clgs.render.renderer import Renderer
-from clgs.scene.camera import Camera
-from clgs.scene.scene import Scene
 
-Array = npt.NDArray[np.float64]
+ACROSS = ("forward, ms", "forward, ms", "forward and backward, ms")
+UP = (
+    "image error p99.9, levels",
+    "largest image error, levels",
+    "worst gradient error, relative L2",
+)
+"""Labels of the axes of the three panels of a scene."""
 
-SYNTHETIC = {
-    "small": (100_000, 400, 0.0),
-    "dense": (100_000, 200, 0.0),
-    "large": (8000, 400, 1.2),
-    "tiny": (2000, 64, 0.0),
-}
-"""Gaussians, pixels of the edge, and what is added to the log scales, by name."""
-
-GOALS = (0.01, 0.1, 1.0)
-"""Errors in levels for which the fastest setting is named."""
-
-WARM_UP = 2
+SMALLEST = 1e-7
+"""Errors below this are drawn as this: a logarithm has no zero."""
 
 
-@dataclass(frozen=True)
-class Subject:
-    """A scene and a view of it."""
+def run(args: argparse.Namespace) -> int:
+    """Measure, print and, if asked, write JSON and draw; exit code 0."""
+    settings = accuracy_settings(args.sweeps)
+    check_figure_files(args.output, args.plot)
+    subjects = subjects_of(args)
+    device = Device(args.device)
 
-    name: str
-    scene: Scene
-    camera: Camera
+    def say(line: str) -> None:
+        tell(f"clgs: {line}")
 
-
-@dataclass(frozen=True)
-class Times:
-    """Milliseconds: median, 5th and 95th percentile."""
-
-    median: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class ImageError:
-    """Distance from the reference: levels (1/255), and PSNR in dB."""
-
-    p999: float
-    largest: float
-    psnr: float
-
-
-@dataclass(frozen=True)
-class GradientError:
-    """By tensor: relative L2, and the 99th percentile of |error| / max(|g|, rms(g) / 1000)."""
-
-    relative_l2: dict[str, float]
-    p99: dict[str, float]
+    found = []
+    for subject in subjects:
+        found.append(bench_accuracy(device, subject, settings, args.repeats, say))
+        show(found[-1])
+    if args.output:
+        scenes = [
+            asdict(one) | {"fastest": fastest_within(one), "against_parity": against_parity(one)}
+            for one in found
+        ]
+        record = {"command": command_line(), **machine_facts(device), "scenes": scenes}
+        write_json(args.output, record)
+    if args.plot:
+        plot_accuracy(args.plot, found, f"{device.name}, {device.specialisation} form")
+    return 0
 
 
-@dataclass(frozen=True)
-class Point:
-    """What one setting costs and how far off it is; gradients only at full resolution.
+def subjects_of(args: argparse.Namespace) -> list[Subject]:
+    """The scenes that were asked for, each with a view.
 
-    image: against the reference; stopped: against this device's render with the same alpha cut,
-    but without a stop and with the full exponential.
+    Raises:
+        UsageError: no scene was asked for, or the view does not exist.
     """
-
-    sweep: str
-    label: str
-    forward: Times
-    image: ImageError
-    stopped: ImageError | None
-    both: Times | None
-    gradient: GradientError | None
-
-
-@dataclass(frozen=True)
-class SubjectFigures:
-    """All settings on one scene, and its sizes."""
-
-    name: str
-    anchors: int
-    gaussians: int
-    intersections: int
-    size: tuple[int, int]
-    points: list[Point]
-
-
-def synthetic_subjects(names: list[str], seed: int) -> list[Subject]:
-    """The seeded scenes of the given names."""
-    subjects = []
-    for name in names:
-        gaussians, size, growth = SYNTHETIC[name]
-        scene, camera = anchor_scene(gaussians, size, seed)
-        anchors = replace(scene.anchors, scaling=scene.anchors.scaling + np.float32(growth))
-        subjects.append(Subject(name, replace(scene, anchors=anchors), camera))
+    if (args.scene is None) != (args.data is None):
+        raise UsageError("--scene and --data belong together")
+    subjects = synthetic_subjects(list(args.scenes), args.seed)
+    if args.scene is not None:
+        quantized, _ = read_scene(args.scene)
+        views = selected_views(args, quantized)
+        if not 0 <= args.view < len(views):
+            raise UsageError(f"--view {args.view}: there are {len(views)}, from 0")
+        name = args.data.resolve().name
+        subjects.append(Subject(name, quantized.dequantize(), views[args.view].camera))
+    if not subjects:
+        raise UsageError("no scene: name some with --scenes, or --scene and --data")
     return subjects
 
 
-def bench_accuracy(
-    device: Device,
-    subject: Subject,
-    settings: list[Setting],
-    repeats: int,
-    report: Callable[[str], None],
-) -> SubjectFigures:
-    """Errors of every setting, then times, the settings taking turns ``repeats`` times."""
-    bench = _Bench(device, subject)
-    reference = bench.reference(report)
-    report(f"{subject.name}: errors of {len(settings)} settings")
-    different = list(dict.fromkeys(replace(one.accuracy, name="") for one in settings))
-    errors = {accuracy: bench.errors(accuracy, reference) for accuracy in different}
-    report(f"{subject.name}: times of {len(different)} different ones, {repeats} rounds")
-    times = _take_turns(bench, different, repeats)
-    points = []
-    for setting in settings:
-        accuracy = replace(setting.accuracy, name="")
-        forward, both = times[accuracy]
-        image, stopped, gradient = errors[accuracy]
-        points.append(Point(setting.sweep, setting.label, forward, image, stopped, both, gradient))
-    frame = view_forward(device, bench.scene, bench.view)
-    counts = len(subject.scene.anchors), len(frame.gaussians), len(frame.tiles.gaussian)
-    return SubjectFigures(subject.name, *counts, frame.view.size, points)
-
-
-class _Bench:
-    """A subject on the device, with a random gradient of its picture."""
-
-    def __init__(self, device: Device, subject: Subject) -> None:
-        self.device, self.subject = device, subject
-        self.scene: DeviceScene = upload_scene(device, subject.scene)
-        self.settings = subject.scene.settings
-        self.view: DeviceView = upload_view(device, subject.camera, self.settings)
-        shape = (3, subject.camera.height, subject.camera.width)
-        self.d_host = np.random.default_rng(1).normal(size=shape).astype(np.float32)
-        self.d_image: DeviceArray = device.upload(self.d_host)
-        self.renderers: dict[Accuracy, Renderer] = {}
-
-    def reference(self, report: Callable[[str], None]) -> dict[str, Array]:
-        """Image and gradients without truncation."""
-        return cached_reference(
-            self.subject.scene,
-            self.subject.camera.pack(self.settings.near),
-            (self.subject.camera.width, self.subject.camera.height),
-            np.array(self.settings.background, np.float32),
-            self.d_host,
-            report,
+def show(figures: SubjectFigures) -> None:
+    """Print a row per setting, then the fastest settings."""
+    width, height = figures.size
+    table = Table(
+        "setting",
+        title=f"{figures.name}: {figures.gaussians:,} Gaussians, "
+        f"{figures.intersections:,} intersections, {width} x {height}",
+    )
+    for column in ("forward", "5-95 %", "both", "p99.9", "max", "dB", "stop", "d L2", "d p99"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for point in figures.points:
+        forward, image, gradient = point.forward, point.image, point.gradient
+        worst = [gradient.relative_l2, gradient.p99] if gradient else []
+        errors = [f"{max(by_tensor.values()):.1e}" for by_tensor in worst]
+        table.add_row(
+            f"{point.sweep} {point.label}",
+            f"{forward.median:.2f}",
+            f"{forward.low:.1f}-{forward.high:.1f}",
+            f"{point.both.median:.2f}" if point.both else "",
+            f"{image.p999:.2g}",
+            f"{image.largest:.2g}",
+            f"{image.psnr:.1f}",
+            f"{point.stopped.largest:.2g}" if point.stopped else "",
+            *errors,
         )
+    console = Console(width=max(Console().width, 110))
+    console.print(table)
+    for goal, best in fastest_within(figures).items():
+        time = best["milliseconds"]
+        text = "none" if time is None else f"{time:.2f} ms ({best['setting']})"
+        print(f"  {goal}: {text}")
+    for preset, ratio in against_parity(figures).items():
+        both = "" if ratio["both"] is None else f", {ratio['both']:.2f}x with gradients"
+        print(f"  {preset} against parity: {ratio['forward']:.2f}x{both}")
 
-    def picture(self, accuracy: Accuracy) -> npt.NDArray[np.float32]:
-        """As `clgs render` makes it, on the host."""
-        if accuracy not in self.renderers:
-            self.renderers[accuracy] = Renderer.of_device_scene(
-                self.device, self.scene, self.settings, RenderOptions(accuracy)
+
+def plot_accuracy(path: Path, subjects: Sequence[SubjectFigures], title: str) -> None:
+    """Error against time, log-log: a row per scene; image p99.9, image maximum, gradients."""
+    pyplot = require_pyplot()
+    from matplotlib.ticker import FuncFormatter, LogLocator
+
+    plain = FuncFormatter(lambda value, _: f"{value:g}")  # 20 and 30 instead of powers of ten
+    with pyplot.rc_context(STYLE):
+        size = (3 * PANEL[0], len(subjects) * PANEL[1] + 0.8)
+        figure, rows = pyplot.subplots(len(subjects), 3, figsize=size, squeeze=False)
+        for panels, subject in zip(rows, subjects, strict=True):
+            _plot_curves(panels[0], subject.points, lambda one: one.image.p999)
+            _plot_curves(panels[1], subject.points, lambda one: one.image.largest)
+            _plot_curves(panels[2], subject.points, _worst_gradient)
+            for panel, across, up in zip(panels, ACROSS, UP, strict=True):
+                panel.set(xscale="log", yscale="log", xlabel=across, ylabel=up)
+                panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                panel.xaxis.set_minor_locator(LogLocator(subs=(3.0, 4.0, 7.0)))
+                panel.xaxis.set_major_formatter(plain)
+                panel.xaxis.set_minor_formatter(plain)
+            width, height = subject.size
+            panels[0].set_title(
+                f"{subject.name}: {subject.gaussians:,} Gaussians, {width} x {height}", loc="left"
             )
-        return self.renderers[accuracy].render(self.subject.camera)
+        handles, labels = rows[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="upper center", ncols=len(labels), frameon=False)
+        figure.suptitle(title, y=0.005, va="bottom", fontsize=8)
+        figure.tight_layout(rect=(0, 0.03, 1, 0.96))
+        save(figure, path)
 
-    def gradients(self, accuracy: Accuracy) -> SceneGradients:
-        """As a training step makes them, on the device."""
-        frame = view_forward(self.device, self.scene, self.view, RenderOptions(accuracy))
-        return render_backward(self.device, self.scene, frame, self.d_image)
 
-    def errors(
-        self, accuracy: Accuracy, reference: dict[str, Array]
-    ) -> tuple[ImageError, ImageError | None, GradientError | None]:
-        """Distances of picture and gradients from the reference; see :class:`Point`."""
-        picture = self.picture(accuracy)
-        image = image_error(picture, reference["image"])
-        if accuracy.downscale > 1:
-            return image, None, None
-        stopped = image_error(picture, self.picture(without_stop(accuracy)).astype(np.float64))
-        found = self.gradients(accuracy)
-        names = [name for name in reference if name != "image"]
-        pairs = {
-            name: (self.device.download(getattr(found, name)), reference[name]) for name in names
-        }
-        gradient = GradientError(
-            {name: relative_l2(*pair) for name, pair in pairs.items()},
-            {name: element_error(*pair) for name, pair in pairs.items()},
+def _worst_gradient(point: Point) -> float | None:
+    """The largest error of all tensors; None if the setting has no gradients."""
+    return max(point.gradient.relative_l2.values()) if point.gradient else None
+
+
+def _plot_curves(
+    panel: Any, points: Sequence[Point], error: Callable[[Point], float | None]
+) -> None:
+    """Draw a line per sweep, in its order, and presets as black marks with their names."""
+    for number, sweep in enumerate(dict.fromkeys(point.sweep for point in points)):
+        own = [one for one in points if one.sweep == sweep and error(one) is not None]
+        times = [(one.both if error is _worst_gradient else one.forward) for one in own]
+        x = [one.median for one in times if one]
+        y = [max(error(one) or 0.0, SMALLEST) for one in own]
+        preset = sweep == PRESET_SWEEP
+        panel.plot(
+            x,
+            y,
+            marker=MARKERS[number % len(MARKERS)],
+            markersize=7 if preset else 4,
+            linewidth=0 if preset else 1.2,
+            color="black" if preset else f"C{number - 1}",
+            zorder=3 if preset else 2,
+            label=sweep,
         )
-        return image, stopped, gradient
-
-
-def image_error(image: npt.NDArray[np.float32], reference: Array) -> ImageError:
-    """Error of a picture (3, H, W); NaN spreads."""
-    error = np.abs(image.astype(np.float64) - reference)
-    with np.errstate(divide="ignore"):
-        psnr = -10 * np.log10(np.mean(error**2))
-    return ImageError(255 * float(np.quantile(error, 0.999)), 255 * float(error.max()), float(psnr))
-
-
-def element_error(actual: npt.NDArray[np.float32], expected: Array) -> float:
-    """99th percentile of |error| / max(|expected|, rms / 1000) if either is not zero."""
-    rms = float(np.sqrt(np.mean(expected**2)))
-    touched = (expected != 0) | (actual != 0)
-    if not touched.any():
-        return 0.0
-    wanted = expected[touched]
-    error = np.abs(actual[touched].astype(np.float64) - wanted)
-    return float(np.quantile(error / np.maximum(np.abs(wanted), rms / 1000), 0.99))
-
-
-def _take_turns(
-    bench: _Bench, accuracies: list[Accuracy], repeats: int
-) -> dict[Accuracy, tuple[Times, Times | None]]:
-    """Times of forward, and of forward and backward; only the former if renders are small."""
-    forward: dict[Accuracy, list[float]] = {one: [] for one in accuracies}
-    both: dict[Accuracy, list[float]] = {one: [] for one in accuracies}
-    for turn in range(WARM_UP + repeats):
-        for one in accuracies:
-            ahead = _milliseconds(bench.device, partial(bench.picture, one))
-            forward[one] += [ahead] if turn >= WARM_UP else []
-            if one.downscale == 1:
-                whole = _milliseconds(bench.device, partial(bench.gradients, one))
-                both[one] += [whole] if turn >= WARM_UP else []
-    return {one: (_times(forward[one]), _times(both[one]) if both[one] else None) for one in both}
-
-
-def _milliseconds(device: Device, work: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    work()
-    device.finish()
-    return 1e3 * (time.perf_counter() - start)
-
-
-def _times(milliseconds: list[float]) -> Times:
-    low, median, high = np.quantile(milliseconds, [0.05, 0.5, 0.95])
-    return Times(float(median), float(low), float(high))
-
-
-def fastest_within(figures: SubjectFigures) -> dict[str, dict[str, object]]:
-    """For every goal: the fastest forward pass within it, by p99.9 and by the largest error."""
-    found: dict[str, dict[str, object]] = {}
-    for measure in ("p999", "largest"):
-        for goal in GOALS:
-            within = [one for one in figures.points if getattr(one.image, measure) <= goal]
-            best = min(within, key=lambda one: one.forward.median, default=None)
-            found[f"{measure} <= {goal:g} level"] = {
-                "milliseconds": best.forward.median if best else None,
-                "setting": f"{best.sweep} {best.label}" if best else None,
-            }
-    return found
-
-
-def against_parity(figures: SubjectFigures) -> dict[str, dict[str, float | None]]:
-    """How many times faster each preset is than "parity", forward and with gradients."""
-    presets = {one.label: one for one in figures.points if one.sweep == PRESET_SWEEP}
-    parity = presets["parity"]
-    return {
-        label: {
-            "forward": parity.forward.median / one.forward.median,
-            "both": parity.both.median / one.both.median if parity.both and one.both else None,
-            "largest": one.stopped.largest if one.stopped else None,
-        }
-        for label, one in presets.items()
-    }
+        for one, place in zip(own, zip(x, y, strict=True), strict=True):
+            panel.annotate(
+                one.label,
+                place,
+                textcoords="offset points",
+                xytext=(5, 4) if preset else (4, -8),
+                fontsize=9 if preset else 6,
+                fontweight="bold" if preset else "normal",
+            )

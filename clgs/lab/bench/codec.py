@@ -1,54 +1,46 @@
-"""Size and speed of the codec beside general-purpose compressors, on one thread."""
+"""`clgs bench codec`: size and speed of the codec and of general compressors, on one thread."""
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import lzma
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from statistics import median
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
+from clgs.cli.progress import bar
+from clgs.cli.tell import tell
 from clgs.codec import decode_attributes, decode_positions, encode_attributes, encode_positions
 from clgs.codec.container.meta import LEVELS
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.errors import ClgsError
-from clgs.lab.bench.codec_baselines import ATTRIBUTES, POSITIONS
+from clgs.files import check_target, write_json
+from clgs.lab.bench.codec_subjects import (
+    ANCHORS,
+    QUICK_ANCHORS,
+    Ints,
+    Subject,
+    file_subjects,
+    seeded_subjects,
+)
+from clgs.lab.facts import command_line
+from clgs.machine import host_facts
 from clgs.scene.scene import QuantizedScene
 
-Ints = npt.NDArray[np.int32]
 Note = Callable[[str], None]
 
 SLOW = 1 << 22
 """Bytes above which general-purpose compressors run once: they take minutes."""
-
-
-@dataclass(frozen=True)
-class Subject:
-    """What is coded: ``content`` rows (N, channels) or positions (N, 3) int32, or a scene."""
-
-    name: str
-    kind: str  # attributes, positions or scene
-    content: Ints | QuantizedScene
-
-    @property
-    def symbols(self) -> int:
-        """Numbers of attributes, points of positions, anchors of a scene."""
-        if isinstance(self.content, QuantizedScene):
-            return len(self.content.anchors)
-        return self.content.size if self.kind == "attributes" else len(self.content)
-
-    @property
-    def baseline(self) -> int | None:
-        """Bytes of the published coder, if they are known."""
-        known = {"attributes": ATTRIBUTES, "positions": POSITIONS}
-        return known.get(self.kind, {}).get(self.name)
 
 
 @dataclass(frozen=True)
@@ -70,6 +62,65 @@ class Figures:
     encode_seconds: float
     decode_seconds: float
     repeats: int
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, print and, if asked, write JSON; exit code 0."""
+    if args.json:
+        check_target(args.json)
+    anchors = args.anchors or (QUICK_ANCHORS if args.quick else ANCHORS)
+    subjects = file_subjects(args.data) if args.data else seeded_subjects(anchors, args.seed)
+    table = Table(title="one thread", box=box.SIMPLE, pad_edge=False)
+    for column in ("data", "coder"):
+        table.add_column(column, no_wrap=True)
+    widths = {"bytes": 11, "ratio": 6, "bits": 7, "encode s": 8, "decode s": 8}
+    for column, width in widths.items():
+        table.add_column(column, justify="right", no_wrap=True, min_width=width)
+    records, said = [], set[str]()
+
+    def note(line: str) -> None:
+        if line not in said:
+            tell(f"clgs: {line}")
+        said.add(line)
+
+    with bar(None, "runs") as advance:
+        for subject in subjects:
+            figures = bench_subject(subject, args.repeats, args.levels_only, note, advance)
+            add_rows(table, subject, figures)
+            shares = zip(figures, ratios(subject, figures), strict=True)
+            records.append(
+                {
+                    "name": subject.name,
+                    "kind": subject.kind,
+                    "symbols": subject.symbols,
+                    "baseline": subject.baseline,
+                    "coders": [{**asdict(one), "ratio": ratio} for one, ratio in shares],
+                }
+            )
+    Console().print(table)
+    if args.json:
+        write_json(args.json, {"command": command_line(), **host_facts(), "subjects": records})
+    return 0
+
+
+def add_rows(table: Table, subject: Subject, figures: list[Figures]) -> None:
+    """Add a row per coder."""
+    table.add_section()
+    name, symbols = subject.name, max(subject.symbols, 1)
+    if subject.baseline:
+        table.add_row(name, "published", f"{subject.baseline:,}", "1.000")
+        name = ""
+    for one, ratio in zip(figures, ratios(subject, figures), strict=True):
+        table.add_row(
+            name,
+            one.coder,
+            f"{one.bytes:,}",
+            "" if ratio is None else f"{ratio:.3f}",
+            f"{8 * one.bytes / symbols:.3f}",
+            f"{one.encode_seconds:.3f}",
+            f"{one.decode_seconds:.3f}",
+        )
+        name = ""
 
 
 def bench_subject(

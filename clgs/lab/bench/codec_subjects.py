@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.codec import morton_order
 from clgs.codec.arguments import check_integers
@@ -14,10 +16,11 @@ from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import flatten
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.errors import CodecError, DataError
-from clgs.lab.bench.codec import Ints, Subject
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene
+
+Ints = npt.NDArray[np.int32]
 
 ANCHORS, QUICK_ANCHORS = 312_238, 20_000
 """The mean of a published data set, and a size that takes seconds."""
@@ -27,6 +30,53 @@ KINDS = (".npz", ".clgs")
 SPREADS = {"offset": 0.57, "feature": 0.96, "scaling": 6.0}
 """Scales of the Laplace distributions: 1.73, 2.43 and 5.03 bits a number once rounded, near the
 1.68, 2.35 and 5.05 of the published data set."""
+
+
+PUBLISHED_ATTRIBUTES = {
+    "iid_offset": 252375,
+    "iid_feat": 588078,
+    "iid_scale": 151649,
+    "chan_feat": 530467,
+    "zi_offset": 239515,
+    "corr_weak": 556432,
+    "corr_scale": 144476,
+    "biker_scale_q8": 324445,
+    "biker_color": 469109,
+}
+"""Bytes of known arrays by G-PCC's attribute residual coder as the paper's code calls it."""
+
+PUBLISHED_POSITIONS = {
+    "scene_q200": 484946,
+    "armadillo_sparse_1024": 51899,
+    "armadillo_dense_1024": 242340,
+    "bunny_4096": 464382,
+    "bunny_noisy_2048": 534403,
+    "biker_1628": 160897,
+    "biker_407": 49801,
+}
+"""Bytes of known clouds by G-PCC tmc13 v23: lossless octree geometry, the paper's settings."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is coded: ``content`` rows (N, channels) or positions (N, 3) int32, or a scene."""
+
+    name: str
+    kind: str  # attributes, positions or scene
+    content: Ints | QuantizedScene
+
+    @property
+    def symbols(self) -> int:
+        """Numbers of attributes, points of positions, anchors of a scene."""
+        if isinstance(self.content, QuantizedScene):
+            return len(self.content.anchors)
+        return self.content.size if self.kind == "attributes" else len(self.content)
+
+    @property
+    def baseline(self) -> int | None:
+        """Bytes of the published coder, if they are known."""
+        known = {"attributes": PUBLISHED_ATTRIBUTES, "positions": PUBLISHED_POSITIONS}
+        return known.get(self.kind, {}).get(self.name)
 
 
 def seeded_subjects(anchors: int, seed: int) -> list[Subject]:

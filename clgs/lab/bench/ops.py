@@ -1,12 +1,26 @@
-"""Time and error of every stage, beside what the device can do at most."""
+"""`clgs bench ops`: time and error of every stage, and what the device can do at most."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import argparse
+from dataclasses import asdict, dataclass, fields, replace
 
-from clgs.lab.bench.device_limits import DeviceLimits, measure_limits
-from clgs.lab.bench.stage_work import Counts, Share, count_work, share_of_limit
+from rich.console import Console
+from rich.table import Table
+
+from clgs.cli.options.device import open_devices
+from clgs.files import check_target, write_json
+from clgs.lab.bench.stage_limits import (
+    FORMULAS,
+    Counts,
+    DeviceLimits,
+    Share,
+    count_work,
+    measure_limits,
+    share_of_limit,
+)
 from clgs.lab.bench.step import synthetic_trainer, time_steps
+from clgs.lab.facts import command_line, machine_facts
 from clgs.lab.selftest.render_checks import Check, selftest
 from clgs.lab.selftest.training_checks import training_checks
 from clgs.opencl.device import Device
@@ -58,6 +72,25 @@ class OpsFigures:
         return all(stage.check is None or stage.check.passed for stage in self.stages)
 
 
+def run(args: argparse.Namespace) -> int:
+    """Measure, print and, if asked, write JSON; exit code 1 if an error exceeds its limit."""
+    if args.json:
+        check_target(args.json)
+    names = [field.name for field in fields(Workload)]
+    given = {name: value for name in names if (value := getattr(args, name)) is not None}
+    records, passed = [], True
+    for _, device in open_devices(args.device):
+        load = replace(TINY if device.is_emulator else Workload(), **given)
+        figures = bench_ops(device, load)
+        passed &= figures.passed
+        records.append(machine_facts(device) | {"workload": asdict(load), **asdict(figures)})
+        show(device, figures)
+    if args.json:
+        formulas = {name: formula.text() for name, formula in FORMULAS.items()}
+        write_json(args.json, {"command": command_line(), "formulas": formulas, "devices": records})
+    return 0 if passed else 1
+
+
 def bench_ops(device: Device, load: Workload) -> OpsFigures:
     """Check every stage on the self-test's scene, then time it on a scene of the given size."""
     checks = list(selftest(device))
@@ -88,3 +121,28 @@ def worst_check(stage: str, checks: list[Check]) -> Check | None:
     own = [check for check in checks if check.stage == name]
     failed = [check for check in own if not check.passed]
     return failed[0] if failed else max(own, key=lambda check: check.share, default=None)
+
+
+def show(device: Device, figures: OpsFigures) -> None:
+    """Print a row per stage."""
+    limits, counts = figures.limits, figures.counts
+    title = (
+        f"{device.name} ({device.specialisation}): copies {limits.bytes_per_second / 1e9:.1f} GB/s,"
+        f" {limits.flops_per_second / 1e9:.0f} GFLOP/s; {counts.A:,} anchors, {counts.N:,} "
+        f"Gaussians, {counts.I:,} intersections, {counts.B:,} blended pairs, {counts.P:,} pixels"
+    )
+    table = Table("stage", title=title)
+    for column in ("ms", "error", "limit", "GB/s", "GFLOP/s", "of limit"):
+        table.add_column(column, justify="right")
+    for stage in figures.stages:
+        error, rates = ["", ""], ["", "", ""]
+        if check := stage.check:
+            error = [f"{check.error:.1e}", f"{check.limit:.0e}{'' if check.passed else ' FAIL'}"]
+        if share := stage.share:
+            rates = [
+                f"{share.gigabytes_per_second:.1f}",
+                f"{share.gigaflops:.1f}",
+                f"{100 * share.of_limit:.0f} % {share.bound}",
+            ]
+        table.add_row(stage.stage, f"{stage.milliseconds:.2f}", *error, *rates)
+    Console().print(table)

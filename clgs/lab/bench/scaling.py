@@ -1,16 +1,23 @@
-"""How time and memory of a training step grow with Gaussians and with pixels."""
+"""`clgs bench scaling`: growth of a step's time and memory with Gaussians and pixels."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from statistics import median
 
 import numpy as np
 import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
 
-from clgs.lab.bench.frame_counts import count_frame
-from clgs.lab.bench.step import stream_times, trainer_of
+from clgs.cli.tell import tell
+from clgs.files import write_json
+from clgs.lab.bench.plots import PANEL, STYLE, check_figure_files, require_pyplot, save
+from clgs.lab.bench.step import count_frame, stream_times, trainer_of
+from clgs.lab.facts import command_line, machine_facts
 from clgs.lab.synthetic.anchor_scene import anchor_scene, square_camera
 from clgs.opencl.device import Device
 from clgs.scene.camera import Camera
@@ -72,6 +79,26 @@ class Scaling:
     memory: Memory
 
 
+def run(args: argparse.Namespace) -> int:
+    """Measure, print and, if asked, write JSON and draw; exit code 0."""
+    check_figure_files(args.output, args.plot)
+    device = Device(args.device)
+    found = bench_scaling(
+        lambda: Device(args.device),
+        args.gaussians or GAUSSIANS,
+        args.sizes or SIZES,
+        args.repeats,
+        lambda line: tell(f"clgs: {line}"),
+    )
+    show(found)
+    if args.output:
+        record = {"command": command_line(), **machine_facts(device), **asdict(found)}
+        write_json(args.output, record)
+    if args.plot:
+        plot_scaling(args.plot, found, f"{device.name}, {device.specialisation} form")
+    return 0
+
+
 def bench_scaling(
     open_device: Callable[[], Device],
     gaussians: Sequence[int],
@@ -87,18 +114,18 @@ def bench_scaling(
     by_gaussians = []
     for count in gaussians:
         scene, camera = anchor_scene(count, FIXED_SIZE)
-        by_gaussians.append(_run(open_device(), scene, camera, repeats))
+        by_gaussians.append(time_size(open_device(), scene, camera, repeats))
         report(f"{count:,} Gaussians: {by_gaussians[-1].milliseconds:.1f} ms")
     by_pixels = []
     scene, _ = anchor_scene(FIXED_GAUSSIANS, FIXED_SIZE)
     for size in sizes:
-        by_pixels.append(_run(open_device(), scene, square_camera(size), repeats))
+        by_pixels.append(time_size(open_device(), scene, square_camera(size), repeats))
         report(f"{size} x {size} pixels: {by_pixels[-1].milliseconds:.1f} ms")
     by_intersections = []
     for factor in GROWTHS:
         larger = scene.anchors.scaling + np.float32(np.log(factor))
         grown = replace(scene, anchors=replace(scene.anchors, scaling=larger))
-        by_intersections.append(_run(open_device(), grown, square_camera(FIXED_SIZE), repeats))
+        by_intersections.append(time_size(open_device(), grown, square_camera(FIXED_SIZE), repeats))
         report(f"Gaussians {factor} times as large: {by_intersections[-1].milliseconds:.1f} ms")
     return Scaling(
         by_gaussians,
@@ -107,14 +134,15 @@ def bench_scaling(
         growth([(run.gaussians, run.milliseconds) for run in by_gaussians]),
         growth([(run.pixels, run.milliseconds) for run in by_pixels]),
         Memory(
-            _bytes_each([(run.gaussians, run.peak_bytes) for run in by_gaussians]),
-            _bytes_each([(run.intersections, run.peak_bytes) for run in by_intersections]),
-            _bytes_each([(run.pixels, run.peak_bytes) for run in by_pixels]),
+            slope([(run.gaussians, run.peak_bytes) for run in by_gaussians]),
+            slope([(run.intersections, run.peak_bytes) for run in by_intersections]),
+            slope([(run.pixels, run.peak_bytes) for run in by_pixels]),
         ),
     )
 
 
-def _run(device: Device, scene: Scene, camera: Camera, repeats: int) -> Run:
+def time_size(device: Device, scene: Scene, camera: Camera, repeats: int) -> Run:
+    """Time steps of one size on a new device, and read how much memory they needed."""
     trainer = trainer_of(device, scene, camera)
     times = stream_times(trainer, LEAST_REPEATS)
     more = min(repeats, round(1e3 * SECONDS / median(times))) - LEAST_REPEATS
@@ -130,7 +158,13 @@ def growth(points: Sequence[tuple[float, float]]) -> Growth:
     """Exponents of points (count, time)."""
     ordered = np.log(np.array(sorted(points), np.float64).reshape(-1, 2))
     half = ordered[len(ordered) // 2 :] if len(ordered) >= 4 else ordered
-    return Growth(_slope(ordered), _slope(half))
+    return Growth(slope(ordered), slope(half))
+
+
+def slope(points: npt.ArrayLike) -> float | None:
+    """Slope of the line through points (N, 2) by least squares; None for fewer than two."""
+    x, y = np.asarray(points, np.float64).reshape(-1, 2).T
+    return float(np.polyfit(x, y, 1)[0]) if len(np.unique(x)) > 1 else None
 
 
 def shown(value: float | None, digits: int) -> str:
@@ -138,12 +172,66 @@ def shown(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def _slope(points: npt.NDArray[np.float64]) -> float | None:
-    if len(np.unique(points[:, 0])) < 2:
-        return None
-    return float(np.polyfit(points[:, 0], points[:, 1], 1)[0])
+def show(found: Scaling) -> None:
+    """Print a table per sweep, and the memory."""
+    for name, runs, exponent in (
+        ("by Gaussians", found.by_gaussians, found.time_by_gaussians),
+        ("by pixels", found.by_pixels, found.time_by_pixels),
+    ):
+        table = Table(
+            title=f"{name}: time ~ count^{shown(exponent.exponent, 2)} "
+            f"(^{shown(exponent.exponent_of_larger_half, 2)} in the larger half)"
+        )
+        for column in ("Gaussians", "intersections", "pixels", "step ms", "ns a Gaussian", "MiB"):
+            table.add_column(column, justify="right")
+        for one in runs:
+            table.add_row(
+                f"{one.gaussians:,}",
+                f"{one.intersections:,}",
+                f"{one.pixels:,}",
+                f"{one.milliseconds:.1f}",
+                f"{1e6 * one.milliseconds / max(one.gaussians, 1):.0f}",
+                f"{one.peak_bytes / 2**20:.0f}",
+            )
+        Console().print(table)
+    memory = found.memory
+    print(
+        f"device memory: {shown(memory.per_gaussian, 0)} bytes per Gaussian and "
+        f"{shown(memory.per_pixel, 0)} per pixel, each with its intersections; "
+        f"{shown(memory.per_intersection, 0)} per intersection"
+    )
 
 
-def _bytes_each(points: Sequence[tuple[float, float]]) -> float | None:
-    """Slope of points (count, bytes)."""
-    return _slope(np.array(points, np.float64).reshape(-1, 2))
+def plot_scaling(path: Path, found: Scaling, title: str) -> None:
+    """Time by Gaussians, time by pixels, and memory by Gaussians, log-log."""
+    pyplot = require_pyplot()
+    with pyplot.rc_context(STYLE):
+        figure, panels = pyplot.subplots(1, 3, figsize=(3 * PANEL[0], PANEL[1] + 0.3))
+        gaussians = [run.gaussians for run in found.by_gaussians]
+        pixels = [run.pixels / 1e6 for run in found.by_pixels]
+        for panel, x, runs, exponent, across in (
+            (panels[0], gaussians, found.by_gaussians, found.time_by_gaussians, "Gaussians"),
+            (panels[1], pixels, found.by_pixels, found.time_by_pixels, "megapixels"),
+        ):
+            panel.plot(x, [run.milliseconds for run in runs], "o-", label="measured")
+            half = runs[len(runs) // 2].milliseconds, x[len(x) // 2]
+            linear = [half[0] * value / half[1] for value in x]
+            panel.plot(x, linear, ":", color="grey", label="linear")
+            panel.set(xscale="log", yscale="log", xlabel=across, ylabel="training step, ms")
+            panel.set_title(
+                f"exponent {shown(exponent.exponent, 2)}, "
+                f"{shown(exponent.exponent_of_larger_half, 2)} in the larger half",
+                loc="left",
+            )
+            panel.legend(frameon=False)
+        megabytes = [run.peak_bytes / 2**20 for run in found.by_gaussians]
+        panels[2].plot(gaussians, megabytes, "o-")
+        panels[2].set(xscale="log", yscale="log", xlabel="Gaussians", ylabel="device memory, MiB")
+        panels[2].set_title(
+            f"{shown(found.memory.per_gaussian, 0)} B a Gaussian, "
+            f"{shown(found.memory.per_intersection, 0)} B an intersection",
+            loc="left",
+        )
+        figure.suptitle(title, y=0.005, va="bottom", fontsize=8)
+        figure.tight_layout(rect=(0, 0.04, 1, 1))
+        save(figure, path)

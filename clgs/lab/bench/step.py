@@ -1,17 +1,22 @@
-"""Time one training step on a seeded synthetic scene, stage by stage."""
+"""`clgs bench step`: time one training step on a seeded synthetic scene, stage by stage."""
 
 from __future__ import annotations
 
+import argparse
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from statistics import median
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
-from clgs.lab.bench.frame_counts import count_frame
+from clgs.files import check_target, write_json
+from clgs.lab.facts import command_line, machine_facts
 from clgs.lab.synthetic.anchor_scene import anchor_scene, photo_dataset
 from clgs.opencl.device import Device
+from clgs.render.frame import Frame
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
@@ -29,12 +34,22 @@ CORNERS = np.array(list(product((-1, 1), repeat=3)), np.float32)
 
 
 @dataclass(frozen=True)
-class StepTimes:
-    """Median milliseconds of a whole step, of each stage, and what the step worked on.
+class FrameCounts:
+    """How many visible anchors, neural Gaussians and entries of tile lists a frame holds."""
 
-    step: of a stream of steps; render: of a picture alone, from the camera to the host's array;
-    launches: kernels of a step; waits: of the host for the device, in a step, the mean; host: its
-    processor, but for these waits; kernels: by the device's clock, by name.
+    visible: int
+    gaussians: int
+    intersections: int
+
+
+@dataclass(frozen=True)
+class StepTimes:
+    """Median milliseconds of a training step, and what the step worked on.
+
+    step: one step of a stream of steps. render: one picture, from the camera to the host's array.
+    launches: kernels per step. waits: how often the host waits for the device per step, the mean.
+    host: processor time of the host per step, without these waits. kernels: by the device's clock,
+    by name. stages: by stage, with a wait after each.
     """
 
     step: float
@@ -49,11 +64,35 @@ class StepTimes:
     intersections: int
 
 
-def bench_step(
-    device: Device, gaussians: int, size: int | tuple[int, int], repeats: int, seed: int
-) -> StepTimes:
-    """Time steps on a new synthetic scene, as :func:`time_steps` does."""
-    return time_steps(synthetic_trainer(device, gaussians, size, seed), repeats)
+def run(args: argparse.Namespace) -> int:
+    """Measure, print and, if asked, write JSON; exit code 0."""
+    if args.json:
+        check_target(args.json)
+    device = Device(args.device)
+    trainer = synthetic_trainer(device, args.gaussians, args.size, args.seed)
+    times = time_steps(trainer, args.repeats)
+    title = (
+        f"{device.name} ({device.specialisation}): {times.anchors:,} anchors, "
+        f"{times.gaussians:,} Gaussians, {times.intersections:,} intersections, "
+        f"{args.size[0]}x{args.size[1]} px"
+    )
+    table = Table("stage", title=title)
+    table.add_column("median ms", justify="right")
+    for name, milliseconds in times.stages.items():
+        table.add_row(name, f"{milliseconds:.2f}")
+    table.add_section()
+    table.add_row("whole step", f"{times.step:.2f}")
+    table.add_row("render only", f"{times.render:.2f}")
+    table.add_section()
+    table.add_row("kernels of a step, by the device's clock", f"{sum(times.kernels.values()):.2f}")
+    table.add_row("host in a step, without waits", f"{times.host:.2f}")
+    table.add_row("waits in a step", f"{times.waits:.1f}")
+    table.add_row("launches of a step", str(times.launches))
+    Console().print(table)
+    if args.json:
+        facts = {"command": command_line(), **machine_facts(device)}
+        write_json(args.json, facts | asdict(times))
+    return 0
 
 
 def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
@@ -81,6 +120,17 @@ def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
         anchors=trainer.parameters.count,
         gaussians=counts.gaussians,
         intersections=counts.intersections,
+    )
+
+
+def count_frame(device: Device, frame: Frame) -> FrameCounts:
+    """Count what a frame holds, without the padding at the end of its arrays."""
+    visible = device.download(frame.activations.visible)
+    opacity = device.download(frame.gaussians.opacity)
+    return FrameCounts(
+        visible=int(np.count_nonzero(visible >= 0)),
+        gaussians=int(np.count_nonzero(opacity > 0)),
+        intersections=int(device.download(frame.tiles.tile_range)[-1]),
     )
 
 

@@ -11,18 +11,16 @@ from clgs.cli.options.view import positive_int
 from clgs.errors import UsageError
 
 if TYPE_CHECKING:
-    from clgs.lab.accept.part import Outcome
+    from clgs.lab.accept.trial import Outcome
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "accept",
-        help="try everything on a device, for a report",
-        description="Checks of every kernel, hashes, training, start-up and speed of every stage "
-        "on one device, each in a process of its own: a crash ends one part. Minutes, without "
-        "a network. Prints a table and writes every figure to FILE, "
-        "part by part. Exit code 1 if a part failed.",
+    parser.description = (
+        "Checks of every kernel, hashes, training, start-up and speed of every stage on one "
+        "device, each in a process of its own: a crash ends one part. Minutes, without a "
+        "network. Prints a table and writes every figure to FILE, part by part. Exit code 1 "
+        "if a part failed."
     )
     add = parser.add_argument
     add("-o", "--output", type=Path, metavar="FILE", required=True, help="receives all figures")
@@ -43,9 +41,9 @@ def run(args: argparse.Namespace) -> int:
     from tempfile import TemporaryDirectory
 
     from clgs.data.dataset import read_photo_set
-    from clgs.lab.accept.job import chosen_device, run_parts
-    from clgs.lab.accept.parts import QUICK, WHOLE, parts
     from clgs.lab.accept.photos import write_photos
+    from clgs.lab.accept.trial import chosen_device, run_trials
+    from clgs.lab.accept.trials import QUICK, WHOLE, trials
     from clgs.opencl.device import check_environment
 
     check_environment()
@@ -59,9 +57,9 @@ def run(args: argparse.Namespace) -> int:
         device = chosen_device(args.device, folder)
         write_photos(folder / "photos")
         size = QUICK if args.quick else WHOLE
-        todo = parts(str(device["index"]), folder, size, _data(args))
+        todo = trials(str(device["index"]), folder, size, _data(args))
         try:
-            outcomes = run_parts(todo, folder, device, args.output)
+            outcomes = run_trials(todo, folder, device, args.output)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"; {args.output} has the parts that ended") from None
     _show(device, outcomes)

@@ -1,12 +1,222 @@
-"""`clgs bench`: speed, accuracy, growth of time and memory, and the codec; one module per kind."""
+"""`clgs bench`: the options of every benchmark. ``clgs.lab.bench`` has a module per benchmark."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeAlias
 
-KINDS = ("step", "ops", "accuracy", "scaling", "codec", "gsplat")
-"""Each is a module of ``clgs.lab.bench_commands`` with ``register(kinds)`` and ``run(args)``."""
+from clgs.cli.options.device import add_device_option
+from clgs.cli.options.view import add_size_options, positive_int, seed, whole_number
+
+SYNTHETIC_SCENES = ("small", "dense", "large", "tiny")
+
+gaussian_count = whole_number(20_000_000)
+"""No device of today has memory for more."""
+
+edge_length = whole_number(16_384)
+"""Pixels; a picture of more would not fit into an array of a device."""
+
+element_count = whole_number(100_000_000)
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """Width and height: "1920x1080", or one number for both."""
+    edges = text.lower().split("x")
+    if len(edges) > 2 or "" in edges:
+        raise argparse.ArgumentTypeError(f"{text} is not WIDTHxHEIGHT, such as 1920x1080")
+    return edge_length(edges[0]), edge_length(edges[-1])
+
+
+def register(parser: argparse.ArgumentParser) -> None:
+    """Add the benchmarks and their options."""
+    kinds = parser.add_subparsers(dest="kind", metavar="WHAT", required=True)
+    for kind, add in KINDS.items():
+        add(kind, kinds)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the benchmark that was asked for and return its exit code.
+
+    Raises:
+        ClgsError, DeviceError: memory is short; the message names the options that need less.
+    """
+    from clgs.errors import ClgsError, DeviceError, NoRoomError
+
+    remedy = f"{SMALLER[args.kind]} less"
+    try:
+        code: int = importlib.import_module(f"clgs.lab.bench.{args.kind}").run(args)
+    except NoRoomError as error:
+        raise DeviceError(f"{error.problem}; {remedy}") from error
+    except MemoryError as error:
+        raise ClgsError(f"out of memory ({error}); {remedy}") from error
+    return code
+
+
+Kinds: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+
+def add_step(kind: str, kinds: Kinds) -> None:
+    """Add `clgs bench step`."""
+    _add_step_options(kinds.add_parser(kind, help="one training step on a seeded synthetic scene"))
+
+
+def add_gsplat(kind: str, kinds: Kinds) -> None:
+    """Add `clgs bench gsplat`."""
+    parser = kinds.add_parser(
+        kind,
+        help="rasteriser and step compared with gsplat's (needs torch with CUDA, and gsplat)",
+        description="Times of this device and of gsplat on the same Gaussians of a seeded "
+        "synthetic scene. Both run on the same card if --device names it. The step of clgs has "
+        "MLPs, that of gsplat has none.",
+    )
+    _add_step_options(parser)
+
+
+def _add_step_options(parser: argparse.ArgumentParser) -> None:
+    """Add the scene, the picture, the device and the JSON file of a timed training step."""
+    add = parser.add_argument
+    add(
+        "--gaussians",
+        type=gaussian_count,
+        default=200_000,
+        help="Gaussians with positive opacity (default: 200000)",
+    )
+    add(
+        "--size",
+        type=picture_size,
+        default=(400, 400),
+        metavar="N|WxH",
+        help="width and height of the image, pixels (default: 400x400)",
+    )
+    add(
+        "--repeats", type=positive_int, default=15, help="steps to take the median of (default: 15)"
+    )
+    add("--seed", type=seed, default=0, help="of the scene (default: 0)")
+    add("--device", help="number or part of the name, see `clgs devices`")
+    add("--json", type=Path, metavar="F", help="write the times to F")
+
+
+def add_ops(kind: str, kinds: Kinds) -> None:
+    """Add `clgs bench ops`."""
+    parser = kinds.add_parser(
+        kind,
+        help="every stage: time, error, share of the device's limits",
+        description="Time of every stage (median) and its largest error against float64, on every "
+        "device. GB/s and GFLOP/s count what a stage must move and compute at least "
+        "(clgs/lab/bench/stage_limits.py states the formulas). The last column is the stage's "
+        "share of the copy bandwidth or of the FMA rate that the device reaches, whichever is "
+        "larger. Exit code 1 if an error exceeds its limit.",
+    )
+    add = parser.add_argument
+    add(
+        "--gaussians", type=gaussian_count, help="Gaussians with positive opacity (default: 200000)"
+    )
+    add("--size", type=edge_length, help="width and height of the image, pixels (default: 400)")
+    add("--elements", type=element_count, help="for stages timed alone (default: 1000000)")
+    add("--repeats", type=positive_int, help="runs to take the median of (default: 15)")
+    add("--seed", type=seed, help="of the scene (default: 0)")
+    add_device_option(parser)
+    add("--json", type=Path, metavar="F", help="write all figures to F")
+
+
+def add_accuracy(kind: str, kinds: Kinds) -> None:
+    """Add `clgs bench accuracy`."""
+    parser = kinds.add_parser(
+        kind,
+        help="run time against error, every preset and knob",
+        description="Time of a render and of a render with gradients against the error of picture "
+        "and gradients, for every preset of --accuracy and for sweeps of one knob at a time. The "
+        "reference is a render in float64 without truncation (no alpha cut, no stop, no tiles). It "
+        "is computed once and kept in the user's cache folder (CLGS_CACHE names another). Settings "
+        "take turns, so that none has the better minute. A sweep turns one knob and leaves the "
+        "others fine: alpha cut 2^-16, inclusive stop 1e-6, exp2 of degree 6. Columns: "
+        "milliseconds (median and 5-95 % of forward; both: with gradients); error of the picture "
+        "in levels (1/255) at p99.9 and at most, and PSNR; stop: largest error by stop and exp2 "
+        "alone; worst tensor's gradient error, relative L2 and p99 by element.",
+    )
+    add = parser.add_argument
+    add(
+        "--scenes",
+        nargs="*",
+        choices=SYNTHETIC_SCENES,
+        default=SYNTHETIC_SCENES[:3],
+        help="synthetic ones (default: small dense large)",
+    )
+    add("--sweeps", nargs="+", default=(), help="presets and these, such as 'alpha cut', only")
+    add("--scene", type=Path, help="a trained one, too: a run folder or .clgs file; needs --data")
+    add("--data", type=Path, help="the dataset that it was trained on")
+    add("--split", choices=("train", "test"), default="test", help="of the view (default: test)")
+    add("--view", type=int, default=0, help="number of the view in the split (default: 0)")
+    add_size_options(parser, "SCENE")
+    add("--repeats", type=positive_int, default=20, help="rounds of times (default: 20)")
+    add("--seed", type=seed, default=0, help="of the synthetic scenes (default: 0)")
+    add("--device", help="number or part of the name, see `clgs devices`")
+    _add_figure_options(parser)
+
+
+def add_scaling(kind: str, kinds: Kinds) -> None:
+    """Add `clgs bench scaling`."""
+    parser = kinds.add_parser(
+        kind,
+        help="growth of time and memory with Gaussians and pixels",
+        description="Time of a training step against the number of Gaussians (at 400 x 400 "
+        "pixels, 10,000 to 2 million) and of pixels (of 100,000 Gaussians, 0.04 to 8 megapixels), "
+        "with the exponent of growth by least squares on logarithms; device memory per Gaussian, "
+        "per intersection and per pixel.",
+    )
+    add = parser.add_argument
+    add("--gaussians", type=gaussian_count, nargs="+", help="other numbers; two give an exponent")
+    add("--sizes", type=edge_length, nargs="+", help="other edges of the picture, pixels; as above")
+    add("--repeats", type=positive_int, default=15, help="most steps per size (default: 15)")
+    add("--device", help="number or part of the name, see `clgs devices`")
+    _add_figure_options(parser)
+
+
+def _add_figure_options(parser: argparse.ArgumentParser) -> None:
+    """Add --output and --plot."""
+    add = parser.add_argument
+    add("-o", "--output", type=Path, metavar="F", help="write all figures to F (JSON)")
+    add("--plot", type=Path, metavar="F.svg", help="draw them to F.svg (needs matplotlib)")
+
+
+def add_codec(kind: str, kinds: Kinds) -> None:
+    """Add `clgs bench codec`."""
+    parser = kinds.add_parser(
+        kind,
+        help="the codec's levels: bytes, and times to encode and decode",
+        description="Bytes and times of every level (medians of alternating runs, one thread), "
+        "compared with zstd -19, xz -9 and brotli 11 on the same integers in their narrowest type. "
+        "DATA: .npz files with `values` (rows in Morton order) or `positions`, .clgs files, or "
+        "folders of them; without DATA seeded random numbers with the published bits per number. "
+        "The ratio is to the bytes of the published coder if they are known, otherwise to the "
+        "level paper.",
+    )
+    add = parser.add_argument
+    add("data", type=Path, nargs="*", metavar="DATA", help="files or folders")
+    add(
+        "--anchors",
+        type=positive_int,
+        help="number of anchors with seeded values (default: 312238)",
+    )
+    add("--quick", action="store_true", help="as --anchors 20000")
+    add("--seed", type=seed, default=0, help="of the seeded numbers (default: 0)")
+    add("--repeats", type=positive_int, default=3, help="runs to take the median of (default: 3)")
+    add("--levels-only", action="store_true", help="without the other compressors, which are slow")
+    add("--json", type=Path, metavar="F", help="write all figures to F")
+
+
+KINDS: dict[str, Callable[[str, Kinds], None]] = {
+    "step": add_step,
+    "ops": add_ops,
+    "accuracy": add_accuracy,
+    "scaling": add_scaling,
+    "codec": add_codec,
+    "gsplat": add_gsplat,
+}
+"""What adds the options of each benchmark; ``run(args)`` of ``clgs.lab.bench.KIND`` measures."""
 
 SMALLER = {
     "step": "a smaller --size or fewer --gaussians need",
@@ -17,25 +227,3 @@ SMALLER = {
     "scaling": "smaller --sizes or fewer --gaussians need",
 }
 """What to change if memory is short."""
-
-
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command, its kinds and their options."""
-    parser = subparsers.add_parser("bench", help="measure speed and accuracy on this device")
-    kinds = parser.add_subparsers(dest="kind", metavar="WHAT", required=True)
-    for kind in KINDS:
-        importlib.import_module(f"clgs.lab.bench_commands.{kind}").register(kinds)
-
-
-def run(args: argparse.Namespace) -> int:
-    """Run the kind that was asked for; its exit code."""
-    from clgs.errors import ClgsError, DeviceError, NoRoomError
-
-    remedy = f"{SMALLER[args.kind]} less"
-    try:
-        code: int = importlib.import_module(f"clgs.lab.bench_commands.{args.kind}").run(args)
-    except NoRoomError as error:
-        raise DeviceError(f"{error.problem}; {remedy}") from error
-    except MemoryError as error:
-        raise ClgsError(f"out of memory ({error}); {remedy}") from error
-    return code

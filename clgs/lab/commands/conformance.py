@@ -19,20 +19,16 @@ these hashes were made on; names the first stage that did not. Both forms of the
 and for GPUs, make the same bits if a device rounds as IEEE 754 does. Exit code 1 if any tensor
 differs."""
 
-SHIPPED = Path(__file__).parents[2] / "selftest" / "conformance.json"
+SHIPPED = Path(__file__).parents[1] / "selftest" / "conformance.json"
 """Made by PoCL 3.1 on a CPU."""
 
 LARGEST_RECORD = 1 << 24
 """Bytes; today's have 20 thousand."""
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "conformance",
-        help="compare the bits of devices",
-        description=DESCRIPTION,
-    )
+    parser.description = DESCRIPTION
     add = parser.add_argument
     add("-o", "--output", type=named_path, metavar="FILE", help="write the hashes to FILE (JSON)")
     add(
@@ -49,11 +45,10 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(args: argparse.Namespace) -> int:
     """Compute, write and compare; exit code 0, or 1 if a tensor differs."""
     from clgs.errors import DataError
-    from clgs.files import check_target
-    from clgs.lab.bench.facts import machine_facts
+    from clgs.files import check_target, write_json
+    from clgs.lab.facts import machine_facts
     from clgs.lab.selftest import conformance
     from clgs.opencl.device import Device
-    from clgs.train.run.session import write_json
 
     if args.output:
         check_target(args.output)

@@ -13,13 +13,11 @@ if TYPE_CHECKING:
     from clgs.opencl.device import Device
 
 
-def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
-    parser = subparsers.add_parser(
-        "selftest",
-        help="check every kernel against float64 on every device",
-        description="Error and time of every stage on every device, one line per device; the whole "
-        "table for a single device or with --verbose. Exit code 1 if an error exceeds its limit.",
+    parser.description = (
+        "Error and time of every stage on every device, one line per device; the whole table "
+        "for a single device or with --verbose. Exit code 1 if an error exceeds its limit."
     )
     add_device_option(parser)
     parser.add_argument("--verbose", action="store_true", help="show every check of every device")
@@ -28,8 +26,7 @@ def register(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run(args: argparse.Namespace) -> int:
     """Run the checks; exit code 0, or 1 if one fails."""
-    from clgs.files import check_target
-    from clgs.train.run.session import write_json
+    from clgs.files import check_target, write_json
 
     if args.json:
         check_target(args.json)
@@ -79,7 +76,7 @@ def _verdict(checks: list[Check], error: str) -> str:
 def _record(device: Device, checks: list[Check], error: str) -> dict[str, object]:
     from dataclasses import asdict
 
-    from clgs.lab.bench.facts import machine_facts
+    from clgs.lab.facts import machine_facts
 
     found = [asdict(check) | {"passed": check.passed} for check in checks]
     return machine_facts(device) | {"error": error, "checks": found}

@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.errors import DataError
-from clgs.lab.selftest.conformance_scenes import ConformanceScene, conformance_scenes
-from clgs.lab.selftest.exact_random import ExactRandom
+from clgs.lab.selftest.exact_scenes import ConformanceScene, ExactRandom, conformance_scenes
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import adam, blend, density, limits, loss, mlp, project, quantize, rate, scan, sort

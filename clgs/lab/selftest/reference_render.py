@@ -1,12 +1,13 @@
-"""A whole render and its backward pass in float64, with the decisions of the kernels.
+"""A whole render and its backward pass in float64, and the distance of a result from them.
 
-Decision-matched: the order of Gaussians, the contributors of every pixel and the saturation of
-alpha are taken from the device, so that rounding is all that is left to differ.
+The render is decision-matched: the order of Gaussians, the contributors of every pixel and the
+saturation of alpha come from the device. Only rounding is left to differ.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -127,3 +128,19 @@ def backward_reference(frame: ReferenceFrame, d_image: Array, volume_weight: flo
         "d_scaling": d_scaling,
         "d_weights": d_weights,
     }
+
+
+def largest(actual: npt.NDArray[Any], expected: npt.NDArray[Any]) -> float:
+    """Largest absolute difference; infinite for different shapes, NaN spreads."""
+    if actual.shape != expected.shape:
+        return float("inf")
+    return float(np.max(np.abs(actual.astype(np.float64) - expected), initial=0.0))
+
+
+def relative_l2(actual: npt.NDArray[Any], expected: npt.NDArray[Any]) -> float:
+    """||actual - expected|| / ||expected||; infinite for different shapes, NaN spreads."""
+    if actual.shape != expected.shape:
+        return float("inf")
+    norm = float(np.linalg.norm(np.asarray(expected, np.float64)))
+    error = float(np.linalg.norm(actual.astype(np.float64) - expected))
+    return error / norm if norm else error

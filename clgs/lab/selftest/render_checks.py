@@ -8,8 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.constants import ALPHA_CUT, TILE_SIZE
-from clgs.lab.selftest.errors import largest, relative_l2
-from clgs.lab.selftest.reference_render import ReferenceFrame, backward_reference, render_reference
+from clgs.lab.selftest.reference_render import (
+    ReferenceFrame,
+    backward_reference,
+    largest,
+    relative_l2,
+    render_reference,
+)
 from clgs.lab.selftest.training_checks import training_checks
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.array import DeviceArray

@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
-from clgs.lab.selftest.errors import largest, relative_l2
+from clgs.lab.selftest.reference_render import largest, relative_l2
 from clgs.lab.synthetic.anchor_scene import square_camera
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device

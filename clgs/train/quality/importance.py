@@ -20,7 +20,7 @@ from clgs.opencl.device import Device
 from clgs.ops import density
 from clgs.ops.project import ProjectedGradients
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import DeviceScene, Frame, upload_view
+from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, upload_view
 from clgs.render.pipeline import blend_backward, roomy_forward, scene_backward
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, RenderSettings
@@ -126,10 +126,10 @@ def _sign_passes(
     options: RenderOptions,
 ) -> Iterator[tuple[Frame, ProjectedGradients]]:
     """The frame of each camera, and what its backward pass makes of random signs."""
-    rng, capacity = np.random.default_rng(SEED), None
+    rng, room = np.random.default_rng(SEED), EXACT_ROOM
     for camera in cameras:
         view = upload_view(device, camera, settings)
-        frame, capacity = roomy_forward(device, scene, view, options, capacity)
+        frame, room = roomy_forward(device, scene, view, options, room)
         signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
         yield frame, blend_backward(device, frame, device.upload(signs))
         del frame

@@ -16,7 +16,7 @@ from clgs.data.view import View
 from clgs.opencl.device import Device
 from clgs.ops import loss, mask
 from clgs.options import RenderOptions
-from clgs.render.frame import DeviceScene, upload_view
+from clgs.render.frame import EXACT_ROOM, DeviceScene, upload_view
 from clgs.render.pipeline import roomy_forward
 from clgs.scene.scene import RenderSettings
 from clgs.train.quality.importance import Sensitivity, sensitivity
@@ -112,10 +112,10 @@ class Judge:
 
     def compare(self, scene: DeviceScene) -> tuple[float, float]:
         """Loss and squared error of a view, means over some of them."""
-        device, losses, errors, capacity = self.device, [], [], None
+        device, losses, errors, room = self.device, [], [], EXACT_ROOM
         for view in self.views[:: -(-len(self.views) // COMPARED)]:
             drawn = upload_view(device, view.camera, self.settings)
-            frame, capacity = roomy_forward(device, scene, drawn, self.options, capacity)
+            frame, room = roomy_forward(device, scene, drawn, self.options, room)
             photo = view.photo.planes(self.settings.background)
             image, used = frame.image, view.used()
             if used is not None:

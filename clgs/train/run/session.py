@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import signal
-import sys
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -20,13 +14,15 @@ from clgs.data.dataset import Dataset
 from clgs.data.origin import write_origin
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
-from clgs.export.image import comparison, picture_names, save_png
-from clgs.files import atomic_write, make_folder
+from clgs.export.image import PictureFolder
+from clgs.files import atomic_write, make_folder, write_json
+from clgs.memory import peak_memory
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
 from clgs.shapes import check_type
+from clgs.signals import interruptions
 from clgs.train.config import TrainConfig
 from clgs.train.config.size_settings import MLP_BYTES
 from clgs.train.quality.rate_control import MAX_CAMERAS, Judge, reduce_to_size, spread
@@ -59,9 +55,6 @@ POSITION_BITS = 12.0
 
 TRAINING_VIEWS = 16
 """Of the training views, at most so many are scored at the end."""
-
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
-"""Those that end a run once the step under way is done."""
 
 
 @dataclass
@@ -109,9 +102,9 @@ class Session:
     def run(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
         """Train to the end, then quantise, encode, render and score the held-out views.
 
-        Ctrl-C and SIGTERM let the step finish, write a checkpoint and raise
-        KeyboardInterrupt; a second Ctrl-C does not wait. On a full disk training goes on; at the
-        end it waits for room if otherwise steps would be lost.
+        On Ctrl-C or SIGTERM the current step is finished, a checkpoint is written, and
+        KeyboardInterrupt is raised; a second Ctrl-C does not wait. On a full disk training goes
+        on; at the end it waits for room if otherwise steps would be lost.
 
         Raises:
             FullDiskError: there is no room; the newest checkpoint is whole.
@@ -123,7 +116,7 @@ class Session:
             self._lock.release()
 
     def _train(self, on_progress: Callable[[Progress], None] | None) -> None:
-        """All steps that are left, and a checkpoint of the last one."""
+        """Do all steps that are left, and write a checkpoint of the last one."""
         self.device.release_unused()  # after reading the data and the memory check
         try:
             with interruptions() as interrupted:
@@ -207,7 +200,11 @@ class Session:
         views = self.dataset.test or self.dataset.train
         pictures = PictureFolder(self.folder, self.config.steps, [view.name for view in views])
         options = self.trainer.options
-        scores = evaluate_views(self.device, scene, views, pictures.add, options)
+
+        def keep(score: ViewScore, seen: Pictures) -> None:
+            pictures.add(score.name, seen.render, seen.photo)
+
+        scores = evaluate_views(self.device, scene, views, keep, options)
         summary = summarize(scene, scores, len(bitstream))
         summary |= self._training_psnr(scene)
         if self.config.target_size:
@@ -252,71 +249,6 @@ class Session:
         chosen = [cameras[i] for i in spread(cameras, MAX_CAMERAS)]
         judge = Judge(self.device, chosen, self.fixed_views(), self.trainer.options)
         return reduce_to_size(scene, target, encode, judge).scene
-
-
-@contextmanager
-def interruptions() -> Iterator[Callable[[], bool]]:
-    """Within the block the first SIGINT or SIGTERM is remembered, and the next acts as before.
-
-    The block receives a function that tells whether one came. An exception in the middle of a step
-    would change half of the state; asked between steps, all of it has changed or none. Outside of
-    the main thread, which alone takes signals, nothing changes.
-    """
-    seen: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-
-    def remember(number: int, frame: FrameType | None) -> None:
-        seen.append(number)
-        restore()
-
-    def restore() -> None:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-    for number in SIGNALS:
-        signal.signal(number, remember)
-    try:
-        yield lambda: bool(seen)
-    finally:
-        restore()
-
-
-def peak_memory() -> int | None:
-    """Largest resident size of this process so far, bytes; None if the system does not tell."""
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return None
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as indented JSON, atomically."""
-    atomic_write(path, (json.dumps(value, indent=1) + "\n").encode())
-
-
-class PictureFolder:
-    """Renders and photos as PNG in the layout that the 3DGS family's tools read, and a preview."""
-
-    def __init__(self, run: Path, steps: int, names: list[str]) -> None:
-        """In the folder ``run``; ``names`` of all views."""
-        self._run, self._folder = run, run / "test" / f"ours_{steps}"
-        self._files = dict(zip(names, picture_names(names), strict=True))
-        for kind in ("renders", "gt"):
-            (self._folder / kind).mkdir(parents=True, exist_ok=True)
-
-    def add(self, score: ViewScore, pictures: Pictures) -> None:
-        """Write the pictures of one view; those of the first are the preview, too."""
-        file = self._files[score.name]
-        save_png(self._folder / "renders" / file, pictures.render)
-        save_png(self._folder / "gt" / file, pictures.photo)
-        if file == next(iter(self._files.values())):
-            strip = comparison(pictures.photo, pictures.render)
-            save_png(self._run / "preview.png", strip)
 
 
 def train_scene(

@@ -16,7 +16,7 @@ from clgs.errors import BudgetError, ClgsError
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
 from clgs.render.budget import check_budget
-from clgs.render.frame import Capacity, Frame
+from clgs.render.frame import EXACT_ROOM, Frame
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import quantize
 from clgs.scene.mlps import Mlps
@@ -182,8 +182,8 @@ class Trainer:
             self.parameters = self.densifier.replace_anchors(
                 self.parameters, settled.frame, self.rng
             )
-        if self._ahead and self.queue.capacity is None:
-            self.queue.capacity = Capacity(0, 0, 0).grown(settled.needed())
+        if self._ahead and self.queue.room == EXACT_ROOM:
+            self.queue.room = EXACT_ROOM.grown(settled.needed())
         self.steps_done, value = settled.plan.step, settled.loss.get()
         return StepResult(
             self.steps_done,
@@ -213,8 +213,7 @@ class Trainer:
     def _repeat(self) -> None:
         """Do the steps under way again, in order, with more room for the first of them."""
         failed = self._under_way
-        assert failed[0].capacity is not None
-        self.queue.capacity = failed[0].capacity.grown(failed[0].needed())
+        self.queue.room = failed[0].room.grown(failed[0].needed())
         self.queue.clear()
         self._under_way = [
             self.queue.enqueue(one.plan, self.parameters, self.densifier) for one in failed

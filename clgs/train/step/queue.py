@@ -12,8 +12,8 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
 from clgs.ops import adam, loss, mask, quantize, scan
-from clgs.render.frame import Capacity, DeviceScene, Frame
-from clgs.render.pipeline import check_capacity, render_backward, view_forward
+from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, Room
+from clgs.render.pipeline import check_room, render_backward, view_forward
 from clgs.scene.anchors import QuantizationScales
 from clgs.train.config import TrainConfig
 from clgs.train.config.settings import PAPER_Q
@@ -42,7 +42,7 @@ class Enqueued:
 
     stop (1,) int32: not 0 if the step, or one before it, changed nothing because it lacked room or
     met a number that is not finite; totals: numbers of visible anchors, Gaussians and tile entries,
-    (3,) int64; capacity: the room there was for them, None if arrays were made to measure;
+    (3,) int64; room: the room there was for them;
     rate_bits: per anchor, if the rate proxy ran; frame: if the host needs it to change the anchors.
     """
 
@@ -50,7 +50,7 @@ class Enqueued:
     loss: loss.LaterValue
     stop: Download
     totals: Download
-    capacity: Capacity | None
+    room: Room
     rate_bits: float | None
     frame: Frame | None
 
@@ -59,9 +59,9 @@ class Enqueued:
         """Whether the step, and all before it, changed the parameters; waits for it."""
         return int(self.stop.get()[0]) == 0
 
-    def needed(self) -> Capacity:
+    def needed(self) -> Room:
         """How many visible anchors, Gaussians and entries there were; waits for the step."""
-        return Capacity(*map(int, self.totals.get()))
+        return Room(*map(int, self.totals.get()))
 
     def lacked_room(self) -> bool:
         """Whether more was needed than there was room for; waits for the step."""
@@ -71,7 +71,7 @@ class Enqueued:
 class StepQueue:
     """Enqueues steps. Once its stop flag is set they change nothing.
 
-    ``capacity`` None makes every array to measure, which waits for the device three times per step.
+    With ``room`` EXACT_ROOM a step waits for the device three times.
     """
 
     def __init__(self, device: Device, dataset: Dataset, config: TrainConfig) -> None:
@@ -89,8 +89,8 @@ class StepQueue:
         self.rate = RateTerm(device, config, scales)
         quantized = config.mlp == "quantized"
         self._weight_scales = device.upload(weight_scales()) if quantized else None
-        self.capacity: Capacity | None = None
-        self._sizes: tuple[Capacity | None, int] = None, 0
+        self.room = EXACT_ROOM
+        self._sizes = self.room, 0
 
     @property
     def scales(self) -> QuantizationScales:
@@ -111,13 +111,13 @@ class StepQueue:
 
     def enqueue(self, plan: Plan, parameters: Parameters, densifier: Densifier) -> Enqueued:
         """Enqueue a step; anchors that are about to be replaced are not updated."""
-        device, capacity = self._device, self.capacity
-        if self._sizes != (capacity, parameters.rows):
-            self._sizes = capacity, parameters.rows
+        device, room = self._device, self.room
+        if self._sizes != (room, parameters.rows):
+            self._sizes = room, parameters.rows
             device.release_unused()
         target, scene = self._target(plan), self.seen(parameters, plan.step)
-        frame = view_forward(device, scene, target.view, self.options, capacity)
-        totals = check_capacity(device, frame, capacity, self._stop)
+        frame = view_forward(device, scene, target.view, self.options, room)
+        totals = check_room(device, frame, room, self._stop)
         compared, d_image = self._compare(frame, target, plan)
         weight = self._config.volume_weight or 0.0
         gradients = render_backward(device, scene, frame, d_image, weight)
@@ -136,7 +136,7 @@ class StepQueue:
             loss=compared.value_later(device),
             stop=device.download_later(self._stop),
             totals=device.download_later(totals),
-            capacity=capacity,
+            room=room,
             rate_bits=bits,
             frame=frame if replaces else None,
         )

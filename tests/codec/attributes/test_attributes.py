@@ -1,4 +1,4 @@
-"""Attributes in chunks: round trips over all of int32, the reference's bytes, damage, sizes."""
+"""Attributes in chunks: round trips over all of int32, damage, sizes (bytes: test_conformance)."""
 
 from __future__ import annotations
 
@@ -11,53 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from clgs import _codec
-from clgs.codec.attributes import model_search, row_coder
-from clgs.codec.octree.subtrees import runs
-from clgs.reference.codec import attributes as reference
+from clgs.codec.attributes import row_coder
+from tests.codec.samples import INT32, draw, matrices, mixed_model, tables_model
 
-INT32 = st.integers(-(2**31), 2**31 - 1)
 LEVEL = st.sampled_from(row_coder.LEVELS)
-
-
-def laplace(spread: float, rows: int = 300, channels: int = 4, seed: int = 0) -> np.ndarray:
-    value = np.rint(np.random.default_rng(seed).laplace(spread / 3, spread, (rows, channels)))
-    return np.clip(value, -(2**31), 2**31 - 1).astype(np.int32)
-
-
-def triplets(rows: int = 1500) -> np.ndarray:
-    """Offsets whose triplets are off, wholly, at nearly half of the rows."""
-    on = np.random.default_rng(1).random((rows, 2)) < 0.55
-    return laplace(2, rows, 6) * np.repeat(on, 3, axis=1)
-
-
-def busy(rows: int = 2000) -> np.ndarray:
-    """Channels that are quiet and busy together, in stretches of rows."""
-    spread = np.exp2(np.random.default_rng(2).integers(-1, 4, rows // 50)).repeat(50)
-    return np.rint(laplace(1000, rows, 5) * spread[:, None] / 1000).astype(np.int32)
 
 
 def mixture(rows: int = 800) -> np.ndarray:
     """Channels that follow each other and their own past."""
-    walk = np.cumsum(laplace(3, rows, 3), axis=0)
-    return np.column_stack([walk, walk.sum(axis=1) + laplace(1, rows, 1)[:, 0], -walk[:, 1]])
-
-
-def matrices() -> dict[str, np.ndarray]:
-    extremes = np.tile(np.array([[-(2**31)], [2**31 - 1], [0], [1]], np.int32), (5, 3))
-    return {
-        **{f"laplace {spread}": laplace(spread) for spread in (0.1, 1, 20, 1e3, 1e6, 5e8)},
-        "triplets": triplets(),
-        "busy": busy(),
-        "mixture": mixture().astype(np.int32),
-        "extremes": extremes,
-        "wide walk": np.cumsum(laplace(1e6, 400, 3), axis=0, dtype=np.int32),
-        "shifted": laplace(2) + 2**30,
-        "constant": np.full((300, 2), -77, np.int32),
-        "one value": np.array([[-(2**31)]], np.int32),
-        "few rows": laplace(2, 5, 3),
-        "no rows": np.empty((0, 5), np.int32),
-    }
+    walk = np.cumsum(draw(rows, 3, 9), axis=0)
+    followers = walk.sum(axis=1) + draw(rows, 1, 3)[:, 0]
+    return np.column_stack([walk, followers, -walk[:, 1]]).astype(np.int32)
 
 
 def encode(value: np.ndarray, level: str, chunk: int) -> tuple[bytes, list[bytes]]:
@@ -80,9 +44,9 @@ def assert_round_trip(value: np.ndarray, level: str, chunk: int) -> int:
 
 @pytest.mark.parametrize("level", row_coder.LEVELS)
 @pytest.mark.parametrize("chunk", [256, row_coder.CHUNK])
-@pytest.mark.parametrize("name", matrices())
+@pytest.mark.parametrize("name", [*matrices(), "no rows"])
 def test_round_trip(name, chunk, level):
-    value = matrices()[name]
+    value = matrices().get(name, np.empty((0, 5), np.int32))
     size = assert_round_trip(value, level, chunk)
     assert size <= 1 + 4 * value.size + (-(-len(value) // chunk) if level == "paper" else 0)
 
@@ -103,7 +67,7 @@ def test_round_trip_of_anything(value, level, chunk):
 
 @pytest.mark.parametrize("channels", [1, 2, 64, 256])
 def test_channel_counts(channels):
-    assert_round_trip(laplace(3, 300, channels), "default", 256)
+    assert_round_trip(draw(300, channels, 9), "default", 256)
 
 
 def test_channel_counts_out_of_range_are_refused():
@@ -114,68 +78,11 @@ def test_channel_counts_out_of_range_are_refused():
 
 def test_unknown_levels_are_refused():
     with pytest.raises(ValueError, match="level 'best'"):
-        row_coder.fit(laplace(1), "best")
-
-
-def tables(value: np.ndarray, chunk: int = row_coder.CHUNK) -> row_coder.TableModel:
-    """The model of level ``default`` if no other coder is shorter."""
-    model, _ = model_search.fit(model_search.Rows(value, runs(len(value), chunk)), search=True)
-    return row_coder.TableModel(_codec.attributes_header(model), model)
-
-
-def mixed_model(value: np.ndarray) -> row_coder.TableModel:
-    """The model of level ``max``, with every channel but the first mixed."""
-    model = tables(value).model.copy()
-    mixed = model_search.all_mixed(model, model_search.Sample(value))
-    mixed[:1] = model[:1]
-    return row_coder.TableModel(_codec.attributes_header(mixed), mixed)
-
-
-@pytest.mark.parametrize("kind", ["tables", "mixed"])
-@pytest.mark.parametrize("name", sorted(set(matrices()) - {"no rows", "one value"}))
-def test_same_bytes_as_the_reference_in_both_directions(name, kind):
-    value, chunk = matrices()[name][:400], 300  # two chunks; enough rows for taps and classes
-    model = tables(value, chunk)
-    if kind == "mixed":
-        value = value[:120]
-        model = mixed_model(value)
-    channels = reference.read_header(model.header, value.shape[1])
-    assert reference.write_header(channels) == model.header
-    for first in range(0, len(value), chunk):
-        rows = value[first : first + chunk]
-        data = model.encode(rows)
-        assert reference.encode(channels, rows) == data
-        np.testing.assert_array_equal(reference.decode(channels, data, len(rows)), rows)
-
-
-@pytest.mark.parametrize("chunk", [1, 2, 3])
-def test_taps_that_reach_out_of_a_short_chunk(chunk):
-    """Under a model with terms from rows before and after."""
-    value = matrices()["mixture"]
-    model = tables(value, chunk)
-    rows = model.model["tap"][..., 1]
-    assert rows.min() < 0 < rows.max()
-    channels = reference.read_header(model.header, value.shape[1])
-    for first in range(0, 12, chunk):
-        part = value[first : first + chunk]
-        data = model.encode(part)
-        assert data == reference.encode(channels, part)
-        np.testing.assert_array_equal(model.decode(data, chunk), part)
-
-
-def test_every_feature_of_the_model_is_used():
-    """What the test above compares: terms, own and other columns' activity, spans, literals."""
-    models = [tables(matrices()[n]).model for n in ("triplets", "busy", "mixture")]
-    assert models[0]["span"].any()
-    assert models[1]["weight"][:, 0].any()
-    assert models[1]["weight"][:, 1].any()
-    assert models[2]["taps"].max() > 1
-    assert models[2]["tap"][..., 1].min() < 0
-    assert tables(laplace(1e3)).model["frequency"][..., 128:].any()
+        row_coder.fit(draw(300, 4, 3), "best")
 
 
 def test_mixing_pays_where_channels_follow_others_loosely():
-    value = mixture(8000).astype(np.int32)
+    value = mixture(8000)
     model = row_coder.fit(value, "max").model
     assert model["coder"].any()
     assert not model["coder"].all() or len(model) > 1
@@ -192,23 +99,23 @@ def test_max_is_never_longer_than_default(name, chunk):
 @pytest.mark.parametrize("level", ["fast", "default", "max"])
 @pytest.mark.parametrize("shape", [(1, 1), (3, 256), (20, 50), (200, 6), (1000, 30)])
 def test_small_matrices_are_no_longer_than_the_plain_coder_makes_them(shape, level):
-    value = laplace(3, *shape)
+    value = draw(*shape, 9)
     plain = assert_round_trip(value, "paper", 65536)
     assert assert_round_trip(value, level, 65536) <= min(plain, 1 + 4 * value.size)
 
 
 def test_short_chunks_are_not_mixed():
-    value = mixture(8000).astype(np.int32)
+    value = mixture(8000)
     model = row_coder.fit(value, "max", 255)
     assert not isinstance(model, row_coder.TableModel) or not model.model["coder"].any()
     assert row_coder.fit(value, "max", 3000).model["coder"].any()
 
 
-@pytest.mark.parametrize("name", ["extremes", "laplace 1000000.0", "mixture", "shifted"])
+@pytest.mark.parametrize("name", ["extremes", "spread 4194304", "mixture", "shifted"])
 def test_mixed_channels_take_any_values(name):
     value = matrices()[name]
-    model = mixed_model(np.concatenate([value, laplace(1, 300, value.shape[1])]))
-    rows = np.concatenate([value, laplace(1, 300, value.shape[1])])
+    rows = np.concatenate([value, draw(300, value.shape[1], 3)])
+    model = mixed_model(rows)
     np.testing.assert_array_equal(model.decode(model.encode(rows), len(rows)), rows)
 
 
@@ -217,7 +124,7 @@ def test_constant_rows_cost_next_to_nothing():
 
 
 def test_read_only_and_strided_arrays_are_taken_as_they_are():
-    value = laplace(2, 400, 8)
+    value = draw(400, 8, 6)
     wide = np.repeat(value, 2, axis=1)[:, ::2]
     wide.setflags(write=False)
     assert encode(wide, "default", 128) == encode(value, "default", 128)
@@ -225,7 +132,7 @@ def test_read_only_and_strided_arrays_are_taken_as_they_are():
 
 
 def test_one_model_serves_many_threads():
-    value = busy(8000)
+    value = np.resize(matrices()["busy"], (8000, 5))
     model = row_coder.fit(value, "default", 500)
     parts = [value[i : i + 500] for i in range(0, 8000, 500)]
     with ThreadPoolExecutor(4) as pool:
@@ -258,10 +165,10 @@ def damaged(data: bytes, every: int = 400):
         yield bytes(copy)
 
 
-@pytest.mark.parametrize("name", ["triplets", "busy", "mixture", "laplace 1000.0"])
+@pytest.mark.parametrize("name", ["triplets", "busy", "mixture", "spread 3000"])
 def test_damaged_headers_are_refused_or_other_models(name):
     value = matrices()[name]
-    model = tables(value, 256)
+    model = tables_model(value, 256)
     header, first = model.header, model.encode(value[:256])
     for bad in damaged(header):
         model = outcome(row_coder.read, bad, value.shape[1])
@@ -273,13 +180,13 @@ def test_damaged_headers_are_refused_or_other_models(name):
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
-        *((name, "tables") for name in ("triplets", "busy", "mixture", "laplace 1000.0")),
+        *((name, "tables") for name in ("triplets", "busy", "mixture", "spread 3000")),
         ("mixture", "mixed"),
     ],
 )
 def test_damaged_chunks_are_refused_or_other_rows(name, kind):
     value = matrices()[name][: 200 if kind == "tables" else 60]
-    model = tables(value) if kind == "tables" else mixed_model(value)
+    model = tables_model(value) if kind == "tables" else mixed_model(value)
     data = model.encode(value)
     for bad in damaged(data, 400 if kind == "tables" else 64):
         rows = outcome(model.decode, bad, len(value))
@@ -289,7 +196,7 @@ def test_damaged_chunks_are_refused_or_other_rows(name, kind):
 
 @pytest.mark.parametrize("level", row_coder.LEVELS)
 def test_wrong_row_counts_are_refused(level):
-    value = laplace(2)
+    value = draw(300, 4, 6)
     model = row_coder.fit(value, level)
     data = model.encode(value)
     for rows in (0, 1, 299, 301, 3000):
@@ -317,6 +224,6 @@ def test_hostile_headers_are_refused(header):
     ],
 )
 def test_hostile_chunks_are_refused(data):
-    model = row_coder.fit(laplace(1e3, 3000, 2), "fast")
+    model = row_coder.fit(draw(3000, 2, 3000), "fast")
     with pytest.raises(ValueError, match="stream"):
         model.decode(data, 100)

@@ -11,13 +11,11 @@ from clgs.codec.attributes.near import COUNT, NearRows, find_near
 from clgs.codec.octree.position_coder import morton_order
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode, sort_anchors
-from clgs.reference.codec import attributes as reference
-from clgs.reference.codec.prediction import near_rows
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene
-from tests.codec.from_document.container import read_container
-from tests.codec.from_document.scene import SceneDecoder
+from codec_c.reader.attributes import Attributes, near_rows
+from codec_c.reader.files import read_file
 from tests.codec.scenes import assert_same
 
 CLOUDS = {
@@ -30,11 +28,11 @@ CLOUDS = {
 
 
 @pytest.mark.parametrize("name", CLOUDS)
-def test_near_rows_are_those_of_the_reference(name: str) -> None:
+def test_near_rows_are_those_of_the_document(name: str) -> None:
     position = CLOUDS[name].astype(np.int32)
     position = position[morton_order(position)] if len(position) else position
     found = [[k for k in rows if k >= 0] for rows in find_near(position).tolist()]
-    assert found == near_rows(position)
+    assert found == near_rows(position.tolist())
 
 
 def test_positions_that_span_too_much_are_refused() -> None:
@@ -79,17 +77,16 @@ def test_a_smooth_scene_takes_less_with_positions() -> None:
 
 
 @pytest.mark.parametrize("level", ["default", "max"])
-def test_both_implementations_read_near_rows(level: str) -> None:
+def test_both_decoders_read_near_rows(level: str) -> None:
     anchors = sort_anchors(smooth_scene(14).anchors)
     rows = np.ascontiguousarray(anchors.feature[:, :6])
     near = NearRows(anchors.position, [slice(0, len(rows))])
     model = row_coder.fit(rows, level, near=near)
     assert model.looks_near
     chunk = model.encode(rows, near.of(0))
-    channels = reference.read_header(model.header, 6)
-    plain = near_rows(anchors.position)
-    assert reference.encode(channels, rows, plain) == chunk
-    np.testing.assert_array_equal(reference.decode(channels, chunk, len(rows), plain), rows)
+    np.testing.assert_array_equal(model.decode(chunk, len(rows), near.of(0)), rows)
+    reader, plain = Attributes(model.header, 6), near_rows(anchors.position.tolist())
+    np.testing.assert_array_equal(reader.decode(chunk, len(rows), plain), rows)
 
 
 @pytest.mark.parametrize("chunk", [16, 65536])
@@ -99,5 +96,5 @@ def test_a_smooth_scene_is_read_by_the_document(chunk: int) -> None:
     assert data == encode(scene, chunk=chunk, threads=1)
     scene.anchors = sort_anchors(scene.anchors)
     assert_same(decode(data), scene)
-    found = SceneDecoder(read_container(data)).decode()
+    found = read_file(data)
     np.testing.assert_array_equal(found.attributes["FEAT"], scene.anchors.feature)

@@ -29,8 +29,8 @@ from clgs.codec.scene_encoder import encode
 from clgs.codec.splats import Splats, pack, unpack
 from clgs.errors import CodecError
 from tests.codec import binding_cases
-from tests.codec.attributes.matrices import matrices
 from tests.codec.container import damage
+from tests.codec.samples import matrices
 from tests.codec.scenes import GOLDEN, random_scene
 
 Case = tuple[Callable[[bytes], object], bytes]

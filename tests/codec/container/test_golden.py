@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import hashlib
 
-import numpy as np
 import pytest
 
 from clgs.codec.container.meta import LEVELS
-from clgs.codec.container.section_table import read_container
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
-from clgs.reference.codec import planes, weights
-from clgs.scene.mlps import MATRICES
 from tests.codec.scenes import GOLDEN, assert_same, make_golden
 
 HASHES = dict(line.split()[::-1] for line in (GOLDEN / "SHA256SUMS").read_text().splitlines())
@@ -25,16 +21,6 @@ def test_the_files_are_those_of_the_list():
         assert hashlib.sha256((GOLDEN / name).read_bytes()).hexdigest() == digest
     assert sorted(HASHES) == sorted(path.name for path in GOLDEN.glob("*.clgs"))
     assert {name.removesuffix(".clgs") for name in HASHES} == set(SCENES)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("mlp", ["auto", "float32"])
-def test_the_reference_reads_the_weights(mlp):
-    data = encode(SCENES["single"], mlp=mlp)
-    stream = bytes(read_container(data)[1]["MLPS"].data)
-    flat = SCENES["single"].mlps.flat
-    found = weights.decode(stream, MATRICES) if mlp == "auto" else planes.decode(stream, len(flat))
-    np.testing.assert_array_equal(found, flat)
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.data.colmap.binary_check import PARAMETERS, check_binary_model
-from clgs.data.colmap.model import find_model, photo_set, read_colmap
-from clgs.data.colmap.reconstruction import read
-from clgs.data.colmap.text_check import MODELS, check_text_poses
+from clgs.data.colmap.binary import read_binary
+from clgs.data.colmap.model import find_model, read_colmap, read_model
+from clgs.data.colmap.records import PARAMETERS
+from clgs.data.colmap.text import read_text
 from clgs.data.posed_photo import PhotoSet
 from clgs.errors import DataError
 from tests.data.folders import ring, write_colmap
@@ -108,7 +108,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("name", DAMAGE)
-def test_damage_is_found_before_pycolmap_reads(tmp_path: Path, name: str):
+def test_damage_is_found(tmp_path: Path, name: str):
     write_colmap(tmp_path)
     file, at, data = DAMAGE[name]
     patch(tmp_path / "sparse" / "0" / f"{file}.bin", at, data)
@@ -126,7 +126,7 @@ def test_truncations_are_found(tmp_path: Path, name: str):
     for length in [*range(min(200, len(whole))), *range(200, len(whole), 7), len(whole) - 1]:
         file.write_bytes(whole[:length])
         with pytest.raises(DataError, match=rf"{name}\.bin"):
-            check_binary_model(file.parent)
+            read_binary(file.parent)
 
 
 def test_bit_flips_are_refused_or_harmless(tmp_path: Path, rng: np.random.Generator):
@@ -141,7 +141,7 @@ def test_bit_flips_are_refused_or_harmless(tmp_path: Path, rng: np.random.Genera
             file.write_bytes(damaged)
             photos = None
             with contextlib.suppress(DataError):
-                photos = photo_set(tmp_path, file.parent, read(file.parent))
+                photos = read_colmap(tmp_path, file.parent)
             if photos is not None:
                 assert np.isfinite([p.centre for p in photos.train + photos.test]).all()
                 assert photos.points is not None
@@ -219,14 +219,15 @@ RIG = "1 3 CAMERA 1 CAMERA 2 0 CAMERA 3 1 1 0 0 0 0.1 0 0\n"
     ],
 )
 def test_poses_of_rigs_in_text_are_checked(tmp_path: Path, name: str, text: str, fault: str):
-    (tmp_path / "images.txt").write_text(IMAGE)
-    (tmp_path / "frames.txt").write_text(FRAME)
-    (tmp_path / "rigs.txt").write_text(RIG)
-    check_text_poses(tmp_path)
-    (tmp_path / f"{name}.txt").write_text(text)
+    write_colmap(tmp_path, text=True)
+    folder = tmp_path / "sparse" / "0"
+    (folder / "frames.txt").write_text(FRAME)
+    (folder / "rigs.txt").write_text(RIG)
+    read_text(folder)
+    (folder / f"{name}.txt").write_text(text)
     with pytest.raises(DataError) as caught:
-        check_text_poses(tmp_path)
-    assert str(caught.value).startswith(f"{tmp_path / name}.txt: {fault}")
+        read_text(folder)
+    assert str(caught.value).startswith(f"{folder / name}.txt: {fault}")
 
 
 def test_a_name_with_a_blank_is_read_from_binary_models_alone(tmp_path: Path):
@@ -247,7 +248,9 @@ def test_a_photo_with_two_poses_is_refused(tmp_path: Path, text: bool):
     write_colmap(tmp_path, text=text)
     file = tmp_path / "sparse" / "0" / f"images.{'txt' if text else 'bin'}"
     file.write_bytes(file.read_bytes().replace(b"002.png", b"001.png"))
-    with pytest.raises(DataError, match=r"sparse.0: image '001\.png' has two poses; keep one"):
+    with pytest.raises(
+        DataError, match=r"sparse.0: image '001\.png': '001\.png' is listed twice; keep one"
+    ):
         load(tmp_path)
 
 
@@ -255,7 +258,7 @@ def test_a_photo_with_two_poses_is_refused(tmp_path: Path, text: bool):
 def test_a_model_without_images_is_one_line(tmp_path: Path, content: str):
     write_colmap(tmp_path, text=True, rigs=False)
     (tmp_path / "sparse" / "0" / "images.txt").write_text(content)
-    with pytest.raises(DataError, match="none of the 0 posed images") as caught:
+    with pytest.raises(DataError, match="none of the 0 listed photos") as caught:
         load(tmp_path)
     assert "\n" not in str(caught.value)
 
@@ -270,8 +273,70 @@ def test_images_of_no_camera_are_named(tmp_path: Path):
 def test_names_and_numbers_of_camera_models_are_those_of_pycolmap():
     import pycolmap
 
-    assert len(MODELS) == len(PARAMETERS)
-    for number, name in enumerate(MODELS):
+    for number, (name, parameters) in enumerate(PARAMETERS.items()):
         camera = pycolmap.Camera.create_from_model_name(1, name, 50.0, 41, 31)
         assert int(camera.model) == number
-        assert len(camera.params) == PARAMETERS[number]
+        assert len(camera.params) == len(parameters.split())
+
+
+@pytest.mark.parametrize("name", ["fern_colmap_8", "can", "rig"])
+def test_both_forms_hold_what_pycolmap_reads(tmp_path: Path, request, name: str):
+    import pycolmap
+
+    if name == "rig":
+        folder = write_rig(tmp_path / "rig")
+    else:
+        folder = request.getfixturevalue("shared_data") / name / "sparse" / "0"
+    known = pycolmap.Reconstruction(str(folder))
+    images = {image.name: image for image in known.images.values()}
+    points = [point for _, point in sorted(known.points3D.items())]
+    for text in (False, True):
+        written = tmp_path / str(text)
+        written.mkdir()
+        (known.write_text if text else known.write_binary)(written)
+        found = read_model(written)
+        assert {image.name for image in found.images} == images.keys()
+        for image in found.images:
+            camera, pose = images[image.name].camera, images[image.name].cam_from_world().matrix()
+            assert image.camera.model == camera.model_name
+            assert image.camera.params == tuple(camera.params)
+            assert (image.camera.width, image.camera.height) == (camera.width, camera.height)
+            assert np.array_equal(image.rotation(), pose[:, :3])
+            assert np.array_equal(image.translation, pose[:, 3])
+        assert np.array_equal(found.position, np.reshape([p.xyz for p in points], (-1, 3)))
+        assert np.array_equal(found.color, np.reshape([p.color for p in points], (-1, 3)))
+
+
+def write_rig(folder: Path) -> Path:
+    """A model of ten frames of a rig of two cameras, without points, written by pycolmap."""
+    import pycolmap
+
+    rng, model, rig = np.random.default_rng(0), pycolmap.Reconstruction(), pycolmap.Rig(rig_id=1)
+    sensors = [pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number) for number in (1, 2)]
+
+    def pose() -> object:
+        quaternion = rng.normal(size=4)
+        rotation = pycolmap.Rotation3d(quaternion / np.linalg.norm(quaternion))
+        return pycolmap.Rigid3d(rotation, rng.normal(size=3))
+
+    for number in (1, 2):
+        model.add_camera(pycolmap.Camera.create_from_model_name(number, "PINHOLE", 50.0, 41, 31))
+    rig.add_ref_sensor(sensors[0])
+    rig.add_sensor(sensors[1], pose())
+    model.add_rig(rig)
+    for number in range(1, 11):
+        frame = pycolmap.Frame(frame_id=number, rig_id=1)
+        frame.rig_from_world = pose()
+        for side, sensor in enumerate(sensors):
+            frame.add_data_id(pycolmap.data_t(sensor, 2 * number + side))
+        model.add_frame(frame)
+        for side in (0, 1):
+            image = pycolmap.Image(
+                name=f"{number}_{side}.png", camera_id=side + 1, image_id=2 * number + side
+            )
+            image.frame_id = number
+            model.add_image(image)
+        model.register_frame(number)
+    folder.mkdir()
+    model.write_binary(folder)
+    return folder

@@ -12,18 +12,17 @@ import pytest
 from clgs.cli import main as cli
 from clgs.data.dataset import load_dataset
 from clgs.errors import ClgsError
-from clgs.lab.accept import part as parts_run
-from clgs.lab.accept.job import FORMAT, run_parts
-from clgs.lab.accept.part import Part, run_part
-from clgs.lab.accept.parts import QUICK, WHOLE, parts
+from clgs.lab.accept import trial as trial_module
 from clgs.lab.accept.photos import VIEWS, write_photos
+from clgs.lab.accept.trial import FORMAT, Trial, run_trial, run_trials
+from clgs.lab.accept.trials import QUICK, WHOLE, trials
 
 DEVICE = {"index": 0, "name": "cpu", "platform": "PoCL", "driver": "1"}
-HELP = Part("help", ("--version",), lambda folder: "it runs")
+HELP = Trial("help", ("--version",), lambda folder: "it runs")
 
 
 def test_what_a_command_says_is_told(tmp_path):
-    outcome = run_part(HELP, tmp_path)
+    outcome = run_trial(HELP, tmp_path)
     assert (outcome.passed, outcome.exit_code, outcome.told) == (True, 0, "it runs")
     assert outcome.printed.startswith("clgs ")
 
@@ -37,11 +36,11 @@ def test_failures_are_told_and_end_alone(tmp_path, monkeypatch):
 
     todo = [
         replace(HELP, name="usage", words=("nonsense",)),
-        replace(HELP, name="unreadable", tell=broken),
-        replace(HELP, name="wrong", tell=wrong),
+        replace(HELP, name="unreadable", summary=broken),
+        replace(HELP, name="wrong", summary=wrong),
         HELP,
     ]
-    outcomes = run_parts(todo, tmp_path, DEVICE, tmp_path / "accept.json")
+    outcomes = run_trials(todo, tmp_path, DEVICE, tmp_path / "accept.json")
     assert [one.passed for one in outcomes] == [False, False, False, True]
     usage, unreadable, wrong_file, _ = (one.told for one in outcomes)
     assert usage.startswith("exit code 2: ")
@@ -55,32 +54,32 @@ def test_failures_are_told_and_end_alone(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 def test_a_crash_and_a_hang_are_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(parts_run, "_CODE", "import os, signal; os.kill(os.getpid(), 11)")
-    assert run_part(HELP, tmp_path).told == "crashed: signal 11"
-    monkeypatch.setattr(parts_run, "_CODE", "import time; time.sleep(600)")
-    outcome = run_part(HELP, tmp_path, seconds=0.2)
+    monkeypatch.setattr(trial_module, "_CODE", "import os, signal; os.kill(os.getpid(), 11)")
+    assert run_trial(HELP, tmp_path).told == "crashed: signal 11"
+    monkeypatch.setattr(trial_module, "_CODE", "import time; time.sleep(600)")
+    outcome = run_trial(HELP, tmp_path, seconds=0.2)
     assert (outcome.passed, outcome.exit_code) == (False, None)
     assert outcome.told == "took too long and was stopped"
 
 
 def test_every_part_is_a_command_with_its_options(tmp_path):
     for size in (QUICK, WHOLE):
-        todo = parts("0", tmp_path, size, ["data", "--steps", "1000", "--downscale", "8"])
-        assert len({part.name for part in todo}) == len(todo)
-        for part in todo:
-            args = cli.build_parser().parse_args(part.words)
+        todo = trials("0", tmp_path, size, ["data", "--steps", "1000", "--downscale", "8"])
+        assert len({trial.name for trial in todo}) == len(todo)
+        for trial in todo:
+            args = cli.build_parser().parse_args(trial.words)
             assert getattr(args, "device", "0") == "0"
 
 
 def test_trainings_that_differ_fail(tmp_path):
-    todo = {part.name: part for part in parts("0", tmp_path, QUICK, [])}
+    todo = {trial.name: trial for trial in trials("0", tmp_path, QUICK, [])}
     for name in ("training", "training again"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "scene.clgs").write_bytes(b"one")
-    assert todo["training again"].tell(tmp_path) == todo["training"].tell(tmp_path)
+    assert todo["training again"].summary(tmp_path) == todo["training"].summary(tmp_path)
     (tmp_path / "training again" / "scene.clgs").write_bytes(b"two")
     with pytest.raises(ClgsError, match="another file"):
-        todo["training again"].tell(tmp_path)
+        todo["training again"].summary(tmp_path)
 
 
 def test_the_photos_are_the_same_everywhere(tmp_path):

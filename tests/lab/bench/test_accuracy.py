@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.errors import UsageError
-from clgs.lab.bench.accuracy import (
+from clgs.lab.bench.accuracy_points import (
     GradientError,
     ImageError,
     Point,
@@ -82,7 +82,7 @@ def test_the_fastest_within_a_goal(figures):
 
 def test_the_plot_is_the_same_file_each_time(figures, tmp_path):
     pytest.importorskip("matplotlib")
-    from clgs.lab.bench.plots import plot_accuracy
+    from clgs.lab.bench.accuracy import plot_accuracy
 
     small = replace(figures.points[0], label="preview", both=None, gradient=None, stopped=None)
     subject = replace(figures, points=[*figures.points, small, point("1/255", 5.0, 0.0, "cut")])

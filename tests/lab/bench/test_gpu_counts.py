@@ -10,7 +10,7 @@ from subprocess import run
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "scripts" / "gpu_counts"
 if not FOLDER.is_dir():
     pytest.skip("needs a checkout", allow_module_level=True)

@@ -38,7 +38,5 @@ def test_small_sweeps(tmp_path, monkeypatch):
     assert found.memory.per_gaussian > 4 * 28
     assert found.memory.per_pixel > 4 * 9
     pytest.importorskip("matplotlib")
-    from clgs.lab.bench.plots import plot_scaling
-
-    plot_scaling(tmp_path / "s.svg", found, "small")
+    scaling.plot_scaling(tmp_path / "s.svg", found, "small")
     assert "exponent" in (tmp_path / "s.svg").read_text()

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from clgs.lab.bench.device_limits import DeviceLimits, measure_limits
 from clgs.lab.bench.ops import worst_check
-from clgs.lab.bench.stage_work import FORMULAS, Counts, share_of_limit
+from clgs.lab.bench.stage_limits import (
+    FORMULAS,
+    Counts,
+    DeviceLimits,
+    measure_limits,
+    share_of_limit,
+)
 from clgs.lab.selftest.render_checks import Check
 
 COUNTS = Counts(A=10, V=8, N=100, I=400, B=20_000, P=256, M=900, E=50)

@@ -11,10 +11,10 @@ import pytest
 
 from clgs.cli.main import main
 from clgs.errors import DataError
-from clgs.lab.bench.facts import machine_facts
 from clgs.lab.commands.conformance import SHIPPED
+from clgs.lab.facts import machine_facts
 from clgs.lab.selftest.conformance import differences, fingerprints, from_record, to_record
-from clgs.lab.selftest.exact_random import ExactRandom
+from clgs.lab.selftest.exact_scenes import ExactRandom
 from clgs.opencl.device import Device
 from clgs.ops import limits
 

@@ -15,7 +15,7 @@ import clgs
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.train.config import preset
-from clgs.train.run.session import interruptions, train_scene
+from clgs.train.run.session import train_scene
 from tests.codec.scenes import random_scene
 from tests.small_scene import write_scene
 
@@ -100,20 +100,6 @@ def test_arguments_of_other_classes_are_one_line(dataset, open_device, tmp_path)
     assert not (tmp_path / "x").exists()
     with pytest.raises(UsageError, match="folder: the name is empty"):
         clgs.train_scene(dataset, "")
-
-
-def test_signals_wait_for_the_step():
-    # a shell's background job starts with SIGINT ignored
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with interruptions() as interrupted:
-            assert not interrupted()
-            os.kill(os.getpid(), signal.SIGINT)
-            assert interrupted()
-            with pytest.raises(KeyboardInterrupt):
-                os.kill(os.getpid(), signal.SIGINT)
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.skipif(not README.is_file(), reason="README.md is not installed with the package")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.render.frame import Capacity
+from clgs.render.frame import Room
 from clgs.train.config import preset
 from clgs.train.run.trainer import NonFiniteLossError, Trainer
 from clgs.train.step import queue
@@ -46,7 +46,7 @@ def test_steps_that_lack_room_are_repeated(dataset, open_device, specialisation)
     for result in ahead.steps(count):
         results.append(result)
         if result.step % 23 == 0:
-            ahead.queue.capacity = Capacity(8, 8, 8)
+            ahead.queue.room = Room(8, 8, 8)
     assert len(repeats) >= count // 23
     assert results == wanted
     assert_same_state(ahead, waiting)

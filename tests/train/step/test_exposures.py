@@ -96,5 +96,5 @@ def test_steps_that_lack_room_are_repeated_with_their_exposures(cpu, uneven):
     list(waiting.steps(90))
     for result in ahead.steps(90):
         if result.step % 20 == 0:
-            ahead.queue.capacity = replace(ahead.queue.capacity, gaussians=8)
+            ahead.queue.room = replace(ahead.queue.room, gaussians=8)
     assert state(ahead) == state(waiting)

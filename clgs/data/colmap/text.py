@@ -1,0 +1,217 @@
+"""Reads the text form of a COLMAP model: cameras, images, points3D (.txt).
+
+Rigs and frames are checked only: COLMAP writes the pose of each image to images.txt, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.colmap.records import (
+    PARAMETERS,
+    ColmapCamera,
+    ColmapImage,
+    ColmapModel,
+    check_name,
+    check_pose,
+    sorted_points,
+)
+from clgs.errors import DataError
+
+_CAMERA = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT")
+_IMAGE = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
+_POINT = ("POINT3D_ID", "X", "Y", "Z", "R", "G", "B", "ERROR")
+_FRAME = ("FRAME_ID", "RIG_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
+_RIG = ("RIG_ID", "NUM_SENSORS", "REF_SENSOR_TYPE", "REF_SENSOR_ID")
+_SENSOR = ("SENSOR_TYPE", "SENSOR_ID", "HAS_POSE", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
+
+_UNPOSED = 3
+"""Fields of a sensor without a pose."""
+
+_WHOLE = {"CAMERA_ID", "IMAGE_ID", "POINT3D_ID", "WIDTH", "HEIGHT", "R", "G", "B"}
+_TEXT = {"MODEL", "NAME", "REF_SENSOR_TYPE", "SENSOR_TYPE"}
+
+
+def read_text(folder: Path) -> ColmapModel:
+    """The model in ``folder``, which holds all three files.
+
+    Raises:
+        DataError: names file, line and field.
+    """
+    cameras = _read_cameras(folder / "cameras.txt")
+    images, observations = _read_images(folder / "images.txt", cameras)
+    for line in _lines(folder / "frames.txt"):
+        line.pose(_FRAME)
+    for line in _lines(folder / "rigs.txt"):
+        _check_rig(line)
+    position, color = _read_points(folder / "points3D.txt", observations)
+    return ColmapModel(images, position, color)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """The words of one line of a file."""
+
+    path: Path
+    number: int
+    words: list[str]
+
+    def fail(self, problem: str, remedy: str = "export the model again") -> NoReturn:
+        raise DataError(f"{self.path}: line {self.number}: {problem}; {remedy}")
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is neither empty nor a comment."""
+        return bool(self.words) and not self.words[0].startswith("#")
+
+    def check(self, names: tuple[str, ...]) -> list[str]:
+        """The words after the fields ``names``, each of which is there and of its kind."""
+        for index, name in enumerate(names):
+            if index >= len(self.words):
+                self.fail(f"{name} is missing")
+            self.check_word(name, self.words[index])
+        return self.words[len(names) :]
+
+    def check_word(self, name: str, word: str) -> None:
+        """Refuse a ``word`` that cannot be the field ``name``."""
+        if name in _WHOLE:
+            if not _is_whole(word):
+                self.fail(f"{name} is {word[:40]!r}, not a whole number")
+            if name in ("R", "G", "B") and not 0 <= int(word) <= 255:
+                self.fail(f"{name} is {word}, not 0 to 255")
+        elif name not in _TEXT and not _is_finite(word):
+            self.fail(f"{name} is {word[:40]!r}, not a finite number")
+
+    def pose(self, names: tuple[str, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """The fields QW to QZ and TX to TZ of ``names``."""
+        first = names.index("QW")
+        for index in range(first, first + 7):
+            if index >= len(self.words):
+                self.fail(f"{names[index]} is missing")
+            self.check_word(names[index], self.words[index])
+        values = tuple(map(float, self.words[first : first + 7]))
+        check_pose(values[:4], values[4:], self.fail)
+        return values[:4], values[4:]
+
+    def observations(self) -> int:
+        """The number of image points in the second line of an image."""
+        if len(self.words) % 3:
+            self.fail(
+                "POINTS2D are not of three numbers each; the line of an image without any is empty"
+            )
+        if self.words:
+            self.check_word("POINT3D_ID", self.words[-1])
+        return len(self.words) // 3
+
+
+def _every_line(path: Path) -> Iterator[_Line]:
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for number, text in enumerate(file, 1):
+            yield _Line(path, number, text.split())
+
+
+def _lines(path: Path) -> Iterator[_Line]:
+    """The lines without comments and empty ones; none if there is no file."""
+    return filter(lambda line: line.counts, _every_line(path) if path.is_file() else iter(()))
+
+
+def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
+    cameras: dict[int, ColmapCamera] = {}
+    for line in _lines(path):
+        words = line.check(_CAMERA)
+        number, model, width, height = line.words[: len(_CAMERA)]
+        if model not in PARAMETERS:
+            line.fail(
+                f"MODEL {model[:40]!r} is unknown (undistort with COLMAP's image_undistorter)"
+            )
+        wanted = len(PARAMETERS[model].split())
+        if len(words) != wanted:
+            line.fail(f"PARAMS are {len(words)} numbers, {model} has {wanted}")
+        for word in words:
+            line.check_word("PARAMS", word)
+        if int(number) in cameras:
+            line.fail(f"CAMERA_ID {number} occurs twice")
+        camera = ColmapCamera(model, int(width), int(height), tuple(map(float, words)))
+        camera.check(line.fail)
+        cameras[int(number)] = camera
+    return cameras
+
+
+def _read_images(
+    path: Path, cameras: dict[int, ColmapCamera]
+) -> tuple[list[ColmapImage], dict[int, int]]:
+    """The images, and the number of image points of each by its id."""
+    images: list[ColmapImage] = []
+    observations: dict[int, int] = {}
+    lines = _every_line(path)
+    for line in lines:
+        if not line.counts:
+            continue
+        quaternion, translation = line.pose(_IMAGE)
+        if more := line.check(_IMAGE):
+            name = " ".join([line.words[len(_IMAGE) - 1], *more])[:80]
+            remedy = "export the model as .bin, or rename the photo"
+            line.fail(f"NAME {name!r} has a blank, at which readers cut it", remedy)
+        number, camera, name = int(line.words[0]), int(line.words[-2]), line.words[-1]
+        if camera not in cameras:
+            line.fail(f"CAMERA_ID {camera} is not in cameras.txt")
+        if number in observations:
+            line.fail(f"IMAGE_ID {number} occurs twice")
+        check_name(name, line.fail)
+        images.append(ColmapImage(name, cameras[camera], quaternion, translation))
+        missing = _Line(path, line.number + 1, [])
+        observations[number] = next(lines, missing).observations()
+    return images, observations
+
+
+def _check_rig(line: _Line) -> None:
+    """Check the poses of the rig's sensors; the first sensor has none."""
+    sensors = line.words[len(_RIG) :]
+    while sensors:
+        posed = sensors[_UNPOSED - 1 : _UNPOSED] == ["1"]
+        if posed:
+            _Line(line.path, line.number, sensors).pose(_SENSOR)
+        sensors = sensors[len(_SENSOR) if posed else _UNPOSED :]
+
+
+def _read_points(
+    path: Path, observations: dict[int, int]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint8]]:
+    numbers, positions, colors = [], [], []
+    line = _Line(path, 0, [])
+    for line in _lines(path):
+        track = line.check(_POINT)
+        if len(track) % 2:
+            line.fail("TRACK is not of two numbers each")
+        for image, index in zip(track[::2], track[1::2], strict=True):
+            if not (_is_whole(image) and _is_whole(index)):
+                line.fail(f"TRACK has {image[:40]!r}, {index[:40]!r}, not whole numbers")
+            if not 0 <= int(index) < observations.get(int(image), 0):
+                line.fail(f"TRACK: images.txt has no point {int(index)} of image {int(image)}")
+        numbers.append(int(line.words[0]))
+        positions.append([float(word) for word in line.words[1:4]])
+        colors.append([int(word) for word in line.words[4:7]])
+    return sorted_points(
+        np.array(numbers, np.int64),
+        np.array(positions, np.float64).reshape(-1, 3),
+        np.array(colors, np.uint8).reshape(-1, 3),
+        line.fail,
+    )
+
+
+def _is_whole(word: str) -> bool:
+    return len(word) < 19 and word.removeprefix("-").isdecimal()
+
+
+def _is_finite(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False

@@ -1,0 +1,177 @@
+"""The list of trials of `clgs accept`, and the line that each shows."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from clgs.errors import ClgsError
+from clgs.lab.accept.trial import Trial
+from clgs.lab.bench.gsplat import has_gsplat
+from clgs.lab.commands.conformance import SHIPPED
+from clgs.lab.selftest.conformance import differences, from_record
+
+STEPS = 20
+"""Of training, twice, whose files must be the same."""
+
+STARTED = (1000, 64)
+"""Gaussians, and pixels of the picture's edge, of the step that is timed from a cold start."""
+
+LARGE = "1920x1080"
+"""Pixels of the large picture."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much work the parts do: Gaussians, the picture's edge in pixels, and repetitions.
+
+    elements: of stages that are timed alone; large: Gaussians and pixels of the large step.
+    """
+
+    gaussians: int
+    edge: int
+    elements: int
+    large: tuple[int, str]
+    repeats: int
+
+
+WHOLE = Size(200_000, 400, 1_000_000, (1_000_000, LARGE), 15)
+QUICK = Size(20_000, 128, 100_000, (50_000, "480x270"), 5)
+
+
+def trials(device: str, folder: Path, size: Size, data: list[str]) -> list[Trial]:
+    """List all trials.
+
+    Args:
+        device: as for ``--device``.
+        folder: that they write into, with the photos in ``photos``.
+        size: of the work.
+        data: arguments of a training on the user's own data; empty: none is made.
+    """
+    on = ("--device", device)
+
+    def file(name: str) -> str:
+        return str(folder / f"{name}.json")
+
+    def step(name: str, work: tuple[int, int | str], repeats: int = 1, kind: str = "step") -> Trial:
+        counts = zip(("--gaussians", "--size", "--repeats"), (*work, repeats), strict=True)
+        words = ("bench", kind, *on, *map(str, chain(*counts)), "--json", file(name))
+        return Trial(name, words, partial(_step, name))
+
+    def start(name: str, told: str) -> Trial:
+        return replace(step(name, STARTED), summary=lambda folder: told, caches=folder / "caches")
+
+    def training(name: str) -> Trial:
+        words = ("train", str(folder / "photos"), "-o", str(folder / name), "--steps", str(STEPS))
+        return Trial(name, (*words, *on), partial(_hash, name))
+
+    ops = ("--gaussians", size.gaussians, "--size", size.edge, "--elements", size.elements)
+    hashes = file("conformance")
+    found = [
+        Trial("machine", ("doctor", "--json"), _machine),
+        start("first start", "kernels compiled"),
+        start("second start", "kernels compiled before"),
+        Trial("selftest", ("selftest", *on, "--json", file("selftest")), _selftest),
+        Trial("conformance", ("conformance", *on, "-o", hashes), _conformance),
+        Trial("conformance again", ("conformance", *on, "--check", hashes), _same),
+        training("training"),
+        training("training again"),
+        Trial(
+            "stages",
+            ("bench", "ops", *on, *map(str, ops), "--json", file("stages")),
+            _stages,
+        ),
+        step("step", (size.gaussians, size.edge), size.repeats),
+        step("large step", size.large, size.repeats),
+    ]
+    if has_gsplat():
+        found += [
+            replace(step(name, work, size.repeats, "gsplat"), summary=partial(_beside, name))
+            for name, work in (
+                ("gsplat", (size.gaussians, size.edge)),
+                ("gsplat large", size.large),
+            )
+        ]
+    if data:
+        words = ("train", *data, "-o", str(folder / "data"), *on)
+        found.append(Trial("data", words, _data))
+    return found
+
+
+def _read(folder: Path, name: str) -> Any:
+    return json.loads((folder / f"{name}.json").read_text())
+
+
+def _machine(folder: Path) -> str:
+    facts = json.loads((folder / "machine.out").read_text())
+    return f"{facts['machine']['system']}, {len(facts['findings'])} findings"
+
+
+def _step(name: str, folder: Path) -> str:
+    times = _read(folder, name)
+    return (
+        f"{times['step']:.2f} ms a step (kernels {sum(times['kernels'].values()):.2f}, "
+        f"host {times['host']:.2f}), {times['render']:.2f} ms a picture, "
+        f"{times['gaussians']:,} Gaussians"
+    )
+
+
+def _beside(name: str, folder: Path) -> str:
+    """Our times over gsplat's."""
+    found = _read(folder, name)
+    ours, theirs = found["clgs"], found["gsplat"]
+    forward = ours["blend forward"] / theirs["forward"]
+    backward = ours["blend backward"] / theirs["backward"]
+    return (
+        f"{ours['step'] / theirs['step']:.2f} of gsplat's step, rasteriser forward {forward:.2f}, "
+        f"backward {backward:.2f}; pictures differ by {theirs['difference']:.1e}"
+    )
+
+
+def _selftest(folder: Path) -> str:
+    checks = [one for each in _read(folder, "selftest")["devices"] for one in each["checks"]]
+    return f"{len(checks)} checks within their limits"
+
+
+def _conformance(folder: Path) -> str:
+    """How far the bits are those that clgs comes with."""
+    found = from_record(_read(folder, "conformance"))
+    different = differences(found, from_record(json.loads(SHIPPED.read_text())))
+    first = f", first {different[0].place}" if different else ""
+    return f"{len(found) - len(different)} of {len(found)} tensors as on PoCL{first}"
+
+
+def _same(folder: Path) -> str:
+    return "the same bits"
+
+
+def _hash(name: str, folder: Path) -> str:
+    """The hash of the file, which the second training shares with the first."""
+    found = [
+        hashlib.sha256((run / "scene.clgs").read_bytes()).hexdigest()
+        for run in (folder / "training", folder / name)
+        if run.exists()
+    ]
+    if len(set(found)) > 1:
+        raise ClgsError(f"{STEPS} steps gave another file than before: {found[1][:16]}")
+    return f"{STEPS} steps: {found[-1][:16]}"
+
+
+def _stages(folder: Path) -> str:
+    stages = [one for each in _read(folder, "stages")["devices"] for one in each["stages"]]
+    shares = [one["share"]["of_limit"] for one in stages if one["share"]]
+    return f"{len(stages)} stages, {100 * median(shares):.0f} % of the device's limit, the median"
+
+
+def _data(folder: Path) -> str:
+    found = _read(folder, "data/results")
+    return (
+        f"{found['steps']} steps in {found['train_seconds']:.0f} s, {found['psnr']:.2f} dB, "
+        f"{found['bytes']:,} bytes, {found['peak_memory_bytes'] / 2**20:.0f} MiB"
+    )

@@ -1,0 +1,91 @@
+"""The fixed scenes and numbers of `clgs conformance`: the same bits wherever they are made.
+
+The random numbers depend on nothing but this file: no library's generator, no rounding. SplitMix64
+(Steele, Lea and Flood 2014) gives the integers; floats are multiples of 2^-24 made from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.scene.anchors import AnchorSet
+from clgs.scene.camera import Camera
+from clgs.scene.mlps import MLP_SIZE, Mlps
+from clgs.scene.scene import RenderSettings, Scene
+
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+MIX = ((np.uint64(30), 0xBF58476D1CE4E5B9), (np.uint64(27), 0x94D049BB133111EB))
+TURNED = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
+"""A rotation without rounding in its making."""
+
+
+class ExactRandom:
+    """A stream of random numbers from a seed."""
+
+    def __init__(self, seed: int) -> None:
+        self._state = np.uint64(seed)
+
+    def integers(self, count: int) -> npt.NDArray[np.uint64]:
+        """The next ``count`` integers, uniform over 64 bits."""
+        steps = np.arange(1, count + 1, dtype=np.uint64)
+        with np.errstate(over="ignore"):
+            value = self._state + steps * GOLDEN
+            self._state = self._state + np.uint64(count) * GOLDEN
+            for shift, factor in MIX:
+                value = (value ^ (value >> shift)) * np.uint64(factor)
+        return np.asarray(value ^ (value >> np.uint64(31)))
+
+    def floats(self, shape: Sequence[int], low: float, high: float) -> npt.NDArray[np.float32]:
+        """float32 in [low, high): low + (high - low) k 2^-24, rounded once to float32."""
+        unit = (self.integers(int(np.prod(shape))) >> np.uint64(40)).astype(np.float64) * 2.0**-24
+        return (low + (high - low) * unit).astype(np.float32).reshape(tuple(shape))
+
+    def bytes(self, shape: Sequence[int]) -> npt.NDArray[np.uint8]:
+        """uint8 in [0, 256)."""
+        high = self.integers(int(np.prod(shape))) >> np.uint64(56)
+        return high.astype(np.uint8).reshape(tuple(shape))
+
+
+@dataclass(frozen=True)
+class ConformanceScene:
+    """A scene, the view of it, and the photo (3, H, W) uint8 that it is compared with."""
+
+    name: str
+    scene: Scene
+    camera: Camera
+    photo: npt.NDArray[np.uint8]
+
+
+def conformance_scenes() -> list[ConformanceScene]:
+    """Small Gaussians seen straight on; large, turned and off-centre ones; needles."""
+    straight = Camera(np.eye(3), np.array([0.0, 0, 4]), 80.0, 80.0, 40.0, 24.0, 80, 48)
+    turned = Camera(TURNED, np.array([0.0, 0.25, 4]), 90.0, 110.0, 61.5, 40.25, 113, 77)
+    return [
+        _scene("small", straight, 400, (-4.0, -3.0)),
+        _scene("large", turned, 300, (-3.0, -1.5)),
+        _scene("needles", straight, 200, (-8.0, -0.5)),
+    ]
+
+
+def _scene(
+    name: str, camera: Camera, anchors: int, log_size: tuple[float, float]
+) -> ConformanceScene:
+    """Anchors in a box of 3 x 2 x 2 around the origin; ``log_size``: range of their log scales."""
+    random = ExactRandom(anchors)
+    position = random.floats((anchors, 3), -1.0, 1.0) * np.array([1.5, 1, 1], np.float32)
+    scene = Scene(
+        AnchorSet(
+            position,
+            random.floats((anchors, K_OFFSETS, 3), -1.0, 1.0),
+            random.floats((anchors, FEATURE_DIM), -1.0, 1.0),
+            random.floats((anchors, 6), *log_size),
+        ),
+        Mlps(random.floats((MLP_SIZE,), -0.25, 0.25)),
+        RenderSettings(background=(0.25, 0.5, 0.75)),
+    )
+    return ConformanceScene(name, scene, camera, random.bytes((3, camera.height, camera.width)))

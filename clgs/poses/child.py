@@ -1,0 +1,153 @@
+"""Work of pycolmap in a child process.
+
+Native code that works for minutes reacts to a signal only at its next pause. A child process can be
+ended at once, its memory is freed with it, and its crash becomes an ordinary error.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from clgs.errors import DataError
+from clgs.memory import return_freed_memory
+
+OnStage = Callable[[Any], None]
+"""The type of a function that receives a child's reports of progress; they can be JSON."""
+
+IMPORT_SECONDS = 60
+"""An import that takes longer counts as failed."""
+
+_serving: list[bool] = []
+"""Holds one element in a child process; the children of a child belong to its session."""
+
+_running: list[subprocess.Popen[str]] = []
+
+
+def run_child(
+    module: str,
+    task: str,
+    arguments: Any,
+    on_stage: OnStage,
+    remedy: str = "try other photos",
+) -> Any:
+    """Run ``main()`` of a module, which calls :func:`serve`, in a child; returns its result.
+
+    Args:
+        module: the dotted name.
+        task: what the child does, for messages.
+        arguments: passed as JSON; the result comes back as JSON, too.
+        on_stage: called with the child's reports of progress.
+        remedy: the advice if the child crashes.
+
+    Raises:
+        DataError: the work failed, or the child crashed.
+    """
+    program = f"import sys; sys.path[:] = {sys.path!r}; from {module} import main; main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=not _serving,  # so that Ctrl-C in a terminal reaches this process alone
+    ) as child:
+        _running.append(child)
+        try:
+            assert child.stdin is not None
+            assert child.stdout is not None
+            with suppress(BrokenPipeError):
+                child.stdin.write(json.dumps(arguments) + "\n")
+                child.stdin.flush()
+            for line in child.stdout:
+                kind, value = json.loads(line)
+                if kind == "result":
+                    return value
+                if kind == "error":
+                    raise DataError(value)
+                on_stage(value)
+            exit_code = child.wait()
+            if problem := import_problem("pycolmap"):  # then the data is not at fault
+                raise DataError(f"{task}: pycolmap cannot be loaded ({problem}); install it again")
+            raise DataError(f"{task}: pycolmap crashed (exit code {exit_code}); {remedy}")
+        except BaseException:
+            _kill(child)
+            raise
+        finally:
+            _running.remove(child)
+
+
+def _kill(child: subprocess.Popen[str]) -> None:
+    """End a child, and the children that it has."""
+    if _serving or os.name == "nt":
+        child.kill()
+        return
+    with suppress(ProcessLookupError):
+        os.killpg(child.pid, signal.SIGKILL)
+
+
+def serve(work: Callable[[Any, OnStage], Any]) -> None:
+    """Be the child: read arguments from the standard input, write the result to standard output.
+
+    The child ends if its parent does, and so do its own children.
+    """
+    return_freed_memory()
+    _serving.append(True)
+    output = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what a library prints must not be read as a result
+    given = sys.stdin.readline()
+    if not given:  # the parent was interrupted before it wrote the arguments
+        return
+    arguments = json.loads(given)
+
+    def end_with_parent() -> None:
+        sys.stdin.read()  # returns if the parent has ended
+        for child in list(_running):
+            child.kill()
+        os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    one_at_a_time = threading.Lock()
+
+    def write(kind: str, value: Any) -> None:
+        with one_at_a_time:
+            print(json.dumps([kind, value]), file=output, flush=True)
+
+    try:
+        result = work(arguments, lambda stage: write("stage", stage))
+    except DataError as error:
+        write("error", str(error))
+    else:
+        write("result", result)
+
+
+def import_problem(module: str) -> str:
+    """Try to import ``module`` in another process, since a native module may abort.
+
+    Returns:
+        Why the import fails, in a few words; empty if it works.
+    """
+    # Pillow first, as in pycolmap_lazy.
+    code = f"import sys; sys.path[:] = {sys.path!r}; import PIL.Image; import {module}"
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            timeout=IMPORT_SECONDS,
+        )
+    except subprocess.TimeoutExpired:
+        return f"its import takes more than {IMPORT_SECONDS} s"
+    if done.returncode < 0:
+        return f"its import ends by signal {-done.returncode}"
+    if done.returncode:
+        lines = done.stderr.decode(errors="replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "unknown error")
+    return ""

@@ -1,0 +1,151 @@
+"""The two coders of plain rows: round trips over all of int32, and refusal of damage.
+
+Their bytes are those of ``test_conformance``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from clgs.codec.attributes import paper, row_coder, runlength
+from clgs.lab.bench.codec_subjects import PUBLISHED_ATTRIBUTES as ATTRIBUTES
+from codec_c.reader.rows import decode_paper_rows, decode_rows
+from tests.codec.samples import INT32, draw, matrices
+
+CODERS = {"run lengths": runlength, "paper": paper}
+MANY = pytest.mark.parametrize("coder", CODERS.values(), ids=CODERS)
+
+
+@pytest.mark.parametrize("name", ATTRIBUTES)
+def test_size_is_that_of_the_published_coder(name, shared_data):
+    """Within 1 %: the structure is the same, only the speed of adaptation is our own."""
+    value = np.load(shared_data / "codec" / f"{name}.npz")["values"].astype(np.int32)
+    data = paper.encode(value)
+    np.testing.assert_array_equal(paper.decode(data, *value.shape), value)
+    assert abs(len(data) / ATTRIBUTES[name] - 1) <= 0.01
+
+
+@MANY
+@settings(max_examples=60, deadline=None)
+@given(
+    npst.arrays(
+        np.int32,
+        st.tuples(st.integers(0, 20), st.integers(1, 8)),
+        elements=st.one_of(st.just(0), st.integers(-3, 3), INT32),
+    )
+)
+def test_round_trip(coder, value):
+    data = coder.encode(value)
+    assert len(data) <= 1 + 4 * value.size
+    np.testing.assert_array_equal(coder.decode(data, *value.shape), value)
+
+
+@MANY
+@pytest.mark.parametrize("channels", [1, 2, 3, 256])
+def test_channel_counts(coder, channels):
+    value = draw(20, channels, 9)
+    np.testing.assert_array_equal(coder.decode(coder.encode(value), 20, channels), value)
+
+
+@MANY
+def test_channel_counts_out_of_range_are_refused(coder):
+    for channels in (0, 257):
+        with pytest.raises(ValueError, match="rows"):
+            coder.encode(np.zeros((4, channels), np.int32))
+
+
+def test_the_level_paper_of_attributes_in_chunks():
+    value = draw(50, 8, 9)
+    model = row_coder.fit(value, "paper", 20)
+    assert model.header == b"\2"
+    chunk = model.encode(value[20:40])
+    assert chunk == paper.encode(value[20:40])
+    np.testing.assert_array_equal(row_coder.read(b"\2", 8).decode(chunk, 20), value[20:40])
+
+
+@pytest.mark.parametrize("run", [0, 1, 2, 3, 4, 10, 11, 14, 15, 22, 23, 2**16, 2**20])
+def test_runs_of_every_kind(run):
+    value = np.zeros((run + 2, 3), np.int32)
+    value[[0, -1], [1, 2]] = 1, -1
+    np.testing.assert_array_equal(paper.decode(paper.encode(value), *value.shape), value)
+
+
+def test_zero_rows_cost_next_to_nothing():
+    assert len(runlength.encode(np.zeros((1_000_000, 30), np.int32))) <= 40
+
+
+@MANY
+def test_noise_is_never_longer_than_raw(coder):
+    value = np.random.default_rng(3).integers(-(2**31), 2**31, (300, 6), dtype=np.int64)
+    value = value.astype(np.int32)
+    data = coder.encode(value)
+    assert len(data) <= 1 + 4 * value.size
+    np.testing.assert_array_equal(coder.decode(data, 300, 6), value)
+
+
+@MANY
+def test_read_only_and_strided_arrays_are_taken_as_they_are(coder):
+    value = draw(40, 8, 6)
+    wide = np.repeat(value, 2, axis=1)[:, ::2]
+    wide.setflags(write=False)
+    assert coder.encode(wide) == coder.encode(value)
+    assert coder.encode(np.asfortranarray(value)) == coder.encode(value)
+
+
+@MANY
+def test_wrong_row_counts_are_refused(coder):
+    value = matrices()["triplets"]
+    data = coder.encode(value)
+    for rows in (0, 1, len(value) - 1, len(value) + 1, 10 * len(value)):
+        with pytest.raises(ValueError, match="stream"):
+            coder.decode(data, rows, value.shape[1])
+
+
+@pytest.mark.parametrize("name", ["spread 3", "spread 3000", "spread 4194304", "extremes"])
+def test_every_truncation_and_longer_streams_are_refused(name):
+    value = matrices()[name][:60]
+    data = paper.encode(value)
+    for size in range(len(data)):
+        with pytest.raises(ValueError, match="stream"):
+            paper.decode(data[:size], *value.shape)
+    for more in range(1, 17):
+        with pytest.raises(ValueError, match="stream"):
+            paper.decode(data + bytes(more), *value.shape)
+
+
+@MANY
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\2" + b"\0" * 20,
+        b"\1",
+        b"\1" + b"\xff" * 20,
+        b"\1" + b"\x80" * 4 + b"\x7f" + b"\0" * 9,
+        b"\1\xff\xff\xff\xff\x0f" + b"\0" * 9,
+        b"\1\0" + b"\0" * 40,
+    ],
+)
+def test_hostile_streams_are_refused(coder, data):
+    with pytest.raises(ValueError, match="stream"):
+        coder.decode(data, 3, 1)
+
+
+@pytest.mark.parametrize(
+    ("coder", "other", "copies"),
+    [(runlength, decode_rows, 1), (paper, decode_paper_rows, 4)],
+    ids=CODERS,
+)
+def test_sum_past_int32_is_refused(coder, other, copies):
+    value = np.array([[2**31 - 1], [2**31 - 2], [2**31 - 3]] * copies, np.int32)
+    data = bytearray(coder.encode(value))
+    assert data[:6] == b"\1\xfc\xff\xff\xff\x0f"  # mean 2^31 - 2
+    data[1:6] = b"\xfe\xff\xff\xff\x0f"  # mean 2^31 - 1: the first value becomes 2^31
+    with pytest.raises(ValueError, match="no encoder"):
+        coder.decode(bytes(data), 3 * copies, 1)
+    with pytest.raises(ValueError, match="outside of int32"):
+        other(bytes(data), 3 * copies, 1)

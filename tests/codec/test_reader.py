@@ -1,0 +1,222 @@
+"""The decoder made from FORMAT.md reads what clgs writes, and refuses what clgs refuses."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from clgs import _codec, codec
+from clgs.codec.container.meta import LEVELS
+from clgs.codec.scene_decoder import decode
+from clgs.codec.scene_encoder import encode
+from clgs.codec.splats import Splats, is_splats, pack, unpack
+from clgs.errors import CodecError
+from clgs.scene.mlps import MLP_SIZE, Mlps
+from codec_c.reader.files import (
+    CHANNELS,
+    Scene,
+    decode_attributes,
+    decode_positions,
+    read_file,
+)
+from tests.codec.container.damage import contents, rebuilt
+from tests.codec.container.mutations import changed, damaged_file
+from tests.codec.scenes import GOLDEN, random_scene
+
+QUICK = "single"
+"""The golden file of the default run: most of a file's time goes to weights that are no zeros."""
+OTHERS = sorted({path.stem for path in GOLDEN.glob("*.clgs")} - {QUICK})
+
+
+def assert_scene(data: bytes) -> None:
+    """Both decoders read the same integers, weights and settings."""
+    scene, found = decode(data), read_file(data)
+    assert isinstance(found, Scene)
+    anchors, meta, settings = scene.anchors, found.meta, scene.settings
+    offset = anchors.offset.reshape(-1, CHANNELS["OFFS"])
+    rows = {"OFFS": offset, "FEAT": anchors.feature, "SCAL": anchors.scaling}
+    np.testing.assert_array_equal(found.positions, anchors.position)
+    for tag, values in rows.items():
+        np.testing.assert_array_equal(found.attributes[tag], values)
+    np.testing.assert_array_equal(found.weights.view("<u4"), scene.mlps.flat.view(np.uint32))
+    assert meta.q == tuple(vars(scene.scales).values())
+    assert (meta.centre, meta.scale) == (scene.transform.centre, scene.transform.scale)
+    assert (meta.background, meta.near, meta.blur) == (
+        settings.background,
+        settings.near,
+        settings.blur,
+    )
+    assert (meta.alpha_cut, meta.alpha_max) == (settings.alpha_cut, settings.alpha_max)
+    assert meta.transmittance_stop == settings.transmittance_stop
+
+
+def test_a_golden_file() -> None:
+    assert_scene((GOLDEN / f"{QUICK}.clgs").read_bytes())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OTHERS)
+def test_golden_files(name: str) -> None:
+    assert_scene((GOLDEN / f"{name}.clgs").read_bytes())
+
+
+def small_scene(count: int = 20):
+    """Few weights: those of one matrix."""
+    scene = random_scene(np.random.default_rng(4), count)
+    scene.mlps = Mlps(np.zeros(MLP_SIZE, np.float32))
+    scene.mlps.head("color")["output_bias"][:] = np.arange(-15, 15) / 8
+    return scene
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_scenes_of_every_level_with_weights_as_multiples(level: str) -> None:
+    data = encode(small_scene(), level)
+    assert contents(data)["MLPS"][0] == 2
+    assert_scene(data)
+
+
+@pytest.mark.slow
+def test_weights_as_planes_of_bytes() -> None:
+    data = encode(decode((GOLDEN / f"{QUICK}.clgs").read_bytes()), mlp="float32")
+    assert contents(data)["MLPS"][0] == 1
+    assert_scene(data)
+
+
+def test_weights_as_floats() -> None:
+    scene = small_scene()
+    plain = b"\0" + scene.mlps.flat.astype("<f4").tobytes()
+    assert_scene(rebuilt(encode(scene), MLPS=plain))
+
+
+def test_two_groups_of_chunks() -> None:
+    scene = small_scene(1500)
+    for name in ("offset", "feature", "scaling"):
+        getattr(scene.anchors, name)[:] = 3
+    data = encode(scene, "default", 16)
+    assert int.from_bytes(contents(data)["CHNK"][4:8], "little") > 64
+    assert_scene(data)
+
+
+def rows_of(spread: float, rows: int) -> np.ndarray:
+    """Three channels, of which one differs little from another and one is smooth."""
+    value = np.rint(np.random.default_rng(5).laplace(spread / 3, spread, (rows, 3)))
+    value[:, 1] += value[:, 0]
+    value[:, 2] = np.cumsum(value[:, 0])
+    return np.clip(value, -(2**31), 2**31 - 1).astype(np.int32)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_attributes_in_eight_lanes(level: str) -> None:
+    value = rows_of(2, 2100)
+    found = decode_attributes(codec.encode_attributes(value, level))
+    np.testing.assert_array_equal(found, value)
+
+
+def some_splats() -> Splats:
+    values = np.random.default_rng(6).integers(-3, 4, (90, 5)).astype(np.int32)
+    return Splats([*"xyzab"], [0.5] * 5, values)
+
+
+def test_splats() -> None:
+    data = pack(some_splats())
+    mine, found = unpack(data), read_file(data)
+    assert (mine.names, mine.steps) == (found.names, found.steps)
+    np.testing.assert_array_equal(mine.values, found.integers)
+
+
+def outcome(function: Callable[[bytes], object], data: bytes) -> object:
+    """What a decoder makes of some bytes; None if it refuses them."""
+    try:
+        return function(data)
+    except (CodecError, ValueError):
+        return None
+
+
+def assert_alike(ours: Callable[[bytes], object], other: Callable[[bytes], object], data: bytes):
+    """Both decoders refuse the bytes, or read the same array."""
+    one, two = outcome(ours, data), outcome(other, data)
+    assert (one is None) == (two is None), data.hex()
+    if one is not None:
+        np.testing.assert_array_equal(one, two)
+
+
+def streams() -> list[tuple]:
+    """Short streams, with both decoders."""
+    rng = np.random.default_rng(7)
+    clouds = [np.unique(rng.integers(0, n, (n, 3)), axis=0) for n in (1, 4, 12)]
+    clouds += [np.array([[0, 0, 0], [2**20, 1, 2**19]]), 7 * clouds[1]]
+    found = [
+        (codec.decode_positions, decode_positions, codec.encode_positions(cloud))
+        for cloud in clouds
+    ]
+    for level, spread, rows in (
+        ("paper", 1, 20),
+        ("paper", 1e6, 9),
+        ("default", 1e9, 9),
+        ("default", 1, 100),
+        ("max", 20, 300),
+    ):
+        data = codec.encode_attributes(rows_of(spread, rows), level)
+        found.append((codec.decode_attributes, decode_attributes, data))
+    return found
+
+
+def files() -> list[bytes]:
+    """Small files of scenes, in several chunks, and of splats."""
+    scenes = [encode(small_scene(), level, 16) for level in LEVELS]
+    return scenes + [pack(some_splats(), level) for level in LEVELS]
+
+
+def read_by_clgs(data: bytes) -> np.ndarray:
+    """All integers of a file, and the bits of its weights, as one row."""
+    if is_splats(data):
+        return unpack(data).values.ravel()
+    scene = decode(data)
+    anchors = [array.ravel() for _, array in scene.anchors.items()]
+    return np.concatenate([*anchors, scene.mlps.flat.view(np.int32)])
+
+
+def read_by_the_document(data: bytes) -> np.ndarray:
+    """The same."""
+    found = read_file(data)
+    if not isinstance(found, Scene):
+        return found.integers.ravel()
+    rows = [array.ravel() for array in found.attributes.values()]
+    return np.concatenate([found.positions.ravel(), *rows, found.weights.view("<i4")])
+
+
+def damaged_files(seed: int, count: int) -> None:
+    """As ``damaged_streams``, of whole files."""
+    rng, cases = np.random.default_rng(seed), files()
+    for _ in range(count):
+        assert_alike(read_by_clgs, read_by_the_document, damaged_file(rng, cases))
+
+
+def damaged_streams(seed: int, count: int) -> None:
+    """Damage behind right checksums is refused by both decoders, or read alike."""
+    rng, cases = np.random.default_rng(seed), streams()
+    for _ in range(count):
+        ours, other, data = cases[rng.integers(len(cases))]
+        body = changed(rng, data[:-4])
+        assert_alike(ours, other, body + struct.pack("<I", _codec.crc32c(body)))
+
+
+def test_damaged_streams() -> None:
+    damaged_streams(0, 60)
+
+
+def test_damaged_files() -> None:
+    damaged_files(0, 30)
+
+
+@pytest.mark.slow
+def test_many_damaged_streams() -> None:
+    damaged_streams(1, 5000)
+
+
+@pytest.mark.slow
+def test_many_damaged_files() -> None:
+    damaged_files(1, 3000)

@@ -1,0 +1,120 @@
+"""The process beside: its result comes through, and it ends with its parent."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from clgs.errors import DataError
+from clgs.poses.child import run_child
+
+MODULE = """
+import os, time
+from pathlib import Path
+from clgs.poses.child import serve
+def work(arguments, on_stage):
+    folder, seconds = arguments
+    (Path(folder) / "made").touch()
+    (Path(folder).parent / "process").write_text(str(os.getpid()))
+    on_stage("made")
+    time.sleep(seconds)
+    return 42
+def main():
+    serve(work)
+    time.sleep(1.0)  # as a process that takes its time to end
+"""
+PARENT = """
+from clgs.poses.child import run_child
+run_child("{module}", "a test", [{folder!r}, 3600], lambda told: print(told, flush=True))
+"""
+NESTED = """
+from clgs.poses.child import run_child, serve
+def work(arguments, on_stage):
+    return run_child("work_beside", "a nested test", arguments, on_stage)
+def main():
+    serve(work)
+"""
+USER = """
+from clgs.poses.child import serve
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
+def work(arguments, on_stage):
+    with quiet_pycolmap("a test"):
+        pass
+def main():
+    serve(work)
+"""
+HANG = 60
+"""Seconds after which the clean-up is given up."""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "work_beside.py").write_text(MODULE)
+    (tmp_path / "nested.py").write_text(NESTED)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    (tmp_path / "new").mkdir()
+    return tmp_path / "new"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such signals")
+def test_a_pycolmap_that_aborts_is_blamed_not_the_data(folder: Path):
+    (folder.parent / "pycolmap.py").write_text("import os; os.abort()")
+    (folder.parent / "user.py").write_text(USER)
+    said = r"^a test: pycolmap cannot be loaded \(its import ends by signal 6\); install it again$"
+    with pytest.raises(DataError, match=said):
+        run_child("user", "a test", [], lambda told: None)
+
+
+def test_a_result_keeps_what_was_made(folder: Path):
+    told: list[str] = []
+    assert run_child("work_beside", "a test", [str(folder), 0], told.append) == 42
+    assert told == ["made"]
+    assert [path.name for path in folder.iterdir()] == ["made"]
+
+
+def ends(process: int) -> bool:
+    """Whether a process ends before long; one that ended but was not asked for is a zombie."""
+    end = time.monotonic() + HANG
+    status = Path(f"/proc/{process}/status")
+    while time.monotonic() < end:
+        try:
+            if "\nState:\tZ" in status.read_text():
+                return True
+        except OSError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def kill_parent(folder: Path, module: str) -> None:
+    """Kill a process as soon as its child, which runs a module, has told of something made."""
+    command = [sys.executable, "-c", PARENT.format(module=module, folder=str(folder))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == "made\n"
+        parent.kill()
+
+
+@pytest.mark.parametrize("module", ["work_beside", "nested"])
+def test_the_process_goes_with_a_killed_parent(folder: Path, module: str):
+    kill_parent(folder, module)
+    assert ends(int((folder.parent / "process").read_text()))
+
+
+def test_an_interruption_ends_the_children_of_children(folder: Path):
+    def interrupt(told: str) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_child("nested", "a test", [str(folder), 3600], interrupt)
+    assert ends(int((folder.parent / "process").read_text()))
+
+
+def test_a_nested_result_comes_through(folder: Path):
+    assert run_child("nested", "a test", [str(folder), 0], lambda told: None) == 42
