@@ -2,11 +2,13 @@
 
 The names of this module do the whole job; nothing heavy is imported before one is used.
 
+- ``run(photos, output)``: all of it: poses, training, file, scores, page, clip and report
 - ``prepare(photos, output)``: poses and points from a folder of photos (structure from motion)
 - ``load_dataset(folder)``: Blender, transforms.json or COLMAP data with its views
 - ``preset(name)``: a training configuration; ``.scaled(steps)`` sets the length
 - ``train_scene(dataset, folder, config)``: a trained, quantised, encoded scene
 - ``encode(scene)`` / ``decode(data)``: a scene to bytes and back, bit for bit
+- ``export(scene, output)``: a scene as a web page, or as ordinary Gaussians
 - ``save_scene(path, scene)`` / ``load_scene(path)``: a scene as a NumPy archive
 - ``load_splats(path)``: ordinary 3DGS splats, to be rendered
 - ``Renderer(device, scene)`` and ``render_view(scene, camera)``: pictures from any camera
@@ -32,6 +34,7 @@ _HOMES = {
     "decode": "clgs.codec.scene_decoder",
     "encode": "clgs.codec.scene_encoder",
     "evaluate_views": "clgs.train.quality.score_views",
+    "export": "clgs.workflow.export",
     "load_dataset": "clgs.data.dataset",
     "load_scene": "clgs.scene.storage",
     "load_splats": "clgs.data.ply.gaussians",
@@ -39,6 +42,7 @@ _HOMES = {
     "preset": "clgs.train.config",
     "render_options": "clgs.options",
     "render_view": "clgs.render.renderer",
+    "run": "clgs.workflow.run",
     "save_scene": "clgs.scene.storage",
     "train_scene": "clgs.train.run.session",
 }

@@ -5,7 +5,7 @@
 #   scripts/accept_gpu.sh --collect FOLDER [VERSION]
 #       with a network: wheels of clgs and what it needs, for Python VERSION (3.12) on x86-64 Linux
 #   scripts/accept_gpu.sh [--wheels FOLDER] [OPTIONS of clgs accept]
-#       the kit; from these wheels, beside the packages of python3 (PYTHON names another); without
+#       the kit; from these wheels, in addition to the packages of python3 (PYTHON names another); without
 #       them from PYTHON, if it is set, else from the environment of scripts/setup.sh
 #   scripts/accept_gpu.sh [--wheels FOLDER] --devices
 #       only the devices; --libraries: only the drivers that are found

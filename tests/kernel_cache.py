@@ -19,7 +19,7 @@ VARIABLE = "CLGS_TEST_KERNELS"
 """Names the common folder; by default build/test_kernels of the checkout."""
 DEFAULT = Path(__file__).resolve().parents[1] / "build" / "test_kernels"
 UNUSED = 14 * 24 * 3600
-"""Builds that nobody has used for so many seconds are removed."""
+"""Builds that nobody has used for this long, in seconds, are removed."""
 
 
 class KernelCache:

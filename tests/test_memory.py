@@ -1,4 +1,4 @@
-"""What the C library keeps of memory that was freed, and that it gives it back when told."""
+"""The C library gives memory that was freed back to the system when it is asked to."""
 
 from __future__ import annotations
 

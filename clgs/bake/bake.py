@@ -8,26 +8,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from clgs.bake.fit import fit
-from clgs.bake.observe import Observation, observe
-from clgs.bake.refine import Target, refine
+from clgs.bake.fit import Observation, fit, observe
+from clgs.bake.refine import refine
 from clgs.constants import ALPHA_CUT, K_OFFSETS
 from clgs.data.dataset import RADIUS_MARGIN
 from clgs.errors import DataError
+from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import upload_scene, upload_view
+from clgs.render.frame import DeviceView, upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.gaussians import HostGaussians
-from clgs.scene.scene import Scene, SceneTransform
-from clgs.train.quality.metrics import to_8bit
+from clgs.scene.scene import Scene, SceneTransform, SplatScene
+from clgs.train.quality.metrics import psnr_8bit, to_8bit
 
 FIT_VIEWS = 64
-"""At most so many views, evenly chosen, are looked at for the fit; refinement sees all."""
+"""Most views that the fit looks at, evenly chosen; refinement sees all."""
 
 ORDER_BITS = 16
-"""Of each coordinate, for the order of the Gaussians."""
+"""Bits of a coordinate in the order of the Gaussians."""
 
 SEED = 0
 
@@ -44,7 +44,10 @@ class BakeSettings:
 
 @dataclass(frozen=True)
 class BakeView:
-    """A camera in scene units, and how to get its photo (3, H, W) uint8; None: render the scene."""
+    """A camera in scene units, and what gives its photo (3, H, W) uint8.
+
+    Without a photo the scene is rendered instead.
+    """
 
     camera: Camera
     photo: Callable[[], Planes] | None = None
@@ -60,14 +63,15 @@ def bake(
 ) -> HostGaussians:
     """Ordinary Gaussians in scene units that look like ``scene`` from ``views``.
 
-    What neural Gaussians show to the views is fitted first, weighted by what they contribute;
-    then all numbers are refined against the photos, or against renders of the scene.
+    First, ordinary Gaussians are fitted to what the neural ones show to the views, weighted by what
+    they contribute. Then all numbers are refined against the photos, or against renders of the
+    scene.
 
     Args:
-        device: where to work.
+        device: where the arrays live.
         scene: what to bake.
-        views: where to look from; what none of them sees is left out.
-        settings: what to make.
+        views: cameras; what none of them sees is left out.
+        settings: degree and steps.
         options: of the renders.
         on_step: called ``count_steps`` times.
 
@@ -76,20 +80,23 @@ def bake(
     """
     settings = settings or BakeSettings()
     uploaded = upload_scene(device, scene)
-    looked_at = evenly(views, FIT_VIEWS)
+    seen = [view.camera for view in evenly(views, FIT_VIEWS)]
 
     def observations() -> Iterator[Observation]:
-        for view in looked_at:
-            on_device = upload_view(device, view.camera, scene.settings)
-            yield observe(device, uploaded, on_device, options)
+        on_device = (upload_view(device, camera, scene.settings) for camera in seen)
+        for observation in observe(device, uploaded, on_device, options):
+            yield observation
             on_step()
 
     fitted = fit(observations, len(scene.anchors) * K_OFFSETS, settings.degree)
     if not len(fitted):
         raise DataError("baking: no view sees anything of the scene; is --data that of the scene?")
-    targets = _targets(device, scene, views, options)
-    radius = _radius([view.camera for view in views])
-    refined = refine(device, fitted, targets, settings.steps, radius, options, on_step)
+    # the radius of the cameras around their mean, as training measures it
+    centres = np.array([view.camera.centre for view in views])
+    distance = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
+    radius = RADIUS_MARGIN * float(distance) or 1.0
+    pictures = _pictures(device, scene, views, options)
+    refined = refine(device, fitted, pictures, settings.steps, radius, options, on_step)
     return in_order(without_faint(refined))
 
 
@@ -99,22 +106,15 @@ def count_steps(views: int, settings: BakeSettings) -> int:
 
 
 def evenly(views: Sequence[BakeView], most: int) -> list[BakeView]:
-    """At most ``most`` of them, evenly chosen."""
+    """Choose at most ``most`` of ``views``, evenly."""
     chosen = np.linspace(0, len(views) - 1, min(len(views), most)).round().astype(int)
     return [views[i] for i in chosen]
 
 
-def _radius(cameras: Sequence[Camera]) -> float:
-    """That of the cameras around their mean, as training measures it."""
-    centres = np.array([camera.centre for camera in cameras])
-    distance = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
-    return RADIUS_MARGIN * float(distance) or 1.0
-
-
-def _targets(
+def _pictures(
     device: Device, scene: Scene, views: Sequence[BakeView], options: RenderOptions
-) -> Iterator[Target]:
-    """All views in random order, again and again."""
+) -> Iterator[tuple[DeviceView, DeviceArray]]:
+    """All views in random order, again and again, and what they are to show, (3, H, W) uint8."""
     rng = np.random.default_rng(SEED)
     renderer = Renderer(device, scene, options)
     while True:
@@ -125,17 +125,17 @@ def _targets(
             else:
                 planes = to_8bit(renderer.render(view.camera)).transpose(2, 0, 1)
             picture = device.upload(np.ascontiguousarray(planes))
-            yield Target(upload_view(device, view.camera, scene.settings), picture)
+            yield upload_view(device, view.camera, scene.settings), picture
 
 
 def without_faint(gaussians: HostGaussians) -> HostGaussians:
-    """Those whose opacity is above the cut of alpha: no picture shows the others."""
+    """The Gaussians whose opacity is above the cut of alpha: no picture shows the others."""
     kept = gaussians.opacity > np.log(ALPHA_CUT / (1 - ALPHA_CUT))
     return gaussians.map(lambda array: array[kept])
 
 
 def in_order(gaussians: HostGaussians) -> HostGaussians:
-    """In Morton order of the means, which files compress best."""
+    """The Gaussians in Morton order of their means, which files compress best."""
     least, most = gaussians.mean.min(axis=0), gaussians.mean.max(axis=0)
     step = float((most.astype(np.float64) - least).max()) / (2**ORDER_BITS - 1)
     cells = ((gaussians.mean - least) / (step or 1.0)).astype(np.uint64)
@@ -148,19 +148,50 @@ def in_order(gaussians: HostGaussians) -> HostGaussians:
 
 
 def to_world(gaussians: HostGaussians, transform: SceneTransform) -> HostGaussians:
-    """From scene units to those of the data set; directions stay, and so do colors."""
-    mean = transform.to_world(gaussians.mean.astype(np.float64))
-    return _resized(gaussians, mean, 1.0 / transform.scale)
+    """The Gaussians in units of the data set instead of scene units; directions and colors stay."""
+    mean = transform.to_world(gaussians.mean.astype(np.float64)).astype(np.float32)
+    log_scale = gaussians.log_scale + np.float32(np.log(1.0 / transform.scale))
+    return replace(gaussians, mean=mean, log_scale=log_scale)
 
 
 def to_scene(gaussians: HostGaussians, transform: SceneTransform) -> HostGaussians:
     """The inverse of :func:`to_world`."""
-    mean = transform.to_scene(gaussians.mean.astype(np.float64))
-    return _resized(gaussians, mean, transform.scale)
+    mean = transform.to_scene(gaussians.mean.astype(np.float64)).astype(np.float32)
+    log_scale = gaussians.log_scale + np.float32(np.log(transform.scale))
+    return replace(gaussians, mean=mean, log_scale=log_scale)
 
 
-def _resized(
-    gaussians: HostGaussians, mean: npt.NDArray[np.float64], factor: float
-) -> HostGaussians:
-    log_scale = gaussians.log_scale + np.float32(np.log(factor))
-    return replace(gaussians, mean=mean.astype(np.float32), log_scale=log_scale)
+@dataclass(frozen=True)
+class BakedLoss:
+    """What baking costs: mean PSNR over ``views`` views, in dB, against their photos.
+
+    baked: of the baked Gaussians; scene: of the scene that they were baked from. Without photos
+    ``baked`` is against renders of the scene, and ``scene`` is None.
+    """
+
+    views: int
+    baked: float
+    scene: float | None
+
+
+def baked_loss(
+    device: Device,
+    scene: Scene,
+    gaussians: HostGaussians,
+    views: Sequence[BakeView],
+    options: RenderOptions = DEFAULT,
+) -> BakedLoss:
+    """Draw ``scene`` and ``gaussians``, in scene units, from ``views``, and compare."""
+    renderer = Renderer(device, scene, options)
+    of_baked = Renderer(device, SplatScene(gaussians, scene.settings), options)
+    baked, before = [], []
+    for view in views:
+        whole = to_8bit(renderer.render(view.camera))
+        picture = to_8bit(of_baked.render(view.camera))
+        if view.photo is None:
+            baked.append(psnr_8bit(picture, whole))
+            continue
+        photo = np.ascontiguousarray(view.photo().transpose(1, 2, 0))
+        baked.append(psnr_8bit(picture, photo))
+        before.append(psnr_8bit(whole, photo))
+    return BakedLoss(len(views), float(np.mean(baked)), float(np.mean(before)) if before else None)

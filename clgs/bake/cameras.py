@@ -1,9 +1,9 @@
-"""Cameras to bake from if there is no data set: what is stored says little about where they stood.
+"""Cameras to bake from if there is no data set: what is stored says little about its cameras.
 
-Data sets of photos are scaled so that the cameras lie within SCENE_RADIUS / RADIUS_MARGIN of the
-origin, the farthest at that distance: cameras stand on two spheres inside, and look at the middle
-of the anchors. Scenes of Blender keep their units: cameras stand around the anchors, far enough to
-see them all.
+A data set of photos is scaled so that its cameras lie within SCENE_RADIUS / RADIUS_MARGIN of the
+origin, the farthest at that distance. Cameras to bake from stand on two spheres within, and look at
+the middle of the anchors. A scene of Blender keeps its units: cameras stand around the anchors, far
+enough to see them all.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ SIZE = 400
 FIELD = 0.7
 """Radians across."""
 SHELLS = (1.0, 0.6)
-"""Spheres that cameras stand on by turns, in units of the largest."""
+"""Radii of the spheres that cameras stand on in turn, in units of the largest."""
 MOST_ANCHORS = 0.9
-"""Of the anchors, so many are to be seen."""
+"""Share of the anchors that cameras are to see."""
 
 
 def cameras_around(scene: Scene) -> list[Camera]:
@@ -35,22 +35,17 @@ def cameras_around(scene: Scene) -> list[Camera]:
         stand, radius = middle, float(extent) / np.sin(FIELD / 2)
     else:
         stand, radius = np.zeros(3), SCENE_RADIUS / RADIUS_MARGIN
-    shells = radius * np.resize(SHELLS, VIEWS)
-    return [
-        _look_at(stand + r * d, middle) for r, d in zip(shells, _directions(VIEWS), strict=True)
-    ]
-
-
-def _directions(count: int) -> npt.NDArray[np.float64]:
-    """Unit vectors (count, 3) spread evenly: equal steps of height, turned by the golden angle."""
-    height = 1 - (2 * np.arange(count) + 1) / count
-    angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    # equal steps of height, turned by the golden angle
+    height = 1 - (2 * np.arange(VIEWS) + 1) / VIEWS
+    angle = np.arange(VIEWS) * np.pi * (3 - np.sqrt(5))
     around = np.sqrt(1 - height**2)
-    return np.column_stack([around * np.cos(angle), around * np.sin(angle), height])
+    directions = np.column_stack([around * np.cos(angle), around * np.sin(angle), height])
+    shells = radius * np.resize(SHELLS, VIEWS)
+    return [_look_at(stand + r * d, middle) for r, d in zip(shells, directions, strict=True)]
 
 
 def _look_at(centre: npt.NDArray[np.float64], target: npt.NDArray[np.float64]) -> Camera:
-    """A camera that sees ``target`` in the middle of its picture; any side is up."""
+    """A camera at ``centre`` with ``target`` in the middle of its picture; any side may be up."""
     forward = target - centre
     forward /= max(float(np.linalg.norm(forward)), 1e-9)
     side = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])

@@ -3,60 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from functools import partial
 
 from clgs.errors import ClgsError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import adam, loss
 from clgs.options import RenderOptions
-from clgs.render.frame import DeviceView
-from clgs.render.splats import splats_backward, splats_forward
-from clgs.scene.gaussians import DeviceGaussians, HostGaussians
+from clgs.render.frame import EXACT_ROOM, DeviceView
+from clgs.render.rasterise import rasterise, rasterise_backward, with_enough_room
+from clgs.scene.gaussians import HostGaussians
 
 RATES = {"mean": 3e-5, "log_scale": 4e-3, "rotation": 2e-3, "opacity": 2e-2, "sh": 2e-3}
 """Learning rates of the first step; that of the mean in units of the cameras' radius."""
 
 LAST_RATE = 0.1
-"""Of the first: rates fall exponentially."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """A view, and what it is to show: a picture (3, H, W) uint8 on the device."""
-
-    view: DeviceView
-    picture: DeviceArray
+"""Rates fall exponentially, to this share of the first ones."""
 
 
 def refine(
     device: Device,
     gaussians: HostGaussians,
-    targets: Iterable[Target],
+    pictures: Iterable[tuple[DeviceView, DeviceArray]],
     steps: int,
     radius: float,
     options: RenderOptions,
     on_step: Callable[[], None] = lambda: None,
 ) -> HostGaussians:
-    """One step of Adam for each of the first ``steps`` targets, with the loss of training.
+    """One step of Adam for each of the first ``steps`` pictures, with the loss of training.
 
     Args:
-        device: where to work.
+        device: where the arrays live.
         gaussians: in scene units.
-        targets: at least ``steps``.
-        steps: number of them.
+        pictures: at least ``steps``: views, and (3, H, W) uint8 that they are to show.
+        steps: number of steps.
         radius: of the cameras, scene units.
         options: of the renders.
-        on_step: called after each.
+        on_step: called after each step.
 
     Raises:
         ClgsError: a gradient is not finite.
     """
-    stored = gaussians.map(device.upload)
+    stored, room = gaussians.map(device.upload), EXACT_ROOM
     moments = {name: adam.zero_moments(device, array) for name, array in stored.items()}
     stop = adam.stop_flag(device)
-    for number, target in zip(range(1, steps + 1), targets, strict=False):
-        gradients = dict(_gradients(device, stored, target, options).items())
+    for number, (view, picture) in zip(range(1, steps + 1), pictures, strict=False):
+        draw = partial(rasterise, device, stored, view, options)
+        frame, room = with_enough_room(device, room, draw)
+        compared = loss.forward(device, frame.image, picture)
+        d_image = loss.backward(device, frame.image, picture, compared)
+        gradients = dict(rasterise_backward(device, stored, frame, d_image).d_stored.items())
+        del frame  # before the next one is made
         adam.check_finite(device, gradients.values(), stop)
         fall = LAST_RATE ** ((number - 1) / max(steps - 1, 1))
         updates = []
@@ -69,12 +66,3 @@ def refine(
     if device.download(stop)[0]:
         raise ClgsError("baking: a gradient is not finite; give --steps 0 to export unrefined")
     return stored.map(device.download)
-
-
-def _gradients(
-    device: Device, stored: DeviceGaussians, target: Target, options: RenderOptions
-) -> DeviceGaussians:
-    frame = splats_forward(device, stored, target.view, options)
-    compared = loss.forward(device, frame.image, target.picture)
-    d_image = loss.backward(device, frame.image, target.picture, compared)
-    return splats_backward(device, stored, frame, d_image).stored

@@ -95,30 +95,20 @@ def build_parser(commands: Collection[str] = tuple(COMMANDS)) -> argparse.Argume
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command that ``argv`` names (default: the process's arguments); its exit code."""
     try:
-        return run_command(argv)
-    except KeyboardInterrupt as error:
-        tell(f"clgs: interrupted{error}")  # a command may say how to go on
-        return 130
-
-
-def run_command(argv: Sequence[str] | None = None) -> int:
-    """As :func:`main`, as a part of another command.
-
-    Raises:
-        KeyboardInterrupt: it was interrupted; the other command says so.
-    """
-    try:
         with Interruptions(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
             code = _run(argv)
         if sys.stdout is not None:  # closed by the caller: `clgs info scene.clgs >&-`
             sys.stdout.flush()
+    except KeyboardInterrupt as error:
+        tell(f"clgs: interrupted{error}")  # a command may say how to go on
+        return 130
     except BrokenPipeError:
         # The reader went away, as in `clgs devices | head -1`: keep Python from complaining later.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
-        return _complain(error)
+        return complain(error)
     return code
 
 
@@ -137,7 +127,7 @@ def _run(argv: Sequence[str] | None) -> int:
 
     logging.basicConfig(format="clgs: warning: %(message)s", level=logging.WARNING)
     if sys.stderr is not None and sys.stderr.isatty():
-        from clgs.cli.notes import show_notes
+        from clgs.cli.tell import show_notes
 
         show_notes()
     module = command_module(args.command)
@@ -171,13 +161,16 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     tell(f"clgs: warning: {' '.join(str(message).split())}")
 
 
-def _complain(error: Exception) -> int:
+def complain(error: Exception) -> int:
+    """Say what went wrong, in one line and one more for each note; the exit code."""
     if os.environ.get("CLGS_DEBUG"):
         import traceback
 
         traceback.print_exception(error)
     message, code = explain(error)
-    tell(f"clgs: error: {' '.join(message.split())}")
+    notes = getattr(error, "__notes__", None) or getattr(error.__cause__, "__notes__", [])
+    for line in (message, *notes):
+        tell(f"clgs: error: {' '.join(line.split())}")
     return code
 
 

@@ -1,4 +1,4 @@
-"""What the stages of a render pass on, and what its backward pass returns."""
+"""What a render is made of on the device, and what it and its backward pass return."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import blend, cull, mlp, neural, project
+from clgs.ops import blend, mlp, neural, project
 from clgs.ops.scan import EXACT
 from clgs.ops.tiles import TileLists
 from clgs.scene.anchors import DeviceAnchors
@@ -32,7 +32,7 @@ class DeviceScene:
 
 
 Drawable = DeviceScene | DeviceGaussians
-"""What pictures are made of."""
+"""What can be drawn: anchors with their MLPs, or ordinary Gaussians."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class DeviceView:
 
 @dataclass(frozen=True)
 class Room:
-    """Lengths of the arrays of a frame: visible anchors, Gaussians and tile entries.
+    """Lengths of a frame's arrays: of visible anchors, of Gaussians and of entries of tile lists.
 
-    What there is more of is left out. EXACT makes an array as long as it needs to be, for which the
-    host waits for the device.
+    What does not fit is left out. An array whose length is EXACT is as long as it needs to be; the
+    host waits for the device to learn that length.
     """
 
     visible: int = EXACT
@@ -60,48 +60,55 @@ class Room:
     entries: int = EXACT
 
     def holds(self, needed: Room) -> bool:
-        """Whether nothing is left out if so much is ``needed``."""
-        return all(n <= room for n, room in zip(astuple(needed), astuple(self), strict=True))
+        """Whether all that is ``needed`` fits."""
+        return all(n <= length for n, length in zip(astuple(needed), astuple(self), strict=True))
 
     def grown(self, needed: Room) -> Room:
-        """The room for the next frame, in which nothing waits for the device.
+        """The room for further frames, in which nothing waits for the device.
 
-        A length that is EXACT or less than ``needed`` becomes that and a quarter more.
+        A length that is EXACT or too small becomes what is ``needed``, and a quarter more.
         """
         pairs = zip(astuple(needed), astuple(self), strict=True)
-        return Room(*(room if n <= room != EXACT else n + n // 4 + 1024 for n, room in pairs))
+        return Room(*(length if n <= length != EXACT else n + n // 4 + 1024 for n, length in pairs))
 
 
 EXACT_ROOM = Room()
 
 
 @dataclass(frozen=True)
-class Groups:
-    """``rows``: first and end of the rows of tiles of each group; entries of the largest group."""
+class TileGroups:
+    """Groups of rows of tiles that are drawn one after the other, to keep to a memory budget.
+
+    rows: first and end of the rows of each group, at least two groups; longest: entries of the
+    largest group; total: entries of all groups.
+    """
 
     rows: tuple[tuple[int, int], ...]
-    entries: int
+    longest: int
+    total: int
 
 
 @dataclass(frozen=True)
-class Frame:
-    """One rendered view: what every stage made, for the backward pass.
+class RenderedView:
+    """A rendered view, of anchors or of ordinary Gaussians.
 
-    groups: the rows of tiles that were drawn at a time, if a memory budget asked for it; tiles and
-    the records of ``blended`` then hold no entries, and the backward pass makes them again.
+    room: the lengths of its arrays; totals: how many visible anchors, Gaussians and tile entries
+    there are, (1,) int64 each, without anchors the number of Gaussians twice; groups: None if the
+    picture was drawn at once. If it was drawn in groups, its tile lists and records are empty, and
+    the backward pass makes them again. gaussians: None if anchors were drawn by the fused stage.
     """
 
     view: DeviceView
-    visible: cull.Visible
-    activations: mlp.Activations
-    gaussians: neural.NeuralGaussians
+    room: Room
+    totals: tuple[DeviceArray, DeviceArray, DeviceArray]
     projected: project.Projected
     blended: blend.Blended
-    groups: Groups | None
+    groups: TileGroups | None
+    gaussians: neural.Gaussians | None
 
     @property
     def image(self) -> DeviceArray:
-        """The picture (3, H, W) float32."""
+        """The picture (3, H, W) float32, not clamped."""
         return self.blended.image
 
     @property
@@ -109,29 +116,46 @@ class Frame:
         """The lists that were blended."""
         return self.blended.tiles
 
-    @property
-    def totals(self) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
-        """How many visible anchors, Gaussians and tile entries there are, (1,) int64 each."""
-        return self.visible.total, self.gaussians.total, self.tiles.total
-
     def needed(self, device: Device) -> Room:
-        """The same on the host; waits for the device."""
-        return Room(*(int(device.download(total)[0]) for total in self.totals))
+        """The totals on the host; waits for the device."""
+        totals = [device.download_later(total) for total in self.totals]
+        return Room(*(int(total.get()[0]) for total in totals))
+
+
+@dataclass(frozen=True)
+class Frame(RenderedView):
+    """A picture of anchors, with all that its backward pass needs."""
+
+    gaussians: neural.NeuralGaussians
+    activations: mlp.Activations
 
 
 @dataclass(frozen=True)
 class SceneGradients:
     """Gradients of the loss by the trained parameters, dense over all anchors, float32.
 
-    d_offset (A, K, 3), d_feature (A, F), d_scaling (A, 6), d_weights (13710,); and d_mean2d (N, 2)
-    in pixels, which drives densification.
+    d_offset (A, K, 3), d_feature (A, F), d_scaling (A, 6), d_weights (13710,); and d_projected, by
+    what the stage ``project`` made.
     """
 
     d_offset: DeviceArray
     d_feature: DeviceArray
     d_scaling: DeviceArray
     d_weights: DeviceArray
-    d_mean2d: DeviceArray
+    d_projected: project.ProjectedGradients
+
+    @property
+    def d_mean2d(self) -> DeviceArray:
+        """(N, 2) by the centres on the screen, in pixels, which drives densification."""
+        return self.d_projected.d_mean2d
+
+
+@dataclass(frozen=True)
+class SplatGradients:
+    """Gradients of the loss, float32: by the arrays of the ordinary Gaussians, and d_projected."""
+
+    d_stored: DeviceGaussians
+    d_projected: project.ProjectedGradients
 
 
 def upload_scene(device: Device, scene: Scene) -> DeviceScene:

@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
+from clgs.errors import BudgetError
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions, render_options
-from clgs.render.budget import check_budget
-from clgs.render.frame import EXACT_ROOM, Drawable, Room, upload_drawable, upload_view
-from clgs.render.picture import Picture, draw, draw_depth
+from clgs.render.frame import (
+    EXACT_ROOM,
+    DeviceView,
+    Drawable,
+    RenderedView,
+    Room,
+    upload_drawable,
+    upload_view,
+)
+from clgs.render.rasterise import draw_depth, largest_depth, rasterise, with_enough_room
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene, SplatScene
 from clgs.shapes import check_type
 
 CAMERA_REMEDY = "of a view give view.camera"
+MIB = 2**20
 
 Image = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Depth:
-    """What a camera sees besides color, (H, W) float32.
+    """Depth and opacity of what a camera sees, (H, W) float32.
 
-    depth: mean camera z, scene units, of what is blended into the pixel, each by its weight; 0
-    where nothing is. opacity: 1 - the transmittance that is left, 0 to 1.
+    depth: mean camera z, scene units, of what is blended into the pixel, each by its weight, or 0
+    if that is nothing; opacity: 1 - the transmittance that is left, 0 to 1.
     """
 
     depth: Image
@@ -68,16 +78,35 @@ class Renderer:
         self, device: Device, scene: Drawable, settings: RenderSettings, options: RenderOptions
     ) -> None:
         self._device, self._scene, self._settings = device, scene, settings
-        self._options = options
-        self._room = EXACT_ROOM
+        self._options, self._room = options, EXACT_ROOM
 
     def check_budget(self, views: Iterable[tuple[str, Camera]]) -> None:
         """Refuse a memory budget that is too small for one of ``views``, (name, camera).
 
+        Nothing is drawn; a view takes the time of the stages up to ``project``.
+
         Raises:
             BudgetError: names the view that needs most, and the least budget for all of them.
         """
-        check_budget(self._device, self._scene, views, self._settings, self._options)
+        if self._options.max_memory is None:
+            return
+        no_memory = replace(self._options, max_memory=0)
+        needs = {}
+        for name, camera in views:
+            try:
+                rasterise(self._device, self._scene, self._view(camera), no_memory, keep=False)
+                needs[name] = 0
+            except BudgetError as error:
+                needs[name] = error.needed
+        worst = max(needs, key=needs.__getitem__, default="")
+        if needs and needs[worst] > self._options.max_memory:
+            least = -(-needs[worst] // MIB)
+            raise BudgetError(
+                f"view {worst}: a row of tiles needs {needs[worst] / MIB:.1f} MiB; {least} MiB are "
+                f"enough for all {len(needs)} views: give --max-memory {least}, a smaller image or "
+                "fewer Gaussians",
+                needs[worst],
+            )
 
     def render(self, camera: Camera) -> Image:
         """Picture (3, H, W) float32 from a camera in scene units; not clamped to [0, 1].
@@ -85,8 +114,7 @@ class Renderer:
         Raises:
             TypeError: ``camera`` is of another class.
         """
-        check_type("camera", camera, Camera, CAMERA_REMEDY)
-        picture = self._drawn(draw, camera)
+        picture = self._drawn(partial(rasterise, keep=False), camera)
         image = np.asarray(self._device.hand_over(picture.image), np.float32)
         return enlarge(image, camera.width, camera.height)
 
@@ -96,27 +124,30 @@ class Renderer:
         Raises:
             TypeError: ``camera`` is of another class.
         """
-        check_type("camera", camera, Camera, CAMERA_REMEDY)
-        picture = self._drawn(draw_depth, camera)
-        sums = np.asarray(self._device.download(picture.image)[:2], np.float32)
-        left = np.asarray(self._device.download(picture.transmittance)[None], np.float32)
+        picture, device = self._drawn(draw_depth, camera), self._device
+        sums = np.asarray(device.download(picture.image)[:2], np.float32)
+        left = np.asarray(device.download(picture.blended.transmittance)[None], np.float32)
         planes = enlarge(np.concatenate([sums, left]), camera.width, camera.height)
         weight = np.where(planes[1] > 0, planes[1], 1)
-        depth = np.where(planes[1] > 0, planes[0] / weight * np.float32(picture.unit), 0)
+        unit = np.float32(largest_depth(device, picture.projected))
+        depth = np.where(planes[1] > 0, planes[0] / weight * unit, 0)
         return Depth(depth.astype(np.float32), np.asarray(1 - planes[2], np.float32))
 
-    def _drawn(self, draw_it: Callable[..., Picture], camera: Camera) -> Picture:
-        """What ``draw`` or ``draw_depth`` makes, with as much room as it needs."""
-        device, options = self._device, self._options
-        view = upload_view(device, camera.reduced(options.accuracy.downscale), self._settings)
-        while True:
-            room = self._room
-            picture = draw_it(device, self._scene, view, options, room)
-            totals = [device.download_later(total) for total in picture.totals]
-            needed = Room(*(int(total.get()[0]) for total in totals))
-            self._room = room.grown(needed)
-            if room.holds(needed):
-                return picture
+    def _drawn(self, draw: Callable[..., RenderedView], camera: Camera) -> RenderedView:
+        """What ``rasterise`` or ``draw_depth`` makes, with as much room as it needs."""
+        check_type("camera", camera, Camera, CAMERA_REMEDY)
+        device, scene, view = self._device, self._scene, self._view(camera)
+
+        def draw_in(room: Room) -> RenderedView:
+            return draw(device, scene, view, self._options, room)
+
+        picture, self._room = with_enough_room(device, self._room, draw_in)
+        return picture
+
+    def _view(self, camera: Camera) -> DeviceView:
+        """The view from ``camera`` in the size that is drawn."""
+        reduced = camera.reduced(self._options.accuracy.downscale)
+        return upload_view(self._device, reduced, self._settings)
 
 
 def render_view(
@@ -152,7 +183,7 @@ def enlarge(image: Image, width: int, height: int) -> Image:
 def _neighbours(
     inputs: int, outputs: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Image]:
-    """For each output: the inputs on both sides of it, and the share of the second."""
+    """The inputs on both sides of each output, and the share of the second."""
     place = np.clip((np.arange(outputs) + 0.5) * (inputs / outputs) - 0.5, 0, inputs - 1)
     low = np.floor(place).astype(np.int64)
     return low, np.minimum(low + 1, inputs - 1), (place - low).astype(np.float32)

@@ -13,7 +13,7 @@ from clgs.render.frame import upload_scene
 from clgs.scene.camera import Camera
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import QuantizedScene, SplatScene
-from clgs.train.quality.importance import importance, importance_without_views
+from clgs.train.quality.importance import importance_without_views, sensitivity
 
 VIEWS, SIDE = 24, 400
 """Cameras that are enough to tell, and pixels of a side of their pictures."""
@@ -36,7 +36,9 @@ def scene_importance(
     if not cameras:
         return importance_without_views(scene)
     uploaded = upload_scene(device, scene.dequantize())
-    return importance(device, uploaded, scene.settings, chosen(cameras), options, on_render)
+    seen = chosen(cameras)
+    found = sensitivity(device, uploaded, scene.settings, seen, options, False, on_render)
+    return found.importance.astype(np.float64)
 
 
 def chosen(cameras: Sequence[Camera]) -> list[Camera]:

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from clgs.export.clip.paths import pinhole
-from clgs.export.image import Picture
+from clgs.exports.clip.paths import pinhole
+from clgs.exports.image import Picture
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render.renderer import Renderer

@@ -8,7 +8,7 @@ import numpy as np
 
 from clgs.data.stored_photo import Color
 from clgs.data.view import View
-from clgs.export.image import Picture, error_map
+from clgs.exports.image import Picture, error_map
 from clgs.scene.camera import Camera
 
 RENDER, PHOTO, HALVES, ERROR = "render", "photo", "half photo, half render", "error"

@@ -12,7 +12,7 @@ import numpy as np
 
 from clgs.data.view import View
 from clgs.errors import ClgsError
-from clgs.export.clip.framing import Framing
+from clgs.exports.clip.framing import Framing
 from clgs.scene.camera import Camera
 from clgs.viewer.live import Eye, Follower, LiveScene, eye_of
 from clgs.viewer.photos import RENDER, SHOWN, compare, names_of, stands_at

@@ -37,7 +37,7 @@ BACKWARD_FLOP = 2 * FORWARD_FLOP
 ALL = RenderOptions(skips=Skips(opacity_first=False, slots=False))
 MINE = "kernels, all outputs"
 BLOCKS = (1024, 4096)
-"""Anchors that NumPy takes at a time, besides all of them."""
+"""Anchors that NumPy takes at a time, in addition to all of them at once."""
 
 WARM_UP = 0.15
 """Seconds of untimed calls."""

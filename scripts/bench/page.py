@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The web page of a run in headless Chromium: page.py RUN [--seconds S].
 
-Prints the bytes of the page beside those of the file, the PSNR of screenshots against our own
+Prints the bytes of the page and of the file, the PSNR of screenshots against our own
 pictures of the first held-out views, and, while a mouse turns the camera, pictures and sets of
 Gaussians per second. Without a GPU Chromium draws by software.
 """
@@ -19,16 +19,15 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from clgs.cli.options.scene import read_run
 from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.origin import read_origin
-from clgs.data.reduction import Reduction
 from clgs.data.repose import repose
-from clgs.export.page import scene_page
+from clgs.exports.page import scene_page
 from clgs.render.renderer import render_view
 from clgs.scene.camera import Camera
 from clgs.train.config import from_toml
 from clgs.train.quality.metrics import to_8bit
+from clgs.workflow.scenes import read_run
 from tests.web.browser import Browser, find_browser
 
 VIEWS = 3
@@ -84,8 +83,9 @@ def views_of(run: Path) -> Dataset:
     origin = read_origin(run)
     if origin is None:
         sys.exit(f"page.py: {run} does not name its data set")
-    reduction = Reduction(config.downscale, config.max_size)
-    loaded = load_dataset(origin.folder, downscale=reduction, load_images=False, load_points=False)
+    loaded = load_dataset(
+        origin.folder, downscale=config.downscale, max_size=config.max_size, load_images=False
+    )
     return repose(loaded, read_run(run)[0].transform)
 
 

@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def read_verdict(folder: Path) -> Verdict:
-    """As `clgs prepare` wrote it."""
+    """Read the verdict that `clgs prepare` wrote."""
     path = folder / "report.json"
     try:
         return verdict_of(json.loads(path.read_text(encoding="utf-8")))
@@ -50,9 +50,9 @@ def read_verdict(folder: Path) -> Verdict:
 
 
 def read_poses(folder: Path) -> Poses:
-    """Of a data set's photos, by their names without folder and suffix, for these may change."""
+    """Read the poses of a data set by the photos' names without folder and suffix."""
     try:
-        dataset = load_dataset(folder, load_images=False, load_points=False)
+        dataset = load_dataset(folder, load_images=False)
     except ClgsError as error:
         raise SystemExit(str(error)) from None
     views = [*dataset.train, *dataset.test]
@@ -66,7 +66,7 @@ def read_poses(folder: Path) -> Poses:
 
 
 def good_names(verdict: Verdict) -> set[str]:
-    """Of the photos that are named neither doubtful nor left out."""
+    """Names of the photos that are neither doubtful nor left out."""
     return {Path(photo.name).stem for photo in verdict.of(GOOD)}
 
 
@@ -83,7 +83,7 @@ def summary(verdict: Verdict) -> str:
 def apart(first: Poses, second: Poses, good: set[str]) -> str:
     """The largest and the median turn of the photos in ``good``, and the largest of all."""
     turns = {name: one.turn for name, one in differences(first, second).items()}
-    counted = [turn for name, turn in turns.items() if name in good]
+    counted = [turns[name] for name in good & turns.keys()]
     if not counted:
         return f"none of {len(turns)} common photos is good in both"
     return (

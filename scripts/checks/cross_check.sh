@@ -3,7 +3,7 @@
 # (tests/c/vectors.c) with gcc and clang, without and with optimisation, for 64 and 32 bits, and for
 # big-endian processors under qemu-user, and compares all hashes with tests/c/vectors.txt.
 # What is not installed is skipped with a reason; exit code 1 if bytes differ.
-# With --write: write vectors.txt anew, after a change of an encoder.
+# With --write: write vectors.txt again, after a change of an encoder.
 set -euo pipefail
 
 cd -- "$(dirname -- "${BASH_SOURCE[0]}")/../.."

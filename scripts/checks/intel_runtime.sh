@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Install Intel's OpenCL runtime for CPUs from PyPI (about 910 MB) into a virtual environment of its
 # own, and write the .icd file that the packages lack: scripts/checks/intel_runtime.sh [FOLDER].
-# Optional: a second implementation to compare bits with. Prints how to use it beside PoCL.
+# Optional: a second implementation to compare bits with. Prints how to use it together with PoCL.
 set -euo pipefail
 
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/../.." && pwd)
@@ -33,7 +33,7 @@ for vendor in /etc/OpenCL/vendors/*.icd; do
 done
 
 cat <<TEXT
-Intel's OpenCL runtime is in $folder. Use it beside the other devices:
+Intel's OpenCL runtime is in $folder. Use it together with the other devices:
   export OCL_ICD_VENDORS=$folder/vendors
   clgs devices
   clgs conformance --device "Portable Computing Language" -o pocl.json

@@ -73,7 +73,7 @@ def read_table(file: Path) -> dict[str, dict[str, object]]:
         if any(not {"compiler", "kernels"} <= table[target].keys() for target in TARGETS):
             raise ValueError("a target lacks its compiler or its kernels")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        sys.exit(f"kernel_registers: {file}: no table of registers ({error}); record it anew")
+        sys.exit(f"kernel_registers: {file}: no table of registers ({error}); record it again")
     return dict(table)
 
 
@@ -116,7 +116,7 @@ def compare(
 
 
 def amd_resources(program: Path) -> dict[str, Resources]:
-    """By kernel, from the metadata of the assembly."""
+    """Figures of each kernel, from the metadata of the assembly."""
     flags = ["-target", "amdgcn-amd-amdhsa", "-mcpu=gfx900", "-nogpulib", "-Wno-linker-warnings"]
     text = compiled(program, [*flags, *linked("amdgcn--amdhsa.bc")])
     metadata = text[text.index("amdhsa.kernels:") :]
@@ -136,7 +136,7 @@ def amd_resources(program: Path) -> dict[str, Resources]:
 
 
 def nvidia_resources(program: Path) -> dict[str, Resources]:
-    """By kernel, from what ptxas says of the code that it makes."""
+    """Figures of each kernel, from what ptxas says of the code that it makes."""
     flags = ["-target", "nvptx64--nvidiacl", "-march=sm_75"]
     ptxas = find_ptxas()
     assert ptxas is not None
@@ -177,7 +177,7 @@ def linked(library: str) -> list[str]:
 
 
 def find_clang() -> str | None:
-    """As ``lint_kernels.sh`` finds it."""
+    """The program that ``lint_kernels.sh`` finds."""
     return next((found for name in CLANGS if (found := shutil.which(name))), None)
 
 

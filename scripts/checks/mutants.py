@@ -148,7 +148,7 @@ def stages_of(file: str) -> tuple[str, ...]:
 
 @cache
 def _files_of_stages() -> dict[str, set[str]]:
-    """By stage: its programs, and all headers that these include, also by way of others."""
+    """The programs of each stage, and all headers that these include, directly or not."""
     found: dict[str, set[str]] = {stage: set() for stage in STAGES}
     for program in (ROOT / "kernels_cl").rglob("*.cl"):
         kernels = kernels_in(program.read_text(encoding="utf-8"))

@@ -4,12 +4,12 @@
     scripts/checks/same_bits.py record FILE [--data FOLDER]
     scripts/checks/same_bits.py check FILE [--data FOLDER]
 
-FOLDER, by default shared/data beside the checkout, holds the capture fox/ and the arrays of codec/.
-Recorded: the hashes of ``clgs conformance`` in both forms of the kernels; of a training run of 120
-steps of fox at an eighth of its size, on one and on two threads, the hash of every section of its
-file and of every decoded array; of every array of codec/, at every level, the bytes that it is
-coded in. Gradients depend on the lanes of the device, so compare on a device of the same kind. Exit
-code 1 if anything differs.
+FOLDER, by default shared/data next to the checkout, holds the capture fox/ and the arrays of
+codec/. Recorded are the hashes of ``clgs conformance`` in both forms of the kernels. A training run
+of 120 steps of fox at an eighth of its size, on one and on two threads, gives the hash of every
+section of its file and of every decoded array. Every array of codec/ gives the bytes that each
+level codes it in. Gradients depend on the lanes of the device, so compare on a device of the same
+kind. Exit code 1 if anything differs.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Install programs of others that open what `clgs export` writes, for
-# tests/export/splats/test_other_programs.py: scripts/checks/splat_programs.sh [FOLDER]
+# tests/exports/splats/test_other_programs.py: scripts/checks/splat_programs.sh [FOLDER]
 # splat-transform (PLY, SPZ, SOG), three.js and gltf-validator (GLB) from npm, gsply (PLY, SPZ, SOG)
 # from PyPI, about 700 MB; needs npm and Node.js 20 or newer. Without them those tests are skipped.
 set -euo pipefail

@@ -26,7 +26,7 @@ STOREYS = (1.8, 3.6)
 
 
 def tower() -> list[Surface]:
-    """A picture on each of four walls of brick, on gravel, with two small things beside."""
+    """A picture on each of four walls of brick, on gravel, and two small things next to it."""
     found = [_ground(-4.0, 4.0, 4.0), *box(["brick"], (0, 0, 0), (1.2, 1.2, 2.0), 0)]
     for turn in range(4):
         angle = np.radians(90 * turn)
@@ -75,7 +75,7 @@ def _ground(left: float, right: float, far: float) -> Surface:
 
 
 def around() -> Iterator[View]:
-    """At arm's length around the tower."""
+    """Views at arm's length around the tower."""
     rng = np.random.default_rng(1)
     for azimuth in np.linspace(0, 2 * np.pi, STEPS, endpoint=False):
         place = np.array([2.6 * np.cos(azimuth), 2.6 * np.sin(azimuth), 1.3])

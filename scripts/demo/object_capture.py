@@ -21,7 +21,7 @@ CAMERA_RADIUS = 4.0
 VIEWS = {"train": 60, "test": 4}
 
 SCALE = 0.9
-"""Of the exhibits, metres to scene units: they fill the pictures."""
+"""Scale of the exhibits, metres to scene units: they fill the pictures."""
 
 TARGET = np.array([-0.1, 0.1, 0.6])
 MIRROR, HIGHLIGHT, SHARPNESS = 0.04, 0.5, 60.0
@@ -31,7 +31,7 @@ class GlossyScene(RayScene):
     """Surfaces that mirror the sky a little, and the sun."""
 
     def shade(self, origin: Floats, direction: Floats, towards_sun: Floats) -> Floats:
-        """As of :class:`RayScene`, with what the surfaces mirror; black and -1 without a hit."""
+        """Trace like :class:`RayScene`, with mirrored surfaces; black and -1 without a hit."""
         color = super().shade(origin, direction, towards_sun)
         hits = self.trace(origin, direction)
         facing = -np.einsum("rc,rc->r", hits.normal, direction)

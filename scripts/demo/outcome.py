@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from picture import Showcase, draw_showcase
 
-from clgs.cli.run.source import measure_data
 from clgs.data.images import list_images
 from clgs.errors import DataError
-from clgs.export.image import picture_names, save_png
-from clgs.export.run_report import sections
+from clgs.exports.image import picture_names, save_png
+from clgs.exports.run_report import sections
+from clgs.workflow.run_input import measure_data
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ def take(view: View, path: Path) -> None:
 def make_photos(folder: Path, seed: int = 0, width: int = WIDTH, stops: int | None = None) -> int:
     """Photograph the scene into ``folder`` on all cores; the same seed gives the same files.
 
-    stops: only the first so many photos. Returns the number of photos.
+    stops: number of photos, from the first; default all. Returns the number of photos.
 
     Raises:
         DataError: embreex is missing.

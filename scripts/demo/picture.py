@@ -15,7 +15,7 @@ WIDTH, GAP, CAPTION = 400, 8, 34
 """Pixels: of a panel, between panels, of the line of text below them."""
 
 MIN_HEIGHT = 240
-"""Of a panel, so that the bytes by section have room beside wide photos."""
+"""Least height of a panel: the bytes by section need it if photos are wide."""
 
 SMALL = 0.01
 """Share of the file below which a section has no bar of its own."""

@@ -20,16 +20,16 @@ from scene import ball, box, drum, framed, panel
 from clgs.files import atomic_path
 
 HALF, HEIGHT = 3.0, 2.8
-"""Of the room, metres: walls are HALF away from its middle."""
+"""Size of the room, metres: walls are HALF away from its middle."""
 
 PANELS = 4
 """Equal pieces of wallpaper a wall."""
 
 WIDTH, LOW = 640, 480
-"""Of a photo, pixels."""
+"""Size of a photo, pixels."""
 
 FOCAL = 0.8
-"""In widths of a photo: a field of view of 64 degrees."""
+"""Focal length in widths of a photo: a field of view of 64 degrees."""
 
 STOPS = 40
 QUALITY = 95
@@ -93,7 +93,7 @@ def views(stops: int = STOPS, width: int = WIDTH) -> Iterator[View]:
 
 
 def look(place: np.ndarray, target: np.ndarray, width: int = WIDTH) -> View:
-    """From ``place`` to ``target``, upright."""
+    """The upright view from ``place`` to ``target``."""
     forward = (target - place) / np.linalg.norm(target - place)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)

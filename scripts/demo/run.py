@@ -26,7 +26,7 @@ MAX_SIZE = 640
 
 MARKER = ".clgs-demo"
 MADE = ("photos", "scene", "comparison.png")
-"""What a run puts into the output folder, besides the marker."""
+"""What a run puts into the output folder, in addition to the marker."""
 
 
 def parse(argv: list[str] | None) -> argparse.Namespace:

@@ -42,7 +42,7 @@ class Page(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Of the base class."""
+        """Call the base class."""
         for name, value in attrs:
             if name == "id" and value:
                 self.anchors.add(value)
@@ -119,7 +119,7 @@ def html_problems(folder: Path) -> list[str]:
 
 
 def markdown_files() -> list[Path]:
-    """Those of the repository, built and installed files left out."""
+    """Files of the repository, without built and installed ones."""
     tops = ("docs", "codec_c", "kernels_cl", ".github")
     return sorted([*ROOT.glob("*.md"), *(p for top in tops for p in (ROOT / top).rglob("*.md"))])
 

@@ -1,7 +1,7 @@
 """Sphinx extension: pages that are made from the code, and pages that are files of the repository.
 
-A page holds ``<!-- generated: commands -->`` where text is to be made. A page that is nothing but
-a link to a Markdown file outside of docs/ becomes that file. Both read well without being built.
+A page holds ``<!-- generated: commands -->`` where generated text belongs. A page that is
+nothing but a link to a Markdown file outside of docs/ becomes that file. Both read well unbuilt.
 """
 
 from __future__ import annotations

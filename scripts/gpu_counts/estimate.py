@@ -1,4 +1,4 @@
-"""From the counts of small scenes to those of the benches, and what a card would take for them."""
+"""Scales the counts of small scenes to the benches, and estimates the time on a card."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def works(state: Json, key: str) -> list[tuple[Work, Sums]]:
 
 
 def key_of(scene: Json, kernel: str) -> str | None:
-    """A kernel of a scene, in whatever stage."""
+    """A kernel of a scene, in any stage."""
     return next((key for key in scene["kernels"] if key.endswith(f": {kernel}")), None)
 
 
@@ -114,19 +114,19 @@ def _kernel(state: Json, key: str, target: Work) -> Kernel | None:
 
 
 def rows(found: list[Kernel]) -> dict[str, Row]:
-    """By stage, in the order of the step."""
+    """The kernels of each stage together, in the order of the step."""
     stages = dict.fromkeys(one.stage for one in found)
     return {stage: row([one for one in found if one.stage == stage]) for stage in stages}
 
 
 def row(found: list[Kernel]) -> Row:
-    """Of some kernels together."""
+    """Add up some kernels."""
     sums = {name: sum(one.sums[name] for one in found) for name in NAMES}
     return Row(sum(one.launches for one in found), sums, total(one.bound for one in found))
 
 
 def scaling_errors(state: Json, name: str = "warp_instructions") -> dict[str, tuple[float, float]]:
-    """By kernel: counts of the largest small scene from the others, and its own."""
+    """Counts of each kernel of the largest small scene: scaled from the others, and its own."""
     largest = max(state["scenes"].values(), key=lambda scene: int(scene["units"]["pixels"]))
     found = {}
     for key, each in largest["kernels"].items():

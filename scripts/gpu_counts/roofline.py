@@ -84,7 +84,7 @@ def bound(
 
 
 class Sum(Bound):
-    """Of kernels one after the other, each of which takes its own largest limit."""
+    """The bound of kernels that run one after the other, each at its own largest limit."""
 
     @property
     def time(self) -> float:
@@ -93,7 +93,7 @@ class Sum(Bound):
 
 
 def total(bounds: Iterable[Bound]) -> Sum:
-    """Of kernels one after the other."""
+    """Add up kernels that run one after the other."""
     limits: dict[str, float] = {}
     launches = 0.0
     for one in bounds:

@@ -1,6 +1,7 @@
 """Run training steps of the synthetic scene: scene.py DEVICE GAUSSIANS WIDTH HEIGHT STEPS FILE.
 
-DEVICE "default" is the usual one. A width of 0: no scene, but so many elements sorted and summed.
+DEVICE "default" is the usual one. A width of 0: no scene; that number of elements
+is sorted and summed.
 
 Writes to FILE, as JSON, every launch of the last step (kernel, stage, work-items, size of a
 work-group, the first whole number among its arguments) and, of a device that is no emulator, how
@@ -22,9 +23,10 @@ from typing import Any
 import numpy as np
 
 from clgs.lab.bench.step import count_frame, trainer_of
+from clgs.lab.observed_kernels import count_pairs
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
-from clgs.ops import blend, scan, sort
+from clgs.ops import scan, sort
 
 SEED = 0
 
@@ -50,7 +52,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def sorted_elements(device: Recorder, count: int) -> dict[str, Any]:
-    """Sorts of so many elements, of one digit and of all, and a prefix sum.
+    """Sort ``count`` elements by one digit and by all, and make a prefix sum.
 
     The "loss" tells their order.
     """
@@ -88,23 +90,25 @@ class Recorder(Device):
         kernel: Any,
         global_size: Sequence[int],
         local_size: Sequence[int] | None,
-        *arguments: Any,
+        /,
+        **arguments: Any,
     ) -> None:
-        """As ever; work-groups that are left to the driver hold all items, up to 256."""
+        """Run and record; work-groups that are left to the driver hold all items, up to 256."""
         if 0 in global_size:
             return
         group = tuple(local_size) if local_size else _group(global_size)
+        values = [arguments[one.name] for one in kernel.parameters]
         if hasattr(self, "launched"):
             self.launched.append(
                 {
-                    "kernel": kernel.function_name,
+                    "kernel": kernel.name,
                     "stage": self._stage,
                     "items": math.prod(map(int, global_size)),
                     "group": math.prod(map(int, group)),
-                    "count": next((int(a) for a in arguments if isinstance(a, np.int32)), 0),
+                    "count": next((int(a) for a in values if isinstance(a, np.int32)), 0),
                 }
             )
-        super().run(kernel, global_size, group, *arguments)
+        super().run(kernel, global_size, group, **arguments)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -127,7 +131,7 @@ def units(device: Device, trainer: Any) -> dict[str, int]:
     """How much of everything a step has; pairs are those that the kernels look at."""
     frame = trainer.render_next()
     counts = count_frame(device, frame)
-    forward, backward = blend.count_pairs(
+    forward, backward = count_pairs(
         device, frame.blended, device.zeros((3, frame.view.size[1], frame.view.size[0]))
     )
     tensors = [array for _, array in trainer.parameters.scene.items()]

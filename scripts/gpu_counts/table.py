@@ -33,7 +33,7 @@ def by_kernel(state: dict[str, Any], bench: str) -> Iterator[str]:
 
 
 def cells_of(one: Row) -> str:
-    """The cells of a line besides its names."""
+    """The cells of a line after its names."""
     return (
         f"{one.launches} | {one.warp_instructions:.2f} | {one.simt_efficiency:.0%} "
         f"| {one.sector_efficiency:.0%} | {one.conflicts:.2f} | {one.bound.time:.0f} "

@@ -32,8 +32,11 @@ UNITS: dict[str, tuple[str, ...]] = {
     "tiles_ranges": ("entries",),
     "tiles": ("Gaussians",),
 }
-"""By the kernel's name or what it begins with. ``count``: elements, the sum over all launches;
-``groups``: work-groups; ``groups squared``: each of them reads what all others left."""
+"""The units of a kernel, by its name or by what that begins with.
+
+count: elements, the sum over all launches. groups: work-groups. groups squared: each of them reads
+what all others left.
+"""
 
 DEPENDENT = 1e-9
 """Two equations whose determinant is this small, relative to its terms, are one."""
@@ -77,7 +80,7 @@ def scaled(kernel: str, known: Sequence[tuple[Work, Sums]], target: Work) -> dic
 def _scaled(
     units: tuple[str, ...], known: Sequence[tuple[Work, Sums]], target: Work, name: str
 ) -> float:
-    """By both units if two scenes tell them apart and neither's share is negative, else by one."""
+    """Scale by both units if two scenes give both shares and none is negative, else by one."""
     amounts = [[work.amount(unit) for unit in units] for work, _ in known]
     values = [float(sums.get(name, 0)) for _, sums in known]
     wanted = [target.amount(unit) for unit in units]

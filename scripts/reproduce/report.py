@@ -18,7 +18,7 @@ from reproduce.results import Results, compare
 from reproduce.table import run_folder
 
 NAME = "results"
-"""Of the files, and of the folder beside them that holds plots and scenes."""
+"""Name of the files, and of the folder next to them that holds plots and scenes."""
 
 KEPT_BYTES = 1_000_000
 """Scenes of main rows up to this size are copied for others to score; of all there is a hash."""

@@ -1,4 +1,4 @@
-"""The stored rows of a table, put beside each other: what reports and figures are made of."""
+"""The stored rows of a table, grouped: reports and figures are made of them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Group:
     rows: list[Row]
 
     def mean(self, name: str) -> float:
-        """Of a field of the rows."""
+        """The mean of a field of the rows."""
         return mean(float(row[name]) for row in self.rows)
 
     def range(self, name: str) -> tuple[float, float]:
@@ -70,7 +70,7 @@ class Results:
         return list(found.values())
 
     def experiments(self, kind: str) -> list[Experiment]:
-        """Those of a kind that have a cell."""
+        """The experiments of a kind that have a cell."""
         there = {cell.entry.experiment for cell in self.cells}
         return [
             one for one in self.table.experiments.values() if one.kind == kind and one.name in there

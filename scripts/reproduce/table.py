@@ -14,17 +14,18 @@ from clgs.train.config import TrainConfig, layered
 from clgs.train.config.sources import find
 
 KINDS = ("main", "curve", "ablation")
-"""main: rows beside the published ones; curve: one setting takes several values; ablation: variants
-beside the experiment's own settings."""
+"""main: rows to compare with the published ones; curve: one setting takes several values;
+ablation: variants of the experiment's own settings.
+"""
 
 BASE = "as it is"
 """The label of an ablation's own settings."""
 
 CHECKPOINTS = 20
-"""A run writes so many: what a killed worker had done since the last one is done again."""
+"""Checkpoints per run: what a killed worker did after its last one is done again."""
 
 DIGITS = 12
-"""Of a digest, in the name of a run."""
+"""Length of the digest in the name of a run."""
 
 MAX_SEED = 2**31
 NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
@@ -117,7 +118,7 @@ def entries(table: Table, steps: int | None = None) -> list[Entry]:
 
 
 def _complete(settings: Settings, seed: int) -> Settings:
-    """With what the table leaves to the experiment."""
+    """Add what the table leaves to the experiment."""
     interval = max(1, layered(settings).steps // CHECKPOINTS)
     return {**settings, "seed": seed, "checkpoint_interval": interval}
 

@@ -20,7 +20,7 @@ SECTIONS = {
 NOTES = {
     "head": (
         "Made by `{command}`. Scores are of the decoded `.clgs` file alone. All figures, and more "
-        "of them, are in `results.csv` and `results.json` beside this page."
+        "of them, are in `results.csv` and `results.json` next to this page."
     ),
     "main": (
         "Means over seeds, in brackets the least and the largest. `PSNR` is one MSE over all "
@@ -42,7 +42,7 @@ NOTES = {
         "row of the scene."
     ),
 }
-"""What the page says besides figures."""
+"""Text of the page between its figures."""
 
 Rows = Iterable[Sequence[str]]
 
@@ -56,15 +56,15 @@ def page(
     published: dict[str, Any],
     note: str = "",
 ) -> str:
-    """The whole page; ``plots`` and ``kept`` name files in the folder ``results`` beside it.
+    """The whole page; ``plots`` and ``kept`` name files in the folder ``results`` next to it.
 
-    ``note``: what else is to be known, at its head.
+    ``note``: a sentence at its head.
     """
     main = [group for one in results.experiments("main") for group in results.groups(one.name)]
     parts = ["# Results", NOTES["head"].format(command=command), _state(results), note]
     if main:
         parts += ["## Main rows", NOTES["main"], _main(main)]
-        parts += ["### Beside published figures", _beside(main, published)]
+        parts += ["### Compared with published figures", _compared(main, published)]
         parts += [_protocol(results, main, published)]
         parts += ["### Bits by section", NOTES["bits"], _bits(main)]
         parts += ["### Time and memory", NOTES["time"], _time(main)]
@@ -118,7 +118,7 @@ def spread(one: Group, name: str, form: str) -> str:
     return text if len(one.rows) == 1 else f"{text} ({low} to {high})"
 
 
-def _beside(groups: list[Group], published: dict[str, Any]) -> str:
+def _compared(groups: list[Group], published: dict[str, Any]) -> str:
     rows = []
     for one in groups:
         rows.append(

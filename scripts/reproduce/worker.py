@@ -32,7 +32,7 @@ ROW = "row.json"
 """The last file of a run: a folder that has it needs no more work."""
 
 TOPIC = "clgs-reproduce"
-"""Of the messages on progress that workers send."""
+"""Topic of the messages on progress that workers send."""
 
 INTERVAL = 1.0
 """Seconds between them."""
@@ -48,7 +48,7 @@ _alone = threading.Lock()
 
 
 def run_on_worker(job: Job) -> Row:
-    """As :func:`run_job` in a worker of dask: what a user can cause becomes a row with ``error``.
+    """Like :func:`run_job`, in a worker of dask: an error of the user becomes a row with ``error``.
 
     Exceptions that must be sent back would be pickled; a row is plain data.
     """
@@ -128,15 +128,15 @@ def _make_row(job: Job, folder: Path, tell: Tell) -> Row:
     device.release_unused()
     forget_peak_memory()
     config = config_of(job)
-    told = Teller(job["run"], config.steps, tell)
-    told.now("reading photos")
+    reporter = Reporter(job["run"], config.steps, tell)
+    reporter.now("reading photos")
     start = time.perf_counter()
     dataset = load_for(config, job["data"], folder)
     load_seconds = time.perf_counter() - start
     result = train_scene(
-        dataset, folder, config, device=device, resume=True, on_progress=told.progress
+        dataset, folder, config, device=device, resume=True, on_progress=reporter.progress
     )
-    told.now("scoring")
+    reporter.now("scoring")
     found = measure(folder / "scene.clgs", dataset, device, config.render_options())
     train_seconds = float(result.summary["train_seconds"])
     return {
@@ -152,23 +152,23 @@ def _make_row(job: Job, folder: Path, tell: Tell) -> Row:
     }
 
 
-class Teller:
+class Reporter:
     """Says how far a run is, about once every INTERVAL."""
 
     def __init__(self, run: str, steps: int, tell: Tell) -> None:
-        """Of a run of ``steps`` steps."""
+        """Report on a run of ``steps`` steps."""
         self._run, self._steps, self._tell = run, steps, tell
-        self._told, self._step = -INTERVAL, 0
+        self._reported, self._step = -INTERVAL, 0
 
     def progress(self, progress: Any) -> None:
         """After every step; ``progress`` as of :func:`clgs.train_scene`."""
         self._step = progress.result.step
-        if time.monotonic() - self._told >= INTERVAL or self._step == self._steps:
+        if time.monotonic() - self._reported >= INTERVAL or self._step == self._steps:
             self.now(TRAINING)
 
     def now(self, doing: str) -> None:
-        """At once; the first step after other work is told at once, too."""
-        self._told = time.monotonic() if doing == TRAINING else -INTERVAL
+        """Report at once; the first step after other work is reported at once, too."""
+        self._reported = time.monotonic() if doing == TRAINING else -INTERVAL
         self._tell({"run": self._run, "step": self._step, "steps": self._steps, "doing": doing})
 
 

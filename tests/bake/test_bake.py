@@ -11,6 +11,7 @@ from clgs.bake.bake import (
     BakeSettings,
     BakeView,
     bake,
+    baked_loss,
     count_steps,
     evenly,
     in_order,
@@ -19,8 +20,7 @@ from clgs.bake.bake import (
     without_faint,
 )
 from clgs.bake.cameras import VIEWS, cameras_around
-from clgs.bake.loss import baked_loss
-from clgs.bake.observe import observe
+from clgs.bake.fit import observe
 from clgs.errors import DataError
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.options import DEFAULT
@@ -28,7 +28,7 @@ from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import SceneTransform
 from clgs.train.quality.metrics import to_8bit
-from tests.export.splats.cases import differences, gaussians
+from tests.exports.splats.cases import differences, gaussians
 
 SIZE = 64
 
@@ -52,11 +52,11 @@ def views():
 
 
 def test_contributions_add_up_to_the_picture(device, views):
-    """Of weights times colors over black, every channel's sum is that of the picture."""
+    """Weights times colors have the sum of the picture over black, in every channel."""
     scene, (view, *_) = views
     black = replace(scene.settings, background=(0.0, 0.0, 0.0))
     on_device = upload_view(device, view.camera, black)
-    seen = observe(device, upload_scene(device, scene), on_device, DEFAULT)
+    (seen,) = observe(device, upload_scene(device, scene), [on_device], DEFAULT)
     picture = Renderer(device, replace(scene, settings=black)).render(view.camera)
     total = (seen.weight[:, None].astype(np.float64) * seen.color).sum(axis=0)
     assert np.allclose(total, picture.sum(axis=(1, 2), dtype=np.float64), rtol=1e-4)
@@ -89,11 +89,11 @@ def test_photos_are_what_it_is_refined_to(device, views):
     assert losses[1].baked > losses[0].baked + 1
 
 
-def test_steps_are_told(device, views):
+def test_every_step_is_reported(device, views):
     scene, turned = views
-    settings, told = BakeSettings(0, 3), []
-    bake(device, scene, turned, settings, on_step=lambda: told.append(1))
-    assert len(told) == count_steps(len(turned), settings) == 2 * 6 + 3
+    settings, steps = BakeSettings(0, 3), []
+    bake(device, scene, turned, settings, on_step=lambda: steps.append(1))
+    assert len(steps) == count_steps(len(turned), settings) == 2 * 6 + 3
 
 
 def test_views_that_see_nothing_are_refused(device, views):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.bake.fit import LEAST_WEIGHT, fit, harmonics, quaternions
-from clgs.bake.observe import Observation
+from clgs.bake.fit import LEAST_WEIGHT, Observation, fit, harmonics, quaternions
 from clgs.reference.project import rotation_matrix
 from clgs.reference.splats import basis
 
@@ -23,7 +22,7 @@ def truth(rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 def observations(given: dict[str, np.ndarray], rng: np.random.Generator) -> list[Observation]:
-    """From random sides; slot 2 n + 1 of each Gaussian n, half of them in each view."""
+    """Half of the Gaussians per view, seen from random sides; Gaussian n has the slot 2 n + 1."""
     found = []
     for _ in range(VIEWS):
         seen = np.flatnonzero(rng.random(COUNT) < 0.5)

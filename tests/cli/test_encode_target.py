@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.cli.commands.encode_target import size
+from clgs.cli.commands.encode import size
 from clgs.cli.main import main
 from clgs.codec.scene_encoder import encode
 from clgs.opencl.device import Device

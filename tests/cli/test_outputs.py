@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from clgs.cli import main as cli
-from clgs.cli.options.scene import read_bytes
 from clgs.codec.scene_encoder import encode
 from clgs.data.ply.anchors import save_scaffold
 from clgs.errors import DataError
 from clgs.scene.storage import load_scene, save_scene
 from clgs.train.state.hashes import read_fingerprint
+from clgs.workflow.scenes import read_bytes
 from tests.codec.scenes import random_scene
 
 CAMERA = {

@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 
 from clgs.codec.scene_encoder import encode
-from clgs.codec.splats import pack
+from clgs.codec.splat_packing import pack
 from clgs.data.ply.splats import read_splats
-from clgs.export.clip.camera_path import read_camera_path
+from clgs.exports.clip.camera_path import read_camera_path
 from clgs.scene.storage import save_scene
 from tests.cli.test_commands import clgs
 from tests.codec.scenes import random_scene

@@ -15,7 +15,7 @@ from clgs.poses.prepare import prepare
 
 
 def poses(views) -> Poses:
-    """Of photos (name, rotation, centre); depth as of the room."""
+    """Poses of photos (name, rotation, centre); depth as of the room."""
     names, rotation, centre = zip(*views, strict=True)
     return Poses(list(names), np.array(rotation), np.array(centre), np.full(len(names), 3.0))
 

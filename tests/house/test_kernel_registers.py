@@ -69,5 +69,5 @@ def test_another_file_is_one_line(script, tmp_path, text):
     file = tmp_path / "table.json"
     if text is not None:
         file.write_text(text, encoding="utf-8")
-    with pytest.raises(SystemExit, match=r"table.json: no table of registers .*record it anew$"):
+    with pytest.raises(SystemExit, match=r"table.json: no table of registers .*record it again$"):
         script.read_table(file)

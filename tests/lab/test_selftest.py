@@ -65,7 +65,7 @@ def test_a_failure_is_named_and_others_go_on(devices, capsys, tmp_path, bad):
 
 
 def test_emulators_and_unusable_platforms_are_left_out_aloud(monkeypatch, capsys):
-    from clgs.cli.options import device
+    from clgs.lab.devices import open_devices
     from clgs.opencl import device as device_module
 
     monkeypatch.delenv("PYOPENCL_CTX", raising=False)
@@ -74,9 +74,9 @@ def test_emulators_and_unusable_platforms_are_left_out_aloud(monkeypatch, capsys
     monkeypatch.setattr(choose, "survey", lambda: ([emulator, real], ["platform Clover: none"]))
     monkeypatch.setattr(choose, "choose_device", lambda name: real)
     monkeypatch.setattr(device_module, "Device", lambda name: name)
-    assert list(device.open_devices(None)) == [("1", "1")]
+    assert list(open_devices(None)) == [("1", "1")]
     assert capsys.readouterr().err.splitlines() == [
         "clgs: skipped: platform Clover: none",
         "clgs: skipped: sim: an emulator; name it with --device 0",
     ]
-    assert list(device.open_devices("cpu")) == [("1", "cpu")]
+    assert list(open_devices("cpu")) == [("1", "cpu")]

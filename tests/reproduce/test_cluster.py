@@ -1,4 +1,4 @@
-"""Runs as tasks of dask end in the same files as runs without it, whatever is killed."""
+"""Runs as tasks of dask end in the same files as runs without it, even if a worker is killed."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def same(rows, expected):
 def test_two_workers_make_the_same_scenes(work, tmp_path):
     expected = alone(work("alone"), tmp_path)
     assert len({row["scene_hash"] for row in expected.values()}) == 2
-    told, messages = [], []
+    ended, messages = [], []
     with connected(2, None) as client:
-        rows = run_jobs(client, work("dask"), told.append, messages.append)
+        rows = run_jobs(client, work("dask"), ended.append, messages.append)
     same(rows, expected)
-    assert told == rows
+    assert ended == rows
     assert {message["run"] for message in messages} == set(expected)
     again = [run_job(job, tmp_path / "kernels", pytest.fail) for job in work("dask")]
-    same(again, expected)  # read: nobody is told of progress
+    same(again, expected)  # read: nothing reports progress
 
 
 @pytest.mark.slow
@@ -77,13 +77,13 @@ def test_the_run_of_a_killed_worker_goes_on(work, tmp_path):
     same(rows, expected)
     first, second = first_steps(messages)
     assert first == 1
-    assert second > SAVED  # it did not start anew
+    assert second > SAVED  # it did not start again
 
 
 def first_steps(messages):
-    """The first step of every leg: the one told after another stage."""
-    told = [(one["doing"] == TRAINING, one["step"]) for one in messages]
-    return [step for (before, _), (now, step) in pairwise(told) if now and not before]
+    """The first step of every leg: the one reported after another stage."""
+    reported = [(one["doing"] == TRAINING, one["step"]) for one in messages]
+    return [step for (before, _), (now, step) in pairwise(reported) if now and not before]
 
 
 def kill_when_saved(client, job, processes, killed, ended):

@@ -46,7 +46,7 @@ def test_a_report_has_all_that_is_stored(stored, tmp_path):
     assert all(path.is_file() for path in made)
     text = (tmp_path / "docs" / "results.md").read_text()
     assert "Made by `x --y`" in text
-    # means over seeds with their range, beside each other
+    # means over seeds with their range, next to each other
     assert "| balls | main | 60 | 2 | 30.50 (30.00 to 31.00) | 30.60 (30.10 to 31.10) |" in text
     assert "1,500 (1,000 to 2,000)" in text
     assert "balls: tiny." in text

@@ -23,10 +23,11 @@ from clgs.data.dataset import load_dataset
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import loss
-from clgs.render.frame import upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import upload_scene, upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings
 from clgs.train.config import preset
+from clgs.train.run.load import with_points
 from clgs.train.run.trainer import Trainer
 
 NORMAL_GROUP = 64
@@ -55,10 +56,14 @@ def gradients(device: Device, repeats: int) -> list[Any]:
     target = device.upload(np.random.default_rng(0).integers(0, 256, (3, 70, 70)).astype(np.uint8))
     found: list[Any] = []
     for _ in range(repeats):
-        frame = render_forward(device, uploaded, camera, RenderSettings(background=(0.1, 0.2, 0.3)))
+        frame = rasterise(
+            device,
+            uploaded,
+            upload_view(device, camera, RenderSettings(background=(0.1, 0.2, 0.3))),
+        )
         compared = loss.forward(device, frame.image, target)
         d_image = loss.backward(device, frame.image, target, compared)
-        result = render_backward(device, uploaded, frame, d_image, 0.01)
+        result = rasterise_backward(device, uploaded, frame, d_image, 0.01)
         names = ("d_offset", "d_feature", "d_scaling", "d_weights", "d_mean2d")
         one = [frame.image, *(getattr(result, name) for name in names)]
         found.append(b"".join(device.download(array).tobytes() for array in one))
@@ -69,7 +74,7 @@ def gradients(device: Device, repeats: int) -> list[Any]:
 
 def training(device: Device, folder: Path, steps: int) -> list[Any]:
     """Parameters, moments and every step's report after ``steps`` steps."""
-    whole = load_dataset(folder)
+    whole = with_points(load_dataset(folder))
     dataset = replace(whole, points=whole.points[::25])
     # growth, quantisation and rate proxy all happen within half of the steps
     config = replace(preset("default").scaled(steps), voxel=0.02).for_dataset(dataset.kind)

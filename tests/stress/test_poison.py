@@ -7,8 +7,8 @@ import pytest
 
 from clgs.constants import LOG_SCALE_LIMIT
 from clgs.lab.synthetic.anchor_scene import anchor_scene
-from clgs.render.frame import upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import upload_scene, upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings
 from tests.stress.cases import (
     GRADIENTS,
@@ -81,8 +81,8 @@ def anchors():
 
 def anchor_images(device, scene, camera):
     uploaded = upload_scene(device, scene)
-    frame = render_forward(device, uploaded, camera, RenderSettings())
-    found = render_backward(device, uploaded, frame, device.upload(D_IMAGE), 0.01)
+    frame = rasterise(device, uploaded, upload_view(device, camera, RenderSettings()))
+    found = rasterise_backward(device, uploaded, frame, device.upload(D_IMAGE), 0.01)
     names = ("d_offset", "d_feature", "d_scaling")
     return device.download(frame.image), {n: device.download(getattr(found, n)) for n in names}
 

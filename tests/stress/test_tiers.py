@@ -10,11 +10,12 @@ import pytest
 from clgs.data.dataset import load_dataset
 from clgs.lab.selftest.reference_render import backward_reference, render_reference
 from clgs.ops import loss
-from clgs.render.frame import upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import upload_scene, upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import RenderSettings, Scene
 from clgs.train.config import preset
+from clgs.train.run.load import with_points
 from clgs.train.run.trainer import Trainer
 from tests.small_scene import write_scene
 from tests.stress.cases import LEVEL, draw, image_gradient
@@ -69,7 +70,7 @@ def test_share_of_pixels_that_differ(device, flips, whole):
 @pytest.fixture(scope="module")
 def trained(open_device, tmp_path_factory):
     """Scenes after 20 and 80 steps, float and quantised, and a held-out view."""
-    whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
+    whole = with_points(load_dataset(write_scene(tmp_path_factory.mktemp("balls"))))
     dataset = replace(whole, points=whole.points[::25])
     device = open_device("cpu")
     config = replace(preset("default").scaled(80), voxel=0.02).for_dataset(dataset.kind)
@@ -90,11 +91,11 @@ def test_trained_scene(device, trained, which, view):
     """From parameters to the image of a test view, and back to their gradients."""
     scene, camera = trained[0][which], trained[1][view].camera
     uploaded = upload_scene(device, scene)
-    frame = render_forward(device, uploaded, camera, RenderSettings())
+    frame = rasterise(device, uploaded, upload_view(device, camera, RenderSettings()))
     target = np.random.default_rng(0).integers(0, 256, (3, camera.height, camera.width))
     target = device.upload(target.astype(np.uint8))
     d_image = loss.backward(device, frame.image, target, loss.forward(device, frame.image, target))
-    found = render_backward(device, uploaded, frame, d_image, 0.01)
+    found = rasterise_backward(device, uploaded, frame, d_image, 0.01)
     expected = render_reference(device, scene, frame, d_image)
     error = np.abs(device.download(frame.image) - expected.image) / LEVEL
     assert np.quantile(error, 0.999) <= 1e-3

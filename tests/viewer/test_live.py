@@ -19,7 +19,7 @@ from clgs.viewer.importance import scene_importance, splat_importance
 from clgs.viewer.live import MOVING_LEAST, Eye, Follower, LiveScene, eye_of
 from clgs.viewer.photos import ERROR, HALVES, PHOTO, RENDER, compare, names_of, stands_at
 from tests.codec.scenes import random_scene
-from tests.export.clip.test_paths import ring
+from tests.exports.clip.test_paths import ring
 from tests.ops.cases.splats import stored
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.export.clip.framing import frame_cameras, frame_scene
+from clgs.exports.clip.framing import frame_cameras, frame_scene
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.viewer.live import LiveScene, eye_of
 from clgs.viewer.server import Shown, close_server, open_server
 from tests.codec.scenes import random_scene
-from tests.export.clip.test_paths import ring
+from tests.exports.clip.test_paths import ring
 from tests.viewer.test_live import photo_view
 
 viser = pytest.importorskip("viser", reason="needs clgs[view]")

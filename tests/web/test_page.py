@@ -12,13 +12,13 @@ import pytest
 from clgs.cli import main as cli
 from clgs.codec.scene_encoder import encode
 from clgs.errors import ClgsError
-from clgs.export import page
+from clgs.exports import page
 from clgs.lab.synthetic.anchor_scene import square_camera
 from tests.small_scene import write_scene
 from tests.web.scenes import quantized_scene
 
 OTHER_BYTES = 150_000
-"""What a page may take besides 1.4 times its scene."""
+"""What a page may take in addition to 1.4 times its scene."""
 
 
 @pytest.fixture(scope="module")

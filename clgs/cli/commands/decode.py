@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from clgs.cli.options.codec import add_files, add_threads
-
-if TYPE_CHECKING:
-    from clgs.codec.box import Box
 
 DESCRIPTION = """\
 Decompress a .clgs file into a NumPy archive, or into a PLY file as the reference code writes it.
 
-X.ply receives the anchors as numbers, X.quantized.ply as integers, and X.mlps.npz beside it the
+X.ply receives the anchors as numbers, X.quantized.ply as integers, and X.mlps.npz next to it the
 MLPs; all in the scene's own units, with scales, transform and settings as comments. Properties are
 float32, or float64 if float32 would not give every integer back. An X.mlps.npz with the same MLPs
 stays; one with others is replaced by --overwrite alone.
@@ -35,21 +31,29 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
-    from clgs.cli.options.output import check_new
-    from clgs.cli.options.scene import read_bitstream, read_box
+    from clgs.codec.scene_decoder import Box
     from clgs.data.ply.anchors import save_scaffold
     from clgs.data.ply.mlps_archive import mlps_path
     from clgs.errors import UsageError
     from clgs.files import check_output
     from clgs.scene.storage import save_scene
+    from clgs.workflow.outputs import check_new
+    from clgs.workflow.scenes import read_bitstream, read_box
 
     suffix = args.output.suffix.lower()
     if suffix not in (".npz", ".ply"):
         raise UsageError(f"{args.output}: the output must end in .npz or .ply; name it so")
-    box = None if args.box is None else parse_box(args.box)
+    box = None
+    if args.box is not None:
+        try:
+            x0, y0, z0, x1, y1, z1 = map(float, args.box.split(","))
+        except ValueError:
+            needed = "six numbers are needed, x0,y0,z0,x1,y1,z1"
+            raise UsageError(f"--box {args.box}: {needed}") from None
+        box = Box((x0, y0, z0), (x1, y1, z1))
     for output in [args.output] + [mlps_path(args.output)] * (suffix == ".ply"):
         check_output(output, args.scene)
-    check_new(args, args.output, args.scene)
+    check_new(args.output, args.overwrite, args.scene)
     if box is None:
         scene, _ = read_bitstream(args.scene, args.threads)
         read = ""
@@ -60,22 +64,6 @@ def run(args: argparse.Namespace) -> int:
         save_scaffold(args.output, scene, args.overwrite)
     else:
         save_scene(args.output, scene)
-    beside = f"; MLPs in {mlps_path(args.output)}" if suffix == ".ply" else ""
-    print(f"{args.output}: {len(scene.anchors):,} anchors{read}{beside}")
+    mlps = f"; MLPs in {mlps_path(args.output)}" if suffix == ".ply" else ""
+    print(f"{args.output}: {len(scene.anchors):,} anchors{read}{mlps}")
     return 0
-
-
-def parse_box(text: str) -> Box:
-    """Six numbers with commas between.
-
-    Raises:
-        UsageError: the text is something else, or the box is empty.
-    """
-    from clgs.codec.box import Box
-    from clgs.errors import UsageError
-
-    try:
-        x0, y0, z0, x1, y1, z1 = map(float, text.split(","))
-    except ValueError:
-        raise UsageError(f"--box {text}: six numbers are needed, x0,y0,z0,x1,y1,z1") from None
-    return Box((x0, y0, z0), (x1, y1, z1))

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.commands.encode_target import add_target_options
+from clgs.byte_count import byte_count
 from clgs.cli.options.codec import add_files, add_level, add_threads, in_range
+from clgs.cli.options.view import add_device_name, add_size_options, view_options
 
 if TYPE_CHECKING:
     from clgs.scene.scene import QuantizedScene
+    from clgs.workflow.encode import EncodedFile, FittedScene
 
 DESCRIPTION = """\
 Compress a trained scene into one .clgs file.
@@ -35,7 +39,7 @@ target that a file without anchors exceeds in size, or reaches in PSNR, is refus
 
 RUN is a run folder, the .npz or .clgs file of a scene, or a PLY file of anchors as the reference
 code writes it (f_offset_*, f_anchor_feat_*, scale_*): X.quantized.ply holds integers, any other
-name numbers that are rounded by --q. PLY files hold no MLPs: they are read from X.mlps.npz beside
+name numbers that are rounded by --q. PLY files hold no MLPs: they are read from X.mlps.npz next to
 it, or from --mlps. That archive holds the arrays of the torch file under their names there
 (opacity_mlp.0.weight ... color_mlp.2.bias), as its owner saves them by np.savez, or the array
 `mlps` of a decoded scene. nx ny nz, opacity and rot_* are not used."""
@@ -58,63 +62,111 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mlps", type=Path, metavar="FILE.npz", help="MLPs of a PLY file")
     parser.add_argument(
         "--q",
-        type=scales,
+        type=_scales,
         metavar="P,O,A,S",
         help="integers per unit of position, offset, feature and scaling of a PLY file (default: "
         "as its comments say, else 200,1,1,8); of X.quantized.ply only if they say none",
     )
     parser.add_argument("--mlp", default="auto", help="auto or float32 (default: auto)")
-    add_target_options(parser)
+    targets = parser.add_mutually_exclusive_group()
+    targets.add_argument("--target-size", type=size, metavar="BYTES", help="such as 800k or 1.5M")
+    targets.add_argument("--target-psnr", type=_decibel, metavar="DB", help="such as 29.5")
+    parser.add_argument("--data", type=Path, help="the dataset that RUN was trained on")
+    add_size_options(parser, "RUN")
+    parser.add_argument(
+        "--all-views",
+        action="store_true",
+        help="measure PSNR on all training views (default: on 12 that lie far from each other)",
+    )
+    add_device_name(parser)
     add_threads(parser)
 
 
-def scales(text: str) -> tuple[float, float, float, float]:
-    """An argument of four positive numbers with commas between."""
-    try:
-        position, offset, feature, scaling = map(in_range, text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text} is not four numbers P,O,A,S") from None
-    return position, offset, feature, scaling
-
-
-def is_ply(path: Path) -> bool:
-    """Whether the name is that of a PLY file."""
-    return path.suffix.lower() == ".ply"
-
-
-def sources(args: argparse.Namespace) -> list[Path]:
-    """The files that are read."""
-    from clgs.cli.run.source import run_folder
-    from clgs.data.ply.mlps_archive import mlps_path
-
-    if is_ply(args.scene):
-        return [args.scene, args.mlps or mlps_path(args.scene)]
-    return [args.scene, run_folder(args.scene) / "scene.npz"]
-
-
-def read_source(args: argparse.Namespace) -> QuantizedScene:
-    """The scene that is to be encoded.
-
-    Raises:
-        DataError: there is no such file, or it is damaged.
-        UsageError: an option of PLY files with another scene.
-    """
-    from clgs.cli.options.scene import read_scene
+def run(args: argparse.Namespace) -> int:
+    """Encode; exit code 0."""
+    from clgs.cli.display import Display
+    from clgs.codec.scene_encoder import check_options, encode
     from clgs.data.ply.anchors import load_scaffold
+    from clgs.data.ply.mlps_archive import mlps_path
     from clgs.errors import UsageError
+    from clgs.files import atomic_write
     from clgs.scene.anchors import QuantizationScales
+    from clgs.workflow.encode import EncodedFile, encode_within
+    from clgs.workflow.outputs import check_new, check_suffix
+    from clgs.workflow.scenes import read_scene, run_folder
+    from clgs.workflow.views import data_of, known_data
 
-    if is_ply(args.scene):
-        return load_scaffold(args.scene, args.mlps, QuantizationScales(*args.q) if args.q else None)
-    if args.mlps or args.q:
-        raise UsageError(f"{args.scene}: --mlps and --q are for a PLY file; leave them out")
-    return read_scene(args.scene)[0]
+    path, is_ply = args.scene, args.scene.suffix.lower() == ".ply"
+    check_options(args.level, args.chunk, args.mlp)
+    mlps = (args.mlps or mlps_path(path)) if is_ply else run_folder(path) / "scene.npz"
+    check_new(args.output, args.overwrite, path, mlps)
+    check_suffix(args.output, ".clgs")
+    target = args.target_size is not None or args.target_psnr is not None
+    for option in ("--data",) * (args.data is not None) + ("--all-views",) * args.all_views:
+        if not target:
+            raise UsageError(f"{option} serves --target-size and --target-psnr; give one of them")
+    views = view_options(args)
+    if target and views.data is None:
+        needed = args.target_psnr is not None or args.all_views
+        views = replace(views, data=data_of(path) if needed else known_data(path))
+    if is_ply:
+        scene = load_scaffold(path, args.mlps, QuantizationScales(*args.q) if args.q else None)
+    elif args.mlps or args.q:
+        raise UsageError(f"{path}: --mlps and --q are for a PLY file; leave them out")
+    else:
+        scene, _ = read_scene(path)
+
+    def pack(scene: QuantizedScene) -> bytes:
+        with _in_words_of_options(path):
+            return encode(scene, args.level, args.chunk, args.threads, args.mlp)
+
+    if target:
+        with Display() as display:
+            fitted = encode_within(
+                path,
+                scene,
+                pack,
+                views,
+                args.target_size,
+                args.target_psnr,
+                args.all_views,
+                display,
+            )
+        _show_fitted(fitted, len(scene.anchors))
+        scene, data = fitted.found.scene, fitted.found.data
+    else:
+        data = pack(scene)
+    atomic_write(args.output, data)
+    show(EncodedFile(args.output, len(data), len(scene.anchors)))
+    return 0
+
+
+def show(made: EncodedFile) -> None:
+    """Print what was written."""
+    per_anchor = f", {8 * made.size / made.anchors:.1f} bits per anchor" if made.anchors else ""
+    print(f"{made.path}: {made.size:,} bytes, {made.anchors:,} anchors{per_anchor}")
+
+
+def _show_fitted(fitted: FittedScene, anchors: int) -> None:
+    """Print what a target cost; ``anchors`` there were before."""
+    found = fitted.found
+    coarser = ", ".join(f"Q of {name} x {factor:.3g}" for name, factor in found.factors.items())
+    kept = f"kept {len(found.scene.anchors):,} of {anchors:,} anchors"
+    print(f"{kept}; {coarser or 'all Q as they were'}")
+    if found.psnr is None:
+        print("PSNR cost: not measured; name the dataset with --data, which also chooses better")
+        return
+    before, after = found.psnr
+    print(
+        f"PSNR on {fitted.measured} of {fitted.views} training views: {before:.2f} dB -> "
+        f"{after:.2f} dB ({after - before:+.2f} dB)"
+    )
 
 
 @contextmanager
-def in_words_of_options(path: Path) -> Iterator[None]:
+def _in_words_of_options(path: Path) -> Iterator[None]:
     """Let a CodecError name the scene, and say which option helps."""
-    from clgs.codec.octree.position_coder import PositionsError
+    from clgs.codec.octree import PositionsError
     from clgs.data.ply.anchors import is_quantized
     from clgs.errors import CodecError
 
@@ -122,36 +174,36 @@ def in_words_of_options(path: Path) -> Iterator[None]:
         yield
     except PositionsError as error:
         remedy = "crop the scene" if error.wide else "merge rows of the same cell"
-        if is_ply(path) and not is_quantized(path):
+        if path.suffix.lower() == ".ply" and not is_quantized(path):
             remedy += f", or give a {'smaller' if error.wide else 'larger'} P in --q P,O,A,S"
         raise CodecError(f"{path}: {error.problem}; {remedy}") from error
     except CodecError as error:
         raise CodecError(f"{path}: {error}") from error
 
 
-def run(args: argparse.Namespace) -> int:
-    """Encode; exit code 0."""
-    from clgs.cli.commands.encode_target import check_targets, reduce
-    from clgs.cli.options.output import check_new, check_suffix
-    from clgs.codec.scene_encoder import check_options, encode
-    from clgs.files import atomic_write
+def _scales(text: str) -> tuple[float, float, float, float]:
+    """The type of an argument of four positive numbers with commas between."""
+    try:
+        position, offset, feature, scaling = map(in_range, text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text} is not four numbers P,O,A,S") from None
+    return position, offset, feature, scaling
 
-    check_options(args.level, args.chunk, args.mlp)
-    check_new(args, args.output, *sources(args))
-    check_suffix(args.output, ".clgs")
-    check_targets(args)
-    scene = read_source(args)
 
-    def pack(scene: QuantizedScene) -> bytes:
-        with in_words_of_options(args.scene):
-            return encode(scene, args.level, args.chunk, args.threads, args.mlp)
+def size(text: str) -> int:
+    """The type of an argument of bytes: a number, and k, M or G for 10^3, 10^6 or 10^9 of them."""
+    value = byte_count(text)
+    if value is None:
+        raise argparse.ArgumentTypeError(f"{text} is not a size such as 800k or 1.5M")
+    return value
 
-    if args.target_size is None and args.target_psnr is None:
-        data = pack(scene)
-    else:
-        scene, data = reduce(args, scene, pack)
-    atomic_write(args.output, data)
-    count = len(scene.anchors)
-    per_anchor = f", {8 * len(data) / count:.1f} bits per anchor" if count else ""
-    print(f"{args.output}: {len(data):,} bytes, {count:,} anchors{per_anchor}")
-    return 0
+
+def _decibel(text: str) -> float:
+    """The type of an argument that must be a finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is not a number of dB")
+    return value

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import add_view_options, named_path
+from clgs.cli.options.view import add_view_options, named_path, view_options
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from clgs.data.view import View
-    from clgs.opencl.device import Device
-    from clgs.options import RenderOptions
-    from clgs.scene.scene import QuantizedScene, SplatScene
-    from clgs.train.quality.score_views import Measure, ViewScore
+    from clgs.workflow.evaluate import Evaluation
+    from clgs.workflow.options import ViewOptions
 
 STDOUT = Path("-")
 """What --json alone means."""
@@ -59,10 +55,6 @@ def register(parser: argparse.ArgumentParser) -> None:
         help="print the scores as JSON, not as a table; with F, write them, and each view's, to F",
     )
     parser.add_argument("--hashes", type=Path, metavar="F", help="hashes.json of the run")
-    _add_family_options(parser)
-
-
-def _add_family_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lpips",
         type=named_path,
@@ -91,14 +83,21 @@ def _add_family_options(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate; exit code 0, or 1 if the hashes differ."""
-    from clgs.cli.options.scene import read_drawable
-    from clgs.cli.options.view import over_background
+    from clgs.cli.display import Display
     from clgs.errors import UsageError
+    from clgs.files import write_json
     from clgs.opencl.device import Device
     from clgs.scene.scene import SplatScene
+    from clgs.train.quality.lpips import Lpips
+    from clgs.train.quality.lpips_weights import read_lpips_weights
+    from clgs.train.quality.score_tables import append_survey, write_inria
+    from clgs.train.state.hashes import differences, read_fingerprint
+    from clgs.workflow.evaluate import evaluate
+    from clgs.workflow.scenes import read_drawable
+    from clgs.workflow.views import trained_config
 
-    _check(args)
-    lpips = _measure(args.lpips) if args.lpips else None
+    views = _checked(args)
+    lpips = Lpips(read_lpips_weights(args.lpips)) if args.lpips else None
     scene, size = read_drawable(args.scene)
     if args.csv and size is None:
         raise UsageError(f"{args.scene}: has no size in bytes for --csv; name a .clgs file")
@@ -106,101 +105,41 @@ def run(args: argparse.Namespace) -> int:
     if args.hashes:
         if isinstance(scene, SplatScene):
             raise UsageError(f"{args.scene}: holds splats; --hashes are those of a trained run")
-        code = _compare_hashes(device, scene, args.hashes)
-    if args.data is not None:
-        _score(args, device, over_background(args, scene), size, lpips)
+        found = differences(device, scene, read_fingerprint(args.hashes))
+        print(f"hashes: {'all equal' if not found else 'DIFFERENT: ' + ', '.join(found)}")
+        code = 1 if found else 0
+    if views.data is None:
+        return code
+    with Display() as display:
+        scored = evaluate(
+            device,
+            args.scene,
+            scene,
+            size,
+            views,
+            lpips=lpips,
+            count_gaussians=bool(args.csv),
+            on_event=display,
+        )
+    if args.json == STDOUT:
+        print(json.dumps(scored.summary, indent=1))
+    else:
+        show(scored)
+    if args.json not in (None, STDOUT):
+        write_json(args.json, scored.record())
+    if args.inria:
+        config = trained_config(args.scene)
+        method = "ours" if config is None else f"ours_{config.steps}"
+        write_inria(args.inria, method, scored.summary, scored.scores)
+    if args.csv:
+        name = BASELINE if args.submethod is None else args.submethod
+        append_survey(args.csv, name, scored.summary)
     return code
 
 
-def _check(args: argparse.Namespace) -> None:
-    """Refuse what cannot be done, before long work; with --hashes alone there are no scores."""
-    from clgs.cli.options.view import known_data, name_data
-    from clgs.errors import UsageError
-
-    named = [f"--{name}" for name in ("lpips", "inria", "csv") if getattr(args, name)]
-    if args.data is None and known_data(args.scene) is None:
-        if named:
-            raise UsageError(f"{named[0]}: scores need photos; name them with --data")
-        if args.hashes is None:
-            name_data(args)  # it says why there are none
-    elif args.data is None and (args.hashes is None or named or args.json):
-        name_data(args)
-    if args.submethod is not None and not (args.csv and args.submethod.isprintable()):
-        raise UsageError("--submethod: names a row of --csv, in printable characters")
-    _check_outputs(args)
-
-
-def _check_outputs(args: argparse.Namespace) -> None:
-    from clgs.errors import UsageError
-    from clgs.files import check_folder, check_output
-    from clgs.train.quality.score_tables import FILES, check_survey
-
-    sources = [path for path in (args.scene, args.hashes, args.lpips) if path]
-    file = None if args.json == STDOUT else args.json
-    for path, suffix, what in ((file, ".json", "scores are"), (args.csv, ".csv", "table is")):
-        if path and path.suffix.lower() != suffix:
-            raise UsageError(f"{path}: the {what} a {suffix} file; name it so")
-    outputs = [path for path in (file, args.csv) if path]
-    for path in outputs:
-        check_output(path, *sources)
-    if args.inria:
-        check_folder(args.inria)
-        if (args.inria / "config.toml").exists():
-            raise UsageError(f"{args.inria}: is a run with scores of its own; name another folder")
-        outputs += [args.inria / name for name in FILES]
-        if file and file.resolve() in (path.resolve() for path in outputs[-2:]):
-            raise UsageError(f"{file}: is written by --inria; choose another name")
-    for path in outputs:
-        if args.data is not None and path.exists() and _lies_in(path, args.data):
-            raise UsageError(f"{path}: is a file of the data set; choose another output")
-    if args.csv:
-        check_survey(args.csv)
-
-
-def _lies_in(path: Path, folder: Path) -> bool:
-    return folder.resolve() in path.resolve().parents
-
-
-def _measure(path: Path) -> Measure:
-    from clgs.train.quality.lpips import Lpips
-    from clgs.train.quality.lpips_weights import read_lpips_weights
-
-    return Lpips(read_lpips_weights(path))
-
-
-def _score(
-    args: argparse.Namespace,
-    device: Device,
-    scene: QuantizedScene | SplatScene,
-    size: int | None,
-    lpips: Measure | None,
-) -> None:
-    from clgs.cli.options.view import selected_options, selected_views, split_of
-    from clgs.cli.progress import bar
-    from clgs.scene.scene import SplatScene
-    from clgs.train.quality.score_views import evaluate_views, summarize
-
-    views, options = selected_views(args, scene), selected_options(args)
-    with bar(len(views), "evaluating") as advance:
-        scores = evaluate_views(device, scene, views, lambda *_: advance(), options, lpips)
-    summary = summarize(scene, scores, size)
-    if args.csv and "gaussians" not in summary:
-        assert not isinstance(scene, SplatScene)
-        summary["gaussians"] = _count_gaussians(device, scene, views, options)
-    summary |= {
-        "accuracy": options.accuracy.name,
-        "split": split_of(args),
-        "device": device.name,
-    }
-    if args.json == STDOUT:
-        print(json.dumps(summary, indent=1))
-    else:
-        _show(summary)
-    _write(args, summary, scores)
-
-
-def _show(summary: dict[str, Any]) -> None:
-    """The table for people."""
+def show(scored: Evaluation) -> None:
+    """Print the table of the scores."""
+    summary = scored.summary
     rows = [("views", f"{summary['views']} ({summary['split']})")]
     for name, (title, form) in SHOWN.items():
         if summary.get(name) is not None:
@@ -210,34 +149,49 @@ def _show(summary: dict[str, Any]) -> None:
         print(f"{title:<{width}}  {text}")
 
 
-def _count_gaussians(
-    device: Device, scene: QuantizedScene, views: Sequence[View], options: RenderOptions
-) -> int:
-    from clgs.cli.progress import bar
-    from clgs.train.quality.drawn import count_drawn
+def _checked(args: argparse.Namespace) -> ViewOptions:
+    """Refuse what cannot be done, before long work; what is scored, without data if nothing is."""
+    from clgs.errors import UsageError
+    from clgs.workflow.views import data_of, known_data
 
-    with bar(len(views), "counting Gaussians") as advance:
-        return count_drawn(device, scene, [view.camera for view in views], options, advance)
-
-
-def _write(args: argparse.Namespace, summary: dict[str, Any], scores: Sequence[ViewScore]) -> None:
-    from clgs.cli.options.view import trained_steps
-    from clgs.files import write_json
-    from clgs.train.quality.score_tables import append_survey, write_inria
-
-    if args.json not in (None, STDOUT):
-        write_json(args.json, summary | {"per_view": [score.record() for score in scores]})
-    if args.inria:
-        steps = trained_steps(args.scene)
-        write_inria(args.inria, "ours" if steps is None else f"ours_{steps}", summary, scores)
-    if args.csv:
-        name = BASELINE if args.submethod is None else args.submethod
-        append_survey(args.csv, name, summary)
+    views = view_options(args)
+    named = [f"--{name}" for name in ("lpips", "inria", "csv") if getattr(args, name)]
+    if views.data is None and (args.hashes is None or named or args.json):
+        if named and known_data(args.scene) is None:
+            raise UsageError(f"{named[0]}: scores need photos; name them with --data")
+        if args.hashes is None or known_data(args.scene) is not None:
+            views = replace(views, data=data_of(args.scene))
+    if args.submethod is not None and not (args.csv and args.submethod.isprintable()):
+        raise UsageError("--submethod: names a row of --csv, in printable characters")
+    file = None if args.json == STDOUT else args.json
+    sources = [path for path in (args.scene, args.hashes, args.lpips) if path]
+    _check_outputs(file, args.csv, args.inria, sources, views.data)
+    return views
 
 
-def _compare_hashes(device: Device, scene: QuantizedScene, path: Path) -> int:
-    from clgs.train.state.hashes import differences, read_fingerprint
+def _check_outputs(
+    file: Path | None, csv: Path | None, inria: Path | None, sources: list[Path], data: Path | None
+) -> None:
+    """Refuse outputs that have a wrong name, are read, or belong to the data set or another run."""
+    from clgs.errors import UsageError
+    from clgs.files import check_folder, check_output
+    from clgs.train.quality.score_tables import FILES, check_survey
 
-    found = differences(device, scene, read_fingerprint(path))
-    print(f"hashes: {'all equal' if not found else 'DIFFERENT: ' + ', '.join(found)}")
-    return 1 if found else 0
+    for path, suffix, what in ((file, ".json", "scores are"), (csv, ".csv", "table is")):
+        if path and path.suffix.lower() != suffix:
+            raise UsageError(f"{path}: the {what} a {suffix} file; name it so")
+    outputs = [path for path in (file, csv) if path]
+    for path in outputs:
+        check_output(path, *sources)
+    if inria:
+        check_folder(inria)
+        if (inria / "config.toml").exists():
+            raise UsageError(f"{inria}: is a run with scores of its own; name another folder")
+        outputs += [inria / name for name in FILES]
+        if file and file.resolve() in (path.resolve() for path in outputs[-2:]):
+            raise UsageError(f"{file}: is written by --inria; choose another name")
+    for path in outputs:
+        if data is not None and path.exists() and data.resolve() in path.resolve().parents:
+            raise UsageError(f"{path}: is a file of the data set; choose another output")
+    if csv:
+        check_survey(csv)

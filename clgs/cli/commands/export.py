@@ -1,82 +1,133 @@
-"""``clgs export``: what clgs knows, in a file that other programs open; the suffix says which."""
+"""``clgs export``: a scene or a data set in a file that other programs open."""
 
 from __future__ import annotations
 
 import argparse
-import importlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from clgs.cli.options.output import add_overwrite, check_new
-from clgs.cli.options.view import named_path
+from clgs.cli.options.view import (
+    add_device_name,
+    add_overwrite,
+    add_size_options,
+    named_path,
+    whole_number,
+)
+from clgs.workflow.options import BAKE_STEPS, SH_DEGREES
 
-KINDS = {
-    ".glb": "glb",
-    ".html": "page",
-    ".ply": "baked",
-    ".spz": "baked",
-    ".sog": "baked",
-}
-"""Suffix of the output to the module of ``clgs.cli.exports`` that writes it.
-
-Each has ``HELP``, a line, ``add_options(parser)`` and ``run(args)``, which prints a line.
-"""
+if TYPE_CHECKING:
+    from clgs.workflow.export import ExportedCameras, ExportedGaussians, ExportedPage
 
 DESCRIPTION = """\
 Write what other programs open; the suffix of FILE says what:
 
-"""
+  .glb   from SCENE: the same as glTF's KHR_gaussian_splatting, y up;
+         from DATA: its points, if it has any, and the frustum of every camera,
+         training cameras blue, held-out ones orange. Lengths are the world
+         units of the data set; its up becomes glTF's y (Blender captures
+         and transforms.json have z up, COLMAP models y down).
+  .html  from SCENE: one web page that decodes and draws the scene, offline;
+         with --viewer and no SCENE: a page to drop .clgs files on.
+  .ply .spz .sog from SCENE: baked to ordinary 3D Gaussians, for 3DGS viewers.
+         With --data they are fitted to its photos; without, to renders from
+         cameras around the scene, which is worse. A PLY of splats is
+         converted. Coordinates are those of the data set."""
+
+MOST_STEPS = 100_000
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Add the command and its options."""
-    lines = "\n".join(f"  {_suffixes(name)} {_module(name).HELP}" for name in _modules())
-    parser.description = DESCRIPTION + lines
-    parser.add_argument(
+    """Add the command's options."""
+    parser.description = DESCRIPTION
+    add = parser.add_argument
+    add(
         "source",
         type=Path,
         nargs="?",
         metavar="SCENE|DATA",
         help="a run folder or .clgs file, or a data set, as FILE needs",
     )
-    parser.add_argument(
-        "-o", "--output", type=named_path, required=True, metavar="FILE", help="new file"
-    )
-    parser.add_argument(
+    add("-o", "--output", type=named_path, required=True, metavar="FILE", help="new file")
+    add(
         "--data",
         type=Path,
-        help="the data set that SCENE was made of (default: that which its run folder names)",
+        help="the data set that SCENE was made of (default: the one that its run folder names)",
     )
-    for name in _modules():
-        _module(name).add_options(parser)
+    add_size_options(parser, "SCENE")
+    add(
+        "--sh-degree",
+        type=int,
+        choices=SH_DEGREES,
+        default=SH_DEGREES[-1],
+        help="degree of the colors' spherical harmonics, at most (default: %(default)s)",
+    )
+    add(
+        "--steps",
+        type=_steps,
+        default=BAKE_STEPS,
+        metavar="N",
+        help="baking: steps of refinement after the fit; 0: none (default: %(default)s)",
+    )
+    add(
+        "--units",
+        choices=("data", "scene"),
+        default="data",
+        help="baking: coordinates of the data set, or the scene's own (default: %(default)s)",
+    )
+    add_device_name(parser)
+    add("--viewer", action="store_true", help=".html: a page without a scene, to drop files on")
     add_overwrite(parser, "the file if it exists (default: refuse)")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Write the file and print one line; exit code 0."""
-    from clgs.cli.options.view import known_data
-    from clgs.errors import UsageError
+def _steps(text: str) -> int:
+    return 0 if text == "0" else whole_number(MOST_STEPS)(text)
 
-    name = KINDS.get(args.output.suffix.lower())
-    if name is None:
-        known = ", ".join(KINDS)
-        raise UsageError(f"{args.output}: nothing is written by this suffix; take one of {known}")
-    check_new(args, args.output)
-    if args.data is None and args.source is not None:
-        args.data = known_data(args.source)
-    _module(name).run(args)
+
+def run(args: argparse.Namespace) -> int:
+    """Write the file and print what it holds; exit code 0."""
+    from clgs.cli.display import Display
+    from clgs.workflow.export import export
+
+    with Display() as display:
+        made = export(
+            args.source,
+            args.output,
+            data=args.data,
+            sh_degree=args.sh_degree,
+            steps=args.steps,
+            units=args.units,
+            downscale=args.downscale,
+            max_size=args.max_size,
+            device=args.device,
+            viewer=args.viewer,
+            overwrite=args.overwrite,
+            on_event=display,
+        )
+    show(made)
     return 0
 
 
-def _modules() -> list[str]:
-    """The modules, each once."""
-    return list(dict.fromkeys(KINDS.values()))
+def show(made: ExportedPage | ExportedGaussians | ExportedCameras) -> None:
+    """Print what was written, and what baking costs."""
+    from clgs.cli.tell import counted
+    from clgs.workflow.export import ExportedCameras, ExportedPage
 
-
-def _suffixes(name: str) -> str:
-    """What the module writes, at least 6 characters wide."""
-    return f"{' '.join(suffix for suffix, own in KINDS.items() if own == name):6}"
-
-
-def _module(name: str) -> Any:
-    return importlib.import_module(f"clgs.cli.exports.{name}")
+    if isinstance(made, ExportedPage):
+        scene = f", {made.scene_size:,} of them the scene" if made.scene_size else ""
+        print(f"{made.path}: {made.size:,} bytes{scene}")
+        return
+    if isinstance(made, ExportedCameras):
+        counts = f"{made.points:,} points, {made.cameras} cameras"
+        print(f"{made.path}: {counts}, {made.size:,} bytes")
+        return
+    print(f"{made.path}: {made.gaussians:,} Gaussians, degree {made.degree}")
+    megabytes, loss = f"{made.size / 1e6:.1f} MB", made.loss
+    if loss is None:
+        print(f"converted: {megabytes}")
+    elif loss.scene is None:
+        print(f"baked: {loss.baked:.2f} dB against renders of the scene, {megabytes}")
+    else:
+        print(
+            f"baked: {loss.baked - loss.scene:+.2f} dB, {megabytes} "
+            f"({loss.baked:.2f} dB against the photos of {counted(loss.views, 'view')})"
+        )

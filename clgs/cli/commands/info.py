@@ -27,16 +27,13 @@ def run(args: argparse.Namespace) -> int:
     """
     import json
 
-    from clgs.cli.options.scene import read_bytes
-    from clgs.codec import scene_decoder, splats
-    from clgs.errors import CodecError
+    from clgs.codec import scene_decoder, splat_packing
+    from clgs.workflow.scenes import naming, read_bytes
 
     data = read_bytes(args.scene)
-    try:
-        reader = splats if splats.is_splats(data) else scene_decoder
+    with naming(args.scene):
+        reader = splat_packing if splat_packing.is_splats(data) else scene_decoder
         description: dict[str, Any] = reader.describe(data)
-    except CodecError as error:
-        raise CodecError(f"{args.scene}: {error}") from error
     if args.json:
         print(json.dumps(description, indent=2))
         return 0

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from clgs.cli.options.codec import add_files, add_level, add_threads, in_range
-
-if TYPE_CHECKING:
-    from clgs.codec.splats import Splats
 
 DESCRIPTION = """\
 Compress an ordinary 3DGS file (PLY: x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*, ...).
@@ -50,33 +46,19 @@ def named_step(text: str) -> tuple[str, float]:
     return name, in_range(number)
 
 
-def steps_by_group(splats: Splats) -> dict[str, str]:
-    """The steps of every group in words: one, or all if its properties differ."""
-    from clgs.data.ply.splat_steps import group_of
-
-    groups: dict[str, dict[str, float]] = {}
-    for name, step in zip(splats.names, splats.steps, strict=True):
-        groups.setdefault(group_of(name), {})[name] = step
-    return {
-        group: f"{min(steps.values()):g}"
-        if len({*steps.values()}) == 1
-        else ", ".join(f"{step:g} of {name}" for name, step in steps.items())
-        for group, steps in groups.items()
-    }
-
-
 def run(args: argparse.Namespace) -> int:
     """Pack; exit code 0."""
-    from clgs.cli.options.output import check_new, check_suffix
     from clgs.cli.tell import tell
-    from clgs.codec.octree.position_coder import PositionsError
-    from clgs.codec.splats import pack
+    from clgs.codec.octree import PositionsError
+    from clgs.codec.splat_packing import pack
     from clgs.data.ply.gaussians import lacking
+    from clgs.data.ply.splat_steps import group_of
     from clgs.data.ply.splats import read_splats
     from clgs.errors import CodecError, UsageError
     from clgs.files import atomic_write
+    from clgs.workflow.outputs import check_new, check_suffix
 
-    check_new(args, args.output, args.splats)
+    check_new(args.output, args.overwrite, args.splats)
     check_suffix(args.output, ".clgs")
     names = [name for name, _ in args.step]
     for name in {name for name in names if names.count(name) > 1}:
@@ -88,8 +70,14 @@ def run(args: argparse.Namespace) -> int:
         remedy = "crop distant ones, or give a larger --step position=STEP"
         raise CodecError(f"{args.splats}: {error.problem}; {remedy}") from error
     atomic_write(args.output, data)
-    for group, steps in steps_by_group(splats).items():
-        print(f"{group}: step {steps}, rounded by at most {errors[group]:.2g}")
+    groups: dict[str, dict[str, float]] = {}
+    for name, step in zip(splats.names, splats.steps, strict=True):
+        groups.setdefault(group_of(name), {})[name] = step
+    for group, steps in groups.items():
+        shown = ", ".join(f"{step:g} of {name}" for name, step in steps.items())
+        if len({*steps.values()}) == 1:
+            shown = f"{min(steps.values()):g}"
+        print(f"{group}: step {shown}, rounded by at most {errors[group]:.2g}")
     if missing := lacking(splats.names):
         tell(
             f"clgs: {args.splats}: property {missing[0]} is missing, so these are points, no 3DGS "

@@ -3,51 +3,45 @@
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.output import add_overwrite
-from clgs.cli.options.view import named_path, positive_int, seed
+from clgs.cli.options.view import add_overwrite, named_path, positive_int, seed
 
 if TYPE_CHECKING:
-    from clgs.poses.judging.verdict import PhotoVerdict, Verdict
+    from clgs.workflow.prepare import PreparedData
 
-PAGE = "report.html"
 NAMED = 20
-"""Of the photos in doubt, at most so many are listed on the terminal."""
+"""At most this many photos in doubt are listed on the terminal."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Add the command to the parser of ``clgs``."""
+    """Add the command's options."""
     parser.description = (
         "Structure from motion: writes DATA/images (undistorted), DATA/sparse/0, a verdict on "
         "every photo in DATA/report.html and DATA/report.json, and DATA/masks if photos have "
         "masks (PHOTOS/masks/NAME.png, black where a photo is not to be used, or an alpha "
         "channel)."
     )
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "photos",
         metavar="PHOTOS",
         help="folder of photos (JPEG, PNG, WebP, HEIC), or a video",
     )
-    parser.add_argument(
+    add(
         "--frames",
         type=positive_int,
         metavar="N",
-        help="take so many sharp, evenly spread frames of a video (default: 100)",
+        help="take this many sharp, evenly spread frames of a video (default: 100)",
     )
-    parser.add_argument(
-        "-o", "--output", type=named_path, metavar="DATA", required=True, help="new folder"
-    )
-    parser.add_argument("--seed", type=seed, default=0, help="random seed (default: %(default)s)")
-    parser.add_argument(
+    add("-o", "--output", type=named_path, metavar="DATA", required=True, help="new folder")
+    add("--seed", type=seed, default=0, help="random seed (default: %(default)s)")
+    add(
         "--quick",
         action="store_true",
         help="fewer features, one mapper, poses not tested",
     )
-    parser.add_argument(
+    add(
         "--drop-doubtful",
         action="store_true",
         help="leave out photos whose poses are in doubt (default: they are named, and stay)",
@@ -56,52 +50,40 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prepare ``args.photos`` into ``args.output`` and print the verdict; returns the exit code."""
-    from clgs.cli.stages import StageDisplay
-    from clgs.export.poses_page import write_poses_page
-    from clgs.poses.prepare import Doubts, prepare
+    """Find the poses and print the verdict; exit code 0."""
+    from clgs.cli.display import Display
+    from clgs.workflow.prepare import prepare_data
 
-    start = time.perf_counter()
-    with StageDisplay() as display:
-        verdict = prepare(
+    with Display() as display:
+        made = prepare_data(
             args.photos,
             args.output,
-            args.seed,
-            display.update,
-            overwrite=args.overwrite,
+            seed=args.seed,
             quick=args.quick,
             frames=args.frames,
-            doubts=Doubts(None if args.quick else _short_training, args.drop_doubtful),
+            drop_doubtful=args.drop_doubtful,
+            overwrite=args.overwrite,
+            on_event=display,
         )
-    write_poses_page(args.output / PAGE, args.output, verdict)
-    _print_verdict(args.output, verdict, time.perf_counter() - start)
+    show(made)
     return 0
 
 
-def _short_training(data: Path, on_step: Callable[[int, int], None]) -> dict[str, float]:
-    from clgs.opencl.device import Device
-    from clgs.train.quality.pose_check import check_poses
-
-    return check_poses(data, Device(), on_step)
-
-
-def _print_verdict(output: Path, verdict: Verdict, seconds: float) -> None:
+def show(made: PreparedData) -> None:
+    """Print the verdict."""
     from clgs.poses.judging.verdict import DOUBTFUL, LEFT_OUT
 
+    verdict = made.verdict
     print(
-        f"{output}: registered {verdict.registered} of {verdict.total} photos, "
+        f"{made.folder}: registered {verdict.registered} of {verdict.total} photos, "
         f"{verdict.points:,} points, reprojection error {verdict.error:.2f} px, "
-        f"track length {verdict.track_length:.1f}, {seconds:.0f} s"
+        f"track length {verdict.track_length:.1f}, {made.seconds:.0f} s"
     )
     print(verdict.sure)
     doubted = [*verdict.of(LEFT_OUT), *verdict.of(DOUBTFUL)]
     for photo in doubted[:NAMED]:
-        print(_line(photo))
+        name = photo.name if photo.name.isprintable() else repr(photo.name)
+        print(f"  {name}: {photo.status}: {'; '.join(photo.reasons)}; {photo.remedy}")
     if len(doubted) > NAMED:
         print(f"  and {len(doubted) - NAMED} more")
-    print(f"{output / PAGE}")
-
-
-def _line(photo: PhotoVerdict) -> str:
-    name = photo.name if photo.name.isprintable() else repr(photo.name)
-    return f"  {name}: {photo.status}: {'; '.join(photo.reasons)}; {photo.remedy}"
+    print(made.page)

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
-from clgs.cli.counted import counted
-from clgs.cli.options.output import add_overwrite, check_new
-from clgs.cli.options.path import add_kind_options, add_path_options
-from clgs.cli.options.view import add_view_options, named_path
+from clgs.cli.options.view import (
+    add_overwrite,
+    add_view_options,
+    named_path,
+    positive_int,
+    view_options,
+)
+from clgs.workflow.options import FPS, FRAMES, SIZE, UPS, PathOptions
+
+if TYPE_CHECKING:
+    from clgs.workflow.pictures import Clip
 
 DESCRIPTION = """\
 Render the views of a data set as PNG files, or a clip along a path.
@@ -15,9 +23,11 @@ Render the views of a data set as PNG files, or a clip along a path.
 SCENE is a run folder, a .clgs file of `clgs train` or `clgs pack`, or an ordinary 3DGS PLY file,
 whose coordinates are those of its data set."""
 
+MAX_SIDE = 16384
+
 
 def register(parser: argparse.ArgumentParser) -> None:
-    """Add the command and its options."""
+    """Add the command's options."""
     parser.description = DESCRIPTION
     parser.add_argument(
         "scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
@@ -27,60 +37,125 @@ def register(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=named_path, required=True, metavar="DIR|F.mp4", help="new pictures"
     )
     add_overwrite(parser, "the video, or pictures in DIR (default: refuse)")
-    add_kind_options(parser)
-    add_path_options(parser)
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument(
+        "--depth",
+        dest="kind",
+        action="store_const",
+        const="depth",
+        default="color",
+        help="pictures of depth, near ones light; in a folder also NAME.npy, the depths in the "
+        "data set's units (float32)",
+    )
+    kind.add_argument(
+        "--opacity",
+        dest="kind",
+        action="store_const",
+        const="opacity",
+        help="pictures of opacity: white where nothing behind the scene shows through",
+    )
+    clip = parser.add_argument_group("a clip along a path")
+    clip.add_argument(
+        "--path",
+        metavar="orbit|spiral|interpolate|F.json",
+        help="render a clip: around the scene, on small circles before it, through the training "
+        "photos, or along a camera path in nerfstudio's form; -o is an .mp4 file (extra "
+        "clgs[video]) or a folder for PNG files",
+    )
+    clip.add_argument(
+        "--frames", type=positive_int, metavar="N", help=f"(default: {FRAMES}, or those of F.json)"
+    )
+    clip.add_argument(
+        "--fps",
+        type=_rate,
+        metavar="X",
+        help=f"frames per second (default: {FPS:g}, or F.json's)",
+    )
+    clip.add_argument(
+        "--size",
+        type=_size,
+        metavar="WxH",
+        help="pixels (default: of the photos with --data, of F.json, else "
+        f"{SIZE[0]}x{SIZE[1]}); the vertical angle of view stays",
+    )
+    clip.add_argument(
+        "--up",
+        choices=UPS,
+        metavar="AXIS",
+        help="up without --data: x, y, z, -x, -y or -z (default: a guess)",
+    )
+    clip.add_argument(
+        "--save-path", type=named_path, metavar="F.json", help="write the cameras to F.json, too"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Render; exit code 0."""
-    from clgs.cli.options.path import check_path
-    from clgs.cli.options.scene import check_there
-    from clgs.cli.options.view import name_known_data
+    from clgs.cli.display import Display
+    from clgs.cli.tell import counted
+    from clgs.errors import UsageError
+    from clgs.workflow.pictures import OTHER_VIDEOS, render_clip, render_views
 
-    if args.data is None:
-        check_there(args.scene)
-    if args.up is None:
-        name_known_data(args)
-    check_path(args)
+    views = view_options(args)
     if args.path is not None:
-        from clgs.cli.commands.render_path import render_path
-
-        return render_path(args)
-    return _render_views(args)
-
-
-def _render_views(args: argparse.Namespace) -> int:
-    from clgs.cli.commands.render_path import save_frame
-    from clgs.cli.frames import Frames
-    from clgs.cli.options.output import check_picture_folder
-    from clgs.cli.options.scene import read_drawable
-    from clgs.cli.options.view import (
-        check_apart,
-        over_background,
-        selected_options,
-        selected_views,
-    )
-    from clgs.cli.progress import track
-    from clgs.export.image import picture_names
-    from clgs.files import folder_to_fill
-    from clgs.opencl.device import Device
-    from clgs.render.renderer import Renderer
-    from clgs.scene.scene import drawable
-
-    check_picture_folder(args.output)
-    check_apart(args.output, args.data)
-    scene, _ = read_drawable(args.scene)
-    views = selected_views(args, scene)
-    names = picture_names([view.name for view in views])
-    if args.output.exists():
-        for name in names:
-            check_new(args, args.output / name)
-    shown = drawable(over_background(args, scene))
-    renderer = Renderer(Device(args.device), shown, selected_options(args))
-    renderer.check_budget((view.name, view.camera) for view in views)
-    frames = Frames(renderer, args.kind, [view.camera for view in views])
-    with folder_to_fill(args.output):
-        for name, view in track(list(zip(names, views, strict=True)), "rendering"):
-            save_frame(args.output / name, frames.draw(view.camera), scene.transform)
-    print(f"{args.output}: {counted(len(views), 'picture')}")
+        path = PathOptions(args.path, args.frames, args.fps, args.size, args.up)
+        with Display() as display:
+            clip = render_clip(
+                args.scene,
+                args.output,
+                path,
+                views,
+                kind=args.kind,
+                save_path=args.save_path,
+                overwrite=args.overwrite,
+                on_event=display,
+            )
+        show(clip)
+        return 0
+    for name in ("frames", "fps", "size", "up", "save_path"):
+        if getattr(args, name) is not None:
+            option = f"--{name.replace('_', '-')}"
+            raise UsageError(f"{option}: belongs to a clip; give --path too")
+    if args.output.suffix.lower() in (".mp4", *OTHER_VIDEOS):
+        raise UsageError(f"{args.output}: a video is a clip; give --path, or name a folder")
+    with Display() as display:
+        count = render_views(
+            args.scene,
+            args.output,
+            views,
+            kind=args.kind,
+            overwrite=args.overwrite,
+            on_event=display,
+        )
+    print(f"{args.output}: {counted(count, 'picture')}")
     return 0
+
+
+def show(clip: Clip) -> None:
+    """Print what was written."""
+    from clgs.cli.tell import counted
+
+    print(
+        f"{clip.path}: {counted(clip.frames, 'frame')} of {clip.width}x{clip.height}, "
+        f"{clip.frames / clip.fps:.1f} s at {clip.fps:g} per second"
+    )
+
+
+def _size(text: str) -> tuple[int, int]:
+    words = text.lower().split("x")
+    if len(words) != 2 or not all(word.isdecimal() and len(word) < 6 for word in words):
+        raise argparse.ArgumentTypeError(f"{text} is not WIDTHxHEIGHT, such as 800x600")
+    width, height = map(int, words)
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise argparse.ArgumentTypeError(f"{text}: sides are 1 to {MAX_SIDE} pixels")
+    return width, height
+
+
+def _rate(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.1 <= value <= 1000:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 0.1 to 1000")
+    return value

@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
-from clgs.cli.options.output import add_overwrite
-from clgs.cli.options.view import named_path, photo_width, positive_int, seed
-from clgs.cli.run.duration import duration
+from clgs.cli.options.view import (
+    add_device_name,
+    add_overwrite,
+    named_path,
+    photo_width,
+    positive_int,
+    seed,
+)
+from clgs.errors import UsageError
+
+if TYPE_CHECKING:
+    from clgs.workflow.run_plan import TrainingPlan
+    from clgs.workflow.run_record import FinishedRun, RunPlan
 
 DESCRIPTION = """\
 The whole way, each stage a command of clgs that is shown as it runs: find the poses of the photos
@@ -39,7 +52,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         help="reduce wider photos to this width (default: what T allows)",
     )
     add("--seed", type=seed, help="random seed (default: 0)")
-    add("--device", help="number or part of the name, see `clgs devices`")
+    add_device_name(parser)
     add(
         "--resume",
         action="store_true",
@@ -50,12 +63,143 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """All stages; exit code 0, or that of the stage that failed."""
-    from clgs.cli.notes import warnings_once
-    from clgs.cli.run.job import Job
+    """Do all stages, or show the plan; exit code 0, or that of the last export that failed."""
+    from clgs.cli.display import Display
+    from clgs.cli.main import complain
+    from clgs.cli.tell import warnings_once
+    from clgs.workflow.events import Event, RunStage, StageFailure, StageRecord
+    from clgs.workflow.run import plan_run
+    from clgs.workflow.run import run as run_all
 
+    code, display = 0, Display()
+
+    def follow(event: Event) -> None:
+        nonlocal code
+        match event:
+            case RunStage(stage, text):
+                display.stop()
+                print(f"\n[{stage}] {text}", flush=True)
+            case StageRecord(record):
+                display.stop()
+                _show(record)
+            case StageFailure(_, error):
+                display.stop()
+                code = complain(error)
+            case _:
+                display(event)
+
+    chosen = {name: getattr(args, name) for name in ("steps", "max_size", "seed", "device")}
+    done: RunPlan | FinishedRun
     try:
-        with warnings_once():
-            return Job(args).run()
+        with warnings_once(), display:
+            if args.plan:
+                if args.resume and args.overwrite:
+                    raise UsageError("--resume and --overwrite contradict each other; give one")
+                done = plan_run(
+                    args.input, args.output, seconds=args.time, on_event=follow, **chosen
+                )
+            else:
+                done = run_all(
+                    args.input,
+                    args.output,
+                    seconds=args.time,
+                    resume=args.resume,
+                    overwrite=args.overwrite,
+                    on_event=follow,
+                    **chosen,
+                )
     except KeyboardInterrupt:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
+    _show(done)
+    return code
+
+
+def _show(record: object) -> None:
+    """Print a plan, the box of the finished run, or the record of a stage as its command does."""
+    from clgs.cli.commands import encode, eval, export, prepare, render, train
+    from clgs.workflow.encode import EncodedFile
+    from clgs.workflow.evaluate import Evaluation
+    from clgs.workflow.pictures import Clip
+    from clgs.workflow.prepare import PreparedData
+    from clgs.workflow.run_plan import TrainingPlan
+    from clgs.workflow.run_record import FinishedRun, RunPlan
+    from clgs.workflow.train import TrainedRun
+
+    show: dict[type, Callable[[Any], None]] = {
+        RunPlan: _show_plan,
+        TrainingPlan: lambda plan: print(f"training: {_training(plan)}"),
+        PreparedData: prepare.show,
+        TrainedRun: train.show,
+        EncodedFile: encode.show,
+        Evaluation: eval.show,
+        Clip: render.show,
+        FinishedRun: _show_box,
+    }
+    show.get(type(record), export.show)(record)
+
+
+def _show_plan(plan: RunPlan) -> None:
+    from clgs.workflow.run_record import in_words
+
+    given, photos, training = plan.input, plan.input.photos, plan.training
+    kind = "data set" if given.posed else "frames" if given.video else "photos"
+    print(f"{given.path}: {kind}, {photos.count} of {photos.width} x {photos.height} pixels")
+    preparing = f"about {in_words(training.prepare_seconds)}"
+    if not given.posed:
+        tested = (
+            "not tested, for lack of time" if plan.hurry else "tested by a second reconstruction"
+        )
+        print(f"poses:    {preparing}, {tested}")
+    if given.pointless:
+        print(f"points:   {preparing}")
+    print(f"training: {_training(training)}")
+    print(f"the rest: about {in_words(training.other_seconds)}: scores, page, Gaussians, clip")
+    too_long = training.seconds > 1.05 * plan.allowed
+    late = f", more than the {in_words(plan.allowed)} of --time" if too_long else ""
+    whole = f"about {in_words(training.seconds)} on {plan.device}{late}"
+    print(f"in all:   {whole}", flush=True)
+
+
+def _training(plan: TrainingPlan) -> str:
+    from clgs.workflow.run_record import in_words
+
+    return (
+        f"{plan.steps:,} steps on photos at most {plan.max_size} wide, "
+        f"about {in_words(plan.train_seconds)}"
+    )
+
+
+def _show_box(done: FinishedRun) -> None:
+    from rich.console import Console
+    from rich.panel import Panel
+    from rich.table import Table
+    from rich.text import Text
+
+    from clgs.cli.tell import counted
+    from clgs.workflow.run_record import in_words
+    from clgs.workflow.run_stages import REPORT
+
+    scores, seconds = done.scores, done.seconds
+    stages = "  ".join(f"{name} {one:.0f}" for name, one in seconds.items())
+    split = "held-out view" if scores["split"] == "test" else "training view"
+    rows = {
+        "photos": done.photos,
+        "PSNR": f"{scores['psnr']:.2f} dB on {counted(scores['views'], split)}, from the file",
+        "SSIM": f"{scores['ssim']:.4f}",
+        "bytes": f"{scores['bytes']:,} for {scores['anchors']:,} anchors",
+        "time": f"{in_words(sum(seconds.values()))}; seconds: {stages}",
+        "look at": str(done.folder / REPORT),
+    }
+    table = Table.grid(padding=(0, 2))
+    for name, value in rows.items():
+        table.add_row(Text(name, style="dim"), Text(value))
+    Console().print(Panel(table, title="clgs run: done", border_style="green", expand=False))
+
+
+def duration(text: str) -> float:
+    """Seconds of an argument that is a time; without a unit it could mean two things."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)(s|m|h)", text.strip().lower())
+    seconds = float(found[1]) * {"s": 1.0, "m": 60.0, "h": 3600.0}[found[2]] if found else 0.0
+    if not 0 < seconds < 1e7:
+        raise argparse.ArgumentTypeError(f"{text} is not a time such as 90s, 5m or 1h")
+    return seconds

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.output import add_overwrite
 from clgs.cli.options.training import add_training_options, make_config
-from clgs.cli.options.view import check_apart, named_path
-from clgs.cli.tell import tell
+from clgs.cli.options.view import add_device_name, add_overwrite, named_path
 
 if TYPE_CHECKING:
-    from clgs.cli.progress import TrainingDisplay
-    from clgs.cli.tensorboard import EventLog
-    from clgs.train.run.session import Progress, Session
+    from clgs.workflow.train import TrainedRun
+
+LEFT_OVER = 0.02
+"""Share of a target size that may be left over without a word."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +29,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("data", type=Path, metavar="DATA", help="Blender, transforms.json or COLMAP folder")
     add("-o", "--output", type=named_path, required=True, metavar="RUN", help="run folder")
-    add("--device", help="number or part of the name, see `clgs devices`")
+    add_device_name(parser)
     add(
         "--resume",
         action="store_true",
@@ -54,76 +52,81 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train; exit code 0."""
-    from clgs.cli.progress import TrainingDisplay, print_summary
+    from clgs.cli.display import Display
     from clgs.cli.tensorboard import EventLog, check_tensorboard
-    from clgs.errors import UsageError
-    from clgs.files import check_folder
-    from clgs.memory import return_freed_memory
-    from clgs.opencl.device import Device
-    from clgs.train.run.finished_run import check_run_folder, check_same_data, finished_run
-    from clgs.train.run.load import load_for
-    from clgs.train.run.session import Session
+    from clgs.workflow.events import Event, TrainingProgress
+    from clgs.workflow.train import train
 
-    return_freed_memory()
     config = make_config(args)
     if args.tensorboard:
         check_tensorboard()
-    check_folder(args.output)
-    if (args.output / "checkpoint").is_file():
-        raise UsageError(f"{args.output / 'checkpoint'}: is not a folder; remove it")
-    check_apart(args.output, args.data)
-    check_run_folder(args.output, args.resume, args.overwrite)
-    if args.resume:
-        check_same_data(args.output, args.data)
-    device = Device(args.device)
-    device.profile.enabled = args.profile
-    dataset = load_for(config, args.data, args.output, tell)
-    config = config.for_dataset(dataset.kind)
-    if args.resume and (finished := finished_run(args.output, dataset, config)):
-        print(f"{args.output}: is finished already, after {config.steps} steps; nothing is changed")
-        print_summary(finished)
-        return 0
-    session = Session(dataset, args.output, config, device, resume=args.resume)
+    events = EventLog(args.output / "tensorboard") if args.tensorboard else None
+    display = Display()
+
+    def follow(event: Event) -> None:
+        display(event)
+        if events is not None and isinstance(event, TrainingProgress):
+            events.update(event.progress)
+
     try:
-        with TrainingDisplay(config.steps, session.trainer.steps_done) as display:
-            events = EventLog(args.output / "tensorboard") if args.tensorboard else None
-            result = session.run(partial(_follow, display, events))
+        with display:
+            trained = train(
+                args.data,
+                args.output,
+                config,
+                device=args.device,
+                resume=args.resume,
+                overwrite=args.overwrite,
+                profile=args.profile,
+                command=args.command_line.replace(" --resume", ""),  # it would change nothing
+                on_event=follow,
+            )
     except KeyboardInterrupt:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
-    if args.profile:
-        _report_profile(session)
-    _write_report(args)
-    print_summary(result)
+    show(trained)
     return 0
 
 
-def _follow(display: TrainingDisplay, events: EventLog | None, progress: Progress) -> None:
-    """Show a step, and log it."""
-    display.update(progress)
-    if events is not None:
-        events.update(progress)
+def show(trained: TrainedRun) -> None:
+    """Print the scores, the files, and the profile if there is one."""
+    result, summary = trained.result, trained.result.summary
+    if trained.was_finished:
+        done = f"is finished already, after {trained.steps} steps; nothing is changed"
+        print(f"{result.folder}: {done}")
+    if trained.times:
+        _print_profile(trained)
+    in_training = f" ({summary['train_psnr']:.2f} in training)" if "train_psnr" in summary else ""
+    split = "held-out" if summary["split"] == "test" else "training"
+    print(
+        f"{split} views: PSNR {summary['psnr']:.2f} dB{in_training}, SSIM {summary['ssim']:.4f}; "
+        f"{summary['bytes']:,} bytes, {summary['anchors']:,} anchors, "
+        f"{summary['train_seconds']:.0f} s"
+    )
+    missing = 1 - summary["bytes"] / (summary.get("target_size") or summary["bytes"])
+    if missing > LEFT_OVER:
+        print(
+            f"the file is {100 * missing:.1f} % smaller than asked for: so short a run, or one "
+            "with so few anchors, cannot fill it"
+        )
+    print(f"{result.folder / 'scene.clgs'}  {result.folder / 'results.json'}")
 
 
-def _write_report(args: argparse.Namespace) -> None:
-    """The report, with the command that repeats the run: with --resume it would change nothing."""
-    from clgs.export.run_report import RunStory, write_run_report
+def _print_profile(trained: TrainedRun) -> None:
+    """Print the times of the stages, and what each skip saved."""
+    from rich.console import Console
+    from rich.table import Table
 
-    command = args.command_line.replace(" --resume", "")
-    write_run_report(args.output, RunStory(command, f"Trained on {args.data}."))
-
-
-def _report_profile(session: Session) -> None:
-    """Print the time by stage and what the skips saved; write both to profile.json."""
-    from dataclasses import asdict
-
-    from clgs.cli.progress import print_profile
-    from clgs.files import write_json
-    from clgs.train.quality.savings import savings
-
-    rows = session.device.profile.rows()
-    saved = savings(session.trainer)
-    names = ("stage", "calls", "median_ms", "total_s")
-    stages = [dict(zip(names, row, strict=True)) for row in rows]
-    skips = [{**asdict(saving), "share": saving.share} for saving in saved]
-    write_json(session.folder / "profile.json", {"stages": stages, "skips": skips})
-    print_profile(rows, saved)
+    table = Table("stage", title="Time by stage")
+    for column in ("calls", "median ms", "total s", "share"):
+        table.add_column(column, justify="right")
+    total = sum(seconds for *_, seconds in trained.times) or 1.0
+    for name, calls, milliseconds, seconds in trained.times:
+        share = f"{100 * seconds / total:.1f} %"
+        table.add_row(name, str(calls), f"{milliseconds:.2f}", f"{seconds:.1f}", share)
+    skips = Table("skip", "work", title="Work left out, on the first view")
+    for column in ("done", "without", "saved"):
+        skips.add_column(column, justify="right")
+    for one in trained.saved:
+        counts = f"{one.done:,}", f"{one.without:,}", f"{100 * one.share:.1f} %"
+        skips.add_row(one.skip, one.unit, *counts)
+    Console().print(table, skips)

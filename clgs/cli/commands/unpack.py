@@ -22,13 +22,13 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Unpack; exit code 0."""
-    from clgs.cli.options.output import check_new, check_suffix
-    from clgs.cli.options.scene import naming, read_bytes
-    from clgs.codec.splats import unpack
+    from clgs.codec.splat_packing import unpack
     from clgs.data.ply.splats import write_splats
     from clgs.files import atomic_write
+    from clgs.workflow.outputs import check_new, check_suffix
+    from clgs.workflow.scenes import naming, read_bytes
 
-    check_new(args, args.output, args.splats)
+    check_new(args.output, args.overwrite, args.splats)
     check_suffix(args.output, ".ply")
     data = read_bytes(args.splats)
     with naming(args.splats):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import add_view_options, named_path, whole_number
+from clgs.cli.options.view import add_view_options, named_path, view_options, whole_number
+from clgs.workflow.options import SIZE, ViewOptions
 
 if TYPE_CHECKING:
-    from clgs.opencl.device import Device
-    from clgs.scene.scene import QuantizedScene, SplatScene
     from clgs.viewer.server import Shown
+    from clgs.workflow.events import OnEvent
 
 PORT = 8080
 HOST = "127.0.0.1"
@@ -47,14 +49,14 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; exit code 130 then."""
-    from clgs.cli.options.scene import read_drawable
+    from clgs.cli.display import Display
     from clgs.cli.tell import tell
-    from clgs.opencl.device import Device
     from clgs.viewer.server import close_server, load_viser, open_server
 
     load_viser()
-    scene, size = read_drawable(args.scene)
-    server = open_server(prepare(args, Device(args.device), scene, size), args.host, args.port)
+    with Display() as display:
+        shown = scene_to_show(args.scene, view_options(args), display)
+    server = open_server(shown, args.host, args.port)
     if server.get_port() != args.port:
         tell(f"clgs: port {args.port} is taken")
     print(f"http://{args.host}:{server.get_port()}  (Ctrl-C ends it)", flush=True)
@@ -65,38 +67,31 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def prepare(
-    args: argparse.Namespace,
-    device: Device,
-    scene: QuantizedScene | SplatScene,
-    size: int | None,
-) -> Shown:
-    """All that the viewer shows of ``scene``, whose file has ``size`` bytes."""
-    from clgs.cli.options.path import SIZE
-    from clgs.cli.options.view import (
-        load_views,
-        name_known_data,
-        over_background,
-        selected_options,
-    )
-    from clgs.cli.progress import bar
-    from clgs.export.clip.framing import frame_cameras, frame_scene
+def scene_to_show(path: Path, views: ViewOptions, on_event: OnEvent) -> Shown:
+    """Read a scene, and all that the viewer shows of it."""
+    from clgs.exports.clip.framing import frame_cameras, frame_scene
+    from clgs.opencl.device import Device
     from clgs.scene.scene import SplatScene, drawable
     from clgs.viewer.importance import chosen, scene_importance
     from clgs.viewer.live import LiveScene
     from clgs.viewer.server import Shown
+    from clgs.workflow.events import counter
+    from clgs.workflow.scenes import read_drawable
+    from clgs.workflow.views import drawing_options, known_data, load_views, over_background
 
-    scene, options = over_background(args, scene), selected_options(args)
+    scene, size = read_drawable(path)
+    scene, options = over_background(scene, views.background), drawing_options(path, views)
+    views = replace(views, data=views.data or known_data(path))
     photos, framing = {}, frame_scene(scene, SIZE)
-    name_known_data(args)
-    if args.data is not None:
-        dataset = load_views(args, scene)
+    if views.data is not None:
+        dataset = load_views(path, scene, views, on_event)
         photos = {"train": dataset.train, "test": dataset.test}
         framing = frame_cameras([view.camera for view in dataset.train], framing)
     cameras = [view.camera for view in photos.get("train", [])]
     is_splats = isinstance(scene, SplatScene)
-    with bar(0 if is_splats else len(chosen(cameras)), "what matters most") as advance:
-        importance = scene_importance(device, scene, cameras, options, advance)
+    device = Device(views.device)
+    advance = counter("importance", 0 if is_splats else len(chosen(cameras)), on_event)
+    importance = scene_importance(device, scene, cameras, options, advance)
     live = LiveScene(device, drawable(scene), importance, options)
     unit = "Gaussians" if is_splats else "anchors"
     return Shown(live, photos, framing, scene.settings.background, unit, size)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 
-from clgs.cli.options.output import add_overwrite
-from clgs.cli.options.view import named_path
+from clgs.cli.options.view import add_overwrite, named_path
 
 
 def add_files(parser: argparse.ArgumentParser, name: str, source: str, output: str) -> None:
     """Add the argument ``name``, --output, shown as ``source`` and ``output``, and --overwrite.
 
-    The command must pass both files to ``clgs.cli.options.output.check_new``.
+    The command must pass both files to ``clgs.workflow.outputs.check_new``.
     """
     parser.add_argument(name, type=named_path, metavar=source)
     parser.add_argument("-o", "--output", type=named_path, required=True, metavar=output)

@@ -17,15 +17,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.octree.position_coder import MAX_EXTENT
+from clgs.codec.octree import MAX_EXTENT
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.data.ply.mlps_archive import holds, load_mlps, mlps_path, pack_mlps
 from clgs.data.ply.table import Table, narrowest, pack_ply, read_ply
 from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
-from clgs.scene.ranges import MIN_Q, check_ranges
-from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
+from clgs.scene.scene import MIN_Q, QuantizedScene, RenderSettings, SceneTransform, check_ranges
 
 POSITION, NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
 OFFSET = [f"f_offset_{i}" for i in range(3 * K_OFFSETS)]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clgs.export.image import save_png
+from clgs.exports.image import save_png
 
 VIEWS, EDGE = 8, 64
 DISTANCE = 4.0

@@ -21,12 +21,12 @@ from clgs.files import write_json
 from clgs.machine import host_facts
 from clgs.opencl.choose import choose_device, list_devices
 
-FORMAT = "clgs accept 1"
+FORMAT = "clgs accept 2"
 KEPT = (
     "conformance", "selftest", "stages", "step", "large step", "first start", "second start",
     "gsplat", "gsplat large",
 )  # fmt: skip
-"""Trials whose figures go into the record, besides the line that is shown."""
+"""Trials whose figures go into the record, in addition to the line that is shown."""
 
 MOST_SECONDS = 1800.0
 """A trial that takes longer is stopped, as a driver may hang."""
@@ -64,7 +64,7 @@ class Outcome:
     passed: bool
     exit_code: int | None
     seconds: float
-    told: str
+    summary: str
     printed: str = field(repr=False)
 
 
@@ -95,21 +95,21 @@ def run_trial(trial: Trial, folder: Path, seconds: float = MOST_SECONDS) -> Outc
         printed = out.read_text(errors="replace") + errors.read().decode(errors="replace")
     passed = exit_code == 0
     if exit_code is None:
-        told = "took too long and was stopped"
+        summary = "took too long and was stopped"
     elif exit_code < 0:
-        told = f"crashed: signal {-exit_code}"
+        summary = f"crashed: signal {-exit_code}"
     elif exit_code > 0:
         lines = printed.strip().splitlines() or ["it said nothing"]
-        told = f"exit code {exit_code}: {lines[-1].removeprefix('clgs: error: ')}"
+        summary = f"exit code {exit_code}: {lines[-1].removeprefix('clgs: error: ')}"
     else:
         try:
-            told = trial.summary(folder)
+            summary = trial.summary(folder)
         except ClgsError as error:
-            passed, told = False, str(error)
+            passed, summary = False, str(error)
         except (OSError, ValueError, LookupError, TypeError) as error:
-            passed, told = False, f"its figures cannot be read: {type(error).__name__}"
+            passed, summary = False, f"its figures cannot be read: {type(error).__name__}"
     end = printed[-KEPT_CHARACTERS:]
-    return Outcome(trial.name, trial.words, passed, exit_code, round(spent, 2), told, end)
+    return Outcome(trial.name, trial.words, passed, exit_code, round(spent, 2), summary, end)
 
 
 def chosen_device(name: str | None, folder: Path) -> dict[str, Any]:
@@ -122,8 +122,8 @@ def chosen_device(name: str | None, folder: Path) -> dict[str, Any]:
     outcome = run_trial(Trial("devices", ("devices", "--json"), lambda folder: ""), folder)
     if not outcome.passed:
         found_by = "; scripts/accept_gpu.sh finds out which driver crashes, and goes on without it"
-        remedy = found_by if "signal" in outcome.told else ""
-        raise DeviceError(f"`clgs devices`: {outcome.told}{remedy}")
+        remedy = found_by if "signal" in outcome.summary else ""
+        raise DeviceError(f"`clgs devices`: {outcome.summary}{remedy}")
     found = json.loads((folder / "devices.out").read_text())
     number = list_devices().index(choose_device(name))  # which did not crash in the trial
     return dict(found[number])

@@ -11,15 +11,14 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from clgs.cli.options.scene import read_scene
-from clgs.cli.options.view import selected_views
+from clgs.cli.options.view import view_options
 from clgs.cli.tell import tell
 from clgs.errors import UsageError
 from clgs.files import write_json
 from clgs.lab.bench.accuracy_points import (
     Point,
-    Subject,
-    SubjectFigures,
+    SceneFigures,
+    ViewedScene,
     against_parity,
     bench_accuracy,
     fastest_within,
@@ -36,6 +35,8 @@ from clgs.lab.bench.plots import (
 )
 from clgs.lab.facts import command_line, machine_facts
 from clgs.opencl.device import Device
+from clgs.workflow.scenes import read_scene
+from clgs.workflow.views import select_views
 
 ACROSS = ("forward, ms", "forward, ms", "forward and backward, ms")
 UP = (
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def subjects_of(args: argparse.Namespace) -> list[Subject]:
+def subjects_of(args: argparse.Namespace) -> list[ViewedScene]:
     """The scenes that were asked for, each with a view.
 
     Raises:
@@ -86,17 +87,17 @@ def subjects_of(args: argparse.Namespace) -> list[Subject]:
     subjects = synthetic_subjects(list(args.scenes), args.seed)
     if args.scene is not None:
         quantized, _ = read_scene(args.scene)
-        views = selected_views(args, quantized)
+        views = select_views(args.scene, quantized, view_options(args))
         if not 0 <= args.view < len(views):
             raise UsageError(f"--view {args.view}: there are {len(views)}, from 0")
         name = args.data.resolve().name
-        subjects.append(Subject(name, quantized.dequantize(), views[args.view].camera))
+        subjects.append(ViewedScene(name, quantized.dequantize(), views[args.view].camera))
     if not subjects:
         raise UsageError("no scene: name some with --scenes, or --scene and --data")
     return subjects
 
 
-def show(figures: SubjectFigures) -> None:
+def show(figures: SceneFigures) -> None:
     """Print a row per setting, then the fastest settings."""
     width, height = figures.size
     table = Table(
@@ -132,7 +133,7 @@ def show(figures: SubjectFigures) -> None:
         print(f"  {preset} against parity: {ratio['forward']:.2f}x{both}")
 
 
-def plot_accuracy(path: Path, subjects: Sequence[SubjectFigures], title: str) -> None:
+def plot_accuracy(path: Path, subjects: Sequence[SceneFigures], title: str) -> None:
     """Error against time, log-log: a row per scene; image p99.9, image maximum, gradients."""
     pyplot = require_pyplot()
     from matplotlib.ticker import FuncFormatter, LogLocator

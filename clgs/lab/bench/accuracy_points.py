@@ -18,7 +18,7 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.options import Accuracy, RenderOptions
 from clgs.render.frame import DeviceScene, DeviceView, SceneGradients, upload_scene, upload_view
-from clgs.render.pipeline import render_backward, view_forward
+from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
@@ -40,7 +40,7 @@ WARM_UP = 2
 
 
 @dataclass(frozen=True)
-class Subject:
+class ViewedScene:
     """A scene and a view of it."""
 
     name: str
@@ -68,7 +68,7 @@ class ImageError:
 
 @dataclass(frozen=True)
 class GradientError:
-    """By tensor: relative L2, and the 99th percentile of |error| / max(|g|, rms(g) / 1000)."""
+    """The errors of each tensor: relative L2, p99 of |error| / max(|g|, rms(g) / 1000)."""
 
     relative_l2: dict[str, float]
     p99: dict[str, float]
@@ -92,7 +92,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class SubjectFigures:
+class SceneFigures:
     """All settings on one scene, and its sizes."""
 
     name: str
@@ -103,24 +103,24 @@ class SubjectFigures:
     points: list[Point]
 
 
-def synthetic_subjects(names: list[str], seed: int) -> list[Subject]:
+def synthetic_subjects(names: list[str], seed: int) -> list[ViewedScene]:
     """The seeded scenes of the given names."""
     subjects = []
     for name in names:
         gaussians, size, growth = SYNTHETIC[name]
         scene, camera = anchor_scene(gaussians, size, seed)
         anchors = replace(scene.anchors, scaling=scene.anchors.scaling + np.float32(growth))
-        subjects.append(Subject(name, replace(scene, anchors=anchors), camera))
+        subjects.append(ViewedScene(name, replace(scene, anchors=anchors), camera))
     return subjects
 
 
 def bench_accuracy(
     device: Device,
-    subject: Subject,
+    subject: ViewedScene,
     settings: list[Setting],
     repeats: int,
     report: Callable[[str], None],
-) -> SubjectFigures:
+) -> SceneFigures:
     """Errors of every setting, then times, the settings taking turns ``repeats`` times."""
     bench = _Bench(device, subject)
     reference = bench.reference(report)
@@ -135,15 +135,15 @@ def bench_accuracy(
         forward, both = times[accuracy]
         image, stopped, gradient = errors[accuracy]
         points.append(Point(setting.sweep, setting.label, forward, image, stopped, both, gradient))
-    frame = view_forward(device, bench.scene, bench.view)
+    frame = rasterise(device, bench.scene, bench.view)
     counts = len(subject.scene.anchors), len(frame.gaussians), len(frame.tiles.gaussian)
-    return SubjectFigures(subject.name, *counts, frame.view.size, points)
+    return SceneFigures(subject.name, *counts, frame.view.size, points)
 
 
 class _Bench:
     """A subject on the device, with a random gradient of its picture."""
 
-    def __init__(self, device: Device, subject: Subject) -> None:
+    def __init__(self, device: Device, subject: ViewedScene) -> None:
         self.device, self.subject = device, subject
         self.scene: DeviceScene = upload_scene(device, subject.scene)
         self.settings = subject.scene.settings
@@ -165,7 +165,7 @@ class _Bench:
         )
 
     def picture(self, accuracy: Accuracy) -> npt.NDArray[np.float32]:
-        """As `clgs render` makes it, on the host."""
+        """Render on the host, like `clgs render`."""
         if accuracy not in self.renderers:
             self.renderers[accuracy] = Renderer.of_device_scene(
                 self.device, self.scene, self.settings, RenderOptions(accuracy)
@@ -173,9 +173,9 @@ class _Bench:
         return self.renderers[accuracy].render(self.subject.camera)
 
     def gradients(self, accuracy: Accuracy) -> SceneGradients:
-        """As a training step makes them, on the device."""
-        frame = view_forward(self.device, self.scene, self.view, RenderOptions(accuracy))
-        return render_backward(self.device, self.scene, frame, self.d_image)
+        """Compute gradients on the device, like a training step."""
+        frame = rasterise(self.device, self.scene, self.view, RenderOptions(accuracy))
+        return rasterise_backward(self.device, self.scene, frame, self.d_image)
 
     def errors(
         self, accuracy: Accuracy, reference: dict[str, Array]
@@ -245,8 +245,8 @@ def _times(milliseconds: list[float]) -> Times:
     return Times(float(median), float(low), float(high))
 
 
-def fastest_within(figures: SubjectFigures) -> dict[str, dict[str, object]]:
-    """For every goal: the fastest forward pass within it, by p99.9 and by the largest error."""
+def fastest_within(figures: SceneFigures) -> dict[str, dict[str, object]]:
+    """Find the fastest forward pass within every goal, by p99.9 and by the largest error."""
     found: dict[str, dict[str, object]] = {}
     for measure in ("p999", "largest"):
         for goal in GOALS:
@@ -259,7 +259,7 @@ def fastest_within(figures: SubjectFigures) -> dict[str, dict[str, object]]:
     return found
 
 
-def against_parity(figures: SubjectFigures) -> dict[str, dict[str, float | None]]:
+def against_parity(figures: SceneFigures) -> dict[str, dict[str, float | None]]:
     """How many times faster each preset is than "parity", forward and with gradients."""
     presets = {one.label: one for one in figures.points if one.sweep == PRESET_SWEEP}
     parity = presets["parity"]

@@ -38,7 +38,7 @@ STILL = 1e-12
 """Learning rate that leaves the Gaussians as they are."""
 
 SSIM_SHARE = 0.2
-"""Of the loss, the rest is L1; as of 3DGS."""
+"""The share of SSIM in the loss, as in 3DGS; the rest is L1."""
 
 NEEDED = "it needs PyTorch with CUDA and gsplat: pip install 'clgs[gsplat]'"
 

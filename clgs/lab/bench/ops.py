@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from rich.console import Console
 from rich.table import Table
 
-from clgs.cli.options.device import open_devices
 from clgs.files import check_target, write_json
 from clgs.lab.bench.stage_limits import (
     FORMULAS,
@@ -20,6 +19,7 @@ from clgs.lab.bench.stage_limits import (
     share_of_limit,
 )
 from clgs.lab.bench.step import synthetic_trainer, time_steps
+from clgs.lab.devices import open_devices
 from clgs.lab.facts import command_line, machine_facts
 from clgs.lab.selftest.render_checks import Check, selftest
 from clgs.lab.selftest.training_checks import training_checks
@@ -45,7 +45,7 @@ class Workload:
 
 
 TINY = Workload(gaussians=70, size=24, elements=600, repeats=1)
-"""For emulators."""
+"""The workload on emulators."""
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from clgs.lab import limit_kernels as limits
 from clgs.lab.bench.step import count_frame
+from clgs.lab.observed_kernels import blend_decisions
 from clgs.opencl.device import Device
-from clgs.ops import blend, limits
 from clgs.render.frame import DeviceScene, Frame
 
 COPY_BYTES = 128 << 20
@@ -103,7 +104,7 @@ class Formula:
         return moved, made
 
     def text(self) -> str:
-        """For people: "64 I + 20 P B, 30 B flop"."""
+        """The formula for people: "64 I + 20 P B, 30 B flop"."""
         moved, made = (
             " + ".join(f"{factor:,} {letter}" for letter, factor in terms.items()) or "0"
             for terms in (self.bytes, self.flops)
@@ -147,13 +148,13 @@ FORMULAS: dict[str, Formula] = {
     # a number in; about two exponentials
     "rate": Formula({"E": 4}, {"E": 40}),
 }
-"""By the stage names of the training step's profile."""
+"""The formulas; keys are the stage names of the training step's profile."""
 
 
 def count_work(device: Device, frame: Frame, scene: DeviceScene, elements: int) -> Counts:
     """The counts of a render; blended pairs are those that the blend kernel itself reports."""
     shape = (3, frame.view.size[1], frame.view.size[0])
-    made = blend.decisions(device, frame.blended, device.zeros(shape))[0]
+    made = blend_decisions(device, frame.blended, device.zeros(shape))[0]
     counts = count_frame(device, frame)
     return Counts(
         A=len(scene.anchors),

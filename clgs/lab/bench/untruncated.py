@@ -126,7 +126,7 @@ def cached_reference(
 ) -> dict[str, Array]:
     """The image (3, H, W) and the gradients of sum(d_image * image) by name, float64.
 
-    They are kept by content in the user's cache folder; ``report`` is told before long work.
+    They are kept by content in the user's cache folder; ``report`` is called before long work.
     """
     path = cache_folder() / f"{_key(scene, camera, size, background, d_image)}.npz"
     if path.exists():

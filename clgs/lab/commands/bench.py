@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeAlias
 
-from clgs.cli.options.device import add_device_option
 from clgs.cli.options.view import add_size_options, positive_int, seed, whole_number
+from clgs.lab.devices import add_device_option
 
 SYNTHETIC_SCENES = ("small", "dense", "large", "tiny")
 

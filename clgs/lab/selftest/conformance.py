@@ -13,14 +13,15 @@ import numpy.typing as npt
 
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.errors import DataError
+from clgs.lab import limit_kernels
+from clgs.lab.observed_kernels import drawn_output
 from clgs.lab.selftest.exact_scenes import ConformanceScene, ExactRandom, conformance_scenes
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, blend, density, limits, loss, mlp, project, quantize, rate, scan, sort
+from clgs.ops import adam, blend, density, loss, project, quantize, rate, scan, sort
 from clgs.options import PRESETS, RenderOptions
-from clgs.reference import limits as reference
-from clgs.render.frame import DeviceScene, Frame, upload_scene
-from clgs.render.pipeline import render_backward, render_forward
+from clgs.render.frame import DeviceScene, Frame, upload_scene, upload_view
+from clgs.render.rasterise import rasterise, rasterise_backward
 
 FORMAT = "clgs conformance 1"
 VOLUME_WEIGHT = 0.0625
@@ -50,7 +51,7 @@ class Fingerprint:
 
 
 def fingerprints(device: Device) -> list[Fingerprint]:
-    """Of every stage on every scene, each in the order of the pipeline."""
+    """Hash the results of every stage on every scene, in the order of the pipeline."""
     found = []
     for one in conformance_scenes():
         found += [_fingerprint(one.name, *tensor) for tensor in _render_tensors(device, one)]
@@ -65,7 +66,7 @@ def _fingerprint(scene: str, stage: str, name: str, values: npt.NDArray[Any]) ->
 
 def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     scene = upload_scene(device, one.scene)
-    frame = render_forward(device, scene, one.camera, one.scene.settings)
+    frame = rasterise(device, scene, upload_view(device, one.camera, one.scene.settings))
     yield "camera", "packed", device.download(frame.view.camera)
     yield from _forward_tensors(device, frame)
     target = device.upload(one.photo)
@@ -76,14 +77,16 @@ def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     yield from _backward_tensors(device, scene, frame, d_image)
     for name, accuracy in PRESETS.items():
         options = RenderOptions(accuracy)
-        again = render_forward(device, scene, one.camera, one.scene.settings, options)
+        again = rasterise(
+            device, scene, upload_view(device, one.camera, one.scene.settings), options
+        )
         yield f"render ({name})", "image", device.download(again.image)
 
 
 def _forward_tensors(device: Device, frame: Frame) -> Iterator[Tensor]:
     visible = device.download(frame.activations.visible)
     yield "cull", "visible", visible
-    yield "mlp forward", "output", mlp.drawn_output(device, frame.activations)
+    yield "mlp forward", "output", drawn_output(device, frame.activations)
     for stage, result, names in (
         ("neural forward", frame.gaussians, "slot opacity mean scale rotation color"),
         ("project forward", frame.projected, "mean2d depth whitening extent"),
@@ -103,7 +106,7 @@ def _backward_tensors(
     d_gaussians = project.backward(device, gaussians, frame.view.camera, projected, d_projected)
     loss.volume(device, gaussians.scale, VOLUME_WEIGHT, d_gaussians.d_scale)
     yield from _named(device, "project backward", d_gaussians, "d_mean", "d_scale", "d_rotation")
-    gradients = render_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
+    gradients = rasterise_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
     yield from _named(device, "neural backward", gradients, "d_offset", "d_scaling")
     yield from _named(device, "mlp backward", gradients, "d_feature", "d_weights")
 
@@ -180,23 +183,23 @@ def from_record(record: object) -> list[Fingerprint]:
         raise DataError("is no file of `clgs conformance -o`") from error
     place, times = Counter(one.place for one in found).most_common(1)[0] if found else ("", 0)
     if times > 1:
-        raise DataError(f"lists a tensor {times} times: {place}; make the file anew")
+        raise DataError(f"lists a tensor {times} times: {place}; make the file again")
     return found
 
 
 def roundings(device: Device) -> dict[str, int]:
-    """Of COUNT results of each basic operation, how many are not those of IEEE 754."""
+    """How many of COUNT results of each basic operation are not those of IEEE 754."""
     random = ExactRandom(COUNT + 1)
     x, y = random.floats((COUNT,), 1.0, 2.0), random.floats((COUNT,), 1.0, 2.0)
     z = -random.floats((COUNT,), 1.0, 4.0)
-    found = device.download(limits.rounding(device, *map(device.upload, (x, y, z))))
-    wanted = reference.rounding(*(one.astype(np.float64) for one in (x, y, z)))
+    found = device.download(limit_kernels.rounding(device, *map(device.upload, (x, y, z))))
+    wanted = limit_kernels.exact_rounding(*(one.astype(np.float64) for one in (x, y, z)))
     wrong = (found != wanted).sum(axis=1)
     return dict(zip(OPERATIONS, map(int, wrong), strict=True))
 
 
 def differences(mine: list[Fingerprint], others: list[Fingerprint]) -> list[Fingerprint]:
-    """Those of ``mine`` that ``others`` have not with the same hash, in the order of the pipeline.
+    """Find the fingerprints of ``mine`` that differ in ``others``, in the order of the pipeline.
 
     Raises:
         DataError: the lists are not of the same tensors.

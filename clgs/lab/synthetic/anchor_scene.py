@@ -22,14 +22,14 @@ DISTANCE = 4.0
 
 
 def camera_of(width: int, height: int) -> Camera:
-    """A camera of so many pixels, DISTANCE before the origin, 53 degrees along the longer edge."""
+    """A camera DISTANCE before the origin that sees 53 degrees along the longer edge."""
     focal = float(max(width, height))
     place = np.array([0.0, 0.0, DISTANCE])
     return Camera(np.eye(3), place, focal, focal, width / 2, height / 2, width, height)
 
 
 def square_camera(size: int) -> Camera:
-    """As :func:`camera_of`, of ``size`` x ``size`` pixels."""
+    """A camera like :func:`camera_of` with ``size`` x ``size`` pixels."""
     return camera_of(size, size)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from clgs.errors import UsageError
-from clgs.export.image import picture_names
+from clgs.exports.image import picture_names
 from clgs.files import append, atomic_write, atomic_write_all
 from clgs.train.quality.score_views import ViewScore
 

@@ -33,7 +33,7 @@ inline bool same_address(const llvm::GetElementPtrInst *one, const llvm::GetElem
     return true;
 }
 
-// Whether an address is computed anew: not if it is constant, or if one before it in the block
+// Whether an address is computed again: not if it is constant, or if one before it in the block
 // differs by a constant.
 inline bool is_new_address(const llvm::GetElementPtrInst *address)
 {

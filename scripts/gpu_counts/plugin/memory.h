@@ -54,7 +54,7 @@ inline Wavefronts wavefronts(const std::vector<Access> &accesses, bool atomic)
     return {worst, ideal};
 }
 
-// What a launch touches of global memory: words, and sectors anew in every work-group.
+// What a launch touches of global memory: words, and sectors again in every work-group.
 class Footprint
 {
   public:

@@ -3,7 +3,7 @@
 ``python -m tests.codec.container.mutations [COUNT] [SEED]`` tries COUNT of them and prints
 what became of them: a damaged input may decode, to anything; otherwise it is a CodecError. One case
 in eight is an array that must come back from its stream. A case that takes more than a second, or
-more than 64 MiB besides twice its output, is a fault and ends the run.
+more than 64 MiB in addition to twice its output, is a fault and ends the run.
 """
 
 from __future__ import annotations
@@ -20,13 +20,11 @@ import numpy as np
 
 from clgs import _codec
 from clgs.codec import decode_attributes, decode_positions, encode_attributes, encode_positions
-from clgs.codec.box import Box, decode_box
 from clgs.codec.container.meta import LEVELS
-from clgs.codec.container.section_table import CHNK, SATR, SMUL, SPOS
-from clgs.codec.container.source import BytesSource
-from clgs.codec.scene_decoder import decode, describe
+from clgs.codec.container.section_table import CHNK, SATR, SMUL, SPOS, BytesSource
+from clgs.codec.scene_decoder import Box, decode, decode_box, describe
 from clgs.codec.scene_encoder import encode
-from clgs.codec.splats import Splats, pack, unpack
+from clgs.codec.splat_packing import QuantizedSplats, pack, unpack
 from clgs.errors import CodecError
 from tests.codec import binding_cases
 from tests.codec.container import damage
@@ -35,14 +33,14 @@ from tests.codec.scenes import GOLDEN, random_scene
 
 Case = tuple[Callable[[bytes], object], bytes]
 ROOM = 64 << 20
-"""Bytes that a decoder may take besides twice its output."""
+"""Bytes that a decoder may take in addition to twice its output."""
 
 MOST_SECONDS = 1.0
 NUMBERS = (0, 1, 2, 127, 128, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1)
 
 
 def cases(rng: np.random.Generator) -> Iterator[Case]:
-    """For ever: a function of the codec, and bytes for it."""
+    """Functions of the codec with bytes for them, without an end."""
     files, streams, calls = _files(), _streams(), binding_cases.streams()
     while True:
         kind = rng.random()
@@ -89,7 +87,7 @@ def _files() -> list[bytes]:
     rng = np.random.default_rng(1)
     scene = random_scene(rng, 60)
     small = [encode(scene, level, 16, 1) for level in LEVELS]
-    splats = Splats([*"xyzab"], [0.5] * 5, rng.integers(-3, 4, (90, 5)).astype(np.int32))
+    splats = QuantizedSplats([*"xyzab"], [0.5] * 5, rng.integers(-3, 4, (90, 5)).astype(np.int32))
     small += [pack(splats, level, 1) for level in LEVELS] * 2
     return [path.read_bytes() for path in sorted(GOLDEN.glob("*.clgs"))] + small
 

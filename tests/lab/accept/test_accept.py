@@ -21,13 +21,13 @@ DEVICE = {"index": 0, "name": "cpu", "platform": "PoCL", "driver": "1"}
 HELP = Trial("help", ("--version",), lambda folder: "it runs")
 
 
-def test_what_a_command_says_is_told(tmp_path):
+def test_what_a_command_says_is_shown(tmp_path):
     outcome = run_trial(HELP, tmp_path)
-    assert (outcome.passed, outcome.exit_code, outcome.told) == (True, 0, "it runs")
+    assert (outcome.passed, outcome.exit_code, outcome.summary) == (True, 0, "it runs")
     assert outcome.printed.startswith("clgs ")
 
 
-def test_failures_are_told_and_end_alone(tmp_path, monkeypatch):
+def test_failures_are_shown_and_end_alone(tmp_path, monkeypatch):
     def broken(folder):
         raise KeyError("step")
 
@@ -42,7 +42,7 @@ def test_failures_are_told_and_end_alone(tmp_path, monkeypatch):
     ]
     outcomes = run_trials(todo, tmp_path, DEVICE, tmp_path / "accept.json")
     assert [one.passed for one in outcomes] == [False, False, False, True]
-    usage, unreadable, wrong_file, _ = (one.told for one in outcomes)
+    usage, unreadable, wrong_file, _ = (one.summary for one in outcomes)
     assert usage.startswith("exit code 2: ")
     assert unreadable == "its figures cannot be read: KeyError"
     assert wrong_file == "another file"
@@ -53,13 +53,13 @@ def test_failures_are_told_and_end_alone(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
-def test_a_crash_and_a_hang_are_told(tmp_path, monkeypatch):
+def test_a_crash_and_a_hang_are_shown(tmp_path, monkeypatch):
     monkeypatch.setattr(trial_module, "_CODE", "import os, signal; os.kill(os.getpid(), 11)")
-    assert run_trial(HELP, tmp_path).told == "crashed: signal 11"
+    assert run_trial(HELP, tmp_path).summary == "crashed: signal 11"
     monkeypatch.setattr(trial_module, "_CODE", "import time; time.sleep(600)")
     outcome = run_trial(HELP, tmp_path, seconds=0.2)
     assert (outcome.passed, outcome.exit_code) == (False, None)
-    assert outcome.told == "took too long and was stopped"
+    assert outcome.summary == "took too long and was stopped"
 
 
 def test_every_part_is_a_command_with_its_options(tmp_path):

@@ -13,7 +13,7 @@ from clgs.lab.bench.handover import hand_over
 from clgs.lab.bench.step import synthetic_trainer
 
 LEAST_ALPHA, MOST_ALPHA, LEAST_TRANSMITTANCE = 1 / 255, 0.999, 1e-4
-"""Of gsplat's rasteriser, version 1.5."""
+"""Constants of gsplat's rasteriser, version 1.5."""
 
 
 @pytest.fixture(scope="module")

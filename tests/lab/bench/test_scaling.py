@@ -26,9 +26,9 @@ def test_a_constant_part_shows_in_the_smaller_half():
 def test_small_sweeps(tmp_path, monkeypatch):
     monkeypatch.setattr(scaling, "FIXED_GAUSSIANS", 3000)
     monkeypatch.setattr(scaling, "FIXED_SIZE", 64)
-    told = []
-    found = scaling.bench_scaling(Device, (3000, 40_000), (64, 512), 3, told.append)
-    assert len(told) == 8
+    lines = []
+    found = scaling.bench_scaling(Device, (3000, 40_000), (64, 512), 3, lines.append)
+    assert len(lines) == 8
     first, second = found.by_gaussians
     assert second.gaussians > 10 * first.gaussians
     assert second.peak_bytes > first.peak_bytes > 0

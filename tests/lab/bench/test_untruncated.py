@@ -76,10 +76,10 @@ def test_gradient_is_that_of_the_image(case, rng):
 def test_reference_is_kept(case, rng, tmp_path, monkeypatch):
     monkeypatch.setenv("CLGS_CACHE", str(tmp_path / "cache"))
     d_image = rng.normal(size=(3, SIZE, SIZE)).astype(np.float32)
-    told = []
-    arguments = (*case, (SIZE, SIZE), BACKGROUND, d_image, told.append)
+    lines = []
+    arguments = (*case, (SIZE, SIZE), BACKGROUND, d_image, lines.append)
     first, again = (untruncated.cached_reference(*arguments) for _ in range(2))
-    assert len(told) == 1
+    assert len(lines) == 1
     assert set(first) == {"image", "d_offset", "d_feature", "d_scaling", "d_weights"}
     assert all(np.array_equal(first[name], again[name]) for name in first)
     other = (*arguments[:3], BACKGROUND[::-1].copy(), *arguments[4:])

@@ -5,8 +5,8 @@ from typing import Any
 
 from clgs.constants import K_OFFSETS
 from clgs.lab.synthetic.anchor_scene import anchor_scene
-from clgs.render.frame import upload_scene
-from clgs.render.pipeline import render_forward
+from clgs.render.frame import upload_scene, upload_view
+from clgs.render.rasterise import rasterise
 from clgs.scene.anchors import QuantizationScales, quantize
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.drawn import count_drawn
@@ -18,7 +18,7 @@ def test_counts_each_slot_that_some_view_draws_once(device: Any) -> None:
     turned = replace(camera, translation=camera.translation + 0.5)
     uploaded, drawn = upload_scene(device, scene.dequantize()), set()
     for one in (camera, turned):
-        frame = render_forward(device, uploaded, one, scene.settings)
+        frame = rasterise(device, uploaded, upload_view(device, one, scene.settings))
         slot = device.download(frame.gaussians.slot)
         visible = device.download(frame.activations.visible)
         drawn |= set((visible[slot // K_OFFSETS] * K_OFFSETS + slot % K_OFFSETS).tolist())

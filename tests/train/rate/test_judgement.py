@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,23 +14,26 @@ from clgs.data.view import View
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import loss
-from clgs.options import DEFAULT
-from clgs.render.frame import DeviceScene, DeviceView, upload_scene
-from clgs.render.pipeline import render_forward, view_forward
+from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, Room, upload_scene, upload_view
+from clgs.render.rasterise import rasterise
 from clgs.scene.scene import RenderSettings, Scene
-from clgs.train.quality.importance import importance, sensitivity
+from clgs.train.config import TrainConfig
+from clgs.train.quality.importance import sensitivity
 from clgs.train.quality.metrics import to_8bit
-from clgs.train.rate.judgement import Judge
+from clgs.train.rate.judgement import compare, judge, look
 
 VIEWS = 24
-WEIGHTS = loss.Weights(0.8, 0.2)
+CONFIG = TrainConfig()
+WEIGHTS = loss.Weights(CONFIG.l1_weight, CONFIG.ssim_weight)
 
 
 @pytest.fixture(scope="module")
 def seen(device: Device) -> tuple[Scene, View]:
     """A scene, and a noisy photo of it."""
     scene, camera = anchor_scene(300, 48)
-    frame = render_forward(device, upload_scene(device, scene), camera, RenderSettings())
+    frame = rasterise(
+        device, upload_scene(device, scene), upload_view(device, camera, RenderSettings())
+    )
     image = to_8bit(device.download(frame.image))
     noise = np.random.default_rng(1).integers(-6, 7, image.shape)
     photo = np.clip(image + noise, 0, 255).astype(np.uint8)
@@ -38,7 +42,9 @@ def seen(device: Device) -> tuple[Scene, View]:
 
 def picture(device: Device, scene: Scene, view: View) -> np.ndarray:
     uploaded = upload_scene(device, scene)
-    return device.download(render_forward(device, uploaded, view.camera, RenderSettings()).image)
+    return device.download(
+        rasterise(device, uploaded, upload_view(device, view.camera, RenderSettings())).image
+    )
 
 
 @pytest.mark.parametrize("name", ["offset", "feature", "scaling"])
@@ -66,30 +72,24 @@ def test_curvature_is_the_squared_length_of_the_derivative(
     assert 0.6 < np.median(ratio) < 2.0
 
 
-def test_importance_is_that_of_the_quick_way(device: Device, seen: tuple[Scene, View]) -> None:
-    scene, view = seen
-    uploaded, settings = upload_scene(device, scene), RenderSettings()
-    both = sensitivity(device, uploaded, settings, [view.camera] * 2).importance
-    quick = importance(device, uploaded, settings, [view.camera] * 2)
-    np.testing.assert_allclose(both, quick, rtol=1e-6)
-
-
 def test_the_room_that_earlier_views_left_changes_nothing(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene, camera = anchor_scene(8000, 64)
     uploaded, settings = upload_scene(device, scene), RenderSettings()
     aside = replace(camera, cx=camera.cx + 0.9 * camera.width)
-    frames = (render_forward(device, uploaded, one, settings) for one in (aside, camera))
+    frames = (
+        rasterise(device, uploaded, upload_view(device, one, settings)) for one in (aside, camera)
+    )
     fewer, more = (frame.needed(device) for frame in frames)
     assert fewer.entries + fewer.entries // 4 + 1024 < more.entries
     cameras = [aside, camera, aside]
     found = sensitivity(device, uploaded, settings, cameras)
 
-    def made_to_measure(device: Device, scene: DeviceScene, view: DeviceView, *_: object):
-        return view_forward(device, scene, view), None
+    def exact_room(device: Device, room: Room, draw: Callable[[Room], Frame]):
+        return draw(EXACT_ROOM), EXACT_ROOM
 
-    monkeypatch.setattr(f"{sensitivity.__module__}.roomy_forward", made_to_measure)
+    monkeypatch.setattr(f"{sensitivity.__module__}.with_enough_room", exact_room)
     exact = sensitivity(device, uploaded, settings, cameras)
     np.testing.assert_array_equal(found.importance, exact.importance)
     np.testing.assert_array_equal(found.seen, exact.seen)
@@ -100,17 +100,16 @@ def test_the_room_that_earlier_views_left_changes_nothing(
     assert not flat.curvature
 
 
-def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene, all_views: bool = True):
-    judge = Judge(device, [seen[1]] * VIEWS, all_views, RenderSettings(), DEFAULT, WEIGHTS)
-    return judge.judge(scene, judge.look(scene))
+def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene, unseen_stay: bool = False):
+    found = look(device, CONFIG, scene, [seen[1].camera] * VIEWS)
+    return judge(found, *compare(device, CONFIG, scene, [seen[1]] * VIEWS), unseen_stay)
 
 
 def test_looks_are_means_over_the_views_asked(device: Device, seen: tuple[Scene, View]) -> None:
     scene, view = seen
     uploaded = upload_scene(device, scene)
     other = replace(view, camera=replace(view.camera, cx=view.camera.cx + 5.0))
-    judge = Judge(device, [view, other] * 2, True, RenderSettings(), DEFAULT, WEIGHTS)
-    firsts, seconds = (judge.look(uploaded, first, 2) for first in (0, 1))
+    firsts, seconds = (look(device, CONFIG, uploaded, [one.camera] * 2) for one in (view, other))
     for found, camera in ((firsts, view.camera), (seconds, other.camera)):
         halved = camera.reduced(2)  # there are many pixels for so few anchors
         sums = sensitivity(device, uploaded, RenderSettings(), [halved] * 2)
@@ -130,7 +129,7 @@ def test_looks_are_means_over_the_views_asked(device: Device, seen: tuple[Scene,
 def test_the_loss_is_that_of_the_views(device: Device, seen: tuple[Scene, View]) -> None:
     scene, view = seen
     uploaded = upload_scene(device, scene)
-    frame = render_forward(device, uploaded, view.camera, RenderSettings())
+    frame = rasterise(device, uploaded, upload_view(device, view.camera, RenderSettings()))
     photo = device.upload(np.ascontiguousarray(view.photo.pixels().color.transpose(2, 0, 1)))
     value = loss.forward(device, frame.image, photo, WEIGHTS).value_later(device).get().value
     assert judged(device, seen, uploaded).loss == pytest.approx(value, rel=1e-6)
@@ -162,7 +161,7 @@ def test_what_some_views_do_not_see_is_kept(device: Device, seen: tuple[Scene, V
     position[:7] = view.camera.centre - 50.0 * view.camera.rotation[2]  # behind the camera
     hidden = replace(scene, anchors=replace(scene.anchors, position=position))
     uploaded = upload_scene(device, hidden)
-    every, some = (judged(device, seen, uploaded, all_views) for all_views in (True, False))
+    every, some = (judged(device, seen, uploaded, unseen_stay) for unseen_stay in (False, True))
     assert (every.importance[:7] == 0).all()
     assert not any(array[:7].any() for array in every.curvature.values())
     assert np.isinf(some.importance[:7]).all()

@@ -1,0 +1,81 @@
+"""The cameras and start points of a data set as a GLB file, which 3-D viewers open."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.dataset import Dataset
+from clgs.data.posed_photo import to_y_up
+from clgs.scene.camera import Camera
+from clgs.scene.scene import SceneTransform
+
+FRUSTUM_DEPTH = 0.1
+"""Length of a frustum in camera radii."""
+
+POINT_COLOR = (128, 128, 128, 255)
+CAMERA_COLORS = {"train": (40, 90, 220, 255), "test": (230, 120, 20, 255)}
+"""RGBA."""
+
+EDGES = ((0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1))
+"""The edges of a frustum: corner 0 is the camera's centre, 1 to 4 go around the picture."""
+
+
+def cameras_glb(dataset: Dataset) -> bytes:
+    """A GLB file with the data set's points and a frustum of lines per camera.
+
+    Lengths are the data set's world units; the axes are turned so that y is up, as glTF has it
+    (``clgs.data.posed_photo.to_y_up``). There is a node "points" if there are points, and a node
+    "train/NAME" or "test/NAME" per photo, whose matrix is the camera's pose: x right, y down,
+    z forward.
+    """
+    import trimesh
+
+    turn = to_y_up(dataset.kind)
+    depth = FRUSTUM_DEPTH * dataset.radius / dataset.transform.scale
+    scene = trimesh.Scene(base_frame="world")
+    if len(dataset.points):
+        world = dataset.transform.to_world(dataset.points.astype(np.float64)) @ turn.T
+        cloud = trimesh.PointCloud(world, colors=_colors(dataset))
+        scene.add_geometry(cloud, node_name="points", geom_name="points")
+    for split, views in (("train", dataset.train), ("test", dataset.test)):
+        for view in views:
+            frustum = _frustum(view.camera, depth, CAMERA_COLORS[split])
+            pose = _pose(view.camera, dataset.transform, turn)
+            name = f"{split}/{view.name}"
+            scene.add_geometry(frustum, node_name=name, geom_name=name, transform=pose)
+    return bytes(scene.export(file_type="glb"))
+
+
+def _colors(dataset: Dataset) -> npt.NDArray[np.uint8]:
+    """RGBA (P, 4) of the points; grey if the data set has none."""
+    colors = np.full((len(dataset.points), 4), POINT_COLOR, np.uint8)
+    if dataset.point_colors is not None:
+        colors[:, :3] = dataset.point_colors
+    return colors
+
+
+def _frustum(camera: Camera, depth: float, color: tuple[int, ...]) -> Any:
+    """The frustum's edges in the camera's axes, as lines."""
+    from trimesh.path import Path3D
+    from trimesh.path.entities import Line
+
+    picture = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (camera.width, camera.height)
+    flat = (picture - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    corners = depth * np.column_stack([flat, np.ones(4)])
+    lines = [Line(list(edge)) for edge in EDGES]
+    return Path3D(
+        lines, np.vstack([np.zeros(3), corners]), colors=[color] * len(EDGES), process=False
+    )
+
+
+def _pose(
+    camera: Camera, transform: SceneTransform, turn: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Camera to turned world, (4, 4): x_cam = R x_scene + t has its centre at -R^T t."""
+    centre = transform.to_world((-camera.rotation.T @ camera.translation)[None])[0]
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn @ camera.rotation.T, turn @ centre
+    return pose

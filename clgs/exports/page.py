@@ -1,0 +1,115 @@
+"""A scene as one web page: its file, the decoder as WebAssembly, and a viewer, in one HTML file.
+
+The parts lie in ``web/``: ``page`` is text, ``wasm`` is C that the package's build compiles to
+``scene.wasm`` if it finds a compiler for WebAssembly. The page loads nothing from elsewhere.
+"""
+
+from __future__ import annotations
+
+import base64
+import importlib.resources
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+
+import numpy as np
+
+from clgs import constants
+from clgs.errors import ClgsError
+from clgs.scene.camera import Camera
+
+SCRIPTS = ("camera.js", "hands.js", "renderer.js", "main.js")
+"""The files that are one script, in this order."""
+
+LEAST_DISTANCE = 0.2
+"""The least distance of the target from the first view, as a share of that view's
+distance from the middle of all."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a page starts, in scene units; ``fov``: of the longer side of the window, radians."""
+
+    eye: tuple[float, ...]
+    target: tuple[float, ...]
+    up: tuple[float, ...]
+    fov: float
+
+
+def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
+    """The page that shows a .clgs file; without ``data`` a page to drop such files on.
+
+    Args:
+        data: a whole file of a scene or of splats; the page verifies it.
+        title: of the page; empty without data.
+        start: the first view; by default the page guesses one.
+
+    Raises:
+        ClgsError: the package was built without the decoder.
+    """
+    settings = {
+        "title": title,
+        "start": asdict(start) if start else None,
+        "margin": constants.FRUSTUM_MARGIN,
+    }
+    values = {
+        "title": escape(title or "clgs viewer"),
+        "settings": json.dumps(settings).replace("<", "\\u003c"),
+        "wasm": base64.b64encode(_decoder()).decode(),
+        "scene": base64.b64encode(data).decode(),
+        "scripts": "\n".join(_text(name) for name in SCRIPTS),
+        "page.css": _text("page.css"),
+        "worker.js": _text("worker.js"),
+    }
+    return re.sub(r"\{\{([\w.]+)\}\}", lambda match: values[match[1]], _text("page.html")).encode()
+
+
+def start_at(first: Camera, cameras: Sequence[Camera]) -> Start:
+    """A start at ``first``, upright as ``cameras`` are on average.
+
+    The target lies on the axis of ``first``, where it comes nearest to the axes of all.
+    """
+    up = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
+    away = float(np.linalg.norm(first.centre - np.mean([c.centre for c in cameras], axis=0)))
+    forward = first.rotation[2]
+    depth = max(float((_meeting(cameras) - first.centre) @ forward), LEAST_DISTANCE * away, 1e-3)
+    side = max(first.width / first.fx, first.height / first.fy)
+    return Start(
+        tuple(first.centre.tolist()),
+        tuple((first.centre + depth * forward).tolist()),
+        tuple(up.tolist()),
+        float(2 * np.arctan(0.5 * side)),
+    )
+
+
+def _meeting(cameras: Sequence[Camera]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """The point (3,) with the least squared distances from the cameras' axes."""
+    matrix, right = 1e-6 * np.eye(3), np.zeros(3)
+    for camera in cameras:
+        axis = camera.rotation[2]
+        across = np.eye(3) - np.outer(axis, axis)
+        matrix += across
+        right += across @ camera.centre
+    return np.asarray(np.linalg.solve(matrix, right))
+
+
+def _text(name: str) -> str:
+    folder = importlib.resources.files("clgs") / "web" / "page"
+    return (folder / name).read_text(encoding="utf-8").strip()
+
+
+def _decoder() -> bytes:
+    """The decoder of the page.
+
+    Raises:
+        ClgsError: there is none.
+    """
+    file = importlib.resources.files("clgs") / "web" / "scene.wasm"
+    if not file.is_file():
+        raise ClgsError(
+            "clgs was built without the page's decoder; install clang with lld, or `pip install "
+            "ziglang`, and install clgs again"
+        )
+    return file.read_bytes()

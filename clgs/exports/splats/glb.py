@@ -1,0 +1,124 @@
+"""Ordinary Gaussians as a GLB file with the extension KHR_gaussian_splatting.
+
+One primitive of points with float32 attributes: positions, rotations (x y z w), scales (not their
+logarithms), opacities in [0, 1], and every coefficient of the color as a vector of three; COLOR_0
+is for viewers that show plain points. glTF has y up: the node turns the data set's axes to that,
+the attributes stay in them.
+
+Source: the specification of the extension at Khronos (github.com/KhronosGroup/glTF).
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.exports.splats.encoded import Encoded, sigmoid, unit_rotation
+from clgs.scene.gaussians import HostGaussians
+
+EXTENSION = "KHR_gaussian_splatting"
+SPACE = {
+    "kernel": "ellipse",
+    "colorSpace": "srgb_rec709_display",
+    "projection": "perspective",
+    "sortingMethod": "cameraDistance",
+}
+SH_0 = 0.28209479177387814
+TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+FLOAT, UNSIGNED_BYTE, ARRAY_BUFFER, POINTS = 5126, 5121, 34962, 0
+
+
+def encode_glb(gaussians: HostGaussians, turn: npt.NDArray[np.float64] | None = None) -> Encoded:
+    """The file of N Gaussians.
+
+    Args:
+        gaussians: in any units.
+        turn: rotation (3, 3) from their axes to glTF's; default: none.
+    """
+    attributes = _attributes(gaussians)
+    offset = 0
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    for name, values in attributes.items():
+        views.append(
+            {"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes}
+            | {"target": ARRAY_BUFFER}
+        )
+        accessors.append(_accessor(len(accessors), name, values))
+        offset += values.nbytes
+    node: dict[str, Any] = {"mesh": 0}
+    if turn is not None:
+        node["matrix"] = _by_columns(turn)
+    primitive = {
+        "attributes": {name: i for i, name in enumerate(attributes)},
+        "mode": POINTS,
+        "extensions": {EXTENSION: SPACE},
+    }
+    document = {
+        "asset": {"version": "2.0", "generator": "clgs"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [node],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": offset}],
+    }
+    return Encoded(
+        _container(document, b"".join(v.tobytes() for v in attributes.values())), gaussians
+    )
+
+
+def _by_columns(turn: npt.NDArray[np.float64]) -> list[float]:
+    """The matrix (4, 4) of a rotation, column by column, without negative zeros."""
+    whole = np.eye(4)
+    whole[:3, :3] = turn
+    return [float(x) + 0.0 for x in whole.T.ravel()]
+
+
+def _attributes(gaussians: HostGaussians) -> dict[str, npt.NDArray[Any]]:
+    """Every attribute by name, C-contiguous, rows of a multiple of 4 bytes."""
+    opacity = sigmoid(gaussians.opacity)
+    rotation = unit_rotation(gaussians.rotation)
+    color = np.column_stack([gaussians.sh[:, 0] * SH_0 + 0.5, opacity])
+    found: dict[str, npt.NDArray[Any]] = {
+        "POSITION": gaussians.mean,
+        "COLOR_0": np.rint(255 * np.clip(color, 0, 1)).astype(np.uint8),
+        f"{EXTENSION}:ROTATION": rotation[:, [1, 2, 3, 0]].astype("<f4"),
+        f"{EXTENSION}:SCALE": np.exp(gaussians.log_scale),
+        f"{EXTENSION}:OPACITY": opacity.astype("<f4"),
+    }
+    for number in range(gaussians.sh.shape[1]):
+        degree = int(np.sqrt(number))
+        name = f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number - degree**2}"
+        found[name] = gaussians.sh[:, number]
+    return {name: np.ascontiguousarray(values) for name, values in found.items()}
+
+
+def _accessor(view: int, name: str, values: npt.NDArray[Any]) -> dict[str, Any]:
+    width = values.shape[1] if values.ndim > 1 else 1
+    accessor: dict[str, Any] = {"bufferView": view, "count": len(values), "type": TYPES[width]}
+    accessor["componentType"] = FLOAT if values.dtype == np.float32 else UNSIGNED_BYTE
+    if values.dtype == np.uint8:
+        accessor["normalized"] = True
+    if name == "POSITION":
+        accessor["min"] = [float(x) for x in values.min(axis=0)]
+        accessor["max"] = [float(x) for x in values.max(axis=0)]
+    return accessor
+
+
+def _container(document: dict[str, Any], binary: bytes) -> bytes:
+    """The two chunks behind the header, each filled up to a multiple of 4 bytes."""
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    binary += b"\0" * (-len(binary) % 4)
+    chunks = b"".join(
+        struct.pack("<I4s", len(chunk), kind) + chunk
+        for kind, chunk in ((b"JSON", text), (b"BIN\0", binary))
+    )
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

@@ -1,0 +1,252 @@
+"""Ordinary Gaussians as a SOG file, version 2: a zip archive of lossless WebP images.
+
+A pixel holds a Gaussian. Positions: 16 bits of sign(x) log(1 + |x|) between its extremes; scales
+and base colors: a byte that points into a table of 256 numbers; rotations: the three smallest
+components; opacity: a byte; the other coefficients of the color: two bytes that point into a
+palette of sets of them, each coefficient a byte that points into a third table.
+
+Source of the format: PlayCanvas' specification (developer.playcanvas.com, "The SOG format").
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.exports.splats.encoded import Encoded, logit, sigmoid, unit_rotation
+from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
+
+Bytes = npt.NDArray[np.uint8]
+Floats = npt.NDArray[np.float32]
+
+COORDINATE_STEPS = 65535
+ROTATION_TAG = 252
+"""The tag of rotations whose w is largest; those of x, y and z follow."""
+PALETTE_COLUMNS = 64
+"""Sets of coefficients in a row of the palette's image."""
+EARLIEST = (1980, 1, 1, 0, 0, 0)
+"""The date of all files in the archive, so that equal scenes give equal bytes."""
+TABLE_SIZE = 256
+TABLE_ROUNDS = 20
+PALETTE_PARTS = 128
+"""The sets are first divided into this number of parts, then each part is divided."""
+MAX_PALETTE = 65536
+MEMBERS = 2
+"""Gaussians for each entry of a palette, on average."""
+PALETTE_ROUNDS = 8
+SEED = 0
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Sets of coefficients: entries (P, C - 1, 3) uint8 point into the table (256,) float32.
+
+    label (N,) int64: the entry of each Gaussian.
+    """
+
+    entries: npt.NDArray[np.uint8]
+    table: Floats
+    label: npt.NDArray[np.int64]
+
+    def values(self) -> Floats:
+        """The coefficients (N, C - 1, 3) of the Gaussians."""
+        return np.asarray(self.table[self.entries[self.label]])
+
+
+def encode_sog(gaussians: HostGaussians) -> Encoded:
+    """The file of N Gaussians, at least one."""
+    coordinates, means, mean = _positions(gaussians.mean)
+    scale_table, color_table = make_table(gaussians.log_scale), make_table(gaussians.sh[:, 0])
+    scale = nearest(scale_table, gaussians.log_scale)
+    color = nearest(color_table, gaussians.sh[:, 0])
+    opacity = np.rint(255 * sigmoid(gaussians.opacity)).astype(np.uint8)
+    packed, rotation = _rotations(unit_rotation(gaussians.rotation))
+    images = {
+        "means_l": (coordinates & 255).astype(np.uint8),
+        "means_u": (coordinates >> 8).astype(np.uint8),
+        "scales": scale,
+        "quats": packed,
+        "sh0": np.column_stack([color, opacity]),
+    }
+    files = {f"{name}.webp": _webp(_square(image)) for name, image in images.items()}
+    meta: dict[str, Any] = {
+        "version": 2,
+        "asset": {"generator": "clgs"},
+        "count": len(gaussians),
+        "means": {**means, "files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": scale_table.tolist(), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": color_table.tolist(), "files": ["sh0.webp"]},
+    }
+    sh = color_table[color][:, None]
+    if gaussians.degree:
+        palette = make_palette(gaussians.sh[:, 1:])
+        meta["shN"] = _describe(palette, gaussians.degree)
+        files |= _palette_files(palette)
+        sh = np.concatenate([sh, palette.values()], axis=1)
+    stored = OrdinaryGaussians(
+        mean, scale_table[scale], rotation, logit(opacity / 255.0), np.ascontiguousarray(sh)
+    )
+    files = {"meta.json": json.dumps(meta, separators=(",", ":")).encode(), **files}
+    return Encoded(_archive(files), stored)
+
+
+def _positions(
+    mean: npt.NDArray[np.float32],
+) -> tuple[npt.NDArray[np.int64], dict[str, list[float]], npt.NDArray[np.float32]]:
+    """Integers (N, 3) of 16 bits, the extremes, and the positions that they stand for."""
+    wide = mean.astype(np.float64)
+    logs = np.sign(wide) * np.log1p(np.abs(wide))
+    least, most = logs.min(axis=0), logs.max(axis=0)
+    span = np.where(most > least, most - least, 1.0)
+    integers = np.rint((logs - least) / span * COORDINATE_STEPS).astype(np.int64)
+    back = least + span * (integers / COORDINATE_STEPS)
+    stored = np.sign(back) * np.expm1(np.abs(back))
+    return integers, {"mins": least.tolist(), "maxs": most.tolist()}, stored.astype(np.float32)
+
+
+def _rotations(unit: npt.NDArray[np.float64]) -> tuple[Bytes, npt.NDArray[np.float32]]:
+    """Bytes (N, 4), and the quaternions that they stand for."""
+    largest = np.argmax(np.abs(unit), axis=1)
+    rows = np.arange(len(unit))
+    signed = unit * np.where(unit[rows, largest] < 0, -1.0, 1.0)[:, None]
+    others = np.arange(4) != largest[:, None]
+    small = np.rint(255 * (signed[others].reshape(-1, 3) / np.sqrt(2) + 0.5)).astype(np.uint8)
+    whole = np.zeros(unit.shape)
+    whole[others] = ((small / 255.0 - 0.5) * np.sqrt(2)).ravel()
+    whole[rows, largest] = np.sqrt(np.maximum(0.0, 1.0 - np.square(whole).sum(axis=1)))
+    tag = (ROTATION_TAG + largest).astype(np.uint8)
+    return np.column_stack([small, tag]), whole.astype(np.float32)
+
+
+def _describe(palette: Palette, degree: int) -> dict[str, Any]:
+    return {
+        "count": len(palette.entries),
+        "bands": degree,
+        "codebook": palette.table.tolist(),
+        "files": ["shN_centroids.webp", "shN_labels.webp"],
+    }
+
+
+def _palette_files(palette: Palette) -> dict[str, bytes]:
+    count, size, _ = palette.entries.shape
+    rows = -(-count // PALETTE_COLUMNS)
+    entries = np.zeros((rows * PALETTE_COLUMNS, size, 3), np.uint8)
+    entries[:count] = palette.entries
+    labels = np.column_stack([palette.label & 255, palette.label >> 8]).astype(np.uint8)
+    return {
+        "shN_centroids.webp": _webp(entries.reshape(rows, PALETTE_COLUMNS * size, 3)),
+        "shN_labels.webp": _webp(_square(np.pad(labels, ((0, 0), (0, 1))))),
+    }
+
+
+def _square(values: Bytes) -> Bytes:
+    """(N, 3 or 4) as an image, almost a square, sides multiples of 4, filled up with zeros."""
+    count, channels = values.shape
+    width = 4 * int(np.ceil(np.sqrt(count) / 4))
+    height = 4 * int(np.ceil(count / width / 4))
+    image = np.zeros((height * width, channels), np.uint8)
+    image[:count] = values
+    return image.reshape(height, width, channels)
+
+
+def _webp(image: Bytes) -> bytes:
+    """Lossless, colors below alpha 0 kept."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "WEBP", lossless=True, exact=True, quality=100, method=4)
+    return buffer.getvalue()
+
+
+def _archive(files: dict[str, bytes]) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name, EARLIEST), data)
+    return buffer.getvalue()
+
+
+def make_table(values: Floats) -> Floats:
+    """256 ascending numbers near which all ``values`` lie: means of nearest ones, repeated."""
+    ordered = np.sort(values, axis=None).astype(np.float64)
+    sums = np.concatenate([[0.0], np.cumsum(ordered)])
+    share = (np.arange(TABLE_SIZE) + 0.5) / TABLE_SIZE
+    # half by rank, half by size: many values, and those far out, get their entries
+    by_rank = ordered[(share * len(ordered)).astype(int)]
+    by_size = ordered[0] + share * (ordered[-1] - ordered[0])
+    table = np.sort(0.5 * (by_rank + by_size))
+    for _ in range(TABLE_ROUNDS):
+        bounds = np.searchsorted(ordered, 0.5 * (table[1:] + table[:-1]))
+        first, end = np.r_[0, bounds], np.r_[bounds, len(ordered)]
+        count = end - first
+        table = np.where(count > 0, (sums[end] - sums[first]) / np.maximum(count, 1), table)
+    return np.sort(table).astype(np.float32)
+
+
+def nearest(table: Floats, values: Floats) -> npt.NDArray[np.uint8]:
+    """Which entry of an ascending table is nearest to each value."""
+    bounds = 0.5 * (table[1:].astype(np.float64) + table[:-1])
+    return np.searchsorted(bounds, values).astype(np.uint8)
+
+
+def make_palette(coefficients: Floats) -> Palette:
+    """A palette for N sets of coefficients (N, C - 1, 3): half as many, at most MAX_PALETTE."""
+    count, size, _ = coefficients.shape
+    rows = coefficients.reshape(count, -1)
+    wanted = min(MAX_PALETTE - PALETTE_PARTS, max(1, count // MEMBERS))
+    centres, label = _cluster_in_two(rows, wanted)
+    table = make_table(centres)
+    return Palette(nearest(table, centres).reshape(-1, size, 3), table, label)
+
+
+def _cluster_in_two(rows: Floats, wanted: int) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """About ``wanted`` centres, and the one of each row; parts first, then each part.
+
+    Every part has one at least: there may be PALETTE_PARTS more than wanted.
+    """
+    rng = np.random.default_rng(SEED)
+    _, part = _cluster(rows, min(PALETTE_PARTS, wanted), rng)
+    label = np.empty(len(rows), np.int64)
+    centres, used = [], 0
+    for number in np.unique(part):
+        members = np.flatnonzero(part == number)
+        share = wanted * len(members) // len(rows)
+        found, own = _cluster(rows[members], max(1, share), rng)
+        label[members] = used + own
+        centres.append(found)
+        used += len(found)
+    return np.concatenate(centres), label
+
+
+def _cluster(
+    rows: Floats, wanted: int, rng: np.random.Generator
+) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Lloyd's rounds from rows drawn at random; centres without rows stay where they are."""
+    centres = rows[np.sort(rng.permutation(len(rows))[:wanted])]
+    for _ in range(PALETTE_ROUNDS):
+        label = _closest(rows, centres)
+        count = np.bincount(label, minlength=len(centres))
+        order = np.argsort(label, kind="stable")
+        used = np.flatnonzero(count)
+        first = np.concatenate([[0], np.cumsum(count)[:-1]])[used]
+        sums = np.add.reduceat(rows[order], first, axis=0)
+        centres = centres.copy()
+        centres[used] = sums / count[used, None]
+    return centres, _closest(rows, centres)
+
+
+def _closest(rows: Floats, centres: Floats) -> npt.NDArray[np.int64]:
+    square = 0.5 * np.square(centres).sum(axis=1)
+    return np.concatenate(
+        [
+            np.argmin(square - rows[start : start + 8192] @ centres.T, axis=1)
+            for start in range(0, len(rows), 8192)
+        ]
+    )

@@ -1,0 +1,93 @@
+"""A smaller file of a trained scene, without training: `clgs encode --target-size`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from clgs.opencl.device import Device
+from clgs.scene.scene import QuantizedScene
+from clgs.train.quality.rate_control import (
+    MAX_CAMERAS,
+    MEASURED,
+    Judge,
+    Reduced,
+    reduce_to_psnr,
+    reduce_to_size,
+    spread,
+)
+from clgs.workflow.events import OnEvent, counter, ignore
+from clgs.workflow.options import ViewOptions
+from clgs.workflow.views import drawing_options, select_views
+
+
+@dataclass(frozen=True)
+class EncodedFile:
+    """A .clgs file that was written: its bytes and anchors."""
+
+    path: Path
+    size: int
+    anchors: int
+
+
+@dataclass(frozen=True)
+class FittedScene:
+    """What was found, the views that PSNR was measured on, and the number of training views.
+
+    Both counts are 0 if no data set is known.
+    """
+
+    found: Reduced
+    measured: int = 0
+    views: int = 0
+
+
+def encode_within(
+    path: Path,
+    scene: QuantizedScene,
+    encode: Callable[[QuantizedScene], bytes],
+    views: ViewOptions,
+    target_size: int | None = None,
+    target_psnr: float | None = None,
+    all_views: bool = False,
+    on_event: OnEvent = ignore,
+) -> FittedScene:
+    """Leave out anchors, and make Q coarser, until the file meets one of the two targets.
+
+    Args:
+        path: where the scene was read.
+        scene: all of it.
+        encode: gives the bytes of a scene.
+        views: the data set whose training views say what is useful; without one, size does.
+        target_size: bytes.
+        target_psnr: dB; needs a data set.
+        all_views: whether PSNR is measured on all training views, not on MEASURED of them.
+        on_event: receives the progress.
+
+    Raises:
+        UsageError: the target cannot be reached.
+        DataError: the data set is damaged, or that of another scene.
+    """
+    if views.data is None:
+        assert target_size is not None
+        counter("encoding", 0, on_event)
+        return FittedScene(reduce_to_size(scene, target_size, encode, None))
+    every = select_views(path, scene, replace(views, split="train"), on_event)
+    cameras = [view.camera for view in every]
+    chosen = [every[i] for i in spread(cameras, len(cameras) if all_views else MEASURED)]
+    for view in chosen:
+        view.photo.keep()  # they are read once, the others never
+    judge = Judge(
+        Device(views.device),
+        [cameras[i] for i in spread(cameras, MAX_CAMERAS)],
+        chosen,
+        drawing_options(path, views),
+        counter("looking at views", 0, on_event),
+    )
+    if target_psnr is not None:
+        found = reduce_to_psnr(scene, target_psnr, encode, judge)
+    else:
+        assert target_size is not None
+        found = reduce_to_size(scene, target_size, encode, judge)
+    return FittedScene(found, len(chosen), len(every))

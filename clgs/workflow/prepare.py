@@ -1,0 +1,55 @@
+"""Photos or a video to a data set, with the page about its poses: `clgs prepare`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from clgs.exports.poses_page import write_poses_page
+from clgs.poses.judging.verdict import Verdict
+from clgs.poses.prepare import prepare
+from clgs.workflow.events import OnEvent, StageProgress, ignore
+
+PAGE = "report.html"
+
+
+@dataclass(frozen=True)
+class PreparedData:
+    """A data set that was made, the verdict on its poses, the page about it, and the seconds."""
+
+    folder: Path
+    verdict: Verdict
+    page: Path
+    seconds: float
+
+
+def prepare_data(
+    photos: Path | str,
+    output: Path,
+    *,
+    seed: int = 0,
+    quick: bool = False,
+    frames: int | None = None,
+    drop_doubtful: bool = False,
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+) -> PreparedData:
+    """Find poses and points, test them, and write the page about them to ``output``.
+
+    :func:`clgs.prepare` describes the arguments, the errors and the other files.
+    """
+    start = time.perf_counter()
+    verdict = prepare(
+        photos,
+        output,
+        seed,
+        lambda stage, done, total: on_event(StageProgress(stage, done, total)),
+        overwrite=overwrite,
+        quick=quick,
+        frames=frames,
+        drop_doubtful=drop_doubtful,
+    )
+    page = output / PAGE
+    write_poses_page(page, output, verdict)
+    return PreparedData(output, verdict, page, time.perf_counter() - start)

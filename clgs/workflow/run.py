@@ -1,0 +1,244 @@
+"""From photos to a scene, a report and what one shows to others: `clgs run`."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from clgs.errors import UsageError
+from clgs.exports.run_report import RunStory, write_run_report
+from clgs.files import check_folder, make_folder
+from clgs.train.run.folder_lock import FolderLock
+from clgs.workflow.device_speed import speed_on, synthetic_speed
+from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
+from clgs.workflow.run_input import RunInput, find_input, measure_data
+from clgs.workflow.run_plan import (
+    DEFAULT_SECONDS,
+    Photos,
+    TrainingPlan,
+    frames_within,
+    make_plan,
+    must_hurry,
+    prepare_seconds,
+)
+from clgs.workflow.run_record import (
+    DATA,
+    RUN,
+    FinishedRun,
+    RunPlan,
+    RunRecord,
+    read_record,
+)
+from clgs.workflow.run_stages import (
+    CLIP,
+    GAUSSIANS,
+    PAGE,
+    REPORT,
+    SCENE,
+    SCORES,
+    RunStages,
+    command_line,
+    setting_options,
+)
+
+MADE = (DATA, RUN, SCENE, SCORES, REPORT, PAGE, GAUSSIANS, CLIP)
+"""Everything in the output folder that is replaced by another run."""
+
+
+def plan_run(
+    photos: Path | str,
+    output: Path | str,
+    *,
+    seconds: float | None = None,
+    steps: int | None = None,
+    max_size: int | None = None,
+    seed: int | None = None,
+    device: str | None = None,
+    on_event: OnEvent = ignore,
+) -> RunPlan:
+    """What :func:`run` would do with these arguments; nothing is written.
+
+    Raises:
+        ExistsError: ``output`` holds other files than a run's.
+        DataError: there is nothing that can be trained on.
+        DeviceError: there is no such device.
+    """
+    output = Path(output)
+    check_folder(output)
+    read_record(output, resume=False, overwrite=True)
+    given, allowed = find_input(Path(photos)), seconds or DEFAULT_SECONDS
+    stages = RunStages(output, _record(given, allowed), seed or 0, device, on_event)
+    return _Planner(stages, allowed, steps, max_size, on_event).plan(_shortened(given, allowed))
+
+
+def run(
+    photos: Path | str,
+    output: Path | str,
+    *,
+    seconds: float | None = None,
+    steps: int | None = None,
+    max_size: int | None = None,
+    seed: int | None = None,
+    device: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+) -> FinishedRun:
+    """Find poses, train, encode, score the file, and write page, Gaussians, clip and report.
+
+    Resolution and steps are chosen so that all of it fits ``seconds`` on the device.
+
+    Args:
+        photos: folder of photos, a video, or folder of a data set.
+        output: folder for all files.
+        seconds: for everything; default: DEFAULT_SECONDS.
+        steps: of training; default: what the time allows.
+        max_size: wider photos are reduced to this width; default: what the time allows.
+        seed: of all random choices; default: 0.
+        device: number or part of the name.
+        resume: go on with the run in ``output`` by its plan; begin if there is none.
+        overwrite: replace the run in ``output``.
+        on_event: receives plan, stages, their records, progress and notes.
+
+    Returns:
+        What was made. An export that fails does not end the run; ``failures`` has its error.
+
+    Raises:
+        DataError: there is nothing to train on, or another process works in ``output``.
+        ExistsError: ``output`` holds other files, or a run that is neither resumed nor replaced.
+        UsageError: a resumed run has another input or other settings.
+        ClgsError: a stage failed.
+    """
+    output = Path(output)
+    check_folder(output)
+    lock = FolderLock(output) if output.is_dir() else None
+    try:
+        found = read_record(output, resume, overwrite)
+        if resume and found is None:
+            on_event(Note(f"{output} holds no run yet; one begins"))
+        given = find_input(Path(photos))
+        if found is not None:
+            chosen = {"steps": steps, "max_size": max_size, "seed": seed}
+            found.check(output, given, seconds, chosen)
+        allowed = seconds or (found.time if found else DEFAULT_SECONDS)
+        record = found or _record(given, allowed)
+        given = _shortened(given, allowed)
+        stages = RunStages(output, record, seed or 0, device, on_event, begun=found is not None)
+        planner = _Planner(stages, allowed, steps, max_size, on_event)
+        training = None
+        if not record.settings:
+            plan = planner.plan(given)
+            training = plan.training
+            on_event(StageRecord(plan))
+        if found is None:
+            _check_apart(given.path, output)
+            make_folder(output)
+            lock = lock or FolderLock(output)
+            stages.begin(MADE)
+        data = given.path
+        if not given.posed:
+            data = stages.prepare(given, must_hurry(given.photos.count, _cores(), allowed))
+        if training is not None:
+            if not given.complete:
+                training = planner.plan_training(measure_data(data), 0.0, data)
+                on_event(StageRecord(training))
+            stages.settle(training)
+        stages.train(data)
+        stages.encode()
+        stages.evaluate(data)
+        failures = stages.export()
+        return _finish(given, data, output, record, device, failures)
+    finally:
+        if lock is not None:
+            lock.release()
+
+
+def _finish(
+    given: RunInput,
+    data: Path,
+    output: Path,
+    record: RunRecord,
+    device: str | None,
+    failures: dict[str, Exception],
+) -> FinishedRun:
+    """Write the report, with the command that repeats the run; what was made."""
+    if given.posed:
+        used = f"{given.photos.count} of the data set {given.path}"
+    else:
+        used = f"{measure_data(data).count} of {given.photos.count} found their pose"
+    links = {"the scene as a web page": PAGE, "clip": CLIP, "the file": SCENE}
+    links |= {"ordinary Gaussians": GAUSSIANS, "poses of the photos": f"{DATA}/{REPORT}"}
+    present = [(label, name) for label, name in links.items() if (output / name).exists()]
+    words = ["run", given.path, "-o", output, *setting_options(record.settings)]
+    if device is not None:
+        words += ["--device", device]
+    story = RunStory(command_line(*words), f"{used}.", record.seconds, present)
+    write_run_report(output / RUN, story, output / REPORT)
+    scores = json.loads((output / SCORES).read_text(encoding="utf-8"))
+    return FinishedRun(output, used, scores, record.seconds, failures)
+
+
+def _cores() -> int:
+    return os.cpu_count() or 1
+
+
+def _record(given: RunInput, allowed: float) -> RunRecord:
+    return RunRecord(str(given.path.resolve()), given.photos.count, given.digest, allowed)
+
+
+def _shortened(given: RunInput, allowed: float) -> RunInput:
+    """The input with as many frames as the time allows, if it is a video."""
+    if not given.video:
+        return given
+    count = frames_within(_cores(), allowed)
+    return replace(given, photos=replace(given.photos, count=count))
+
+
+def _check_apart(photos: Path, output: Path) -> None:
+    """Raise UsageError if ``photos`` lie where files of an earlier run are removed."""
+    inside = {photos.resolve(), *photos.resolve().parents}
+    if any((output / name).resolve() in inside for name in MADE):
+        raise UsageError(f"{photos}: lies in the folder that is written to; copy it first")
+
+
+class _Planner:
+    """Chooses size and length of training by the speed of the device and the time that is left."""
+
+    def __init__(
+        self,
+        stages: RunStages,
+        allowed: float,
+        steps: int | None,
+        max_size: int | None,
+        on_event: OnEvent,
+    ) -> None:
+        self._stages, self._allowed, self._on_event = stages, allowed, on_event
+        self._steps, self._max_size = steps, max_size
+        self._start = time.perf_counter()
+
+    def plan(self, given: RunInput) -> RunPlan:
+        """The plan for ``given``."""
+        count = given.photos.count
+        hurry = must_hurry(count, _cores(), self._allowed)
+        preparing = 0.0
+        if not given.complete:
+            preparing = prepare_seconds(count, _cores(), hurry or given.pointless)
+        ready = given.path if given.complete else None
+        training = self.plan_training(given.photos, preparing, ready)
+        return RunPlan(given, training, self._stages.device.name, hurry, self._allowed)
+
+    def plan_training(self, photos: Photos, preparing: float, data: Path | None) -> TrainingPlan:
+        """The plan by the speed on the data set ``data``, if there is one already."""
+        stages = self._stages
+        with stages.timed("plan"):
+            self._on_event(Note("measuring how fast this device trains"))
+            if data is None:
+                speed = synthetic_speed(stages.device)
+            else:
+                run = stages.run_folder
+                speed = speed_on(stages.device, data, photos, run, stages.seed, self._on_event)
+        left = self._allowed - (time.perf_counter() - self._start)
+        return make_plan(photos, speed, preparing, left, self._steps, self._max_size)

@@ -1,0 +1,185 @@
+"""What `clgs run` intends: resolution and steps that fit the time, by the speed of this device."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from clgs.train.step.schedule import COARSE_STAGES
+
+DEFAULT_SECONDS = 600.0
+"""The time for everything, unless the user says otherwise."""
+
+SIZES = (1600, 1280, 960, 800, 640, 480, 400, 320, 240)
+"""Widths that photos are reduced to, of which the largest that leaves enough steps is taken."""
+
+ENOUGH_STEPS = 1500
+"""Below this, smaller pictures with more steps give the better scene (docs/guide/run.md)."""
+
+SHORT_STEPS, LARGE_PIXELS = 1_900, 100_000
+"""Runs of fewer steps, on photos of so many pixels, begin with photos of half the size: pictures as
+good in fewer bytes and less time (docs/benchmarks/sizes.md), but not of synthetic objects.
+"""
+
+MOST_STEPS = 30_000
+LEAST_STEPS = 300
+"""Fewer give nothing that is worth looking at."""
+
+FEATURE_SECONDS, PAIR_SECONDS = {True: 1.5, False: 3.0}, {True: 0.12, False: 0.5}
+"""Seconds of one core per photo and per pair of photos; True: with `prepare --quick`."""
+
+FIXED_SECONDS = 5.0
+
+MOST_PAIRS = 40
+"""About this many pairs per photo are matched in large sets."""
+
+POSES_SHARE = 0.45
+"""Poses are tested by a second reconstruction if finding them then takes no larger share."""
+
+FRAMES = (100, 80, 60, 50, 40, 30)
+"""Frames of a video: the most whose poses take no larger share without that test."""
+
+ROUNDS = 1.6
+"""The mean step of a run takes this many times the first ones: rounds, growth, reading."""
+
+LATER_STEPS = 650
+"""Baking and the clip take as long as this many steps. What else follows takes LATER_SECONDS."""
+
+LATER_SECONDS = 8.0
+
+
+@dataclass(frozen=True)
+class Photos:
+    """The photos of a run: their number, the size of the first, and if they are synthetic."""
+
+    count: int
+    width: int
+    height: int
+    synthetic: bool = False
+
+    def at(self, width: int) -> int:
+        """Pixels of a photo that is at most ``width`` wide."""
+        reduced = min(width, self.width)
+        return reduced * max(1, round(self.height * reduced / self.width))
+
+
+@dataclass(frozen=True)
+class StepSpeed:
+    """Seconds of a training step: fixed, and per pixel of the photo."""
+
+    fixed: float
+    pixel: float
+
+    def step(self, pixels: int) -> float:
+        """Seconds of a step on a photo of ``pixels``."""
+        return self.fixed + self.pixel * pixels
+
+
+@dataclass(frozen=True)
+class TrainingPlan:
+    """Size and length of a training, and seconds by stage.
+
+    Attributes:
+        max_size: wider photos are reduced to this width in pixels.
+        steps: of training.
+        coarse: whether training begins with photos of half the size.
+        prepare_seconds: for the poses.
+        train_seconds: for training.
+        other_seconds: for all that follows.
+    """
+
+    max_size: int
+    steps: int
+    coarse: bool
+    prepare_seconds: float
+    train_seconds: float
+    other_seconds: float
+
+    @property
+    def seconds(self) -> float:
+        """The time of the whole run."""
+        return self.prepare_seconds + self.train_seconds + self.other_seconds
+
+
+def fit_speed(small: tuple[int, float], large: tuple[int, float]) -> StepSpeed:
+    """The line through two steps, each given by the pixels of its picture and its seconds."""
+    pixel = max(0.0, large[1] - small[1]) / max(1, large[0] - small[0])
+    return StepSpeed(max(1e-4, small[1] - pixel * small[0]), pixel)
+
+
+def prepare_seconds(count: int, cores: int, quick: bool) -> float:
+    """What structure from motion usually takes for ``count`` photos."""
+    pairs = min(count * (count - 1) / 2, MOST_PAIRS * count)
+    seconds = count * FEATURE_SECONDS[quick] + pairs * PAIR_SECONDS[quick]
+    return (seconds + FIXED_SECONDS) / max(1, min(cores, 8))
+
+
+def must_hurry(count: int, cores: int, seconds: float) -> bool:
+    """Whether ``seconds`` for everything leave no time for tests of the poses."""
+    return prepare_seconds(count, cores, quick=False) > POSES_SHARE * seconds
+
+
+def frames_within(cores: int, seconds: float) -> int:
+    """Frames of a video that leave time for the rest, if ``seconds`` are for everything."""
+    fitting = (n for n in FRAMES if prepare_seconds(n, cores, quick=True) <= POSES_SHARE * seconds)
+    return next(fitting, FRAMES[-1])
+
+
+def make_plan(
+    photos: Photos,
+    speed: StepSpeed,
+    preparing: float,
+    seconds: float,
+    steps: int | None = None,
+    max_size: int | None = None,
+) -> TrainingPlan:
+    """The plan that fits ``seconds``, or has the ``steps`` and the ``max_size`` that are given.
+
+    Args:
+        photos: to train on.
+        speed: of a step.
+        preparing: seconds that the poses take; 0 if they are known.
+        seconds: for the whole.
+        steps: of training, if the user chose them.
+        max_size: of the photos, if the user chose it.
+    """
+    left = max(0.0, seconds - preparing)
+    if max_size is None:
+        wanted = steps if steps is not None else ENOUGH_STEPS
+        paces = ((size, _Pace(photos, speed, min(size, photos.width))) for size in SIZES)
+        fitting = (size for size, pace in paces if pace.affordable(left) >= wanted)
+        max_size = min(next(fitting, SIZES[-1]), photos.width)
+    pace = _Pace(photos, speed, max_size)
+    if steps is None:
+        steps = min(max(pace.affordable(left), LEAST_STEPS), MOST_STEPS)
+    coarse = pace.coarse(steps)
+    return TrainingPlan(max_size, steps, coarse, preparing, pace.training(steps), pace.later)
+
+
+class _Pace:
+    """What steps on photos at most ``width`` wide take."""
+
+    def __init__(self, photos: Photos, speed: StepSpeed, width: int) -> None:
+        pixels = photos.at(width)
+        ((share, factor),) = COARSE_STAGES
+        self._large = pixels >= LARGE_PIXELS and not photos.synthetic
+        self._step = speed.step(pixels)
+        self._coarse_step = share * speed.step(pixels // factor**2) + (1 - share) * self._step
+        self.later = LATER_SECONDS + LATER_STEPS * self._step
+        """Seconds of all that follows training."""
+
+    def coarse(self, steps: int) -> bool:
+        """Whether a run of ``steps`` begins with photos of half the size."""
+        return self._large and steps < SHORT_STEPS
+
+    def training(self, steps: int) -> float:
+        """Seconds of a run of ``steps``."""
+        return ROUNDS * steps * (self._coarse_step if self.coarse(steps) else self._step)
+
+    def affordable(self, seconds: float) -> int:
+        """The most steps for which ``seconds`` suffice, what follows them included."""
+        left = max(0.0, seconds - self.later)
+        steps = math.floor(left / (ROUNDS * self._step))
+        if not self.coarse(steps):
+            return steps
+        return min(math.floor(left / (ROUNDS * self._coarse_step)), SHORT_STEPS - 1)

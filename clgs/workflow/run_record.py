@@ -1,0 +1,167 @@
+"""Records of `clgs run`: its plan, what its folder keeps so that --resume continues, its end."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from clgs.errors import DataError, ExistsError, UsageError
+from clgs.files import write_json
+from clgs.workflow.run_input import RunInput
+from clgs.workflow.run_plan import TrainingPlan
+from clgs.workflow.scenes import PLAN
+
+DATA = "data"
+"""The data set in the output folder, if poses had to be found."""
+
+RUN = "run"
+"""The run folder of training in the output folder."""
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """A run, as the file PLAN keeps it.
+
+    Attributes:
+        input: the absolute path that it began with.
+        photos: their number there.
+        digest: as in :class:`RunInput`.
+        time: seconds that it was planned for.
+        settings: of training; empty until it is planned.
+        plan: the fields of the :class:`TrainingPlan`.
+        seconds: that each stage took, over all calls.
+        made: bytes of the files that the stages made, by name.
+    """
+
+    input: str
+    photos: int
+    digest: str
+    time: float
+    settings: dict[str, Any] = field(default_factory=dict)
+    plan: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    made: dict[str, int] = field(default_factory=dict)
+
+    def write(self, out: Path) -> None:
+        """Write the record into the folder ``out``."""
+        write_json(out / PLAN, asdict(self))
+
+    def check(
+        self, out: Path, given: RunInput, seconds: float | None, settings: dict[str, Any]
+    ) -> None:
+        """See that this run in ``out`` has that input, time and settings; None is any.
+
+        Raises:
+            UsageError: it has others.
+        """
+        again = "start from the beginning with --overwrite"
+        if self.input != str(given.path.resolve()):
+            raise UsageError(f"{out}: is a run of {self.input}; name that, or another folder")
+        if not self.settings and not (out / DATA).is_dir():
+            return
+        if self.photos != given.photos.count:
+            count = given.photos.count
+            raise UsageError(
+                f"{given.path}: has {count} photo{'s' * (count != 1)}, and the run in {out} began "
+                f"with {self.photos}; {again}"
+            )
+        if self.digest != given.digest:
+            raise UsageError(
+                f"{given.path}: holds other photos than the run in {out} began with; {again}"
+            )
+        kept = {"time": self.time, **self.settings} if self.settings else {}
+        for name, value in {"time": seconds, **settings}.items():
+            if name in kept and value not in (None, kept[name]):
+                option = "--" + name.replace("_", "-")
+                shown = in_words(self.time) if name == "time" else kept[name]
+                raise UsageError(
+                    f"{option}: the run in {out} has {shown}; leave it out, or {again}"
+                )
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """What `clgs run` is going to do.
+
+    Attributes:
+        input: photos, video or data set.
+        training: size, length and times.
+        device: the name of the device.
+        hurry: whether the poses are not tested, for lack of time.
+        allowed: seconds for everything.
+    """
+
+    input: RunInput
+    training: TrainingPlan
+    device: str
+    hurry: bool
+    allowed: float
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """What `clgs run` made.
+
+    Attributes:
+        folder: the output folder.
+        photos: how many photos were used, in words.
+        scores: as ``clgs eval --json`` writes them.
+        seconds: by stage, over all calls that worked on the run.
+        failures: the exports that failed, by stage.
+    """
+
+    folder: Path
+    photos: str
+    scores: dict[str, Any]
+    seconds: dict[str, float]
+    failures: dict[str, Exception]
+
+
+def in_words(seconds: float) -> str:
+    """A time such as 45 s, 2.5 min or 1.2 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def read_record(out: Path, resume: bool, overwrite: bool) -> RunRecord | None:
+    """The run in ``out`` that is resumed; None if a run begins.
+
+    Raises:
+        DataError: its record is damaged.
+        ExistsError: ``out`` holds other things, or a run that is neither resumed nor replaced.
+        UsageError: options contradict each other.
+    """
+    path = out / PLAN
+    if resume and overwrite:
+        raise UsageError("--resume goes on with a run and --overwrite replaces it; give one")
+    if not path.is_file():
+        if (out / RUN / "config.toml").is_file():
+            raise ExistsError(
+                f"{out}: holds a run, but not its {PLAN}; finish {out / RUN} by `clgs train "
+                "--resume`, or choose another folder"
+            )
+        if out.is_dir() and any(out.iterdir()):
+            raise ExistsError(f"{out}: holds other files; choose another folder")
+        return None
+    if overwrite:
+        return None
+    if not resume:
+        raise ExistsError(
+            f"{out}: holds a run already; go on with it (--resume), replace it "
+            "(--overwrite), or choose another folder"
+        )
+    try:
+        found = RunRecord(**json.loads(path.read_text(encoding="utf-8")))
+        return replace(
+            found,
+            photos=int(found.photos),
+            time=float(found.time),
+            settings=dict(found.settings),
+            made=dict(found.made),
+            seconds={str(name): float(value) for name, value in found.seconds.items()},
+        )
+    except (ValueError, TypeError, AttributeError) as error:
+        raise DataError(f"{path}: is damaged; start again with --overwrite") from error

@@ -1,0 +1,244 @@
+"""The stages of `clgs run`, each with the command of clgs that does the same."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from functools import cached_property
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from clgs.codec.scene_encoder import encode
+from clgs.files import atomic_write, remove_temporaries, write_json
+from clgs.opencl.device import Device
+from clgs.train.config import layered
+from clgs.train.run.finished_run import RESULTS
+from clgs.workflow.encode import EncodedFile
+from clgs.workflow.evaluate import Evaluation, evaluate
+from clgs.workflow.events import OnEvent, RunStage, StageFailure, StageRecord
+from clgs.workflow.export import export
+from clgs.workflow.options import PathOptions, ViewOptions
+from clgs.workflow.pictures import render_clip
+from clgs.workflow.prepare import prepare_data
+from clgs.workflow.run_input import RunInput
+from clgs.workflow.run_plan import TrainingPlan
+from clgs.workflow.run_record import DATA, RUN, RunRecord
+from clgs.workflow.scenes import read_drawable, read_scene
+from clgs.workflow.train import train
+
+SCENE, SCORES, REPORT = "scene.clgs", "scores.json", "report.html"
+PAGE, GAUSSIANS, CLIP = "scene.html", "scene.ply", "clip.mp4"
+CLIP_FRAMES = 120
+
+NEEDED = (SCENE, "scene.npz", "hashes.json", "per_view.json", "progress.csv")
+"""Files of the run folder that later stages need."""
+
+
+class RunStages:
+    """Works through stages whose files are missing or damaged, and keeps their seconds."""
+
+    def __init__(
+        self,
+        out: Path,
+        record: RunRecord,
+        seed: int,
+        device: str | None,
+        on_event: OnEvent,
+        begun: bool = False,
+    ) -> None:
+        """Stages of the run in ``out``; they add to ``record`` what they took and made.
+
+        The record is written if the run has ``begun``; before, the folder may hold another run.
+        """
+        self._out, self.run_folder, self._record, self._begun = out, out / RUN, record, begun
+        self.seed, self._device_name, self._on_event = seed, device, on_event
+
+    @cached_property
+    def device(self) -> Device:
+        """The device of all stages, opened when it is first needed."""
+        return Device(self._device_name)
+
+    def begin(self, doomed: Sequence[str]) -> None:
+        """Write the record, and remove the files of an earlier run, by name."""
+        self._begun = True
+        self._record.write(self._out)
+        for path in (self._out / name for name in doomed):
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+
+    def settle(self, plan: TrainingPlan) -> None:
+        """Keep the plan of the training, and the settings that follow from it."""
+        settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self.seed}
+        self._record.settings.update(settings, coarse_to_fine=plan.coarse)
+        self._record.plan.update(asdict(plan))
+        self._record.write(self._out)
+
+    def prepare(self, given: RunInput, quick: bool) -> Path:
+        """Find the poses; the folder of the data set."""
+        data = self._out / DATA
+        frames = given.photos.count if given.video else None
+        words = ["prepare", given.path, "-o", data, "--seed", self.seed]
+        words += ["--quick"] * quick + ["--frames", frames] * given.video
+
+        def work() -> object:
+            return prepare_data(
+                given.path,
+                data,
+                seed=self.seed,
+                quick=quick,
+                frames=frames,
+                on_event=self._on_event,
+            )
+
+        self._stage("prepare", data, words, work)
+        return data
+
+    def train(self, data: Path) -> None:
+        """Train; what a damaged run lacks is made again from its last checkpoint."""
+        run, settings = self.run_folder, self._record.settings
+        if not all((run / name).is_file() for name in NEEDED):
+            (run / RESULTS).unlink(missing_ok=True)
+        device = self.device.name
+        words = ["train", data, "-o", run, "--preset", "quick", *setting_options(settings, "=")]
+        words += ["--coarse-to-fine"] * bool(settings.get("coarse_to_fine")) + ["--device", device]
+        given = {name: value for name, value in settings.items() if value is not False}
+        config = layered({}, {"preset": "quick", **given})
+
+        def work() -> object:
+            return train(
+                data,
+                run,
+                config,
+                device=device,
+                resume=True,
+                command=command_line(*words),
+                on_event=self._on_event,
+            )
+
+        self._stage("train", run / RESULTS, [*words, "--resume"], work)
+
+    def encode(self) -> None:
+        """Write the scene as one file."""
+        run, file = self.run_folder, self._out / SCENE
+
+        def work() -> EncodedFile:
+            scene, _ = read_scene(run)
+            data = encode(scene)
+            atomic_write(file, data)
+            return EncodedFile(file, len(data), len(scene.anchors))
+
+        self._stage("encode", file, ["encode", run, "-o", file, "--overwrite"], work)
+
+    def evaluate(self, data: Path) -> None:
+        """Score the file on the views that the run was scored on."""
+        file, scores, device = self._out / SCENE, self._out / SCORES, self.device.name
+        split = json.loads((self.run_folder / RESULTS).read_text(encoding="utf-8"))["split"]
+        size = self._record.settings["max_size"]
+        words = ["eval", file, "--data", data, "--json", scores]
+        words += ["--max-size", size, "--split", split, "--device", device]
+
+        def work() -> Evaluation:
+            views = ViewOptions(data, split, max_size=size, device=device)
+            scene, nbytes = read_drawable(file)
+            opened = Device(device)
+            found = evaluate(opened, file, scene, nbytes, views, on_event=self._on_event)
+            write_json(scores, found.record())
+            return found
+
+        self._stage("eval", scores, words, work)
+
+    def export(self) -> dict[str, Exception]:
+        """Write page, Gaussians and clip; the errors of those that failed."""
+        page, gaussians, clip = (self._out / name for name in (PAGE, GAUSSIANS, CLIP))
+        for path in (page, gaussians, clip):
+            remove_temporaries(path)
+        run, device, on_event = self.run_folder, self.device.name, self._on_event
+        shared = ["--device", device, "--overwrite"]
+        path_words = ["--path", "interpolate", "--frames", CLIP_FRAMES]
+
+        def write_clip() -> object:
+            path, views = PathOptions("interpolate", CLIP_FRAMES), ViewOptions(device=device)
+            return render_clip(run, clip, path, views, overwrite=True, on_event=on_event)
+
+        def write(file: Path) -> Callable[[], object]:
+            return lambda: export(run, file, device=device, overwrite=True, on_event=on_event)
+
+        todo: list[tuple[str, Path, list[Any], Callable[[], object]]] = [
+            ("page", page, ["export", run], write(page)),
+            ("Gaussians", gaussians, ["export", run], write(gaussians)),
+            ("clip", clip, ["render", run, *path_words], write_clip),
+        ]
+        failures: dict[str, Exception] = {}
+        for name, file, words, work in todo:
+            if name == "clip" and find_spec("imageio_ffmpeg") is None:
+                needs = "left out; it needs: pip install 'clgs[video]'"
+                on_event(RunStage(name, needs, skipped=True))
+                continue
+            try:
+                self._stage(name, file, [*words, "-o", file, *shared], work, needed=False)
+            except Exception as error:
+                failures[name] = error
+                on_event(StageFailure(name, error))
+        return failures
+
+    def _stage(
+        self,
+        name: str,
+        made: Path,
+        words: list[Any],
+        work: Callable[[], object],
+        needed: bool = True,
+    ) -> None:
+        """Do the work of a stage, unless ``made`` is there as it was made.
+
+        ``words`` are the arguments of the command that does the same.
+        """
+        size = self._record.made.get(made.name)
+        if made.is_dir() or (made.is_file() and made.stat().st_size == size):
+            self._on_event(RunStage(name, f"is there: {made}", skipped=True))
+            return
+        self._on_event(RunStage(name, command_line(*words)))
+        try:
+            with self.timed(name):
+                record = work()
+                if made.is_file():
+                    self._record.made[made.name] = made.stat().st_size
+        except Exception as error:
+            if needed:
+                error.add_note(f"{name} failed; mend that and repeat the command with --resume")
+            raise
+        self._on_event(StageRecord(record))
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add the seconds of the block to those of ``stage``, and write the record."""
+        start, seconds = time.perf_counter(), self._record.seconds
+        try:
+            yield
+        finally:
+            seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start
+            if self._begun:
+                self._record.write(self._out)
+
+
+def command_line(*words: object) -> str:
+    """The words of a command, as a shell takes them."""
+    return shlex.join(["clgs", *map(str, words)])
+
+
+def setting_options(settings: dict[str, Any], between: str | None = None) -> list[str]:
+    """The settings that the user may choose too, as options with their values."""
+    found: list[str] = []
+    for name, value in settings.items():
+        if not isinstance(value, bool):
+            option = f"--{name.replace('_', '-')}"
+            found += [option, str(value)] if between is None else [f"{option}{between}{value}"]
+    return found

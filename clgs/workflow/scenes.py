@@ -1,0 +1,181 @@
+"""Scenes on the disk: run folders, .clgs files, decoded .npz archives and 3DGS splats."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from clgs.codec.container.section_table import BytesSource, FileSource
+from clgs.codec.scene_decoder import Box, decode, decode_box
+from clgs.codec.splat_packing import is_splats, unpack
+from clgs.errors import CodecError, DataError
+from clgs.scene.scene import QuantizedScene, SplatScene
+from clgs.scene.storage import load_scene
+from clgs.workflow.outputs import holds_run
+
+PLAN = "plan.json"
+"""The file by which the output folder of `clgs run` is recognised: the plan of that run."""
+
+WRITTEN_ONLY = (".spz", ".sog", ".glb", ".html")
+"""Suffixes of what `clgs export` writes and clgs does not read."""
+
+
+def run_folder(scene: Path) -> Path:
+    """The run folder that ``scene`` is or lies in.
+
+    If that is the output folder of `clgs run`, it is the folder ``run`` in it.
+    """
+    folder = scene if scene.is_dir() else scene.parent
+    below = folder / "run"
+    return below if (folder / PLAN).is_file() and below.is_dir() else folder
+
+
+def read_scene(path: Path) -> tuple[QuantizedScene, int | None]:
+    """The scene and, if it is a bitstream, its size in bytes.
+
+    Raises:
+        DataError: there is no scene at ``path``, or it is damaged.
+    """
+    if path.is_dir():
+        return read_run(path)
+    check_there(path)
+    if path.suffix.lower() == ".npz":
+        return load_scene(path), None
+    return read_bitstream(path)
+
+
+def check_there(path: Path) -> None:
+    """See that there is something at ``path``.
+
+    Raises:
+        DataError: there is nothing.
+    """
+    if not path.exists():
+        raise DataError(f"{path}: no such file or folder; name a run folder or a .clgs file")
+
+
+def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
+    """As :func:`read_scene`; ordinary splats, a PLY file or packed ones, are read, too.
+
+    Of a run it is the scene in its file, if there is one: what is shown and scored.
+
+    Raises:
+        DataError: there is no scene at ``path``, or it is damaged.
+    """
+    from clgs.data.ply.gaussians import gaussians_of_splats, read_gaussians
+
+    if path.suffix.lower() == ".ply" and not path.is_dir():
+        gaussians = read_gaussians(path)
+        return SplatScene(gaussians), path.stat().st_size
+    bitstream = run_folder(path) / "scene.clgs"
+    if path.is_dir() and bitstream.is_file():
+        return read_bitstream(bitstream)
+    if path.is_dir() or not path.exists() or path.suffix.lower() == ".npz":
+        return read_scene(path)
+    if path.suffix.lower() in WRITTEN_ONLY and path.is_file():
+        raise DataError(f"{path}: such files are written, not read; name a .clgs or .ply file")
+    data = read_bytes(path)
+    with naming(path):
+        if is_splats(data):
+            return SplatScene(gaussians_of_splats(unpack(data), path)), len(data)
+        return decode(data), len(data)
+
+
+def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:
+    """The scene of a finished run, or of the output of `clgs run`, and its bitstream's size."""
+    folder = run_folder(folder)
+    if not (folder / "scene.npz").exists():
+        raise DataError(f"{folder}: holds no scene.npz; {instead(folder)}")
+    bitstream = folder / "scene.clgs"
+    size = bitstream.stat().st_size if bitstream.exists() else None
+    return load_scene(folder / "scene.npz"), size
+
+
+def instead(folder: Path) -> str:
+    """What to do with a folder that holds no scene."""
+    if any((place / PLAN).is_file() for place in (folder, folder.parent)):
+        return "let `clgs run` finish (--resume)"
+    if (folder / "config.toml").exists():
+        return "let `clgs train` finish (--resume)"
+    return "name a run folder; a data set is trained first (`clgs train`)"
+
+
+def read_bitstream(path: Path, threads: int | None = None) -> tuple[QuantizedScene, int]:
+    """The scene in a .clgs file, and the file's size.
+
+    Raises:
+        DataError: there is no file, or it is a folder.
+        CodecError: it is not a .clgs file, or is damaged.
+    """
+    data = read_bytes(path)
+    with naming(path):
+        return decode(data, threads), len(data)
+
+
+def read_box(path: Path, box: Box, threads: int | None) -> tuple[QuantizedScene, int, int]:
+    """The scene in a box of a .clgs file, the bytes that were read, and the file's size.
+
+    Raises:
+        DataError: there is no file, or it is a folder.
+        CodecError: it is not a .clgs file, or what was read is damaged.
+    """
+    if stat.S_ISFIFO(_mode(path)):
+        data = path.read_bytes()
+        with naming(path):
+            return decode_box(BytesSource(data), box, threads), len(data), len(data)
+    with _readable(path), path.open("rb", buffering=0) as file, naming(path):
+        source = FileSource(file)
+        scene = decode_box(source, box, threads)
+        return scene, source.bytes_read, source.size
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let a CodecError name the file."""
+    try:
+        yield
+    except CodecError as error:
+        raise CodecError(f"{path}: {error}") from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a .clgs file; it may come through a pipe.
+
+    Raises:
+        DataError: there is no file, or it is neither a file nor a pipe.
+    """
+    _mode(path)
+    with _readable(path):
+        return path.read_bytes()
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Let a lack of permission be a DataError."""
+    try:
+        yield
+    except PermissionError:
+        raise DataError(f"{path}: may not be read; give yourself the permission") from None
+
+
+def _file_in(folder: Path) -> str:
+    """What to do if ``folder`` is named in place of a .clgs file."""
+    file = folder / "scene.clgs"
+    if file.is_file():
+        return f"name a .clgs file, such as {file}"
+    return instead(folder) if holds_run(folder) else "name a .clgs file"
+
+
+def _mode(path: Path) -> int:
+    """The mode of a file or pipe."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file; `clgs encode` and `clgs pack` make some") from None
+    if stat.S_ISDIR(mode):
+        raise DataError(f"{path}: is a folder; {_file_in(path)}")
+    if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
+        raise DataError(f"{path}: is neither a file nor a pipe; name a .clgs file")
+    return mode

@@ -1,0 +1,126 @@
+"""A data set to a trained scene with its report: `clgs train`."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from clgs.errors import UsageError
+from clgs.exports.run_report import RunStory, write_run_report
+from clgs.files import check_folder, write_json
+from clgs.memory import return_freed_memory
+from clgs.opencl.device import Device
+from clgs.train.config import TrainConfig
+from clgs.train.run.finished_run import (
+    RunResult,
+    check_run_folder,
+    check_same_data,
+    finished_run,
+)
+from clgs.train.run.load import load_for
+from clgs.train.run.session import Progress, Session
+from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
+from clgs.workflow.outputs import check_apart
+
+
+@dataclass(frozen=True)
+class Saving:
+    """What is ``done`` of the work that would be done ``without`` a skip, both in ``unit``."""
+
+    skip: str
+    unit: str
+    done: int
+    without: int
+
+    @property
+    def share(self) -> float:
+        """Share of the work that is left out."""
+        return 1.0 - self.done / self.without if self.without else 0.0
+
+
+@dataclass(frozen=True)
+class TrainedRun:
+    """A run: its result, its steps, and what was measured if that was asked for.
+
+    Attributes:
+        result: scene, bitstream and summary.
+        steps: of the whole run.
+        was_finished: whether the folder held the result already.
+        times: (stage, calls, median milliseconds, seconds in all) of each stage.
+        saved: what each skip saved on the first view.
+    """
+
+    result: RunResult
+    steps: int
+    was_finished: bool = False
+    times: tuple[tuple[str, int, float, float], ...] = ()
+    saved: tuple[Saving, ...] = ()
+
+
+def train(
+    data: Path,
+    folder: Path,
+    config: TrainConfig,
+    *,
+    device: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    profile: bool = False,
+    command: str = "",
+    on_event: OnEvent = ignore,
+) -> TrainedRun:
+    """Train on the data set ``data``; the run folder receives everything, the report included.
+
+    Args:
+        data: folder of the data set.
+        folder: run folder, made if it is missing.
+        config: settings, not yet resolved for the data set.
+        device: number or part of the name.
+        resume: go on with the run in ``folder``; a finished one is read and not changed.
+        overwrite: replace the run in ``folder``.
+        profile: measure the time of every stage, which makes training slower.
+        command: what repeats the run, for the report.
+        on_event: receives progress and notes.
+
+    Raises:
+        DataError: the data set is missing or damaged, or another process works in ``folder``.
+        ExistsError: ``folder`` holds a run that is not this one.
+        UsageError: ``folder`` cannot be a run folder.
+        BudgetError: the memory budget is too small for some view.
+    """
+    return_freed_memory()
+    check_folder(folder)
+    if (folder / "checkpoint").is_file():
+        raise UsageError(f"{folder / 'checkpoint'}: is not a folder; remove it")
+    check_apart(folder, data)
+    check_run_folder(folder, resume, overwrite)
+    if resume:
+        check_same_data(folder, data)
+    opened = Device(device)
+    opened.profile.enabled = profile
+    dataset = load_for(config, data, folder, lambda line: on_event(Note(line)))
+    config = config.for_dataset(dataset.kind)
+    if resume and (finished := finished_run(folder, dataset, config)):
+        return TrainedRun(finished, config.steps, was_finished=True)
+    session = Session(dataset, folder, config, opened, resume=resume)
+
+    def report(progress: Progress) -> None:
+        on_event(TrainingProgress(progress, config.steps))
+
+    result = session.run(report)
+    rows: list[tuple[str, int, float, float]] = []
+    saved: list[Saving] = []
+    if profile:
+        rows = opened.profile.rows()
+        # the laboratory counts, and is loaded only for that
+        saved = importlib.import_module("clgs.lab.savings").savings(session.trainer)
+        names = ("stage", "calls", "median_ms", "total_s")
+        record: dict[str, Any] = {
+            "stages": [dict(zip(names, row, strict=True)) for row in rows],
+            "skips": [{**asdict(saving), "share": saving.share} for saving in saved],
+        }
+        write_json(folder / "profile.json", record)
+    write_run_report(folder, RunStory(command, f"Trained on {data}."))
+    return TrainedRun(result, config.steps, times=tuple(rows), saved=tuple(saved))

@@ -1,0 +1,159 @@
+"""The photos that belong to a scene on the disk, and how the scene is drawn for them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+from clgs.data.dataset import Dataset, load_dataset
+from clgs.data.origin import read_origin
+from clgs.data.reduction import MAX_SIZE
+from clgs.data.repose import alike, repose
+from clgs.data.view import View
+from clgs.errors import DataError, UsageError
+from clgs.options import RenderOptions, render_options
+from clgs.scene.scene import QuantizedScene, SplatScene
+from clgs.train.config import TrainConfig, from_toml
+from clgs.workflow.events import Note, OnEvent, ignore
+from clgs.workflow.options import BACKGROUNDS, ViewOptions
+from clgs.workflow.scenes import run_folder
+
+DrawableScene = TypeVar("DrawableScene", QuantizedScene, SplatScene, QuantizedScene | SplatScene)
+
+
+def known_data(scene: Path) -> Path | None:
+    """The data set that the run folder of ``scene`` names; None if there is none."""
+    origin = read_origin(run_folder(scene))
+    return origin.folder if origin is not None and origin.folder.is_dir() else None
+
+
+def data_of(scene: Path) -> Path:
+    """The data set that the run folder of ``scene`` names.
+
+    Raises:
+        UsageError: it names none, or that is gone.
+    """
+    origin = read_origin(run_folder(scene))
+    if origin is None:
+        raise UsageError("the photos are not known; name their data set with --data")
+    check_photos_there(scene)
+    return origin.folder
+
+
+def check_photos_there(scene: Path) -> None:
+    """Raise UsageError if the run folder of ``scene`` names a data set that is gone."""
+    origin = read_origin(run_folder(scene))
+    if origin is not None and not origin.folder.exists():
+        raise UsageError(f"the data set {origin.folder} is gone; name it with --data")
+
+
+def trained_config(scene: Path) -> TrainConfig | None:
+    """The settings in the run folder that ``scene`` is or lies in; None if there are none."""
+    path = run_folder(scene) / "config.toml"
+    return from_toml(path.read_text(encoding="utf-8"), str(path)) if path.is_file() else None
+
+
+def load_views(
+    path: Path,
+    scene: QuantizedScene | SplatScene,
+    options: ViewOptions,
+    on_event: OnEvent = ignore,
+) -> Dataset:
+    """The data set in the scene's units, without points; its photos are not read yet.
+
+    Args:
+        path: where the scene was read.
+        scene: whose units the cameras get.
+        options: data set and size of the photos.
+        on_event: receives a :class:`Note` if something had to be assumed.
+
+    Raises:
+        UsageError: no data set is named, neither by the options nor by the run.
+        DataError: there is no usable data set, or it is that of another scene.
+    """
+    data = options.data or data_of(path)
+    config = trained_config(path)
+    if options.downscale is not None:
+        downscale, max_size = options.downscale, MAX_SIZE
+    elif options.max_size is not None:
+        downscale, max_size = 0, options.max_size
+    elif config is not None:
+        downscale, max_size = config.downscale, config.max_size
+    else:
+        on_event(Note(f"no config.toml next to the scene; --max-size {MAX_SIZE} is assumed"))
+        downscale, max_size = 0, MAX_SIZE
+    dataset = load_dataset(data, downscale=downscale, max_size=max_size, load_images=False)
+    posed = repose(dataset, scene.transform)
+    if not isinstance(scene, SplatScene):
+        _check_same_place(path, dataset, posed, data, on_event)
+    return posed
+
+
+def _check_same_place(
+    path: Path, dataset: Dataset, posed: Dataset, data: Path, on_event: OnEvent
+) -> None:
+    """See that ``data`` shows the scene at ``path``; a note if that is not certain."""
+    origin = read_origin(run_folder(path))
+    if origin is not None and origin.check(posed.train + posed.test, data):
+        return
+    if alike(dataset.transform, posed.transform, dataset.radius):
+        if origin is not None:
+            on_event(
+                Note(
+                    f"{data} has none of the photos that the scene was trained with; if it shows "
+                    f"another scene, name {origin.folder} with --data"
+                )
+            )
+    elif origin is not None:
+        raise DataError(
+            f"{data}: has none of the photos that the scene was trained with, and other "
+            f"cameras; name {origin.folder} with --data"
+        )
+    else:
+        on_event(
+            Note(
+                f"the cameras of {data} are placed unlike those that the scene was trained with; "
+                "if it shows another scene, name the right one with --data"
+            )
+        )
+
+
+def select_views(
+    path: Path,
+    scene: QuantizedScene | SplatScene,
+    options: ViewOptions,
+    on_event: OnEvent = ignore,
+) -> list[View]:
+    """The views of the split that ``options`` name, as :func:`load_views` loads them.
+
+    Raises:
+        UsageError: no data set is named, neither by the options nor by the run.
+        DataError: the split is empty, or the data set is that of another scene.
+    """
+    data = options.data or data_of(path)
+    dataset = load_views(path, scene, replace(options, data=data), on_event)
+    views = dataset.train if options.split == "train" else dataset.test
+    if not views:
+        split, other = ("train", "test") if options.split == "train" else ("test", "train")
+        raise DataError(f"{data}: has no {split} views; try --split {other}")
+    return views
+
+
+def over_background(scene: DrawableScene, background: str | None) -> DrawableScene:
+    """The scene over the named background; over its own if none is named."""
+    if background is None:
+        return scene
+    settings = replace(scene.settings, background=BACKGROUNDS[background])
+    return replace(scene, settings=settings)
+
+
+def drawing_options(path: Path, options: ViewOptions) -> RenderOptions:
+    """How the scene at ``path`` is drawn, the memory budget included."""
+    trained = trained_config(path) or TrainConfig()
+    smallest = options.smallest_anchor
+    return render_options(
+        options.accuracy or trained.accuracy,
+        options.max_memory,
+        trained.smallest_anchor if smallest is None else smallest,
+    )

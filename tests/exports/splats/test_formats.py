@@ -1,0 +1,177 @@
+"""Files of ordinary Gaussians, read again by a few lines of each format's description."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import struct
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from clgs.data.ply.gaussians import read_gaussians
+from clgs.errors import DataError
+from clgs.exports.splats import sog
+from clgs.exports.splats.glb import EXTENSION, encode_glb
+from clgs.exports.splats.ply import encode_ply
+from clgs.exports.splats.sog import encode_sog
+from clgs.exports.splats.spz import encode_spz
+from tests.exports.splats.cases import differences, gaussians
+
+ENCODERS = (encode_ply, encode_spz, encode_sog, encode_glb)
+
+
+@pytest.mark.parametrize("encode", ENCODERS)
+def test_the_same_gaussians_give_the_same_bytes(encode):
+    assert encode(gaussians()).data == encode(gaussians()).data
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_ply_is_read_again_bit_for_bit(tmp_path, degree):
+    before = gaussians(degree)
+    path = tmp_path / "x.ply"
+    path.write_bytes(encode_ply(before).data)
+    after = read_gaussians(path)
+    assert after.degree == degree
+    for name, array in before.items():
+        assert np.array_equal(getattr(after, name), array), name
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_spz_header_size_and_rounding(degree):
+    before = gaussians(degree)
+    encoded = encode_spz(before)
+    data = gzip.decompress(encoded.data)
+    head = struct.unpack("<IIIBBBB", data[:16])
+    assert head[:4] == (0x5053474E, 3, 500, degree)
+    assert len(data) == 16 + 500 * (9 + 1 + 3 + 3 + 4 + 3 * ((degree + 1) ** 2 - 1))
+    first = int.from_bytes(data[16:19], "little", signed=True) / 2 ** head[4]
+    assert first == encoded.gaussians.mean[0, 0]
+    apart = differences(before, encoded.gaussians)
+    assert apart["mean"] <= 0.5 / 2 ** head[4] + 1e-6
+    assert apart["log_scale"] <= 0.5 / 16 + 1e-6
+    assert apart["sh"] <= 0.5 / (0.15 * 255) + 1e-6  # the base color's step is the largest
+    assert apart["opacity"] <= 0.5 / 255 + 1e-6
+    # three components off by half of sqrt(1/2) / 511 each
+    assert apart["rotation"] <= 3 * (0.5 * 0.5**0.5 / 511) ** 2 * 2
+
+
+def test_spz_refuses_coordinates_without_room():
+    far = gaussians()
+    far.mean[3, 1] = 5e6
+    with pytest.raises(
+        DataError, match=r"5e\+06: too large for \.spz; write \.ply, or give --units scene"
+    ):
+        encode_spz(far)
+
+
+def test_spz_tells_of_sizes_that_it_cannot_hold(caplog):
+    whole = gaussians()
+    encode_spz(whole)
+    assert caplog.records == []
+    sizes = whole.log_scale.copy()
+    sizes[1] = 80.0
+    stored = encode_spz(replace(whole, log_scale=sizes)).gaussians
+    assert stored.log_scale[1] == pytest.approx(5.94, abs=0.01)
+    assert "1 Gaussians are larger than the 379 units that .spz can tell" in caplog.text
+
+
+def test_spz_keeps_the_largest_coordinate():
+    wide = gaussians()
+    for largest in (0.3, 1.0, 1000.0, 4194303.0):
+        wide.mean[0, 0] = largest
+        stored = encode_spz(wide).gaussians.mean[0, 0]
+        assert abs(stored - largest) <= 1e-6 * max(largest, 1.0)
+
+
+def test_sog_is_what_its_description_says():
+    encoded = encode_sog(gaussians())
+    archive = zipfile.ZipFile(io.BytesIO(encoded.data))
+    meta = json.loads(archive.read("meta.json"))
+    assert (meta["version"], meta["count"], meta["shN"]["bands"]) == (2, 500, 3)
+
+    def pixels(name: str) -> np.ndarray:
+        return np.asarray(Image.open(io.BytesIO(archive.read(name)))).astype(int)
+
+    low, high = (pixels(name).reshape(-1, 3)[:500] for name in meta["means"]["files"])
+    least, most = (np.array(meta["means"][name]) for name in ("mins", "maxs"))
+    logs = least + (most - least) * (low + 256 * high) / 65535
+    mean = np.sign(logs) * (np.exp(np.abs(logs)) - 1)
+    assert np.allclose(mean, encoded.gaussians.mean, atol=1e-5)
+    book = np.array(meta["scales"]["codebook"])
+    scale = book[pixels("scales.webp").reshape(-1, 3)[:500]]
+    assert np.allclose(scale, encoded.gaussians.log_scale)
+    label = pixels("shN_labels.webp").reshape(-1, 3)[:500] @ [1, 256, 0]
+    assert label.max() < meta["shN"]["count"]
+    centroids = pixels("shN_centroids.webp")
+    assert centroids.shape[1] == 64 * 15
+    rest = np.array(meta["shN"]["codebook"])[centroids.reshape(-1, 15, 3)[label]]
+    assert np.allclose(rest, encoded.gaussians.sh[:, 1:])
+
+
+def test_sog_rounds_little():
+    before = gaussians()
+    apart = differences(before, encode_sog(before).gaussians)
+    assert apart["mean"] <= 0.002
+    assert apart["log_scale"] <= 6 / 64
+    assert apart["opacity"] <= 0.5 / 255 + 1e-6
+    assert apart["rotation"] <= 3 * (0.5 * 2**0.5 / 255) ** 2 * 2
+
+
+def test_a_single_gaussian_and_equal_ones_are_exported():
+    for count in (1, 3):
+        few = gaussians(count=4).map(lambda array, n=count: array[:1].repeat(n, axis=0))
+        for encode in ENCODERS:
+            assert len(encode(few).gaussians) == count
+
+
+def test_tables_hold_what_is_there():
+    few = np.array([0.5, -2.0, 0.5, 7.0], np.float32)
+    table = sog.make_table(few)
+    assert len(table) == 256
+    assert np.allclose(table[sog.nearest(table, few)], few, atol=0.04)
+
+
+def test_palettes_hold_repeated_sets_exactly():
+    rng = np.random.default_rng(3)
+    sets = rng.integers(-3, 4, (10, 8, 3)).astype(np.float32)
+    palette = sog.make_palette(sets[rng.integers(0, 10, 4000)])
+    assert len(palette.entries) <= sog.MAX_PALETTE
+    error = palette.values() - sets[np.argmin(np.abs(
+        palette.values()[:, None] - sets).sum(axis=(2, 3)), axis=1)]  # fmt: skip
+    assert np.abs(error).max() <= 0.05
+
+
+def test_glb_is_what_its_specification_says():
+    before = gaussians()
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    data = encode_glb(before, turn).data
+    magic, version, length = struct.unpack("<4sII", data[:12])
+    assert (magic, version, length) == (b"glTF", 2, len(data))
+    size = struct.unpack("<I", data[12:16])[0]
+    document, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
+    primitive = document["meshes"][0]["primitives"][0]
+    assert primitive["mode"] == 0
+    assert primitive["extensions"][EXTENSION]["colorSpace"] == "srgb_rec709_display"
+    assert document["nodes"][0]["matrix"] == [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]
+
+    def attribute(name: str) -> np.ndarray:
+        accessor = document["accessors"][primitive["attributes"][name]]
+        view = document["bufferViews"][accessor["bufferView"]]
+        part = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        kind = {5126: "<f4", 5121: "u1"}[accessor["componentType"]]
+        return np.frombuffer(part, kind).reshape(accessor["count"], -1)
+
+    assert np.array_equal(attribute("POSITION"), before.mean)
+    assert np.allclose(attribute(f"{EXTENSION}:SCALE"), np.exp(before.log_scale))
+    unit = before.rotation / np.linalg.norm(before.rotation, axis=1, keepdims=True)
+    assert np.allclose(attribute(f"{EXTENSION}:ROTATION"), unit[:, [1, 2, 3, 0]], atol=1e-6)
+    opacity = attribute(f"{EXTENSION}:OPACITY")
+    assert 0 <= opacity.min() <= opacity.max() <= 1
+    for degree, number, place in ((0, 0, 0), (1, 2, 3), (2, 0, 4), (3, 6, 15)):
+        name = f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}"
+        assert np.array_equal(attribute(name), before.sh[:, place])

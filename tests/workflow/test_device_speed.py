@@ -1,0 +1,35 @@
+"""The speed that the plan of `clgs run` rests on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from clgs.opencl.device import Device
+from clgs.workflow import device_speed
+from clgs.workflow.events import ignore
+from clgs.workflow.run_plan import Photos, StepSpeed
+from tests.data.folders import write_blender
+
+SLOW = StepSpeed(90.0, 1e-3)
+
+
+@pytest.mark.parametrize(("start", "slow"), [(device_speed.GROWN + 500, False), (200, True)])
+def test_few_anchors_at_the_start_say_little_of_later_steps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: int, slow: bool
+) -> None:
+    write_blender(tmp_path / "data")
+    monkeypatch.setattr("clgs.data.points.HULL_POINTS", start)
+    monkeypatch.setattr(device_speed, "synthetic_speed", lambda device: SLOW)
+    photos = Photos(8, 40, 40, synthetic=True)
+    data, run = tmp_path / "data", tmp_path / "run"
+    found = device_speed.speed_on(Device(), data, photos, run, 0, ignore)
+    assert (found.fixed > 0.05) == slow  # a step takes some milliseconds at most
+    assert found.step(1600) < SLOW.step(1600)
+
+
+def test_between_never_shortens() -> None:
+    assert device_speed._between(0.01, 0.04) == pytest.approx(0.02)
+    assert device_speed._between(0.04, 0.01) == 0.04
+    assert device_speed._between(0.0, 1.0) == 0.0

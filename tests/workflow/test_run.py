@@ -1,0 +1,347 @@
+"""`clgs run` on a tiny data set: plan, stages, resuming, refusals."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+from PIL import Image
+
+from clgs.cli import main as cli
+from clgs.cli.commands.run import duration
+from clgs.errors import DataError
+from clgs.train.run.folder_lock import FolderLock
+from clgs.workflow import run_stages
+from clgs.workflow.run import run
+from clgs.workflow.run_input import find_input
+from clgs.workflow.run_plan import FRAMES, Photos, frames_within
+from clgs.workflow.run_record import RunRecord
+from tests.small_scene import write_scene
+from tests.terminal import as_from_a_terminal
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return write_scene(tmp_path_factory.mktemp("run") / "data", train=6, test=2)
+
+
+def words(data, out, *more):
+    return ["run", str(data), "-o", str(out), "--steps", "30", *map(str, more)]
+
+
+@pytest.fixture(scope="module")
+def finished(data, tmp_path_factory):
+    """The output folder of a run."""
+    out = tmp_path_factory.mktemp("run") / "out"
+    assert cli.main(words(data, out)) == 0
+    return out
+
+
+@pytest.mark.skipif(os.name == "nt", reason="folders cannot be locked on Windows")
+def test_a_folder_in_use_is_left_alone(data, tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    lock = FolderLock(out)
+    for more in ([], ["--overwrite"], ["--resume"]):
+        assert cli.main(words(data, out, *more)) == 3
+        assert "another process works in it" in capsys.readouterr().err
+    assert not list(out.iterdir())
+    lock.release()
+
+
+def test_a_refused_input_leaves_no_folder(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert cli.main(words(tmp_path / "empty", tmp_path / "out")) == 3
+    assert not (tmp_path / "out").exists()
+
+
+def test_plan_alone_writes_nothing(data, tmp_path, capsys):
+    assert cli.main(words(data, tmp_path / "out", "--plan")) == 0
+    printed = capsys.readouterr().out
+    assert "8 of 40 x 40 pixels" in printed
+    assert "30 steps on photos at most 40 wide" in printed
+    assert not (tmp_path / "out").exists()
+
+
+def test_plan_takes_as_many_frames_of_a_video_as_the_time_allows(tmp_path, capsys):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    clip = tmp_path / "clip.mp4"
+    writer = imageio_ffmpeg.write_frames(str(clip), (96, 64), fps=10)
+    writer.send(None)
+    writer.send(bytes(96 * 64 * 3))
+    writer.close()
+    for allowed in ("1m", "2h"):
+        words = ["run", str(clip), "-o", str(tmp_path / "out"), "--plan", "--time", allowed]
+        assert cli.main(words) == 0
+        frames = frames_within(os.cpu_count() or 1, duration(allowed))
+        assert f"frames, {frames} of 96 x 64 pixels" in capsys.readouterr().out
+    assert frames == FRAMES[0]
+
+
+def test_everything_is_there(finished):
+    for name in ("run", "scene.clgs", "scores.json", "report.html", "plan.json", "scene.ply"):
+        assert (finished / name).exists(), name
+    scores = json.loads((finished / "scores.json").read_text())
+    assert scores["split"] == "test"
+    assert scores["bytes"] == (finished / "scene.clgs").stat().st_size
+    page = (finished / "report.html").read_text()
+    assert page.count("data:image/jpeg") == 2 * 3
+    for name in ("scene.html", "scene.ply", "clip.mp4"):
+        assert (finished / name).exists() == (f'href="{name}"' in page)
+
+
+def test_run_is_neither_replaced_nor_continued_unasked(data, finished, capsys):
+    assert cli.main(words(data, finished)) == 2
+    assert "--resume" in capsys.readouterr().err
+
+
+def test_finished_run_is_left_as_it_is(data, finished, capsys):
+    def files():
+        paths = (path for path in finished.rglob("*") if path.is_file())
+        return {path: path.stat().st_mtime_ns for path in paths}
+
+    before, told = files(), (finished / "report.html").read_text()
+    assert cli.main(words(data, finished, "--resume")) == 0
+    assert "[page] is there" in capsys.readouterr().out
+    changed = {path.name for path, when in files().items() if before.get(path) != when}
+    assert changed == {"report.html"}
+    assert (finished / "report.html").read_text() == told
+
+
+def test_what_is_damaged_or_gone_is_made_again(data, finished, capsys):
+    files = [finished / name for name in ("scene.clgs", "scene.ply", "run/scene.clgs")]
+    whole = [file.read_bytes() for file in files]
+    for file in files[:2]:
+        file.write_bytes(file.read_bytes()[:500])
+    files[2].unlink()
+    assert cli.main(words(data, finished, "--resume")) == 0
+    assert [file.read_bytes() for file in files] == whole
+    assert "[page] is there" in capsys.readouterr().out
+
+
+def test_a_run_without_its_plan_is_told_as_such(data, finished, capsys):
+    plan = finished / "plan.json"
+    text = plan.read_text()
+    plan.unlink()
+    assert cli.main(words(data, finished, "--resume")) == 2
+    assert "holds a run, but not its plan.json; finish" in capsys.readouterr().err
+    plan.write_text(text)
+
+
+def test_what_is_lacking_is_made_again_and_its_time_is_added(data, finished, capsys):
+    before = json.loads((finished / "plan.json").read_text())["seconds"]
+    splats = (finished / "scene.ply").read_bytes()
+    (finished / "scene.ply").unlink()
+    assert cli.main(words(data, finished, "--resume")) == 0
+    assert (finished / "scene.ply").read_bytes() == splats
+    after = json.loads((finished / "plan.json").read_text())["seconds"]
+    assert {name for name in after if after[name] != before[name]} == {"Gaussians"}
+    assert after["Gaussians"] > before["Gaussians"]
+
+
+@pytest.mark.parametrize("name", ["", "scene.clgs", "scene.ply"])
+def test_what_a_run_made_knows_its_photos(finished, name, capsys):
+    """The folder as a whole is as good as the folder ``run`` in it."""
+    assert cli.main(["eval", str(finished / name), "--json"]) == 0
+    scores = json.loads(capsys.readouterr().out)
+    psnr = json.loads((finished / "scores.json").read_text())["psnr"]
+    assert scores["psnr"] == pytest.approx(psnr, abs=1.5 if name == "scene.ply" else 0)
+
+
+def test_the_folder_of_a_run_is_written_as_its_scene(finished, tmp_path):
+    assert cli.main(["encode", str(finished), "-o", str(tmp_path / "x.clgs")]) == 0
+    assert (tmp_path / "x.clgs").read_bytes() == (finished / "scene.clgs").read_bytes()
+    for name in ("x.html", "x.glb"):
+        assert cli.main(["export", str(finished), "-o", str(tmp_path / name)]) == 0
+        assert (tmp_path / name).stat().st_size > 0
+
+
+@pytest.mark.parametrize("command", ["eval", "export"])
+def test_what_is_not_finished_is_told_to_go_on(tmp_path, command, capsys):
+    out = tmp_path / "out"
+    (out / "run").mkdir(parents=True)
+    (out / "plan.json").write_text("{}")
+    (out / "run" / "config.toml").touch()
+    for folder in (out, out / "run"):
+        more = ["--data", str(tmp_path)] if command == "eval" else ["-o", str(tmp_path / "x.html")]
+        assert cli.main([command, str(folder), *more]) == 3
+        assert "let `clgs run` finish (--resume)" in capsys.readouterr().err
+
+
+def test_run_goes_on_with_its_own_input_and_options_alone(data, finished, tmp_path, capsys):
+    other = write_scene(tmp_path / "other", train=3, test=1)
+    assert cli.main(words(other, finished, "--resume")) == 2
+    assert f"is a run of {data}" in capsys.readouterr().err
+    assert cli.main(words(data, finished, "--resume", "--steps", "31")) == 2
+    assert "--steps: the run in" in capsys.readouterr().err
+    assert cli.main(words(data, finished, "--resume", "--time", "7m")) == 2
+    assert "--time: the run in" in capsys.readouterr().err
+    assert "--steps 30 --max-size 40" in (finished / "report.html").read_text()
+
+
+def test_damaged_photos_do_not_end_the_plan(tmp_path, capsys):
+    photos, out = tmp_path / "photos", tmp_path / "out"
+    photos.mkdir()
+    for name, color in (("b", "red"), ("c", "blue"), ("d", "green")):
+        Image.new("RGB", (64, 48), color).save(photos / f"{name}.png")
+    (photos / "a.png").write_bytes((photos / "b.png").read_bytes()[:20])
+    assert find_input(photos).photos == Photos(3, 64, 48)
+    (photos / "d.png").write_bytes(b"")
+    assert cli.main(words(photos, out)) == 3
+    said = capsys.readouterr().err
+    assert "2 photos that can be read" in said
+    assert "a.png" in said
+    assert "d.png" in said
+    assert not out.exists()
+
+
+def test_run_goes_on_with_its_own_photos_alone(tmp_path, capsys):
+    photos, out = tmp_path / "photos", tmp_path / "out"
+    photos.mkdir()
+    for name in ("red", "green", "blue"):
+        Image.new("RGB", (64, 64), name).save(photos / f"{name}.png")
+    (out / "data").mkdir(parents=True)
+    begun = RunRecord(str(photos.resolve()), 2, "", 600.0)
+    begun.write(out)
+    assert cli.main(words(photos, out, "--resume")) == 2
+    assert f"has 3 photos, and the run in {out} began with 2" in capsys.readouterr().err
+    replace(begun, photos=3).write(out)  # as many, but others
+    assert cli.main(words(photos, out, "--resume")) == 2
+    assert f"holds other photos than the run in {out} began with" in capsys.readouterr().err
+    replace(begun, photos=3, digest=find_input(photos).digest).write(out)
+    assert cli.main(words(photos, out, "--resume", "--device", "nonexistent")) == 4
+    begun.write(out)
+    (out / "data").rmdir()  # no poses yet: those of the third are found with the others
+    assert cli.main(words(photos, out, "--resume", "--device", "nonexistent")) == 4
+
+
+def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    RunRecord(str(data.resolve()), 4, "", 600.0).write(out)
+    assert cli.main(words(data, out, "--resume", "--device", "nonexistent")) == 4
+    capsys.readouterr()
+    (out / "plan.json").write_text("{}")
+    assert cli.main(words(data, out, "--resume")) == 3
+    assert "is damaged" in capsys.readouterr().err
+
+
+def test_what_follows_from_the_plan_is_kept(data, tmp_path, capsys):
+    """A run that began coarse goes on so; the command that repeats it names what may be chosen."""
+    out = tmp_path / "out"
+    out.mkdir()
+    settings = {"steps": 30, "max_size": 40, "seed": 0, "coarse_to_fine": True}
+    RunRecord(str(data), 8, "", 600.0, settings).write(out)
+    assert cli.main(["run", str(data), "-o", str(out), "--resume"]) == 0
+    assert "--coarse-to-fine" in capsys.readouterr().out
+    assert "coarse_to_fine = true" in (out / "run" / "config.toml").read_text()
+    page = (out / "report.html").read_text()
+    assert "--steps 30 --max-size 40 --seed 0" in page
+    assert "--coarse-to-fine" not in page
+
+
+def test_output_of_a_run_is_no_input(finished, tmp_path, capsys):
+    assert cli.main(words(finished, tmp_path / "out")) == 3
+    assert "was made by clgs run" in capsys.readouterr().err
+
+
+def test_scores_need_the_photos_of_the_scene(data, finished, tmp_path, capsys):
+    assert cli.main(["eval", str(finished / "run")]) == 0
+    wrong = write_scene(tmp_path / "wrong", train=3, test=1)
+    for kind in ("train", "test"):
+        path = wrong / f"transforms_{kind}.json"
+        document = json.loads(path.read_text())
+        for frame in document["frames"]:
+            frame["transform_matrix"][0][3] += 40.0
+        path.write_text(json.dumps(document))
+    assert cli.main(["eval", str(finished / "run"), "--data", str(wrong)]) == 3
+    assert "these photos show another scene" in capsys.readouterr().err
+
+
+def test_foreign_folder_is_refused(data, tmp_path, capsys):
+    (tmp_path / "mine.txt").touch()
+    assert cli.main(words(data, tmp_path, "--overwrite")) == 2
+    assert "holds other files" in capsys.readouterr().err
+
+
+def test_nothing_to_go_on_with_is_told(data, tmp_path, capsys):
+    assert cli.main(words(data, tmp_path / "new", "--resume", "--device", "nonexistent")) == 4
+    assert "new holds no run yet; one begins" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["missing", "empty"])
+def test_nothing_to_train_on_is_named(tmp_path, capsys, name):
+    (tmp_path / "empty").mkdir()
+    assert cli.main(words(tmp_path / name, tmp_path / "out")) == 3
+    assert name in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_contradiction_is_refused(data, tmp_path, capsys):
+    assert cli.main(words(data, tmp_path / "out", "--resume", "--overwrite")) == 2
+    assert "give one" in capsys.readouterr().err
+
+
+def test_a_failing_stage_ends_the_run_and_passes_its_exit_code_on(
+    data, tmp_path, monkeypatch, capsys
+):
+    def fail(*_, **__):
+        raise DataError("the photos are gone")
+
+    monkeypatch.setattr(run_stages, "train", fail)
+    assert cli.main(words(data, tmp_path / "out")) == 3
+    said = capsys.readouterr()
+    assert "[train] clgs train" in said.out
+    assert said.err.splitlines()[-2:] == [
+        "clgs: error: the photos are gone",
+        "clgs: error: train failed; mend that and repeat the command with --resume",
+    ]
+    assert set(json.loads((tmp_path / "out" / "plan.json").read_text())["seconds"]) == {
+        "plan",
+        "train",
+    }
+
+
+def test_a_failing_export_does_not_end_the_run(data, tmp_path, monkeypatch, capsys):
+    def fail(source, output, **_):
+        raise DataError(f"no {output.name}")
+
+    monkeypatch.setattr(run_stages, "export", fail)
+    done = run(data, tmp_path / "out", steps=30)
+    assert {name: str(error) for name, error in done.failures.items()} == {
+        "page": "no scene.html",
+        "Gaussians": "no scene.ply",
+    }
+    assert done.scores["views"] == 2
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert cli.main(words(data, tmp_path / "out", "--resume")) == 3
+    assert "clgs: error: no scene.html\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("instant", ["[train]", ""], ids=["training", "plan"])
+def test_warning_and_interruption_are_told_once(tmp_path, instant):
+    data = write_scene(tmp_path / "data", train=6, test=2)
+    next((data / "train").iterdir()).unlink()
+    command = [sys.executable, "-m", "clgs.cli.main", "run", str(data), "-o", str(tmp_path / "out")]
+    with subprocess.Popen(
+        [*command, "--steps", "1000000"],
+        stdout=subprocess.PIPE,
+        stderr=(tmp_path / "errors").open("w"),
+        text=True,
+        preexec_fn=as_from_a_terminal,
+    ) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith(instant):
+                break
+        process.send_signal(signal.SIGINT)
+        assert process.wait() == 130
+    told = (tmp_path / "errors").read_text()
+    assert told.count("1 of 8 photos are missing") == 1
+    assert told.count("interrupted") == 1
+    assert "repeat the command with --resume" in told

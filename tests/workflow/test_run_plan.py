@@ -1,0 +1,141 @@
+"""Plans of `clgs run` fit the time, and take what the user chose."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from clgs.cli.commands.run import duration
+from clgs.workflow.run_plan import (
+    ENOUGH_STEPS,
+    FRAMES,
+    LATER_SECONDS,
+    LATER_STEPS,
+    LEAST_STEPS,
+    MOST_STEPS,
+    POSES_SHARE,
+    ROUNDS,
+    SHORT_STEPS,
+    SIZES,
+    Photos,
+    StepSpeed,
+    fit_speed,
+    frames_within,
+    make_plan,
+    must_hurry,
+    prepare_seconds,
+)
+from clgs.workflow.run_record import in_words
+
+PHOTOS = Photos(50, 4000, 3000)
+SPEED = StepSpeed(0.02, 2e-7)
+
+
+@given(st.floats(20, 1e5), st.floats(0, 1e3))
+def test_plan_fits_the_time_or_is_the_least(seconds, preparing):
+    plan = make_plan(PHOTOS, SPEED, preparing, seconds)
+    least = plan.max_size == SIZES[-1] and plan.steps == LEAST_STEPS
+    assert least or plan.seconds <= seconds * 1.001
+    assert LEAST_STEPS <= plan.steps <= MOST_STEPS
+
+
+@given(st.floats(20, 1e5), st.floats(1, 10))
+def test_more_time_is_never_spent_on_smaller_pictures(seconds, times):
+    plans = [make_plan(PHOTOS, SPEED, 0.0, one) for one in (seconds, times * seconds)]
+    assert plans[0].max_size <= plans[1].max_size
+    if plans[0].max_size == plans[1].max_size:
+        assert plans[0].steps <= plans[1].steps
+
+
+def step_of_short_run(width):
+    """Seconds of a step, a third of which are on photos of half the size."""
+    pixels = PHOTOS.at(width)
+    return ROUNDS * (0.35 * SPEED.step(pixels // 4) + 0.65 * SPEED.step(pixels))
+
+
+def test_largest_pictures_that_leave_enough_steps():
+    plan = make_plan(PHOTOS, SPEED, 0.0, 300.0)
+    larger = SIZES[SIZES.index(plan.max_size) - 1]
+    assert plan.steps >= ENOUGH_STEPS
+    later = LATER_SECONDS + LATER_STEPS * SPEED.step(PHOTOS.at(larger))
+    assert (300 - later) / step_of_short_run(larger) < ENOUGH_STEPS
+
+
+def test_short_runs_on_large_photos_begin_coarse():
+    plan = make_plan(PHOTOS, SPEED, 0.0, 300.0, max_size=800)
+    assert plan.coarse
+    assert LEAST_STEPS < plan.steps < SHORT_STEPS
+    assert plan.train_seconds == pytest.approx(plan.steps * step_of_short_run(800))
+    assert not make_plan(PHOTOS, SPEED, 0.0, 300.0, max_size=240).coarse
+    assert not make_plan(PHOTOS, SPEED, 0.0, 3000.0, max_size=800).coarse
+    assert not make_plan(replace(PHOTOS, synthetic=True), SPEED, 0.0, 300.0, max_size=800).coarse
+    chosen = [make_plan(PHOTOS, SPEED, 0.0, 300.0, steps, 800) for steps in (1899, 1900)]
+    assert [one.coarse for one in chosen] == [True, False]
+
+
+def test_what_the_user_chose_stays():
+    plan = make_plan(PHOTOS, SPEED, 0.0, 60.0, steps=7000, max_size=1234)
+    assert (plan.steps, plan.max_size) == (7000, 1234)
+    assert make_plan(PHOTOS, SPEED, 0.0, 60.0, max_size=1600).max_size == 1600
+    assert make_plan(PHOTOS, SPEED, 0.0, 600.0, steps=1000).steps == 1000
+
+
+def test_small_photos_are_not_enlarged():
+    small = replace(PHOTOS, width=200, height=100)
+    assert make_plan(small, SPEED, 0.0, 1e4).max_size == 200
+    assert small.at(1600) == 200 * 100
+
+
+def test_speed_is_the_line_through_two_pictures():
+    found = fit_speed(*((pixels, SPEED.step(pixels)) for pixels in (100**2, 300**2)))
+    assert found.fixed == pytest.approx(SPEED.fixed)
+    assert found.pixel == pytest.approx(SPEED.pixel)
+
+
+@pytest.mark.parametrize("pixels", [90_000, 10_000])
+def test_noise_never_gives_a_speed_below_zero(pixels):
+    found = fit_speed((10_000, 0.01), (pixels, 0.003))
+    assert found.pixel == 0
+    assert found.fixed == 0.01
+
+
+def test_more_photos_take_longer_to_pose_and_more_cores_less():
+    assert prepare_seconds(50, 2, True) < prepare_seconds(100, 2, True)
+    assert prepare_seconds(100, 2, False) < prepare_seconds(1000, 2, False)
+    assert prepare_seconds(50, 8, False) < prepare_seconds(50, 2, False)
+
+
+def test_poses_are_tested_if_there_is_time():
+    assert must_hurry(50, 2, 300.0)
+    assert not must_hurry(50, 2, 3600.0)
+    assert not must_hurry(11, 2, 300.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("90s", 90), ("5m", 300), ("1.5h", 5400), (" 2M ", 120)]
+)
+def test_times_are_read(text, seconds):
+    assert duration(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "0s", "5", "-1m", "5 minutes", "1e3s", "nan", "9" * 20])
+def test_no_times_are_refused(text):
+    with pytest.raises(argparse.ArgumentTypeError, match="is not a time such as"):
+        duration(text)
+
+
+def test_times_are_told_in_fitting_units():
+    assert [in_words(s) for s in (45, 150, 7200)] == ["45 s", "2.5 min", "2.0 h"]
+
+
+@given(st.floats(20, 1e5), st.integers(1, 64))
+def test_frames_leave_time_for_the_rest(seconds, cores):
+    count = frames_within(cores, seconds)
+    share = POSES_SHARE * seconds
+    assert count == FRAMES[-1] or prepare_seconds(count, cores, quick=True) <= share
+    more = [n for n in FRAMES if n > count]
+    assert all(prepare_seconds(n, cores, quick=True) > share for n in more)
