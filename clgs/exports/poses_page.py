@@ -14,7 +14,7 @@ import numpy as np
 
 from clgs.data.colmap.model import read_colmap
 from clgs.data.posed_photo import PhotoSet
-from clgs.exports.plan import plan
+from clgs.exports.camera_map import draw_map
 from clgs.exports.report import STYLE, cards
 from clgs.files import atomic_write
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
@@ -66,7 +66,7 @@ def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:
             "<h1>Camera poses</h1>",
             f"<p>{escape(verdict.sure)}.</p>",
             cards(headline),
-            _plans(photos, verdict),
+            _maps(photos, verdict),
             _table([*verdict.of(LEFT_OUT), *verdict.of(DOUBTFUL)]),
             _sheet(verdict.photos),
             _facts(verdict),
@@ -81,7 +81,7 @@ def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:
     )
 
 
-def _plans(photos: PhotoSet, verdict: Verdict) -> str:
+def _maps(photos: PhotoSet, verdict: Verdict) -> str:
     """Draw cameras and points from above and from the side: along and across the mean "down"."""
     posed = sorted([*photos.train, *photos.test], key=lambda photo: photo.name)
     if photos.points is None or not posed:
@@ -95,7 +95,7 @@ def _plans(photos: PhotoSet, verdict: Verdict) -> str:
     right /= max(float(np.linalg.norm(right)), 1e-12)
     views = {"from above": [right, np.cross(right, down)], "from the side": [right, down]}
     figures = "".join(
-        f"<figure>{plan(marks, photos.points, np.stack(axes))}"
+        f"<figure>{draw_map(marks, photos.points, np.stack(axes))}"
         f"<figcaption>{text}</figcaption></figure>"
         for text, axes in views.items()
     )
