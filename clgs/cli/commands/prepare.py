@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from clgs.workflow.prepare import PreparedData
 
 NAMED = 20
-"""At most this many photos in doubt are listed on the terminal."""
+"""The most photos in doubt that are listed on the terminal."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:

@@ -72,8 +72,7 @@ def scene_to_show(path: Path, views: ViewOptions, on_event: OnEvent) -> Shown:
     from clgs.exports.clip.framing import frame_cameras, frame_scene
     from clgs.opencl.device import Device
     from clgs.scene.scene import SplatScene, drawable
-    from clgs.viewer.importance import chosen, scene_importance
-    from clgs.viewer.live import LiveScene
+    from clgs.viewer.live import LiveScene, chosen, scene_importance
     from clgs.viewer.server import Shown
     from clgs.workflow.events import counter
     from clgs.workflow.scenes import read_drawable
