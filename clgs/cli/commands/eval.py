@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import add_view_options, named_path, view_options
+from clgs.cli.shared_options import add_view_options, named_path, view_options
 
 if TYPE_CHECKING:
     from clgs.workflow.evaluate import Evaluation

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import add_overwrite, named_path, positive_int, seed
+from clgs.cli.shared_options import add_overwrite, named_path, positive_int, seed
 
 if TYPE_CHECKING:
     from clgs.workflow.prepare import PreparedData

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from clgs.cli.options.view import (
+from clgs.cli.shared_options import (
     add_device_name,
     add_overwrite,
     named_path,

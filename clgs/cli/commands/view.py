@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import add_view_options, named_path, view_options, whole_number
+from clgs.cli.shared_options import add_view_options, named_path, view_options, whole_number
 from clgs.workflow.options import SIZE, ViewOptions
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clgs.cli.options.view import add_overwrite, positive_int
+from clgs.cli.shared_options import add_overwrite, positive_int
 from clgs.errors import UsageError
 
 if TYPE_CHECKING:

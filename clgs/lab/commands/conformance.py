@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clgs.cli.options.view import named_path
+from clgs.cli.shared_options import named_path
 
 if TYPE_CHECKING:
     from clgs.lab.selftest.conformance import Fingerprint
