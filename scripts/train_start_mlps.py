@@ -28,7 +28,7 @@ from clgs.scene.scene import QuantizedScene
 from clgs.train.config import preset
 from clgs.train.run.load import load_for
 from clgs.train.run.session import train_scene
-from clgs.train.run.start_mlps import RANDOM
+from clgs.train.run.start import RANDOM
 
 
 def main() -> int:

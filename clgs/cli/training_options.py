@@ -10,8 +10,7 @@ from typing import Any
 from clgs.cli.shared_options import named_path, value_of
 from clgs.errors import UsageError
 from clgs.train.config import TrainConfig, layered, parse_word, read_settings
-from clgs.train.config.describe import describe
-from clgs.train.config.option import Option, Pair, Text, options_of
+from clgs.train.config.option import Option, Pair, Text, describe, options_of
 
 LOSS_WEIGHTS = ("l1_weight", "ssim_weight")
 """What --loss-weights sets."""

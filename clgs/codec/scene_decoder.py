@@ -1,4 +1,4 @@
-"""The bytes of a .clgs file to the quantised scene, or to a description of the file."""
+"""The bytes of a .clgs file to the quantised scene, to a box of it, or to a description."""
 
 from __future__ import annotations
 
@@ -10,20 +10,30 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.attributes.near import NearRows
-from clgs.codec.attributes.row_coder import Model
+from clgs import _codec
+from clgs.codec import octree
+from clgs.codec.attributes.model import NearRows
+from clgs.codec.attributes.row_coder import RowModel
 from clgs.codec.container import section_table
 from clgs.codec.container.chunks import Chunk
 from clgs.codec.container.meta import array_hash, content_arrays, join_hashes
-from clgs.codec.container.reader import CHANNELS, Reader
-from clgs.codec.container.section_table import CHNK, FEAT, META, OFFS, SCAL
-from clgs.codec.container.source import BytesSource
-from clgs.codec.octree import position_coder
-from clgs.codec.octree.subtrees import batches
+from clgs.codec.container.reader import CHANNELS, SceneReader
+from clgs.codec.container.section_table import (
+    CHNK,
+    FEAT,
+    META,
+    OFFS,
+    SCAL,
+    BytesSource,
+    RandomAccess,
+)
 from clgs.codec.workers import workers
 from clgs.constants import K_OFFSETS
-from clgs.scene.anchors import QuantizedAnchors
+from clgs.errors import UsageError
+from clgs.scene.anchors import QuantizedAnchors, take
 from clgs.scene.scene import QuantizedScene
+
+Positions = npt.NDArray[np.int32]
 
 
 def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
@@ -41,10 +51,11 @@ def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
         wanted = "bytes are needed; Path(name).read_bytes() reads a file"
         raise TypeError(f"data: is {type(data).__name__}, {wanted}")
     table, _ = section_table.read_container(data)
-    reader = Reader(BytesSource(data), table)
+    reader = SceneReader(BytesSource(data), table)
     with workers(threads) as pool:
         weights = pool.submit(reader.weights)
-        anchors = decode_chunks(reader, decode_positions(reader, reader.chunks(), pool), pool)
+        chunks = reader.chunks()
+        anchors = _decode_rows(reader, chunks, _decode_positions(reader, chunks, pool), pool)
         hashes = pool.map(array_hash, content_arrays(anchors, weights.result()))
         if join_hashes(list(hashes)) != reader.meta.content_hash:
             raise reader.error(META, "the decoded integers do not match their hash")
@@ -52,53 +63,102 @@ def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
 
 
 @dataclass(frozen=True)
-class Opened:
-    """A chunk, and its positions (n, 3) int32."""
-
-    chunk: Chunk
-    position: npt.NDArray[np.int32]
-
-
-def decode_positions(reader: Reader, chunks: list[Chunk], pool: ThreadPoolExecutor) -> list[Opened]:
-    """The positions of some chunks in ascending order.
+class Box:
+    """lower <= x < upper on every axis, in the units of the input data; ends may be infinite.
 
     Raises:
-        CodecError: a chunk is damaged.
+        UsageError: an end is not a number, or a lower end is not below the upper one.
     """
 
-    def open_batch(batch: range) -> list[Opened]:
-        return [Opened(chunks[i], reader.positions(chunks[i])) for i in batch]
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
 
-    decoded = pool.map(open_batch, batches([chunk.span for chunk in chunks]))
-    return [opened for batch in decoded for opened in batch]
+    def __post_init__(self) -> None:
+        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
+            if not low < high:
+                raise UsageError(f"box: {axis} from {low:g} to {high:g} is empty; lower end first")
+
+    def holds(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """Whether each of ``points`` (N, 3) lies in the box."""
+        return np.asarray(((points >= self.lower) & (points < self.upper)).all(axis=1))
+
+    def meets(
+        self, least: npt.NDArray[np.float64], greatest: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.bool_]:
+        """Whether each of the closed boxes with these corners (N, 3) has a point in this one."""
+        return np.asarray(((greatest >= self.lower) & (least < self.upper)).all(axis=1))
 
 
-def decode_chunks(
-    reader: Reader, opened: list[Opened], pool: ThreadPoolExecutor
+def decode_box(source: RandomAccess, box: Box, threads: int | None = None) -> QuantizedScene:
+    """The scene with only the anchors whose position lies in ``box``.
+
+    Only these are read: the section table, META, MLPS, the lists of chunks and the positions of
+    those that meet the box, and the attributes of those that have an anchor in it. World positions
+    are computed as for ``world_position`` of a scene archive.
+
+    Raises:
+        CodecError: not a .clgs file, of an unknown version, cut, or damaged in what is read.
+    """
+    reader = SceneReader(source, section_table.read_table(source))
+
+    def world(position: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.float64]:
+        """Positions (A, 3) in the units of the input data; on each axis it never decreases."""
+        return reader.meta.transform.to_world(position / np.float64(reader.meta.scales.position))
+
+    with workers(threads) as pool:
+        weights = pool.submit(reader.weights)
+        chunks = reader.chunks(lambda least, greatest: box.meets(world(least), world(greatest)))
+        positions = _decode_positions(reader, chunks, pool)
+        inside = [box.holds(world(position)) for position in positions]
+        used = [i for i, kept in enumerate(inside) if kept.any()]
+        met = [chunks[i] for i in used]
+        anchors = _decode_rows(reader, met, [positions[i] for i in used], pool)
+    kept = np.concatenate([np.empty(0, bool), *(inside[i] for i in used)])
+    return reader.scene(take(anchors, kept), weights.result())
+
+
+def _decode_positions(
+    reader: SceneReader, chunks: list[Chunk], pool: ThreadPoolExecutor
+) -> list[Positions]:
+    """The positions (n, 3) int32 of each of some chunks in ascending order."""
+
+    def decode_batch(batch: range) -> list[Positions]:
+        return [reader.positions(chunks[i]) for i in batch]
+
+    decoded = pool.map(decode_batch, octree.batches([chunk.span for chunk in chunks]))
+    return [position for batch in decoded for position in batch]
+
+
+def _decode_rows(
+    reader: SceneReader, chunks: list[Chunk], positions: list[Positions], pool: ThreadPoolExecutor
 ) -> QuantizedAnchors:
-    """The anchors of some chunks.
+    """The anchors of some chunks, whose positions are known.
 
     Raises:
         CodecError: a chunk is damaged, or does not follow the one before in Morton order.
     """
-    position = np.concatenate([np.empty((0, 3), np.int32), *(one.position for one in opened)])
-    if not position_coder.ascends(reader.codes(position)):
+    position = np.concatenate([np.empty((0, 3), np.int32), *positions])
+    code = np.empty(len(position), np.uint64)
+    _codec.morton_encode(position, code, *reader.meta.origin)
+    if not octree.ascends(code):
         raise reader.error(CHNK, "the chunks are not in Morton order")
-    stops = np.cumsum([0, *(len(one.position) for one in opened)]).tolist()
-    spans = [slice(*ends) for ends in pairwise(stops)]
-    streams = [reader.streams(one.chunk) for one in opened]
+    spans = [slice(*ends) for ends in pairwise(np.cumsum([0, *map(len, positions)]).tolist())]
+    streams = [reader.streams(chunk) for chunk in chunks]
     rows = {tag: np.empty((len(position), CHANNELS[tag]), np.int32) for tag in CHANNELS}
     near = NearRows(position, spans)
 
-    def fill(tag: str, model: Model, batch: range) -> None:
+    def fill(tag: str, model: RowModel, batch: range) -> None:
         for i in batch:
-            near_rows = near.of(i) if model.looks_near else None
-            rows[tag][spans[i]] = reader.rows(model, streams[i][tag], opened[i].chunk, near_rows)
+            stream, near_rows = streams[i][tag], near.of(i) if model.looks_near else None
+            try:
+                rows[tag][spans[i]] = model.decode(stream.data, len(chunks[i]), near_rows)
+            except ValueError as error:
+                raise stream.error(f"chunk {chunks[i].number}: {error}") from error
 
     tasks: list[Future[None]] = []
     for tag in (FEAT, OFFS, SCAL):
         model = reader.model(tag)
-        tasks += [pool.submit(fill, tag, model, batch) for batch in batches(spans)]
+        tasks += [pool.submit(fill, tag, model, batch) for batch in octree.batches(spans)]
     for task in tasks:
         task.result()
     offset = rows[OFFS].reshape(-1, K_OFFSETS, 3)
@@ -116,16 +176,16 @@ def describe(data: bytes) -> dict[str, Any]:
         CodecError: as ``decode``, but for damage that only decoding can show.
     """
     table, sections = section_table.read_container(data)
-    reader = Reader(BytesSource(data), table)
-    meta, grid = reader.meta, reader.meta.grid
+    reader = SceneReader(BytesSource(data), table)
+    meta = reader.meta
     sizes = {tag: len(section.data) for tag, section in sections.items()}
     return {
         "version": table.version,
         "bytes": len(data),
         "anchors": meta.anchors,
-        "level": grid.level,
-        "origin": grid.origin,
-        "depth": grid.depth,
+        "level": meta.level,
+        "origin": meta.origin,
+        "depth": meta.depth,
         "chunks": {"anchors": reader.head.chunk, "count": reader.head.count},
         "scales": dict(vars(meta.scales)),
         "transform": dict(vars(meta.transform)),

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
 
+from clgs.codec import octree, weights
 from clgs.codec.arguments import check_choice, check_integer
 from clgs.codec.attributes import row_coder
-from clgs.codec.attributes.near import NearRows
+from clgs.codec.attributes.model import NearRows
 from clgs.codec.container import section_table
 from clgs.codec.container.chunks import (
     DEFAULT_CHUNK,
     MAX_CHUNK,
     MIN_CHUNK,
     TAGS,
-    make_grid,
     pack_directory,
 )
 from clgs.codec.container.meta import (
@@ -28,11 +27,7 @@ from clgs.codec.container.meta import (
     content_arrays,
     join_hashes,
 )
-from clgs.codec.container.section_table import ANCH, CHNK, FEAT, MLPS, OFFS, SCAL
-from clgs.codec.octree import position_coder
-from clgs.codec.octree.subtrees import batches, corners, cut
-from clgs.codec.weights import MODES
-from clgs.codec.weights import encode as encode_weights
+from clgs.codec.container.section_table import ANCH, CHNK, FEAT, META, MLPS, OFFS, SCAL
 from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
@@ -67,15 +62,47 @@ def encode(
     """
     check_type("scene", scene, QuantizedScene, "a run has it as .scene, clgs.load_scene reads one")
     check_options(level, chunk, mlp)
-    _check_scene(scene)
+    _check_numbers(scene)
     with workers(threads) as pool:
         anchors = sort_anchors(scene.anchors, pool.map)
+        position = anchors.position
+        rows = {FEAT: anchors.feature, OFFS: flatten(anchors.offset), SCAL: anchors.scaling}
+        spans = octree.cut(position, chunk)
+        near = NearRows(position, spans)
+        origins = octree.cell_corners(position, spans)
+
+        def encode_positions(batch: range) -> list[bytes]:
+            return [octree.encode_in(position[spans[i]], origins[i]) for i in batch]
+
+        def encode_rows(tag: str, model: row_coder.RowModel, batch: range) -> list[bytes]:
+            near_of = near.of if model.looks_near else lambda index: None
+            return [model.encode(rows[tag][spans[i]], near_of(i)) for i in batch]
+
+        # What takes longest begins first.
         hashes = pool.map(array_hash, content_arrays(anchors, scene.mlps.flat))
-        sections = _encode_sections(anchors, scene.mlps.flat, level, chunk, mlp, pool)
+        models = {tag: pool.submit(row_coder.fit, rows[tag], level, spans, near) for tag in rows}
+        batches = octree.batches(spans)
+        tasks = {ANCH: [pool.submit(encode_positions, batch) for batch in batches]}
+        packed = pool.submit(weights.encode, scene.mlps.flat, mlp)
+        for tag, model in models.items():
+            tasks[tag] = [pool.submit(encode_rows, tag, model.result(), batch) for batch in batches]
+        streams = {tag: [data for task in tasks[tag] for data in task.result()] for tag in TAGS}
+        headers = {ANCH: b"", **{tag: model.result().header for tag, model in models.items()}}
         content = join_hashes(list(hashes))
-    grid = make_grid(anchors.position, level)
-    meta = Meta(len(anchors), scene.scales, scene.transform, scene.settings, content, grid)
-    return section_table.write_container({section_table.META: meta.pack(), **sections})
+    least, greatest = octree.bounds(position) if len(position) else ([0] * 3, [0] * 3)
+    depth = max(high - low for low, high in zip(least, greatest, strict=True)).bit_length()
+    meta = Meta(
+        *(len(anchors), scene.scales, scene.transform, scene.settings, content),
+        *((least[0], least[1], least[2]), depth, level),
+    )
+    return section_table.write_container(
+        {
+            META: meta.pack(),
+            CHNK: pack_directory(chunk, position, spans, headers, streams),
+            **{tag: b"".join([headers[tag], *streams[tag]]) for tag in TAGS},
+            MLPS: packed.result(),
+        }
+    )
 
 
 def sort_anchors(
@@ -86,7 +113,7 @@ def sort_anchors(
     Raises:
         CodecError: positions repeat or span 2^21 cells.
     """
-    order = position_coder.morton_order(anchors.position)
+    order = octree.morton_order(anchors.position)
     if (order[1:] > order[:-1]).all():
         return anchors
     arrays = (array for _, array in anchors.items())
@@ -98,76 +125,21 @@ def flatten(offset: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     return offset.reshape(len(offset), offset.shape[1] * 3)
 
 
-def _encode_sections(
-    anchors: QuantizedAnchors,
-    weights: npt.NDArray[np.float32],
-    level: str,
-    chunk: int,
-    mlp: str,
-    pool: ThreadPoolExecutor,
-) -> dict[str, bytes]:
-    """The sections but META; what takes longest is begun first."""
-    rows = {FEAT: anchors.feature, OFFS: flatten(anchors.offset), SCAL: anchors.scaling}
-    parts = cut(anchors.position, chunk)
-    near = NearRows(anchors.position, parts)
-    models = {tag: pool.submit(row_coder.fit, rows[tag], level, parts, near) for tag in rows}
-    tasks = {ANCH: _encode_positions(anchors.position, parts, pool)}
-    packed = pool.submit(encode_weights, weights, mlp)
-    for tag, model in models.items():
-        tasks[tag] = _encode_rows(model.result(), rows[tag], parts, near, pool)
-    streams = {tag: [data for task in tasks[tag] for data in task.result()] for tag in TAGS}
-    headers = {ANCH: b"", **{tag: model.result().header for tag, model in models.items()}}
-    return {
-        CHNK: pack_directory(chunk, anchors.position, parts, headers, streams),
-        **{tag: b"".join([headers[tag], *streams[tag]]) for tag in TAGS},
-        MLPS: packed.result(),
-    }
-
-
-def _encode_positions(
-    position: npt.NDArray[np.int32], parts: list[slice], pool: ThreadPoolExecutor
-) -> list[Future[list[bytes]]]:
-    """The octrees of all parts, some of them per task."""
-    origins = corners(position, parts)
-
-    def encode_batch(batch: range) -> list[bytes]:
-        return [position_coder.encode_in(position[parts[i]], origins[i]) for i in batch]
-
-    return [pool.submit(encode_batch, batch) for batch in batches(parts)]
-
-
-def _encode_rows(
-    model: row_coder.Model,
-    rows: npt.NDArray[np.int32],
-    parts: list[slice],
-    near: NearRows,
-    pool: ThreadPoolExecutor,
-) -> list[Future[list[bytes]]]:
-    """The attributes of all parts, some of them per task."""
-
-    def encode_batch(batch: range) -> list[bytes]:
-        if model.looks_near:
-            return [model.encode(rows[parts[i]], near.of(i)) for i in batch]
-        return [model.encode(rows[parts[i]]) for i in batch]
-
-    return [pool.submit(encode_batch, batch) for batch in batches(parts)]
-
-
 def check_options(level: str, chunk: int, mlp: str = "auto") -> None:
     """Raise UsageError or TypeError unless ``encode`` takes these options."""
     check_choice("level", level, LEVELS)
     if not MIN_CHUNK <= check_integer("chunk", chunk) <= MAX_CHUNK:
         raise UsageError(f"chunk: {chunk}; {MIN_CHUNK} to {MAX_CHUNK} anchors are possible")
-    check_choice("mlp", mlp, MODES)
+    check_choice("mlp", mlp, weights.MODES)
 
 
-def _check_scene(scene: QuantizedScene) -> None:
+def _check_numbers(scene: QuantizedScene) -> None:
     """Raise CodecError if a number is one that no file may hold."""
-    weights = scene.mlps.flat
-    Shapes(M=MLP_SIZE).check("mlps", weights, "M", np.float32)
-    bad = np.flatnonzero(~np.isfinite(weights))
+    flat = scene.mlps.flat
+    Shapes(M=MLP_SIZE).check("mlps", flat, "M", np.float32)
+    bad = np.flatnonzero(~np.isfinite(flat))
     if len(bad):
-        raise CodecError(f"mlps: weight {bad[0]} is {weights[bad[0]]}; train the scene again")
+        raise CodecError(f"mlps: weight {bad[0]} is {flat[bad[0]]}; train the scene again")
     try:
         check_meta(len(scene.anchors), scene.scales, scene.transform, scene.settings)
     except ValueError as error:

@@ -1,23 +1,27 @@
-"""Positions and attributes as bytes of their own, without a scene (codec_c/FORMAT.md on arrays)."""
+"""Positions and attributes as bytes of their own, without a scene (codec_c/FORMAT.md on arrays).
+
+Positions whose differences share a factor on some axis are divided by it first, as each level of
+an octree costs bits: q = c + (p - c) / f on each axis, with c the least p.
+"""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
+from clgs.codec import octree
 from clgs.codec.arguments import check_choice, check_integers
 from clgs.codec.attributes import row_coder
 from clgs.codec.container.meta import LEVELS
-from clgs.codec.octree import lattice, position_coder
-from clgs.codec.octree.subtrees import corners, runs
 from clgs.codec.workers import workers
 from clgs.errors import CodecError
 
 POSITIONS, LATTICE, ATTRIBUTES = b"\x8bCP\x02", b"\x8bCP\x03", b"\x8bCA\x02"
-"""Signatures of positions as they are, of positions divided by their common factors, of rows."""
+"""Signatures: of positions as they are, of positions divided by their factors, of attributes."""
 
 POINTS, ROWS = 131_072, 65_536
 """Rows per chunk of positions and of attributes."""
@@ -25,6 +29,9 @@ POINTS, ROWS = 131_072, 65_536
 MAX_CHANNELS = row_coder.MAX_CHANNELS
 MAX_OUTPUT = 1 << 32
 """Bytes that one stream may decode to."""
+
+SAMPLE = 64
+"""Points that are tried first: mostly they show that there is no common factor."""
 
 _POSITIONS_HEAD = struct.Struct("<4sI")
 _LATTICE_HEAD = struct.Struct("<4sIIII")
@@ -49,20 +56,22 @@ def encode_positions(positions: npt.ArrayLike, threads: int | None = None) -> by
     position = check_integers("positions", positions)
     if position.shape[1] != 3:
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
-    position = position_coder.in_order(position)
+    position = octree.in_order(position)
     plain = _encode_octrees(_POSITIONS_HEAD.pack(POSITIONS, len(position)), position, threads)
-    factors = lattice.common_factors(position) if len(position) else (1, 1, 1)
+    factors = common_factors(position) if len(position) else (1, 1, 1)
     if max(factors) == 1:
         return plain
+    least = np.array(octree.bounds(position)[0])
+    divided = octree.in_order((least + (position - least) // factors).astype(np.int32))
     head = _LATTICE_HEAD.pack(LATTICE, len(position), *factors)
-    return min(plain, _encode_octrees(head, lattice.shrink(position, factors), threads), key=len)
+    return min(plain, _encode_octrees(head, divided, threads), key=len)
 
 
 def _encode_octrees(head: bytes, position: npt.NDArray[np.int32], threads: int | None) -> bytes:
     with workers(threads) as pool:
-        parts = runs(len(position), POINTS)
+        parts = octree.runs(len(position), POINTS)
         clouds = [position[part] for part in parts]
-        streams = list(pool.map(position_coder.encode, clouds, corners(position, parts)))
+        streams = list(pool.map(octree.encode, clouds, octree.cell_corners(position, parts)))
     return _seal(head, b"", streams)
 
 
@@ -77,16 +86,14 @@ def decode_positions(
     body = _unseal(data, POSITIONS, LATTICE)
     head = _HEADS[bytes(body[:4])]
     _, count, *factors = head.unpack_from(body)
-    if factors and not (
-        count > 0 and 1 <= min(factors) <= max(factors) <= position_coder.MAX_EXTENT
-    ):
+    if factors and not (count > 0 and 1 <= min(factors) <= max(factors) <= octree.MAX_EXTENT):
         raise _damage(_POSITIONS_HEAD.size, f"factors {factors} of {count} points")
     position = _decode_octrees(body, head.size, count, threads)
     try:
-        if not position_coder.ascends(position_coder.morton_codes(position)):
+        if not octree.ascends(octree.morton_codes(position)):
             raise ValueError("the chunks are not in Morton order")
-        return lattice.grow(position, factors) if factors else position
-    except position_coder.PositionsError as error:
+        return _multiply(position, factors) if factors else position
+    except octree.PositionsError as error:
         raise _damage(head.size, error.problem) from error
     except ValueError as error:
         raise _damage(head.size, str(error)) from error
@@ -96,15 +103,15 @@ def _decode_octrees(
     body: memoryview, at: int, count: int, threads: int | None
 ) -> npt.NDArray[np.int32]:
     """``count`` positions (count, 3) int32, chunk after chunk; their lengths are at ``at``."""
-    parts = runs(count, POINTS)
+    parts = octree.runs(count, POINTS)
     _, streams = _split(body, at, 0, len(parts))
     for part, (start, stream) in zip(parts, streams, strict=True):
-        if part.stop - part.start > len(stream) * position_coder.MAX_POINTS_PER_BYTE:
+        if part.stop - part.start > len(stream) * octree.MAX_POINTS_PER_BYTE:
             raise _damage(start, f"{len(stream)} bytes cannot hold {part.stop - part.start} points")
 
     def decode_chunk(part: slice, stream: tuple[int, memoryview]) -> npt.NDArray[np.int32]:
         try:
-            return position_coder.decode(stream[1], part.stop - part.start)
+            return octree.decode(stream[1], part.stop - part.start)
         except ValueError as error:
             raise _damage(stream[0], str(error)) from error
 
@@ -150,7 +157,8 @@ def encode_attributes(
         raise CodecError(f"values: {rows.nbytes} bytes as int32, at most {MAX_OUTPUT} fit")
     model = row_coder.fit(rows, level, ROWS)
     with workers(threads) as pool:
-        streams = list(pool.map(model.encode, (rows[part] for part in runs(len(rows), ROWS))))
+        chunks = [rows[part] for part in octree.runs(len(rows), ROWS)]
+        streams = list(pool.map(model.encode, chunks))
     head = _ATTRIBUTES_HEAD.pack(ATTRIBUTES, *rows.shape, len(model.header))
     return _seal(head, model.header, streams)
 
@@ -167,7 +175,7 @@ def decode_attributes(
     _, count, channels, shared = _ATTRIBUTES_HEAD.unpack_from(body)
     if not 1 <= channels <= MAX_CHANNELS or 4 * count * channels > MAX_OUTPUT:
         raise _damage(4, f"{count} rows of {channels} channels are out of range")
-    parts = runs(count, ROWS)
+    parts = octree.runs(count, ROWS)
     header, streams = _split(body, _ATTRIBUTES_HEAD.size, shared, len(parts))
     try:
         model = row_coder.read(header, channels)
@@ -199,7 +207,33 @@ def morton_order(positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
     position = check_integers("positions", positions)
     if position.shape[1] != 3:
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
-    return position_coder.morton_order(position)
+    return octree.morton_order(position)
+
+
+def common_factors(position: npt.NDArray[np.int32]) -> list[int]:
+    """The greatest common factor, at least 1, of all differences on each axis of (N, 3), N > 0."""
+    factors = []
+    for column in position.T:
+        factor = 0
+        for part in (column[:SAMPLE], column):
+            if factor != 1:
+                factor = int(np.gcd.reduce(part.astype(np.int64) - int(part[0])))
+        factors.append(max(factor, 1))
+    return factors
+
+
+def _multiply(position: npt.NDArray[np.int32], factors: Sequence[int]) -> npt.NDArray[np.int32]:
+    """Positions (N, 3) int32, N > 0, that were divided by their factors, in Morton order.
+
+    Raises:
+        ValueError: a coordinate would leave int32.
+        PositionsError: the extent reaches 2^21 on an axis.
+    """
+    corner = np.array(octree.bounds(position)[0])
+    grown = corner + (position - corner) * np.array(factors)
+    if grown.max() > np.iinfo(np.int32).max:
+        raise ValueError("the lattice leaves the range of int32")
+    return octree.in_order(grown.astype(np.int32))
 
 
 def _seal(head: bytes, header: bytes, streams: list[bytes]) -> bytes:

@@ -21,7 +21,7 @@ from clgs.scene.anchors import take
 from clgs.scene.camera import Camera
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import QuantizedScene, Scene, SplatScene
-from clgs.train.quality.importance import importance, importance_without_views
+from clgs.train.quality.importance import importance_without_views, sensitivity
 from clgs.train.quality.metrics import to_8bit
 
 VIEWS, SIDE = 24, 400
@@ -85,7 +85,9 @@ def scene_importance(
     if not cameras:
         return importance_without_views(scene)
     uploaded = upload_scene(device, scene.dequantize())
-    return importance(device, uploaded, scene.settings, chosen(cameras), options, on_render)
+    seen = chosen(cameras)
+    found = sensitivity(device, uploaded, scene.settings, seen, options, False, on_render)
+    return found.importance.astype(np.float64)
 
 
 def chosen(cameras: Sequence[Camera]) -> list[Camera]:

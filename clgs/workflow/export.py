@@ -19,9 +19,9 @@ from clgs.bake.bake import (
     to_world,
 )
 from clgs.bake.cameras import cameras_around
-from clgs.codec import scene_decoder, splats
-from clgs.data.axes import to_y_up
+from clgs.codec import scene_decoder, splat_packing
 from clgs.data.dataset import load_dataset
+from clgs.data.posed_photo import to_y_up
 from clgs.data.repose import repose
 from clgs.data.stored_photo import Planes
 from clgs.data.view import View
@@ -246,16 +246,16 @@ def _scene_file(path: Path) -> bytes:
         raise DataError(f"{path}: a page is made of a .clgs file; `clgs pack` makes one of splats")
     data = read_bytes(path)
     with naming(path):
-        (splats if splats.is_splats(data) else scene_decoder).describe(data)
+        (splat_packing if splat_packing.is_splats(data) else scene_decoder).describe(data)
     return data
 
 
 def _start(photos: Path, data: bytes) -> Start:
     """Where the page starts: at the first held-out view of the data set ``photos``."""
     transform = SceneTransform()  # splats keep the data set's units
-    if not splats.is_splats(data):
+    if not splat_packing.is_splats(data):
         transform = SceneTransform(**scene_decoder.describe(data)["transform"])
-    dataset = load_dataset(photos, load_images=False, load_points=False)
+    dataset = load_dataset(photos, load_images=False)
     views = repose(dataset, transform)
     first = (views.test or views.train)[0]
     return start_at(first.camera, [view.camera for view in views.train])

@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from clgs.codec.box import Box, decode_box
-from clgs.codec.container.source import BytesSource, FileSource
-from clgs.codec.scene_decoder import decode
-from clgs.codec.splats import is_splats, unpack
+from clgs.codec.container.section_table import BytesSource, FileSource
+from clgs.codec.scene_decoder import Box, decode, decode_box
+from clgs.codec.splat_packing import is_splats, unpack
 from clgs.errors import CodecError, DataError
 from clgs.scene.scene import QuantizedScene, SplatScene
 from clgs.scene.storage import load_scene

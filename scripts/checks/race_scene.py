@@ -29,10 +29,10 @@ from clgs.render.frame import upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.camera import Camera
 from clgs.train.config import TrainConfig
-from clgs.train.density.densifier import Densifier
+from clgs.train.run.start import state_of_scene
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.parameters import ANCHOR_GROUPS, new_parameters
-from clgs.train.step.rounding import rounded_anchors
+from clgs.train.state.parameters import ANCHOR_GROUPS
+from clgs.train.state.rounding import rounded_anchors
 
 GAUSSIANS = 70
 """About; from 18 anchors, one full lane vector and one that is not."""
@@ -58,9 +58,9 @@ def main(name: str, specialisation: str, only: str = "") -> int:
     scene, camera = anchor_scene(GAUSSIANS, SIZE, seed=1)
     config = replace(TrainConfig(), statistics_start=0).for_dataset("photos")
     device = ExactDevice(name, specialisation)
-    trainer = Trainer(device, photo_dataset(camera, scene.anchors.position), config)
-    trainer.parameters = new_parameters(device, scene.anchors, scene.mlps)
-    trainer.densifier = Densifier(device, config, trainer.parameters.count)
+    dataset = photo_dataset(camera, scene.anchors.position)
+    state = state_of_scene(device, dataset, config, scene, 0)
+    trainer = Trainer(device, dataset, config, state=state)
     result = trainer.step()
     bits = rate_of_rounded(trainer)
     print(f"race_scene: {specialisation}: {result}, {bits} bits per anchor")
@@ -112,13 +112,12 @@ def deep_tile(device: Device) -> None:
 
 def rate_of_rounded(trainer: Trainer) -> float:
     """Round the parameters, run the rate proxy forward and backward; bits per anchor."""
-    rounded = rounded_anchors(
-        trainer.device, trainer.parameters.scene.anchors, trainer.queue.scales
-    )
+    scales = trainer.state.rate.scales
+    rounded = rounded_anchors(trainer.device, trainer.parameters.scene.anchors, scales)
     bits = 0.0
     for name in ANCHOR_GROUPS:
         x = getattr(rounded, name)
-        result = rate.forward(trainer.device, x, getattr(trainer.queue.scales, name))
+        result = rate.forward(trainer.device, x, getattr(scales, name))
         rate.backward(trainer.device, result, x, 1.0, trainer.device.zeros(x.shape))
         bits += result.bits
     return bits

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from clgs.codec import weights
-from clgs.codec.attributes import paper, row_coder, runlength
-from clgs.codec.container.reader import Reader
-from clgs.codec.container.section_table import read_container
-from clgs.codec.container.source import BytesSource
-from clgs.codec.octree import position_coder
+from clgs.codec import octree, weights
+from clgs.codec.attributes import row_coder
+from clgs.codec.container.reader import SceneReader
+from clgs.codec.container.section_table import BytesSource, read_container
+from clgs.codec.plain_rows import encode_paper, encode_run_lengths
 
 GOLDEN = Path(__file__).resolve().parents[2] / "tests" / "codec" / "golden"
 Seed = tuple[str, str, bytes]
@@ -45,12 +44,12 @@ def golden_seeds() -> Iterator[Seed]:
     """Streams of the golden files: octrees of their first chunks, rows that list their chunks."""
     for path in sorted(GOLDEN.glob("*.clgs")):
         table, _ = read_container(data := path.read_bytes())
-        reader = Reader(BytesSource(data), table)
+        reader = SceneReader(BytesSource(data), table)
         for chunk in reader.chunks()[:1]:
             points = reader.positions(chunk)
-            yield "octree", path.stem, count(len(points) - 1, 512) + position_coder.encode(points)
+            yield "octree", path.stem, count(len(points) - 1, 512) + octree.encode(points)
         rows = reader.head.groups.astype(np.int32)
-        yield "runlength", path.stem, count(len(rows), 256) + b"\x0a" + runlength.encode(rows)
+        yield "runlength", path.stem, count(len(rows), 256) + b"\x0a" + encode_run_lengths(rows)
 
 
 def count(number: int, usual: int) -> bytes:
@@ -81,8 +80,8 @@ def matrix_seeds() -> Iterator[Seed]:
     for name, value in matrices().items():
         rows, channels = value.shape
         wide = bytes([channels - 1])
-        yield "runlength", name, count(rows, 256) + wide + runlength.encode(value)
-        yield "paper", name, count(rows, 512) + wide + paper.encode(value)
+        yield "runlength", name, count(rows, 256) + wide + encode_run_lengths(value)
+        yield "paper", name, count(rows, 512) + wide + encode_paper(value)
         words = weights.encode(value.ravel().view(np.float32), "float32")
         yield "planes", name, count(value.size, 128) + words
         for coder in range(3):
@@ -134,10 +133,10 @@ def point_seeds() -> Iterator[Seed]:
     }
     for name, cloud in clouds.items():
         position = cloud.astype(np.int32)
-        position = position[position_coder.morton_order(position)]
-        stream = position_coder.encode(position)
+        position = position[octree.morton_order(position)]
+        stream = octree.encode(position)
         yield "octree", f"points_{name}", count(len(position) - 1, 512) + stream
-        code = position_coder.morton_codes(position)
+        code = octree.morton_codes(position)
         yield "round_trip_octree", name, bytes([7, 0, 0, 0, 0]) + code.astype("<u8").tobytes()
         yield "near", name, b"\0" + (position[:150] & 255).astype(np.uint8).tobytes()
         yield "models", name, position.astype("<i2").tobytes()

@@ -363,7 +363,8 @@ def test_a_process_short_of_memory(tmp_path):
     code = """
 import resource, sys
 from clgs.cli import main as cli
-import clgs.cli.commands.info, clgs.cli.commands.encode, clgs.codec.splats, clgs.workflow.scenes
+import clgs.cli.commands.info, clgs.cli.commands.encode
+import clgs.codec.splat_packing, clgs.workflow.scenes
 size = 2**29
 open(sys.argv[1], "wb").truncate(size)
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from clgs.codec.scene_encoder import encode
-from clgs.codec.splats import pack
+from clgs.codec.splat_packing import pack
 from clgs.data.ply.splats import read_splats
 from clgs.exports.clip.camera_path import read_camera_path
 from clgs.scene.storage import save_scene

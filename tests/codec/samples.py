@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from clgs import _codec
 from clgs.codec.attributes import model_search, row_coder
-from clgs.codec.octree.subtrees import runs
+from clgs.codec.octree import runs
 
 INT32 = st.integers(-(2**31), 2**31 - 1)
 
@@ -70,13 +69,13 @@ def matrices() -> dict[str, np.ndarray]:
 
 def tables_model(value: np.ndarray, chunk: int = row_coder.CHUNK) -> row_coder.TableModel:
     """The model of level ``default`` if no other coder is shorter."""
-    model, _ = model_search.fit(model_search.Rows(value, runs(len(value), chunk)), search=True)
-    return row_coder.TableModel(_codec.attributes_header(model), model)
+    model, _ = model_search.fit(model_search.RowChunks(value, runs(len(value), chunk)), search=True)
+    return row_coder.make_table_model(model)
 
 
 def mixed_model(value: np.ndarray) -> row_coder.TableModel:
     """The model of level ``max``, with every channel but the first mixed."""
     model = tables_model(value).model.copy()
-    mixed = model_search.all_mixed(model, model_search.Sample(value))
+    mixed = model_search.mix_all(model, model_search.RowSample(value))
     mixed[:1] = model[:1]
-    return row_coder.TableModel(_codec.attributes_header(mixed), mixed)
+    return row_coder.make_table_model(mixed)

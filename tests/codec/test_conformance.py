@@ -17,9 +17,15 @@ import pytest
 
 from clgs import codec
 from clgs.codec import weights
-from clgs.codec.attributes import paper, row_coder, runlength
+from clgs.codec.attributes import row_coder
 from clgs.codec.container.meta import LEVELS
-from clgs.codec.octree.subtrees import runs
+from clgs.codec.octree import runs
+from clgs.codec.plain_rows import (
+    decode_paper,
+    decode_run_lengths,
+    encode_paper,
+    encode_run_lengths,
+)
 from codec_c.reader import attributes as reader_attributes
 from codec_c.reader import files as reader_files
 from codec_c.reader import rows as reader_rows
@@ -65,7 +71,7 @@ def one_model(model: row_coder.TableModel, chunk: int, rows: np.ndarray) -> Vect
     chunks = [model.encode(rows[part]) for part in parts]
     channels = rows.shape[1]
 
-    def decode(decoder: row_coder.Model | reader_attributes.Attributes, data: bytes) -> np.ndarray:
+    def decode(decoder: row_coder.RowModel, data: bytes) -> np.ndarray:
         assert data == b"".join([model.header, *chunks])
         counts = [part.stop - part.start for part in parts]
         return np.concatenate([decoder.decode(*c) for c in zip(chunks, counts, strict=True)])
@@ -123,21 +129,22 @@ def weight_vectors() -> Iterator[tuple[str, Vector]]:
 def row_vectors() -> Iterator[tuple[str, Vector]]:
     """The two coders of plain rows."""
     coders = {
-        "run lengths": (runlength, reader_rows.decode_rows),
-        "paper": (paper, reader_rows.decode_paper_rows),
+        "run lengths": (encode_run_lengths, decode_run_lengths, reader_rows.decode_rows),
+        "paper": (encode_paper, decode_paper, reader_rows.decode_paper_rows),
     }
     for name, value in matrices().items():
         for channels in (1, 2, 3, 7):
             resized = np.ascontiguousarray(np.resize(value, (min(len(value), 60), channels)))
-            for coder, (module, read) in coders.items():
-                decoders = [partial(call, rows=len(resized), channels=channels, function=f)
-                            for f in (module.decode, read)]  # fmt: skip
-                encode = partial(module.encode, resized)
-                yield f"{coder}, {name} in {channels}", (encode, decoders, resized)
+            for coder, (encode, *functions) in coders.items():
+                decoders = [partial(call, shape=resized.shape, function=f) for f in functions]
+                yield (
+                    f"{coder}, {name} in {channels}",
+                    (partial(encode, resized), decoders, resized),
+                )
 
 
-def call(data: bytes, rows: int, channels: int, function: Callable[..., object]) -> np.ndarray:
-    return np.array(function(data, rows, channels), np.int32)
+def call(data: bytes, shape: tuple[int, int], function: Callable[..., object]) -> np.ndarray:
+    return np.array(function(data, *shape), np.int32)
 
 
 @cache

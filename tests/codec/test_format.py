@@ -9,19 +9,20 @@ import numpy.typing as npt
 import pytest
 
 from clgs import _codec, codec
-from clgs.codec import splats, streams, weights
-from clgs.codec.attributes import paper, row_coder, runlength
-from clgs.codec.attributes.near import find_near
+from clgs.codec import octree, splat_packing, streams, weights
+from clgs.codec.attributes import row_coder
+from clgs.codec.attributes.model import find_near
 from clgs.codec.container import chunks, section_table
-from clgs.codec.container.source import BytesSource
-from clgs.codec.octree import position_coder
+from clgs.codec.container.section_table import BytesSource
+from clgs.codec.plain_rows import encode_paper, encode_run_lengths
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene
 from codec_c.reader import attributes as reader_attributes
-from codec_c.reader import coding, octree
+from codec_c.reader import coding
+from codec_c.reader import octree as reader_octree
 from codec_c.reader.coding import ByteReader, xxh64
 from codec_c.reader.octree import decode_octree
 from codec_c.reader.rows import decode_paper_rows, decode_rows, decode_weights
@@ -103,9 +104,10 @@ def test_example_of_varints() -> None:
 
 @pytest.mark.parametrize("number", MATRICES)
 def test_examples_of_run_lengths(number: int) -> None:
-    module, read = (paper, decode_paper_rows) if number >= 18 else (runlength, decode_rows)
+    plain = (encode_run_lengths, decode_rows), (encode_paper, decode_paper_rows)
+    encode_rows, read = plain[number >= 18]
     matrix, data = MATRICES[number], documented(number)[-1]
-    assert module.encode(matrix) == data
+    assert encode_rows(matrix) == data
     assert read(data, *matrix.shape) == matrix.tolist()
 
 
@@ -131,17 +133,17 @@ def test_example_of_two_groups() -> None:
 def test_examples_of_octrees(number: int) -> None:
     position, data = OCTREES[number], documented(number)[0]
     assert data[0] == 2
-    assert position_coder.encode(position) == data
-    np.testing.assert_array_equal(position_coder.decode(data, len(position)), position)
+    assert octree.encode(position) == data
+    np.testing.assert_array_equal(octree.decode(data, len(position)), position)
     assert decode_octree(data, len(position)) == position.tolist()
 
 
 def test_examples_of_octrees_in_a_scene_and_of_bare_codes() -> None:
     bare, corner = documented(8)[1], (5, -2, 7)
-    assert position_coder.encode_in(CELLS, corner) == bare
-    np.testing.assert_array_equal(position_coder.decode_in(bare, 3, corner, 1), CELLS)
+    assert octree.encode_in(CELLS, corner) == bare
+    np.testing.assert_array_equal(octree.decode_in(bare, 3, corner, 1), CELLS)
     assert decode_octree(bare, 3, (list(corner), 1)) == CELLS.tolist()
-    np.testing.assert_array_equal(position_coder.decode(documented(11)[0], 3), CELLS)
+    np.testing.assert_array_equal(octree.decode(documented(11)[0], 3), CELLS)
     assert decode_octree(documented(11)[0], 3) == CELLS.tolist()
 
 
@@ -229,8 +231,8 @@ def test_examples_of_arrays() -> None:
 
 def test_example_of_splats() -> None:
     values = np.array([[0, 0, 0, 5], [1, 1, 1, 9], [1, 1, 1, -9]], np.int32)
-    some = splats.Splats(["x", "y", "z", "opacity"], [0.5, 0.5, 0.5, 0.25], values)
-    source = BytesSource(splats.pack(some))
+    some = splat_packing.QuantizedSplats(["x", "y", "z", "opacity"], [0.5, 0.5, 0.5, 0.25], values)
+    source = BytesSource(splat_packing.pack(some))
     entries = section_table.read_table(source, splats=True).entries
     read = [section_table.read_section(source, entries[tag]) for tag in section_table.SPLATS]
     assert [bytes(section.data) for section in read] == documented(27)
@@ -247,12 +249,12 @@ def test_tables_of_the_document() -> None:
     assert numbers_after("KNOT[0 .. 96]") == coding.KNOT
     for cell, odds in re.findall(r"STRETCH\[(\d+)\] = (-?\d+)", TEXT):
         assert coding.STRETCH[int(cell)] == int(odds)
-    assert numbers_after("ONLY[0 .. 43]") == octree.ONLY
+    assert numbers_after("ONLY[0 .. 43]") == reader_octree.ONLY
     rows = re.findall(r"row +(\d+)((?: +\d+){8})", TEXT)
-    assert len(rows) == len(octree.CHILD)
+    assert len(rows) == len(reader_octree.CHILD)
     for row, line in rows:
-        assert [int(number) for number in line.split()] == octree.CHILD[int(row)]
-    assert numbers_after("\nGAIN ") == [*octree.GAIN[1:], 0]
+        assert [int(number) for number in line.split()] == reader_octree.CHILD[int(row)]
+    assert numbers_after("\nGAIN ") == [*reader_octree.GAIN[1:], 0]
     assert numbers_after("31 thresholds") == reader_attributes.THRESHOLDS
 
 

@@ -12,7 +12,7 @@ from clgs import _codec, codec
 from clgs.codec.container.meta import LEVELS
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
-from clgs.codec.splats import Splats, is_splats, pack, unpack
+from clgs.codec.splat_packing import QuantizedSplats, is_splats, pack, unpack
 from clgs.errors import CodecError
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from codec_c.reader.files import (
@@ -115,9 +115,9 @@ def test_attributes_in_eight_lanes(level: str) -> None:
     np.testing.assert_array_equal(found, value)
 
 
-def some_splats() -> Splats:
+def some_splats() -> QuantizedSplats:
     values = np.random.default_rng(6).integers(-3, 4, (90, 5)).astype(np.int32)
-    return Splats([*"xyzab"], [0.5] * 5, values)
+    return QuantizedSplats([*"xyzab"], [0.5] * 5, values)
 
 
 def test_splats() -> None:

@@ -11,7 +11,7 @@ from clgs.cli.main import main
 from clgs.codec.container.section_table import write_container
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
-from clgs.codec.splats import Splats, pack, quantize, sort_splats, unpack
+from clgs.codec.splat_packing import QuantizedSplats, pack, quantize, sort_splats, unpack
 from clgs.data.ply.table import Table, pack_ply, read_ply
 from clgs.errors import CodecError
 from tests.codec.container.damage import ENTRY, HEAD, contents, patched, rebuilt
@@ -20,10 +20,10 @@ from tests.codec.scenes import random_scene
 NAMES = ["x", "y", "z", "f_dc_0", "opacity"]
 
 
-def some_splats(rng: np.random.Generator, count: int = 300) -> Splats:
+def some_splats(rng: np.random.Generator, count: int = 300) -> QuantizedSplats:
     """Splats of which many share a voxel, and some are alike."""
     values = rng.integers(-3, 4, (count, 5)).astype(np.int32)
-    return Splats(NAMES, [0.5, 0.5, 0.5, 1 / 64, 0.1], values)
+    return QuantizedSplats(NAMES, [0.5, 0.5, 0.5, 1 / 64, 0.1], values)
 
 
 @pytest.mark.parametrize("count", [0, 1, 300])
@@ -38,7 +38,7 @@ def test_splats_of_a_voxel_keep_their_order() -> None:
     values = np.array(
         [[1, 1, 1, 9, 0], [0, 0, 0, 5, 0], [1, 1, 1, -9, 0], [1, 1, 1, 9, 1]], np.int32
     )
-    found = unpack(pack(Splats(NAMES, [1.0] * 5, values)))
+    found = unpack(pack(QuantizedSplats(NAMES, [1.0] * 5, values)))
     np.testing.assert_array_equal(found.values, values[[1, 0, 2, 3]])
 
 
@@ -106,7 +106,7 @@ def test_senseless_properties_are_refused(
     names: list[str], steps: list[float], message: str
 ) -> None:
     with pytest.raises(CodecError, match=message):
-        pack(Splats(names, steps, np.zeros((2, len(names)), np.int32)))
+        pack(QuantizedSplats(names, steps, np.zeros((2, len(names)), np.int32)))
 
 
 def test_values_that_no_step_suits_are_refused() -> None:
@@ -127,9 +127,11 @@ def test_too_wide_splats_are_refused(
     values[1, 1] = 2**21
     message = r"^splats: y spans 2097153 steps, at most 2097152 fit; [^-]*$"
     with pytest.raises(CodecError, match=message):
-        pack(Splats(NAMES, [1.0] * 5, values))
+        pack(QuantizedSplats(NAMES, [1.0] * 5, values))
     values[1, 1] -= 1
-    np.testing.assert_array_equal(unpack(pack(Splats(NAMES, [1.0] * 5, values))).values, values)
+    np.testing.assert_array_equal(
+        unpack(pack(QuantizedSplats(NAMES, [1.0] * 5, values))).values, values
+    )
     source = tmp_path / "s.ply"
     splat_ply(rng, source)
     assert main(["pack", str(source), "-o", str(tmp_path / "s.clgs"), "--step", "x=1e-6"]) == 3
@@ -187,7 +189,7 @@ def test_values_that_no_step_holds(
 )
 def test_senseless_values_are_refused(values: np.ndarray, message: str) -> None:
     with pytest.raises(CodecError, match=message):
-        pack(Splats(NAMES, [1.0] * 5, values))
+        pack(QuantizedSplats(NAMES, [1.0] * 5, values))
 
 
 def splat_ply(rng: np.random.Generator, path: Path) -> Table:

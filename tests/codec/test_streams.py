@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from clgs import _codec, codec
-from clgs.codec import streams
-from clgs.codec.octree import position_coder
+from clgs.codec import octree, streams
 from clgs.codec.scene_encoder import encode
 from clgs.errors import CodecError, UsageError
 from tests.codec.scenes import random_scene
@@ -137,8 +136,8 @@ def test_extents(axis):
 def test_chunks_that_lie_too_far_apart_are_damage(monkeypatch):
     monkeypatch.setattr(streams, "POINTS", 1)
     data = bytearray(codec.encode_positions([[0, 0, 0], [2**21 - 1, 0, 0]]))
-    far = position_coder.encode(np.array([[2**21, 0, 0]], np.int32))
-    start = len(data) - 4 - len(position_coder.encode(np.array([[2**21 - 1, 0, 0]], np.int32)))
+    far = octree.encode(np.array([[2**21, 0, 0]], np.int32))
+    start = len(data) - 4 - len(octree.encode(np.array([[2**21 - 1, 0, 0]], np.int32)))
     body = data[:12] + struct.pack("<I", len(far)) + data[16:start] + far
     with pytest.raises(CodecError, match=r"^stream at byte 8: position: x spans .*; it is damaged"):
         codec.decode_positions(sealed(bytes(body)))

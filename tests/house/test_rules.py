@@ -10,9 +10,10 @@ from tests.house import rules
 @pytest.mark.parametrize(
     ("module", "line", "complaint"),
     [
-        ("clgs.ops.mlp", "from clgs.render import pipeline", "ops imports render"),
+        ("clgs.ops.mlp", "from clgs.render import rasterise", "ops imports render"),
         ("clgs.scene.camera", "import clgs.train.run.trainer", "scene imports train"),
         ("clgs.files", "from clgs import opencl", "files imports opencl"),
+        ("clgs.cli.commands.run", "from clgs.lab.bench import step", "cli imports lab"),
         (
             "clgs.cli.commands.train",
             "def run():\n    from . import main",
@@ -50,6 +51,22 @@ def test_good_imports_pass(module, line):
     assert rules.import_complaints(module, line) == []
 
 
+def test_imports_in_a_circle_are_found():
+    one_way = {
+        "clgs.train.run.session": "from clgs.train.step.queue import StepQueue",
+        "clgs.train.step.queue": "from clgs.train.step import schedule\nimport clgs.codec.box",
+        "clgs.train.helper": "import clgs.train.run.session",
+        "clgs.files": "import json",
+    }
+    assert rules.arrow_complaints(one_way) == []
+    back = {"clgs.train.state.resume": "def f():\n    from clgs.train.run import session"}
+    through = {"clgs.train.step.photos": "import clgs.train.state.resume"}
+    assert rules.arrow_complaints({**one_way, **back}) == []
+    (found,) = rules.arrow_complaints({**one_way, **back, **through})
+    assert "clgs/train" in found
+    assert all(part in found for part in ("run", "step", "state"))
+
+
 def test_long_files_are_found():
     assert rules.length_complaints("x.sh", "a\n" * 400) == []
     (found,) = rules.length_complaints("x.sh", "a\n" * 401)
@@ -64,7 +81,7 @@ __kernel __attribute__((reqd_work_group_size(16, 16, 1))) void mlp_backward(
 __attribute__((reqd_work_group_size(1, 1, 1)))
 __kernel void blend_rows(__global float *x) {}
 __kernel void blend_rows(__global float *x, int of_another_branch) {}
-GROUP_KERNEL void mlp_group(__global float *x) {}
+GROUP __kernel void mlp_group(__global float *x) {}
 void helper(int x) {}
 """
     assert rules.kernels_in(text) == ["mlp_forward", "mlp_backward", "blend_rows", "mlp_group"]
@@ -85,6 +102,7 @@ def test_fetching_the_kernel_of_another_stage_is_found():
     assert rules.fetch_complaints("clgs/ops/mlp.py", text, kernels) == []
     (found,) = rules.fetch_complaints("clgs/ops/blend.py", text, kernels)
     assert found == "clgs/ops/blend.py:1: mlp_forward belongs to clgs/ops/mlp.py"
+    assert rules.fetch_complaints("clgs/lab/observed_kernels.py", text, kernels) == []
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from clgs.ops import adam
 from clgs.reference import adam as reference
-from clgs.train.step.numpy_adam import State, update
+from clgs.train.step.numpy_adam import HostTensors, update
 from tests.compare import assert_close
 
 
@@ -24,7 +24,7 @@ def test_equals_numpy_to_the_bit(device, rng):
     parameter = rng.normal(size=1003).astype(np.float32)
     on_device, stop = device.upload(parameter), adam.stop_flag(device)
     moments = adam.zero_moments(device, on_device)
-    state = State(parameter, *np.zeros((2, 1003), np.float32))
+    state = HostTensors(parameter, *np.zeros((2, 1003), np.float32))
     for count, g in enumerate(gradients(rng, 60, 1003), start=1):
         rate = 0.01 * 0.99**count
         now = adam.factors(rate, count)
@@ -130,7 +130,7 @@ def test_by_rows_only_those_with_a_gradient_move(device, rng, rows, width):
     parameter = rng.normal(size=(rows, width)).astype(np.float32)
     on_device, stop = device.upload(parameter), adam.stop_flag(device)
     moments = adam.zero_moments(device, on_device)
-    state = State(parameter, *np.zeros((2, rows, width), np.float32))
+    state = HostTensors(parameter, *np.zeros((2, rows, width), np.float32))
     wide, moments64 = parameter.astype(np.float64), (np.zeros((rows, width)),) * 2
     for count in range(1, 9):
         g = sparse_gradients(rng, rows, width) if rows else parameter
@@ -141,7 +141,7 @@ def test_by_rows_only_those_with_a_gradient_move(device, rng, rows, width):
         now = adam.factors(0.01, count)
         trained = adam.Trained(on_device, gradient, moments)
         adam.step_rows(device, trained, now, stop, marks)
-        part = State._make(array[moved] for array in state)
+        part = HostTensors._make(array[moved] for array in state)
         update(part, g[moved], now)
         for array, changed in zip(state, part, strict=True):
             array[moved] = changed

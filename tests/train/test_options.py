@@ -23,9 +23,17 @@ from clgs.train.config import (
     preset,
     read_settings,
 )
-from clgs.train.config.describe import describe
-from clgs.train.config.option import Option, Pair, Range, Text, at_least, option, options_of
-from clgs.train.config.presets import PAPER_RATES
+from clgs.train.config.option import (
+    Option,
+    Pair,
+    Range,
+    Text,
+    at_least,
+    describe,
+    option,
+    options_of,
+)
+from clgs.train.config.sources import PAPER_RATES
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])

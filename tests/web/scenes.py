@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clgs.codec.splats import Splats
+from clgs.codec.splat_packing import QuantizedSplats
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.scene.anchors import QuantizationScales, quantize, take
 from clgs.scene.camera import Camera
@@ -31,17 +31,19 @@ def splat_names(rest: int) -> list[str]:
     return [*names, "opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
 
 
-def random_splats(rng: np.random.Generator, count: int, rest: int = 45, lattice: int = 1) -> Splats:
+def random_splats(
+    rng: np.random.Generator, count: int, rest: int = 45, lattice: int = 1
+) -> QuantizedSplats:
     """Splats in a small box, several in some voxels; positions are multiples of ``lattice``."""
     names = splat_names(rest)
     values = rng.integers(-40, 40, (count, len(names))).astype(np.int32)
     values[:, :3] = lattice * rng.integers(-9, 9, (count, 3))
-    return Splats(names, [2.0**-6] * 3 + [2.0**-5] * (len(names) - 3), values)
+    return QuantizedSplats(names, [2.0**-6] * 3 + [2.0**-5] * (len(names) - 3), values)
 
 
-def grey_wall() -> Splats:
+def grey_wall() -> QuantizedSplats:
     """Two opaque splats of f_dc = -1, which is sRGB 56, large enough to fill a view."""
     names = splat_names(0)
     values = np.zeros((2, len(names)), np.int32)
     values[:, 4:7], values[:, 7], values[:, 8:11], values[:, 11] = -1, 20, 4, 1
-    return Splats(names, [1.0] * len(names), values)
+    return QuantizedSplats(names, [1.0] * len(names), values)

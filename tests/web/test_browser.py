@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from clgs.codec.scene_encoder import encode
-from clgs.codec.splats import pack
+from clgs.codec.splat_packing import pack
 from clgs.errors import ClgsError
 from clgs.exports import page
 from clgs.lab.synthetic.anchor_scene import square_camera

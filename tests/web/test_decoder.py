@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from clgs import constants
-from clgs.codec import splats
+from clgs.codec import splat_packing
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.reference import mlp, neural
@@ -80,10 +80,10 @@ SH_FIRST, SH_SECOND = 0.28209479177387814, 0.4886025119029199
 
 @pytest.mark.parametrize(("count", "rest", "lattice"), [(5000, 45, 1), (900, 9, 1), (900, 0, 1000)])
 def test_splats_are_those_of_the_file(library, count, rest, lattice):
-    data = splats.pack(random_splats(np.random.default_rng(4), count, rest, lattice))
+    data = splat_packing.pack(random_splats(np.random.default_rng(4), count, rest, lattice))
     page = native.Page(library, data)
-    assert page.hashes == [int(splats.describe(data)["content_hash"], 16)] * 2
-    wanted = splats.unpack(data)
+    assert page.hashes == [int(splat_packing.describe(data)["content_hash"], 16)] * 2
+    wanted = splat_packing.unpack(data)
     values = dict(zip(wanted.names, (wanted.values * np.array(wanted.steps)).T, strict=True))
     centre = np.array([1.0, 2.0, -30.0])
     found = page.gaussians(centre)
@@ -148,7 +148,7 @@ def test_the_order_is_by_depth_and_leaves_out_what_is_near(library):
 def test_damaged_files_are_refused_in_words(library, kind):
     data = encode(random_scene(np.random.default_rng(2), 300))
     if kind == "splats":
-        data = splats.pack(random_splats(np.random.default_rng(2), 300, 0, 5))
+        data = splat_packing.pack(random_splats(np.random.default_rng(2), 300, 0, 5))
     with pytest.raises(ValueError, match=r"no \.clgs file"):
         native.Page(library, b"PK" + data)
     rng = np.random.default_rng(3)

@@ -31,7 +31,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
-    from clgs.codec.box import Box
+    from clgs.codec.scene_decoder import Box
     from clgs.data.ply.anchors import save_scaffold
     from clgs.data.ply.mlps_archive import mlps_path
     from clgs.errors import UsageError

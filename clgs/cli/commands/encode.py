@@ -173,7 +173,7 @@ def _show_fitted(fitted: FittedScene, anchors: int) -> None:
 @contextmanager
 def _in_words_of_options(path: Path) -> Iterator[None]:
     """Let a CodecError name the scene, and say which option helps."""
-    from clgs.codec.octree.position_coder import PositionsError
+    from clgs.codec.octree import PositionsError
     from clgs.data.ply.anchors import is_quantized
     from clgs.errors import CodecError
 

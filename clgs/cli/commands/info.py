@@ -27,12 +27,12 @@ def run(args: argparse.Namespace) -> int:
     """
     import json
 
-    from clgs.codec import scene_decoder, splats
+    from clgs.codec import scene_decoder, splat_packing
     from clgs.workflow.scenes import naming, read_bytes
 
     data = read_bytes(args.scene)
     with naming(args.scene):
-        reader = splats if splats.is_splats(data) else scene_decoder
+        reader = splat_packing if splat_packing.is_splats(data) else scene_decoder
         description: dict[str, Any] = reader.describe(data)
     if args.json:
         print(json.dumps(description, indent=2))

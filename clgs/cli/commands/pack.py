@@ -49,8 +49,8 @@ def named_step(text: str) -> tuple[str, float]:
 def run(args: argparse.Namespace) -> int:
     """Pack; exit code 0."""
     from clgs.cli.tell import tell
-    from clgs.codec.octree.position_coder import PositionsError
-    from clgs.codec.splats import pack
+    from clgs.codec.octree import PositionsError
+    from clgs.codec.splat_packing import pack
     from clgs.data.ply.gaussians import lacking
     from clgs.data.ply.splat_steps import group_of
     from clgs.data.ply.splats import read_splats

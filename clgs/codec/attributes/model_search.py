@@ -1,8 +1,8 @@
 """The encoder's search for the model of attribute channels (codec_c/FORMAT.md on attributes).
 
-Choices are made on a sample of rows by exact cost, tables from all rows. All decisions rest on
-integers, or on floating-point operations that IEEE 754 defines to the bit, so that every machine
-writes the same bytes.
+Choices are made by exact cost on a sample of rows; tables are made from all rows. All decisions
+rest on integers, or on floating-point operations that IEEE 754 defines to the bit, so that every
+machine writes the same bytes.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from clgs.codec.attributes.model import (
     CELLS,
     MAX_GAIN,
     MAX_WEIGHT,
-    NEAR,
     TABLE,
-    TAPS,
     Ints,
     Models,
+    NearRows,
     empty_model,
+    find_near,
+    looks_near,
 )
-from clgs.codec.attributes.near import NearRows, find_near
 from clgs.codec.attributes.taps import find_taps
 
 SAMPLE_BLOCKS, SAMPLE_ROWS = 8, 2048
@@ -35,20 +35,20 @@ TAP_COST = 24 << 16
 """Bits of a term in the header, in 2^-16 bits."""
 
 TRIAL_GAIN = 64
-"""Gain while predictions are tried: levels of the own column only."""
+"""The gain while predictions are tried; levels are then those of the own column only."""
 
 MAGNITUDE = 256
-"""Gains make the mean magnitude of a channel a 16th of this."""
+"""16 times the mean magnitude that gains give a channel."""
 
 WEIGHT_OF_OWN, WEIGHT_OF_ROW, WEIGHT_BESIDE = 1365, 4096, 2048
-"""Weights that make the mean of weighted activity 64 x 1024, for one channel before."""
+"""Weights that make the mean of weighted activity 64 x 1024, if one channel comes before."""
 
 MIXED_HEADER = 8
-"""About the bytes of a mixed channel in the header."""
+"""About how many bytes a mixed channel takes in the header."""
 
 MIXED_SHARE = (0.4, 0.3, 0.3)
 SAMPLE_MARGIN = 1.005
-"""A mixed channel is tried on all rows unless it is longer than this ratio on the sample."""
+"""A mixed channel that is longer by this ratio on the sample is not tried on all rows."""
 
 SHARES = [
     (1.0, 0.0, 0.0),
@@ -58,22 +58,41 @@ SHARES = [
     (0.4, 0.3, 0.3),
     (0.7, 0.15, 0.15),
 ]
-"""Shares of the own column, of the row and of the rows beside it that are tried."""
+"""The shares that are tried, of the own column, of the row, and of the rows above and below it."""
+
+
+Costs = npt.NDArray[np.uint64]
+"""(channels,) in 2^-16 bits."""
 
 
 @dataclass(frozen=True)
-class Sample:
-    """Rows that stand for all, as one chunk, and their near rows if they have positions."""
+class RowSample:
+    """Rows that stand for all, as one chunk.
+
+    ``near``: their near rows if they have positions; ``scale``: how many rows there are in all, in
+    1/256 of the rows of the sample.
+    """
 
     values: Ints
     near: Ints | None = None
+    scale: int = 256
 
-    def __len__(self) -> int:
-        return len(self.values)
+    def count(self, model: Models) -> npt.NDArray[np.uint32]:
+        """Counts (channels, CELLS, TABLE) of symbols by cell."""
+        count = np.zeros((len(model), CELLS, TABLE), np.uint32)
+        _codec.attributes_count(model, self.values, count, self.near)
+        return count
+
+    def choose(self, model: Models, count: npt.NDArray[np.uint32] | None = None) -> Costs:
+        """Set classes and tables of ``model`` by its ``count``; what all rows would cost."""
+        count = self.count(model) if count is None else count
+        cost = np.zeros(len(model), np.uint64)
+        _codec.attributes_choose(model, count, min(self.scale, 2**32 - 1), cost)
+        return cost
 
 
 @dataclass(frozen=True)
-class Rows:
+class RowChunks:
     """What a model is fitted to: ``values`` (n, channels) int32 in chunks, ``near`` by position."""
 
     values: Ints
@@ -84,39 +103,32 @@ class Rows:
         """Near rows of a chunk, or None if ``model`` does not look at them."""
         return self.near.of(index) if self.near and looks_near(model) else None
 
-    def sample(self) -> Sample:
+    def sample(self) -> RowSample:
         """All rows, or blocks of neighbouring rows that lie evenly apart."""
-        if self.near is None:
-            return Sample(take_sample(self.values))
-        if len(self.chunks) == 1 and len(self.values) <= SAMPLE_BLOCKS * SAMPLE_ROWS:
-            return Sample(self.values, self.near.of(0))
-        return Sample(take_sample(self.values), find_near(take_sample(self.near.position)))
+        values = take_sample(self.values)
+        near = None
+        if self.near is not None and len(self.chunks) == 1 and len(values) == len(self.values):
+            near = self.near.of(0)
+        elif self.near is not None:
+            near = find_near(take_sample(self.near.position))
+        return RowSample(values, near, len(self.values) * 256 // len(values))
 
+    def choose(self, model: Models) -> Costs:
+        """Set classes and tables of ``model`` from all rows; their cost."""
+        count = np.zeros((len(model), CELLS, TABLE), np.uint32)
+        for index, chunk in enumerate(self.chunks):
+            _codec.attributes_count(model, self.values[chunk], count, self.near_of(model, index))
+        cost = np.zeros(len(model), np.uint64)
+        _codec.attributes_choose(model, count, 256, cost)
+        return cost
 
-def looks_near(model: Models) -> bool:
-    """Whether ``model`` looks at near rows."""
-    used = np.arange(TAPS) < model["taps"][:, None]
-    return bool((used & (model["tap"][:, :, 1] == NEAR)).any())
-
-
-def fit(rows: Rows, search: bool) -> tuple[Models, int]:
-    """The model of ``rows``, and about the bytes of all chunks."""
-    count, channels = rows.values.shape
-    sample = rows.sample()
-    scale = count * 256 // len(sample)
-    model = empty_model(channels)
-    model["centre"] = find_centres(sample.values)
-    if search:
-        choose_taps(model, sample, scale)
-        choose_activity(model, sample, scale)
-    cost = count_all_and_choose(model, rows)
-    drop_unused(model)
-    return model, int(cost.sum()) // (8 << 16) + sum(map(overhead, rows.chunks))
-
-
-def overhead(chunk: slice) -> int:
-    """About the bytes of a chunk besides its symbols."""
-    return 20 if chunk.stop - chunk.start >= LONG_ROWS else 2
+    def measure_mixed(self, model: Models) -> Costs:
+        """Bytes (channels,) of the channels that are mixed."""
+        size = np.zeros(len(model), np.uint64)
+        for index, chunk in enumerate(self.chunks):
+            near = self.near_of(model, index)
+            _codec.attributes_measure(model, self.values[chunk], size, near)
+        return size
 
 
 def take_sample(values: Ints) -> Ints:
@@ -127,42 +139,27 @@ def take_sample(values: Ints) -> Ints:
     return np.concatenate([values[f : f + SAMPLE_ROWS] for f in first])
 
 
-def find_centres(sample: Ints) -> Ints:
-    """0 if a quarter of a column is 0, otherwise its mean, halves rounded up."""
-    sums = 2 * sample.sum(axis=0, dtype=np.int64) + len(sample)
-    centres = sums // (2 * len(sample))
-    return np.where(4 * (sample == 0).sum(axis=0) >= len(sample), 0, centres).astype(np.int32)
+def fit(rows: RowChunks, search: bool) -> tuple[Models, int]:
+    """The model of ``rows``, and about how many bytes all chunks take.
+
+    ``search``: look for predictions and classes; without it every channel has one table.
+    """
+    sample = rows.sample()
+    count = len(sample.values)
+    model = empty_model(rows.values.shape[1])
+    # the mean, halves rounded up; 0 if a quarter of a column is 0
+    means = (2 * sample.values.sum(axis=0, dtype=np.int64) + count) // (2 * count)
+    model["centre"] = np.where(4 * (sample.values == 0).sum(axis=0) >= count, 0, means)
+    if search:
+        choose_taps(model, sample)
+        choose_activity(model, sample)
+    cost = rows.choose(model)
+    _drop_unused(model)
+    overhead = sum(20 if c.stop - c.start >= LONG_ROWS else 2 for c in rows.chunks)
+    return model, int(cost.sum()) // (8 << 16) + overhead
 
 
-def count_all_and_choose(model: Models, rows: Rows) -> npt.NDArray[np.uint64]:
-    """Set classes and tables of ``model`` from all rows; costs (channels,) in 2^-16 bits."""
-    count = np.zeros((len(model), CELLS, TABLE), np.uint32)
-    for index, chunk in enumerate(rows.chunks):
-        _codec.attributes_count(model, rows.values[chunk], count, rows.near_of(model, index))
-    return choose(model, count, 256)
-
-
-def count_and_choose(model: Models, sample: Sample, scale: int) -> npt.NDArray[np.uint64]:
-    """The same from a sample of 256 / ``scale`` of all rows."""
-    count = count_sample(model, sample)
-    return choose(model, count, scale)
-
-
-def count_sample(model: Models, sample: Sample) -> npt.NDArray[np.uint32]:
-    """Counts (channels, CELLS, TABLE) of symbols by cell."""
-    count = np.zeros((len(model), CELLS, TABLE), np.uint32)
-    _codec.attributes_count(model, sample.values, count, sample.near)
-    return count
-
-
-def choose(model: Models, count: npt.NDArray[np.uint32], scale: int) -> npt.NDArray[np.uint64]:
-    """Set classes and tables of ``model`` by counts; costs (channels,) in 2^-16 bits."""
-    cost = np.zeros(len(model), np.uint64)
-    _codec.attributes_choose(model, count, min(scale, 2**32 - 1), cost)
-    return cost
-
-
-def choose_taps(model: Models, sample: Sample, scale: int) -> None:
+def choose_taps(model: Models, sample: RowSample) -> None:
     """Set the terms of predictions that save more bits than they take."""
     trial = model.copy()
     find_taps(trial, sample.values, sample.near)
@@ -170,32 +167,39 @@ def choose_taps(model: Models, sample: Sample, scale: int) -> None:
         return
     trial["gain"] = model["gain"] = TRIAL_GAIN
     trial["weight"][:, 0] = model["weight"][:, 0] = WEIGHT_OF_OWN
-    cost = count_and_choose(model, sample, scale)
-    trial_cost = count_and_choose(trial, sample, scale)
-    trial_cost += (TAP_COST * trial["taps"]).astype(np.uint64)
+    cost = sample.choose(model)
+    trial_cost = sample.choose(trial) + (TAP_COST * trial["taps"]).astype(np.uint64)
     better = trial_cost < cost
     for field in ("taps", "tap"):
         model[field][better] = trial[field][better]
     model["weight"] = 0
 
 
-def choose_activity(model: Models, sample: Sample, scale: int) -> None:
+def choose_activity(model: Models, sample: RowSample) -> None:
     """Set gains, weights and spans of ``model`` by what costs least on the sample."""
     plain = model.copy()
-    count = count_sample(plain, sample)
-    best_cost = choose(plain, count, scale)
+    count = sample.count(plain)
+    best_cost = sample.choose(plain, count)
     model["gain"] = find_gains(count)
     best = model.copy()
+
+    def keep_better(trial: Models) -> None:
+        """Replace the channels of ``best`` that ``trial`` codes in fewer bits."""
+        cost = sample.choose(trial)
+        better = cost < best_cost
+        best[better] = trial[better]
+        best_cost[better] = cost[better]
+
     for share in SHARES:
         trial = model.copy()
         trial["weight"] = weights_of(share, len(model))
-        keep_better(best, best_cost, trial, sample, scale)
+        keep_better(trial)
     for span in (1, 2):
         for weight in (np.zeros_like(best["weight"]), best["weight"].copy()):
             trial = model.copy()
             trial["weight"] = weight
             trial["span"] = np.minimum(span, np.arange(len(model)))
-            keep_better(best, best_cost, trial, sample, scale)
+            keep_better(trial)
     model[:] = best
 
 
@@ -218,17 +222,7 @@ def weights_of(share: tuple[float, float, float], channels: int) -> Ints:
     return np.asarray(weights, np.int32)
 
 
-def keep_better(
-    best: Models, best_cost: npt.NDArray[np.uint64], trial: Models, sample: Sample, scale: int
-) -> None:
-    """Replace the channels of ``best`` that ``trial`` codes in fewer bits."""
-    cost = count_and_choose(trial, sample, scale)
-    better = cost < best_cost
-    best[better] = trial[better]
-    best_cost[better] = cost[better]
-
-
-def drop_unused(model: Models) -> None:
+def _drop_unused(model: Models) -> None:
     """Clear what no class depends on, so that it costs no bits of the header."""
     idle = model["classes"] == 1
     model["weight"][idle] = 0
@@ -238,48 +232,40 @@ def drop_unused(model: Models) -> None:
     model["gain"][~(needed | (model["weight"][:, 0] > 0))] = 0
 
 
-def choose_mixed(model: Models, rows: Rows) -> Models:
+def choose_mixed(model: Models, rows: RowChunks) -> Models:
     """``model`` with those channels mixed that take fewer bytes so than by tables.
 
     Channels that gain nothing on the sample, on which contexts learn less, are not tried on
     all rows.
     """
     sample = rows.sample()
-    size = count_all_and_choose(model.copy(), rows) // (8 << 16)
-    mixed = all_mixed(model, sample)
+    size = rows.choose(model.copy()) // (8 << 16)
+    mixed = mix_all(model, sample)
     trial_size = np.zeros(len(model), np.uint64)
     _codec.attributes_measure(mixed, sample.values, trial_size, sample.near)
-    promising = trial_size * len(rows.values) < size * len(sample) * SAMPLE_MARGIN
+    promising = trial_size * len(rows.values) < size * len(sample.values) * SAMPLE_MARGIN
     if not promising.any():
         return model
     trial = np.where(promising, mixed, model)
     trial["gain"] = mixed["gain"]
-    better = promising & (measure(trial, rows) + MIXED_HEADER < size)
+    better = promising & (rows.measure_mixed(trial) + MIXED_HEADER < size)
     result = np.where(better, mixed, model)
     last = np.flatnonzero(better)[-1] if better.any() else -1
     result["gain"][: last + 1] = mixed["gain"][: last + 1]
     return result
 
 
-def all_mixed(model: Models, sample: Sample) -> Models:
+def mix_all(model: Models, sample: RowSample) -> Models:
     """``model`` with every channel mixed, and with activity if it had none.
 
     Gains are 0 only after the last channel whose classes depend on them, so no class changes.
     """
-    count = count_sample(model, sample)
     mixed = model.copy()
     mixed["coder"], mixed["classes"], mixed["class_of"], mixed["frequency"] = 1, 1, 0, 0
-    mixed["gain"] = np.where(model["gain"] == 0, find_gains(count), model["gain"])
+    gains = find_gains(sample.count(model))
+    mixed["gain"] = np.where(model["gain"] == 0, gains, model["gain"])
     weight = weights_of(MIXED_SHARE, len(model))
     weight[0] = WEIGHT_OF_OWN, 0, 0
     idle = ~model["weight"].any(axis=1)
     mixed["weight"][idle] = weight[idle]
     return mixed
-
-
-def measure(model: Models, rows: Rows) -> npt.NDArray[np.uint64]:
-    """Bytes (channels,) of the channels that are mixed."""
-    size = np.zeros(len(model), np.uint64)
-    for index, chunk in enumerate(rows.chunks):
-        _codec.attributes_measure(model, rows.values[chunk], size, rows.near_of(model, index))
-    return size

@@ -9,18 +9,17 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec.attributes import model_search
-from clgs.codec.attributes.model import CHANNEL, Ints, Models
-from clgs.codec.attributes.model_search import Rows
-from clgs.codec.attributes.near import NearRows
-from clgs.codec.attributes.paper import PaperModel
-from clgs.codec.octree.subtrees import runs
+from clgs.codec.attributes.model import CHANNEL, Ints, Models, NearRows, looks_near
+from clgs.codec.attributes.model_search import RowChunks
+from clgs.codec.octree import runs
+from clgs.codec.plain_rows import decode_paper, encode_paper
 
 LEVELS = ("fast", "default", "max", "paper")
-"""Tables alone; predictions and classes too; mixing as well; the paper's coder, to compare with."""
+"""fast: tables alone; default: predictions and classes, too; max: mixing, too; paper: the coder of
+the paper, to compare with."""
 
 CHUNK = 65536
 """Rows per chunk by default."""
@@ -37,7 +36,7 @@ LEAST_MIXED_ROWS = 256
 """Mixed channels learn too little in chunks that are shorter on average."""
 
 
-class Model(Protocol):
+class RowModel(Protocol):
     """What the chunks of one attribute share. Safe to use from several threads."""
 
     @property
@@ -46,16 +45,17 @@ class Model(Protocol):
 
     @property
     def channels(self) -> int:
-        """Columns of the rows."""
+        """How many columns the rows have."""
 
     @property
     def looks_near(self) -> bool:
         """Whether chunks depend on the near rows, if there are any."""
 
     def encode(self, rows: Ints, near: Ints | None = None) -> bytes:
-        """The chunk of ``rows`` (n, channels) int32, a chunk of those that were fitted.
+        """The bytes of a chunk ``rows`` (n, channels) int32 of the rows that were fitted.
 
-        ``near``: its near rows if it was fitted with positions and ``looks_near``.
+        ``near`` has its near rows; it is needed if the model was fitted with them and looks at
+        them.
         """
 
     def decode(self, data: bytes | memoryview, count: int, near: Ints | None = None) -> Ints:
@@ -93,23 +93,46 @@ class RawModel:
 
 
 @dataclass(frozen=True)
+class PaperModel:
+    """Chunks are streams of the paper's plain run-length coder; nothing is shared."""
+
+    channels: int
+    MODE: ClassVar[int] = 2
+    """The first byte of the header: plain run-length streams."""
+    looks_near: ClassVar[bool] = False
+
+    @property
+    def header(self) -> bytes:
+        """The mode alone."""
+        return bytes([self.MODE])
+
+    def encode(self, rows: Ints, near: Ints | None = None) -> bytes:
+        """One stream."""
+        return encode_paper(rows)
+
+    def decode(self, data: bytes | memoryview, count: int, near: Ints | None = None) -> Ints:
+        """The rows of one stream."""
+        return decode_paper(data, count, self.channels)
+
+
+@dataclass(frozen=True)
 class TableModel:
     """Predictions, classes and tables of every channel."""
 
-    header: bytes
     model: Models
+    header: bytes
     MODE: ClassVar[int] = 1
     """The first byte of the header: a model of every channel follows."""
 
     @property
     def channels(self) -> int:
-        """Columns of the rows."""
+        """How many columns the rows have."""
         return len(self.model)
 
     @property
     def looks_near(self) -> bool:
         """Whether a prediction looks at near rows."""
-        return model_search.looks_near(self.model)
+        return looks_near(self.model)
 
     def encode(self, rows: Ints, near: Ints | None = None) -> bytes:
         """One chunk; no bytes for no rows."""
@@ -126,16 +149,21 @@ class TableModel:
         return rows
 
 
+def make_table_model(model: Models) -> TableModel:
+    """The tables of ``model``, with their header."""
+    return TableModel(model, _codec.attributes_header(model))
+
+
 def fit(
-    values: npt.NDArray[np.int32],
+    values: Ints,
     level: str = "default",
     chunk: int | list[slice] = CHUNK,
     near: NearRows | None = None,
-) -> Model:
+) -> RowModel:
     """The model of ``values`` (n, channels) int32.
 
-    Its rows will be coded ``chunk`` at a time, or in these chunks; with the near rows of each if
-    the model ``looks_near`` and ``near`` is given.
+    ``chunk``: how many rows are coded together, or the chunks themselves; ``near``: the near rows
+    of the chunks if the rows have positions.
 
     Raises:
         ValueError: an unknown level, or a number of channels outside [1, 256].
@@ -151,47 +179,40 @@ def fit(
         return PaperModel(channels)
     values = np.ascontiguousarray(values, np.int32)
     chunks = runs(rows, chunk) if isinstance(chunk, int) else chunk
-    all_rows = Rows(values, chunks, near)
+    all_rows = RowChunks(values, chunks, near)
     model, size = model_search.fit(all_rows, search=level in ("default", "max"))
-    tables = TableModel(_codec.attributes_header(model), model)
-    paper = PaperModel(channels)
+    tables, paper = make_table_model(model), PaperModel(channels)
     if values.size <= EXACT_SIZE[level]:
-        models: list[Model] = [tables, paper, RawModel(channels)]
+        models: list[RowModel] = [tables, paper, RawModel(channels)]
         if level == "max" and rows >= LEAST_MIXED_ROWS * len(chunks):
-            mixed = model_search.choose_mixed(model, all_rows)
-            models.insert(0, TableModel(_codec.attributes_header(mixed), mixed))
+            models.insert(0, make_table_model(model_search.choose_mixed(model, all_rows)))
         return min(models, key=lambda one: _size(one, all_rows))
     if size >= 4 * values.size:
         return RawModel(channels)
     if level == "fast":
         return tables
-    return paper if _plain_is_smaller(paper, tables, size, all_rows) else tables
+    many = values.size > PLAIN_SIZE
+    paper_size = (_sampled_size if many else _size)(paper, all_rows)
+    if not many and abs(paper_size - size) < size // 100:  # too close for an estimate
+        size = _size(tables, all_rows)
+    return paper if paper_size < size else tables
 
 
-def _plain_is_smaller(plain: Model, tables: Model, size: int, rows: Rows) -> bool:
-    """Whether ``plain`` takes fewer bytes than ``tables``, which take about ``size``."""
-    if rows.values.size > PLAIN_SIZE:
-        return _sampled_size(plain, rows.values, rows.chunks) < size
-    plain_size = _size(plain, rows)
-    close = abs(plain_size - size) < size // 100
-    return plain_size < (_size(tables, rows) if close else size)
-
-
-def _size(model: Model, rows: Rows) -> int:
+def _size(model: RowModel, rows: RowChunks) -> int:
     """Bytes of the header and of all chunks."""
     chunks = enumerate(rows.chunks)
     near = rows.near.of if rows.near and model.looks_near else lambda index: None
     return len(model.header) + sum(len(model.encode(rows.values[c], near(i))) for i, c in chunks)
 
 
-def _sampled_size(model: Model, values: Ints, chunks: list[slice]) -> int:
-    """The same, from a sample in chunks of the mean length."""
-    sample = model_search.take_sample(values)
-    parts = runs(len(sample), min(len(sample), -(-len(values) // len(chunks))))
-    return _size(model, Rows(sample, parts)) * len(values) // len(sample)
+def _sampled_size(model: RowModel, rows: RowChunks) -> int:
+    """About the same, from a sample in chunks of the mean length."""
+    sample, count = model_search.take_sample(rows.values), len(rows.values)
+    parts = runs(len(sample), min(len(sample), -(-count // len(rows.chunks))))
+    return _size(model, RowChunks(sample, parts)) * count // len(sample)
 
 
-def read(header: bytes | memoryview, channels: int) -> Model:
+def read(header: bytes | memoryview, channels: int) -> RowModel:
     """The model of a header.
 
     Raises:
@@ -203,4 +224,4 @@ def read(header: bytes | memoryview, channels: int) -> Model:
         return PaperModel(channels)
     model = np.zeros(channels, CHANNEL)
     _codec.attributes_read(header, model)
-    return TableModel(bytes(header), model)
+    return TableModel(model, bytes(header))

@@ -10,16 +10,23 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.attributes.model import MAX_FACTOR, NEAR, TAP_CLAMP, TAPS, Ints, Models
-from clgs.codec.attributes.near import COUNT
+from clgs.codec.attributes.model import (
+    MAX_FACTOR,
+    NEAR,
+    NEAR_COUNT,
+    TAP_CLAMP,
+    TAPS,
+    Ints,
+    Models,
+)
 
 Floats = npt.NDArray[np.float64]
 
 ROWS = (0, -1, 1, -2)
-"""Rows of earlier channels, and (if negative) of the channel itself, that are tried."""
+"""The rows of earlier channels that are tried, and, if negative, of the channel itself."""
 
 NEAR_ROWS = (0, NEAR)
-"""The same of rows that have positions."""
+"""The rows that are tried if rows have positions."""
 
 LEAST_GAIN = 0.003
 """A term must explain this part of what is left of a channel's variance."""
@@ -37,7 +44,7 @@ FACTOR = 256
 def find_taps(model: Models, sample: Ints, near: Ints | None) -> None:
     """Set the terms of every channel of ``model``, for values ``sample`` (n, channels).
 
-    ``near`` (n, COUNT): the near rows, if they are known by positions.
+    ``near`` (n, NEAR_COUNT) has the near rows, or is None if the rows have no positions.
     """
     channels = len(model)
     rows = ROWS if near is None else NEAR_ROWS
@@ -55,24 +62,20 @@ def find_taps(model: Models, sample: Ints, near: Ints | None) -> None:
 
 
 def _products(value: npt.NDArray[np.int64], near: Ints | None) -> Floats:
-    """Sums of products of all columns, shifted by ROWS: candidate row * channels + column."""
+    """Sums of products of all pairs of candidates; candidate row * channels + column.
+
+    The matrix is summed in tiles that BLAS does not share out among threads of its own: attributes
+    are fitted in several threads already, and those of BLAS wait by spinning.
+    """
     clamped = np.clip(value, -TAP_CLAMP, TAP_CLAMP).astype(np.float64)
     if near is not None:
         around = np.zeros_like(clamped)
-        for k in range(COUNT):
+        for k in range(NEAR_COUNT):
             around[k + 1 :] += clamped[near[k + 1 :, k]]
-        return _gram(np.concatenate([clamped, around / COUNT], axis=1))
-    inner = clamped[2:-1] if len(clamped) > 3 else clamped[:0]
-    shifted = [clamped[2 + row : 2 + row + len(inner)] for row in ROWS]
-    stacked = np.concatenate(shifted, axis=1)
-    return _gram(stacked)
-
-
-def _gram(stacked: Floats) -> Floats:
-    """``stacked.T @ stacked`` in tiles that BLAS does not share out among threads of its own.
-
-    Attributes are fitted in several threads already, and those of BLAS wait by spinning.
-    """
+        stacked = np.concatenate([clamped, around / NEAR_COUNT], axis=1)
+    else:
+        inner = max(len(clamped) - 3, 0)
+        stacked = np.concatenate([clamped[2 + row : 2 + row + inner] for row in ROWS], axis=1)
     columns = stacked.shape[1]
     products = np.zeros((columns, columns))
     for first in range(0, len(stacked), TILE_ROWS):
@@ -85,7 +88,7 @@ def _gram(stacked: Floats) -> Floats:
 
 
 def _pursue(products: Floats, candidates: npt.NDArray[np.intp], j: int) -> list[int]:
-    """The candidates that explain column j, best first."""
+    """The candidates that explain column j; the best comes first."""
     chosen: list[int] = []
     square = products[candidates, candidates]
     with_target = products[candidates, j]
@@ -113,7 +116,7 @@ def _pursue(products: Floats, candidates: npt.NDArray[np.intp], j: int) -> list[
 
 
 def _solve(products: Floats, chosen: list[int], j: int) -> list[int]:
-    """Factors in 1/256 that leave the least squares: normal equations, by elimination."""
+    """Factors in 1/256 that leave the least squares, by elimination of the normal equations."""
     size = len(chosen)
     rows = [[float(products[a, b]) for b in chosen] + [float(products[a, j])] for a in chosen]
     for p in range(size):

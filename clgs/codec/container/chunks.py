@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec.attributes import runlength
-from clgs.codec.container.meta import Grid
+from clgs.codec.container.meta import Meta
 from clgs.codec.container.section_table import ANCH, FEAT, OFFS, SCAL
-from clgs.codec.octree import position_coder
+from clgs.codec.plain_rows import decode_run_lengths, encode_run_lengths
 
 TAGS = (ANCH, OFFS, FEAT, SCAL)
-"""The sections in chunks, in the order of the directory's columns."""
+"""The sections in chunks, in the order of the columns."""
 
 DEFAULT_CHUNK = 65_536
 MIN_CHUNK, MAX_CHUNK = 16, 1 << 20
@@ -33,14 +32,14 @@ COLUMNS = 11
 
 _HEAD = struct.Struct("<11I")
 HEAD_SIZE = _HEAD.size + 4
-"""Bytes of CHNK that tell how long the rest of its head is."""
+"""The first bytes of CHNK, which give the length of the rest of its head."""
 
-Table = npt.NDArray[np.int32]
-Wide = npt.NDArray[np.int64]
+Rows = npt.NDArray[np.int64]
+"""(n, COLUMNS)."""
 
 
 @dataclass(frozen=True)
-class Part:
+class ByteRange:
     """A run of bytes of a section, at byte ``offset`` from its start."""
 
     offset: int
@@ -48,45 +47,44 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Head:
-    """What CHNK says of the whole.
+class DirectoryHead:
+    """The head of CHNK.
 
-    chunk: anchors per chunk, at most; count: number of chunks; headers: for each of TAGS the part
-    that all its chunks share, with its CRC; groups (groups, COLUMNS); places: of every group its
-    part of CHNK, with its CRC; size: bytes of CHNK.
+    chunk: anchors per chunk, at most; count: number of chunks; headers: for each of TAGS the bytes
+    that all its chunks share, with their CRC; groups (groups, COLUMNS); places: of every group its
+    bytes in CHNK, with their CRC; size: bytes of CHNK.
     """
 
     chunk: int
     count: int
-    headers: dict[str, tuple[Part, int]]
-    groups: Wide
-    places: list[tuple[Part, int]]
+    headers: dict[str, tuple[ByteRange, int]]
+    groups: Rows
+    places: list[tuple[ByteRange, int]]
     size: int
 
     def length(self, tag: str) -> int:
         """Bytes of section ``tag``."""
         return self.headers[tag][0].length + int(self.groups[:, 7 + TAGS.index(tag)].sum())
 
-    def starts(self) -> Wide:
-        """The first anchor of every group, and its first byte in each of TAGS: (groups, 5)."""
-        first = [0, *(self.headers[tag][0].length for tag in TAGS)]
-        return _starts(self.groups, np.array(first, np.int64))
-
 
 @dataclass(frozen=True)
 class Chunk:
-    """Neighbouring anchors: which they are, their corners, and their part of each of TAGS.
+    """Neighbouring anchors: their rows, their corners, and their bytes in each of TAGS.
 
-    ``position_crc``: of the part of ANCH; ``rows_crc``: of the others, one after the other.
+    ``position_crc`` is of the bytes in ANCH; ``rows_crc`` of those in the other sections, one
+    after the other.
     """
 
     number: int
     span: slice
     least: tuple[int, int, int]
     greatest: tuple[int, int, int]
-    parts: dict[str, Part]
+    places: dict[str, ByteRange]
     position_crc: int
     rows_crc: int
+
+    def __len__(self) -> int:
+        return int(self.span.stop - self.span.start)
 
 
 def pack_directory(
@@ -97,57 +95,56 @@ def pack_directory(
     streams: dict[str, list[bytes]],
 ) -> bytes:
     """Section CHNK of ``position`` (A, 3) int32 in Morton order, and the bytes of its chunks."""
-    table = np.empty((len(spans), COLUMNS), np.int32)
-    table[:, 0] = [span.stop - span.start for span in spans]
+    rows = np.empty((len(spans), COLUMNS), np.int64)
+    rows[:, 0] = [span.stop - span.start for span in spans]
     if spans:
         first = [span.start for span in spans]
-        table[:, 1:4] = np.minimum.reduceat(position, first)
-        table[:, 4:7] = np.maximum.reduceat(position, first)
+        rows[:, 1:4] = np.minimum.reduceat(position, first)
+        rows[:, 4:7] = np.maximum.reduceat(position, first)
     for column, tag in enumerate(TAGS):
-        table[:, 7 + column] = [len(stream) for stream in streams[tag]]
+        rows[:, 7 + column] = [len(stream) for stream in streams[tag]]
     crcs = [_codec.crc32c(stream) for stream in streams[ANCH]]
-    rows = zip(*(streams[tag] for tag in TAGS[1:]), strict=True)
-    crcs += [_codec.crc32c(b"".join(parts)) for parts in rows]
-    shared = [number for tag in TAGS for number in measure(headers[tag])]
-    return pack_table(chunk, shared, crcs, table)
+    others = zip(*(streams[tag] for tag in TAGS[1:]), strict=True)
+    crcs += [_codec.crc32c(b"".join(parts)) for parts in others]
+    shared = [number for tag in TAGS for number in _length_and_crc(headers[tag])]
+    return pack_rows(chunk, shared, crcs, rows)
 
 
-def measure(data: bytes) -> tuple[int, int]:
-    """Length and CRC."""
+def _length_and_crc(data: bytes) -> tuple[int, int]:
     return len(data), _codec.crc32c(data)
 
 
-def pack_table(chunk: int, shared: list[int], crcs: list[int], table: Table) -> bytes:
-    """CHNK of the columns (chunks, COLUMNS).
+def pack_rows(chunk: int, shared: list[int], crcs: list[int], rows: Rows) -> bytes:
+    """Section CHNK of the rows of all chunks.
 
-    ``shared``: length and CRC of the four headers; ``crcs``: of all chunks' positions, then of
-    their other parts.
+    ``shared``: length and CRC of the four headers; ``crcs``: of the positions of all chunks, then
+    of their other bytes.
     """
-    wide = table.astype(np.int64)
-    parts = [wide[at : at + GROUP] for at in range(0, len(wide), GROUP)]
-    sums = np.array([_join(part) for part in parts], np.int64).reshape(-1, COLUMNS)
-    groups = []
-    for i, (part, total) in enumerate(zip(parts, sums, strict=True)):
-        own = slice(GROUP * i, GROUP * (i + 1))
-        both = [*crcs[: len(wide)][own], *crcs[len(wide) :][own]]
-        coded = runlength.encode(_relative(part, total).astype(np.int32))
+    groups, sums = [], np.empty((0, COLUMNS), np.int64)
+    for start in range(0, len(rows), GROUP):
+        own = slice(start, start + GROUP)
+        part = rows[own]
+        total = _join(part)
+        both = [*crcs[: len(rows)][own], *crcs[len(rows) :][own]]
+        coded = encode_run_lengths(_relative(part, total).astype(np.int32))
         groups.append(struct.pack(f"<{2 * len(part)}I", *both) + coded)
-    places = [number for group in groups for number in measure(group)]
-    rows = runlength.encode(_relative(sums, np.zeros(COLUMNS, np.int64)).astype(np.int32))
-    more = struct.pack(f"<{len(places)}I", *places) + rows
-    start = _HEAD.pack(chunk, len(table), *shared, len(rows))
-    crc = struct.pack("<I", _codec.crc32c(start + more))
-    return b"".join([start, crc, more, *groups])
+        sums = np.concatenate([sums, total[None]])
+    places = [number for group in groups for number in _length_and_crc(group)]
+    coded = encode_run_lengths(_relative(sums, np.zeros(COLUMNS, np.int64)).astype(np.int32))
+    start_of_head = _HEAD.pack(chunk, len(rows), *shared, len(coded))
+    rest_of_head = struct.pack(f"<{len(places)}I", *places) + coded
+    crc = struct.pack("<I", _codec.crc32c(start_of_head + rest_of_head))
+    return b"".join([start_of_head, crc, rest_of_head, *groups])
 
 
-def _join(rows: Wide) -> Wide:
-    """The row of a group of chunks."""
-    total: Wide = rows.sum(axis=0)
+def _join(rows: Rows) -> Rows:
+    """The row of a group with the chunks ``rows``."""
+    total: Rows = rows.sum(axis=0)
     total[1:4], total[4:7] = rows[:, 1:4].min(axis=0), rows[:, 4:7].max(axis=0)
     return total
 
 
-def _relative(rows: Wide, total: Wide) -> Wide:
+def _relative(rows: Rows, total: Rows) -> Rows:
     """Rows as they are coded.
 
     Least corners minus those before, greatest minus least, bytes minus the share of ``total``.
@@ -160,7 +157,7 @@ def _relative(rows: Wide, total: Wide) -> Wide:
     return relative
 
 
-def _absolute(relative: Wide, total: Wide) -> Wide:
+def _absolute(relative: Rows, total: Rows) -> Rows:
     """The rows that ``_relative`` was given."""
     rows = relative.copy()
     rows[:1, 1:4] += total[1:4]
@@ -170,13 +167,13 @@ def _absolute(relative: Wide, total: Wide) -> Wide:
     return rows
 
 
-def _shares(anchors: Wide, total: Wide) -> Wide:
+def _shares(anchors: Rows, total: Rows) -> Rows:
     """Bytes (rows, 4) in proportion to ``anchors``, rounded down."""
     return anchors[:, None] * total[7:] // max(int(total[0]), 1)
 
 
-def _starts(rows: Wide, first: Wide) -> Wide:
-    """Sums (rows, 5) of anchors and bytes over the rows before, from ``first`` on."""
+def _starts(rows: Rows, first: Rows) -> Rows:
+    """First anchor and first byte in each of TAGS of every row (rows, 5), from ``first`` on."""
     sizes = rows[:, [0, 7, 8, 9, 10]]
     return np.asarray(first + np.cumsum(sizes, axis=0) - sizes)
 
@@ -193,7 +190,7 @@ def head_size(data: bytes | memoryview) -> int:
     return int(HEAD_SIZE + 8 * -(-count // GROUP) + rows)
 
 
-def unpack_head(data: bytes | memoryview) -> Head:
+def unpack_head(data: bytes | memoryview) -> DirectoryHead:
     """The head, of ``head_size`` bytes.
 
     Raises:
@@ -205,88 +202,70 @@ def unpack_head(data: bytes | memoryview) -> Head:
     if _codec.crc32c(b"".join([data[: _HEAD.size], data[HEAD_SIZE:]])) != crc:
         raise ValueError("checksum of the head differs")
     numbers = struct.unpack_from(f"<{2 * groups}I", data, HEAD_SIZE)
-    coded = runlength.decode(data[HEAD_SIZE + 8 * groups :], groups, COLUMNS).astype(np.int64)
+    coded = decode_run_lengths(data[HEAD_SIZE + 8 * groups :], groups, COLUMNS).astype(np.int64)
     offsets = len(data) + np.cumsum([0, *numbers[::2]])
     places = [
-        (Part(int(at), length), crc)
+        (ByteRange(int(at), length), crc)
         for at, length, crc in zip(offsets, numbers[::2], numbers[1::2], strict=False)
     ]
     headers = {
-        tag: (Part(0, shared[2 * column]), shared[2 * column + 1])
-        for column, tag in enumerate(TAGS)
+        tag: (ByteRange(0, length), crc)
+        for tag, length, crc in zip(TAGS, shared[::2], shared[1::2], strict=True)
     }
     rows = _absolute(coded, np.zeros(COLUMNS, np.int64))
-    return Head(chunk, count, headers, rows, places, int(offsets[-1]))
+    return DirectoryHead(chunk, count, headers, rows, places, int(offsets[-1]))
 
 
-def check_head(head: Head, anchors: int, grid: Grid) -> None:
-    """Raise ValueError unless ``head`` fits a file of ``anchors`` anchors on ``grid``."""
+def check_head(head: DirectoryHead, meta: Meta) -> None:
+    """Raise ValueError unless ``head`` fits a file with this META.
+
+    The grid of META must be the smallest one that holds all corners.
+    """
     counts = head.groups[:, 0]
-    if not 1 <= head.chunk <= MAX_CHUNK or (counts < 1).any() or int(counts.sum()) != anchors:
-        raise ValueError(f"chunks do not hold {anchors} anchors, 1 to {MAX_CHUNK} each")
+    if not 1 <= head.chunk <= MAX_CHUNK or (counts < 1).any() or int(counts.sum()) != meta.anchors:
+        raise ValueError(f"chunks do not hold {meta.anchors} anchors, 1 to {MAX_CHUNK} each")
     if (head.groups[:, 7:] < 0).any():
         raise ValueError("a group has a negative length")
     least, greatest = head.groups[:, 1:4], head.groups[:, 4:7]
     if (abs(head.groups[:, 1:7] * 2 + 1) > 2**32).any() or (least > greatest).any():
         raise ValueError("corners of a group are outside of int32, or in another order")
-    _check_corners(least, greatest, grid)
-
-
-def _check_corners(least: Wide, greatest: Wide, grid: Grid) -> None:
-    """Raise ValueError unless the grid is the smallest that holds all corners."""
-    origin = np.array(grid.origin, np.int64)
     if len(least) == 0:
-        if grid.depth > 0 or origin.any():
+        if meta.depth > 0 or any(meta.origin):
             raise ValueError("a grid without anchors")
         return
+    origin = np.array(meta.origin, np.int64)
     if (least.min(axis=0) != origin).any():
         raise ValueError("corners of a group do not fit the origin")
-    if int((greatest - origin).max()).bit_length() != grid.depth:
-        raise ValueError(f"corners of a group do not fit depth {grid.depth}")
+    if int((greatest - origin).max()).bit_length() != meta.depth:
+        raise ValueError(f"corners of a group do not fit depth {meta.depth}")
 
 
-def unpack_group(data: bytes | memoryview, head: Head, index: int) -> list[Chunk]:
+def unpack_group(data: bytes | memoryview, head: DirectoryHead, index: int) -> list[Chunk]:
     """The chunks of group ``index``.
 
     Raises:
         ValueError: they are damaged, or do not fit the head.
     """
-    count = min(GROUP, head.count - GROUP * index)
+    first_chunk = GROUP * index
+    count = min(GROUP, head.count - first_chunk)
     if len(data) < 8 * count:
         raise ValueError(f"{len(data)} bytes cannot hold {count} chunks")
     crcs = struct.unpack_from(f"<{2 * count}I", data)
     total = head.groups[index]
-    coded = runlength.decode(data[8 * count :], count, COLUMNS).astype(np.int64)
-    rows = _absolute(coded, total)
-    _check_group(rows, total, head.chunk)
-    starts = _starts(rows, head.starts()[index])
-    return [
-        _chunk(GROUP * index + i, row, start, (crcs[i], crcs[count + i]))
-        for i, (row, start) in enumerate(zip(rows.tolist(), starts.tolist(), strict=True))
-    ]
-
-
-def _check_group(rows: Wide, total: Wide, chunk: int) -> None:
-    """Raise ValueError unless the chunks are those of the group that the head has."""
-    if (rows[:, 0] < 1).any() or (rows[:, 0] > chunk).any():
-        raise ValueError(f"numbers of anchors per chunk are not in [1, {chunk}]")
+    rows = _absolute(decode_run_lengths(data[8 * count :], count, COLUMNS).astype(np.int64), total)
+    if (rows[:, 0] < 1).any() or (rows[:, 0] > head.chunk).any():
+        raise ValueError(f"numbers of anchors per chunk are not in [1, {head.chunk}]")
     if (rows[:, 7:] < 0).any():
         raise ValueError("a chunk has a negative length")
     if (rows[:, 1:4] > rows[:, 4:7]).any() or (_join(rows) != total).any():
         raise ValueError("chunks do not fit their group")
-
-
-def _chunk(number: int, row: list[int], start: list[int], crcs: tuple[int, int]) -> Chunk:
-    x, y, z = row[1:4]
-    right, top, far = row[4:7]
-    parts = {tag: Part(start[1 + i], row[7 + i]) for i, tag in enumerate(TAGS)}
-    span = slice(start[0], start[0] + row[0])
-    return Chunk(number, span, (x, y, z), (right, top, far), parts, *crcs)
-
-
-def make_grid(position: npt.NDArray[np.int32], level: str) -> Grid:
-    """The smallest grid that holds ``position`` (A, 3) int32."""
-    if len(position) == 0:
-        return Grid((0, 0, 0), 0, level)
-    (x, y, z), high = position_coder.corners(position)
-    return Grid((x, y, z), max(high[0] - x, high[1] - y, high[2] - z).bit_length(), level)
+    headers = [0, *(head.headers[tag][0].length for tag in TAGS)]
+    starts = _starts(rows, _starts(head.groups, np.array(headers, np.int64))[index])
+    found = []
+    for i, (row, start) in enumerate(zip(rows.tolist(), starts.tolist(), strict=True)):
+        places = {tag: ByteRange(start[1 + k], row[7 + k]) for k, tag in enumerate(TAGS)}
+        span = slice(start[0], start[0] + row[0])
+        least, greatest = (row[1], row[2], row[3]), (row[4], row[5], row[6])
+        number = first_chunk + i
+        found.append(Chunk(number, span, least, greatest, places, crcs[i], crcs[count + i]))
+    return found

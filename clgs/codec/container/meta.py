@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec.attributes import row_coder
-from clgs.codec.octree.position_coder import MAX_DEPTH
+from clgs.codec.octree import MAX_DEPTH
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
@@ -19,38 +19,35 @@ from clgs.scene.scene import RenderSettings, SceneTransform
 
 SCALING_DIM = 6
 MAX_ANCHORS = 12_000_000
-"""Anchors of one file: their integers take 4 GiB."""
+"""The most anchors that a file holds; their integers take 4 GiB."""
 
 LEVELS = row_coder.LEVELS
-"""How much time the encoder spent; a file holds the place in this list."""
+"""How much time the encoder spends; a file holds the place in this list."""
 
 _META = struct.Struct("<IHHHHI16d8s3iBBH")
 _SHAPE = (K_OFFSETS, FEATURE_DIM, SCALING_DIM, 0, MLP_SIZE)
 
 
 @dataclass(frozen=True)
-class Grid:
-    """Where the positions lie: in origin + [0, 2^depth) on every axis; and the encoder's level."""
-
-    origin: tuple[int, int, int]
-    depth: int
-    level: str
-
-
-@dataclass(frozen=True)
 class Meta:
-    """What META holds; ``content_hash``: of the decoded arrays, 8 bytes."""
+    """The contents of META.
+
+    ``content_hash``: 8 bytes, of the decoded arrays; positions lie in ``origin`` + [0, 2^depth) on
+    every axis; ``level``: one of LEVELS, that of the encoder.
+    """
 
     anchors: int
     scales: QuantizationScales
     transform: SceneTransform
     settings: RenderSettings
     content_hash: bytes
-    grid: Grid
+    origin: tuple[int, int, int]
+    depth: int
+    level: str
 
     def pack(self) -> bytes:
         """The bytes of the section."""
-        scales, settings, grid = self.scales, self.settings, self.grid
+        scales, settings = self.scales, self.settings
         return _META.pack(
             self.anchors,
             *_SHAPE,
@@ -61,7 +58,7 @@ class Meta:
             *(settings.near, settings.alpha_cut, settings.alpha_max),
             *(settings.transmittance_stop, settings.blur),
             self.content_hash,
-            *(*grid.origin, grid.depth, LEVELS.index(grid.level), 0),
+            *(*self.origin, self.depth, LEVELS.index(self.level), 0),
         )
 
 
@@ -87,28 +84,27 @@ def unpack_meta(data: bytes | memoryview) -> Meta:
         raise ValueError(f"shape is {values[1:6]}, this build reads {_SHAPE}")
     numbers = values[6:22]
     centre, background = numbers[4:7], numbers[8:11]
+    *origin, depth, level, reserved = values[23:]
+    if depth > MAX_DEPTH or level >= len(LEVELS) or reserved != 0:
+        raise ValueError(f"depth {depth}, level {level} or the bytes after them are out of range")
     meta = Meta(
         anchors=values[0],
         scales=QuantizationScales(*numbers[0:4]),
         transform=SceneTransform((centre[0], centre[1], centre[2]), numbers[7]),
         settings=RenderSettings((background[0], background[1], background[2]), *numbers[11:16]),
         content_hash=values[22],
-        grid=_make_grid(*values[23:]),
+        origin=(origin[0], origin[1], origin[2]),
+        depth=depth,
+        level=LEVELS[level],
     )
     check_meta(meta.anchors, meta.scales, meta.transform, meta.settings)
     return meta
 
 
-def _make_grid(x: int, y: int, z: int, depth: int, level: int, reserved: int) -> Grid:
-    if depth > MAX_DEPTH or level >= len(LEVELS) or reserved != 0:
-        raise ValueError(f"depth {depth}, level {level} or the bytes after them are out of range")
-    return Grid((x, y, z), depth, LEVELS[level])
-
-
 def content_arrays(
     anchors: QuantizedAnchors, weights: npt.NDArray[np.float32]
 ) -> list[npt.NDArray[np.int32] | npt.NDArray[np.float32]]:
-    """What the content hash is over, in order: position, offset, feature, scaling, weights."""
+    """The arrays that the content hash covers, in its order."""
     return [anchors.position, anchors.offset, anchors.feature, anchors.scaling, weights]
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec import weights
+from clgs.codec import octree, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.container import chunks, section_table
-from clgs.codec.container.chunks import HEAD_SIZE, TAGS, Chunk, Head, Part
+from clgs.codec.container.chunks import HEAD_SIZE, TAGS, ByteRange, Chunk
 from clgs.codec.container.meta import SCALING_DIM, unpack_meta
 from clgs.codec.container.section_table import (
     ANCH,
@@ -22,11 +22,10 @@ from clgs.codec.container.section_table import (
     MLPS,
     OFFS,
     SCAL,
+    RandomAccess,
     Section,
-    Table,
+    SectionTable,
 )
-from clgs.codec.container.source import Source
-from clgs.codec.octree import position_coder, subtrees
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import Mlps
@@ -41,44 +40,52 @@ Meets: TypeAlias = Callable[[npt.NDArray[np.int64], npt.NDArray[np.int64]], npt.
 _T = TypeVar("_T")
 
 
-class Reader:
-    """META and CHNK of a file, checked, and functions for its chunks, which threads may share."""
+class SceneReader:
+    """META and the head of CHNK, checked, and functions for the chunks, which threads may share.
 
-    def __init__(self, source: Source, table: Table) -> None:
+    Raises:
+        CodecError: one of them is damaged, or other sections are not as long as CHNK says.
+    """
+
+    def __init__(self, source: RandomAccess, table: SectionTable) -> None:
         self._source = source
-        self._table = table
-        self.meta = guarded(self._section(META), unpack_meta)
-        self.head = self._read_head()
-        self._check_lengths()
+        self._entries = table.entries
+        self.meta = guarded(section_table.read_section(source, table.entries[META]), unpack_meta)
+        part = self._read(CHNK, ByteRange(0, min(HEAD_SIZE, table.entries[CHNK].length)))
+        rest = self._read(CHNK, ByteRange(HEAD_SIZE, guarded(part, chunks.head_size) - HEAD_SIZE))
+        part = Section(CHNK, part.offset, memoryview(b"".join([part.data, rest.data])))
+        self.head = head = guarded(part, chunks.unpack_head)
+        guarded(part, lambda _: chunks.check_head(head, self.meta))
+        # No count is believed before there are bytes that can hold it.
+        for tag, size in {CHNK: head.size, **{tag: head.length(tag) for tag in TAGS}}.items():
+            length = table.entries[tag].length
+            if length != size:
+                raise self.error(tag, f"{length} bytes, its chunks have {size}")
+        if head.headers[ANCH] != (ByteRange(0, 0), 0):
+            raise self.error(ANCH, "a header that must be empty")
 
     def chunks(self, meets: Meets | None = None) -> list[Chunk]:
-        """The chunks whose box ``meets`` takes, by default all; no other group is read.
+        """All chunks, or those whose box ``meets`` takes; then other groups are not read.
 
         Raises:
             CodecError: a group is damaged.
         """
-        corners = self.head.groups[:, 1:4], self.head.groups[:, 4:7]
-        met = meets(*corners) if meets else np.ones(len(self.head.groups), bool)
+        groups = self.head.groups
+        met = meets(groups[:, 1:4], groups[:, 4:7]) if meets else np.ones(len(groups), bool)
         listed = [chunk for index in np.flatnonzero(met).tolist() for chunk in self._group(index)]
         if meets is None or not listed:
             return listed
-        least, greatest = (
-            np.array([c.least for c in listed]),
-            np.array([c.greatest for c in listed]),
-        )
-        return [listed[i] for i in np.flatnonzero(meets(least, greatest)).tolist()]
+        corners = (np.array([getattr(c, name) for c in listed]) for name in ("least", "greatest"))
+        return [listed[i] for i in np.flatnonzero(meets(*corners)).tolist()]
 
     def _group(self, index: int) -> list[Chunk]:
         """The chunks of a group, after all checks that need no decoding."""
-        place, crc = self.head.places[index]
-        part = self._read(CHNK, place)
-        if _codec.crc32c(part.data) != crc:
-            raise part.error(f"checksum of group {index} differs")
+        part = self._verified(CHNK, *self.head.places[index], f"checksum of group {index} differs")
         listed = guarded(part, chunks.unpack_group, self.head, index)
         for chunk in listed:
-            length, count = chunk.parts[ANCH].length, chunk.span.stop - chunk.span.start
-            if count > length * position_coder.MAX_POINTS_PER_BYTE:
-                what = f"chunk {chunk.number}: {length} bytes cannot hold {count} points"
+            length = chunk.places[ANCH].length
+            if len(chunk) > length * octree.MAX_POINTS_PER_BYTE:
+                what = f"chunk {chunk.number}: {length} bytes cannot hold {len(chunk)} points"
                 raise self.error(ANCH, what)
         return listed
 
@@ -88,18 +95,19 @@ class Reader:
         Raises:
             CodecError: the chunk is damaged.
         """
-        part = self._read(ANCH, chunk.parts[ANCH])
-        if _codec.crc32c(part.data) != chunk.position_crc:
-            raise part.error(f"chunk {chunk.number}: checksum differs")
-        cell = subtrees.cell(chunk.least, chunk.greatest, self.meta.grid.origin)
-        position = _in_chunk(
-            part, chunk, lambda data, count: position_coder.decode_in(data, count, *cell)
-        )
-        low, high = position_coder.corners(position)
+        name = f"chunk {chunk.number}"
+        place, crc = chunk.places[ANCH], chunk.position_crc
+        part = self._verified(ANCH, place, crc, f"{name}: checksum differs")
+        corner, depth = octree.enclosing_cell(chunk.least, chunk.greatest, self.meta.origin)
+        try:
+            position = octree.decode_in(part.data, len(chunk), corner, depth)
+        except ValueError as error:
+            raise part.error(f"{name}: {error}") from error
+        low, high = octree.bounds(position)
         if tuple(low) != chunk.least:
-            raise part.error(f"chunk {chunk.number}: least position is {low}")
+            raise part.error(f"{name}: least position is {low}")
         if tuple(high) != chunk.greatest:
-            raise part.error(f"chunk {chunk.number}: greatest position is {high}")
+            raise part.error(f"{name}: greatest position is {high}")
         return position
 
     def streams(self, chunk: Chunk) -> dict[str, Section]:
@@ -108,7 +116,7 @@ class Reader:
         Raises:
             CodecError: they are damaged.
         """
-        parts = {tag: self._read(tag, chunk.parts[tag]) for tag in CHANNELS}
+        parts = {tag: self._read(tag, chunk.places[tag]) for tag in CHANNELS}
         joined = b"".join(part.data for part in parts.values())
         if _codec.crc32c(joined) != chunk.rows_crc:
             places = ", ".join(f"{tag} at byte {part.offset}" for tag, part in parts.items())
@@ -116,39 +124,14 @@ class Reader:
             raise section_table.damage(f"sections {places}", what)
         return parts
 
-    def codes(self, position: npt.NDArray[np.int32]) -> npt.NDArray[np.uint64]:
-        """Morton codes of positions that were checked to lie on the grid."""
-        code = np.empty(len(position), np.uint64)
-        _codec.morton_encode(position, code, *self.meta.grid.origin)
-        return code
-
-    def model(self, tag: str) -> row_coder.Model:
+    def model(self, tag: str) -> row_coder.RowModel:
         """The model that all chunks of section ``tag`` share.
 
         Raises:
             CodecError: the section's header is damaged.
         """
-        shared, crc = self.head.headers[tag]
-        part = self._read(tag, shared)
-        if _codec.crc32c(part.data) != crc:
-            raise part.error("checksum of the header differs")
+        part = self._verified(tag, *self.head.headers[tag], "checksum of the header differs")
         return guarded(part, row_coder.read, CHANNELS[tag])
-
-    def rows(
-        self,
-        model: row_coder.Model,
-        stream: Section,
-        chunk: Chunk,
-        near: npt.NDArray[np.int32] | None,
-    ) -> npt.NDArray[np.int32]:
-        """Attributes (n, channels) int32 of a chunk, of one of its ``streams``.
-
-        ``near``: its near rows if the model looks at them.
-
-        Raises:
-            CodecError: the chunk is damaged.
-        """
-        return _in_chunk(stream, chunk, lambda data, count: model.decode(data, count, near))
 
     def weights(self) -> npt.NDArray[np.float32]:
         """The weights of the MLPs (13710,) float32.
@@ -156,7 +139,7 @@ class Reader:
         Raises:
             CodecError: the section is damaged.
         """
-        return decode_weights(self._section(MLPS))
+        return decode_weights(section_table.read_section(self._source, self._entries[MLPS]))
 
     def scene(self, anchors: QuantizedAnchors, weights: npt.NDArray[np.float32]) -> QuantizedScene:
         """The scene of ``anchors`` with the file's settings."""
@@ -165,36 +148,21 @@ class Reader:
 
     def error(self, tag: str, what: str) -> Exception:
         """A CodecError that names section ``tag``."""
-        return Section(tag, self._table.entries[tag].offset, memoryview(b"")).error(what)
+        return Section(tag, self._entries[tag].offset, memoryview(b"")).error(what)
 
-    def _section(self, tag: str) -> Section:
-        return section_table.read_section(self._source, self._table.entries[tag])
+    def _read(self, tag: str, place: ByteRange) -> Section:
+        entry, end = self._entries[tag], place.offset + place.length
+        if end > entry.length:
+            raise self.error(tag, f"{entry.length} bytes, {end} are needed")
+        offset = entry.offset + place.offset
+        return Section(tag, offset, self._source.read(offset, place.length))
 
-    def _read_head(self) -> Head:
-        part = self._read(CHNK, Part(0, min(HEAD_SIZE, self._table.entries[CHNK].length)))
-        size = guarded(part, chunks.head_size)
-        rest = self._read(CHNK, Part(HEAD_SIZE, size - HEAD_SIZE))
-        part = Section(CHNK, part.offset, memoryview(b"".join([part.data, rest.data])))
-        head = guarded(part, chunks.unpack_head)
-        guarded(part, lambda _: chunks.check_head(head, self.meta.anchors, self.meta.grid))
-        return head
-
-    def _check_lengths(self) -> None:
-        """No count is believed before there are bytes that can hold it."""
-        declared = {CHNK: self.head.size, **{tag: self.head.length(tag) for tag in TAGS}}
-        for tag, size in declared.items():
-            length = self._table.entries[tag].length
-            if length != size:
-                raise self.error(tag, f"{length} bytes, its chunks have {size}")
-        if self.head.headers[ANCH] != (Part(0, 0), 0):
-            raise self.error(ANCH, "a header that must be empty")
-
-    def _read(self, tag: str, part: Part) -> Section:
-        entry = self._table.entries[tag]
-        if part.offset + part.length > entry.length:
-            raise self.error(tag, f"{entry.length} bytes, {part.offset + part.length} are needed")
-        offset = entry.offset + part.offset
-        return Section(tag, offset, self._source.read(offset, part.length))
+    def _verified(self, tag: str, place: ByteRange, crc: int, otherwise: str) -> Section:
+        """Bytes of a section with this checksum; ``otherwise`` is the message if it differs."""
+        part = self._read(tag, place)
+        if _codec.crc32c(part.data) != crc:
+            raise part.error(otherwise)
+        return part
 
 
 def decode_weights(section: Section) -> npt.NDArray[np.float32]:
@@ -215,14 +183,3 @@ def guarded(section: Section, function: Callable[..., _T], *arguments: object) -
         return function(section.data, *arguments)
     except ValueError as error:
         raise section.error(str(error)) from error
-
-
-def _in_chunk(
-    part: Section,
-    chunk: Chunk,
-    function: Callable[[memoryview, int], npt.NDArray[np.int32]],
-) -> npt.NDArray[np.int32]:
-    try:
-        return function(part.data, chunk.span.stop - chunk.span.start)
-    except ValueError as error:
-        raise part.error(f"chunk {chunk.number}: {error}") from error

@@ -1,16 +1,21 @@
-"""The .clgs container: signature, section table, checksums (codec_c/FORMAT.md on the container)."""
+"""The .clgs container: where its bytes come from, signature, section table, checksums.
+
+The format is in part 2 of codec_c/FORMAT.md.
+"""
 
 from __future__ import annotations
 
 import struct
+import threading
 from dataclasses import dataclass
+from io import RawIOBase
+from typing import Protocol
 
 from clgs import _codec
-from clgs.codec.container.source import BytesSource, Source
 from clgs.errors import CodecError
 
 MAGIC = b"\x8bCLGS\r\n\x1a"
-"""Not text (0x8B); the line ends and the DOS end-of-file expose transfers that alter them."""
+"""0x8B is in no text; the line ends and DOS's end of file expose transfers that alter them."""
 
 META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS = "META", "CHNK", "ANCH", "OFFS", "FEAT", "SCAL", "MLPS"
 
@@ -36,6 +41,58 @@ _CRC = struct.Struct("<I")
 _REMEDY = "the file is damaged; copy or encode it again"
 
 
+class RandomAccess(Protocol):
+    """The bytes of a file, ``size`` of them, of which any part can be read."""
+
+    size: int
+
+    def read(self, offset: int, length: int) -> memoryview:
+        """``length`` bytes from ``offset`` on; the caller has checked them against ``size``."""
+        ...
+
+
+class BytesSource:
+    """Bytes in memory."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = memoryview(data)
+        self.size = len(data)
+
+    def read(self, offset: int, length: int) -> memoryview:
+        """A view, nothing copied."""
+        return self._data[offset : offset + length]
+
+
+class FileSource:
+    """An open file that can seek, without a buffer; threads may share it.
+
+    ``bytes_read`` counts what was read.
+    """
+
+    def __init__(self, file: RawIOBase) -> None:
+        self._file = file
+        self._turn = threading.Lock()
+        self.size = file.seek(0, 2)
+        self.bytes_read = 0
+
+    def read(self, offset: int, length: int) -> memoryview:
+        """The bytes, read from the file.
+
+        Raises:
+            CodecError: the file has become shorter since it was opened.
+        """
+        data = memoryview(bytearray(length))
+        with self._turn:
+            self._file.seek(offset)
+            done = 0
+            while done < length and (count := self._file.readinto(data[done:])):
+                done += count
+            self.bytes_read += done
+        if done < length:
+            raise CodecError(f"file at byte {offset + done}: it was cut while it was read")
+        return data
+
+
 @dataclass(frozen=True)
 class Section:
     """One section: its tag, where it lies in the file (bytes), and its content."""
@@ -50,8 +107,8 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One row of the section table; ``crc`` of the section's bytes."""
+class SectionEntry:
+    """One row of the section table; ``crc`` is that of the section's bytes."""
 
     tag: str
     offset: int
@@ -60,14 +117,11 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Table:
-    """What a file says of itself.
-
-    ``version`` as "1.0"; ``entries``: the sections by tag, unknown ones included.
-    """
+class SectionTable:
+    """The version of a file, such as "1.0", and its sections by tag, unknown ones included."""
 
     version: str
-    entries: dict[str, Entry]
+    entries: dict[str, SectionEntry]
 
 
 def damage(where: str, what: str) -> CodecError:
@@ -86,7 +140,7 @@ def write_container(contents: dict[str, bytes]) -> bytes:
     return b"".join([header, _CRC.pack(_codec.crc32c(header)), *contents.values()])
 
 
-def read_container(data: bytes, splats: bool = False) -> tuple[Table, dict[str, Section]]:
+def read_container(data: bytes, splats: bool = False) -> tuple[SectionTable, dict[str, Section]]:
     """The table of a whole file and its known sections, every section's checksum verified.
 
     The file must hold a scene, or ``splats``.
@@ -100,7 +154,7 @@ def read_container(data: bytes, splats: bool = False) -> tuple[Table, dict[str, 
     return table, {tag: sections[tag] for tag in (SPLATS if splats else SCENE)}
 
 
-def read_section(source: Source, entry: Entry) -> Section:
+def read_section(source: RandomAccess, entry: SectionEntry) -> Section:
     """The content of one section, its checksum verified.
 
     Raises:
@@ -112,7 +166,7 @@ def read_section(source: Source, entry: Entry) -> Section:
     return section
 
 
-def read_table(source: Source, splats: bool = False) -> Table:
+def read_table(source: RandomAccess, splats: bool = False) -> SectionTable:
     """The section table, after all checks but the checksums of the sections themselves.
 
     The file must hold a scene, or ``splats``.
@@ -126,11 +180,14 @@ def read_table(source: Source, splats: bool = False) -> Table:
     header = head + source.read(_HEAD.size, count * _ENTRY.size + _CRC.size)
     if _codec.crc32c(header[:table_end]) != _CRC.unpack_from(header, table_end)[0]:
         raise damage(f"header at byte {table_end}", "checksum differs")
-    known = _known_tags(header[_HEAD.size : _HEAD.size + 4], splats)
-    entries: dict[str, Entry] = {}
+    if (header[_HEAD.size : _HEAD.size + 4] == SPLT.encode("ascii")) != splats:
+        what = "a scene; use `clgs decode`" if splats else "splats; use `clgs unpack`"
+        raise CodecError(f"section table at byte 16: the file holds {what}")
+    known = SPLATS if splats else SCENE
+    entries: dict[str, SectionEntry] = {}
     end = table_end + _CRC.size
     for at in range(_HEAD.size, table_end, _ENTRY.size):
-        entry = _check_entry(at, _ENTRY.unpack_from(header, at), known, entries)
+        entry = _add_entry(entries, at, _ENTRY.unpack_from(header, at), known)
         if entry.offset != end or entry.length > source.size - end:
             where = f"section {entry.tag} at byte {entry.offset}"
             raise damage(where, f"{entry.length} bytes do not fit the file")
@@ -138,24 +195,16 @@ def read_table(source: Source, splats: bool = False) -> Table:
     if end != source.size:
         raise damage(f"file at byte {end}", f"{source.size - end} bytes follow the last section")
     _check_order(list(entries), known)
-    return Table(f"{MAJOR}.{minor}", entries)
+    return SectionTable(f"{MAJOR}.{minor}", entries)
 
 
-def _known_tags(first: bytes, splats: bool) -> tuple[str, ...]:
-    """The required sections of a file whose table begins with tag ``first``."""
-    holds_splats = first == SPLT.encode("ascii")
-    if holds_splats and not splats:
-        raise CodecError("section table at byte 16: the file holds splats; use `clgs unpack`")
-    if splats and not holds_splats:
-        raise CodecError("section table at byte 16: the file holds a scene; use `clgs decode`")
-    return SPLATS if splats else SCENE
-
-
-def _check_entry(
-    at: int, fields: tuple[bytes, int, int, int, int, int], known: tuple[str, ...],
-    entries: dict[str, Entry],
-) -> Entry:  # fmt: skip
-    """The entry at byte ``at``, added to ``entries``; refused if it is required and unknown."""
+def _add_entry(
+    entries: dict[str, SectionEntry],
+    at: int,
+    fields: tuple[bytes, int, int, int, int, int],
+    known: tuple[str, ...],
+) -> SectionEntry:
+    """The entry at byte ``at``, which is added to ``entries`` unless it must be refused."""
     raw_tag, flags, offset, length, crc, reserved = fields
     tag = raw_tag.decode("ascii", "replace")
     malformed = not raw_tag.isalpha() or reserved != 0 or flags > REQUIRED
@@ -163,7 +212,7 @@ def _check_entry(
         raise damage(f"section table at byte {at}", f"entry {tag!r} is repeated or malformed")
     if flags == REQUIRED and tag not in known:
         raise CodecError(f"section {tag} at byte {offset}: unknown; update clgs")
-    entries[tag] = Entry(tag, offset, length, crc)
+    entries[tag] = SectionEntry(tag, offset, length, crc)
     return entries[tag]
 
 
@@ -177,8 +226,14 @@ def _check_order(tags: list[str], known: tuple[str, ...]) -> None:
 
 def _check_head(head: bytes, size: int) -> tuple[int, int]:
     """Minor version and number of sections, after the checks of signature, version and size."""
+    if not head:
+        raise CodecError("header at byte 0: the file is empty; encode the scene again")
+    if head[:5] != MAGIC[:5]:
+        raise CodecError("header at byte 0: not a .clgs file; make one with `clgs encode`")
     if head[: len(MAGIC)] != MAGIC:
-        raise _signature_error(head)
+        raise CodecError(
+            "header at byte 5: line ends were changed or the file is cut; transfer it as binary"
+        )
     if len(head) < _HEAD.size:
         raise damage("header at byte 0", f"{len(head)} bytes are too few")
     _, major, minor, count = _HEAD.unpack(head)
@@ -190,13 +245,3 @@ def _check_head(head: bytes, size: int) -> tuple[int, int]:
     if count * _ENTRY.size + _CRC.size > size - _HEAD.size:
         raise damage("section table at byte 16", "the file ends in it")
     return minor, count
-
-
-def _signature_error(head: bytes) -> CodecError:
-    if not head:
-        return CodecError("header at byte 0: the file is empty; encode the scene again")
-    if head[:5] == MAGIC[:5]:
-        return CodecError(
-            "header at byte 5: line ends were changed or the file is cut; transfer it as binary"
-        )
-    return CodecError("header at byte 0: not a .clgs file; make one with `clgs encode`")

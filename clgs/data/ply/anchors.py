@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.octree.position_coder import MAX_EXTENT
+from clgs.codec.octree import MAX_EXTENT
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.data.ply.mlps_archive import holds, load_mlps, mlps_path, pack_mlps
 from clgs.data.ply.table import Table, narrowest, pack_ply, read_ply

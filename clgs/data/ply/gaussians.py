@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.splats import Splats, unpack
+from clgs.codec.splat_packing import QuantizedSplats, unpack
 from clgs.data.ply.splat_steps import POSITION, SCALE
 from clgs.data.ply.splats import FEATURE_OF_ANCHORS, ROTATION
 from clgs.data.ply.table import read_ply
@@ -66,7 +66,7 @@ def read_gaussians(path: Path | str) -> HostGaussians:
     return gaussians_of(columns, path)
 
 
-def gaussians_of_splats(splats: Splats, path: Path) -> HostGaussians:
+def gaussians_of_splats(splats: QuantizedSplats, path: Path) -> HostGaussians:
     """The Gaussians of packed splats; ``path`` is named in errors.
 
     Raises:

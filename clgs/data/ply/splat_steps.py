@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.octree.position_coder import MAX_EXTENT
-from clgs.codec.splats import MAX_STEP
+from clgs.codec.octree import MAX_EXTENT
+from clgs.codec.splat_packing import MAX_STEP
 from clgs.errors import DataError, UsageError
 
 POSITION = ["x", "y", "z"]

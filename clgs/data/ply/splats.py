@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.splats import Splats, quantize
+from clgs.codec.splat_packing import QuantizedSplats, quantize
 from clgs.data.ply.splat_steps import POSITION, choose_steps, group_of
 from clgs.data.ply.table import Table, narrowest, pack_ply, read_ply
 from clgs.errors import ClgsError, DataError
@@ -22,7 +22,7 @@ FEATURE_OF_ANCHORS = "f_anchor_feat_0"
 ROTATION = [f"rot_{i}" for i in range(4)]
 
 
-def read_splats(path: Path, steps: dict[str, float]) -> tuple[Splats, dict[str, float]]:
+def read_splats(path: Path, steps: dict[str, float]) -> tuple[QuantizedSplats, dict[str, float]]:
     """The splats of a PLY file, and the largest rounding error of each group.
 
     Args:
@@ -57,10 +57,10 @@ def read_splats(path: Path, steps: dict[str, float]) -> tuple[Splats, dict[str, 
     for name, column in zip(names, integers, strict=True):
         error = float(np.abs(column * chosen[name] - values[name]).max(initial=0.0))
         errors[group_of(name)] = max(error, errors.get(group_of(name), 0.0))
-    return Splats(names, [chosen[name] for name in names], np.stack(integers, 1)), errors
+    return QuantizedSplats(names, [chosen[name] for name in names], np.stack(integers, 1)), errors
 
 
-def write_splats(splats: Splats) -> bytes:
+def write_splats(splats: QuantizedSplats) -> bytes:
     """The PLY file of ``splats``: float32, or float64 if float32 would lose an integer."""
     steps = zip(splats.names, splats.steps, strict=True)
     columns = {name: _column(splats.values[:, i], step) for i, (name, step) in enumerate(steps)}

@@ -14,7 +14,7 @@ from typing import Any
 from clgs.errors import ClgsError
 from clgs.lab.accept.trial import Trial
 from clgs.lab.bench.gsplat import has_gsplat
-from clgs.lab.commands.conformance import SHIPPED
+from clgs.lab.selftest import SHIPPED
 from clgs.lab.selftest.conformance import differences, from_record
 
 STEPS = 20
@@ -62,37 +62,37 @@ def trials(device: str, folder: Path, size: Size, data: list[str]) -> list[Trial
     def step(name: str, work: tuple[int, int | str], repeats: int = 1, kind: str = "step") -> Trial:
         counts = zip(("--gaussians", "--size", "--repeats"), (*work, repeats), strict=True)
         words = ("bench", kind, *on, *map(str, chain(*counts)), "--json", file(name))
-        return Trial(name, words, partial(_step, name))
+        return Trial(name, words, partial(show_step, name))
 
     def start(name: str, line: str) -> Trial:
         return replace(step(name, STARTED), summary=lambda folder: line, caches=folder / "caches")
 
     def training(name: str) -> Trial:
         words = ("train", str(folder / "photos"), "-o", str(folder / name), "--steps", str(STEPS))
-        return Trial(name, (*words, *on), partial(_hash, name))
+        return Trial(name, (*words, *on), partial(show_hash, name))
 
     ops = ("--gaussians", size.gaussians, "--size", size.edge, "--elements", size.elements)
     hashes = file("conformance")
     found = [
-        Trial("machine", ("doctor", "--json"), _machine),
+        Trial("machine", ("doctor", "--json"), show_machine),
         start("first start", "kernels compiled"),
         start("second start", "kernels compiled before"),
-        Trial("selftest", ("selftest", *on, "--json", file("selftest")), _selftest),
-        Trial("conformance", ("conformance", *on, "-o", hashes), _conformance),
-        Trial("conformance again", ("conformance", *on, "--check", hashes), _same),
+        Trial("selftest", ("selftest", *on, "--json", file("selftest")), show_selftest),
+        Trial("conformance", ("conformance", *on, "-o", hashes), show_conformance),
+        Trial("conformance again", ("conformance", *on, "--check", hashes), show_same),
         training("training"),
         training("training again"),
         Trial(
             "stages",
             ("bench", "ops", *on, *map(str, ops), "--json", file("stages")),
-            _stages,
+            show_stages,
         ),
         step("step", (size.gaussians, size.edge), size.repeats),
         step("large step", size.large, size.repeats),
     ]
     if has_gsplat():
         found += [
-            replace(step(name, work, size.repeats, "gsplat"), summary=partial(_beside, name))
+            replace(step(name, work, size.repeats, "gsplat"), summary=partial(show_gsplat, name))
             for name, work in (
                 ("gsplat", (size.gaussians, size.edge)),
                 ("gsplat large", size.large),
@@ -100,7 +100,7 @@ def trials(device: str, folder: Path, size: Size, data: list[str]) -> list[Trial
         ]
     if data:
         words = ("train", *data, "-o", str(folder / "data"), *on)
-        found.append(Trial("data", words, _data))
+        found.append(Trial("data", words, show_data))
     return found
 
 
@@ -108,12 +108,14 @@ def _read(folder: Path, name: str) -> Any:
     return json.loads((folder / f"{name}.json").read_text())
 
 
-def _machine(folder: Path) -> str:
+def show_machine(folder: Path) -> str:
+    """The system, and what the doctor found."""
     facts = json.loads((folder / "machine.out").read_text())
     return f"{facts['machine']['system']}, {len(facts['findings'])} findings"
 
 
-def _step(name: str, folder: Path) -> str:
+def show_step(name: str, folder: Path) -> str:
+    """Times of a step and of a picture."""
     times = _read(folder, name)
     return (
         f"{times['step']:.2f} ms a step (kernels {sum(times['kernels'].values()):.2f}, "
@@ -122,7 +124,7 @@ def _step(name: str, folder: Path) -> str:
     )
 
 
-def _beside(name: str, folder: Path) -> str:
+def show_gsplat(name: str, folder: Path) -> str:
     """Our times over gsplat's."""
     found = _read(folder, name)
     ours, theirs = found["clgs"], found["gsplat"]
@@ -134,12 +136,13 @@ def _beside(name: str, folder: Path) -> str:
     )
 
 
-def _selftest(folder: Path) -> str:
+def show_selftest(folder: Path) -> str:
+    """The number of checks."""
     checks = [one for each in _read(folder, "selftest")["devices"] for one in each["checks"]]
     return f"{len(checks)} checks within their limits"
 
 
-def _conformance(folder: Path) -> str:
+def show_conformance(folder: Path) -> str:
     """How far the bits are those that clgs comes with."""
     found = from_record(_read(folder, "conformance"))
     different = differences(found, from_record(json.loads(SHIPPED.read_text())))
@@ -147,11 +150,12 @@ def _conformance(folder: Path) -> str:
     return f"{len(found) - len(different)} of {len(found)} tensors as on PoCL{first}"
 
 
-def _same(folder: Path) -> str:
+def show_same(folder: Path) -> str:
+    """What a second conformance run shows if it succeeds."""
     return "the same bits"
 
 
-def _hash(name: str, folder: Path) -> str:
+def show_hash(name: str, folder: Path) -> str:
     """The hash of the file, which the second training shares with the first."""
     found = [
         hashlib.sha256((run / "scene.clgs").read_bytes()).hexdigest()
@@ -163,13 +167,15 @@ def _hash(name: str, folder: Path) -> str:
     return f"{STEPS} steps: {found[-1][:16]}"
 
 
-def _stages(folder: Path) -> str:
+def show_stages(folder: Path) -> str:
+    """The share of the device's limit that stages reach."""
     stages = [one for each in _read(folder, "stages")["devices"] for one in each["stages"]]
     shares = [one["share"]["of_limit"] for one in stages if one["share"]]
     return f"{len(stages)} stages, {100 * median(shares):.0f} % of the device's limit, the median"
 
 
-def _data(folder: Path) -> str:
+def show_data(folder: Path) -> str:
+    """Time, quality and size of the training on the user's data."""
     found = _read(folder, "data/results")
     return (
         f"{found['steps']} steps in {found['train_seconds']:.0f} s, {found['psnr']:.2f} dB, "

@@ -17,8 +17,8 @@ from clgs.errors import UsageError
 from clgs.files import write_json
 from clgs.lab.bench.accuracy_points import (
     Point,
-    Subject,
-    SubjectFigures,
+    SceneFigures,
+    ViewedScene,
     against_parity,
     bench_accuracy,
     fastest_within,
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def subjects_of(args: argparse.Namespace) -> list[Subject]:
+def subjects_of(args: argparse.Namespace) -> list[ViewedScene]:
     """The scenes that were asked for, each with a view.
 
     Raises:
@@ -91,13 +91,13 @@ def subjects_of(args: argparse.Namespace) -> list[Subject]:
         if not 0 <= args.view < len(views):
             raise UsageError(f"--view {args.view}: there are {len(views)}, from 0")
         name = args.data.resolve().name
-        subjects.append(Subject(name, quantized.dequantize(), views[args.view].camera))
+        subjects.append(ViewedScene(name, quantized.dequantize(), views[args.view].camera))
     if not subjects:
         raise UsageError("no scene: name some with --scenes, or --scene and --data")
     return subjects
 
 
-def show(figures: SubjectFigures) -> None:
+def show(figures: SceneFigures) -> None:
     """Print a row per setting, then the fastest settings."""
     width, height = figures.size
     table = Table(
@@ -133,7 +133,7 @@ def show(figures: SubjectFigures) -> None:
         print(f"  {preset} against parity: {ratio['forward']:.2f}x{both}")
 
 
-def plot_accuracy(path: Path, subjects: Sequence[SubjectFigures], title: str) -> None:
+def plot_accuracy(path: Path, subjects: Sequence[SceneFigures], title: str) -> None:
     """Error against time, log-log: a row per scene; image p99.9, image maximum, gradients."""
     pyplot = require_pyplot()
     from matplotlib.ticker import FuncFormatter, LogLocator

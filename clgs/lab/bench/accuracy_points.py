@@ -40,7 +40,7 @@ WARM_UP = 2
 
 
 @dataclass(frozen=True)
-class Subject:
+class ViewedScene:
     """A scene and a view of it."""
 
     name: str
@@ -92,7 +92,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class SubjectFigures:
+class SceneFigures:
     """All settings on one scene, and its sizes."""
 
     name: str
@@ -103,24 +103,24 @@ class SubjectFigures:
     points: list[Point]
 
 
-def synthetic_subjects(names: list[str], seed: int) -> list[Subject]:
+def synthetic_subjects(names: list[str], seed: int) -> list[ViewedScene]:
     """The seeded scenes of the given names."""
     subjects = []
     for name in names:
         gaussians, size, growth = SYNTHETIC[name]
         scene, camera = anchor_scene(gaussians, size, seed)
         anchors = replace(scene.anchors, scaling=scene.anchors.scaling + np.float32(growth))
-        subjects.append(Subject(name, replace(scene, anchors=anchors), camera))
+        subjects.append(ViewedScene(name, replace(scene, anchors=anchors), camera))
     return subjects
 
 
 def bench_accuracy(
     device: Device,
-    subject: Subject,
+    subject: ViewedScene,
     settings: list[Setting],
     repeats: int,
     report: Callable[[str], None],
-) -> SubjectFigures:
+) -> SceneFigures:
     """Errors of every setting, then times, the settings taking turns ``repeats`` times."""
     bench = _Bench(device, subject)
     reference = bench.reference(report)
@@ -137,13 +137,13 @@ def bench_accuracy(
         points.append(Point(setting.sweep, setting.label, forward, image, stopped, both, gradient))
     frame = rasterise(device, bench.scene, bench.view)
     counts = len(subject.scene.anchors), len(frame.gaussians), len(frame.tiles.gaussian)
-    return SubjectFigures(subject.name, *counts, frame.view.size, points)
+    return SceneFigures(subject.name, *counts, frame.view.size, points)
 
 
 class _Bench:
     """A subject on the device, with a random gradient of its picture."""
 
-    def __init__(self, device: Device, subject: Subject) -> None:
+    def __init__(self, device: Device, subject: ViewedScene) -> None:
         self.device, self.subject = device, subject
         self.scene: DeviceScene = upload_scene(device, subject.scene)
         self.settings = subject.scene.settings
@@ -245,7 +245,7 @@ def _times(milliseconds: list[float]) -> Times:
     return Times(float(median), float(low), float(high))
 
 
-def fastest_within(figures: SubjectFigures) -> dict[str, dict[str, object]]:
+def fastest_within(figures: SceneFigures) -> dict[str, dict[str, object]]:
     """Find the fastest forward pass within every goal, by p99.9 and by the largest error."""
     found: dict[str, dict[str, object]] = {}
     for measure in ("p999", "largest"):
@@ -259,7 +259,7 @@ def fastest_within(figures: SubjectFigures) -> dict[str, dict[str, object]]:
     return found
 
 
-def against_parity(figures: SubjectFigures) -> dict[str, dict[str, float | None]]:
+def against_parity(figures: SceneFigures) -> dict[str, dict[str, float | None]]:
     """How many times faster each preset is than "parity", forward and with gradients."""
     presets = {one.label: one for one in figures.points if one.sweep == PRESET_SWEEP}
     parity = presets["parity"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from clgs.errors import UsageError
@@ -28,51 +28,36 @@ class Setting:
 
 
 def accuracy_settings(sweeps: Sequence[str] = ()) -> list[Setting]:
-    """Every preset; and sweeps of one knob, the others as in FINE; ``sweeps`` names some only.
+    """List every preset, and sweeps of one knob, with the others as in FINE.
+
+    Args:
+        sweeps: names of the sweeps to list, in addition to the presets; empty: all.
 
     Raises:
         UsageError: there is no such sweep.
     """
-    settings = [*_presets(), *_cuts(), *_stops(), *_degrees(), *_extents(), *_sizes()]
+    settings = [Setting(PRESET_SWEEP, name, accuracy) for name, accuracy in PRESETS.items()]
+
+    def add(sweep: str, label: str, **knobs: float | bool) -> None:
+        settings.append(Setting(sweep, label, replace(FINE, **knobs)))  # type: ignore[arg-type]
+
+    for share in CUTS:
+        add("alpha cut", f"1/{share}", alpha_cut=1 / share)
+    for inclusive in (False, True):
+        for label, stop in STOPS:
+            sweep = f"{'inclusive' if inclusive else 'exclusive'} stop"
+            add(sweep, label, transmittance_stop=stop, inclusive_stop=inclusive)
+    for degree in DEGREES:
+        add("exp2 degree", str(degree), exp2_degree=degree)
+    for extent in EXTENTS:
+        add("least extent", f"{extent:g} px", min_extent=extent)
+    add("resolution", "full", downscale=1)
+    add("resolution", "1/2", downscale=2)
     names = list(dict.fromkeys(one.sweep for one in settings))
     for sweep in sweeps:
         if sweep not in names:
             raise UsageError(f"no sweep {sweep!r}; there are {', '.join(names)}")
     return [one for one in settings if not sweeps or one.sweep in (PRESET_SWEEP, *sweeps)]
-
-
-def _presets() -> Iterator[Setting]:
-    for name, accuracy in PRESETS.items():
-        yield Setting(PRESET_SWEEP, name, accuracy)
-
-
-def _cuts() -> Iterator[Setting]:
-    for part in CUTS:
-        yield Setting("alpha cut", f"1/{part}", replace(FINE, alpha_cut=1 / part))
-
-
-def _stops() -> Iterator[Setting]:
-    for inclusive in (False, True):
-        sweep = f"{'inclusive' if inclusive else 'exclusive'} stop"
-        for label, stop in STOPS:
-            accuracy = replace(FINE, transmittance_stop=stop, inclusive_stop=inclusive)
-            yield Setting(sweep, label, accuracy)
-
-
-def _degrees() -> Iterator[Setting]:
-    for degree in DEGREES:
-        yield Setting("exp2 degree", str(degree), replace(FINE, exp2_degree=degree))
-
-
-def _extents() -> Iterator[Setting]:
-    for extent in EXTENTS:
-        yield Setting("least extent", f"{extent:g} px", replace(FINE, min_extent=extent))
-
-
-def _sizes() -> Iterator[Setting]:
-    for downscale in (1, 2):
-        label = "full" if downscale == 1 else f"1/{downscale}"
-        yield Setting("resolution", label, replace(FINE, downscale=downscale))
 
 
 def without_stop(accuracy: Accuracy) -> Accuracy:

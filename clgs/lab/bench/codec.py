@@ -28,8 +28,8 @@ from clgs.files import check_target, write_json
 from clgs.lab.bench.codec_subjects import (
     ANCHORS,
     QUICK_ANCHORS,
+    CodedData,
     Ints,
-    Subject,
     file_subjects,
     seeded_subjects,
 )
@@ -55,7 +55,7 @@ class Coder:
 
 
 @dataclass(frozen=True)
-class Figures:
+class CoderFigures:
     """What one coder needs: bytes, and median seconds of ``repeats`` runs."""
 
     coder: str
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def add_rows(table: Table, subject: Subject, figures: list[Figures]) -> None:
+def add_rows(table: Table, subject: CodedData, figures: list[CoderFigures]) -> None:
     """Add a row per coder."""
     table.add_section()
     name, symbols = subject.name, max(subject.symbols, 1)
@@ -126,8 +126,8 @@ def add_rows(table: Table, subject: Subject, figures: list[Figures]) -> None:
 
 
 def bench_subject(
-    subject: Subject, repeats: int, levels_only: bool, note: Note, advance: Callable[[], None]
-) -> list[Figures]:
+    subject: CodedData, repeats: int, levels_only: bool, note: Note, advance: Callable[[], None]
+) -> list[CoderFigures]:
     """Time every coder of the subject's kind; runs of all coders alternate.
 
     Raises:
@@ -143,12 +143,12 @@ def bench_subject(
                 runs[coder.name].append(_run(coder, subject))
                 advance()
     return [
-        Figures(name, of[0][0], median(r[1] for r in of), median(r[2] for r in of), len(of))
+        CoderFigures(name, of[0][0], median(r[1] for r in of), median(r[2] for r in of), len(of))
         for name, of in runs.items()
     ]
 
 
-def _run(coder: Coder, subject: Subject) -> tuple[int, float, float]:
+def _run(coder: Coder, subject: CodedData) -> tuple[int, float, float]:
     """Bytes, and seconds to encode and decode."""
     start = time.perf_counter()
     data = coder.encode(subject.content)
@@ -169,7 +169,7 @@ def _same(decoded: Any, content: Any) -> bool:
     )
 
 
-def _coders(subject: Subject) -> list[Coder]:
+def _coders(subject: CodedData) -> list[Coder]:
     """Our own: one per level; positions have one only."""
     if subject.kind == "positions":
         one_thread = partial(encode_positions, threads=1), partial(decode_positions, threads=1)
@@ -187,7 +187,7 @@ def _coders(subject: Subject) -> list[Coder]:
     ]
 
 
-def _others(subject: Subject, note: Note) -> list[Coder]:
+def _others(subject: CodedData, note: Note) -> list[Coder]:
     """General-purpose compressors that are installed, on the narrowest integers, row by row."""
     if isinstance(subject.content, QuantizedScene):
         return []
@@ -241,7 +241,7 @@ def _optional(name: str, note: Note) -> Any:
         return None
 
 
-def ratios(subject: Subject, figures: Sequence[Figures]) -> list[float | None]:
+def ratios(subject: CodedData, figures: Sequence[CoderFigures]) -> list[float | None]:
     """Bytes of every coder by those of the baseline: the published coder's, or else ``paper``'s."""
     base = subject.baseline or next((f.bytes for f in figures if f.coder == "paper"), None)
     return [f.bytes / base if base else None for f in figures]

@@ -58,7 +58,7 @@ PUBLISHED_POSITIONS = {
 
 
 @dataclass(frozen=True)
-class Subject:
+class CodedData:
     """What is coded: ``content`` rows (N, channels) or positions (N, 3) int32, or a scene."""
 
     name: str
@@ -79,7 +79,7 @@ class Subject:
         return known.get(self.kind, {}).get(self.name)
 
 
-def seeded_subjects(anchors: int, seed: int) -> list[Subject]:
+def seeded_subjects(anchors: int, seed: int) -> list[CodedData]:
     """Independent Laplace numbers, points on bent sheets, and the scene of both."""
     return scene_subjects("seeded", seeded_scene(anchors, seed))
 
@@ -115,24 +115,24 @@ def _sheets(rng: np.random.Generator, count: int) -> Ints:
     return position[morton_order(position)]
 
 
-def scene_subjects(name: str, scene: QuantizedScene) -> list[Subject]:
+def scene_subjects(name: str, scene: QuantizedScene) -> list[CodedData]:
     """The parts of a scene, each alone, and the whole file."""
     a = scene.anchors
     parts = {"offset": flatten(a.offset), "feature": a.feature, "scaling": a.scaling}
     return [
-        *[Subject(f"{name} {part}", "attributes", rows) for part, rows in parts.items()],
-        Subject(f"{name} position", "positions", a.position),
-        Subject(f"{name} file", "scene", scene),
+        *[CodedData(f"{name} {part}", "attributes", rows) for part, rows in parts.items()],
+        CodedData(f"{name} position", "positions", a.position),
+        CodedData(f"{name} file", "scene", scene),
     ]
 
 
-def file_subjects(paths: Iterable[Path]) -> list[Subject]:
+def file_subjects(paths: Iterable[Path]) -> list[CodedData]:
     """Read .npz files (``values`` or ``positions``) and .clgs files; folders mean their files.
 
     Raises:
         DataError: no such file, or none of these kinds.
     """
-    found: list[Subject] = []
+    found: list[CodedData] = []
     for path in paths:
         files = (
             [f for f in path.iterdir() if f.suffix.lower() in KINDS] if path.is_dir() else [path]
@@ -144,7 +144,7 @@ def file_subjects(paths: Iterable[Path]) -> list[Subject]:
     return found
 
 
-def _read(file: Path) -> list[Subject]:
+def _read(file: Path) -> list[CodedData]:
     try:
         if file.suffix.lower() == ".clgs":
             return scene_subjects(file.stem, decode(file.read_bytes()))
@@ -165,5 +165,5 @@ def _read(file: Path) -> list[Subject]:
     except CodecError as error:
         raise DataError(f"{file}: {error}") from error
     if name == "values":
-        return [Subject(file.stem, "attributes", rows)]
-    return [Subject(file.stem, "positions", rows[morton_order(rows)])]
+        return [CodedData(file.stem, "attributes", rows)]
+    return [CodedData(file.stem, "positions", rows[morton_order(rows)])]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import asdict, dataclass, replace
-from itertools import product
 from statistics import median
 
 import numpy as np
@@ -21,16 +20,12 @@ from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
 from clgs.train.config import LearningRates, TrainConfig
-from clgs.train.density.densifier import Densifier
+from clgs.train.run.start import state_of_scene
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.parameters import new_parameters
 
 WARM_UP = 3
 STILL = LearningRates(*[(1e-12, 1e-12)] * 6)
 """Learning rates that leave the scene as it is, so that every step does the same work."""
-
-CORNERS = np.array(list(product((-1, 1), repeat=3)), np.float32)
-"""Points that a trainer can start from; its scene is replaced then."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +162,7 @@ def kernel_times(trainer: Trainer, repeats: int) -> dict[str, float]:
 def render_times(trainer: Trainer, repeats: int) -> list[float]:
     """Milliseconds of ``repeats`` pictures of the first view, after a few to warm up."""
     camera, settings = trainer.dataset.train[0].camera, trainer.settings
-    scene = trainer.queue.seen(trainer.parameters, trainer.steps_done)
+    scene = trainer.rounding.scene_at(trainer.state, trainer.steps_done)
     renderer = Renderer.of_device_scene(trainer.device, scene, settings, trainer.options)
     times = []
     for _ in range(WARM_UP + repeats):
@@ -186,11 +181,7 @@ def synthetic_trainer(
 
 def trainer_of(device: Device, scene: Scene, camera: Camera, seed: int = 0) -> Trainer:
     """Like :func:`synthetic_trainer`, but on the scene and the camera that are given."""
-    dataset = photo_dataset(camera, CORNERS, seed)
+    dataset = photo_dataset(camera, scene.anchors.position, seed)
     config = replace(TrainConfig(), learning_rates=STILL, seed=seed).for_dataset("photos")
-    trainer = Trainer(device, dataset, config)
-    trainer.parameters = new_parameters(device, scene.anchors, scene.mlps)
-    trainer.densifier = Densifier(device, config, trainer.parameters.count)
-    trainer.steps_done = config.statistics_start + 1
-    trainer.rng = np.random.default_rng(seed)
-    return trainer
+    state = state_of_scene(device, dataset, config, scene, config.statistics_start + 1)
+    return Trainer(device, dataset, config, state=state)

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from clgs.cli.shared_options import add_overwrite, positive_int
 from clgs.errors import UsageError
-
-if TYPE_CHECKING:
-    from clgs.lab.accept.trial import Outcome
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from tempfile import TemporaryDirectory
 
-    from clgs.data.dataset import read_photo_set
+    from clgs.data.photo_set import read_photo_set
     from clgs.lab.accept.photos import write_photos
     from clgs.lab.accept.trial import chosen_device, run_trials
     from clgs.lab.accept.trials import QUICK, WHOLE, trials
@@ -50,35 +46,25 @@ def run(args: argparse.Namespace) -> int:
     if args.downscale and args.data is None:
         raise UsageError("--downscale: is of the photos of --data, which is not given")
     check_new(args.output, args.overwrite)
+    data = []
     if args.data is not None:
         read_photo_set(args.data)
+        data = [str(args.data.resolve()), "--steps", "1000"]
+        data += ["--downscale", str(args.downscale)] if args.downscale else []
     with TemporaryDirectory(prefix="clgs-accept-") as name:
         folder = Path(name)
         device = chosen_device(args.device, folder)
         write_photos(folder / "photos")
         size = QUICK if args.quick else WHOLE
-        todo = trials(str(device["index"]), folder, size, _data(args))
+        todo = trials(str(device["index"]), folder, size, data)
         try:
             outcomes = run_trials(todo, folder, device, args.output)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"; {args.output} has the parts that ended") from None
-    _show(device, outcomes)
-    failed = sum(not one.passed for one in outcomes)
-    print(f"{args.output}: {failed} of {len(outcomes)} parts failed")
-    return 1 if failed else 0
-
-
-def _data(args: argparse.Namespace) -> list[str]:
-    """Arguments of the training on the user's data."""
-    if args.data is None:
-        return []
-    reduced = ["--downscale", str(args.downscale)] if args.downscale else []
-    return [str(args.data.resolve()), "--steps", "1000", *reduced]
-
-
-def _show(device: dict[str, Any], outcomes: list[Outcome]) -> None:
-    """The table for a report."""
     print(f"{device['name']} ({device['platform']}, driver {device['driver']})")
     for one in outcomes:
         verdict = "ok" if one.passed else "FAIL"
         print(f"  {one.name:<18} {verdict:<5} {one.seconds:7.1f} s  {one.summary}")
+    failed = sum(not one.passed for one in outcomes)
+    print(f"{args.output}: {failed} of {len(outcomes)} parts failed")
+    return 1 if failed else 0

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from clgs.cli.shared_options import named_path
+from clgs.lab.selftest import SHIPPED
 
 if TYPE_CHECKING:
     from clgs.lab.selftest.conformance import Fingerprint
@@ -18,9 +20,6 @@ in between. With --check: whether another device made the same bits, without a F
 these hashes were made on; names the first stage that did not. Both forms of the kernels, for CPUs
 and for GPUs, make the same bits if a device rounds as IEEE 754 does. Exit code 1 if any tensor
 differs."""
-
-SHIPPED = Path(__file__).parents[1] / "selftest" / "conformance.json"
-"""Made by PoCL 3.1 on a CPU."""
 
 LARGEST_RECORD = 1 << 24
 """Bytes; today's have 20 thousand."""
@@ -43,7 +42,11 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute, write and compare; exit code 0, or 1 if a tensor differs."""
+    """Compute, write and compare; exit code 0, or 1 if a tensor differs.
+
+    Raises:
+        DataError: FILE of ``--check`` holds no hashes, or those of other tensors.
+    """
     from clgs.errors import DataError
     from clgs.files import check_target, write_json
     from clgs.lab.facts import machine_facts
@@ -52,11 +55,12 @@ def run(args: argparse.Namespace) -> int:
 
     if args.output:
         check_target(args.output)
-    wanted = _tensors(args.check, _read(args.check)) if args.check else []
+    wanted = read_hashes(args.check) if args.check else []
     device = Device(args.device)
     found, roundings = conformance.fingerprints(device), conformance.roundings(device)
     facts = machine_facts(device) | {"wrongly_rounded": roundings}
-    print(f"{device.name} ({device.specialisation}): {len(found)} tensors, together {_all(found)}")
+    together = hashlib.sha256("".join(one.sha256 for one in found).encode()).hexdigest()[:16]
+    print(f"{device.name} ({device.specialisation}): {len(found)} tensors, together {together}")
     if args.output:
         write_json(args.output, conformance.to_record(found, facts))
     if args.check is None:
@@ -65,15 +69,29 @@ def run(args: argparse.Namespace) -> int:
         different = conformance.differences(found, wanted)
     except DataError as error:
         raise DataError(f"{args.check}: {error}") from error
-    _report(different, len(found))
+    if not different:
+        print(f"check: all {len(found)} tensors are bit-identical")
+        return 0
+    print(
+        f"check: DIFFERENT, first in {different[0].place}; "
+        f"{len(different)} of {len(found)} tensors:"
+    )
+    for one in different:
+        print(f"  {one.place}")
     for operation, wrong in roundings.items():
-        if different and wrong:
+        if wrong:
             print(f"note: {operation}: {wrong} of {conformance.COUNT} not as IEEE 754 rounds them")
-    return 1 if different else 0
+    return 1
 
 
-def _read(path: Path) -> Any:
+def read_hashes(path: Path) -> list[Fingerprint]:
+    """Read a file of `clgs conformance -o`.
+
+    Raises:
+        DataError: the file is missing, too large, or another kind of file.
+    """
     from clgs.errors import DataError
+    from clgs.lab.selftest.conformance import from_record
 
     try:
         with path.open("rb") as file:
@@ -86,32 +104,8 @@ def _read(path: Path) -> Any:
     if len(text) > LARGEST_RECORD:
         raise DataError(f"{path}: was not written by `clgs conformance -o`; name one that was")
     try:
-        return json.loads(text)
+        return from_record(json.loads(text))
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: is no JSON file; `clgs conformance -o` makes one") from error
-
-
-def _tensors(path: Path, record: object) -> list[Fingerprint]:
-    from clgs.errors import DataError
-    from clgs.lab.selftest.conformance import from_record
-
-    try:
-        return from_record(record)
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
-
-
-def _all(found: list[Fingerprint]) -> str:
-    """One hash of all tensors."""
-    import hashlib
-
-    return hashlib.sha256("".join(one.sha256 for one in found).encode()).hexdigest()[:16]
-
-
-def _report(different: list[Fingerprint], count: int) -> None:
-    if not different:
-        print(f"check: all {count} tensors are bit-identical")
-        return
-    print(f"check: DIFFERENT, first in {different[0].place}; {len(different)} of {count} tensors:")
-    for one in different:
-        print(f"  {one.place}")

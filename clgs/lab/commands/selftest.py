@@ -26,45 +26,43 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the checks; exit code 0, or 1 if one fails."""
+    from dataclasses import asdict
+
+    from clgs.cli.main import explain
     from clgs.files import check_target, write_json
+    from clgs.lab.facts import machine_facts
+    from clgs.lab.selftest.render_checks import selftest
 
     if args.json:
         check_target(args.json)
     records, tables, failures = [], [], 0
     for index, device in open_devices(args.device):
-        checks, error = _checks(device)
-        failed = [check for check in checks if not check.passed]
-        failures += len(failed) + bool(error)
-        records.append(_record(device, checks, error))
+        checks: list[Check] = []
+        problem = ""
+        try:
+            for check in selftest(device):
+                checks.append(check)
+        except Exception as error:  # other devices still follow
+            problem = explain(error)[0]
+        failures += sum(not check.passed for check in checks) + bool(problem)
+        found = [asdict(check) | {"passed": check.passed} for check in checks]
+        records.append(machine_facts(device) | {"error": problem, "checks": found})
         tables.append((device, checks))
-        print(f"{index}: {device.name} ({device.specialisation}): {_verdict(checks, error)}")
+        print(f"{index}: {device.name} ({device.specialisation}): {verdict(checks, problem)}")
     for device, checks in tables:
         if args.verbose or len(tables) == 1:
-            _show(device, checks)
+            show(device, checks)
     if args.json:
         write_json(args.json, {"devices": records})
     print("all checks passed" if not failures else f"{failures} checks failed")
     return 1 if failures else 0
 
 
-def _checks(device: Device) -> tuple[list[Check], str]:
-    """The checks of a device, and the error that stopped them; other devices still follow."""
-    from clgs.cli.main import explain
-    from clgs.lab.selftest.render_checks import selftest
-
-    checks: list[Check] = []
-    try:
-        for check in selftest(device):
-            checks.append(check)
-    except Exception as error:
-        return checks, explain(error)[0]
-    return checks, ""
-
-
-def _verdict(checks: list[Check], error: str) -> str:
+def verdict(checks: list[Check], problem: str) -> str:
+    """One line on a device; ``problem``: the error that stopped its checks, or empty."""
     failed = [check for check in checks if not check.passed]
-    if error:
-        return f"FAIL: {error}"
+    if problem:
+        return f"FAIL: {problem}"
     if failed:
         names = ", ".join(f"{check.stage} {check.quantity}" for check in failed)
         return f"FAIL: {len(failed)} of {len(checks)} checks: {names}"
@@ -73,16 +71,8 @@ def _verdict(checks: list[Check], error: str) -> str:
     return f"{len(checks)} check{'s' * (len(checks) != 1)} passed, nearest to its limit: {nearest}"
 
 
-def _record(device: Device, checks: list[Check], error: str) -> dict[str, object]:
-    from dataclasses import asdict
-
-    from clgs.lab.facts import machine_facts
-
-    found = [asdict(check) | {"passed": check.passed} for check in checks]
-    return machine_facts(device) | {"error": error, "checks": found}
-
-
-def _show(device: Device, checks: list[Check]) -> None:
+def show(device: Device, checks: list[Check]) -> None:
+    """Print a row per check."""
     from rich.console import Console
     from rich.table import Table
 

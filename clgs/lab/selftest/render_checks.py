@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.constants import ALPHA_CUT, TILE_SIZE
+from clgs.lab.observed_kernels import drawn_output, drawn_rows
 from clgs.lab.selftest.reference_render import (
     ReferenceFrame,
     backward_reference,
@@ -20,7 +21,6 @@ from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import loss as loss_op
-from clgs.ops import mlp
 from clgs.reference import cull, loss, tiles
 from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
@@ -132,7 +132,8 @@ def _step(
 Found = list[tuple[str, float, float]]
 
 
-def _cull(run: _Run) -> Found:
+def check_cull(run: _Run) -> Found:
+    """Which anchors are visible: no decision may differ."""
     mine = set(run.device.download(run.frame.activations.visible).tolist())
     wanted = cull.forward(
         run.reference.scene["position"], run.reference.scene["scaling"], run.reference.camera
@@ -140,14 +141,16 @@ def _cull(run: _Run) -> Found:
     return [("anchors decided differently", float(len(mine ^ set(wanted.tolist()))), 0.0)]
 
 
-def _mlp(run: _Run) -> Found:
-    output = mlp.drawn_output(run.device, run.frame.activations)
-    wanted = np.where(mlp.drawn_rows(output), run.reference.activations.output, output)
+def check_mlp(run: _Run) -> Found:
+    """Outputs of the MLPs, in the rows that are drawn."""
+    output = drawn_output(run.device, run.frame.activations)
+    wanted = np.where(drawn_rows(output), run.reference.activations.output, output)
     # 103 products of order one, each with its rounding
     return [("output", largest(output, wanted), 103 * 2.0**-22)]
 
 
-def _neural(run: _Run) -> Found:
+def check_neural(run: _Run) -> Found:
+    """Neural Gaussians and their slots."""
     mine, wanted = run.frame.gaussians, run.reference.gaussians
     names = ("mean", "scale", "rotation", "color", "opacity")
     found = [
@@ -158,7 +161,8 @@ def _neural(run: _Run) -> Found:
     return [*found, ("slot", 0.0 if np.array_equal(slots, wanted.slot) else np.inf, 0.0)]
 
 
-def _project(run: _Run) -> Found:
+def check_project(run: _Run) -> Found:
+    """Projected Gaussians."""
     mine, wanted = run.frame.projected, run.reference.projected
     names = ("mean2d", "whitening", "depth", "extent")
     return [
@@ -167,7 +171,7 @@ def _project(run: _Run) -> Found:
     ]
 
 
-def _tiles(run: _Run) -> Found:
+def check_tiles(run: _Run) -> Found:
     """Every pair that touches a pixel centre must be listed; few others may be."""
     projected, opacity = run.reference.projected, run.reference.gaussians.opacity
     wanted = set(_entries(tiles.forward(projected, opacity, *run.frame.view.size)))
@@ -195,7 +199,8 @@ def _entries(lists: tiles.TileLists) -> list[tuple[int, int]]:
     return list(zip(tile.tolist(), np.asarray(lists.gaussian).tolist(), strict=True))
 
 
-def _blend(run: _Run) -> Found:
+def check_blend(run: _Run) -> Found:
+    """The picture, in levels of 1/255."""
     error = np.abs(run.device.download(run.frame.image) - run.reference.image) / LEVEL
     return [
         ("image p99.9, levels", float(np.quantile(error, 0.999)), 1e-3),
@@ -203,7 +208,8 @@ def _blend(run: _Run) -> Found:
     ]
 
 
-def _loss(run: _Run) -> Found:
+def check_loss(run: _Run) -> Found:
+    """Both losses, and the gradient by the picture."""
     image = run.device.download(run.frame.image).astype(np.float64)
     wanted = loss.backward(image, run.photo)
     compared = loss_op.forward(run.device, run.frame.image, run.device.upload(run.photo))
@@ -217,13 +223,13 @@ def _loss(run: _Run) -> Found:
 
 
 FORWARD_CHECKS: tuple[tuple[str, Callable[[_Run], Found]], ...] = (
-    ("cull", _cull),
-    ("mlp forward", _mlp),
-    ("neural forward", _neural),
-    ("project forward", _project),
-    ("tiles", _tiles),
-    ("blend forward", _blend),
-    ("loss", _loss),
+    ("cull", check_cull),
+    ("mlp forward", check_mlp),
+    ("neural forward", check_neural),
+    ("project forward", check_project),
+    ("tiles", check_tiles),
+    ("blend forward", check_blend),
+    ("loss", check_loss),
 )
 
 

@@ -36,8 +36,8 @@ Found = tuple[str, str, float, float, float]
 def training_checks(device: Device, count: int = COUNT) -> Iterator[Found]:
     """(stage, quantity, error, limit, milliseconds) of every check, on ``count`` numbers."""
     rng = np.random.default_rng(SEED)
-    numbers = _scan, _sort, _quantize, _rate, _adam
-    for check in (*numbers, _density, _growth, _exposure, _mask, _splats):
+    numbers = check_scan, check_sort, check_quantize, check_rate, check_adam
+    for check in (*numbers, check_density, check_growth, check_exposure, check_mask, check_splats):
         yield from check(device, rng, count)
 
 
@@ -51,7 +51,8 @@ def _milliseconds(device: Device, work: Callable[[], object]) -> float:
     return median(times[1:])
 
 
-def _scan(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_scan(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """Prefix sums and their total."""
     counts = rng.integers(0, 50, count).astype(np.int32)
     uploaded = device.upload(counts)
     offsets, total = scan.exclusive(device, uploaded)
@@ -61,7 +62,8 @@ def _scan(device: Device, rng: np.random.Generator, count: int) -> Iterator[Foun
     yield "scan", "offsets and total", error, 0.0, milliseconds
 
 
-def _sort(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_sort(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """The order of keys, of which many are equal."""
     keys = rng.integers(0, 2**32, count).astype(np.uint32)
     keys[::3] = keys[0]
     values = np.arange(count, dtype=np.int32)
@@ -72,7 +74,8 @@ def _sort(device: Device, rng: np.random.Generator, count: int) -> Iterator[Foun
     yield "sort", "order", largest(device.download(sorted_values), wanted), 0.0, milliseconds
 
 
-def _quantize(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_quantize(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """Rounded values, integers, and a Q per element."""
     x = (rng.normal(0, 4, count)).astype(np.float32)
     uploaded = device.upload(x)
     rounded = device.download(quantize.forward(device, uploaded, 8.0))
@@ -86,7 +89,8 @@ def _quantize(device: Device, rng: np.random.Generator, count: int) -> Iterator[
     yield "quantize", "values and integers", error, 0.0, milliseconds
 
 
-def _rate(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_rate(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """Bits and gradient of both forms of the rate proxy."""
     x = rng.laplace(0.3, np.arange(1, 7), (count // 6, 6)).astype(np.float32)
     uploaded = device.upload(x)
     forms: tuple[rate.Form, ...] = ("channel", "pooled")
@@ -104,7 +108,8 @@ def _rate(device: Device, rng: np.random.Generator, count: int) -> Iterator[Foun
         yield "rate", f"d_x ({form})", error, 1e-5, milliseconds
 
 
-def _adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """A parameter after ten steps."""
     parameter, gradient = rng.normal(size=(2, count)).astype(np.float32)
     uploaded = device.upload(parameter)
     d_parameter = device.upload(gradient)
@@ -127,7 +132,8 @@ def _adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Foun
     yield "adam", "parameter after 10 steps", error, limit, _milliseconds(device, lambda: step(11))
 
 
-def _density(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_density(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """The statistics of anchors that a view sees."""
     anchors = count // K_OFFSETS
     output = rng.uniform(-1, 1, (OUTPUT_DIM, anchors)).astype(np.float32)
     visible = np.sort(rng.permutation(2 * anchors)[:anchors]).astype(np.int32)
@@ -155,7 +161,8 @@ def _density(device: Device, rng: np.random.Generator, count: int) -> Iterator[F
     yield "density", "sums and counts", max(errors), 1e-6, milliseconds
 
 
-def _growth(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_growth(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """Features of new anchors."""
     anchors = max(count // K_OFFSETS, 1)
     shapes = (anchors, 3), (anchors, K_OFFSETS, 3), (anchors, FEATURE_DIM), (anchors, 6)
     host = AnchorSet(*(rng.normal(size=shape).astype(np.float32) for shape in shapes))
@@ -179,7 +186,8 @@ def _growth(device: Device, rng: np.random.Generator, count: int) -> Iterator[Fo
     )
 
 
-def _exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """A mapped picture, and the gradients of picture and map."""
     shape = 3, 1, count
     image, d_picture = rng.normal(size=(2, *shape)).astype(np.float32)
     maps = (np.eye(3, 4) + rng.normal(0, 0.2, (2, 3, 4))).astype(np.float32)
@@ -201,7 +209,8 @@ def _exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[
     yield "exposure", "d_image and d_map", error, 1e-5, _milliseconds(device, backward)
 
 
-def _mask(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_mask(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """A masked picture, and its gradient."""
     image = rng.normal(size=(3, 1, count)).astype(np.float32)
     used = rng.integers(0, 2, (1, count)).astype(np.uint8)
     uploaded = device.upload(image), device.upload(used)
@@ -214,7 +223,8 @@ def _mask(device: Device, rng: np.random.Generator, count: int) -> Iterator[Foun
     yield "mask", "picture and d_image", error, 0.0, milliseconds
 
 
-def _splats(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_splats(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """Ordinary Gaussians as a camera sees them, and their gradients."""
     widths = {"mean": (3,), "log_scale": (3,), "rotation": (4,), "opacity": (), "sh": (16, 3)}
     values = [0.3 * rng.normal(size=(count, *width)) for width in widths.values()]
     stored = OrdinaryGaussians(*(value.astype(np.float32) for value in values))

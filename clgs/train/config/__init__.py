@@ -1,11 +1,9 @@
 """The settings of training: declared once, read from files and command lines, described."""
 
-from clgs.train.config.describe import describe_options
 from clgs.train.config.learning_rates import LearningRates
 from clgs.train.config.option import MAX_WEIGHT
-from clgs.train.config.presets import layered, preset
-from clgs.train.config.settings import TrainConfig
-from clgs.train.config.sources import from_toml, parse_word, read_settings
+from clgs.train.config.settings import TrainConfig, describe_options
+from clgs.train.config.sources import from_toml, layered, parse_word, preset, read_settings
 
 __all__ = [
     "MAX_WEIGHT",

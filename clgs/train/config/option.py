@@ -46,7 +46,7 @@ class Range:
         return self.least <= value <= self.most and not (self.open_below and value == self.least)
 
     def __str__(self) -> str:
-        """In words: "at least 1", "0 or from 4 to 8"; empty if every number is allowed."""
+        """The range in words, as "at least 1" or "0 or from 4 to 8"; empty if it has no bounds."""
         if self.or_zero:
             return f"0 or {replace(self, or_zero=False)}"
         if self.most < float("inf"):
@@ -258,3 +258,48 @@ def _declared(settings: type, prefix: str) -> Iterator[Option]:
             yield from _declared(kind, f"{name}.")
         else:
             raise TypeError(f"{settings.__name__}.{one.name}: declare it by option(...)")
+
+
+FLAGS = {"size_lambda": "lambda"}
+"""Names on the command line that differ from those in a file: Python keeps the word lambda."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One option in words.
+
+    name: in a TOML file and for ``--set``, dotted in a table; flag: of ``clgs train``; group: its
+    heading; default, unit ("none" for a number without), range, help: texts for people, empty if
+    there is nothing to say.
+    """
+
+    name: str
+    flag: str
+    group: str
+    default: str
+    unit: str
+    range: str
+    help: str
+
+
+def describe(one: Option) -> Row:
+    """The row of an option."""
+    remark = "; moves with steps" if one.scaled else ""
+    return Row(
+        name=one.name,
+        flag=f"--{FLAGS.get(one.name, one.name).replace('_', '-')}",
+        group=one.group,
+        default=one.open_default or _text(one.default),
+        unit=one.unit,
+        range=one.range,
+        help=one.help + remark,
+    )
+
+
+def _text(value: object) -> str:
+    """A default as one would type it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return ",".join(map(_text, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,13 +1,16 @@
-"""The settings of a run as a whole, and of how it renders: part of the settings of training."""
+"""The settings of a run as a whole, of its renders and of its photos; part of TrainConfig."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from clgs.constants import NEAR_PLANE
+from clgs.data.reduction import LEAST_SIZE, MAX_SIZE
 from clgs.options import PRESETS
-from clgs.train.config.option import POSITIVE, Range, Text, at_least, option
-from clgs.train.config.run_length import FULL_STEPS
+from clgs.train.config.option import POSITIVE, WEIGHT, Range, Text, at_least, option
+
+FULL_STEPS = 30_000
+"""Steps of a whole run (paper)."""
 
 MAX_PIXELS = 65536
 """No picture is wider."""
@@ -140,4 +143,42 @@ class RunSettings:
         at_least(0),
         unit="MiB",
         in_digest=False,
+    )
+
+
+@dataclass(frozen=True)
+class PhotoSettings:
+    """Size, memory and exposure of photos; part of :class:`TrainConfig`."""
+
+    downscale: int = option(
+        0,
+        "reduce the photos this many times, whatever --max-size says; 0: as that says",
+        at_least(0),
+        unit="times",
+        group="photos",
+    )
+    max_size: int = option(
+        MAX_SIZE,
+        "reduce photos that are wider to this width (3DGS); 0: never",
+        Range(LEAST_SIZE, or_zero=True),
+        unit="pixels",
+    )
+    photo_memory: int = option(
+        1024,
+        "training photos that stay in memory, 3 bytes a pixel; those beyond it are read again from "
+        "the disk, ahead of their steps",
+        at_least(0),
+        unit="MiB",
+        in_digest=False,
+    )
+    exposure: bool = option(
+        False,
+        "learn the exposure of each training photo, an affine map of colors, from a fifth of the "
+        "steps on; the scene and the held-out views are without",
+    )
+    exposure_weight: float = option(
+        0.1,
+        "weight of the squared distance of a photo's map from none, with --exposure",
+        WEIGHT,
+        unit="none",
     )

@@ -13,44 +13,39 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
-from clgs.train.config.growth_settings import GrowthSettings
 from clgs.train.config.learning_rates import LearningRates
-from clgs.train.config.option import (
-    WEIGHT,
-    at_least,
-    option,
-    options_of,
-)
-from clgs.train.config.photo_settings import PhotoSettings
-from clgs.train.config.run_length import check_order, scaled_moments, shortness
-from clgs.train.config.run_settings import LEAST_ANCHORS, RunSettings
+from clgs.train.config.option import WEIGHT, Row, at_least, describe, option, options_of
+from clgs.train.config.run_settings import FULL_STEPS, LEAST_ANCHORS, PhotoSettings, RunSettings
 from clgs.train.config.size_settings import (
     AMPLE,
     ANCHOR_BITS,
     LEARNING,
     LEAST_TARGET,
     MLP_BYTES,
+    GrowthSettings,
     SizeSettings,
 )
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
 
+BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
+"""Colors of the fixed backgrounds."""
+
 LAMBDA = {True: 0.33, False: 0.9}
-"""For Blender scenes and for photos, of runs of LAMBDA_STEPS."""
+"""The default lambda of runs of LAMBDA_STEPS, for Blender scenes and for photos."""
 
 LAMBDA_STEPS = 3000
 
 LAMBDA_POWERS = {False: 0.55, True: 0.7}
-"""Of the steps, in runs up to LAMBDA_STEPS and in longer ones: what is not learned yet cannot show
-its worth, and longer runs would spend all of theirs on better pictures, none on smaller files.
+"""Powers of the steps in runs up to LAMBDA_STEPS and in longer ones. What is not learned yet cannot
+show its worth, and longer runs would spend all of theirs on better pictures, none on smaller files.
 """
-
-
 PAPER_Q: Mapping[str, Any] = {"offset_q": 1.0, "feature_q": 1.0, "scaling_q": 8.0}
 """Integers per unit of the paper; other runs choose their own."""
 
@@ -58,8 +53,15 @@ FINE_Q: Mapping[str, Any] = {"offset_q": 16.0, "feature_q": 16.0, "scaling_q": 6
 """Integers per unit if bytes have no price: finer than a quarter of the usual lambda chooses."""
 
 
+MOST_SHORTENED = 100.0
+"""Learning rates change no more in runs that are shorter still."""
+
+ORDER = ("statistics_start", "growth_start", "growth_end", "switch_step", "freeze_step", "steps")
+"""Anchors must be there before the switch, and learn after it."""
+
+
 def default_lambda(kind: str, steps: int) -> float:
-    """Of a run of ``steps`` on a kind of data set, see :meth:`TrainConfig.for_dataset`."""
+    """The lambda of a run of ``steps`` on data of ``kind``, see :meth:`TrainConfig.for_dataset`."""
     power = LAMBDA_POWERS[steps > LAMBDA_STEPS]
     return LAMBDA[kind == BLENDER] * float((steps / LAMBDA_STEPS) ** power)
 
@@ -181,7 +183,13 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
                 "target_size: preset paper keeps the published integers per unit, which cannot "
                 "meet a size; leave out one of the two"
             )
-        check_order(vars(self))
+        for first, second in pairwise(ORDER):
+            earlier, later = getattr(self, first), getattr(self, second)
+            if earlier > later:
+                raise UsageError(
+                    f"{first}: {earlier} is after {second} {later}; give at most that, "
+                    f"or a later {second}"
+                )
 
     @property
     def held_anchors(self) -> int:
@@ -206,7 +214,8 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         synthetic = kind == BLENDER
         voxel = self.voxel or (0.001 if synthetic else 0.005)
         weight = (0.0 if synthetic else 0.01) if self.volume_weight is None else self.volume_weight
-        position_q = self.position_q or _paper_position_q(self.preset, synthetic) or 1.0 / voxel
+        paper_q = (1024.0 if synthetic else 200.0) if self.preset == "paper" else 0.0
+        position_q = self.position_q or paper_q or 1.0 / voxel
         price = self.size_lambda
         if price is None:
             price = default_lambda(kind, self.steps)
@@ -232,9 +241,12 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
             UsageError: ``steps`` is not at least 1.
         """
         options_of(TrainConfig)["steps"].check(steps)
-        shorter = shortness(steps) / shortness(self.steps)
-        rates = self.learning_rates.for_shorter_run(shorter)
-        moved = scaled_moments(options_of(TrainConfig), vars(self), steps)
+        rates = self.learning_rates.for_shorter_run(_shortness(steps) / _shortness(self.steps))
+        moved = {
+            name: max(one.least, (getattr(self, name) * steps + self.steps // 2) // self.steps)
+            for name, one in options_of(TrainConfig).items()
+            if one.scaled
+        }
         return replace(self, steps=steps, learning_rates=rates, **moved)
 
     def render_options(self) -> RenderOptions:
@@ -253,5 +265,11 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         return hashlib.sha256(replace(self, **free).to_toml().encode()).hexdigest()
 
 
-def _paper_position_q(preset_name: str, synthetic: bool) -> float:
-    return (1024.0 if synthetic else 200.0) if preset_name == "paper" else 0.0
+def _shortness(steps: int) -> float:
+    """How many times shorter a run is than a whole one: 1 to MOST_SHORTENED."""
+    return min(max(FULL_STEPS / steps, 1.0), MOST_SHORTENED)
+
+
+def describe_options() -> list[Row]:
+    """Every option of training, in the order of the help."""
+    return [describe(one) for one in options_of(TrainConfig).values()]

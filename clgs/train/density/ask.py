@@ -11,7 +11,14 @@ import numpy.typing as npt
 from clgs.constants import K_OFFSETS, LOG_SCALE_LIMIT
 from clgs.ops.growth import NewAnchors
 from clgs.train.config import TrainConfig
-from clgs.train.density.cells import Axes, Floats, Grid, cells_of, occur, voxels_of
+from clgs.train.density.voxel_grid import (
+    Axes,
+    Floats,
+    VoxelWindow,
+    cells_of,
+    occur,
+    voxels_of,
+)
 
 CELL_DIVISOR = 4
 """A level's cells have this fraction of the edge of those of the level before it."""
@@ -24,7 +31,7 @@ NEARLY = 1.0 - 1e-5
 Rows = npt.NDArray[np.intp]
 
 Places = Callable[[Rows], Floats]
-"""Of slots (n,): (n, 6) offsets, and the log scales that they are multiplied by."""
+"""A function of slots (n,): their (n, 6) offsets and the log scales that multiply these."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +57,7 @@ class _Found:
     """Voxels (3, A) that held an anchor before, their window, and the levels so far."""
 
     occupied: Axes
-    grid: Grid
+    window: VoxelWindow
     levels: list[_Level] = field(default_factory=list)
 
     @property
@@ -65,7 +72,7 @@ class _Found:
 
 
 def nearly(threshold: float) -> float:
-    """What a quick look in float32 asks for, so that it misses no slot that asks."""
+    """A slightly lower threshold, so that a comparison in float32 misses no slot that asks."""
     return threshold * NEARLY
 
 
@@ -75,7 +82,7 @@ def strong_slots(
     gradient_count: npt.NDArray[np.int32],
     config: TrainConfig,
 ) -> StrongSlots:
-    """Those of ``slots`` that ask at level 0, from their sums and counts (n,)."""
+    """Select the ``slots`` that ask at level 0, by their sums and counts (n,)."""
     mean = gradient_sum / gradient_count
     strong = mean >= config.growth_threshold
     return StrongSlots(slots[strong], mean[strong])
@@ -113,25 +120,19 @@ def wanted_anchors(
     occupied = np.compress(live, voxels_of(position, 1.0 / config.voxel), axis=1)
     most = config.most_anchors
     room = max(0, most - occupied.shape[1]) if most else 1 << 62
-    found = _Found(occupied, Grid.around(occupied))
+    found = _Found(occupied, VoxelWindow.around(occupied))
     for level in range(config.growth_levels):
         factor = config.growth_cell // CELL_DIVISOR**level
         if factor == 0 or (level > 0 and not found.count):
             break
         asking = np.flatnonzero(mean >= config.growth_threshold * THRESHOLD_FACTOR**level)
         asking = asking[rng.random(len(asking)) > 0.5 ** (level + 1)]
-        asking = slots[_largest(mean, asking, room - found.count)]
+        if len(asking) > (left := room - found.count):  # those with the largest gradient stay
+            asking = np.sort(asking[np.argsort(-mean[asking], kind="stable")[:left]])
         if len(asking):
-            coordinates = _coordinates(asking, position, places, config.voxel)
-            _add_level(found, factor, asking // K_OFFSETS, coordinates)
+            coordinates = _coordinates(slots[asking], position, places, config.voxel)
+            _add_level(found, factor, slots[asking] // K_OFFSETS, coordinates)
     return _new_anchors(found.levels, config.voxel)
-
-
-def _largest(mean: npt.NDArray[np.float64], asking: Rows, room: int) -> Rows:
-    """At most ``room`` of those ``asking``, those with the largest ``mean``, ascending."""
-    if len(asking) <= room:
-        return asking
-    return np.sort(asking[np.argsort(-mean[asking], kind="stable")[:room]])
 
 
 def _coordinates(slots: Rows, position: Floats, places: Places, voxel: float) -> Axes:
@@ -146,14 +147,14 @@ def _coordinates(slots: Rows, position: Floats, places: Places, voxel: float) ->
 def _add_level(found: _Found, factor: int, rows: Rows, coordinates: Axes) -> None:
     """Give anchors to cells of ``factor`` voxels that hold none, at the coordinates (3, n)."""
     wanted = np.rint(coordinates / factor)
-    inside = np.flatnonzero(found.grid.holds(wanted * factor))
-    keys = found.grid.keys(np.take(wanted, inside, axis=1), factor)
+    inside = np.flatnonzero(found.window.holds(wanted * factor))
+    keys = found.window.keys(np.take(wanted, inside, axis=1), factor)
     order = np.argsort(keys, kind="stable")
     keys, inside = keys[order], inside[order]
     starts = np.flatnonzero(np.diff(keys, prepend=-1))
     free = np.ones(len(starts), np.bool_)
     for voxels in found.voxels:
-        free &= ~occur(keys[starts], found.grid.keys(cells_of(voxels, factor), factor))
+        free &= ~occur(keys[starts], found.window.keys(cells_of(voxels, factor), factor))
     if free.any():
         sizes = np.diff(starts, append=len(keys))
         parents = inside[np.repeat(free, sizes)]

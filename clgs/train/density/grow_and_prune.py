@@ -1,13 +1,14 @@
 """Growing and pruning of anchors where they are, on the device.
 
-Within a step: statistics, :func:`mask_prune`, :func:`grow`, :func:`prune`. Rows that stay are not
-moved, new ones come last, and anchors that go are hidden until :func:`compact` leaves them out.
+Statistics are summed up at every step. At the end of some steps, :func:`replace_anchors` prunes and
+grows. Rows that stay are not moved, new ones come last, and anchors that go are hidden until
+:func:`compacted` leaves out their rows.
 Source: Scaffold-GS, section 3.3; Voxel-GS adds the mask prune (section 3.2).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,57 +17,81 @@ import numpy.typing as npt
 from clgs.errors import ClgsError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import growth
-from clgs.ops.density import DeviceStatistics
+from clgs.ops import density, growth
+from clgs.render.frame import Frame, SceneGradients
 from clgs.train.config import TrainConfig
 from clgs.train.density.ask import nearly, strong_slots, wanted_anchors
-from clgs.train.density.host_state import NOTHING_LEFT
-from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
+from clgs.train.density.voxel_grid import VoxelWindow, voxels_of
+from clgs.train.state.parameters import ANCHOR_GROUPS, NOTHING_LEFT, HostRows, Parameters
+
+Positions = npt.NDArray[np.float32]
+"""A copy of the positions (A, 3) on the host, NaN for hidden anchors."""
 
 
-@dataclass
-class DeviceState:
-    """All that has a row per anchor, on the device, and the positions on the host, too.
+def observe(
+    device: Device,
+    config: TrainConfig,
+    parameters: Parameters,
+    frame: Frame,
+    gradients: SceneGradients,
+    step: int,
+    stop: DeviceArray,
+) -> None:
+    """Add step number ``step`` to the statistics, if they are taken then and ``stop`` is 0."""
+    if not config.statistics_start < step < config.growth_end:
+        return
+    seen = density.SeenView(
+        output=frame.activations.output,
+        visible=frame.activations.visible,
+        slot=frame.gaussians.slot,
+        extent=frame.projected.extent,
+        d_mean2d=gradients.d_mean2d,
+        size=frame.view.size,
+    )
+    density.accumulate(device, parameters.statistics, seen, stop)
 
-    position (A, 3) float32, NaN of those that are hidden.
+
+def replaces_anchors(config: TrainConfig, step: int) -> bool:
+    """Whether the anchors change at the end of step number ``step``."""
+    in_window = max(config.statistics_start, config.growth_start) < step < config.growth_end
+    return in_window and step % config.growth_interval == 0
+
+
+def replace_anchors(
+    device: Device,
+    config: TrainConfig,
+    parameters: Parameters,
+    frame: Frame,
+    rng: np.random.Generator,
+) -> Parameters:
+    """Prune and grow after a step that rendered ``frame``; anchors that go are hidden.
+
+    Raises:
+        ClgsError: no anchor is left.
     """
+    seen = frame.activations.visible, frame.activations.output
+    position = mask_prune(device, parameters, *seen)
+    parameters, position = grow(device, config, parameters, position, rng)
+    prune(device, config, parameters, position)
+    return replace(parameters, hidden=count_hidden(position))
 
-    parameters: Parameters
-    statistics: DeviceStatistics
-    position: npt.NDArray[np.float32]
 
-    @classmethod
-    def of(
-        cls, device: Device, parameters: Parameters, statistics: DeviceStatistics
-    ) -> DeviceState:
-        """Waits for the device."""
-        return cls(parameters, statistics, device.download(parameters.scene.anchors.position))
+def count_hidden(position: Positions) -> int:
+    """The number of hidden anchors.
 
-    @property
-    def live(self) -> npt.NDArray[np.bool_]:
-        """Which anchors (A,) are not hidden."""
-        return ~np.isnan(self.position[:, 0])
-
-    def settled(self) -> Parameters:
-        """The parameters, which know how many anchors are hidden.
-
-        Raises:
-            ClgsError: all are.
-        """
-        hidden = len(self.position) - int(self.live.sum())
-        if hidden == len(self.position):
-            raise ClgsError(NOTHING_LEFT)
-        return replace(self.parameters, hidden=hidden)
+    Raises:
+        ClgsError: all are hidden.
+    """
+    hidden = int(np.isnan(position[:, 0]).sum())
+    if hidden == len(position):
+        raise ClgsError(NOTHING_LEFT)
+    return hidden
 
 
 def mask_prune(
-    device: Device,
-    parameters: Parameters,
-    statistics: DeviceStatistics,
-    visible: DeviceArray,
-    output: DeviceArray,
-) -> DeviceState:
-    """Hide anchors that a view sees without drawing anything of them.
+    device: Device, parameters: Parameters, visible: DeviceArray, output: DeviceArray
+) -> Positions:
+    """Hide anchors that a view sees without drawing anything of them; return the positions.
 
     Offsets of slots that are not drawn are set to 0 in the visible anchors that stay. Anchors and
     statistics are changed in place.
@@ -74,55 +99,55 @@ def mask_prune(
     Args:
         device: where the arrays live.
         parameters: A anchors.
-        statistics: of the same anchors.
         visible: (V,) int32, distinct rows of the anchors visible in this step's view; -1 is none.
         output: (at least K, Vp) float32, whose first K rows are opacities; a slot is drawn if its
-            is above 0.
+            opacity is above 0.
 
     Raises:
         ClgsError: no anchor is left.
     """
-    growth.hide_undrawn(device, parameters.scene.anchors, statistics, visible, output)
-    state = DeviceState.of(device, parameters, statistics)
-    state.settled()
-    return state
+    anchors = parameters.scene.anchors
+    growth.hide_undrawn(device, anchors, parameters.statistics, visible, output)
+    position = device.download(anchors.position)
+    count_hidden(position)
+    return position
 
 
-def grow(device: Device, state: DeviceState, config: TrainConfig, rng: np.random.Generator) -> int:
-    """Add the anchors of :func:`clgs.train.density.ask.wanted_anchors`; returns how many.
+def grow(
+    device: Device,
+    config: TrainConfig,
+    parameters: Parameters,
+    position: Positions,
+    rng: np.random.Generator,
+) -> tuple[Parameters, Positions]:
+    """Add the anchors of :func:`clgs.train.density.ask.wanted_anchors`, after the others.
 
-    Offsets, moments and statistics of new ones are 0, features the maximum of their parents'.
+    Their offsets, moments and statistics are 0, their features the maximum of their parents'.
     Sums of slots seen more than ``slot_seen`` times are then zeroed.
     """
-    statistics, anchors = state.statistics, state.parameters.scene.anchors
+    statistics, anchors = parameters.statistics, parameters.scene.anchors
     slots = growth.asking(device, statistics, config.slot_seen, nearly(config.growth_threshold))
     with device.mapped(statistics.gradient_sum, statistics.gradient_count) as sums:
         strong = strong_slots(slots, sums[0].ravel()[slots], sums[1].ravel()[slots], config)
     growth.restart(device, statistics, config.slot_seen)
     places = partial(growth.places, device, anchors)
-    new = wanted_anchors(state.position, strong, places, config, rng)
-    if len(new):
-        _append(device, state, new)
-    return len(new)
-
-
-def _append(device: Device, state: DeviceState, new: growth.NewAnchors) -> None:
-    before = state.parameters
+    new = wanted_anchors(position, strong, places, config, rng)
+    if not len(new):
+        return parameters, position
     zeros = partial(growth.with_zeros, device, rows=len(new))
-    held = [*before.scene.anchors.items(), *state.statistics.items()]  # moments are as the anchors
+    held = [*anchors.items(), *statistics.items()]  # moments are as the anchors
     if not all(device.has_room(array, len(array) + len(new)) for _, array in held):
         device.release_unused()  # longer arrays come next
-    anchors = growth.append(device, before.scene.anchors, new)
-    moments = {name: before.moments[name].map(zeros) for name in ANCHOR_GROUPS}
-    state.parameters = Parameters(
-        replace(before.scene, anchors=anchors), before.moments | moments, before.hidden
+    scene = replace(parameters.scene, anchors=growth.append(device, anchors, new))
+    moments = {name: parameters.moments[name].map(zeros) for name in ANCHOR_GROUPS}
+    grown = Parameters(
+        scene, parameters.moments | moments, statistics.map(zeros), parameters.hidden
     )
-    state.statistics = state.statistics.map(zeros)
-    state.position = np.concatenate([state.position, new.position])
+    return grown, np.concatenate([position, new.position])
 
 
-def prune(device: Device, state: DeviceState, config: TrainConfig) -> int:
-    """Hide anchors that stayed transparent; returns how many.
+def prune(device: Device, config: TrainConfig, parameters: Parameters, position: Positions) -> int:
+    """Hide anchors that stayed transparent, also in ``position``; return how many.
 
     Of the anchors visited more than ``anchor_visits`` times, those with a summed opacity below
     ``prune_opacity`` per visit go, and the sums of the others are zeroed. Scaling [3:6] of all that
@@ -131,24 +156,43 @@ def prune(device: Device, state: DeviceState, config: TrainConfig) -> int:
     Raises:
         ClgsError: no anchor is left.
     """
-    statistics, anchors = state.statistics, state.parameters.scene.anchors
     limits = config.anchor_visits, config.prune_opacity, config.scaling_cap
-    rows = growth.prune(device, anchors, statistics, *limits)
-    state.position[rows] = np.nan
-    state.settled()
+    rows = growth.prune(device, parameters.scene.anchors, parameters.statistics, *limits)
+    position[rows] = np.nan
+    count_hidden(position)
     return len(rows)
 
 
-def compact(device: Device, state: DeviceState) -> None:
-    """Leave out the rows of hidden anchors; those of the others keep their order."""
-    if not state.settled().hidden:
-        return
-    live, before = state.live, state.parameters
+def compacted(device: Device, parameters: Parameters) -> Parameters:
+    """The parameters without the rows of hidden anchors; those of the others keep their order."""
+    if not parameters.hidden:
+        return parameters
+    device.release_unused()
+    live = ~np.isnan(device.download(parameters.scene.anchors.position)[:, 0])
     rows = device.upload(np.flatnonzero(live).astype(np.int32))
     take = partial(growth.take, device, rows=rows)
-    anchors = before.scene.anchors.map(take)
-    moments = {name: before.moments[name].map(take) for name in ANCHOR_GROUPS}
-    scene = replace(before.scene, anchors=anchors)
-    state.parameters = Parameters(scene, before.moments | moments)
-    state.statistics = state.statistics.map(take)
-    state.position = state.position[live]
+    scene = replace(parameters.scene, anchors=parameters.scene.anchors.map(take))
+    moments = {name: parameters.moments[name].map(take) for name in ANCHOR_GROUPS}
+    return Parameters(scene, parameters.moments | moments, parameters.statistics.map(take))
+
+
+def merge_cells(rows: HostRows, q_position: float) -> int:
+    """Move anchors to the grid of ``q_position`` cells per scene unit; return how many merged away.
+
+    Of the anchors of a cell the one with the largest summed opacity stays, with its moments; the
+    first one in case of a tie. Positions become float32(integer / q_position).
+
+    Raises:
+        ClgsError: the grid is too fine for the extent of the anchors.
+    """
+    cells = voxels_of(rows.anchors.position, q_position)
+    keys = VoxelWindow.around(cells).keys(cells)
+    order = np.lexsort((-rows.statistics.opacity_sum, keys))
+    first = np.ones(len(order), np.bool_)
+    first[1:] = keys[order[1:]] != keys[order[:-1]]
+    keep = np.zeros(len(order), np.bool_)
+    keep[order[first]] = True
+    merged = rows.keep(keep)
+    position = (cells[:, keep].T / np.float64(q_position)).astype(np.float32)
+    rows.anchors = replace(rows.anchors, position=position)
+    return merged

@@ -5,64 +5,36 @@ d = -(sum over its Gaussians of opacity * d image / d opacity), to first order i
 The squared error that this adds is <d, d>, the mean of <noise, d>^2 over random signs
 (Hutchinson's estimator): one backward pass and one draw per view, since many views see an anchor.
 The product of d with the residual of training is left out on purpose: single anchors that seem to
-do harm are needed by each other, and leaving out thousands of them by it costs far more.
+do harm need each other, and leaving out thousands of them because of it costs far more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import density
-from clgs.ops.project import ProjectedGradients
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, upload_view
-from clgs.render.rasterise import (
-    blend_backward,
-    rasterise,
-    rasterise_backward,
-    with_enough_room,
-)
+from clgs.render.frame import EXACT_ROOM, DeviceScene, upload_view
+from clgs.render.rasterise import blend_backward, rasterise, rasterise_backward, with_enough_room
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, RenderSettings
 
 SEED = 0
 
 
-def importance(
-    device: Device,
-    scene: DeviceScene,
-    settings: RenderSettings,
-    cameras: Sequence[Camera],
-    options: RenderOptions = DEFAULT,
-    on_render: Callable[[], None] = lambda: None,
-) -> npt.NDArray[np.float64]:
-    """The squared error of the pictures from ``cameras`` that each anchor saves, (A,) float64.
-
-    At least 0. Summed over pixels and channels, colors in [0, 1]. ``on_render`` is called after
-    each camera.
-    """
-    found = density.no_importance(device, len(scene.anchors))
-    for frame, signs in _signed(device, scene, settings, cameras, options):
-        _add_importance(device, found, frame, blend_backward(device, frame, signs))
-        del frame, signs  # before the next ones are made
-        on_render()
-    return device.download(found.total).astype(np.float64)
-
-
 @dataclass(frozen=True)
 class Sensitivity:
-    """How the squared error of pictures goes with the anchors of a scene.
+    """How the squared error of pictures depends on the anchors of a scene.
 
-    importance (A,): what leaving an anchor out adds to it; curvature: of offset (A, K, 3), feature
-    (A, F) and scaling (A, 6), what a change by d adds to it, divided by d squared. Float32. seen
-    (A,): whether a picture shows the anchor's place.
+    importance (A,): what leaving an anchor out adds to the error; curvature: of offset (A, K, 3),
+    feature (A, F) and scaling (A, 6), what a change by d adds to it, divided by d squared. Float32,
+    at least 0. seen (A,): whether a picture shows the anchor's place.
     """
 
     importance: npt.NDArray[np.float32]
@@ -70,19 +42,19 @@ class Sensitivity:
     seen: npt.NDArray[np.bool_]
 
     def times(self, factor: float) -> Sensitivity:
-        """In units that are smaller by ``factor``."""
+        """The same in units that are smaller by ``factor``."""
         scaled = {name: array * np.float32(factor) for name, array in self.curvature.items()}
         return Sensitivity(self.importance * np.float32(factor), scaled, self.seen)
 
     def mean(self, other: Sensitivity) -> Sensitivity:
-        """Of two looks at the same anchors."""
+        """The mean of two looks at the same anchors."""
         half = np.float32(0.5)
         curvature = {n: half * (array + other.curvature[n]) for n, array in self.curvature.items()}
         importance = half * (self.importance + other.importance)
         return Sensitivity(importance, curvature, self.seen | other.seen)
 
     def rows(self, kept: npt.NDArray[np.bool_]) -> Sensitivity:
-        """Of the anchors that ``kept`` (A,) says."""
+        """The same for the anchors where ``kept`` (A,) is true."""
         curvature = {name: array[kept] for name, array in self.curvature.items()}
         return Sensitivity(self.importance[kept], curvature, self.seen[kept])
 
@@ -94,26 +66,45 @@ def sensitivity(
     cameras: Sequence[Camera],
     options: RenderOptions = DEFAULT,
     curved: bool = True,
+    on_render: Callable[[], None] = lambda: None,
 ) -> Sensitivity:
-    """The importance of :func:`importance`, and the diagonal of the Gauss-Newton matrix.
+    """The importance of every anchor, and the diagonal of the Gauss-Newton matrix.
 
-    Both are summed over the pictures. The latter by the same random signs: the mean of
-    <signs, d image / d x>^2 is the squared length of d image / d x. It is left out unless
-    ``curved``.
+    Both are summed over the pixels and channels of all pictures, colors in [0, 1]. The matrix uses
+    the same random signs: the mean of <signs, d image / d x>^2 is the squared length of
+    d image / d x. Without ``curved`` it is left out, which is faster.
+
+    Args:
+        device: where ``scene`` lies.
+        scene: A anchors and the weights of the MLPs.
+        settings: of the renders.
+        cameras: which see the scene.
+        options: of the renders.
+        curved: whether the matrix is computed.
+        on_render: called after each camera.
     """
     found = density.no_importance(device, len(scene.anchors))
     sizes = {n: array.shape for n, array in scene.anchors.items() if n != "position"}
     curvature = {name: device.zeros(size) for name, size in sizes.items() if curved}
-    for frame, signs in _signed(device, scene, settings, cameras, options):
+    rng, room = np.random.default_rng(SEED), EXACT_ROOM
+    for camera in cameras:
+        view = upload_view(device, camera, settings)
+        draw = partial(rasterise, device, scene, view, options)
+        frame, room = with_enough_room(device, room, draw)
+        random = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
+        signs = device.upload(random)
         if curved:
             gradients = rasterise_backward(device, scene, frame, signs)
-            _add_importance(device, found, frame, gradients.d_projected)
             for name, total in curvature.items():
                 density.add_curvature(device, total, getattr(gradients, f"d_{name}"))
+            d_opacity = gradients.d_projected.d_opacity
             del gradients
         else:
-            _add_importance(device, found, frame, blend_backward(device, frame, signs))
-        del frame, signs  # before the next ones are made
+            d_opacity = blend_backward(device, frame, signs).d_opacity
+        visible = frame.activations.visible
+        density.add_importance(device, found, visible, frame.gaussians, d_opacity)
+        del frame, signs, d_opacity  # before the next ones are made
+        on_render()
     sums = {name: device.download(array) for name, array in curvature.items()}
     return Sensitivity(device.download(found.total), sums, device.download(found.seen) > 0)
 
@@ -125,29 +116,3 @@ def importance_without_views(scene: QuantizedScene) -> npt.NDArray[np.float64]:
     """
     shape = scene.anchors.scaling[:, 3:] / scene.scales.scaling
     return np.asarray(np.exp(np.clip(np.sort(shape, axis=1)[:, 1:].sum(axis=1), -80.0, 80.0)))
-
-
-def _signed(
-    device: Device,
-    scene: DeviceScene,
-    settings: RenderSettings,
-    cameras: Sequence[Camera],
-    options: RenderOptions,
-) -> Iterator[tuple[Frame, DeviceArray]]:
-    """The frame of each camera, and random signs of the shape of its picture."""
-    rng, room = np.random.default_rng(SEED), EXACT_ROOM
-    for camera in cameras:
-        view = upload_view(device, camera, settings)
-        draw = partial(rasterise, device, scene, view, options)
-        frame, room = with_enough_room(device, room, draw)
-        signs = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
-        yield frame, device.upload(signs)
-        del frame
-
-
-def _add_importance(
-    device: Device, found: density.Importance, frame: Frame, gradients: ProjectedGradients
-) -> None:
-    """Add <d, signs>^2 of every anchor of the frame to what was ``found``."""
-    visible = frame.activations.visible
-    density.add_importance(device, found, visible, frame.gaussians, gradients.d_opacity)

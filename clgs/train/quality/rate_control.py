@@ -29,7 +29,7 @@ from clgs.render.frame import upload_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
-from clgs.train.quality.importance import importance, importance_without_views
+from clgs.train.quality.importance import importance_without_views, sensitivity
 from clgs.train.quality.score_views import mean_psnr
 
 Encode = Callable[[QuantizedScene], bytes]
@@ -84,14 +84,10 @@ class Judge:
             for camera in self.cameras
         ]
         uploaded = upload_scene(self.device, scene.dequantize())
-        return importance(
-            self.device,
-            uploaded,
-            scene.settings,
-            cameras,
-            self.options,
-            self.on_render,
+        found = sensitivity(
+            self.device, uploaded, scene.settings, cameras, self.options, False, self.on_render
         )
+        return found.importance.astype(np.float64)
 
 
 @dataclass(frozen=True)

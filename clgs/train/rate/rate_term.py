@@ -1,15 +1,10 @@
 """The part of the loss that counts bytes: the rate proxy's gradient, added at every step.
 
-What the proxy knows of all anchors, a table per attribute, is made every ``rate_interval`` steps
-and kept in between; the gradient of an integer follows from its own value and the kept table.
+The proxy knows the anchors by a table per attribute, which is made every ``rate_interval`` steps
+and kept in between. The gradient of an integer follows from its own value and the kept table.
 """
 
 from __future__ import annotations
-
-from dataclasses import astuple, dataclass
-
-import numpy as np
-import numpy.typing as npt
 
 from clgs.opencl.device import Device
 from clgs.ops import rate
@@ -18,67 +13,52 @@ from clgs.scene.anchors import QuantizationScales, rounded
 from clgs.train.config import TrainConfig
 from clgs.train.rate.entropy import coded_bits
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
+from clgs.train.state.run_state import RateState, RateTables
 
 PUSH = 4.0
-"""Times its price that a bit counts in the gradient: Adam takes small steps towards few bits."""
+"""A bit counts this many times its price in the gradient: Adam takes small steps towards few bits.
+"""
 
 KEPT = 2
 """Tables kept: a step that is done again may need those of before its successors began."""
 
 
-@dataclass(frozen=True, eq=False)
-class Tables:
-    """Of step ``step``: the rate of each of ANCHOR_GROUPS, and the number of anchors."""
-
-    step: int
-    rates: dict[str, rate.Rate]
-    anchors: int
-
-    @property
-    def bits(self) -> float:
-        """Per anchor."""
-        return sum(one.bits for one in self.rates.values())
-
-
 class RateTerm:
     """Adds the gradient of the price of the file, whose bits the proxy estimates."""
 
-    def __init__(self, device: Device, config: TrainConfig, scales: QuantizationScales) -> None:
-        """``scales``: the integers per unit that attributes are rounded to.
-
-        The ``price`` of a bit, in units of the loss, is 0 until someone sets it.
-        """
+    def __init__(self, device: Device, config: TrainConfig) -> None:
+        """Price the parameters of one run."""
         self._device, self._config = device, config
-        self.scales, self.price = scales, 0.0
-        self._kept: list[Tables] = []
-        self._slopes: tuple[Tables, float, dict[str, rate.Slopes]] | None = None
+        self._slopes: tuple[RateTables, float, dict[str, rate.Slopes]] | None = None
 
-    def add(self, parameters: Parameters, gradients: SceneGradients, step: int) -> float | None:
-        """Add the gradient in place if it is due; returns bits per anchor if they were counted."""
+    def add(
+        self, state: RateState, parameters: Parameters, gradients: SceneGradients, step: int
+    ) -> float | None:
+        """Add the gradient in place if it is due; return bits per anchor if they were counted."""
         config = self._config
         within = config.switch_step < step <= config.freeze_step
-        if not within or not (self.price or config.rate_weight):
+        if not within or not (state.price or config.rate_weight):
             return None
         due = step % config.rate_interval == 0
         with self._device.stage("rate"):
-            tables = self._tables(parameters, step)
-            weight = PUSH * self.price * tables.anchors
+            state.tables = [one for one in state.tables if one.step < step]
+            if not state.tables or due:
+                state.tables.append(self.measure(state.scales, parameters, step))
+            state.tables = state.tables[-KEPT:]
+            tables = state.tables[-1]
+            weight = PUSH * state.price * tables.anchors
             if due:
                 weight += config.rate_weight
             if weight:
                 arrays = [
-                    (
-                        one,
-                        getattr(parameters.scene.anchors, name),
-                        getattr(gradients, f"d_{name}"),
-                    )
+                    (one, getattr(parameters.scene.anchors, name), getattr(gradients, f"d_{name}"))
                     for name, one in self._slopes_of(tables, weight).items()
                 ]
                 rate.backward_all(self._device, arrays)
         return tables.bits if due else None
 
-    def _slopes_of(self, tables: Tables, weight: float) -> dict[str, rate.Slopes]:
-        """Those of every attribute, made when the tables or their weight change."""
+    def _slopes_of(self, tables: RateTables, weight: float) -> dict[str, rate.Slopes]:
+        """The slopes of every attribute, made when the tables or their weight change."""
         if self._slopes is None or self._slopes[:2] != (tables, weight):
             made = {
                 name: rate.slopes(self._device, one, weight) for name, one in tables.rates.items()
@@ -86,56 +66,21 @@ class RateTerm:
             self._slopes = tables, weight, made
         return self._slopes[2]
 
-    def measure(self, parameters: Parameters, step: int) -> Tables:
-        """The rates of the anchors as they are."""
+    def measure(self, scales: QuantizationScales, parameters: Parameters, step: int) -> RateTables:
+        """Make the tables of the anchors as they are."""
         form: rate.Form = "pooled" if self._config.proxy == "pooled" else "channel"
+        anchors = parameters.scene.anchors
         rates = {
-            name: rate.forward(
-                self._device,
-                getattr(parameters.scene.anchors, name),
-                getattr(self.scales, name),
-                form,
-            )
+            name: rate.forward(self._device, getattr(anchors, name), getattr(scales, name), form)
             for name in ANCHOR_GROUPS
         }
-        return Tables(step, rates, parameters.count)
+        return RateTables(step, rates, parameters.count)
 
-    def estimated_bits(self, parameters: Parameters) -> float:
-        """Bits per anchor of the rounded attributes, about as the file will have them."""
-        anchors = parameters.download_anchors(self._device)
-        integers = {
-            name: rounded(getattr(anchors, name), getattr(self.scales, name))
-            for name in ANCHOR_GROUPS
-        }
-        return sum(coded_bits(integers).values()) / parameters.count
 
-    def _tables(self, parameters: Parameters, step: int) -> Tables:
-        """Those for step number ``step``: made new if they are due, else the newest before it."""
-        self._kept = [one for one in self._kept if one.step < step]
-        if not self._kept or step % self._config.rate_interval == 0:
-            self._kept.append(self.measure(parameters, step))
-        self._kept = self._kept[-KEPT:]
-        return self._kept[-1]
-
-    def state(self) -> dict[str, npt.NDArray[np.float64]]:
-        """All that :meth:`restore` needs to continue exactly, by name."""
-        found = {"rate.scales": np.array(astuple(self.scales)), "rate.price": np.array(self.price)}
-        if self._kept:
-            newest = self._kept[-1]
-            found |= {f"rate.{name}": one.table for name, one in newest.rates.items()}
-            bits = (one.bits for one in newest.rates.values())
-            found["rate.kept"] = np.array([newest.step, newest.anchors, *bits], np.float64)
-        return found
-
-    def restore(self, arrays: dict[str, npt.NDArray[np.float64]]) -> None:
-        """Take what :meth:`state` gave; other arrays are ignored."""
-        self.scales = QuantizationScales(*map(float, arrays["rate.scales"]))
-        self.price = float(arrays["rate.price"])
-        self._kept = []
-        if "rate.kept" in arrays:
-            step, anchors, *bits = arrays["rate.kept"]
-            rates = {
-                name: rate.Rate(float(each), getattr(self.scales, name), arrays[f"rate.{name}"])
-                for name, each in zip(ANCHOR_GROUPS, bits, strict=True)
-            }
-            self._kept = [Tables(int(step), rates, int(anchors))]
+def estimated_bits(device: Device, parameters: Parameters, scales: QuantizationScales) -> float:
+    """Bits per anchor of the rounded attributes, about as many as the file will have."""
+    anchors = parameters.download_anchors(device)
+    integers = {
+        name: rounded(getattr(anchors, name), getattr(scales, name)) for name in ANCHOR_GROUPS
+    }
+    return sum(coded_bits(integers).values()) / parameters.count

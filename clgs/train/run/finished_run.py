@@ -17,8 +17,8 @@ from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig
 from clgs.train.run.folder_lock import FolderLock
 from clgs.train.state.checkpoint import checkpoints
-from clgs.train.state.hashes import read_fingerprint, scene_hash
-from clgs.train.state.resume import SETTINGS, changed_settings, run_digest
+from clgs.train.state.hashes import read_fingerprint, run_digest, scene_hash
+from clgs.train.state.resume import SETTINGS, changed_settings
 
 RESULTS = "results.json"
 """The last file of a run: a folder that has it is finished."""

@@ -11,7 +11,6 @@ from typing import TypeVar
 from clgs.errors import ClgsError
 from clgs.files import is_full
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.resume import save_checkpoint
 
 Result = TypeVar("Result")
 
@@ -56,7 +55,7 @@ class Keeper:
         if self._is_saved():
             return
         try:
-            save_checkpoint(self._folder, self._trainer)
+            self._trainer.save(self._folder)
         except ClgsError as error:
             if isinstance(error.__cause__, OSError) and is_full(error.__cause__):
                 raise self._no_room(error.__cause__) from error

@@ -43,11 +43,11 @@ from clgs.train.run.finished_run import (
 )
 from clgs.train.run.folder_lock import FolderLock
 from clgs.train.run.full_disk import Keeper
+from clgs.train.run.load import random_start, with_points
 from clgs.train.run.progress_log import ProgressLog
 from clgs.train.run.trainer import StepResult, Trainer
 from clgs.train.state.checkpoint import checkpoints
-from clgs.train.state.hashes import fingerprint
-from clgs.train.state.resume import load_checkpoint, run_digest
+from clgs.train.state.hashes import fingerprint, run_digest
 
 HASHED_VIEWS = 3
 POSITION_BITS = 12.0
@@ -87,7 +87,7 @@ class Session:
         lock = FolderLock(folder) if folder.is_dir() else None
         self.trainer = Trainer(device, dataset, config)
         if resume and checkpoints(folder / "checkpoint"):
-            load_checkpoint(folder / "checkpoint", self.trainer)
+            self.trainer.resume(folder / "checkpoint")
         self.keeper = Keeper(folder, self.trainer)
         self.trainer.check_budget()
         make_folder(folder)
@@ -219,7 +219,7 @@ class Session:
             "device": self.device.name,
             "skipped_images": self.dataset.skipped,
             "digest": run_digest(self.dataset, self.config),
-            "merged_anchors": self.trainer.merged,
+            "merged_anchors": self.trainer.state.merged,
             "switch_psnr": self.log.events,
         }
         write_json(self.folder / "per_view.json", [score.record() for score in scores])
@@ -264,7 +264,8 @@ def train_scene(
     """Train a scene; the run folder receives everything, ``scene.clgs`` included.
 
     Args:
-        dataset: from :func:`clgs.load_dataset`.
+        dataset: from :func:`clgs.load_dataset`; if it has no points, they are triangulated or
+            drawn first, as ``clgs train`` does it.
         folder: run folder, made if it is missing.
         config: default ``TrainConfig()`` resolved for the dataset.
         device: default: chosen as ``clgs devices`` shows.
@@ -287,6 +288,7 @@ def train_scene(
         raise UsageError("folder: the name is empty; name the run folder")
     check_run_folder(Path(folder), resume, overwrite)
     resolved = (config or TrainConfig()).for_dataset(dataset.kind)
+    dataset = with_points(dataset, random_start(resolved), Path(folder), resolved.seed)
     finished = finished_run(Path(folder), dataset, resolved) if resume else None
     if finished is not None:
         return finished

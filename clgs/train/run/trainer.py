@@ -1,10 +1,11 @@
-"""The training step: render, compare, go back, grow and prune, update. Prints nothing."""
+"""A run of training steps, with growing, pruning and rounds in between. Prints nothing."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
@@ -21,20 +22,26 @@ from clgs.scene.anchors import quantize
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings
 from clgs.train.config import TrainConfig
-from clgs.train.config.run_settings import LEAST_ANCHORS
-from clgs.train.config.settings import BLENDER
-from clgs.train.density.densifier import Densifier
-from clgs.train.density.initial_anchors import initial_anchors
+from clgs.train.config.settings import BACKGROUNDS
+from clgs.train.density.grow_and_prune import (
+    compacted,
+    merge_cells,
+    replace_anchors,
+    replaces_anchors,
+)
 from clgs.train.quality.score_views import mean_psnr
 from clgs.train.rate.economy import Economy, Round
-from clgs.train.run.start_mlps import start_mlps
-from clgs.train.state.parameters import Parameters, new_parameters
-from clgs.train.step.queue import Enqueued, Plan, StepQueue
-from clgs.train.step.schedule import ViewSampler
-from clgs.train.step.targets import BACKGROUNDS
+from clgs.train.rate.rate_term import estimated_bits
+from clgs.train.run.start import first_state
+from clgs.train.state.hashes import run_digest
+from clgs.train.state.parameters import Parameters
+from clgs.train.state.resume import changed_settings, load_state, save_state
+from clgs.train.state.rounding import Rounding
+from clgs.train.state.run_state import RunState, render_settings
+from clgs.train.step.queue import Enqueued, StepInput, StepQueue
 
 PHOTOS_AHEAD = 2
-"""Steps whose photos are read while the step before them is under way."""
+"""The number of steps whose photos are read while the step before them is under way."""
 
 UNDRAWN_STEPS = 10
 """Warn after this many steps at the start of a run that draw nothing."""
@@ -63,12 +70,17 @@ class StepResult:
 
 
 class Trainer:
-    """Holds the state of one run; :meth:`step` advances it by one view."""
+    """Runs the steps and rounds of one run; all that they change is in ``state``."""
 
     def __init__(
-        self, device: Device, dataset: Dataset, config: TrainConfig, ahead: bool = True
+        self,
+        device: Device,
+        dataset: Dataset,
+        config: TrainConfig,
+        ahead: bool = True,
+        state: RunState | None = None,
     ) -> None:
-        """Start from the dataset's points.
+        """Start from the dataset's points, or continue from ``state``.
 
         Args:
             device: where to train.
@@ -76,35 +88,58 @@ class Trainer:
             config: resolved for the dataset and scaled to its number of steps.
             ahead: whether :meth:`steps` enqueues a step while the one before is under way; the
                 results have the same bits either way.
+            state: of a run on this data set, or of a trained scene, see
+                :func:`clgs.train.run.start.state_of_scene`.
         """
         self.device, self.dataset, self.config = device, dataset, config
-        self.rng = np.random.default_rng(config.seed)
-        most = _most_at_start(dataset, config)
-        anchors = initial_anchors(dataset.points, config.voxel, most, config.seed)
-        self.parameters: Parameters = new_parameters(
-            device, anchors, start_mlps(config.start_mlps, self.rng)
-        )
-        self.queue = StepQueue(device, dataset, config)
-        self.densifier = Densifier(device, config, self.parameters.count)
-        self.sampler = ViewSampler(len(dataset.train), config.seed)
-        self.steps_done = 0
-        self.merged = 0
-        self.economy = Economy(device, dataset, config)
+        self.state = state or first_state(device, dataset, config)
+        self.rounding = Rounding(device, config)
+        self.queue = StepQueue(device, dataset, config, self.rounding)
+        self.economy = Economy(device, dataset, config, self.rounding)
         self.rounds: list[Round] = []
         self._ahead = ahead
         self._under_way: list[Enqueued] = []
         self._undrawn: int | None = 0
 
     @property
+    def parameters(self) -> Parameters:
+        """The trained parameters."""
+        return self.state.parameters
+
+    @property
+    def steps_done(self) -> int:
+        """The number of the last step done."""
+        return self.state.step
+
+    @property
     def settings(self) -> RenderSettings:
-        """How finished renders are made: a random background ends up black."""
-        background = BACKGROUNDS.get(self.config.background, BACKGROUNDS["black"])
-        return RenderSettings(background=background, near=self.config.near)
+        """How finished renders are made: a random background becomes black."""
+        return render_settings(self.config)
 
     @property
     def options(self) -> RenderOptions:
         """Accuracy and skips of every render."""
         return self.queue.options
+
+    def save(self, folder: Path) -> None:
+        """Write a checkpoint of the last step done into ``folder``; no step may be under way.
+
+        Raises:
+            ClgsError: as :func:`clgs.train.state.checkpoint.save`.
+        """
+        self.compact()
+        self.device.release_unused()
+        save_state(folder, self.device, self.state, run_digest(self.dataset, self.config))
+
+    def resume(self, folder: Path) -> None:
+        """Continue from the newest usable checkpoint in ``folder``.
+
+        Raises:
+            DataError: as :func:`clgs.train.state.resume.load_state`.
+        """
+        changed = changed_settings(folder.parent, self.config)
+        digest = run_digest(self.dataset, self.config)
+        self.state = load_state(folder, self.device, digest, changed)
 
     def step(self) -> StepResult:
         """Train on one view and wait for it.
@@ -141,33 +176,27 @@ class Trainer:
         return (
             step == self.config.switch_step + 1
             or step - 1 in self.economy.steps
-            or self.densifier.replaces_anchors(step - 1)
+            or replaces_anchors(self.config, step - 1)
         )
 
     def _begin(self, step: int) -> None:
-        if step == self.config.switch_step + 1 or step - 1 in self.economy.steps:
+        state, config = self.state, self.config
+        if step == config.switch_step + 1 or step - 1 in self.economy.steps:
             self.compact()
-        if step == self.config.switch_step + 1:
-            self._align_positions()
+        if step == config.switch_step + 1:
+            self.align_positions()
         if step - 1 in self.economy.steps:
-            self._round(step - 1)
-        plan = Plan(step, self.sampler.next(), self.queue.color(self.rng))
+            try:
+                self.rounds.append(self.economy.round(state, step - 1))
+            except BudgetError as error:
+                raise BudgetError(f"after step {step - 1}: {error}", error.needed) from error
+        given = self.queue.next_input(state, step)
         try:
-            self._under_way.append(self.queue.enqueue(plan, self.parameters, self.densifier))
-            self.queue.prepare(self.sampler.upcoming(PHOTOS_AHEAD), step + 1)
+            self._under_way.append(self.queue.enqueue(given, state))
+            self.queue.prepare(state.views.upcoming(PHOTOS_AHEAD), step + 1)
         except BudgetError as error:
-            name = self.dataset.train[plan.index].name
+            name = self.dataset.train[given.index].name
             raise BudgetError(f"step {step}, view {name}: {error}", error.needed) from error
-
-    def _round(self, step: int) -> None:
-        """Leave out what is not worth its bytes after ``step``."""
-        try:
-            self.parameters, done = self.economy.round(
-                self.parameters, self.queue, self.densifier, self.settings, step
-            )
-        except BudgetError as error:
-            raise BudgetError(f"after step {step}: {error}", error.needed) from error
-        self.rounds.append(done)
 
     def _settle(self) -> StepResult:
         """Wait for the oldest step under way; repeat it if it lacked room."""
@@ -177,21 +206,22 @@ class Trainer:
             self._repeat()
         settled = self._under_way.pop(0)
         self._warn_if_undrawn(settled)
+        state = self.state
         if settled.frame is not None:
-            self.parameters = self.densifier.replace_anchors(
-                self.parameters, settled.frame, self.rng
+            state.parameters = replace_anchors(
+                self.device, self.config, state.parameters, settled.frame, state.rng
             )
         if self._ahead and self.queue.room == EXACT_ROOM:
             self.queue.room = EXACT_ROOM.grown(settled.needed())
-        self.steps_done, value = settled.plan.step, settled.loss.get()
+        state.step, value = settled.given.step, settled.loss.get()
         return StepResult(
-            self.steps_done,
-            self.dataset.train[settled.plan.index].name,
+            state.step,
+            self.dataset.train[settled.given.index].name,
             value.value,
             value.l1,
             value.ssim,
             settled.rate_bits,
-            self.parameters.count,
+            state.parameters.count,
         )
 
     def _warn_if_undrawn(self, settled: Enqueued) -> None:
@@ -200,7 +230,7 @@ class Trainer:
             return
         self._undrawn = None if settled.needed().entries else self._undrawn + 1
         if self._undrawn and (
-            self._undrawn == UNDRAWN_STEPS or settled.plan.step == self.config.steps
+            self._undrawn == UNDRAWN_STEPS or settled.given.step == self.config.steps
         ):
             _log.warning(
                 "nothing was drawn in the first %d steps, so nothing was learned; try a smaller "
@@ -214,9 +244,7 @@ class Trainer:
         failed = self._under_way
         self.queue.room = failed[0].room.grown(failed[0].needed())
         self.queue.clear()
-        self._under_way = [
-            self.queue.enqueue(one.plan, self.parameters, self.densifier) for one in failed
-        ]
+        self._under_way = [self.queue.enqueue(one.given, self.state) for one in failed]
 
     def _give_up(self) -> NoReturn:
         """Drop the steps under way, which changed nothing, and say why."""
@@ -225,30 +253,35 @@ class Trainer:
         self.queue.clear()
         value = failed.loss.get().value
         what = "a gradient is not finite" if np.isfinite(value) else f"the loss is {value}"
-        name = self.dataset.train[failed.plan.index].name
+        name = self.dataset.train[failed.given.index].name
         raise NonFiniteLossError(
-            f"{what} at step {failed.plan.step}, view {name}; parameters untouched"
+            f"{what} at step {failed.given.step}, view {name}; parameters untouched"
         )
 
     def compact(self) -> None:
         """Leave out the rows of anchors that were pruned; no result depends on it."""
         assert not self._under_way, "their frames count by the rows that there were"
-        self.parameters = self.densifier.compacted(self.parameters)
+        self.state.parameters = compacted(self.device, self.state.parameters)
 
-    def _align_positions(self) -> None:
-        """At the switch step, if Q_P is not that of the voxels: one anchor per cell of 1/Q_P."""
-        if abs(self.config.position_q * self.config.voxel - 1.0) > 1e-9:
-            q_position = self.config.position_q
-            self.parameters, self.merged = self.densifier.align(self.parameters, q_position)
+    def align_positions(self) -> None:
+        """Merge the anchors of each cell of 1/Q_P at the switch step, if voxels have another size.
+
+        No anchor may be hidden.
+        """
+        state, config = self.state, self.config
+        if abs(config.position_q * config.voxel - 1.0) > 1e-9:
+            rows = state.parameters.download(self.device)
+            state.merged = merge_cells(rows, config.position_q)
+            state.parameters = state.parameters.with_rows(self.device, rows)
 
     def estimated_bits(self) -> float:
-        """Bits per anchor of the rounded attributes, about as the file will have them."""
-        return self.queue.estimated_bits(self.parameters)
+        """Bits per anchor of the rounded attributes, about as many as the file will have."""
+        return estimated_bits(self.device, self.state.parameters, self.state.rate.scales)
 
     def render_next(self) -> Frame:
         """What the next step would compare if it saw the first view on black."""
-        plan = Plan(self.steps_done + 1, 0, BACKGROUNDS["black"])
-        return self.queue.render(plan, self.parameters)
+        given = StepInput(self.state.step + 1, 0, BACKGROUNDS["black"])
+        return self.queue.render(given, self.state)
 
     def check_budget(self) -> None:
         """Refuse a memory budget that the present anchors already exceed in some view of the data.
@@ -257,33 +290,25 @@ class Trainer:
             BudgetError: names the view that needs most, and the least budget for all of them.
         """
         views = [(view.name, view.camera) for view in self.dataset.train + self.dataset.test]
-        scene = self.queue.seen(self.parameters, self.steps_done)
+        scene = self.rounding.scene_at(self.state, self.state.step)
         renderer = Renderer.of_device_scene(self.device, scene, self.settings, self.options)
         renderer.check_budget(views)
 
     def psnr(self, views: list[View]) -> float:
         """Mean 8-bit PSNR of the current parameters on ``views``."""
-        scene = self.queue.seen(self.parameters, self.steps_done)
+        scene = self.rounding.scene_at(self.state, self.state.step)
         settings = self.settings
         renderer = Renderer.of_device_scene(self.device, scene, settings, self.options)
         return mean_psnr(renderer, views, settings.background)
 
     def quantized_scene(self) -> QuantizedScene:
         """The trained scene as integers, in Morton order: what is encoded and rendered."""
-        anchors = self.parameters.download_anchors(self.device)
+        scales = self.state.rate.scales
+        anchors = self.state.parameters.download_anchors(self.device)
         return QuantizedScene(
-            sort_anchors(quantize(anchors, self.queue.scales)),
-            Mlps(self.device.download(self.queue.final_weights(self.parameters))),
-            self.queue.scales,
+            sort_anchors(quantize(anchors, scales)),
+            Mlps(self.device.download(self.rounding.final_weights(self.state))),
+            scales,
             self.settings,
             self.dataset.transform,
         )
-
-
-def _most_at_start(dataset: Dataset, config: TrainConfig) -> int:
-    """Anchors to start from at most; 0: as many as there are voxels with points."""
-    limits = [config.most_anchors] if config.most_anchors else []
-    if config.start_pixels and dataset.kind != BLENDER:
-        pixels = max(view.camera.width * view.camera.height for view in dataset.train)
-        limits.append(max(LEAST_ANCHORS, int(pixels / config.start_pixels)))
-    return min(limits, default=0)

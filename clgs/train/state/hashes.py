@@ -1,4 +1,9 @@
-"""Fingerprints of a scene and of its renders: proof that decoding gives the same bits."""
+"""The two fingerprints of a run.
+
+:func:`run_digest` says what a run is made of: settings and data. Checkpoints and results carry it,
+so that a run is resumed only with what it began with. :func:`fingerprint` says what a run has made:
+the scene's integers and some of its renders, as proof that decoding gives the same bits.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clgs.data.dataset import Dataset
 from clgs.data.images import MAX_PIXELS
 from clgs.errors import DataError
 from clgs.opencl.device import Device
@@ -18,10 +24,25 @@ from clgs.options import PRESETS, render_options
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
+from clgs.train.config import TrainConfig
 
 MAX_NUMBER = 1e12
 MIN_FOCAL = 1e-6
 """A camera's numbers keep to these, so that float32 holds all that follows from them."""
+
+
+def run_digest(dataset: Dataset, config: TrainConfig) -> str:
+    """SHA-256 of the settings, the training photos, their cameras and the initial points."""
+    digest = hashlib.sha256(config.digest().encode())
+    for view in dataset.train:
+        shape = view.camera.height, view.camera.width, 3
+        digest.update(f"{view.name} {shape}".encode())
+        digest.update(view.photo.checksum().to_bytes(4, "little"))
+        if (used := view.used()) is not None:
+            digest.update(used.tobytes())
+        digest.update(view.camera.pack(config.near).tobytes())
+    digest.update(dataset.points.tobytes())
+    return digest.hexdigest()
 
 
 def scene_hash(scene: QuantizedScene) -> str:

@@ -1,84 +1,144 @@
-"""Save and restore the whole state of a trainer, so that a resumed run gives the same bits."""
+"""Save and restore the state of a run, so that a resumed run gives the same bits."""
 
 from __future__ import annotations
 
-import hashlib
 import tomllib
+from dataclasses import astuple, fields
 from pathlib import Path
 
-from clgs.data.dataset import Dataset
+import numpy as np
+
 from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
 from clgs.ops.adam import Moments
-from clgs.ops.density import DeviceStatistics, Statistics
+from clgs.ops.density import Statistics
+from clgs.ops.rate import Rate
 from clgs.render.frame import DeviceScene
-from clgs.scene.anchors import FIELDS, Anchors
+from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.train.config import TrainConfig
-from clgs.train.config.describe import describe
-from clgs.train.config.option import options_of
-from clgs.train.run.trainer import Trainer
+from clgs.train.config.option import describe, options_of
+from clgs.train.quality.importance import Sensitivity
 from clgs.train.state import checkpoint
+from clgs.train.state.checkpoint import Arrays
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
-from clgs.train.step.schedule import ViewSampler
+from clgs.train.state.run_state import ExposureMaps, RateState, RateTables, RunState, ViewOrder
 
 SETTINGS = "config.toml"
 """The first file of a run."""
 
 SHOWN = 3
-"""Settings that a message tells at most."""
+"""The most settings that a message names."""
 
 
-def save_checkpoint(folder: Path, trainer: Trainer) -> None:
-    """Write everything that the next steps depend on."""
-    trainer.compact()
-    trainer.device.release_unused()
-    arrays = _by_name(trainer.parameters, trainer.densifier.statistics)
-    if trainer.queue.exposures is not None:
-        arrays |= dict(trainer.queue.exposures.items())
-    scalars = {
-        "step": trainer.steps_done,
-        "merged": trainer.merged,
-        "rng": trainer.rng.bit_generator.state,
-        "sampler": trainer.sampler.state(),
-    }
-    host = {name: trainer.device.download(array) for name, array in arrays.items()}
-    host |= trainer.queue.rate.state() | trainer.economy.state()
-    checkpoint.save(folder, host, scalars, run_digest(trainer.dataset, trainer.config))
-
-
-def load_checkpoint(folder: Path, trainer: Trainer) -> None:
-    """Continue from the newest usable checkpoint.
+def save_state(folder: Path, device: Device, state: RunState, digest: str) -> None:
+    """Write a checkpoint of ``state``; no anchor may be hidden.
 
     Raises:
-        DataError: all are damaged, or belong to a run with other settings or photos.
+        ClgsError: as :func:`clgs.train.state.checkpoint.save`.
     """
-    digest = run_digest(trainer.dataset, trainer.config)
-    changed = changed_settings(folder.parent, trainer.config)
-    host, scalars = checkpoint.load(folder, digest, changed)
-    trainer.queue.rate.restore(host)
-    trainer.economy.restore(host)
-    on_host = ("rate.", "known.")
-    arrays = {n: trainer.device.upload(a) for n, a in host.items() if not n.startswith(on_host)}
-    scene = DeviceScene(Anchors(*(arrays[name] for name in FIELDS)), arrays["weights"])
-    moments = {
-        name: Moments(arrays[f"first.{name}"], arrays[f"second.{name}"])
-        for name in (*ANCHOR_GROUPS, "weights")
+    parameters = state.parameters
+    assert not parameters.hidden
+    arrays: dict[str, DeviceArray] = dict(parameters.scene.items())
+    for name, moments in parameters.moments.items():
+        arrays |= {f"{which}.{name}": array for which, array in moments.items()}
+    arrays |= {f"statistics.{name}": array for name, array in parameters.statistics.items()}
+    if state.exposures is not None:
+        arrays["exposure"] = state.exposures.maps
+        moments = state.exposures.moments
+        arrays |= {f"{which}.exposure": array for which, array in moments.items()}
+    scalars = {
+        "step": state.step,
+        "merged": state.merged,
+        "rng": state.rng.bit_generator.state,
+        "sampler": state.views.record(),
     }
-    trainer.parameters = Parameters(scene, moments)
-    if trainer.queue.exposures is not None:
-        trainer.queue.exposures.restore(arrays)
-    trainer.densifier.statistics = Statistics(
-        *(arrays[f"statistics.{name}"] for name, _ in trainer.densifier.statistics.items())
+    host: Arrays = {name: device.download(array) for name, array in arrays.items()}
+    checkpoint.save(folder, host | _rate_arrays(state.rate) | _known(state.known), scalars, digest)
+
+
+def load_state(folder: Path, device: Device, digest: str, changed: str = "") -> RunState:
+    """The state in the newest usable checkpoint.
+
+    Args:
+        folder: of the checkpoints.
+        device: where the arrays of the state will lie.
+        digest: of the run, see :func:`clgs.train.state.hashes.run_digest`.
+        changed: what a message adds if the checkpoint is of another run.
+
+    Raises:
+        DataError: all checkpoints are damaged, or belong to a run with other settings or photos.
+    """
+    host, scalars = checkpoint.load(folder, digest, changed)
+    on_host = ("rate.", "known.")
+    arrays = {n: device.upload(array) for n, array in host.items() if not n.startswith(on_host)}
+    moments = {
+        name.removeprefix("first."): Moments(array, arrays[name.replace("first.", "second.")])
+        for name, array in arrays.items()
+        if name.startswith("first.")
+    }
+    exposures = None
+    if "exposure" in arrays:
+        exposures = ExposureMaps(arrays["exposure"], moments.pop("exposure"))
+    scene = DeviceScene(Anchors(*(arrays[name] for name in FIELDS)), arrays["weights"])
+    statistics = Statistics(*(arrays[f"statistics.{one.name}"] for one in fields(Statistics)))
+    known = None
+    if "known.seen" in host:
+        curvature = {name: host[f"known.{name}"] for name in ANCHOR_GROUPS}
+        known = Sensitivity(host["known.importance"], curvature, host["known.seen"])
+    rng = np.random.default_rng()
+    rng.bit_generator.state = scalars["rng"]
+    return RunState(
+        parameters=Parameters(scene, moments, statistics),
+        rate=_rate_state(host),
+        exposures=exposures,
+        rng=rng,
+        views=ViewOrder.restore(scalars["sampler"]),
+        known=known,
+        merged=int(scalars["merged"]),
+        step=int(scalars["step"]),
     )
-    trainer.rng.bit_generator.state = scalars["rng"]
-    trainer.sampler = ViewSampler.restore(scalars["sampler"])
-    trainer.merged = int(scalars["merged"])
-    trainer.steps_done = int(scalars["step"])
+
+
+def _rate_arrays(rate: RateState) -> Arrays:
+    """Scales, price and the newest tables by name, all float64."""
+    found: Arrays = {
+        "rate.scales": np.array(astuple(rate.scales)),
+        "rate.price": np.array(rate.price),
+    }
+    if rate.tables:
+        newest = rate.tables[-1]
+        found |= {f"rate.{name}": one.table for name, one in newest.rates.items()}
+        bits = (one.bits for one in newest.rates.values())
+        found["rate.kept"] = np.array([newest.step, newest.anchors, *bits], np.float64)
+    return found
+
+
+def _rate_state(arrays: Arrays) -> RateState:
+    """What :func:`_rate_arrays` was given; other arrays are ignored."""
+    scales = QuantizationScales(*map(float, arrays["rate.scales"]))
+    rate = RateState(scales, float(arrays["rate.price"]))
+    if "rate.kept" in arrays:
+        step, anchors, *bits = arrays["rate.kept"]
+        rates = {
+            name: Rate(float(each), getattr(scales, name), arrays[f"rate.{name}"])
+            for name, each in zip(ANCHOR_GROUPS, bits, strict=True)
+        }
+        rate.tables = [RateTables(int(step), rates, int(anchors))]
+    return rate
+
+
+def _known(known: Sensitivity | None) -> Arrays:
+    """What rounds have found out about the anchors, by name; nothing before they have."""
+    if known is None:
+        return {}
+    arrays = {"importance": known.importance, "seen": known.seen, **known.curvature}
+    return {f"known.{name}": array for name, array in arrays.items()}
 
 
 def changed_settings(folder: Path, config: TrainConfig) -> str:
-    """What ``config`` has other than the run in ``folder``: " (--steps: 300 there, 400 here)".
+    """What differs between ``config`` and the run in ``folder``: " (--steps: 300 there, 400 here)".
 
-    Nothing if that cannot be told, or if no setting that results depend on differs.
+    The text is empty if that is unknown, or if no setting that results depend on differs.
     """
     try:
         there = tomllib.loads((folder / SETTINGS).read_text(encoding="utf-8"))
@@ -89,34 +149,9 @@ def changed_settings(folder: Path, config: TrainConfig) -> str:
     kept = [name for name, one in options.items() if one.in_digest]
     names = [name for name in kept if there.get(name) != here.get(name)]
     if "steps" in names:
-        names = ["steps"]  # most others follow from them
-    told = [
+        names = ["steps"]  # most others follow from it
+    shown = [
         f"{describe(options[name]).flag}: {there.get(name)} there, {here.get(name)} here"
         for name in names[:SHOWN]
     ]
-    return f" ({'; '.join(told)})" if told else ""
-
-
-def _by_name(parameters: Parameters, statistics: DeviceStatistics) -> dict[str, DeviceArray]:
-    """Every array of a run under the name that it has in a checkpoint."""
-    moments = {
-        f"{which}.{name}": array
-        for name, pair in parameters.moments.items()
-        for which, array in pair.items()
-    }
-    sums = {f"statistics.{name}": array for name, array in statistics.items()}
-    return {**dict(parameters.scene.items()), **moments, **sums}
-
-
-def run_digest(dataset: Dataset, config: TrainConfig) -> str:
-    """SHA-256 of the settings, the training photos, their cameras and the initial points."""
-    digest = hashlib.sha256(config.digest().encode())
-    for view in dataset.train:
-        shape = view.camera.height, view.camera.width, 3
-        digest.update(f"{view.name} {shape}".encode())
-        digest.update(view.photo.checksum().to_bytes(4, "little"))
-        if (used := view.used()) is not None:
-            digest.update(used.tobytes())
-        digest.update(view.camera.pack(config.near).tobytes())
-    digest.update(dataset.points.tobytes())
-    return digest.hexdigest()
+    return f" ({'; '.join(shown)})" if shown else ""

@@ -28,7 +28,7 @@ from clgs.ops.adam import (
 Array = npt.NDArray[np.float32]
 
 
-class State(NamedTuple):
+class HostTensors(NamedTuple):
     """A parameter and the running means of its gradient and of the gradient's square, one shape."""
 
     parameter: Array
@@ -43,7 +43,7 @@ def step(
     stop: DeviceArray,
     part: slice | None = None,
 ) -> None:
-    """As :func:`clgs.ops.adam.step`: update the parameter and its moments in place.
+    """Do what :func:`clgs.ops.adam.step` does: update the parameter and its moments in place.
 
     Raises:
         ValueError: sizes or dtypes differ.
@@ -53,13 +53,13 @@ def step(
     chosen = part or slice(None)
     trained.check()
     state = _download(device, trained)
-    views = State._make(array.reshape(-1)[chosen] for array in state)
+    views = HostTensors._make(array.reshape(-1)[chosen] for array in state)
     update(views, device.download(trained.gradient).reshape(-1)[chosen], factors_now)
     _write(device, trained, state)
 
 
 def step_all(device: Device, updates: Sequence[Update], stop: DeviceArray) -> None:
-    """As :func:`clgs.ops.adam.step_all`: one :func:`step` after the other.
+    """Do what :func:`clgs.ops.adam.step_all` does, one :func:`step` after the other.
 
     Raises:
         ValueError: sizes or dtypes differ.
@@ -75,7 +75,7 @@ def step_rows(
     stop: DeviceArray,
     marks: DeviceArray,
 ) -> None:
-    """As :func:`clgs.ops.adam.step_rows`: update only the rows that are marked.
+    """Do what :func:`clgs.ops.adam.step_rows` does: update only the rows that are marked.
 
     Raises:
         ValueError: sizes or dtypes differ.
@@ -85,7 +85,7 @@ def step_rows(
     moved = device.download(marks) != 0
     trained.check()
     state = _download(device, trained)
-    rows = State._make(array[moved] for array in state)
+    rows = HostTensors._make(array[moved] for array in state)
     gradient = device.download(trained.gradient).reshape(trained.parameter.shape)
     update(rows, gradient[moved], factors_now)
     for array, changed in zip(state, rows, strict=True):
@@ -93,7 +93,7 @@ def step_rows(
     _write(device, trained, state)
 
 
-def update(state: State, gradient: Array, factors_now: StepFactors) -> None:
+def update(state: HostTensors, gradient: Array, factors_now: StepFactors) -> None:
     """One step of Adam in place on ``state``; ``gradient`` is float32 of its shape.
 
     Raises:
@@ -103,17 +103,7 @@ def update(state: State, gradient: Array, factors_now: StepFactors) -> None:
     for name, array in (*state._asdict().items(), ("gradient", gradient)):
         if array.shape != shape or array.dtype != np.float32:
             raise ValueError(f"{name}: {array.dtype}{array.shape}, expected float32{shape}")
-    scratch = np.empty_like(state.first)
-    _update_moments(state.first, state.second, gradient, scratch)
-    np.sqrt(state.second, out=scratch)
-    scratch *= np.float32(factors_now.correction)
-    scratch += np.float32(EPSILON)
-    np.divide(state.first, scratch, out=scratch)
-    scratch *= np.float32(factors_now.step)
-    np.subtract(state.parameter, scratch, out=state.parameter)
-
-
-def _update_moments(first: Array, second: Array, gradient: Array, scratch: Array) -> None:
+    first, second, scratch = state.first, state.second, np.empty_like(state.first)
     first *= np.float32(BETA1)
     np.multiply(gradient, np.float32(1.0 - BETA1), out=scratch)
     first += scratch
@@ -128,15 +118,23 @@ def _update_moments(first: Array, second: Array, gradient: Array, scratch: Array
     first *= scratch
     np.greater_equal(second, np.float32(MIN_SECOND_MOMENT), out=scratch)
     second *= scratch
+    np.sqrt(second, out=scratch)
+    scratch *= np.float32(factors_now.correction)
+    scratch += np.float32(EPSILON)
+    np.divide(first, scratch, out=scratch)
+    scratch *= np.float32(factors_now.step)
+    np.subtract(state.parameter, scratch, out=state.parameter)
 
 
-def _download(device: Device, trained: Trained) -> State:
+def _download(device: Device, trained: Trained) -> HostTensors:
     """Host copies, of the parameter's shape."""
     arrays = (trained.parameter, trained.moments.first, trained.moments.second)
-    return State._make(device.download(array).reshape(trained.parameter.shape) for array in arrays)
+    return HostTensors._make(
+        device.download(array).reshape(trained.parameter.shape) for array in arrays
+    )
 
 
-def _write(device: Device, trained: Trained, state: State) -> None:
+def _write(device: Device, trained: Trained, state: HostTensors) -> None:
     device.write(trained.parameter, state.parameter)
     device.write(trained.moments.first, state.first)
     device.write(trained.moments.second, state.second)

@@ -1,13 +1,9 @@
-"""What changes with the step: learning rates and the order of views."""
+"""What changes with the step: learning rates, and the size of the pictures."""
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import fields
-from typing import Any
-
-import numpy as np
 
 from clgs.options import PRESETS
 from clgs.train.config import TrainConfig
@@ -54,56 +50,3 @@ def log_linear(first: float, last: float, progress: float) -> float:
     if first == last:
         return first
     return math.exp((1.0 - progress) * math.log(first) + progress * math.log(last))
-
-
-def restore_rng(state: dict[str, Any]) -> np.random.Generator:
-    """The generator whose ``bit_generator.state`` was saved; continues with the same numbers."""
-    rng = np.random.default_rng()
-    rng.bit_generator.state = state
-    return rng
-
-
-class ViewSampler:
-    """Deals every view once per epoch, in a new random order each time (paper)."""
-
-    def __init__(self, count: int, seed: int) -> None:
-        """Views 0 .. ``count`` - 1; the same seed gives the same order."""
-        if count < 1:
-            raise ValueError("count: there is no view to sample")
-        self._count = count
-        self._rng = np.random.default_rng(seed)
-        self._order: list[int] = []
-        self._next = 0
-
-    def next(self) -> int:
-        """Number of the next view."""
-        if self._next == len(self._order):
-            self._order = self._rng.permutation(self._count).tolist()
-            self._next = 0
-        self._next += 1
-        return self._order[self._next - 1]
-
-    def upcoming(self, count: int) -> list[int]:
-        """Numbers of the next ``count`` views, without taking them; at most one epoch ahead."""
-        coming = self._order[self._next : self._next + count]
-        if len(coming) < count:
-            coming += copy.deepcopy(self._rng).permutation(self._count).tolist()
-        return coming[:count]
-
-    def state(self) -> dict[str, Any]:
-        """All that :meth:`restore` needs to continue exactly, ready for JSON."""
-        return {
-            "count": self._count,
-            "order": list(self._order),
-            "next": self._next,
-            "rng": self._rng.bit_generator.state,
-        }
-
-    @classmethod
-    def restore(cls, state: dict[str, Any]) -> ViewSampler:
-        """The sampler that gave ``state``."""
-        sampler = cls(state["count"], 0)
-        sampler._rng = restore_rng(state["rng"])
-        sampler._order = list(state["order"])
-        sampler._next = state["next"]
-        return sampler

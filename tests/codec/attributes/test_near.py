@@ -7,8 +7,8 @@ import pytest
 
 from clgs import _codec
 from clgs.codec.attributes import row_coder
-from clgs.codec.attributes.near import COUNT, NearRows, find_near
-from clgs.codec.octree.position_coder import morton_order
+from clgs.codec.attributes.model import NEAR_COUNT, NearRows, find_near
+from clgs.codec.octree import morton_order
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.scene.anchors import QuantizedAnchors
@@ -45,8 +45,9 @@ def test_near_rows_of_another_number_are_refused() -> None:
     assert isinstance(model, row_coder.TableModel | row_coder.PaperModel)
     table = np.zeros(1, row_coder.CHANNEL)
     table["classes"], table["frequency"][:, 0, 0] = 1, 4096
+    near = np.zeros((8, NEAR_COUNT), np.int32)
     with pytest.raises(ValueError, match="not as many as the rows"):
-        _codec.attributes_encode(table, np.zeros((9, 1), np.int32), np.zeros((8, COUNT), np.int32))
+        _codec.attributes_encode(table, np.zeros((9, 1), np.int32), near)
 
 
 def smooth_scene(side: int) -> QuantizedScene:

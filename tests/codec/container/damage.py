@@ -9,7 +9,7 @@ import numpy as np
 
 from clgs import _codec
 from clgs.codec.container import chunks, section_table
-from clgs.codec.container.source import BytesSource
+from clgs.codec.container.section_table import BytesSource
 
 ENTRY, HEAD = 32, 16
 
@@ -33,7 +33,7 @@ def rebuilt(data: bytes, **changed: bytes) -> bytes:
 
 def checked(sections: dict[str, bytes]) -> bytes:
     """CHNK with the checksums of what lies at its chunks' places now."""
-    chunk, shared, _, table = unpack_table(sections["CHNK"])
+    chunk, shared, _, table = unpack_rows(sections["CHNK"])
     streams = {}
     for column, tag in enumerate(chunks.TAGS):
         at = shared[2 * column]
@@ -45,11 +45,11 @@ def checked(sections: dict[str, bytes]) -> bytes:
     crcs = [_codec.crc32c(stream) for stream in streams["ANCH"]]
     rows = zip(*(streams[tag] for tag in chunks.TAGS[1:]), strict=True)
     crcs += [_codec.crc32c(b"".join(row)) for row in rows]
-    return chunks.pack_table(chunk, shared, crcs, table)
+    return chunks.pack_rows(chunk, shared, crcs, table)
 
 
-def unpack_table(section: bytes) -> tuple[int, list[int], list[int], chunks.Table]:
-    """What ``chunks.pack_table`` was given to make a CHNK that is not damaged."""
+def unpack_rows(section: bytes) -> tuple[int, list[int], list[int], chunks.Rows]:
+    """What ``chunks.pack_rows`` was given to make a CHNK that is not damaged."""
     head = chunks.unpack_head(section[: chunks.head_size(section)])
     listed: list[chunks.Chunk] = []
     for index, (place, _) in enumerate(head.places):
@@ -57,18 +57,15 @@ def unpack_table(section: bytes) -> tuple[int, list[int], list[int], chunks.Tabl
         listed += chunks.unpack_group(data, head, index)
     shared = [number for part, crc in head.headers.values() for number in (part.length, crc)]
     crcs = [chunk.position_crc for chunk in listed] + [chunk.rows_crc for chunk in listed]
-    rows = [
-        (c.span.stop - c.span.start, *c.least, *c.greatest, *(p.length for p in c.parts.values()))
-        for c in listed
-    ]
-    return head.chunk, shared, crcs, np.array(rows, np.int32).reshape(-1, chunks.COLUMNS)
+    rows = [(len(c), *c.least, *c.greatest, *(p.length for p in c.places.values())) for c in listed]
+    return head.chunk, shared, crcs, np.array(rows, np.int64).reshape(-1, chunks.COLUMNS)
 
 
 def directory(data: bytes, change: Callable[..., None], fix: bool = False) -> bytes:
     """CHNK of the file after ``change(shared, crcs, table)``; with ``fix`` its checksums right."""
-    chunk, shared, crcs, table = unpack_table(contents(data)["CHNK"])
+    chunk, shared, crcs, table = unpack_rows(contents(data)["CHNK"])
     change(shared, crcs, table)
-    section = chunks.pack_table(chunk, shared, crcs, table)
+    section = chunks.pack_rows(chunk, shared, crcs, table)
     return checked({**contents(data), "CHNK": section}) if fix else section
 
 

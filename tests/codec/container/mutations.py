@@ -20,13 +20,11 @@ import numpy as np
 
 from clgs import _codec
 from clgs.codec import decode_attributes, decode_positions, encode_attributes, encode_positions
-from clgs.codec.box import Box, decode_box
 from clgs.codec.container.meta import LEVELS
-from clgs.codec.container.section_table import CHNK, SATR, SMUL, SPOS
-from clgs.codec.container.source import BytesSource
-from clgs.codec.scene_decoder import decode, describe
+from clgs.codec.container.section_table import CHNK, SATR, SMUL, SPOS, BytesSource
+from clgs.codec.scene_decoder import Box, decode, decode_box, describe
 from clgs.codec.scene_encoder import encode
-from clgs.codec.splats import Splats, pack, unpack
+from clgs.codec.splat_packing import QuantizedSplats, pack, unpack
 from clgs.errors import CodecError
 from tests.codec import binding_cases
 from tests.codec.container import damage
@@ -89,7 +87,7 @@ def _files() -> list[bytes]:
     rng = np.random.default_rng(1)
     scene = random_scene(rng, 60)
     small = [encode(scene, level, 16, 1) for level in LEVELS]
-    splats = Splats([*"xyzab"], [0.5] * 5, rng.integers(-3, 4, (90, 5)).astype(np.int32))
+    splats = QuantizedSplats([*"xyzab"], [0.5] * 5, rng.integers(-3, 4, (90, 5)).astype(np.int32))
     small += [pack(splats, level, 1) for level in LEVELS] * 2
     return [path.read_bytes() for path in sorted(GOLDEN.glob("*.clgs"))] + small
 

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.box import Box, decode_box
-from clgs.codec.container.source import BytesSource, FileSource
-from clgs.codec.scene_decoder import decode
+from clgs.codec.container.section_table import BytesSource, FileSource
+from clgs.codec.scene_decoder import Box, decode, decode_box
 from clgs.codec.scene_encoder import encode
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors

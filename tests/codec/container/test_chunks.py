@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 from clgs import _codec
-from clgs.codec.box import Box, decode_box
+from clgs.codec import octree
 from clgs.codec.container import chunks, section_table
-from clgs.codec.container.source import BytesSource
-from clgs.codec.octree import position_coder, subtrees
-from clgs.codec.scene_decoder import decode, describe
+from clgs.codec.container.section_table import BytesSource
+from clgs.codec.scene_decoder import Box, decode, decode_box, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.errors import CodecError
 from codec_c.reader.coding import xxh64
-from tests.codec.container.damage import checked, contents, directory, rebuilt, unpack_table
+from tests.codec.container.damage import checked, contents, directory, rebuilt, unpack_rows
 from tests.codec.scenes import GOLDEN, assert_same, random_scene
 
 CHUNKED = (GOLDEN / "chunks.clgs").read_bytes()
@@ -53,28 +52,28 @@ def test_no_byte_depends_on_the_threads(scene, level):
 
 def cloud() -> np.ndarray:
     position = np.unique(np.random.default_rng(1).integers(0, 999, (500, 3)), axis=0)
-    return position_coder.in_order(position.astype(np.int32) - 70)
+    return octree.in_order(position.astype(np.int32) - 70)
 
 
-@pytest.mark.parametrize("parts", [subtrees.runs(500, 70), subtrees.cut(cloud(), 70)])
+@pytest.mark.parametrize("parts", [octree.runs(500, 70), octree.cut(cloud(), 70)])
 def test_parts_of_a_cloud_have_corners_of_its_octree(parts):
     position = cloud()
     low = position.min(axis=0)
-    for part, corner in zip(parts, subtrees.corners(position, parts), strict=True):
+    for part, corner in zip(parts, octree.cell_corners(position, parts), strict=True):
         cells = position[part] - np.array(corner)
         assert (cells >= 0).all()
         size = 1 << int(cells.max()).bit_length()
         assert ((np.array(corner) - low) % size == 0).all()
-        data = position_coder.encode(position[part], corner)
-        np.testing.assert_array_equal(position_coder.decode(data, len(cells)), position[part])
-    assert subtrees.corners(position[:0], []) == []
+        data = octree.encode(position[part], corner)
+        np.testing.assert_array_equal(octree.decode(data, len(cells)), position[part])
+    assert octree.cell_corners(position[:0], []) == []
 
 
 @pytest.mark.parametrize("most", [1, 2, 7, 70, 499, 500, 10**5])
 def test_small_parts_are_cells_or_children_of_one(most):
     """Neighbours in one cell stay apart only if they would be too many together."""
-    code = position_coder.morton_codes(cloud())
-    parts = subtrees.cut(cloud(), most)
+    code = octree.morton_codes(cloud())
+    parts = octree.cut(cloud(), most)
     assert [part.start for part in parts] == [0, *(part.stop for part in parts[:-1])]
     assert parts[-1].stop == len(code)
     for part in parts:
@@ -85,17 +84,17 @@ def test_small_parts_are_cells_or_children_of_one(most):
             if 0 <= at < len(code):
                 child = int(code[at]) >> 3 * (levels - 1)
                 assert child not in (first >> 3 * (levels - 1), last >> 3 * (levels - 1))
-    assert subtrees.cut(cloud()[:0], most) == []
+    assert octree.cut(cloud()[:0], most) == []
 
 
 @pytest.mark.parametrize("count", [0, 1, 100, 20_000, 70_000])
 @pytest.mark.parametrize("most", [30, 16_384, 65_536])
 def test_batches_hold_every_part_once(count, most):
-    parts = subtrees.runs(count, most)
-    batches = subtrees.batches(parts)
+    parts = octree.runs(count, most)
+    batches = octree.batches(parts)
     assert [i for batch in batches for i in batch] == list(range(len(parts)))
     for batch in batches[:-1]:
-        assert parts[batch[-1]].stop - parts[batch[0]].start >= subtrees.COMPACT
+        assert parts[batch[-1]].stop - parts[batch[0]].start >= octree.COMPACT
 
 
 def changed(change, fix=False) -> bytes:
@@ -227,7 +226,7 @@ def test_the_grid_must_be_that_of_the_positions(at):
 
 def test_chunks_in_another_order_are_refused():
     sections = contents(CHUNKED)
-    _, shared, _, table = unpack_table(sections["CHNK"])
+    _, shared, _, table = unpack_rows(sections["CHNK"])
     swapped = {}
     for column, tag in enumerate(chunks.TAGS):
         start = shared[2 * column]

@@ -68,7 +68,7 @@ def test_without_a_factor_or_a_gain_no_factors_are_written():
 
 def test_points_on_a_lattice_may_be_written_without_factors(monkeypatch):
     position = cloud(6, 2000, 200) * (3, 1, 8)
-    monkeypatch.setattr(streams.lattice, "common_factors", lambda position: [1, 1, 1])
+    monkeypatch.setattr(streams, "common_factors", lambda position: [1, 1, 1])
     data = codec.encode_positions(position)
     assert data[:4] == streams.POSITIONS
     assert np.array_equal(codec.decode_positions(data), in_order(position))

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from clgs.codec.octree import position_coder
+from clgs.codec import octree
 from clgs.lab.bench.codec_subjects import PUBLISHED_POSITIONS as POSITIONS
 
 QUICK = {"armadillo_sparse_1024", "biker_407"}
@@ -25,23 +25,21 @@ def marked(baselines: dict[str, int]) -> list:
 
 def load(name: str, folder: Path) -> npt.NDArray[np.int32]:
     position = np.load(folder / "codec" / f"{name}.npz")["positions"].astype(np.int32)
-    return position[position_coder.morton_order(position)]
+    return position[octree.morton_order(position)]
 
 
 @pytest.mark.parametrize("name", marked(POSITIONS))
 def test_positions(name, shared_data):
     position = load(name, shared_data)
-    data = position_coder.encode(position)
-    np.testing.assert_array_equal(position_coder.decode(data, len(position)), position)
+    data = octree.encode(position)
+    np.testing.assert_array_equal(octree.decode(data, len(position)), position)
     assert len(data) <= LIMIT * POSITIONS[name]
 
 
 @pytest.mark.slow
 def test_geometric_mean(shared_data):
     """Measured: 0.976."""
-    ratios = [
-        len(position_coder.encode(load(n, shared_data))) / size for n, size in POSITIONS.items()
-    ]
+    ratios = [len(octree.encode(load(n, shared_data))) / size for n, size in POSITIONS.items()]
     assert np.exp(np.log(ratios).mean()) <= 0.98
 
 
@@ -51,17 +49,17 @@ def test_chunks(name, chunk, shared_data):
     position = load(name, shared_data)
     low = tuple(map(int, position.min(axis=0)))
     size = sum(
-        len(position_coder.encode(position[start : start + chunk], low))
+        len(octree.encode(position[start : start + chunk], low))
         for start in range(0, len(position), chunk)
     )
-    assert size <= CHUNKS[chunk] * len(position_coder.encode(position))
+    assert size <= CHUNKS[chunk] * len(octree.encode(position))
 
 
 def test_scattered_points_cost_their_entropy():
     """Within 3 % of log2 of the number of sets of 30,000 cells out of 2^30, a point."""
     position = np.random.default_rng(6).integers(0, 1024, (30_000, 3)).astype(np.int32)
     position = np.unique(position, axis=0).astype(np.int32)
-    position = position[position_coder.morton_order(position)]
+    position = position[octree.morton_order(position)]
     count = len(position)
     bits = count * (30 + np.log2(np.e)) - count * np.log2(count)
-    assert 8 * len(position_coder.encode(position)) <= 1.03 * bits
+    assert 8 * len(octree.encode(position)) <= 1.03 * bits

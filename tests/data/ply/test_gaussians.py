@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.codec.splats import pack, unpack
+from clgs.codec.splat_packing import pack, unpack
 from clgs.data.ply.gaussians import gaussians_of_splats, load_splats, read_gaussians
 from clgs.data.ply.splats import read_splats
 from clgs.data.ply.table import Table, pack_ply

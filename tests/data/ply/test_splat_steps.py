@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clgs.cli.main import main
-from clgs.codec.splats import Splats, pack, sort_splats, unpack
+from clgs.codec.splat_packing import QuantizedSplats, pack, sort_splats, unpack
 from clgs.data.ply.splat_steps import group_of, resolution, usual_extent
 from clgs.data.ply.splats import read_splats, write_splats
 from clgs.data.ply.table import Table, pack_ply, parse_ply, read_ply
@@ -161,7 +161,9 @@ def test_every_cloud_is_packed(
 
 def test_splats_come_back_as_floats_wherever_they_can() -> None:
     values = np.array([[2**24 + 1, 5, -1, 2**30 + 1]], np.int32)
-    columns = parse_ply(write_splats(Splats([*"xyz", "id"], [0.25, 0.1, 3.0, 1.0], values))).columns
+    columns = parse_ply(
+        write_splats(QuantizedSplats([*"xyz", "id"], [0.25, 0.1, 3.0, 1.0], values))
+    ).columns
     assert [column.dtype.str for column in columns.values()] == ["<f8", "<f4", "<f4", "<f8"]
     assert columns["x"][0] == (2**24 + 1) / 4
     assert columns["id"][0] == 2**30 + 1

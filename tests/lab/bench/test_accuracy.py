@@ -12,7 +12,7 @@ from clgs.lab.bench.accuracy_points import (
     GradientError,
     ImageError,
     Point,
-    SubjectFigures,
+    SceneFigures,
     Times,
     against_parity,
     element_error,
@@ -32,7 +32,7 @@ def point(label, milliseconds, error, sweep="preset"):
 @pytest.fixture
 def figures():
     points = [point("exact", 30.0, 0.1), point("parity", 20.0, 4.0), point("fast", 10.0, 1.5)]
-    return SubjectFigures("made up", 10, 100, 200, (64, 48), points)
+    return SceneFigures("made up", 10, 100, 200, (64, 48), points)
 
 
 def test_settings_are_presets_and_one_knob_a_sweep():

@@ -1,7 +1,8 @@
-"""Small training states whose rows can be followed through growing, pruning and merging."""
+"""Small sets of anchors whose rows can be followed through growing, pruning and merging."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,8 @@ from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import AnchorSet
 from clgs.train.config import TrainConfig
 from clgs.train.density import grow_and_prune
-from clgs.train.density.cells import position_integers
-from clgs.train.density.grow_and_prune import DeviceState
-from clgs.train.density.host_state import TrainState
-from clgs.train.state.parameters import Moments, Parameters
+from clgs.train.density.voxel_grid import position_integers
+from clgs.train.state.parameters import HostRows, Moments, Parameters
 
 VOXEL = 0.5
 CONFIG = TrainConfig(voxel=VOXEL, growth_threshold=0.25)
@@ -36,7 +35,7 @@ class Draws:
         return np.array(self.arrays.pop(0)) if self.arrays else np.full(size, 0.99)
 
 
-def state_at(integers: Any) -> TrainState:
+def state_at(integers: Any) -> HostRows:
     """Anchors in the given voxels; every row of every array holds its row number plus 1."""
     position = (np.array(integers, np.float64) * VOXEL).astype(np.float32)
     count = len(position)
@@ -61,35 +60,35 @@ def state_at(integers: Any) -> TrainState:
     moments = {
         name: Moments(numbered(*shape), 10 * numbered(*shape)) for name, shape in shapes.items()
     }
-    return TrainState(anchors, statistics, moments)
+    return HostRows(anchors, statistics, moments)
 
 
-def ask(state: TrainState, row: int, slot: int, voxels: tuple[float, ...], mean: float) -> None:
-    """Put a slot so many voxels beside its anchor and let it have seen a mean gradient."""
+def ask(state: HostRows, row: int, slot: int, voxels: tuple[float, ...], mean: float) -> None:
+    """Put a slot this many voxels from its anchor and let it have seen a mean gradient."""
     state.anchors.offset[row, slot] = np.array(voxels) * VOXEL
     state.statistics.gradient_count[row, slot] = 64
     state.statistics.gradient_sum[row, slot] = 64 * mean
 
 
-def integers_of(state: TrainState) -> list[tuple[int, ...]]:
+def integers_of(state: HostRows) -> list[tuple[int, ...]]:
     return [tuple(row) for row in position_integers(state.anchors.position, 1 / VOXEL).tolist()]
 
 
-def arrays_of(state: TrainState) -> dict[str, npt.NDArray[Any]]:
+def arrays_of(state: HostRows) -> dict[str, npt.NDArray[Any]]:
     found = {**dict(state.anchors.items()), **dict(state.statistics.items())}
     for name in GROUPS:
         found |= {f"{which} {name}": array for which, array in state.moments[name].items()}
     return found
 
 
-def assert_same(first: TrainState, second: TrainState) -> None:
+def assert_same(first: HostRows, second: HostRows) -> None:
     for (name, one), other in zip(
         arrays_of(first).items(), arrays_of(second).values(), strict=True
     ):
         np.testing.assert_array_equal(one, other, err_msg=name)
 
 
-def assert_rows(state: TrainState, numbers: list[int]) -> None:
+def assert_rows(state: HostRows, numbers: list[int]) -> None:
     """The rows are those that :func:`state_at` numbered so, in every array; 0 is a new row."""
     for name in GROUPS:
         moments = state.moments[name]
@@ -100,7 +99,7 @@ def assert_rows(state: TrainState, numbers: list[int]) -> None:
         assert len(array) == len(numbers)
 
 
-def random_state(seed: int, count: int = 30, spread: int = 25) -> TrainState:
+def random_state(seed: int, count: int = 30, spread: int = 25) -> HostRows:
     rng = np.random.default_rng(seed)
     integers = np.unique(rng.integers(-spread, spread, (count, 3)), axis=0)
     state = state_at(integers)
@@ -115,48 +114,46 @@ def random_state(seed: int, count: int = 30, spread: int = 25) -> TrainState:
     return state
 
 
-def on_device(device: Device, state: TrainState) -> DeviceState:
-    """The same on the device; the MLPs have no weights."""
+def on_device(device: Device, state: HostRows) -> tuple[Parameters, npt.NDArray[np.float32]]:
+    """The same on the device, with a copy of the positions; the MLPs have no weights."""
     scene = DeviceScene(state.anchors.map(device.upload), device.zeros((1,)))
     moments = {name: one.map(device.upload) for name, one in state.moments.items()}
     statistics = state.statistics.map(device.upload)
-    return DeviceState.of(device, Parameters(scene, moments), statistics)
+    return Parameters(scene, moments, statistics), state.anchors.position.copy()
 
 
-def take_back(device: Device, state: TrainState, there: DeviceState) -> None:
+def take_back(
+    device: Device, state: HostRows, there: Parameters, position: npt.NDArray[np.float32]
+) -> None:
     """Make ``state`` what is ``there``, without the rows that are hidden."""
-    before = np.flatnonzero(~np.isnan(there.position[:, 0]))
-    grow_and_prune.compact(device, there)
-    assert len(there.position) == len(before)
-    state.anchors = there.parameters.scene.anchors.map(device.download)
-    state.statistics = there.statistics.map(device.download)
-    state.moments = there.parameters.download_moments(device)
-    np.testing.assert_array_equal(state.anchors.position, there.position)
+    hidden = grow_and_prune.count_hidden(position)
+    rows = grow_and_prune.compacted(device, replace(there, hidden=hidden)).download(device)
+    vars(state).update(vars(rows))
+    np.testing.assert_array_equal(state.anchors.position, position[~np.isnan(position[:, 0])])
 
 
 def mask_prune(
-    device: Device, state: TrainState, visible: npt.NDArray[np.int32], opacity: npt.NDArray[Any]
+    device: Device, state: HostRows, visible: npt.NDArray[np.int32], opacity: npt.NDArray[Any]
 ) -> int:
     """How many anchors go, of which ``opacity`` (V, K) shows nothing; ``state`` changes."""
-    there, before = on_device(device, state), len(state.anchors)
+    (there, _), before = on_device(device, state), len(state.anchors)
     output = device.upload(np.ascontiguousarray(opacity.T, np.float32))
-    seen = device.upload(visible), output
-    there = grow_and_prune.mask_prune(device, there.parameters, there.statistics, *seen)
-    take_back(device, state, there)
+    position = grow_and_prune.mask_prune(device, there, device.upload(visible), output)
+    take_back(device, state, there, position)
     return before - len(state.anchors)
 
 
-def grow(device: Device, state: TrainState, config: TrainConfig, rng: Any) -> int:
+def grow(device: Device, state: HostRows, config: TrainConfig, rng: Any) -> int:
     """How many anchors come; ``state`` changes."""
-    there = on_device(device, state)
-    count = grow_and_prune.grow(device, there, config, rng)
-    take_back(device, state, there)
-    return count
+    there, position = on_device(device, state)
+    there, grown = grow_and_prune.grow(device, config, there, position, rng)
+    take_back(device, state, there, grown)
+    return len(grown) - len(position)
 
 
-def prune(device: Device, state: TrainState, config: TrainConfig) -> int:
+def prune(device: Device, state: HostRows, config: TrainConfig) -> int:
     """How many anchors go; ``state`` changes."""
-    there = on_device(device, state)
-    count = grow_and_prune.prune(device, there, config)
-    take_back(device, state, there)
+    there, position = on_device(device, state)
+    count = grow_and_prune.prune(device, config, there, position)
+    take_back(device, state, there, position)
     return count

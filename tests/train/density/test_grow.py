@@ -15,7 +15,7 @@ from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
 from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
-from clgs.train.density.host_state import TrainState
+from clgs.train.state.parameters import HostRows
 from tests.train.density.density_cases import (
     CONFIG,
     VOXEL,
@@ -180,7 +180,7 @@ def test_growth_never_makes_the_scene_too_large(device: Device) -> None:
         grow(device, state, CONFIG, Draws())
 
 
-def brute_grow(state: TrainState, config: TrainConfig, rng: np.random.Generator) -> list[Any]:
+def brute_grow(state: HostRows, config: TrainConfig, rng: np.random.Generator) -> list[Any]:
     """New (integers, feature, cell) in order, written as the rules read."""
     anchors, statistics = state.anchors, state.statistics
     taken = [np.array(row) for row in integers_of(state)]

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
 from clgs.opencl.device import Device
-from clgs.train.density.cells import position_integers
-from clgs.train.density.host_state import TrainState, merge_cells
+from clgs.train.density.grow_and_prune import merge_cells
+from clgs.train.density.voxel_grid import position_integers
+from clgs.train.state.parameters import HostRows
 from tests.train.density.density_cases import (
     CONFIG,
     VOXEL,
@@ -101,7 +102,7 @@ def test_pruning_everything_is_an_error(device: Device) -> None:
 def test_rows_stay_together_through_a_whole_step(device: Device, seed: int) -> None:
     """Every surviving anchor keeps its own values and moments; the step is deterministic."""
 
-    def step() -> TrainState:
+    def step() -> HostRows:
         state, rng = random_state(seed), np.random.default_rng(seed)
         number = np.arange(1, len(state.anchors) + 1)
         state.anchors.feature[:, 0] = number

@@ -17,8 +17,13 @@ from clgs.opencl.device import Device
 from clgs.render.frame import upload_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
-from clgs.train.quality.importance import importance, importance_without_views
+from clgs.train.quality.importance import (
+    Sensitivity,
+    importance_without_views,
+    sensitivity,
+)
 from clgs.train.quality.metrics import to_8bit
 from clgs.train.quality.rate_control import Judge, reduce_to_psnr, reduce_to_size
 from tests.codec.scenes import random_scene
@@ -45,6 +50,13 @@ def seen(device: Device) -> tuple[QuantizedScene, View]:
     return quantized, View("front", camera, StoredPhoto.of(Pixels(image, None)))
 
 
+def importance(
+    device: Device, scene: QuantizedScene, cameras: list[Camera]
+) -> npt.NDArray[np.float32]:
+    uploaded = upload_scene(device, scene.dequantize())
+    return sensitivity(device, uploaded, scene.settings, cameras, curved=False).importance
+
+
 def without(
     device: Device, scene: QuantizedScene, view: View, anchor: int
 ) -> npt.NDArray[np.float32]:
@@ -58,8 +70,7 @@ def test_importance_is_what_leaving_out_costs(
 ) -> None:
     scene, view = seen
     repeats = 24
-    uploaded = upload_scene(device, scene.dequantize())
-    estimate = importance(device, uploaded, scene.settings, [view.camera] * repeats) / repeats
+    estimate = importance(device, scene, [view.camera] * repeats) / repeats
     whole = Renderer(device, scene.dequantize()).render(view.camera)
     some = rng.permutation(len(scene.anchors))[:24]
     exact = [float(np.square(without(device, scene, view, i) - whole).sum()) for i in some]
@@ -76,8 +87,7 @@ def test_importance_is_the_same_every_time(
     device: Device, seen: tuple[QuantizedScene, View]
 ) -> None:
     scene, view = seen
-    uploaded = upload_scene(device, scene.dequantize())
-    first, second = (importance(device, uploaded, scene.settings, [view.camera]) for _ in range(2))
+    first, second = (importance(device, scene, [view.camera]) for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert (first >= 0).all()
 
@@ -163,13 +173,13 @@ def test_pictures_with_room_are_judged_at_half_the_resolution(
     scene, view = seen
     widths: list[int] = []
 
-    def note(*arguments: object) -> npt.NDArray[np.float64]:
+    def note(*arguments: object) -> Sensitivity:
         cameras = arguments[3]
         assert isinstance(cameras, list)
         widths.extend(camera.width for camera in cameras)
-        return np.zeros(len(scene.anchors))
+        return Sensitivity(np.zeros(len(scene.anchors), np.float32), {}, np.zeros(0, np.bool_))
 
-    monkeypatch.setattr("clgs.train.quality.rate_control.importance", note)
+    monkeypatch.setattr("clgs.train.quality.rate_control.sensitivity", note)
     # Two pixels an anchor remain of the larger one.
     side = int(np.ceil(np.sqrt(8 * len(scene.anchors))))
     cameras = [view.camera.resized(size, size) for size in (side - 1, side)]
@@ -205,7 +215,7 @@ def test_the_fewest_anchors_are_found_however_few(device: Device, anchors: int) 
 def test_a_psnr_that_needs_no_anchor_is_refused(
     device: Device, seen: tuple[QuantizedScene, View]
 ) -> None:
-    """As a size that no file without anchors meets; both say what such a file has."""
+    """A size that no file meets is refused likewise; both say what a file without anchors has."""
     scene, view = seen
     judge = Judge(device, [view.camera], [view])
     least = judge.psnr(take(scene, np.arange(0)))

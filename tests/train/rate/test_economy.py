@@ -12,10 +12,10 @@ from clgs.train.config import TrainConfig, preset
 from clgs.train.config.settings import FINE_Q
 from clgs.train.rate import economy
 from clgs.train.rate.economy import ANCHOR_BITS, LEAST_ROUNDS, ROUNDS, THINNED, Economy
+from clgs.train.rate.judgement import compare
 from clgs.train.run.session import train_scene
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.resume import load_checkpoint, save_checkpoint
-from clgs.train.step.rounding import rounded_anchors
+from clgs.train.state.rounding import Rounding, rounded_anchors
 
 STEPS = 120
 
@@ -40,7 +40,7 @@ def untouched(open_device, dataset):
 
 def test_without_lambda_there_are_no_rounds(untouched):
     assert untouched.rounds == []
-    scales = untouched.queue.scales
+    scales = untouched.state.rate.scales
     found = {f"{name}_q": getattr(scales, name) for name in ("offset", "feature", "scaling")}
     assert found == FINE_Q
 
@@ -85,12 +85,13 @@ def first_round(cpu, dataset, most: float, monkeypatch) -> tuple[float, float]:
     trainer = Trainer(cpu, dataset, config(dataset))
     step = trainer.config.switch_step
     list(trainer.steps(step))
-    trainer._align_positions()
-    rounds, queue, settings = trainer.economy, trainer.queue, trainer.settings
-    drawn, judge = queue.seen(trainer.parameters, step), rounds._judge(settings, queue, step)
-    after, done = rounds.round(trainer.parameters, queue, trainer.densifier, settings, step)
-    rounded = rounded_anchors(cpu, after.scene.anchors, queue.scales)
-    return done.price, judge.compare(replace(drawn, anchors=rounded))[0]
+    trainer.align_positions()
+    rounds, state = trainer.economy, trainer.state
+    drawn = trainer.rounding.scene_at(state, step)
+    done = rounds.round(state, step)
+    rounded = rounded_anchors(cpu, state.parameters.scene.anchors, state.rate.scales)
+    scene = replace(drawn, anchors=rounded)
+    return done.price, compare(cpu, trainer.config, scene, rounds.views)[0]
 
 
 def test_the_first_round_loses_no_more_than_is_allowed(cpu, dataset, monkeypatch):
@@ -105,8 +106,9 @@ def test_the_first_round_loses_no_more_than_is_allowed(cpu, dataset, monkeypatch
 
 def test_long_runs_have_more_rounds(cpu, dataset):
     counts = [
-        len(Economy(cpu, dataset, preset("default").scaled(steps).for_dataset("colmap")).steps)
+        len(Economy(cpu, dataset, one, Rounding(cpu, one)).steps)
         for steps in (1, STEPS, 1_000, 30_000)
+        for one in [preset("default").scaled(steps).for_dataset("colmap")]
     ]
     assert counts == [1, *(len(THINNED) + n for n in (LEAST_ROUNDS, 5, ROUNDS))]
 
@@ -173,9 +175,9 @@ def test_resumes_to_the_bit(cpu, dataset, tmp_path, moment):
     done = settings.switch_step + after.get(moment, 7)
     whole = Trainer(cpu, dataset, settings)
     list(whole.steps(done))
-    save_checkpoint(tmp_path, whole)
+    whole.save(tmp_path)
     other = Trainer(cpu, dataset, settings)
-    load_checkpoint(tmp_path, other)
+    other.resume(tmp_path)
     for trainer in (whole, other):
         list(trainer.steps(STEPS - done))
     assert encode(whole.quantized_scene()) == encode(other.quantized_scene())

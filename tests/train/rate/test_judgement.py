@@ -14,16 +14,17 @@ from clgs.data.view import View
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import loss
-from clgs.options import DEFAULT
 from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, Room, upload_scene, upload_view
 from clgs.render.rasterise import rasterise
 from clgs.scene.scene import RenderSettings, Scene
-from clgs.train.quality.importance import importance, sensitivity
+from clgs.train.config import TrainConfig
+from clgs.train.quality.importance import sensitivity
 from clgs.train.quality.metrics import to_8bit
-from clgs.train.rate.judgement import Judge
+from clgs.train.rate.judgement import compare, judge, look
 
 VIEWS = 24
-WEIGHTS = loss.Weights(0.8, 0.2)
+CONFIG = TrainConfig()
+WEIGHTS = loss.Weights(CONFIG.l1_weight, CONFIG.ssim_weight)
 
 
 @pytest.fixture(scope="module")
@@ -71,14 +72,6 @@ def test_curvature_is_the_squared_length_of_the_derivative(
     assert 0.6 < np.median(ratio) < 2.0
 
 
-def test_importance_is_that_of_the_quick_way(device: Device, seen: tuple[Scene, View]) -> None:
-    scene, view = seen
-    uploaded, settings = upload_scene(device, scene), RenderSettings()
-    both = sensitivity(device, uploaded, settings, [view.camera] * 2).importance
-    quick = importance(device, uploaded, settings, [view.camera] * 2)
-    np.testing.assert_allclose(both, quick, rtol=1e-6)
-
-
 def test_the_room_that_earlier_views_left_changes_nothing(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,17 +100,16 @@ def test_the_room_that_earlier_views_left_changes_nothing(
     assert not flat.curvature
 
 
-def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene, all_views: bool = True):
-    judge = Judge(device, [seen[1]] * VIEWS, all_views, RenderSettings(), DEFAULT, WEIGHTS)
-    return judge.judge(scene, judge.look(scene))
+def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene, unseen_stay: bool = False):
+    found = look(device, CONFIG, scene, [seen[1].camera] * VIEWS)
+    return judge(found, *compare(device, CONFIG, scene, [seen[1]] * VIEWS), unseen_stay)
 
 
 def test_looks_are_means_over_the_views_asked(device: Device, seen: tuple[Scene, View]) -> None:
     scene, view = seen
     uploaded = upload_scene(device, scene)
     other = replace(view, camera=replace(view.camera, cx=view.camera.cx + 5.0))
-    judge = Judge(device, [view, other] * 2, True, RenderSettings(), DEFAULT, WEIGHTS)
-    firsts, seconds = (judge.look(uploaded, first, 2) for first in (0, 1))
+    firsts, seconds = (look(device, CONFIG, uploaded, [one.camera] * 2) for one in (view, other))
     for found, camera in ((firsts, view.camera), (seconds, other.camera)):
         halved = camera.reduced(2)  # there are many pixels for so few anchors
         sums = sensitivity(device, uploaded, RenderSettings(), [halved] * 2)
@@ -169,7 +161,7 @@ def test_what_some_views_do_not_see_is_kept(device: Device, seen: tuple[Scene, V
     position[:7] = view.camera.centre - 50.0 * view.camera.rotation[2]  # behind the camera
     hidden = replace(scene, anchors=replace(scene.anchors, position=position))
     uploaded = upload_scene(device, hidden)
-    every, some = (judged(device, seen, uploaded, all_views) for all_views in (True, False))
+    every, some = (judged(device, seen, uploaded, unseen_stay) for unseen_stay in (False, True))
     assert (every.importance[:7] == 0).all()
     assert not any(array[:7].any() for array in every.curvature.values())
     assert np.isinf(some.importance[:7]).all()

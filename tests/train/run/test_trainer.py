@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clgs.lab.savings import savings
 from clgs.train.config import MAX_WEIGHT, preset
-from clgs.train.quality.savings import savings
 from clgs.train.run.trainer import NonFiniteLossError, Trainer
-from clgs.train.state.resume import load_checkpoint, save_checkpoint
 
 STEPS = 240
 
@@ -56,9 +55,9 @@ def test_resumes_to_the_bit(dataset, cpu, tmp_path, interrupted):
     whole = Trainer(cpu, dataset, config(dataset))
     for _ in range(interrupted):
         whole.step()
-    save_checkpoint(tmp_path, whole)
+    whole.save(tmp_path)
     resumed = Trainer(cpu, dataset, config(dataset))
-    load_checkpoint(tmp_path, resumed)
+    resumed.resume(tmp_path)
     for _ in range(25):
         assert whole.step() == resumed.step()
     mine, theirs = parameters(whole), parameters(resumed)
@@ -83,7 +82,7 @@ def test_coarser_position_grid_merges_at_the_switch(dataset, cpu):
     trainer = Trainer(cpu, dataset, config(dataset, position_q=10.0, size_lambda=0.0))
     counts = [trainer.step().anchors for _ in range(STEPS // 2 + 1)]
     assert counts[-1] < counts[-2]
-    assert trainer.merged == counts[-2] - counts[-1]
+    assert trainer.state.merged == counts[-2] - counts[-1]
     position = cpu.download(trainer.parameters.scene.anchors.position)
     assert np.array_equal(position, (np.rint(position * 10) / 10).astype(np.float32))
 

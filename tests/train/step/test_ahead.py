@@ -23,7 +23,7 @@ def trainer(device, dataset, ahead):
 def state(one):
     scene, device = one.parameters.scene, one.device
     arrays = [array for _, array in scene.items()]
-    arrays.append(one.densifier.statistics.gradient_sum)
+    arrays.append(one.parameters.statistics.gradient_sum)
     arrays += [moments.second for moments in one.parameters.moments.values()]
     return [device.download(array) for array in arrays]
 
@@ -50,7 +50,7 @@ def test_steps_that_lack_room_are_repeated(dataset, open_device, specialisation)
     assert len(repeats) >= count // 23
     assert results == wanted
     assert_same_state(ahead, waiting)
-    assert ahead.rng.bit_generator.state == waiting.rng.bit_generator.state
+    assert ahead.state.rng.bit_generator.state == waiting.state.rng.bit_generator.state
 
 
 def test_stopping_finishes_what_began(dataset, cpu):

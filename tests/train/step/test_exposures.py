@@ -1,4 +1,4 @@
-"""Photos of different exposures: learned beside the scene, exactly as a resumed run learns them."""
+"""Photos of different exposures: learned with the scene, exactly as a resumed run learns them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from clgs.data.images import Pixels
 from clgs.data.stored_photo import StoredPhoto
 from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.resume import load_checkpoint, save_checkpoint
+from clgs.train.step.exposures import ExposureTerm
 from tests.data.folders import write_room
 
 STEPS, PHOTOS, WALL_POINTS = 300, 16, 4500
@@ -34,7 +34,7 @@ def uneven(tmp_path_factory):
     """The corner of a room: training photos of exposures whose mean is that of the others."""
     folder = tmp_path_factory.mktemp("room")
     write_room(folder, PHOTOS, (80, 60))
-    whole, rng = load_dataset(folder, load_points=False), np.random.default_rng(4)
+    whole, rng = load_dataset(folder), np.random.default_rng(4)
     dull = np.full(3, 0.3), np.full(3, 0.28)  # room for other exposures
     train, test = ([exposed(view, *dull) for view in some] for some in (whole.train, whole.test))
     gains = rng.uniform(-0.5, 0.5, (len(train), 1)) + rng.uniform(-0.1, 0.1, (len(train), 3))
@@ -63,7 +63,8 @@ def test_held_out_views_of_true_exposure_gain(cpu, uneven):
 
 def state(one):
     arrays = [array for _, array in one.parameters.scene.items()]
-    arrays += [array for _, array in one.queue.exposures.items()]
+    exposures = one.state.exposures
+    arrays += [exposures.maps, exposures.moments.first, exposures.moments.second]
     return [one.device.download(array).tobytes() for array in arrays]
 
 
@@ -74,19 +75,20 @@ def test_a_resumed_run_learns_the_same(cpu, uneven, tmp_path, optimizer):
     )
     list(whole.steps(90))
     list(first.steps(77))
-    save_checkpoint(tmp_path, first)
-    load_checkpoint(tmp_path, second)
+    first.save(tmp_path)
+    second.resume(tmp_path)
     list(second.steps(13))
     assert state(second) == state(whole)
-    maps = dict(whole.queue.exposures.items())["exposure"]
-    assert np.abs(cpu.download(maps) - np.eye(3, 4)).max() > 0.005
+    maps = cpu.download(whole.state.exposures.maps)
+    assert np.abs(maps - np.eye(3, 4)).max() > 0.005
 
 
 def test_a_gradient_that_is_not_finite_changes_no_map(cpu, uneven):
     one = trainer(cpu, uneven, exposure=True)
     before = state(one)
     stop = cpu.upload(np.ones(1, np.int32))
-    one.queue.exposures.step(0, STEPS, stop)
+    term = ExposureTerm(cpu, one.config, len(uneven.train))
+    term.learn(one.state.exposures, 0, STEPS, stop)
     assert state(one) == before
 
 

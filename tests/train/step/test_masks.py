@@ -14,7 +14,7 @@ from clgs.train.config import preset
 from clgs.train.quality.metrics import psnr_8bit, psnr_channel_mean, ssim
 from clgs.train.quality.score_views import evaluate_views
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.resume import run_digest
+from clgs.train.state.hashes import run_digest
 
 STEPS = 60
 

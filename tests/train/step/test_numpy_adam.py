@@ -15,12 +15,12 @@ from clgs.train.config import preset
 from clgs.train.run.session import train_scene
 from clgs.train.state.hashes import scene_hash
 from clgs.train.step import numpy_adam
-from clgs.train.step.numpy_adam import State, update
+from clgs.train.step.numpy_adam import HostTensors, update
 from tests.compare import assert_close
 
 
 def zero_state(*shape, start=0.0):
-    return State(np.full(shape, start, np.float32), *np.zeros((2, *shape), np.float32))
+    return HostTensors(np.full(shape, start, np.float32), *np.zeros((2, *shape), np.float32))
 
 
 def test_follows_float64(rng):

@@ -14,8 +14,7 @@ from clgs.reference import quantize as reference
 from clgs.scene.mlps import HEAD_DIMS, head_slice
 from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.resume import load_checkpoint, save_checkpoint
-from clgs.train.step.rounding import BINARY_PLACES, weight_scales
+from clgs.train.state.rounding import BINARY_PLACES, weight_scales
 
 STEPS, SWITCH = 60, 48
 
@@ -30,7 +29,7 @@ def weights(trainer):
 
 
 def rendered(trainer, step):
-    return trainer.device.download(trainer.queue.seen(trainer.parameters, step).weights)
+    return trainer.device.download(trainer.rounding.scene_at(trainer.state, step).weights)
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +40,13 @@ def start(dataset, open_device, tmp_path_factory):
         trainer = Trainer(open_device("cpu"), dataset, config(dataset, mlp=mlp))
         list(trainer.steps(SWITCH))
         folders[mlp] = tmp_path_factory.mktemp(mlp)
-        save_checkpoint(folders[mlp], trainer)
+        trainer.save(folders[mlp])
     return folders
 
 
 def resumed(start, dataset, device, mlp="quantized"):
     trainer = Trainer(device, dataset, config(dataset, mlp=mlp))
-    load_checkpoint(start[mlp], trainer)
+    trainer.resume(start[mlp])
     return trainer
 
 
@@ -89,9 +88,9 @@ def test_every_head_goes_on_learning(start, dataset, cpu):
 def test_resumes_to_the_bit_among_rounded_steps(start, dataset, cpu, tmp_path):
     whole = resumed(start, dataset, cpu)
     list(whole.steps(5))
-    save_checkpoint(tmp_path, whole)
+    whole.save(tmp_path)
     again = Trainer(cpu, dataset, config(dataset))
-    load_checkpoint(tmp_path, again)
+    again.resume(tmp_path)
     assert list(whole.steps(5)) == list(again.steps(5))
     assert np.array_equal(weights(whole), weights(again))
 

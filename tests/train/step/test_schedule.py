@@ -1,15 +1,12 @@
 from __future__ import annotations
 
-import json
-from collections import Counter
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from clgs.train.config import LearningRates, TrainConfig, preset
-from clgs.train.step.schedule import ViewSampler, learning_rates, log_linear, restore_rng
+from clgs.train.step.schedule import learning_rates, log_linear
 
 
 def test_rates_at_start_middle_and_end() -> None:
@@ -62,55 +59,3 @@ def test_log_linear_is_linear_in_the_logarithm(first: float, last: float, progre
 def test_rising_rates_are_allowed() -> None:
     config = TrainConfig(learning_rates=LearningRates(feature=(0.001, 0.1)))
     assert learning_rates(config, 15_000, 1.0)["feature"] == pytest.approx(0.01)
-
-
-def test_every_view_once_an_epoch_in_changing_order() -> None:
-    sampler = ViewSampler(20, 3)
-    epochs = [[sampler.next() for _ in range(20)] for _ in range(5)]
-    for epoch in epochs:
-        assert Counter(epoch) == Counter(range(20))
-    assert len({tuple(epoch) for epoch in epochs}) == 5
-
-
-def test_order_depends_on_the_seed_alone() -> None:
-    def deal(seed: int) -> list[int]:
-        sampler = ViewSampler(30, seed)
-        return [sampler.next() for _ in range(60)]
-
-    assert deal(1) == deal(1)
-    assert deal(1) != deal(2)
-
-
-@pytest.mark.parametrize("taken", [0, 1, 6, 7, 8, 20])
-def test_restored_sampler_continues_exactly(taken: int) -> None:
-    sampler = ViewSampler(7, 5)
-    for _ in range(taken):
-        sampler.next()
-    restored = ViewSampler.restore(json.loads(json.dumps(sampler.state())))
-    assert [restored.next() for _ in range(30)] == [sampler.next() for _ in range(30)]
-
-
-def test_state_is_a_copy() -> None:
-    sampler = ViewSampler(4, 0)
-    sampler.next()
-    state = sampler.state()
-    before = json.dumps(state)
-    for _ in range(9):
-        sampler.next()
-    assert json.dumps(state) == before
-
-
-def test_no_views_is_an_error() -> None:
-    with pytest.raises(ValueError, match="no view"):
-        ViewSampler(0, 0)
-
-
-def test_restored_rng_continues_exactly() -> None:
-    rng = np.random.default_rng(9)
-    rng.random(5)
-    rng.integers(0, 7, 3, dtype=np.int32)  # leaves half a 64-bit draw in the state
-    restored = restore_rng(json.loads(json.dumps(rng.bit_generator.state)))
-    assert restored.integers(0, 1 << 20, 9, dtype=np.int32).tolist() == (
-        rng.integers(0, 1 << 20, 9, dtype=np.int32).tolist()
-    )
-    assert restored.random(9).tolist() == rng.random(9).tolist()

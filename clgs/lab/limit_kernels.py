@@ -1,0 +1,93 @@
+"""Kernels that ask what a device can do: stages are measured against them.
+
+copy: target = source. fma: CHAINS independent chains x <- x factor + term per lane, starting
+at (1 .. CHAINS) / 8, and their sum. rounding: the operations whose last bit drivers disagree about.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.opencl.grid import ANY_GROUP, by_items
+from clgs.shapes import Shapes
+
+CHAINS = 6
+FACTOR, TERM = 0.75, 0.375
+
+
+def copy(device: Device, source: DeviceArray, target: DeviceArray) -> None:
+    """Copy ``source`` (n,) float32 to ``target`` of the same shape, by a kernel.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    shapes = Shapes()
+    shapes.check("source", source, "n", np.float32)
+    shapes.check("target", target, "n", np.float32)
+    device.run(
+        device.kernel("limits/limits", "limits_copy"),
+        *by_items(-(-len(source) // device.vec)),
+        source=source,
+        total=np.uint32(len(source)),
+        target=target,
+    )
+
+
+def fma(device: Device, groups: int, steps: int) -> DeviceArray:
+    """The sums (lanes,) float32 of chains of ``steps`` fused multiply-adds, all lanes equal.
+
+    ``groups`` work-groups run; lanes = groups * (1 or ANY_GROUP work-items) * vector lanes, and
+    2 CHAINS steps lanes operations are made.
+    """
+    group = ANY_GROUP if device.specialisation == "gpu" else 1
+    result = device.empty((groups * group * device.vec,))
+    device.run(
+        device.kernel("limits/limits", "limits_fma"),
+        (groups * group,),
+        (group,),
+        factor=np.float32(FACTOR),
+        term=np.float32(TERM),
+        steps=np.int32(steps),
+        result=result,
+    )
+    return result
+
+
+def rounding(device: Device, x: DeviceArray, y: DeviceArray, z: DeviceArray) -> DeviceArray:
+    """(4, n) float32: x / y, sqrt(y), x y + z rounded twice, and x y + z rounded once.
+
+    ``x``, ``y`` and ``z`` are (n,) float32. A device whose results are those of IEEE 754 makes the
+    bits of every other such device in all stages.
+
+    Raises:
+        ValueError, TypeError: an array has the wrong shape or dtype.
+    """
+    shapes = Shapes()
+    for name, array in (("x", x), ("y", y), ("z", z)):
+        shapes.check(name, array, "n", np.float32)
+    result = device.empty((4, len(x)))
+    device.run(
+        device.kernel("limits/limits", "limits_rounding"),
+        *by_items(-(-len(x) // device.vec)),
+        x=x,
+        y=y,
+        z=z,
+        total=np.uint32(len(x)),
+        rounded=result,
+    )
+    return result
+
+
+def exact_rounding(
+    x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], z: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float32]:
+    """What :func:`rounding` computes on a device that keeps to IEEE 754.
+
+    The arguments hold numbers of float32 with magnitudes from 1 to 4: x y and x y + z are exact in
+    float64 then, and a quotient or root that float64 has rounded rounds on as if it were exact.
+    """
+    product = (x * y).astype(np.float32).astype(np.float64)
+    return np.stack([x / y, np.sqrt(y), product + z, x * y + z]).astype(np.float32)

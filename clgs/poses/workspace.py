@@ -1,0 +1,75 @@
+"""The folder, the database and the options that all stages of a reconstruction share."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+STAGES = (
+    *("read", "features", "matches", "poses", "other poses", "second look", "more poses"),
+    *("check", "undistort"),
+)
+"""The stages of ``prepare`` in order; some reconstructions skip some of them."""
+
+OnProgress = Callable[[str, int, int], None]
+"""A function of a stage's name, the finished amount and the total; 0 of 0 if both are unknown."""
+
+THREADS = os.cpu_count() or 1
+"""Given to pycolmap because it warns about memory if it may choose."""
+
+LOCKED = "database factory"
+"""Part of pycolmap's message if it cannot open a database; it does not wait for a lock to end."""
+
+WAITS = (0.1, 0.3, 1.0, 3.0)
+"""Seconds between attempts: another connection may be closing or opening."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """The inputs of one reconstruction, and the folder of its files.
+
+    pycolmap: the module; images: folder of the photos; folder: for all files that are made; names:
+    the photos' file names, in order; cameras: the camera's number of each photo; seed: of all
+    random choices; masks: folder of a mask per photo, None without masks.
+    """
+
+    pycolmap: Any
+    images: Path
+    folder: Path
+    names: list[str]
+    cameras: list[int]
+    seed: int
+    on_progress: OnProgress
+    masks: Path | None = None
+
+    @property
+    def database(self) -> Path:
+        """The path of the database: features, matches and two-view geometries."""
+        return self.folder / "database.db"
+
+    def open(self) -> Any:
+        """Open the database; returns pycolmap's connection."""
+        return self.call(self.pycolmap.Database.open, self.database)
+
+    def call(self, function: Callable[..., Any], *args: Any, **options: Any) -> Any:
+        """Call a function of pycolmap that begins by opening a database; returns its result.
+
+        Raises:
+            RuntimeError: the database stayed locked for all of WAITS, or another failure.
+        """
+        for wait in WAITS:
+            try:
+                return function(*args, **options)
+            except RuntimeError as error:
+                if LOCKED not in str(error):
+                    raise
+            time.sleep(wait)
+        return function(*args, **options)
+
+    def ids(self, database: Any) -> list[int]:
+        """Read each photo's number in the open ``database``, in the order of ``names``."""
+        return [int(database.read_image_with_name(name).image_id) for name in self.names]

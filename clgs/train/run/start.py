@@ -1,0 +1,107 @@
+"""What training starts from: the data set's points and some MLPs, or a trained scene.
+
+The MLPs are those trained on other scenes, random ones, or those of a scene. What the networks make
+of features hardly differs between scenes, so that a run that starts from trained ones has only the
+features to find; a feature of zeros stands for a mean anchor. ``scripts/train_start_mlps.py`` made
+the ones that ship.
+"""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from clgs.codec.scene_decoder import decode
+from clgs.data.dataset import Dataset
+from clgs.errors import DataError
+from clgs.opencl.device import Device
+from clgs.scene.mlps import MLP_SIZE, Mlps, init_mlps
+from clgs.scene.scene import Scene
+from clgs.scene.storage import load_scene
+from clgs.train.config import TrainConfig
+from clgs.train.config.run_settings import LEAST_ANCHORS
+from clgs.train.config.settings import BLENDER
+from clgs.train.density.voxel_grid import initial_anchors
+from clgs.train.state.run_state import RunState, new_state
+
+TRAINED = "trained"
+
+RANDOM = "random"
+
+SHIPPED = "trained_mlps.npy"
+
+
+def first_state(device: Device, dataset: Dataset, config: TrainConfig) -> RunState:
+    """The state of a run before its first step.
+
+    Args:
+        device: where to train.
+        dataset: views and points in scene units.
+        config: resolved for the dataset.
+
+    Raises:
+        DataError: the points, or the file of ``config.start_mlps``, cannot be used.
+    """
+    rng = np.random.default_rng(config.seed)
+    limits = [config.most_anchors] if config.most_anchors else []
+    if config.start_pixels and dataset.kind != BLENDER:
+        pixels = max(view.camera.width * view.camera.height for view in dataset.train)
+        limits.append(max(LEAST_ANCHORS, int(pixels / config.start_pixels)))
+    most = min(limits, default=0)  # 0: one per voxel that holds points
+    anchors = initial_anchors(dataset.points, config.voxel, most, config.seed)
+    mlps = start_mlps(config.start_mlps, rng)
+    return new_state(device, config, len(dataset.train), anchors, mlps, rng)
+
+
+def state_of_scene(
+    device: Device, dataset: Dataset, config: TrainConfig, scene: Scene, step: int
+) -> RunState:
+    """The state of a run that goes on with a trained scene after step number ``step``.
+
+    The moments and statistics are zero, and bits have no price.
+
+    Args:
+        device: where to train.
+        dataset: views in the scene's units.
+        config: resolved for the dataset.
+        scene: anchors and MLPs, as floats.
+        step: the number of the last step done.
+    """
+    rng = np.random.default_rng(config.seed)
+    state = new_state(device, config, len(dataset.train), scene.anchors, scene.mlps, rng)
+    state.step = step
+    return state
+
+
+def start_mlps(name: str, rng: np.random.Generator) -> Mlps:
+    """The MLPs called ``name``: TRAINED, RANDOM, or a scene's .clgs or .npz file.
+
+    Raises:
+        DataError: the file cannot be read, or is no scene.
+    """
+    if name == TRAINED:
+        return trained_mlps()
+    if name == RANDOM:
+        return init_mlps(rng)
+    path = Path(name)
+    if path.suffix.lower() == ".npz":
+        return load_scene(path).mlps
+    if path.suffix.lower() != ".clgs":
+        raise DataError(
+            f"start_mlps: {name} is no scene; give {TRAINED}, {RANDOM}, or a .clgs or .npz file"
+        )
+    try:
+        return decode(path.read_bytes()).mlps
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}; start_mlps names a scene's file") from error
+
+
+def trained_mlps() -> Mlps:
+    """The MLPs that ship with clgs."""
+    with resources.files(__package__).joinpath(SHIPPED).open("rb") as file:
+        flat = np.load(file, allow_pickle=False)
+    if flat.shape != (MLP_SIZE,) or flat.dtype != np.float32:
+        raise DataError(f"{SHIPPED}: not {MLP_SIZE} float32 weights; install clgs again")
+    return Mlps(flat)

@@ -1,0 +1,164 @@
+"""The state of a run: everything that its next steps depend on.
+
+A step reads the record and changes its device arrays, growing and rounds give it other anchors, and
+a checkpoint saves it. Nothing else that changes during a run has an effect on its results.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.ops import adam, exposure
+from clgs.ops.rate import Rate
+from clgs.scene.anchors import AnchorSet, QuantizationScales
+from clgs.scene.mlps import Mlps
+from clgs.scene.scene import RenderSettings
+from clgs.train.config import TrainConfig
+from clgs.train.config.settings import BACKGROUNDS, PAPER_Q
+from clgs.train.quality.importance import Sensitivity
+from clgs.train.state.parameters import Parameters, new_parameters
+
+
+@dataclass(frozen=True, eq=False)
+class RateTables:
+    """The rate of each of ANCHOR_GROUPS at step ``step``, and the number of anchors then."""
+
+    step: int
+    rates: dict[str, Rate]
+    anchors: int
+
+    @property
+    def bits(self) -> float:
+        """The estimated bits per anchor."""
+        return sum(one.bits for one in self.rates.values())
+
+
+@dataclass
+class RateState:
+    """What decides about the size of the file.
+
+    scales: integers per unit that attributes are rounded to; price: of a bit, in units of the loss,
+    0 until the first round; tables: the newest ones of the rate proxy, the last one made last.
+    """
+
+    scales: QuantizationScales
+    price: float = 0.0
+    tables: list[RateTables] = field(default_factory=list)
+
+
+@dataclass
+class ExposureMaps:
+    """Affine maps of colors (P, 3, 4) float32, one per training photo, with their Adam moments."""
+
+    maps: DeviceArray
+    moments: adam.DeviceMoments
+
+
+class ViewOrder:
+    """Deals every view once per epoch, in a new random order each time (paper)."""
+
+    def __init__(self, count: int, seed: int) -> None:
+        """Deal the views 0 .. ``count`` - 1; the same seed gives the same order."""
+        if count < 1:
+            raise ValueError("count: there is no view to deal")
+        self._count = count
+        self._rng = np.random.default_rng(seed)
+        self._order: list[int] = []
+        self._next = 0
+
+    def next(self) -> int:
+        """The number of the next view, which is taken."""
+        if self._next == len(self._order):
+            self._order = self._rng.permutation(self._count).tolist()
+            self._next = 0
+        self._next += 1
+        return self._order[self._next - 1]
+
+    def upcoming(self, count: int) -> list[int]:
+        """The numbers of the next ``count`` views, which are not taken; at most one epoch ahead."""
+        coming = self._order[self._next : self._next + count]
+        if len(coming) < count:
+            coming += copy.deepcopy(self._rng).permutation(self._count).tolist()
+        return coming[:count]
+
+    def record(self) -> dict[str, Any]:
+        """Everything that :meth:`restore` needs to continue exactly, ready for JSON."""
+        return {
+            "count": self._count,
+            "order": list(self._order),
+            "next": self._next,
+            "rng": self._rng.bit_generator.state,
+        }
+
+    @classmethod
+    def restore(cls, record: dict[str, Any]) -> ViewOrder:
+        """The order that gave ``record``."""
+        views = cls(record["count"], 0)
+        views._rng.bit_generator.state = record["rng"]
+        views._order = list(record["order"])
+        views._next = record["next"]
+        return views
+
+
+@dataclass
+class RunState:
+    """The state of a run after step number ``step``.
+
+    rng: what growing and random backgrounds draw from; exposures: None if they are not learned;
+    known: what rounds have found out about the anchors, None before the first round at integers;
+    merged: anchors that were merged when positions moved to a coarser grid.
+    """
+
+    parameters: Parameters
+    rate: RateState
+    exposures: ExposureMaps | None
+    rng: np.random.Generator
+    views: ViewOrder
+    known: Sensitivity | None = None
+    merged: int = 0
+    step: int = 0
+
+
+def new_state(
+    device: Device,
+    config: TrainConfig,
+    photos: int,
+    anchors: AnchorSet,
+    mlps: Mlps,
+    rng: np.random.Generator,
+) -> RunState:
+    """The state before the first step, from ``anchors`` and ``mlps``.
+
+    Args:
+        device: where the arrays of the state lie.
+        config: resolved for the data set.
+        photos: the number of training views.
+        anchors: in scene units.
+        mlps: the networks to start from.
+        rng: what growing and random backgrounds draw from.
+    """
+    q = {name: getattr(config, name) or paper for name, paper in PAPER_Q.items()}
+    scales = QuantizationScales(config.position_q, q["offset_q"], q["feature_q"], q["scaling_q"])
+    exposures = None
+    if config.exposure:
+        maps = exposure.identity(device, photos)
+        exposures = ExposureMaps(maps, adam.zero_moments(device, maps))
+    return RunState(
+        parameters=new_parameters(device, anchors, mlps),
+        rate=RateState(scales),
+        exposures=exposures,
+        rng=rng,
+        views=ViewOrder(photos, config.seed),
+    )
+
+
+def render_settings(config: TrainConfig) -> RenderSettings:
+    """How finished renders are made: a random background becomes black."""
+    background = BACKGROUNDS.get(config.background, BACKGROUNDS["black"])
+    return RenderSettings(background=background, near=config.near)

@@ -1,0 +1,144 @@
+"""The process of structure from motion ends with its parent, at once, and its crash is an error."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from PIL import Image
+
+from clgs.errors import DataError
+from clgs.poses import reconstruct
+from tests.data.folders import noise_image
+from tests.terminal import as_from_a_terminal
+
+PYCOLMAP = """
+import os, signal, time
+from types import SimpleNamespace
+class logging:
+    minloglevel = 0
+CameraMode = SimpleNamespace(SINGLE=0)
+Device = SimpleNamespace(cpu=0)
+def set_random_seed(seed):
+    print("a library says something")
+class Database:
+    open = staticmethod(lambda path: SimpleNamespace(close=lambda: None))
+def import_images(*arguments, **keywords):
+    pass
+def options():
+    return SimpleNamespace(sift=SimpleNamespace())
+FeatureExtractionOptions = ImageReaderOptions = options
+def extract_features(*arguments, **keywords):
+    {act}
+"""
+DEAF = """
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
+    open("deaf", "x").close()
+    time.sleep(600)
+"""
+"""Acts as native code that ignores signals."""
+
+HANG = 120
+"""Seconds after which a process that does not end is given up."""
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="no such signals")
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Start ``clgs prepare`` with a pycolmap that does something else; it ends with the test."""
+    started: list[subprocess.Popen[str]] = []
+    (tmp_path / "photos").mkdir()
+    for number in range(3):
+        Image.fromarray(noise_image(8, 8, number)).save(tmp_path / "photos" / f"{number}.png")
+    (tmp_path / "data").mkdir()
+
+    def start_with(act):
+        (tmp_path / "pycolmap.py").write_text(PYCOLMAP.format(act=act.strip()))
+        module = ["-m", "clgs.cli.main", "prepare", "photos", "-o", "data/new"]
+        process = subprocess.Popen(
+            [sys.executable, *module],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=as_from_a_terminal,
+        )
+        started.append(process)
+        return process
+
+    yield start_with
+    for process in started:
+        process.kill()
+        process.communicate(timeout=HANG)
+
+
+def until_deaf(process, folder):
+    """Wait for the file that the features' search makes; what is printed may come mixed."""
+    end = time.monotonic() + HANG
+    while not (folder / "deaf").exists():
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < end, "the features were never searched"
+        time.sleep(0.05)
+
+
+def ended(process):
+    """The rest of its output, once every process that could write to it is gone."""
+    return process.communicate(timeout=HANG)
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, name: str):
+    process = start(DEAF)
+    until_deaf(process, tmp_path)
+    process.send_signal(getattr(signal, name))
+    out, err = ended(process)
+    assert (out, err.splitlines()[-1]) == ("", "clgs: interrupted")
+    assert process.returncode == 130
+    assert list((tmp_path / "data").iterdir()) == []
+
+
+def test_a_killed_parent_leaves_neither_process_nor_folder(start, tmp_path: Path):
+    process = start(DEAF)
+    until_deaf(process, tmp_path)
+    process.kill()
+    assert ended(process)[0] == ""
+    end = time.monotonic() + HANG
+    while any((tmp_path / "data").iterdir()) and time.monotonic() < end:
+        time.sleep(0.05)  # the guard is yet another process
+    assert list((tmp_path / "data").iterdir()) == []
+
+
+def test_a_crash_is_one_line(start, tmp_path: Path):
+    process = start("os._exit(77)")
+    out, err = ended(process)
+    assert (out, process.returncode) == ("", 3)
+    said = "clgs: error: structure from motion: pycolmap crashed (exit code 77); try other photos"
+    assert err.splitlines()[-1] == said
+    assert list((tmp_path / "data").iterdir()) == []
+
+
+def test_a_failure_keeps_its_words(start):
+    process = start("raise ValueError('no SIFT today')")
+    _, err = ended(process)
+    assert err.splitlines()[-1] == "clgs: error: structure from motion: no SIFT today"
+    assert process.returncode == 3
+
+
+def test_a_crash_on_a_full_disk_asks_for_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def crash(*_):
+        raise DataError("structure from motion: pycolmap crashed (exit code -6); try other photos")
+
+    monkeypatch.setattr(reconstruct, "run_child", crash)
+    with pytest.raises(DataError, match="crashed"):
+        reconstruct.reconstruct(tmp_path, 0, False, lambda *_: None)
+    monkeypatch.setattr(reconstruct.shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
+    with pytest.raises(OSError, match="No space left"):
+        reconstruct.reconstruct(tmp_path, 0, False, lambda *_: None)
