@@ -14,7 +14,7 @@ import numpy as np
 
 from clgs.data.colmap.model import read_colmap
 from clgs.data.posed_photo import Photo, PhotoSet
-from clgs.exports.plan import plan
+from clgs.exports.camera_map import draw_map
 from clgs.exports.report import STYLE, cards
 from clgs.files import atomic_write
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
@@ -87,7 +87,7 @@ def _plans(photos: PhotoSet, verdict: Verdict) -> str:
     marks = [(photo, status.get(photo.name, "good")) for photo in posed]
     views = zip(("from above", "from the side"), _axes(posed), strict=True)
     figures = "".join(
-        f"<figure>{plan(marks, photos.points, axes)}<figcaption>{text}</figcaption></figure>"
+        f"<figure>{draw_map(marks, photos.points, axes)}<figcaption>{text}</figcaption></figure>"
         for text, axes in views
     )
     legend = "Cameras look along their open side: green good, orange doubtful."

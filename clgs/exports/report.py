@@ -76,7 +76,7 @@ class Report:
 
     headline: (label, value) of the large figures; sections: bytes of the file by section;
     seconds: by stage; curve: (step, PSNR in dB) while training; facts: small print; held_out:
-    whether training never saw the views; links: (label, file beside the page).
+    whether training never saw the views; links: (label, file in the page's folder).
     """
 
     title: str

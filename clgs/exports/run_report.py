@@ -34,10 +34,10 @@ SECTIONS = {
 
 @dataclass(frozen=True)
 class RunStory:
-    """What the files of a run do not tell.
+    """What the files of a run do not say.
 
-    command: that repeats it; lead: a sentence above all; seconds: by stage; links: (label, file
-    beside the page).
+    command: the one that repeats it; lead: the first sentence of the page; seconds: by
+    stage; links: (label, file in the page's folder).
     """
 
     command: str = ""

@@ -122,7 +122,7 @@ def test_values_that_no_step_suits_are_refused() -> None:
 def test_too_wide_splats_are_refused(
     rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the library in words of splats, by the command in words of options."""
+    """The library speaks of splats, the command of options."""
     values = np.zeros((2, 5), np.int32)
     values[1, 1] = 2**21
     message = r"^splats: y spans 2097153 steps, at most 2097152 fit; [^-]*$"

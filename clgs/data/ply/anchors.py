@@ -24,8 +24,7 @@ from clgs.data.ply.table import Table, narrowest, pack_ply, read_ply
 from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
-from clgs.scene.ranges import MIN_Q, check_ranges
-from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
+from clgs.scene.scene import MIN_Q, QuantizedScene, RenderSettings, SceneTransform, check_ranges
 
 POSITION, NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
 OFFSET = [f"f_offset_{i}" for i in range(3 * K_OFFSETS)]
