@@ -19,7 +19,7 @@ from clgs.workflow.train import Saving
 
 
 def savings(trainer: Trainer) -> list[Saving]:
-    """Count on the first training view, with the parameters as they are; renders it anew."""
+    """Count on the first training view, with the parameters as they are; renders it again."""
     frame = trainer.render_next()
     return [
         *_of_anchors(trainer, frame),
