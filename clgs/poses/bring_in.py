@@ -27,7 +27,7 @@ from clgs.data.images import (
 )
 from clgs.data.masks import USED, Mask, read_mask, save_mask
 from clgs.errors import DataError
-from clgs.poses.photos.video import extract_frames, video_library
+from clgs.poses.video import extract_frames, video_library
 
 LEAST_PHOTOS = 3
 JPEG_QUALITY = 95
