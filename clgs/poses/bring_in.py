@@ -26,8 +26,8 @@ from clgs.data.images import (
 )
 from clgs.data.masks import MASKS, USED, Mask, read_mask, save_mask
 from clgs.errors import DataError
-from clgs.poses.photos.find import Collection, Found, find_photos, is_video
-from clgs.poses.photos.video import extract_frames, video_library
+from clgs.poses.find import Collection, Found, find_photos, is_video
+from clgs.poses.video import extract_frames, video_library
 
 LEAST_PHOTOS = 3
 JPEG_QUALITY = 95

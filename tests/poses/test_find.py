@@ -10,7 +10,7 @@ from PIL import Image
 
 from clgs.data.masks import find_mask
 from clgs.errors import DataError
-from clgs.poses.photos.find import find_photos, is_video
+from clgs.poses.find import find_photos, is_video
 from tests.data.folders import noise_image
 
 
