@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,20 @@ def test_model_without_undistortion_here(tmp_path: Path):
         load(tmp_path)
 
 
+@pytest.mark.parametrize("text", [False, True])
+def test_pycolmap_is_not_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: bool):
+    write_colmap(tmp_path, text=text)
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    assert len(load(tmp_path).train) == 8
+
+
+def test_a_listed_name_may_lack_its_suffix(tmp_path: Path):
+    write_colmap(tmp_path)
+    file = tmp_path / "sparse" / "0" / "images.bin"
+    file.write_bytes(file.read_bytes().replace(b"002.png", b"002"))
+    assert load(tmp_path).train[0].name == "002.png"
+
+
 def test_missing_images_are_counted_before_the_split(tmp_path: Path):
     write_colmap(tmp_path)
     (tmp_path / "images" / "001.png").unlink()
@@ -89,6 +104,9 @@ DAMAGE = {
     "negative focal": ("cameras", 32, struct.pack("<d", -1.0)),
     "unknown model": ("cameras", 12, struct.pack("<i", 99)),
     "camera count": ("cameras", 0, struct.pack("<Q", 2**60)),
+    "image twice": ("images", 8, struct.pack("<I", 2)),
+    "image of no camera": ("images", 68, struct.pack("<I", 99)),
+    "point twice": ("points3D", 8, struct.pack("<Q", 2)),
     "NaN pose": ("images", 12, NAN),
     "zero quaternion": ("images", 12, bytes(32)),
     "parent name": ("images", IMAGE_NAME, b"../../a"),
@@ -161,6 +179,11 @@ IMAGE = "1 1 0 0 0 0 0 0 1 001.png\n"
         ("cameras", "1 PINHOLE 41 31 50 50 20\n", "line 1: PARAMS are 3 numbers, PINHOLE has 4"),
         ("cameras", "1 PINHOLE 41 31 50 nan 20 9\n", "line 1: PARAMS is 'nan', not a finite"),
         ("cameras", f"1 PINHOLE {'9' * 20} 31 50 50 20 9\n", "line 1: WIDTH is '9"),
+        ("cameras", 2 * "1 PINHOLE 41 31 50 50 20 9\n", "line 2: CAMERA_ID 1 occurs twice"),
+        ("cameras", "1 PINHOLE 0 31 50 50 20 9\n", "line 1: camera size 0x31 is impossible"),
+        ("cameras", "1 PINHOLE 41 31 50 -1 20 9\n", "line 1: focal length is not positive"),
+        ("images", 2 * f"{IMAGE}\n", "line 3: IMAGE_ID 1 occurs twice"),
+        ("images", IMAGE.replace("001", "../a"), "line 1: image name '../a.png' must stay inside"),
         ("images", IMAGE.replace("001.png", ""), "line 1: NAME is missing"),
         ("images", IMAGE.replace("1 1 0", "1 ? 0"), "line 1: QW is '?', not a finite number"),
         (
@@ -187,6 +210,8 @@ IMAGE = "1 1 0 0 0 0 0 0 1 001.png\n"
         ("images", f"{IMAGE}1 2 x\n", "line 2: POINT3D_ID is 'x', not a whole number"),
         ("points3D", "7 2\n", "line 1: Y is missing"),
         ("points3D", "7 2 3 nan 1 2 3 0.1\n", "line 1: Z is 'nan', not a finite number"),
+        ("points3D", 2 * "7 2 3 4 1 2 3 0.1\n", "line 2: point 7 occurs twice"),
+        ("points3D", "7 2 3 4 300 2 3 0.1\n", "line 1: R is 300, not 0 to 255"),
         ("points3D", "7 2 3 4 1 2 3 0.1 99 0\n", "line 1: TRACK: images.txt has no point 0 of"),
         ("points3D", "7 2 3 4 1 2 3 0.1 1 99\n", "line 1: TRACK: images.txt has no point 99 of"),
     ],
