@@ -97,7 +97,7 @@ def forward(device: Device, x: DeviceArray, q: float, form: Form = "channel") ->
         raise ValueError(f"form is '{form}'; use channel or pooled")
     if x.dtype != np.float32:
         raise TypeError(f"x: dtype is {x.dtype}, expected float32")
-    channels = _channels(x) if form == "channel" else 1
+    channels = int(np.prod(x.shape[1:])) if form == "channel" else 1
     if x.size == 0:
         return Rate(0.0, q, np.zeros((8, channels)))
     with np.errstate(all="ignore"):
@@ -148,7 +148,7 @@ def slopes(device: Device, rate: Rate, weight: float) -> Slopes:
 def backward_all(
     device: Device, attributes: Sequence[tuple[Slopes, DeviceArray, DeviceArray]]
 ) -> None:
-    """As :func:`backward` for each (slopes, x, d_x), three at most, in one launch.
+    """Do :func:`backward` for each (slopes, x, d_x), three at most, in one launch.
 
     Raises:
         ValueError, TypeError: a ``d_x`` does not fit.
@@ -229,7 +229,7 @@ def _pooled_limits(sums: _Sums) -> Values:
 
 
 def _pooled(sums: _Sums, limits: Values) -> tuple[Values, Values]:
-    """As :func:`_per_channel`, in the form of the code of Voxel-GS."""
+    """The same as :func:`_per_channel`, in the form of the code of Voxel-GS."""
     deviation = _deviation(sums)
     b = np.maximum(deviation, POOLED_MIN_SCALE)
     at_centre = _floored(cost(np.abs(sums.mean), b))
@@ -275,10 +275,6 @@ def _table(sums: _Sums, b: Values, at_centre: Cost, slope: Values, limits: Value
     low, high = np.ceil(sums.mean - limits), np.floor(sums.mean + limits)
     sides = (shared - 1 / b, shared + centre_slope, shared + 1 / b, shared)
     return np.stack([sums.centre, np.minimum(low, 0), np.maximum(high, 0), slope, *sides])
-
-
-def _channels(x: DeviceArray) -> int:
-    return int(np.prod(x.shape[1:]))
 
 
 def _centre(device: Device, x: DeviceArray, q: float, channels: int) -> tuple[Values, Values]:

@@ -20,7 +20,7 @@ CENTRE = slice(23, 26)
 
 @dataclass(frozen=True)
 class Activations:
-    """As ``clgs.ops.mlp.Activations`` without padding: input, hidden, output, visible."""
+    """What ``clgs.ops.mlp.Activations`` holds, without padding, and the layers before it."""
 
     input: Array
     hidden: Array

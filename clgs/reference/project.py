@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Projected:
-    """As ``clgs.ops.project.Projected``, float64: mean2d, whitening, depth, extent."""
+    """The fields of ``clgs.ops.project.Projected``, float64: mean2d, whitening, depth, extent."""
 
     mean2d: Array
     whitening: Array

@@ -13,7 +13,7 @@ from clgs.reference.project import Array
 
 @dataclass(frozen=True)
 class Splats:
-    """As ``clgs.ops.project_anchors.Splats``: projected, color, opacity."""
+    """What ``clgs.ops.project_anchors.forward`` returns: projected, color, opacity."""
 
     projected: project.Projected
     color: Array

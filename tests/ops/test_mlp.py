@@ -229,7 +229,7 @@ def test_padding_does_not_change_a_bit(device, rng, padding):
 
 
 def test_samples_without_anchor_may_lie_anywhere(device, rng):
-    """As the first of a block, too."""
+    """A sample without anchor may come first in a block."""
     values, visible = anchors(rng, 200), some(rng, 200, 200)
     gaps = visible.copy()
     gaps[::8] = -1
@@ -252,7 +252,7 @@ def test_poison_stays_in_its_anchor(device, rng, slot, poison):
     assert all(np.array_equal(clean[one], dirty[one]) for one in visible if one != bad)
     if slot == "feature" or not np.isfinite(poison):
         assert np.isnan(dirty[bad][:10]).all(), "not drawn: no comparison with NaN holds"
-    # whatever gradient arrives, the weights see the other anchors only; they may lie elsewhere
+    # the weights see the other anchors only; they may lie elsewhere
     d_of_anchor[bad] = 5 if np.isnan(dirty[bad][0]) else 0
     terms = gradient_terms(values, visible[visible != bad], d_of_anchor)
     for name, array in run_backward(device, values, visible, d_of_anchor).items():

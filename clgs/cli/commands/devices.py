@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from clgs.opencl.describe import DeviceInfo
+    from clgs.opencl.choose import DeviceInfo
 
 HEADINGS = (
     *("", "index", "type", "name", "platform", "driver"),
@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     import json
     from dataclasses import asdict
 
-    from clgs.opencl.describe import describe_devices
+    from clgs.opencl.choose import describe_devices
 
     devices = describe_devices()
     if args.json:
