@@ -1,4 +1,4 @@
-"""From photos to a scene, a report and what one shows to others: `clgs run`."""
+"""Photos to a scene, a report and what one shows to others: `clgs run`."""
 
 from __future__ import annotations
 
