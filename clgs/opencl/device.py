@@ -270,11 +270,12 @@ class Device:
         Raises:
             TypeError: the kernel has other arguments, or of other types.
         """
+        ordered = kernel.ordered(arguments)
         if 0 in global_size:
             return
         self.launches += 1
         sizes = tuple(global_size), tuple(local_size) if local_size else None
-        event = kernel.built(self.queue, *sizes, *kernel.ordered(arguments))
+        event = kernel.built(self.queue, *sizes, *ordered)
         if self._kernel_times:
             self._kernel_times.add(kernel.name, event)
 
