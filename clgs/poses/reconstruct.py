@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from clgs.data.find import MASKS
 from clgs.data.images import image_size
-from clgs.data.masks import save_mask
+from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
 from clgs.poses.bring_in import camera_numbers
 from clgs.poses.child import OnStage, run_child, serve
