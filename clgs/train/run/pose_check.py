@@ -22,18 +22,18 @@ SIZE = 120
 """Pixels, the photos' width."""
 
 VISITS = 8
-"""Steps of training per photo."""
+"""Training steps per photo."""
 
 LEAST_STEPS, MOST_STEPS = 300, 3000
 
 LEAST_VARIANCE = 1e-4
-"""Of a photo without contrast, as if it had that much: a standard deviation of 2.6 in 255."""
+"""The least variance assumed of a photo: a standard deviation of 2.6 in 255."""
 
 
 def check_poses(
     folder: Path, device: Device, on_step: Callable[[int, int], None] = lambda done, total: None
 ) -> dict[str, float]:
-    """For each photo of a data set, by name, the share of its variance that stays unexplained.
+    """The share of the variance that stays unexplained, for each photo of a data set by name.
 
     A short training on all photos, small, without a price for bytes. A photo that the others
     contradict, because its pose is wrong or because it shows something before the camera that they
@@ -55,7 +55,7 @@ def check_poses(
 def unexplained(
     dataset: Dataset, device: Device, on_step: Callable[[int, int], None]
 ) -> dict[str, float]:
-    """As :func:`check_poses`, of a data set whose photos are small already."""
+    """Do what :func:`check_poses` does, with a data set whose photos are small already."""
     views = [*dataset.train, *dataset.test]
     steps = min(max(LEAST_STEPS, VISITS * len(views)), MOST_STEPS)
     config = preset("default").for_dataset(dataset.kind).scaled(steps)

@@ -9,7 +9,7 @@ from clgs.render.frame import upload_scene, upload_view
 from clgs.render.rasterise import rasterise
 from clgs.scene.anchors import QuantizationScales, quantize
 from clgs.scene.scene import QuantizedScene
-from clgs.train.quality.drawn import count_drawn
+from clgs.train.quality.score_views import count_drawn
 
 
 def test_counts_each_slot_that_some_view_draws_once(device: Any) -> None:

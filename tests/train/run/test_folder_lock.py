@@ -11,14 +11,14 @@ import pytest
 
 from clgs.errors import DataError
 from clgs.train.config import preset
-from clgs.train.run.folder_lock import FolderLock
+from clgs.train.run.run_folder import FolderLock
 from clgs.train.run.session import train_scene
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="folders cannot be locked on Windows")
 HOLDER = """
 import sys, time
 from pathlib import Path
-from clgs.train.run.folder_lock import FolderLock
+from clgs.train.run.run_folder import FolderLock
 lock = FolderLock(Path(sys.argv[1]))
 print("held", flush=True)
 time.sleep(600)

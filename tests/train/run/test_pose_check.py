@@ -19,7 +19,7 @@ def dataset(tmp_path_factory):
 
 
 def turned(view: View, degrees: float) -> View:
-    """With its camera turned in its own place, about its down-vector."""
+    """The view with its camera turned in place, about its down-vector."""
     angle = np.radians(degrees)
     turn = np.eye(3)
     turn[::2, ::2] = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
