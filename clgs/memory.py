@@ -12,7 +12,7 @@ LARGE = 1 << 20
 """Bytes from which an array goes back to the system as soon as it is freed."""
 
 ARENAS = 2
-"""Heaps for all threads together: each keeps what was freed in it."""
+"""Heaps that all threads share: each heap keeps what was freed in it."""
 
 SETTINGS = {M_TRIM_THRESHOLD: LARGE, M_MMAP_THRESHOLD: LARGE, M_ARENA_MAX: ARENAS}
 
@@ -30,19 +30,22 @@ def peak_memory() -> int | None:
 def return_freed_memory() -> None:
     """Let large arrays go back to the system when they are freed; glibc would keep many of them.
 
-    Where there is no glibc nothing happens.
+    Without glibc nothing happens.
     """
     for parameter, value in SETTINGS.items():
         _call("mallopt", parameter, value)
 
 
 def return_unused_memory() -> None:
-    """Let whole pages between arrays in use go back, too: a millisecond; nothing without glibc."""
+    """Let whole pages between arrays in use go back to the system, too.
+
+    This takes a millisecond. Without glibc nothing happens.
+    """
     _call("malloc_trim", 0)
 
 
 def _call(function: str, *values: int) -> None:
-    """Call what the C library of Linux may have."""
+    """Call a function of the C library if this is Linux and the library has it."""
     if sys.platform.startswith("linux"):
         library = ctypes.CDLL(None)
         if hasattr(library, function):

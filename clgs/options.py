@@ -1,7 +1,7 @@
-"""How accurately a view is rendered, and which work is skipped.
+"""Options of a render: its accuracy, and the work that it skips.
 
-Accuracy changes the picture within stated limits; a skip leaves out only work that cannot change
-a bit of it, so that each can be switched off to measure what it saves.
+Accuracy changes the picture within stated limits. A skip leaves out only work that cannot change a
+bit of the picture, so that it can be switched off to measure what it saves.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from clgs.errors import UsageError
 class Accuracy:
     """What a render truncates.
 
-    alpha_cut: pixel-splat pairs with a smaller alpha contribute nothing; transmittance_stop: a
-    pixel is finished at this transmittance; inclusive_stop: the splat that crosses it is still
-    blended, else left out; exp2_degree: of the polynomial of 2^x, 3 to 6; downscale: pictures are
-    rendered at 1/downscale of their size and enlarged; min_extent: Gaussians whose box of visible
-    alpha reaches less far from its centre, pixels, along both axes are left out, 0 for none.
+    alpha_cut: pairs of a pixel and a Gaussian with a smaller alpha contribute nothing;
+    transmittance_stop: a pixel is finished at this transmittance; inclusive_stop: whether the
+    Gaussian that crosses it is still blended; exp2_degree: degree of the polynomial of 2^x, 3 to 6;
+    downscale: pictures are rendered at 1/downscale of their size and enlarged; min_extent: a
+    Gaussian is left out if its box of visible alpha reaches fewer pixels from its centre, along
+    both axes.
     """
 
     name: str = "parity"
@@ -68,11 +69,11 @@ PRESETS = {
 class Skips:
     """Work that cannot change the picture or its gradients and is therefore left out.
 
-    anchors: those outside of the frustum; opacity_first: color and covariance of anchors without a
-    positive opacity; slots: outputs of slots without; exact_tiles: tiles that a Gaussian's box
-    touches but its ellipse does not; units: pixels outside of its extent; finished: pixels and
-    tiles that no further splat can change; contributors: entries behind the last contributor in the
-    backward pass; empty_tiles: tiles that show only the background.
+    anchors: anchors outside of the frustum; opacity_first: color and covariance of anchors without
+    a positive opacity; slots: outputs of slots without a positive opacity; exact_tiles: tiles that
+    the box of a Gaussian touches but its ellipse does not; units: pixels outside of its extent;
+    finished: pixels and tiles that no further Gaussian can change; contributors: entries behind the
+    last contributor in the backward pass; empty_tiles: tiles that show only the background.
     """
 
     anchors: bool = True
@@ -94,11 +95,12 @@ class Skips:
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """How to render: truncation and skips.
+    """Accuracy and skips of a render, and two limits.
 
     smallest_anchor: anchors that are fewer pixels wide on the screen are left out, which changes
-    the picture; max_memory: bytes that tile lists, records and rows of gradients may take at a time
-    in groups of tiles, which changes nothing but the time; None for no limit.
+    the picture; max_memory: bytes that tile lists, records and rows of gradients may take at a
+    time, or None for no limit. It makes a render draw in groups of tiles, which changes nothing but
+    the time.
     """
 
     accuracy: Accuracy = PARITY

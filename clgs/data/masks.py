@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -76,29 +75,3 @@ class StoredMask:
             self._kept[factor] = mask.shape, np.packbits(mask)
         shape, bits = self._kept[factor]
         return np.unpackbits(bits, count=int(np.prod(shape))).reshape(shape)
-
-
-def undistort_masks(pycolmap: Any, model: Any, masks: Path, images: Path, target: Path) -> None:
-    """The masks of the photos of a COLMAP model as ``undistort_images`` distorts these back.
-
-    Args:
-        pycolmap: the module.
-        model: with the cameras of the photos as they were taken.
-        masks: folder of NAME.png; photos without one, or with a white one, have none afterwards.
-        images: folder of the undistorted photos, whose sizes the masks get.
-        target: folder for the new masks, made if it is needed.
-    """
-    for image in model.images.values():
-        file = masks / f"{image.name}.png"
-        if not (file.is_file() and (images / image.name).is_file()):
-            continue
-        level = np.asarray(Image.open(file).convert("L"))
-        if level.all():
-            continue
-        target.mkdir(exist_ok=True)
-        bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(level))
-        camera = model.cameras[image.camera_id]
-        options = pycolmap.UndistortCameraOptions()
-        undistorted, _ = pycolmap.undistort_image(options, bitmap, camera)
-        used = np.asarray(undistorted.to_array()).reshape(undistorted.height, undistorted.width, -1)
-        save_mask((used[..., 0] == 255).astype(np.uint8), target / f"{image.name}.png")

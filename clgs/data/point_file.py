@@ -8,14 +8,13 @@ import logging
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.axes import to_y_up
+from clgs.data.posed_photo import to_y_up
 from clgs.errors import DataError
 
 Floats = npt.NDArray[np.float64]
@@ -37,29 +36,21 @@ _SHARING = 8
 """Times that the arrays of a GLB file, which may share bytes, may be larger than the file."""
 
 
-@dataclass(frozen=True)
-class PointFile:
-    """A file to start from; ``samples`` points are drawn from its surfaces, if it has any."""
-
-    path: Path
-    samples: int
-
-
-def read_points(file: PointFile, kind: str, seed: int) -> Floats:
+def read_points(path: Path, samples: int, kind: str, seed: int) -> Floats:
     """The points of a file, (P, 3) float64 in the world units of the data set.
 
     All points of clouds are taken, and samples of the surfaces of meshes, spread evenly by area;
     lines and colors are ignored. GLB files, whose y is up, are turned to the data set's axes.
 
     Args:
-        file: its suffix, one of SUFFIXES, names the format.
+        path: its suffix, one of SUFFIXES, names the format.
+        samples: points that are drawn on the surfaces, if the file has any.
         kind: of the data set: "blender", "transforms" or "colmap".
         seed: of the samples.
 
     Raises:
         DataError: missing, empty, too large, damaged, or no such format; names the file.
     """
-    path = file.path
     if path.suffix.lower() not in SUFFIXES:
         raise DataError(
             f"{path}: has no known format by its name; convert it to {', '.join(SUFFIXES[:-1])} or "
@@ -67,7 +58,7 @@ def read_points(file: PointFile, kind: str, seed: int) -> Floats:
         )
     data = _read(path)
     try:
-        points = _parse(data, path.suffix.lower(), file.samples, seed)
+        points = _parse(data, path.suffix.lower(), samples, seed)
     except Exception as error:  # trimesh raises whatever its parsers stumble on
         reason = " ".join(str(error).split())[:80] or type(error).__name__
         raise DataError(f"{path}: is damaged ({reason}); export it again") from error

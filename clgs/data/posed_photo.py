@@ -11,6 +11,9 @@ import numpy.typing as npt
 from clgs.data.lens import Lens
 from clgs.errors import DataError
 
+_FROM_Z_UP = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
+_FROM_Y_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+
 
 @dataclass(frozen=True)
 class Photo:
@@ -72,3 +75,15 @@ def rigid(matrix: npt.NDArray[np.float64], source: str) -> npt.NDArray[np.float6
         raise DataError(f"{source} is not a rotation; recompute the poses")
     left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ right)
+
+
+def to_y_up(kind: str) -> npt.NDArray[np.float64]:
+    """The rotation (3, 3) from the world of a data set to glTF's axes; its transpose goes back.
+
+    glTF's y points up. Blender captures and transforms.json files have z up. COLMAP models have no
+    up of their own; it is taken to be -y, as if the first camera was held upright.
+
+    Args:
+        kind: of the data set: "blender", "transforms" or "colmap".
+    """
+    return np.array(_FROM_Y_DOWN if kind == "colmap" else _FROM_Z_UP)

@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from clgs.data.colmap.model import find_model
-from clgs.data.dataset import MIN_POINTS, read_photo_set
 from clgs.data.find import find_photos
 from clgs.data.locate import locate
 from clgs.data.origin import read_origin
-from clgs.data.point_file import PointFile, read_points
+from clgs.data.photo_set import is_posed, read_photo_set
+from clgs.data.point_file import read_points
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.transforms import count_frames, read_document, read_frame
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named
@@ -21,6 +20,9 @@ from clgs.doctor.poses import check_poses
 from clgs.errors import DataError
 
 FILES = ("transforms_train.json", "transforms_test.json", "transforms.json")
+
+FEW_POINTS = 100
+"""Training starts badly from fewer."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ def examine(root: Path) -> Examined:
     try:
         photos = read_photo_set(root)
     except DataError as error:
-        if not _is_posed(root):
+        if not is_posed(root) and not (root / FILES[1]).is_file():
             return _unposed(root, error)
         photos, found = _piecewise(root)
         findings += found or [from_error(error)]
@@ -56,10 +58,6 @@ def examine(root: Path) -> Examined:
         findings += check_pictures(everyone, photos.kind == "blender")
     findings += _points(root, photos)
     return Examined(_summary(root, photos), errors_first(findings))
-
-
-def _is_posed(root: Path) -> bool:
-    return any((root / name).is_file() for name in FILES) or find_model(root) is not None
 
 
 def _summary(root: Path, photos: PhotoSet) -> str:
@@ -143,12 +141,12 @@ def _near_names(root: Path, missing: list[str]) -> list[str]:
 
 
 def _points(root: Path, photos: PhotoSet) -> Iterator[Finding]:
-    if photos.points is not None and len(photos.points) < MIN_POINTS:
+    if photos.points is not None and len(photos.points) < FEW_POINTS:
         problem = f"only {len(photos.points)} points to start from"
         yield Finding(WARNING, "", problem, "prepare again, or give --points FILE")
     if photos.points_file is not None:
         try:
-            read_points(PointFile(photos.points_file, MIN_POINTS), photos.kind, seed=0)
+            read_points(photos.points_file, FEW_POINTS, photos.kind, seed=0)
         except DataError as error:
             yield from_error(error)
     others = [p for p in sorted((root / "sparse").glob("[0-9]*")) if p.name != "0" and p.is_dir()]

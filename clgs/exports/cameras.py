@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.axes import to_y_up
 from clgs.data.dataset import Dataset
+from clgs.data.posed_photo import to_y_up
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
 
@@ -27,8 +27,9 @@ def cameras_glb(dataset: Dataset) -> bytes:
     """A GLB file with the data set's points and a frustum of lines per camera.
 
     Lengths are the data set's world units; the axes are turned so that y is up, as glTF has it
-    (``clgs.data.axes``). There is a node "points" if there are points, and a node "train/NAME" or
-    "test/NAME" per photo, whose matrix is the camera's pose: x right, y down, z forward.
+    (``clgs.data.posed_photo.to_y_up``). There is a node "points" if there are points, and a node
+    "train/NAME" or "test/NAME" per photo, whose matrix is the camera's pose: x right, y down,
+    z forward.
     """
     import trimesh
 

@@ -17,9 +17,8 @@ from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.exports.plan import plan
 from clgs.exports.report import STYLE, cards
 from clgs.files import atomic_write
-from clgs.poses.contact_sheet import CELL, COLUMNS
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
-from clgs.poses.prepare import CONTACT_SHEET
+from clgs.poses.report import CELL, COLUMNS, CONTACT_SHEET
 
 OWN_STYLE = """\
 .good { --status: #2e8b57; } .doubtful { --status: #d98200; } .left { --status: #c53030; }

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,10 @@ class DeviceArray:
 
     def __len__(self) -> int:
         return self.shape[0]
+
+    def of_type(self, dtype: npt.DTypeLike) -> DeviceArray:
+        """The same memory, its bits read as numbers of another dtype of the same size."""
+        return DeviceArray(self.buffer, self.shape, np.dtype(dtype))
 
     def first(self, rows: int) -> DeviceArray:
         """The first ``rows``, in the same memory."""

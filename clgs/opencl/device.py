@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import os
-import re
-import time
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -17,14 +13,14 @@ import numpy.typing as npt
 import pyopencl as cl
 import pyopencl.tools
 
-from clgs import constants
-from clgs.errors import DeviceError, NoRoomError, UsageError
+from clgs.errors import NoRoomError, UsageError
 from clgs.memory import return_unused_memory
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import choose_device, compiles_vectors, is_emulator
+from clgs.opencl.kernel import Argument, Kernel
 from clgs.opencl.kernel_times import KernelTimes
 from clgs.opencl.profile import Profile
-from clgs.opencl.source import program_file, read_program
+from clgs.opencl.programs import Programs
 from clgs.opencl.transfer import Download, Transfers
 from clgs.opencl.waits import Waits
 from clgs.shapes import check_type
@@ -35,17 +31,6 @@ POOL_BITS = {"cpu": 0, "gpu": 2}
 SPECIALISATIONS = ("cpu", "gpu")
 
 LANES = ("8", "16")
-BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
-"""Subnormals cost CPUs dearly; warnings are the lint's (scripts/checks/lint_kernels.sh)."""
-
-EXACT_DIVISION = "-cl-fp32-correctly-rounded-divide-sqrt"
-"""For devices that have it: a GPU's usual division may be wrong in the last two bits."""
-
-COMPILED_SECONDS = 0.06
-"""Processor time above which a program was compiled, not taken from the driver's cache."""
-
-NOTES = "clgs.notes"
-"""The logger of what is good to know while one waits."""
 
 
 class Device:
@@ -78,7 +63,6 @@ class Device:
         width = int(self.cl_device.native_vector_width_float)
         self._register_lanes = _wanted_lanes() or min(max(width, 4), 16)
         self._largest_array = int(self.cl_device.max_mem_alloc_size)
-        self._build_options = [*BUILD_OPTIONS, *([EXACT_DIVISION] if self.exact_division else [])]
         self.profile = Profile()
         self.waits = Waits()
         """Of downloads."""
@@ -89,9 +73,9 @@ class Device:
         is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
         bits = POOL_BITS["cpu" if is_cpu else "gpu"]
         self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=bits)
-        self._kernels: dict[tuple[Any, ...], cl.Kernel] = {}
-        self._programs: dict[tuple[Any, ...], cl.Program] = {}
-        self._told = False
+        self._programs = Programs(
+            self.context, self.name, self.specialisation, self.vec, self.exact_division
+        )
         self._kernel_times: KernelTimes | None = None
         self.launches = 0
         """Kernels enqueued so far."""
@@ -258,68 +242,46 @@ class Device:
         """As :meth:`download`, but only ``Download.get`` waits, and not for later work."""
         return self._transfers.read(array)
 
-    def kernel(self, program: str, name: str, **defines: int | float) -> cl.Kernel:
+    def kernel(self, program: str, name: str, **defines: int | float) -> Kernel:
         """Kernel ``name`` of ``kernels_cl/<program>.cl``; same arguments, same object.
 
         ``<program>_cpu.cl`` or ``<program>_gpu.cl`` if the specialisations have files of their own.
 
-        The method's constants and the specialisation (VEC, USE_LOCAL) are always defined;
-        ``defines`` adds to or overrides them. Floats become float32 literals.
+        The method's constants, the specialisation (VEC, USE_LOCAL) and the sizes of groups that
+        stages share are always defined; ``defines`` adds to or overrides them. Floats become
+        float32 literals.
 
         Raises:
             DeviceError: the program does not build on this device.
         """
-        key = (program, name, *sorted(defines.items()))
-        if key not in self._kernels:
-            self._kernels[key] = cl.Kernel(self._program(program, defines), name)
-        return self._kernels[key]
-
-    def _program(self, program: str, defines: dict[str, int | float]) -> cl.Program:
-        key = (program, *sorted(defines.items()))
-        if key not in self._programs:
-            specialised = {"VEC": self.vec, "USE_LOCAL": int(self.specialisation == "gpu")}
-            macros = {**constants.defines(), **specialised, **defines}
-            options = [f"-D{name}={_literal(value)}" for name, value in sorted(macros.items())]
-            file = program_file(program, self.specialisation)
-            start = time.thread_time()
-            try:
-                built = cl.Program(self.context, read_program(file))
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", cl.CompilerWarning)
-                    self._programs[key] = built.build(options=[*self._build_options, *options])
-            except cl.RuntimeError as error:
-                raise DeviceError(
-                    f"kernels_cl/{file} does not build on {self.name}: "
-                    f"{_first_complaint(str(error))}"
-                ) from error
-            self._tell(time.thread_time() - start)
-        return self._programs[key]
-
-    def _tell(self, seconds: float) -> None:
-        """Say once that kernels are compiled, which the next start of a program need not do."""
-        if seconds > COMPILED_SECONDS and not self._told:
-            self._told = True
-            logging.getLogger(NOTES).info("compiling kernels for %s (once)", self.name)
+        return self._programs.kernel(program, name, defines)
 
     def run(
         self,
-        kernel: cl.Kernel,
+        kernel: Kernel,
         global_size: Sequence[int],
         local_size: Sequence[int] | None,
-        *arguments: Any,
+        /,
+        **arguments: Argument,
     ) -> None:
-        """Enqueue a kernel; device arrays and NumPy scalars as arguments, in order.
+        """Enqueue a kernel with its arguments, each under the name of the kernel's parameter.
 
-        ``global_size`` must be a multiple of ``local_size``; nothing runs if it holds a zero.
+        Args:
+            kernel: from :meth:`kernel`.
+            global_size: work-items; a multiple of ``local_size``; nothing runs if it holds a zero.
+            local_size: work-items of a group; None leaves it to the driver.
+            arguments: device arrays, NumPy's numbers, and vectors as arrays of their lanes.
+
+        Raises:
+            TypeError: the kernel has other arguments, or of other types.
         """
         if 0 in global_size:
             return
         self.launches += 1
-        plain = [a.buffer if isinstance(a, DeviceArray) else a for a in arguments]
         sizes = tuple(global_size), tuple(local_size) if local_size else None
-        event = kernel(self.queue, *sizes, *plain)
+        event = kernel.built(self.queue, *sizes, *kernel.ordered(arguments))
         if self._kernel_times:
-            self._kernel_times.add(kernel.function_name, event)
+            self._kernel_times.add(kernel.name, event)
 
     @contextmanager
     def timed_kernels(self) -> Iterator[KernelTimes]:
@@ -377,21 +339,6 @@ def _wanted_lanes() -> int:
     if chosen and chosen not in LANES:
         raise UsageError(f"CLGS_LANES={chosen}: is not {' or '.join(LANES)}; correct or unset it")
     return int(chosen or 0)
-
-
-def _first_complaint(log: str) -> str:
-    """The first line of a build log that names a source line, else its last line."""
-    lines = [line.strip() for line in log.splitlines() if line.strip()]
-    marked = [line for line in lines if re.search(r"\.(cl|h):\d+", line)]
-    errors = [line for line in marked if "error" in line]
-    return (errors or marked or lines[-1:] or ["no build log"])[0]
-
-
-def _literal(value: int | float) -> str:
-    if isinstance(value, int):
-        return str(value)
-    text = f"{np.float32(value):.9g}"
-    return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
 
 
 def round_up(count: int, multiple: int) -> int:

@@ -6,8 +6,11 @@ from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
 from clgs.opencl.device import Device, round_up
+from clgs.opencl.programs import PARTS_GROUP_SIZE
 
 Item = TypeVar("Item")
+LaunchSizes = tuple[tuple[int], tuple[int]]
+"""Global and local size of a launch."""
 
 GROUP_SIZE = {"cpu": 1, "gpu": 64}
 """Work-items of a group.
@@ -16,25 +19,29 @@ PoCL gives each work-item of a group private arrays of its own. Those of 64 of t
 other, fall out of a core's cache.
 """
 
-PARTS_GROUP = 64
-"""Work-items of a group of a launch over several arrays."""
+ANY_GROUP = 64
+"""Work-items of a group that shares nothing."""
 
 CHUNKS_PER_UNIT, MOST_CHUNKS = 2, 32
 
 
-def by_lanes(device: Device, count: int, lanes: int) -> tuple[tuple[int], tuple[int]]:
+def by_items(count: int, group: int = ANY_GROUP) -> LaunchSizes:
+    """Global and local size of ``count`` work-items, rounded up to whole groups."""
+    return (round_up(count, group),), (group,)
+
+
+def by_lanes(device: Device, count: int, lanes: int) -> LaunchSizes:
     """Global and local size for work-items that take ``lanes`` of ``count`` elements each."""
-    group = GROUP_SIZE[device.specialisation]
-    return (round_up(-(-count // lanes), group),), (group,)
+    return by_items(-(-count // lanes), GROUP_SIZE[device.specialisation])
 
 
-def by_parts(sizes: Iterable[int], per_item: int) -> tuple[tuple[int], tuple[int]]:
+def by_parts(sizes: Iterable[int], per_item: int) -> LaunchSizes:
     """Global and local size of a launch over several arrays of so many elements.
 
     Each begins with a work-group; a work-item takes ``per_item`` elements (common/parts.h).
     """
-    groups = sum(-(-size // (per_item * PARTS_GROUP)) for size in sizes)
-    return (groups * PARTS_GROUP,), (PARTS_GROUP,)
+    groups = sum(-(-size // (per_item * PARTS_GROUP_SIZE)) for size in sizes)
+    return (groups * PARTS_GROUP_SIZE,), (PARTS_GROUP_SIZE,)
 
 
 def filled(items: Sequence[Item], count: int) -> list[Item]:

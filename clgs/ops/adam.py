@@ -21,8 +21,8 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
-from clgs.opencl.grid import by_parts, filled
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_items, by_parts, filled
 from clgs.shapes import Shaped, Shapes
 
 Array = TypeVar("Array", bound=Shaped)
@@ -39,8 +39,9 @@ MIN_SECOND_MOMENT = 1e-36
 NOT_FINITE = 1
 """Bit of the stop flag: a gradient was infinite or NaN."""
 
-GROUP_SIZE = 64
-CHECKED_PER_ITEM = 256
+ELEMENTS_PER_ITEM = 256
+"""Elements that a work-item of :func:`check_finite` looks at."""
+
 CHECKED_ARRAYS, UPDATED_PARTS = 5, 6
 """Arrays that a launch checks, and parts that it updates, at most."""
 
@@ -82,9 +83,14 @@ class Trained:
                 wrong = f"{array.dtype}{array.shape}"
                 raise ValueError(f"{name}: {wrong} does not fit {self.parameter.shape}")
 
-    def arrays(self) -> tuple[DeviceArray, ...]:
-        """In the order of the kernels' arguments."""
-        return self.parameter, self.gradient, self.moments.first, self.moments.second
+    def arguments(self, part: str = "") -> dict[str, DeviceArray]:
+        """The arrays as arguments of the kernels; ``part``: the number that ends their names."""
+        return {
+            f"parameter{part}": self.parameter,
+            f"gradient{part}": self.gradient,
+            f"first{part}": self.moments.first,
+            f"second{part}": self.moments.second,
+        }
 
 
 @dataclass(frozen=True)
@@ -115,12 +121,13 @@ def stop_flag(device: Device) -> DeviceArray:
 
 def check_finite(device: Device, arrays: Iterable[DeviceArray], stop: DeviceArray) -> None:
     """Set NOT_FINITE in ``stop`` if an element of a float32 array is infinite or NaN."""
-    kernel = device.kernel("adam/adam", "adam_check", NOT_FINITE=NOT_FINITE)
+    kernel = device.kernel("adam/adam", "adam_check", **_DEFINES)
     for some in _batches([array for array in arrays if array.size], CHECKED_ARRAYS):
         sizes = np.zeros(PARTS_WIDTH, np.uint32)
         sizes[: len(some)] = [array.size for array in some]
-        arrays = filled(some, CHECKED_ARRAYS)
-        device.run(kernel, *by_parts(sizes.tolist(), CHECKED_PER_ITEM), *arrays, sizes, stop)
+        values = {f"values{i}": array for i, array in enumerate(filled(some, CHECKED_ARRAYS))}
+        grid = by_parts(sizes.tolist(), ELEMENTS_PER_ITEM)
+        device.run(kernel, *grid, **values, sizes=sizes, stop=stop)
 
 
 def mark_rows(device: Device, gradient: DeviceArray, stop: DeviceArray) -> DeviceArray:
@@ -133,13 +140,12 @@ def mark_rows(device: Device, gradient: DeviceArray, stop: DeviceArray) -> Devic
     if gradient.size:
         width = gradient.size // rows
         device.run(
-            device.kernel("adam/adam", "adam_mark", NOT_FINITE=NOT_FINITE, WIDTH=width),
-            (round_up(rows, GROUP_SIZE),),
-            (GROUP_SIZE,),
-            gradient,
-            np.uint32(rows),
-            stop,
-            marks,
+            device.kernel("adam/adam", "adam_mark", WIDTH=width, **_DEFINES),
+            *by_items(rows),
+            values=gradient,
+            rows=np.uint32(rows),
+            stop=stop,
+            marks=marks,
         )
     return marks
 
@@ -181,7 +187,7 @@ def step_all(device: Device, updates: Sequence[Update], stop: DeviceArray) -> No
     Raises:
         ValueError: sizes or dtypes differ.
     """
-    kernel = device.kernel("adam/adam", "adam_step", **_LIMITS)
+    kernel = device.kernel("adam/adam", "adam_step", **_DEFINES)
     for one in updates:
         one.trained.check()
     for some in _batches(updates, UPDATED_PARTS):
@@ -191,11 +197,21 @@ def step_all(device: Device, updates: Sequence[Update], stop: DeviceArray) -> No
             start, end, _ = (one.part or slice(None)).indices(one.trained.parameter.size)
             starts[i], sizes[i] = start, end - start
             corrections[i], steps[i] = one.now.correction, one.now.step
-        tensors = (one.trained for one in filled(some, UPDATED_PARTS))
-        arrays = [array for one in tensors for array in one.arrays()]
-        factors_now = _BETAS, corrections, np.float32(EPSILON), steps
-        grid = by_parts(sizes.tolist(), device.vec)
-        device.run(kernel, *grid, *arrays, starts, sizes, *factors_now, stop)
+        tensors: dict[str, DeviceArray] = {}
+        for i, one in enumerate(filled(some, UPDATED_PARTS)):
+            tensors |= one.trained.arguments(str(i))
+        device.run(
+            kernel,
+            *by_parts(sizes.tolist(), device.vec),
+            **tensors,
+            starts=starts,
+            sizes=sizes,
+            betas=_BETAS,
+            corrections=corrections,
+            epsilon=np.float32(EPSILON),
+            steps=steps,
+            stop=stop,
+        )
 
 
 def _batches(items: Sequence[Item], most: int) -> Iterator[Sequence[Item]]:
@@ -228,20 +244,24 @@ def step_rows(
         return
     width = parameter.size // len(parameter)
     device.run(
-        device.kernel("adam/adam", "adam_step_rows", WIDTH=width, **_LIMITS),
-        (round_up(-(-parameter.size // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        *trained.arrays(),
-        np.uint32(parameter.size),
-        _BETAS,
-        np.float32(factors_now.correction),
-        np.float32(EPSILON),
-        np.float32(factors_now.step),
-        stop,
-        marks,
+        device.kernel("adam/adam", "adam_step_rows", WIDTH=width, **_DEFINES),
+        *by_items(-(-parameter.size // device.vec)),
+        **trained.arguments(),
+        total=np.uint32(parameter.size),
+        betas=_BETAS,
+        correction=np.float32(factors_now.correction),
+        epsilon=np.float32(EPSILON),
+        step=np.float32(factors_now.step),
+        stop=stop,
+        marks=marks,
     )
 
 
-_LIMITS = {"MIN_FIRST_MOMENT": MIN_FIRST_MOMENT, "MIN_SECOND_MOMENT": MIN_SECOND_MOMENT}
+_DEFINES = {
+    "MIN_FIRST_MOMENT": MIN_FIRST_MOMENT,
+    "MIN_SECOND_MOMENT": MIN_SECOND_MOMENT,
+    "NOT_FINITE": NOT_FINITE,
+    "ELEMENTS_PER_ITEM": ELEMENTS_PER_ITEM,
+}
 
 _BETAS = np.array([BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2], np.float32)

@@ -15,26 +15,26 @@ Sources: 3DGS (Kerbl et al. 2023); the whitened moments are our own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clgs.constants import TILE_SIZE
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
-from clgs.opencl.grid import by_lanes
+from clgs.opencl.device import Device
+from clgs.opencl.grid import LaunchSizes, by_items, by_lanes
+from clgs.opencl.kernel import Argument
 from clgs.ops.project import Projected, ProjectedGradients
 from clgs.ops.tiles import TileLists, tile_count
 from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
 
-GROUP_SIZE = 64
 RECORD_SIZE = 16
+"""Floats of a Gaussian that is ready to blend."""
+
 ROW_SIZE = 16
 SUM_SIZE = 9
+"""Floats of an entry's row of moments, and of a Gaussian's sums of them."""
 
 
 @dataclass(frozen=True)
@@ -53,28 +53,6 @@ class Blended:
     tiles: TileLists
     background: DeviceArray
     options: RenderOptions
-
-
-@dataclass(frozen=True)
-class Decisions:
-    """Per entry and pixel of its tile (row-major): bool (I, TILE_SIZE^2) on the host.
-
-    contributed: the entry was blended into the pixel; saturated: with alpha at ALPHA_MAX.
-    """
-
-    contributed: npt.NDArray[np.bool_]
-    saturated: npt.NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class PairCounts:
-    """Pairs of a pixel and a Gaussian, in one pass over a picture.
-
-    visited: pairs that were computed; blended: those of them that changed a pixel.
-    """
-
-    visited: int
-    blended: int
 
 
 def forward(
@@ -108,8 +86,8 @@ def forward(
         background=background,
         options=options,
     )
-    kernel = device.kernel("blend/forward", "blend_forward", **_defines(device, options))
-    device.run(kernel, *_grid(device, tiles), *_forward_arguments(result))
+    kernel = device.kernel("blend/forward", "blend_forward", **defines(device, options))
+    device.run(kernel, *tile_grid(device, tiles), **forward_arguments(result))
     return result
 
 
@@ -122,8 +100,9 @@ def backward(
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     _check(projected, blended.tiles, blended.background)
-    summed = _rows(device, blended, d_image), blended.tiles.row_range
-    return _gradients(device, "blend_sum", blended.options, summed, projected)
+    rows, row_range = _rows(device, blended, d_image), blended.tiles.row_range
+    summed = {"rows": rows, "row_range": row_range}
+    return _gradients(device, "blend_sum", blended.options, projected, **summed)
 
 
 def accumulate(device: Device, blended: Blended, d_image: DeviceArray, sums: DeviceArray) -> None:
@@ -138,10 +117,14 @@ def accumulate(device: Device, blended: Blended, d_image: DeviceArray, sums: Dev
     row_range = blended.tiles.row_range
     count = len(row_range) - 1
     Shapes(N=count).check("sums", sums, f"N {SUM_SIZE}", np.float32)
-    rows = _rows(device, blended, d_image)
-    kernel = device.kernel("blend/sums", "blend_accumulate", **_defines(device, blended.options))
-    grid = (round_up(count, GROUP_SIZE),), (GROUP_SIZE,)
-    device.run(kernel, *grid, rows, row_range, np.int32(count), sums)
+    device.run(
+        device.kernel("blend/sums", "blend_accumulate", **defines(device, blended.options)),
+        *by_items(count),
+        rows=_rows(device, blended, d_image),
+        row_range=row_range,
+        count=np.int32(count),
+        sums=sums,
+    )
 
 
 def finish(
@@ -160,7 +143,7 @@ def finish(
     shapes.check("color", projected.color, "N 3", np.float32)
     shapes.check("whitening", projected.whitening, "N 3", np.float32)
     shapes.check("sums", sums, f"N {SUM_SIZE}", np.float32)
-    return _gradients(device, "blend_finish", options, (sums,), projected)
+    return _gradients(device, "blend_finish", options, projected, sums=sums)
 
 
 def _rows(device: Device, blended: Blended, d_image: DeviceArray) -> DeviceArray:
@@ -168,69 +151,20 @@ def _rows(device: Device, blended: Blended, d_image: DeviceArray) -> DeviceArray
     height, width = blended.transmittance.shape
     Shapes(H=height, W=width).check("d_image", d_image, "3 H W", np.float32)
     rows = device.empty((len(blended.tiles.gaussian), ROW_SIZE))
-    kernel = device.kernel("blend/backward", "blend_backward", **_defines(device, blended.options))
-    arguments = _backward_arguments(blended, d_image)
-    device.run(kernel, *_grid(device, blended.tiles), *arguments, rows)
+    kernel = device.kernel("blend/backward", "blend_backward", **defines(device, blended.options))
+    grid = tile_grid(device, blended.tiles)
+    device.run(kernel, *grid, **backward_arguments(blended, d_image, rows))
     return rows
 
 
-def decisions(
-    device: Device, blended: Blended, d_image: DeviceArray
-) -> tuple[Decisions, Decisions]:
-    """What the forward and what the backward kernel decide; slow, for tests.
-
-    Both are compiled from the same source as ever, with EXPORT_DECISIONS.
-    """
-    words = (len(blended.tiles.gaussian), TILE_SIZE**2 // 32)
-    grid = _grid(device, blended.tiles)
-    found = []
-    for kernel, arguments in _passes(device, blended, d_image, EXPORT_DECISIONS=1):
-        bits = [device.zeros(words, np.uint32) for _ in range(2)]
-        device.run(kernel, *grid, *arguments, *bits)
-        found.append(Decisions(*(_unpack(device.download(one)) for one in bits)))
-    return found[0], found[1]
-
-
-def count_pairs(
-    device: Device, blended: Blended, d_image: DeviceArray
-) -> tuple[PairCounts, PairCounts]:
-    """The work of the forward and of the backward kernel; renders once more.
-
-    Both are compiled from the same source as ever, with COUNT_PAIRS.
-    """
-    grid = _grid(device, blended.tiles)
-    found = []
-    for kernel, arguments in _passes(device, blended, d_image, COUNT_PAIRS=1):
-        pairs = device.zeros((grid[0][0], 2), np.uint64)
-        device.run(kernel, *grid, *arguments, pairs)
-        visited, taken = device.download(pairs).sum(axis=0, dtype=np.uint64)
-        found.append(PairCounts(int(visited), int(taken)))
-    return found[0], found[1]
-
-
-def _passes(
-    device: Device, blended: Blended, d_image: DeviceArray, **observe: int
-) -> Iterator[tuple[Any, tuple[DeviceArray | np.int32, ...]]]:
-    """The forward and the backward kernel, built to be observed, with their usual arguments."""
-    defines = {**observe, **_defines(device, blended.options)}
-    rows = device.empty((len(blended.tiles.gaussian), ROW_SIZE))
-    forward_arguments = _forward_arguments(blended)
-    backward_arguments = (*_backward_arguments(blended, d_image), rows)
-    yield device.kernel("blend/forward", "blend_forward", **defines), forward_arguments
-    yield device.kernel("blend/backward", "blend_backward", **defines), backward_arguments
-
-
-def _unpack(words: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
-    bits = words[:, :, None] >> np.arange(32, dtype=np.uint32) & np.uint32(1)
-    return bits.reshape(len(words), TILE_SIZE**2).astype(bool)
-
-
-def _defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
+def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
+    """Build options of the kernels."""
+    sizes = {"RECORD_SIZE": RECORD_SIZE, "ROW_SIZE": ROW_SIZE, "SUM_SIZE": SUM_SIZE}
     skips = options.skips.defines("units", "finished", "contributors", "empty_tiles")
-    return {"VEC": device.lanes, **options.accuracy.defines(), **skips}
+    return {"VEC": device.lanes, **sizes, **options.accuracy.defines(), **skips}
 
 
-def _grid(device: Device, tiles: TileLists) -> tuple[tuple[int], tuple[int]]:
+def tile_grid(device: Device, tiles: TileLists) -> LaunchSizes:
     """One work-item per tile, or one work-group per tile with a work-item per pixel."""
     group = TILE_SIZE**2 if device.specialisation == "gpu" else 1
     return ((len(tiles.tile_range) - 1) * group,), (group,)
@@ -243,53 +177,62 @@ def gather(
     options: RenderOptions = DEFAULT,
 ) -> DeviceArray:
     """Records of the entries of ``tiles``; arguments as in :func:`forward`."""
-    count, defines = len(projected.opacity), _defines(device, options)
+    count, macros = len(projected.opacity), defines(device, options)
     prepared = device.empty((count, RECORD_SIZE))
     records = device.empty((len(tiles.gaussian), RECORD_SIZE))
     device.run(
-        device.kernel("blend/prepare", "blend_prepare", **defines),
+        device.kernel("blend/prepare", "blend_prepare", **macros),
         *by_lanes(device, count, device.lanes),
-        projected.mean2d,
-        projected.whitening,
-        projected.color,
-        projected.opacity,
-        np.int32(count),
-        prepared,
+        mean2d=projected.mean2d,
+        whitening=projected.whitening,
+        color=projected.color,
+        opacity=projected.opacity,
+        count=np.int32(count),
+        prepared=prepared,
     )
-    lists = tiles.gaussian, tiles.row, tiles.tile_range
-    gather = device.kernel("blend/prepare", "blend_gather", **defines)
-    device.run(gather, *_grid(device, tiles), prepared, *lists, np.int32(tiles.size[0]), records)
+    device.run(
+        device.kernel("blend/prepare", "blend_gather", **macros),
+        *tile_grid(device, tiles),
+        prepared=prepared,
+        gaussian=tiles.gaussian,
+        row=tiles.row,
+        tile_range=tiles.tile_range,
+        width=np.int32(tiles.size[0]),
+        records=records,
+    )
     return records
 
 
-def _forward_arguments(blended: Blended) -> tuple[DeviceArray | np.int32, ...]:
-    return *_read(blended), blended.image, blended.transmittance, blended.last_contributor
-
-
-def _backward_arguments(
-    blended: Blended, d_image: DeviceArray
-) -> tuple[DeviceArray | np.int32, ...]:
-    return *_read(blended), blended.transmittance, blended.last_contributor, d_image
-
-
-def _read(blended: Blended) -> tuple[DeviceArray | np.int32, ...]:
-    """The arguments that both kernels start with."""
+def forward_arguments(blended: Blended) -> dict[str, Argument]:
+    """The arguments of blend_forward, which fills the last three."""
     height, width = blended.transmittance.shape
-    return (
-        blended.records,
-        blended.tiles.tile_range,
-        blended.background,
-        np.int32(width),
-        np.int32(height),
-    )
+    return {
+        "records": blended.records,
+        "tile_range": blended.tiles.tile_range,
+        "background": blended.background,
+        "width": np.int32(width),
+        "height": np.int32(height),
+        "image": blended.image,
+        "transmittance": blended.transmittance,
+        "last_contributor": blended.last_contributor,
+    }
+
+
+def backward_arguments(
+    blended: Blended, d_image: DeviceArray, rows: DeviceArray
+) -> dict[str, Argument]:
+    """The arguments of blend_backward, which fills ``rows``."""
+    arguments = {**forward_arguments(blended), "d_image": d_image, "rows": rows}
+    del arguments["image"]
+    return arguments
 
 
 def _gradients(
     device: Device,
     kernel: str,
     options: RenderOptions,
-    summed: tuple[DeviceArray, ...],
     projected: Projected,
+    **summed: DeviceArray,
 ) -> ProjectedGradients:
     """Run blend_sum or blend_finish."""
     count = len(projected.opacity)
@@ -300,18 +243,14 @@ def _gradients(
         d_opacity=device.empty((count,)),
     )
     device.run(
-        device.kernel("blend/sums", kernel, **_defines(device, options)),
-        (round_up(count, GROUP_SIZE),),
-        (GROUP_SIZE,),
-        *summed,
-        np.int32(count),
-        projected.whitening,
-        projected.color,
-        projected.opacity,
-        result.d_mean2d,
-        result.d_whitening,
-        result.d_color,
-        result.d_opacity,
+        device.kernel("blend/sums", kernel, **defines(device, options)),
+        *by_items(count),
+        **summed,
+        count=np.int32(count),
+        whitening=projected.whitening,
+        color=projected.color,
+        opacity=projected.opacity,
+        **vars(result),
     )
     return result
 

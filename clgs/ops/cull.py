@@ -17,13 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_items
 from clgs.ops import scan
 from clgs.options import DEFAULT, RenderOptions
 from clgs.scene.anchors import DeviceAnchors
 from clgs.shapes import Shapes
-
-GROUP_SIZE = 64
 
 
 @dataclass(frozen=True)
@@ -63,24 +62,33 @@ def forward(
     Shapes().check("camera", camera, "26", np.float32)
     count = len(anchors)
     keep, parts = device.empty((count,), np.int32), scan.parts_of(device, count, device.vec)
-    sizes = np.int32(count), np.float32(options.smallest_anchor)
-    test = device.kernel("anchors/cull", "cull_test")
-    grid = scan.counting_grid(device, count, device.vec, GROUP_SIZE)
-    device.run(test, *grid, anchors.position, anchors.scaling, camera, *sizes, keep, parts.sum)
+    device.run(
+        device.kernel("anchors/cull", "cull_test"),
+        *scan.counting_grid(device, count, device.vec),
+        position=anchors.position,
+        scaling=anchors.scaling,
+        camera=camera,
+        count=np.int32(count),
+        smallest=np.float32(options.smallest_anchor),
+        keep=keep,
+        sums=parts.sum,
+    )
     offsets = scan.on_device(device, keep, parts=parts)
     if not options.skips.anchors:
         every = device.empty((count,), np.int32)
         mark = device.kernel("anchors/cull", "cull_mark")
-        device.run(mark, *_grid(count), keep, np.int32(count), every)
+        device.run(mark, *by_items(count), keep=keep, count=np.int32(count), visible=every)
         return Visible(every, offsets.total)
     room = scan.room_for(device, offsets, room)
     visible = Visible(device.empty((room,), np.int32), offsets.total)
-    compact = device.kernel("anchors/cull", "cull_compact")
-    limits = np.int32(count), offsets.total, np.int32(room)
-    grid = _grid(max(count, room))
-    device.run(compact, *grid, keep, offsets.offset, *limits, visible.anchor)
+    device.run(
+        device.kernel("anchors/cull", "cull_compact"),
+        *by_items(max(count, room)),
+        keep=keep,
+        place=offsets.offset,
+        count=np.int32(count),
+        total=offsets.total,
+        capacity=np.int32(room),
+        visible=visible.anchor,
+    )
     return visible
-
-
-def _grid(items: int) -> tuple[tuple[int], tuple[int]]:
-    return (round_up(items, GROUP_SIZE),), (GROUP_SIZE,)

@@ -19,14 +19,13 @@ import numpy as np
 
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_items
 from clgs.ops.neural import NeuralGaussians
 from clgs.shapes import Shaped, Shapes
 
 Array = TypeVar("Array", bound=Shaped)
 Other = TypeVar("Other", bound=Shaped)
-
-GROUP_SIZE = 64
 
 SHARE = {"cpu": 32, "gpu": 1}
 """Gaussians of a work-item."""
@@ -107,30 +106,28 @@ def accumulate(
     stop = stop or device.zeros((1,), np.int32)
     device.run(
         device.kernel("anchors/density", "density_visit"),
-        (round_up(visible_count, GROUP_SIZE),),
-        (GROUP_SIZE,),
-        seen.output,
-        seen.visible,
-        np.int32(visible_count),
-        np.int32(padded),
-        stop,
-        statistics.opacity_sum,
-        statistics.visits,
+        *by_items(visible_count),
+        output=seen.output,
+        visible=seen.visible,
+        count=np.int32(visible_count),
+        padded=np.int32(padded),
+        stop=stop,
+        opacity_sum=statistics.opacity_sum,
+        visits=statistics.visits,
     )
     share = SHARE[device.specialisation]
     device.run(
         device.kernel("anchors/density", "density_gradient", VEC=device.lanes, SHARE=share),
-        (round_up(-(-count // share), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        seen.visible,
-        seen.slot,
-        seen.extent,
-        seen.d_mean2d,
-        np.int32(count),
-        np.array([0.5 * seen.size[0], 0.5 * seen.size[1]], np.float32),
-        stop,
-        statistics.gradient_sum,
-        statistics.gradient_count,
+        *by_items(-(-count // share)),
+        visible=seen.visible,
+        slot=seen.slot,
+        extent=seen.extent,
+        d_mean2d=seen.d_mean2d,
+        count=np.int32(count),
+        half_size=np.array([0.5 * seen.size[0], 0.5 * seen.size[1]], np.float32),
+        stop=stop,
+        gradient_sum=statistics.gradient_sum,
+        gradient_count=statistics.gradient_count,
     )
 
 
@@ -176,16 +173,15 @@ def add_importance(
         raise ValueError(f"first: size is {gaussians.first.size}, expected {visible.size + 1}")
     device.run(
         device.kernel("anchors/density", "density_importance", VEC=device.lanes),
-        (round_up(visible.size, GROUP_SIZE),),
-        (GROUP_SIZE,),
-        visible,
-        gaussians.first,
-        np.int32(visible.size),
-        np.int32(gaussians.opacity.size),
-        gaussians.opacity,
-        d_opacity,
-        importance.total,
-        importance.seen,
+        *by_items(visible.size),
+        visible=visible,
+        first=gaussians.first,
+        count=np.int32(visible.size),
+        gaussians=np.int32(gaussians.opacity.size),
+        opacity=gaussians.opacity,
+        d_opacity=d_opacity,
+        importance=importance.total,
+        seen=importance.seen,
     )
 
 
@@ -206,11 +202,10 @@ def add_curvature(device: Device, curvature: DeviceArray, derivative: DeviceArra
     shapes.check("derivative", derivative, axes, np.float32)
     device.run(
         device.kernel("anchors/density", "density_curvature", VEC=device.lanes),
-        (round_up(-(-derivative.size // device.lanes), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        derivative,
-        np.uint32(derivative.size),
-        curvature,
+        *by_items(-(-derivative.size // device.lanes)),
+        derivative=derivative,
+        total=np.uint32(derivative.size),
+        curvature=curvature,
     )
 
 

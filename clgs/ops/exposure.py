@@ -9,20 +9,18 @@ affine map for each photo is that of the reference code of 3DGS ("exposure"), wh
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_items
+from clgs.opencl.kernel import Kernel
+from clgs.ops.loss import ITEMS
 from clgs.shapes import Shapes
 
 MAP_SIZE = 12
-BLOCK = 2048
-"""Pixels that are summed by one work-group; as in kernels_cl/loss/exposure.cl."""
-
-GROUP_SIZE = 64
-BLOCK_GROUP_SIZE = {"cpu": 1, "gpu": 256}
+EXPOSURE_BLOCK = 2048
+"""Pixels that a work-group sums."""
 
 
 def identity(device: Device, photos: int) -> DeviceArray:
@@ -45,10 +43,13 @@ def forward(device: Device, image: DeviceArray, maps: DeviceArray, photo: int) -
     total = _check(image, maps, photo)
     picture = device.empty(image.shape)
     device.run(
-        device.kernel("loss/exposure", "exposure_forward"),
-        (round_up(-(-total // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        *(image, np.uint32(total), maps, np.uint32(photo), picture),
+        _kernel(device, "exposure_forward"),
+        *by_items(-(-total // device.vec)),
+        image=image,
+        total=np.uint32(total),
+        maps=maps,
+        photo=np.uint32(photo),
+        picture=picture,
     )
     return picture
 
@@ -80,17 +81,31 @@ def backward(
     shapes = Shapes(H=image.shape[1], W=image.shape[2], P=len(maps))
     shapes.check("d_picture", d_picture, "3 H W", np.float32)
     shapes.check("d_maps", d_maps, "P 3 4", np.float32)
-    blocks = -(-total // BLOCK)
+    blocks, items = -(-total // EXPOSURE_BLOCK), ITEMS[device.specialisation]
     d_image, sums = device.empty(image.shape), device.empty((blocks, MAP_SIZE))
-    group, number = BLOCK_GROUP_SIZE[device.specialisation], np.uint32(photo)
     device.run(
-        device.kernel("loss/exposure", "exposure_backward"),
-        (blocks * group,),
-        (group,),
-        *(image, d_picture, np.uint32(total), maps, number, d_image, sums),
+        _kernel(device, "exposure_backward"),
+        (blocks * items,),
+        (items,),
+        image=image,
+        d_picture=d_picture,
+        total=np.uint32(total),
+        maps=maps,
+        photo=np.uint32(photo),
+        d_image=d_image,
+        sums=sums,
     )
-    last: tuple[Any, ...] = (sums, np.uint32(blocks), maps, number, np.float32(2 * weight), d_maps)
-    device.run(device.kernel("loss/exposure", "exposure_sum"), (MAP_SIZE,), None, *last)
+    device.run(
+        _kernel(device, "exposure_sum"),
+        (MAP_SIZE,),
+        None,
+        sums=sums,
+        blocks=np.uint32(blocks),
+        maps=maps,
+        photo=np.uint32(photo),
+        pull=np.float32(2 * weight),
+        d_maps=d_maps,
+    )
     return d_image
 
 
@@ -103,8 +118,18 @@ def centre(device: Device, maps: DeviceArray, stop: DeviceArray) -> None:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     Shapes().check("maps", maps, "P 3 4", np.float32)
-    kernel = device.kernel("loss/exposure", "exposure_centre")
-    device.run(kernel, (MAP_SIZE,), None, maps, np.uint32(len(maps)), stop)
+    kernel = _kernel(device, "exposure_centre")
+    device.run(kernel, (MAP_SIZE,), None, maps=maps, photos=np.uint32(len(maps)), stop=stop)
+
+
+def _kernel(device: Device, name: str) -> Kernel:
+    return device.kernel(
+        "loss/exposure",
+        name,
+        ITEMS=ITEMS[device.specialisation],
+        EXPOSURE_BLOCK=EXPOSURE_BLOCK,
+        MAP_SIZE=MAP_SIZE,
+    )
 
 
 def _check(image: DeviceArray, maps: DeviceArray, photo: int) -> int:

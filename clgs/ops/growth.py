@@ -11,19 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_items
+from clgs.opencl.kernel import Argument
 from clgs.ops.density import DeviceStatistics
 from clgs.scene.anchors import DeviceAnchors
 from clgs.shapes import Shapes
-
-GROUP_SIZE = 64
 
 PLACE_DIM = 6
 
@@ -73,9 +72,19 @@ def hide_undrawn(
     shapes.check("output", output, "rows Vp", np.float32)
     if len(output) < K_OFFSETS or output.shape[1] < len(visible):
         raise ValueError(f"output: shape is {output.shape}, {len(visible)} anchors are visible")
-    sizes = np.int32(len(visible)), np.int32(output.shape[1])
-    hidden = anchors.position, anchors.offset, statistics.visits, statistics.gradient_count
-    _run(device, "growth_hide_undrawn", len(visible), output, visible, *sizes, *hidden)
+    _run(
+        device,
+        "growth_hide_undrawn",
+        len(visible),
+        opacity=output,
+        visible=visible,
+        count=np.int32(len(visible)),
+        padded=np.int32(output.shape[1]),
+        position=anchors.position,
+        offset=anchors.offset,
+        visits=statistics.visits,
+        gradient_count=statistics.gradient_count,
+    )
 
 
 def prune(
@@ -98,10 +107,21 @@ def prune(
     _check(anchors, statistics)
     count = len(anchors)
     gone = device.empty((count,), np.int32)
-    limits = np.int32(visits), np.float32(least_opacity), np.float32(most_scaling)
-    sums = statistics.opacity_sum, statistics.visits, statistics.gradient_count
-    changed = anchors.position, anchors.scaling, *sums
-    _run(device, "growth_prune", count, np.int32(count), *limits, *changed, gone)
+    _run(
+        device,
+        "growth_prune",
+        count,
+        count=np.int32(count),
+        often=np.int32(visits),
+        least=np.float32(least_opacity),
+        most=np.float32(most_scaling),
+        position=anchors.position,
+        scaling=anchors.scaling,
+        opacity_sum=statistics.opacity_sum,
+        visits=statistics.visits,
+        gradient_count=statistics.gradient_count,
+        gone=gone,
+    )
     return np.flatnonzero(device.download(gone))
 
 
@@ -112,10 +132,18 @@ def asking(
 
     That is at least ``least`` per time, in float32. Waits for the device.
     """
-    sums = statistics.gradient_sum, statistics.gradient_count
-    asks = device.empty((statistics.gradient_sum.size,), np.bool_)
-    limits = np.int32(len(asks)), np.int32(seen), np.float32(least)
-    _run(device, "growth_ask", len(asks), *limits, *sums, asks)
+    asks = device.empty((statistics.gradient_sum.size,), np.uint8)
+    _run(
+        device,
+        "growth_ask",
+        len(asks),
+        count=np.int32(len(asks)),
+        seen=np.int32(seen),
+        least=np.float32(least),
+        gradient_sum=statistics.gradient_sum,
+        gradient_count=statistics.gradient_count,
+        asks=asks,
+    )
     return np.flatnonzero(device.download(asks))
 
 
@@ -132,17 +160,31 @@ def places(
     anchors.check(np.float32)
     _check_rows("slots", slots, K_OFFSETS * len(anchors))
     place = device.empty((len(slots), PLACE_DIM))
-    chosen, count = device.upload(slots.astype(np.int32)), np.int32(len(slots))
-    arrays = chosen, count, anchors.offset, anchors.scaling, place
-    _run(device, "growth_places", len(slots), *arrays)
+    _run(
+        device,
+        "growth_places",
+        len(slots),
+        slots=device.upload(slots.astype(np.int32)),
+        count=np.int32(len(slots)),
+        offset=anchors.offset,
+        scaling=anchors.scaling,
+        place=place,
+    )
     return device.download(place)
 
 
 def restart(device: Device, statistics: DeviceStatistics, seen: int) -> None:
     """Zero the sums of slots that were seen more often than ``seen`` times, in place."""
     count = statistics.gradient_sum.size
-    arrays = np.int32(seen), statistics.gradient_sum, statistics.gradient_count
-    _run(device, "growth_restart", count, np.int32(count), *arrays)
+    _run(
+        device,
+        "growth_restart",
+        count,
+        count=np.int32(count),
+        seen=np.int32(seen),
+        gradient_sum=statistics.gradient_sum,
+        gradient_count=statistics.gradient_count,
+    )
 
 
 def append(device: Device, anchors: DeviceAnchors, new: NewAnchors) -> DeviceAnchors:
@@ -157,10 +199,20 @@ def append(device: Device, anchors: DeviceAnchors, new: NewAnchors) -> DeviceAnc
     _check_new(new, len(anchors))
     before = len(anchors)
     longer = anchors.map(lambda array: with_zeros(device, array, len(new)))
-    given = (device.upload(array) for array in (new.position, new.edge, new.first, new.parents))
-    arrays = longer.position, longer.feature, longer.scaling
-    sizes = np.int32(len(new)), np.int32(before)
-    _run(device, "growth_append", FEATURE_DIM * len(new), *given, *sizes, *arrays)
+    _run(
+        device,
+        "growth_append",
+        FEATURE_DIM * len(new),
+        place=device.upload(new.position),
+        edge=device.upload(new.edge),
+        first=device.upload(new.first),
+        parents=device.upload(new.parents),
+        count=np.int32(len(new)),
+        before=np.int32(before),
+        position=longer.position,
+        feature=longer.feature,
+        scaling=longer.scaling,
+    )
     return longer
 
 
@@ -182,14 +234,22 @@ def take(device: Device, array: DeviceArray, rows: DeviceArray) -> DeviceArray:
         raise TypeError(f"array: dtype is {array.dtype}, numbers of 32 bits are needed")
     taken = device.empty((len(rows), *array.shape[1:]), array.dtype)
     width = array.size // max(len(array), 1)
-    sizes = np.uint32(taken.size), np.uint32(width)
-    _run(device, "growth_take", taken.size, rows, array, *sizes, taken)
+    _run(
+        device,
+        "growth_take",
+        taken.size,
+        rows=rows,
+        source=array.of_type(np.int32),
+        total=np.uint32(taken.size),
+        width=np.uint32(width),
+        taken=taken.of_type(np.int32),
+    )
     return taken
 
 
-def _run(device: Device, kernel: str, items: int, *arguments: Any) -> None:
-    grid = (round_up(items, GROUP_SIZE),), (GROUP_SIZE,)
-    device.run(device.kernel("anchors/growth", kernel), *grid, *arguments)
+def _run(device: Device, kernel: str, items: int, **arguments: Argument) -> None:
+    built = device.kernel("anchors/growth", kernel, PLACE_DIM=PLACE_DIM)
+    device.run(built, *by_items(items), **arguments)
 
 
 def _check(anchors: DeviceAnchors, statistics: DeviceStatistics) -> None:

@@ -29,8 +29,11 @@ PATCH_COLUMNS = 16
 PATCH_ROWS = 32
 """Taller patches blur fewer rows twice, but need more memory."""
 
-GROUP_SIZE = {"cpu": 1, "gpu": 256}
+ITEMS = {"cpu": 1, "gpu": 256}
+"""Work-items of a group, which owns a patch or a block."""
+
 VOLUME_BLOCK = 256
+"""Gaussians whose volumes a work-group sums."""
 
 
 @dataclass(frozen=True)
@@ -105,18 +108,20 @@ def forward(
     sums = device.empty((3 * across * down, 2))
     shift = device.empty((3 * across * down, 2))
     maps = (device.empty(image.shape), device.empty(image.shape), device.empty(image.shape))
-    group = GROUP_SIZE[device.specialisation]
+    items = ITEMS[device.specialisation]
     device.run(
         device.kernel("loss/forward", "loss_forward", **_defines(device)),
-        (across * group, down, 3),
-        (group, 1, 1),
-        image,
-        target,
-        np.int32(width),
-        np.int32(height),
-        shift,
-        *maps,
-        sums,
+        (across * items, down, 3),
+        (items, 1, 1),
+        image=image,
+        target=target,
+        width=np.int32(width),
+        height=np.int32(height),
+        shifts=shift,
+        r_map=maps[0],
+        v_map=maps[1],
+        w_map=maps[2],
+        sums=sums,
     )
     return Loss(BlockSums(sums, 3 * height * width), weights or Weights(), shift, maps)
 
@@ -137,20 +142,22 @@ def backward(device: Device, image: DeviceArray, target: DeviceArray, loss: Loss
     across, down = _patches(device, height, width)
     d_image = device.empty(image.shape)
     count = max(3 * height * width, 1)
-    group = GROUP_SIZE[device.specialisation]
+    items = ITEMS[device.specialisation]
     device.run(
         device.kernel("loss/backward", "loss_backward", **_defines(device)),
-        (across * group, down, 3),
-        (group, 1, 1),
-        image,
-        target,
-        np.int32(width),
-        np.int32(height),
-        loss.shift,
-        *loss.maps,
-        _factor(loss.weights.l1, count),
-        _factor(-loss.weights.ssim, count),
-        d_image,
+        (across * items, down, 3),
+        (items, 1, 1),
+        image=image,
+        target=target,
+        width=np.int32(width),
+        height=np.int32(height),
+        shifts=loss.shift,
+        r_map=loss.maps[0],
+        v_map=loss.maps[1],
+        w_map=loss.maps[2],
+        l1_scale=_factor(loss.weights.l1, count),
+        ssim_scale=_factor(-loss.weights.ssim, count),
+        d_image=d_image,
     )
     return d_image
 
@@ -185,17 +192,17 @@ def volume(
         total = device.upload(np.array([count], np.int64))
     blocks = -(-count // VOLUME_BLOCK)
     sums = device.empty((blocks, 1))
-    group = GROUP_SIZE[device.specialisation]
+    items = ITEMS[device.specialisation]
     device.run(
-        device.kernel("loss/volume", "loss_volume", **_defines(device)),
-        (blocks * group,),
-        (group,),
-        scale,
-        np.int32(count),
-        _factor(weight, 1),
-        total,
-        d_scale,
-        sums,
+        device.kernel("loss/volume", "loss_volume", ITEMS=items, VOLUME_BLOCK=VOLUME_BLOCK),
+        (blocks * items,),
+        (items,),
+        scale=scale,
+        count=np.int32(count),
+        weight=_factor(weight, 1),
+        total=total,
+        d_scale=d_scale,
+        sums=sums,
     )
     return BlockSums(sums, total)
 
@@ -225,4 +232,5 @@ def _defines(device: Device) -> dict[str, Any]:
     total = taps[0] + 2 * sum(taps[1:])
     weights = {f"SSIM_WEIGHT_{tap}": weight / total for tap, weight in enumerate(taps)}
     levels = {"SSIM_C1": constants.SSIM_C1, "SSIM_C2": constants.SSIM_C2}
-    return {"PATCH_ROWS": PATCH_ROWS, **weights, **levels}
+    sizes = {"PATCH_ROWS": PATCH_ROWS, "PATCH_COLUMNS": PATCH_COLUMNS}
+    return {**sizes, "ITEMS": ITEMS[device.specialisation], **weights, **levels}

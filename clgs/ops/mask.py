@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_items
 from clgs.shapes import Shapes
-
-GROUP_SIZE = 64
 
 
 def forward(device: Device, image: DeviceArray, used: DeviceArray) -> DeviceArray:
@@ -33,9 +32,11 @@ def forward(device: Device, image: DeviceArray, used: DeviceArray) -> DeviceArra
     masked = device.empty(image.shape)
     device.run(
         device.kernel("loss/mask", "mask_apply"),
-        (round_up(-(-used.size // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        *(image, used, np.uint32(used.size), masked),
+        *by_items(-(-used.size // device.vec)),
+        planes=image,
+        used=used,
+        total=np.uint32(used.size),
+        masked=masked,
     )
     return masked
 

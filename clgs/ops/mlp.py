@@ -23,11 +23,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, K_OFFSETS, OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
+from clgs.opencl.grid import LaunchSizes, by_items
+from clgs.opencl.kernel import Argument
 from clgs.options import DEFAULT, RenderOptions
 from clgs.scene.anchors import DeviceAnchors
 from clgs.scene.mlps import MLP_SIZE
@@ -51,13 +52,13 @@ WORKERS = 1
 GROUP_SIZE = 64
 """Work-items of a group on a GPU that sorts samples or sums weight gradients."""
 
-TILE = 5
-VECTORS = 2
-"""Register tile of a CPU, ``kernels_cl/mlp/layout.h``: rows, and vectors of samples."""
+TILE = {"cpu": 5, "gpu": 10}
+VECTORS = {"cpu": 2, "gpu": 1}
+"""Register tile of a layer: rows, and vectors of samples."""
 
 SAMPLES = 64
 LAYER_ITEMS = 128
-"""Samples that a group computes on a GPU, and its work-items (``kernels_cl/mlp/group/layer.h``)."""
+"""Samples that a group computes on a GPU, and its work-items."""
 
 WEIGHT_ROWS = {"cpu": 4, "gpu": 10}
 COLUMNS = {"cpu": 3, "gpu": 7}
@@ -134,18 +135,11 @@ def forward(
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     result = opacities(device, inputs, visible, options)
-    anchors, padded = inputs.anchors, result.output.shape[1]
     device.run(
         device.kernel("mlp/forward", "mlp_heads", **defines(device, options)),
-        *_layer_sizes(device, padded),
-        anchors.feature,
-        anchors.position,
-        result.visible,
-        np.int32(len(visible)),
-        inputs.weights,
-        inputs.camera,
-        np.int32(padded),
-        result.output,
+        *_layer_sizes(device, result.output.shape[1]),
+        **_layer_arguments(inputs, result.visible, result.output),
+        output=result.output,
     )
     return result
 
@@ -168,34 +162,42 @@ def opacities(
         active=device.empty((-(-padded // CHUNK),), np.int32),
         options=options,
     )
-    macros, anchors = defines(device, options), inputs.anchors
-    size, columns, opacity = np.int32(count), np.int32(padded), device.empty((K_OFFSETS, padded))
+    macros, opacity = defines(device, options), device.empty((K_OFFSETS, padded))
     device.run(
         device.kernel("mlp/forward", "mlp_opacity", **macros),
         *_layer_sizes(device, padded),
-        anchors.feature,
-        anchors.position,
-        visible,
-        size,
-        inputs.weights,
-        inputs.camera,
-        columns,
-        opacity,
+        **_layer_arguments(inputs, visible, opacity),
+        opacity=opacity,
     )
     width = GROUP_SIZE if device.specialisation == "gpu" else 1
     device.run(
         device.kernel("mlp/order", "mlp_order", **macros),
         (len(result.active) * width,),
         (width,),
-        opacity,
-        visible,
-        size,
-        columns,
-        result.output,
-        result.visible,
-        result.active,
+        opacity=opacity,
+        visible=visible,
+        count=np.int32(count),
+        padded=np.int32(padded),
+        output=result.output,
+        sorted=result.visible,
+        active=result.active,
     )
     return result
+
+
+def _layer_arguments(
+    inputs: Inputs, visible: DeviceArray, output: DeviceArray
+) -> dict[str, Argument]:
+    """What the kernels that compute layers read; ``output``: has the columns of the samples."""
+    return {
+        "feature": inputs.anchors.feature,
+        "position": inputs.anchors.position,
+        "visible": visible,
+        "count": np.int32(len(visible)),
+        "weights": inputs.weights,
+        "camera": inputs.camera,
+        "padded": np.int32(output.shape[1]),
+    }
 
 
 def backward(
@@ -229,42 +231,38 @@ def backward(
     )
     parts = min(-(-activations.output.shape[1] // BATCH), PARTS)
     partial = device.zeros((parts, _part_size(device)))
-    read = _backward_arguments(inputs, activations, d_output)
-    unused = result.d_feature
-    outputs = (result.d_feature, unused if result.d_position is None else result.d_position)
+    layers: dict[str, Argument] = {
+        **_layer_arguments(inputs, activations.visible, activations.output),
+        "output": activations.output,
+        "d_output": d_output,
+        "active": activations.active,
+        "d_feature": result.d_feature,
+        "d_position": result.d_position or result.d_feature,  # not written if not wanted
+    }
     common = defines(device, activations.options)
     macros = {**common, "WANT_POSITION": int(want_position)}
     if device.specialisation == "cpu":
         workers = min(WORKERS * int(device.cl_device.max_compute_units), parts)
-        values, taken = device.empty((workers, _batch_size(device))), device.zeros((1,), np.int32)
-        kernel = device.kernel("mlp/backward", "mlp_backward", **macros)
-        device.run(kernel, (workers,), (1,), *read, taken, values, partial, *outputs)
+        device.run(
+            device.kernel("mlp/backward", "mlp_backward", **macros),
+            *((workers,), (1,)),
+            **layers,
+            next=device.zeros((1,), np.int32),
+            values=device.empty((workers, _batch_size(device))),
+            partial=partial,
+        )
     else:
-        _backward_in_groups(device, activations, read, outputs, partial, macros)
+        _backward_in_groups(device, activations.output.shape[1], layers, partial, macros)
+    form = device.specialisation  # a work-item per sum, on a CPU per register tile
+    each = 1 if form == "gpu" else WEIGHT_ROWS[form] * COLUMNS[form]
     device.run(
         device.kernel("mlp/backward_sum", "mlp_backward_sum", **common),
-        *_sum_sizes(device),
-        *(partial, np.int32(parts), result.d_weights),
+        *by_items(_part_size(device) // each, GROUP_SIZE if form == "gpu" else 1),
+        partial=partial,
+        parts=np.int32(parts),
+        d_weights=result.d_weights,
     )
     return result
-
-
-def _backward_arguments(
-    inputs: Inputs, activations: Activations, d_output: DeviceArray
-) -> tuple[DeviceArray | np.int32, ...]:
-    """What ``mlp_backward`` and ``mlp_backward_layers`` read, in the order of their arguments."""
-    return (
-        inputs.anchors.feature,
-        inputs.anchors.position,
-        activations.visible,
-        np.int32(len(activations.visible)),
-        inputs.weights,
-        inputs.camera,
-        np.int32(activations.output.shape[1]),
-        activations.output,
-        d_output,
-        activations.active,
-    )
 
 
 def _batch_size(device: Device) -> int:
@@ -272,7 +270,7 @@ def _batch_size(device: Device) -> int:
     if device.specialisation == "gpu":
         rows = len(HEAD_DIMS) * 2 * HIDDEN_DIM + OUTPUT_DIM
     else:
-        rows = FEATURE_DIM + TILE + 2 * HIDDEN_DIM + max(HEAD_DIMS.values())
+        rows = FEATURE_DIM + TILE["cpu"] + 2 * HIDDEN_DIM + max(HEAD_DIMS.values())
     return (INPUT_DIM + 1 + rows) * (BATCH + 16)
 
 
@@ -282,98 +280,40 @@ def _row_tiles(device: Device) -> int:
     return sum(-(-HIDDEN_DIM // rows) + -(-outputs // rows) for outputs in HEAD_DIMS.values())
 
 
-def _column_tiles(device: Device) -> int:
-    """The most register tiles beside each other."""
-    return -(-(INPUT_DIM + 1) // COLUMNS[device.specialisation])
-
-
 def _part_size(device: Device) -> int:
     """Floats of a part of the weight gradient: weights and padding."""
-    form = device.specialisation
-    return _row_tiles(device) * _column_tiles(device) * WEIGHT_ROWS[form] * COLUMNS[form]
-
-
-def _sum_sizes(device: Device) -> tuple[tuple[int], tuple[int]]:
-    """Launch sizes of the sum of the parts: a work-item per sum, on a CPU per register tile."""
-    if device.specialisation == "gpu":
-        return (round_up(_part_size(device), GROUP_SIZE),), (GROUP_SIZE,)
-    return (_row_tiles(device) * _column_tiles(device),), (1,)
+    rows, columns = WEIGHT_ROWS[device.specialisation], COLUMNS[device.specialisation]
+    return _row_tiles(device) * rows * -(-(INPUT_DIM + 1) // columns) * columns
 
 
 def _backward_in_groups(
     device: Device,
-    activations: Activations,
-    read: tuple[DeviceArray | np.int32, ...],
-    outputs: tuple[DeviceArray, DeviceArray],
+    padded: int,
+    layers: dict[str, Argument],
     partial: DeviceArray,
     macros: dict[str, int | float],
 ) -> None:
-    """Fill ``partial`` and ``outputs``, SLAB batches at a time."""
-    padded = activations.output.shape[1]
+    """Fill ``partial`` and the gradients among ``layers``, SLAB batches at a time."""
     batches = -(-padded // BATCH)
     values = device.empty((min(SLAB, batches), _batch_size(device)))
-    layers = device.kernel("mlp/backward", "mlp_backward_layers", **macros)
-    weights = device.kernel("mlp/backward", "mlp_backward_weights", **macros)
     for first in range(0, batches, SLAB):
-        size, place = min(SLAB, batches - first), (np.int32(first), values)
-        device.run(layers, *_layer_sizes(device, size * BATCH), *read, *place, *outputs)
+        size = min(SLAB, batches - first)
+        batch: dict[str, Argument] = {"first_batch": np.int32(first), "values": values}
         device.run(
-            weights,
+            device.kernel("mlp/backward", "mlp_backward_layers", **macros),
+            *_layer_sizes(device, size * BATCH),
+            **layers,
+            **batch,
+        )
+        device.run(
+            device.kernel("mlp/backward", "mlp_backward_weights", **macros),
             (_row_tiles(device) * GROUP_SIZE, size),
             (GROUP_SIZE, 1),
-            *(np.int32(padded), activations.active, *place, partial),
+            padded=layers["padded"],
+            active=layers["active"],
+            **batch,
+            partial=partial,
         )
-
-
-def drawn_rows(output: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
-    """Which outputs (110, V) are ever read: all opacities, and the rows of drawn slots."""
-    drawn = output[:K_OFFSETS] > 0
-    color, covariance = (HEAD_DIMS[name] // K_OFFSETS for name in ("color", "covariance"))
-    rows = [np.ones_like(drawn), np.repeat(drawn, color, 0), np.repeat(drawn, covariance, 0)]
-    return np.concatenate(rows)
-
-
-def drawn_output(device: Device, activations: Activations) -> npt.NDArray[np.float32]:
-    """Host copy (110, V) of the outputs, zero for those that are never read."""
-    output = device.download(activations.output)[:, : len(activations.visible)]
-    return np.where(drawn_rows(output), output, np.float32(0))
-
-
-@dataclass(frozen=True)
-class Work:
-    """Samples, and rows of outputs times samples, that were computed, and how many there are."""
-
-    samples: int
-    all_samples: int
-    rows: int
-    all_rows: int
-
-
-def work(device: Device, activations: Activations) -> Work:
-    """Count the samples whose colors and covariances were computed, and the rows of these heads.
-
-    Waits for the device. Columns without an anchor are not counted.
-    """
-    count = int(np.count_nonzero(device.download(activations.visible) >= 0))
-    drawn = device.download(activations.output)[:K_OFFSETS] > 0
-    vector = int(defines(device, activations.options)["VEC"])
-    size = SAMPLES if device.specialisation == "gpu" else VECTORS * vector
-    drawn = np.pad(drawn, ((0, 0), (0, -drawn.shape[1] % size)))
-    slots = np.any(drawn.reshape(K_OFFSETS, -1, size), axis=2)
-    used = np.any(slots, axis=0)
-    skips = activations.options.skips
-    if not skips.slots:
-        slots[:] = used | (not skips.opacity_first)
-    if not skips.opacity_first:
-        used[:] = True
-    lanes = np.clip(count - size * np.arange(len(used)), 0, size)
-    each = (OUTPUT_DIM - K_OFFSETS) // K_OFFSETS
-    return Work(
-        samples=int(used @ lanes),
-        all_samples=count,
-        rows=each * int((slots @ lanes).sum()),
-        all_rows=each * K_OFFSETS * count,
-    )
 
 
 def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
@@ -381,19 +321,31 @@ def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
 
     Lanes fill one register of a CPU: ten accumulators of wider vectors would spill.
     """
-    sizes = {"CHUNK": CHUNK, "BATCH": BATCH, "PARTS": PARTS, "VEC": device.register_lanes}
-    return {**sizes, **options.skips.defines("opacity_first", "slots")}
+    form = device.specialisation
+    return {
+        "CHUNK": CHUNK,
+        "BATCH": BATCH,
+        "PARTS": PARTS,
+        "GROUP_SIZE": GROUP_SIZE,
+        "TILE": TILE[form],
+        "VECTORS": VECTORS[form],
+        "SAMPLES": SAMPLES,
+        "LAYER_ITEMS": LAYER_ITEMS,
+        "WEIGHT_ROWS": WEIGHT_ROWS[form],
+        "COLUMNS": COLUMNS[form],
+        "VEC": device.register_lanes,
+        **options.skips.defines("opacity_first", "slots"),
+    }
 
 
-def blocks(device: Device, samples: int) -> tuple[tuple[int], tuple[int]]:
+def blocks(device: Device, samples: int) -> LaunchSizes:
     """Launch sizes of a kernel with one work-item per block of samples."""
     if device.specialisation == "gpu":
-        return (round_up(samples, GROUP_SIZE),), (GROUP_SIZE,)
-    lanes = int(defines(device, DEFAULT)["VEC"])
-    return (-(-samples // (VECTORS * lanes)),), (1,)
+        return by_items(samples, GROUP_SIZE)
+    return by_items(-(-samples // (VECTORS["cpu"] * device.register_lanes)), 1)
 
 
-def _layer_sizes(device: Device, samples: int) -> tuple[tuple[int], tuple[int]]:
+def _layer_sizes(device: Device, samples: int) -> LaunchSizes:
     """Launch sizes of a kernel that computes layers: on a GPU a group per SAMPLES samples."""
     if device.specialisation == "gpu":
         return (-(-samples // SAMPLES) * LAYER_ITEMS,), (LAYER_ITEMS,)

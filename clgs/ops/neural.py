@@ -17,14 +17,12 @@ import numpy as np
 
 from clgs.constants import OUTPUT_DIM
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
-from clgs.opencl.grid import by_lanes
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_items, by_lanes
 from clgs.ops import scan
 from clgs.ops.mlp import Activations
 from clgs.scene.anchors import DeviceAnchors
 from clgs.shapes import Shapes
-
-GROUP_SIZE = 64
 
 
 @dataclass(frozen=True)
@@ -109,54 +107,38 @@ def forward(
     output, visible = activations.output, activations.visible
     drawn, offsets = number(device, activations)
     count = scan.room_for(device, offsets, room)
-    result = allocate(device, count, drawn, offsets)
+    rows = {
+        "mean": device.empty((count, 3)),
+        "scale": device.empty((count, 3)),
+        "rotation": device.empty((count, 4)),
+        "color": device.empty((count, 3)),
+        "opacity": device.empty((count,)),
+        "slot": device.empty((count,), np.int32),
+    }
     device.run(
         device.kernel("gaussian/neural", "neural_forward"),
         *by_lanes(device, len(visible), device.vec),
-        output,
-        visible,
-        offsets.offset,
-        drawn,
-        np.int32(len(visible)),
-        np.int32(output.shape[1]),
-        np.int32(count),
-        anchors.position,
-        anchors.offset,
-        anchors.scaling,
-        *fields(result),
+        output=output,
+        visible=visible,
+        first=offsets.offset,
+        bits=drawn,
+        count=np.int32(len(visible)),
+        padded=np.int32(output.shape[1]),
+        capacity=np.int32(count),
+        position=anchors.position,
+        offset=anchors.offset,
+        scaling=anchors.scaling,
+        **rows,
     )
     if room != scan.EXACT:
-        pad(device, result)
-    return result
-
-
-def allocate(
-    device: Device, count: int, drawn: DeviceArray, offsets: scan.Offsets
-) -> NeuralGaussians:
-    """Room for ``count`` Gaussians, numbered as :func:`number` returned."""
-    return NeuralGaussians(
-        mean=device.empty((count, 3)),
-        scale=device.empty((count, 3)),
-        rotation=device.empty((count, 4)),
-        color=device.empty((count, 3)),
-        opacity=device.empty((count,)),
-        slot=device.empty((count,), np.int32),
-        first=offsets.offset,
-        drawn=drawn,
-        total=offsets.total,
-    )
-
-
-def fields(gaussians: NeuralGaussians) -> tuple[DeviceArray, ...]:
-    """The arrays with a row per Gaussian, in the order of the kernels' arguments."""
-    return (
-        gaussians.mean,
-        gaussians.scale,
-        gaussians.rotation,
-        gaussians.color,
-        gaussians.opacity,
-        gaussians.slot,
-    )
+        device.run(
+            device.kernel("gaussian/neural", "neural_pad"),
+            *by_items(count),
+            total=offsets.total,
+            capacity=np.int32(count),
+            **rows,
+        )
+    return NeuralGaussians(**rows, first=offsets.offset, drawn=drawn, total=offsets.total)
 
 
 def number(device: Device, activations: Activations) -> tuple[DeviceArray, scan.Offsets]:
@@ -170,27 +152,15 @@ def number(device: Device, activations: Activations) -> tuple[DeviceArray, scan.
     device.run(
         device.kernel("gaussian/neural", "neural_count"),
         *scan.counting_grid(device, count, device.vec, group=1),
-        activations.output,
-        activations.visible,
-        np.int32(count),
-        np.int32(activations.output.shape[1]),
-        drawn,
-        counts,
-        parts.sum,
+        output=activations.output,
+        visible=activations.visible,
+        count=np.int32(count),
+        padded=np.int32(activations.output.shape[1]),
+        drawn=drawn,
+        counts=counts,
+        sums=parts.sum,
     )
     return drawn, scan.on_device(device, counts, parts=parts)
-
-
-def pad(device: Device, gaussians: NeuralGaussians) -> None:
-    """Zeros after the last Gaussian."""
-    device.run(
-        device.kernel("gaussian/neural", "neural_pad"),
-        (round_up(len(gaussians), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        gaussians.total,
-        np.int32(len(gaussians)),
-        *fields(gaussians),
-    )
 
 
 def backward(
@@ -226,48 +196,32 @@ def backward(
     device.run(
         device.kernel("gaussian/neural", "neural_backward"),
         *by_lanes(device, output.shape[1], device.vec),
-        output,
-        visible,
-        gaussians.first,
-        gaussians.drawn,
-        np.int32(len(visible)),
-        np.int32(output.shape[1]),
-        np.int32(len(gaussians)),
-        anchors.offset,
-        anchors.scaling,
-        d_gaussians.d_mean,
-        d_gaussians.d_scale,
-        d_gaussians.d_rotation,
-        d_gaussians.d_color,
-        d_gaussians.d_opacity,
-        result.d_output,
-        result.d_offset,
-        result.d_scaling,
+        output=output,
+        visible=visible,
+        first=gaussians.first,
+        bits=gaussians.drawn,
+        count=np.int32(len(visible)),
+        padded=np.int32(output.shape[1]),
+        capacity=np.int32(len(gaussians)),
+        offset=anchors.offset,
+        scaling=anchors.scaling,
+        **vars(d_gaussians),
+        d_output=result.d_output,
+        d_offset=result.d_offset,
+        d_scaling=result.d_scaling,
     )
     if result.d_position is not None:
-        _position_backward(device, gaussians, visible, d_gaussians.d_mean, result.d_position)
+        device.run(
+            device.kernel("gaussian/neural", "neural_backward_position"),
+            *by_items(len(visible)),
+            visible=visible,
+            first=gaussians.first,
+            count=np.int32(len(visible)),
+            capacity=np.int32(len(gaussians)),
+            d_mean=d_gaussians.d_mean,
+            d_position=result.d_position,
+        )
     return result
-
-
-def _position_backward(
-    device: Device,
-    gaussians: NeuralGaussians,
-    visible: DeviceArray,
-    d_mean: DeviceArray,
-    d_position: DeviceArray,
-) -> None:
-    """Sum ``d_mean`` over the Gaussians of each visible anchor."""
-    device.run(
-        device.kernel("gaussian/neural", "neural_backward_position"),
-        (round_up(len(visible), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        visible,
-        gaussians.first,
-        np.int32(len(visible)),
-        np.int32(len(gaussians)),
-        d_mean,
-        d_position,
-    )
 
 
 def _check(activations: Activations, anchors: DeviceAnchors) -> None:

@@ -76,16 +76,16 @@ def forward(
     device.run(
         device.kernel("gaussian/project", "project_forward", **defines(device, options)),
         *by_lanes(device, count, device.lanes),
-        gaussians.mean,
-        gaussians.scale,
-        gaussians.rotation,
-        gaussians.opacity,
-        camera,
-        np.int32(count),
-        result.mean2d,
-        result.whitening,
-        result.depth,
-        result.extent,
+        mean=gaussians.mean,
+        scale=gaussians.scale,
+        rotation=gaussians.rotation,
+        opacity=gaussians.opacity,
+        camera=camera,
+        count=np.int32(count),
+        mean2d=result.mean2d,
+        whitening=result.whitening,
+        depth=result.depth,
+        extent=result.extent,
     )
     return result
 
@@ -100,18 +100,6 @@ def allocate(device: Device, color: DeviceArray, opacity: DeviceArray) -> Projec
         extent=device.empty((count, 2)),
         color=color,
         opacity=opacity,
-    )
-
-
-def fields(projected: Projected) -> tuple[DeviceArray, ...]:
-    """All arrays, in the order of the kernels' arguments."""
-    return (
-        projected.mean2d,
-        projected.whitening,
-        projected.depth,
-        projected.extent,
-        projected.color,
-        projected.opacity,
     )
 
 
@@ -150,18 +138,18 @@ def backward(
     device.run(
         device.kernel("gaussian/project", "project_backward", VEC=device.lanes),
         *by_lanes(device, count, device.lanes),
-        gaussians.mean,
-        gaussians.scale,
-        gaussians.rotation,
-        camera,
-        np.int32(count),
-        projected.whitening,
-        projected.extent,
-        d_projected.d_mean2d,
-        d_projected.d_whitening,
-        result.d_mean,
-        result.d_scale,
-        result.d_rotation,
+        mean=gaussians.mean,
+        scale=gaussians.scale,
+        rotation=gaussians.rotation,
+        camera=camera,
+        count=np.int32(count),
+        whitening=projected.whitening,
+        extent=projected.extent,
+        d_mean2d=d_projected.d_mean2d,
+        d_whitening=d_projected.d_whitening,
+        d_mean=result.d_mean,
+        d_scale=result.d_scale,
+        d_rotation=result.d_rotation,
     )
     return result
 

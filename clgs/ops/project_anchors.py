@@ -11,11 +11,10 @@ import numpy as np
 
 from clgs.constants import K_OFFSETS
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_items
 from clgs.ops import mlp, neural, project, scan
 from clgs.options import DEFAULT, RenderOptions
-
-GROUP_SIZE = 64
 
 
 def forward(
@@ -53,28 +52,27 @@ def forward(
     device.run(
         device.kernel("gaussian/project_anchors", "project_anchors_forward", **macros),
         *mlp.blocks(device, columns),
-        anchors.feature,
-        anchors.position,
-        decoded.visible,
-        np.int32(len(visible)),
-        inputs.weights,
-        inputs.camera,
-        np.int32(columns),
-        anchors.offset,
-        anchors.scaling,
-        offsets.offset,
-        drawn,
-        np.int32(count),
-        decoded.output,
-        *project.fields(result),
+        feature=anchors.feature,
+        position=anchors.position,
+        visible=decoded.visible,
+        count=np.int32(len(visible)),
+        weights=inputs.weights,
+        camera=inputs.camera,
+        padded=np.int32(columns),
+        offset=anchors.offset,
+        scaling=anchors.scaling,
+        numbers=offsets.offset,
+        bits=drawn,
+        capacity=np.int32(count),
+        output=decoded.output,
+        **vars(result),
     )
     if room != scan.EXACT:
         device.run(
             device.kernel("gaussian/project_anchors", "project_anchors_pad", **macros),
-            (round_up(count, GROUP_SIZE),),
-            (GROUP_SIZE,),
-            offsets.total,
-            np.int32(count),
-            *project.fields(result),
+            *by_items(count),
+            total=offsets.total,
+            capacity=np.int32(count),
+            **vars(result),
         )
     return result, offsets.total

@@ -13,10 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
-from clgs.opencl.grid import by_parts, filled
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_items, by_parts, filled
 
-GROUP_SIZE = 64
 MOST_ARRAYS = 3
 """Arrays that a launch of :func:`forward_all` rounds, at most."""
 
@@ -50,10 +49,13 @@ def forward_all(device: Device, arrays: Sequence[tuple[DeviceArray, float]]) -> 
         sizes, scales = np.zeros(4, np.uint32), np.ones(4, np.float32)
         sizes[: len(some)] = [x.size for x, _ in some]
         scales[: len(some)] = [q for _, q in some]
-        sources = filled([x for x, _ in some], MOST_ARRAYS)
-        targets = filled(into, MOST_ARRAYS)
+        arrays_now: dict[str, DeviceArray] = {}
+        for n, ((x, _), rounded) in enumerate(
+            filled(list(zip(some, into, strict=True)), MOST_ARRAYS)
+        ):
+            arrays_now |= {f"x{n}": x, f"rounded{n}": rounded}
         grid = by_parts(sizes.tolist(), device.vec)
-        device.run(kernel, *grid, *sources, sizes, scales, *targets)
+        device.run(kernel, *grid, **arrays_now, sizes=sizes, scales=scales)
     return results
 
 
@@ -72,31 +74,30 @@ def elements(device: Device, x: DeviceArray, q: DeviceArray) -> DeviceArray:
     if q.shape != x.shape or q.dtype != np.float32:
         raise ValueError(f"q: {q.dtype}{q.shape}, expected float32{x.shape}")
     result = device.empty(x.shape, np.float32)
-    kernel = device.kernel("anchors/quantize", "quantize_elements")
-    device.run(kernel, *_size(device, x), x, q, np.uint32(x.size), result)
+    device.run(
+        device.kernel("anchors/quantize", "quantize_elements"),
+        *by_items(-(-x.size // device.vec)),
+        x=x,
+        q=q,
+        total=np.uint32(x.size),
+        rounded=result,
+    )
     return result
 
 
 def integers(device: Device, x: DeviceArray, q: float) -> DeviceArray:
     """rint(x q) in a new int32 array; arguments as for :func:`forward`."""
-    return _run(device, "quantize_integers", x, q, device.empty(x.shape, np.int32))
-
-
-def _run(device: Device, kernel: str, x: DeviceArray, q: float, result: DeviceArray) -> DeviceArray:
     _check(x)
+    result = device.empty(x.shape, np.int32)
     device.run(
-        device.kernel("anchors/quantize", kernel),
-        *_size(device, x),
-        x,
-        np.uint32(x.size),
-        np.float32(q),
-        result,
+        device.kernel("anchors/quantize", "quantize_integers"),
+        *by_items(-(-x.size // device.vec)),
+        x=x,
+        total=np.uint32(x.size),
+        q=np.float32(q),
+        integers=result,
     )
     return result
-
-
-def _size(device: Device, x: DeviceArray) -> tuple[tuple[int], tuple[int]]:
-    return (round_up(-(-x.size // device.vec), GROUP_SIZE),), (GROUP_SIZE,)
 
 
 def _check(x: DeviceArray) -> None:

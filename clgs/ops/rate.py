@@ -25,14 +25,16 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
-from clgs.opencl.grid import by_parts, filled
+from clgs.opencl.device import Device
+from clgs.opencl.grid import by_items, by_parts, filled
+from clgs.opencl.kernel import Kernel
 
 Form = Literal["channel", "pooled"]
 Values = npt.NDArray[np.float64]
 
-GROUP_SIZE = 64
 VECTORS_PER_BLOCK = 256
+"""Vectors of a column that a work-item sums."""
+
 MOST_ATTRIBUTES = 3
 """Attributes of a launch of :func:`backward_all`."""
 
@@ -157,16 +159,16 @@ def backward_all(
     sizes, scales, periods = np.zeros(4, np.uint32), np.ones(4, np.float32), np.ones(4, np.uint32)
     for i, (own, x, _) in enumerate(attributes):
         sizes[i], scales[i], periods[i] = x.size, own.q, own.channels
-    owners, sources, targets = zip(*filled(attributes, MOST_ATTRIBUTES), strict=True)
+    arrays: dict[str, DeviceArray] = {}
+    for i, (own, x, d_x) in enumerate(filled(attributes, MOST_ATTRIBUTES)):
+        arrays |= {f"x{i}": x, f"tables{i}": own.table, f"d_x{i}": d_x}
     device.run(
-        device.kernel("anchors/rate", "rate_backward"),
+        _kernel(device, "rate_backward"),
         *by_parts(sizes.tolist(), device.vec),
-        *sources,
-        sizes,
-        scales,
-        periods,
-        *(own.table for own in owners),
-        *targets,
+        **arrays,
+        sizes=sizes,
+        scales=scales,
+        periods=periods,
     )
 
 
@@ -281,7 +283,7 @@ def _channels(x: DeviceArray) -> int:
 
 def _centre(device: Device, x: DeviceArray, q: float, channels: int) -> tuple[Values, Values]:
     """(centre, mean - centre) of every channel; the centre is the integer next to the mean."""
-    mean = _run(device, "rate_total", 1, (x, q, channels))[0] / (x.size // channels)
+    mean = _sums(device, "rate_total", 1, (x, q, channels))[0] / (x.size // channels)
     centre = np.rint(mean)
     return centre, mean - centre
 
@@ -293,35 +295,38 @@ def _statistics(
     reach = np.full_like(centre, np.inf) if limits is None else limits
     low = np.minimum(np.ceil(fraction - reach), 0)
     high = np.maximum(np.floor(fraction + reach), 0)
-    tables = (_upload(device, centre[None]), _upload(device, np.stack([low, high])))
-    columns = _run(device, "rate_statistics", 5, (x, q, len(centre)), *tables)
+    tables = {"centre": centre[None], "limits": np.stack([low, high])}
+    columns = _sums(device, "rate_statistics", 5, (x, q, len(centre)), **tables)
     return _Sums(x.size // len(centre), centre, fraction, *columns)
 
 
-def _run(
+def _sums(
     device: Device,
     kernel: str,
     planes: int,
     source: tuple[DeviceArray, float, int],
-    *tables: DeviceArray,
+    **tables: Values,
 ) -> Values:
     """Sums (planes, channels) of a kernel over (x, q, channels), added up in float64."""
     x, q, channels = source
     blocks = -(-x.size // (device.vec * channels * VECTORS_PER_BLOCK))
     sums = device.empty((planes, blocks, device.vec, channels))
     device.run(
-        device.kernel("anchors/rate", kernel),
-        (round_up(blocks * channels, GROUP_SIZE),),
-        (GROUP_SIZE,),
-        x,
-        np.uint32(x.size),
-        np.float32(q),
-        np.uint32(channels),
-        np.uint32(blocks),
-        *tables,
-        sums,
+        _kernel(device, kernel),
+        *by_items(blocks * channels),
+        x=x,
+        total=np.uint32(x.size),
+        q=np.float32(q),
+        period=np.uint32(channels),
+        blocks=np.uint32(blocks),
+        sums=sums,
+        **{name: _upload(device, table) for name, table in tables.items()},
     )
     return np.asarray(device.download(sums).sum(axis=(1, 2), dtype=np.float64))
+
+
+def _kernel(device: Device, name: str) -> Kernel:
+    return device.kernel("anchors/rate", name, VECTORS_PER_BLOCK=VECTORS_PER_BLOCK)
 
 
 def _upload(device: Device, table: Values) -> DeviceArray:

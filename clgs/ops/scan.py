@@ -13,9 +13,11 @@ import numpy as np
 from clgs.errors import ClgsError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
+from clgs.opencl.grid import ANY_GROUP, LaunchSizes, by_items
+from clgs.opencl.kernel import Argument
+from clgs.opencl.programs import SCAN_GROUP_SIZE
 from clgs.shapes import Shapes
 
-GROUP_SIZE = 256
 MAX_TOTAL = 2**31 - 1
 EXACT = 2**63 - 1
 """Room for exactly as many as there are: the host waits until it knows the number."""
@@ -97,30 +99,42 @@ def on_device(
     count = shapes.axes["n"]
     chunk, chunks = chunk_plan(device, count, 1 if parts is None else parts.length)
     offset, total = device.empty((count + 1,), np.int32), device.empty((1,), np.int64)
-    wide = GROUP_SIZE if device.specialisation == "gpu" else 1
+    wide = SCAN_GROUP_SIZE if device.specialisation == "gpu" else 1
     grid = (chunks * wide,), (wide,)
-    items = counts, np.int32(count), np.int32(chunk)
+    items: dict[str, Argument] = {
+        "counts": counts,
+        "count": np.int32(count),
+        "chunk": np.int32(chunk),
+    }
     if parts is None:
         parts = PartSums(device.empty((chunks,), np.int64), chunk)
-        device.run(device.kernel("scan/offsets", "scan_reduce"), *grid, *items, parts.sum)
-    before = parts.sum, np.int32(len(parts.sum)), np.int32(parts.length)
-    apply = device.kernel("scan/offsets", "scan_apply")
-    device.run(apply, *grid, *items, *before, np.int64(limit), total, offset)
+        reduce = device.kernel("scan/offsets", "scan_reduce")
+        device.run(reduce, *grid, **items, sums=parts.sum)
+    device.run(
+        device.kernel("scan/offsets", "scan_apply"),
+        *grid,
+        **items,
+        sums=parts.sum,
+        parts=np.int32(len(parts.sum)),
+        part=np.int32(parts.length),
+        limit=np.int64(limit),
+        total=total,
+        offsets=offset,
+    )
     return Offsets(offset, total)
 
 
 def parts_of(device: Device, count: int, lanes: int) -> PartSums:
     """Room for the sums of what a kernel counts whose work-items take ``lanes`` items each."""
-    length = GROUP_SIZE if device.specialisation == "gpu" else lanes
+    length = SCAN_GROUP_SIZE if device.specialisation == "gpu" else lanes
     return PartSums(device.empty((-(-count // length),), np.int64), length)
 
 
-def counting_grid(
-    device: Device, count: int, lanes: int, group: int
-) -> tuple[tuple[int], tuple[int]]:
+def counting_grid(device: Device, count: int, lanes: int, group: int = ANY_GROUP) -> LaunchSizes:
     """Launch size of such a kernel; ``group``: work-items of a work-group on a CPU."""
-    wide = GROUP_SIZE if device.specialisation == "gpu" else group
-    return (round_up(-(-count // lanes), wide),), (wide,)
+    return by_items(
+        -(-count // lanes), SCAN_GROUP_SIZE if device.specialisation == "gpu" else group
+    )
 
 
 def check_fits(
@@ -141,9 +155,16 @@ def check_fits(
         shapes.check("total", total, "1", np.int64)
     shapes.check("stop", stop, "1", np.int32)
     gathered = device.empty((len(totals),), np.int64)
-    kernel = device.kernel("scan/fits", "scan_fits", LACKS_ROOM=LACKS_ROOM)
-    capacity = np.array([*rooms, 0], np.int64)
-    device.run(kernel, (1,), (1,), *totals, capacity, gathered, stop)
+    device.run(
+        device.kernel("scan/fits", "scan_fits", LACKS_ROOM=LACKS_ROOM),
+        *((1,), (1,)),
+        first=totals[0],
+        second=totals[1],
+        third=totals[2],
+        capacity=np.array([*rooms, 0], np.int64),
+        totals=gathered,
+        stop=stop,
+    )
     return gathered
 
 

@@ -12,18 +12,24 @@ import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.opencl.grid import chunk_count
+from clgs.opencl.grid import LaunchSizes, chunk_count
+from clgs.opencl.kernel import Argument
+from clgs.opencl.programs import SCAN_GROUP_SIZE
 from clgs.shapes import Shapes
 
 KEY_BITS = 32
-DIGIT_BITS = {"cpu": 11, "gpu": 8}
-GROUP_SIZE = {"cpu": 1, "gpu": 256}
+DIGIT_BITS = {"cpu": 11, "gpu": SCAN_GROUP_SIZE.bit_length() - 1}
+"""On a GPU a work-item of a group counts one value of a digit."""
+
 SHORTEST_CHUNK = {"cpu": 32768, "gpu": 2048}
 MOST_CHUNKS = {"cpu": 32, "gpu": 128}
 """Of :func:`by_key`; every chunk adds up the counts of all, so they are few."""
 
 MAX_WIDTH = 16
 """Bits of a digit of :func:`chosen` on a CPU, at most: two digits are a key."""
+
+PLAN_SIZE = 3
+"""Numbers of the plan that the kernels of :func:`chosen` make on a CPU."""
 
 
 def by_key(
@@ -78,42 +84,60 @@ def chosen(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
 
 def _chosen_by_groups(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
     """A launch that counts the first digit of the chosen, then one for each digit."""
-    plan = _GroupPlan.of(device, len(keys), KEY_BITS)
-    items = keys, choice, *plan.items, *plan.digits
-    device.run(device.kernel("sort/chosen", "sort_count_chosen"), *plan.grid, *items)
-    end = device.empty((1,), np.int32)
+    groups = _Groups.of(device, len(keys), KEY_BITS)
+    chosen = {"keys": keys, "chosen": choice, **groups.items, **groups.digits}
+    device.run(device.kernel("sort/chosen", "sort_count_chosen"), *groups.grid, **chosen)
+    count = device.empty((1,), np.int32)
     keys, index = _like(device, keys)
-    first = device.kernel("sort/chosen", "sort_place_chosen")
-    device.run(first, *plan.grid, *items, end, keys, index)
-    place = device.kernel("sort/chosen", "sort_place_next")
-    for number in range(1, plan.passes):
-        out = _like(device, keys)
-        device.run(place, *plan.grid, keys, index, *plan.digits, end, np.int32(number), *out)
-        keys, index = out
-    return Order(index, end)
+    device.run(
+        device.kernel("sort/chosen", "sort_place_chosen"),
+        *groups.grid,
+        **chosen,
+        chosen_count=count,
+        sorted_keys=keys,
+        order=index,
+    )
+    for number in range(1, groups.passes):
+        sorted_keys, order = _like(device, keys)
+        device.run(
+            device.kernel("sort/chosen", "sort_place_next"),
+            *groups.grid,
+            keys=keys,
+            values=index,
+            **groups.digits,
+            chosen_count=count,
+            number=np.int32(number),
+            sorted_keys=sorted_keys,
+            order=order,
+        )
+        keys, index = sorted_keys, order
+    return Order(index, count)
 
 
 def _chosen_by_plan(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
-    count, parts = np.int32(len(keys)), chunk_count(device)
-    chunks = np.int32(parts)
-    plan = device.empty((4,), np.int32)
-    ranges = device.empty((parts, 2), np.uint32)
-    counters = device.empty((parts, 2**MAX_WIDTH), np.int32)
+    chunks = chunk_count(device)
+    plan = device.empty((PLAN_SIZE,), np.int32)
+    ranges = device.empty((chunks, 2), np.uint32)
+    counters = device.empty((chunks, 2**MAX_WIDTH), np.int32)
     pairs, index = device.empty((len(keys), 2), np.uint32), device.empty(keys.shape, np.int32)
-    all_chunks, one = ((parts,), (1,)), ((1,), (1,))
-    items = keys, choice, count
-    starts = device.kernel("sort/chosen", "sort_starts")
-    device.run(device.kernel("sort/chosen", "sort_range"), *all_chunks, *items, ranges)
-    planned = *items, ranges, plan, counters
-    device.run(device.kernel("sort/chosen", "sort_count_chosen"), *all_chunks, *planned)
-    device.run(starts, *one, counters, chunks, plan)
-    placed = *items, plan, counters, pairs
-    device.run(device.kernel("sort/chosen", "sort_place_chosen"), *all_chunks, *placed)
-    counted = pairs, plan, counters
-    device.run(device.kernel("sort/chosen", "sort_count_pairs"), *all_chunks, *counted)
-    device.run(starts, *one, counters, chunks, plan)
-    device.run(device.kernel("sort/chosen", "sort_place_pairs"), *all_chunks, *counted, index)
-    return Order(index, DeviceArray(plan.buffer, (1,), plan.dtype))
+    chosen: dict[str, Argument] = {
+        "keys": keys,
+        "chosen": choice,
+        "count": np.int32(len(keys)),
+    }
+
+    def run(name: str, items: int, /, **arguments: Argument) -> None:
+        sizes = {"MAX_WIDTH": MAX_WIDTH, "PLAN_SIZE": PLAN_SIZE}
+        device.run(device.kernel("sort/chosen", name, **sizes), (items,), (1,), **arguments)
+
+    run("sort_range", chunks, **chosen, ranges=ranges)
+    run("sort_count_chosen", chunks, **chosen, ranges=ranges, plan=plan, counters=counters)
+    run("sort_starts", 1, counters=counters, chunks=np.int32(chunks), plan=plan)
+    run("sort_place_chosen", chunks, **chosen, plan=plan, places=counters, pairs=pairs)
+    run("sort_count_pairs", chunks, pairs=pairs, plan=plan, counters=counters)
+    run("sort_starts", 1, counters=counters, chunks=np.int32(chunks), plan=plan)
+    run("sort_place_pairs", chunks, pairs=pairs, plan=plan, places=counters, order=index)
+    return Order(index, plan.first(1))
 
 
 def digits(bits: int, widest: int) -> list[tuple[int, int]]:
@@ -129,62 +153,75 @@ def _pass(
     device: Device, keys: DeviceArray, values: DeviceArray, shift: int, width: int
 ) -> tuple[DeviceArray, DeviceArray]:
     """One digit on a CPU: a work-item counts and places a chunk of the keys."""
-    count, chunks = len(keys), _chunks(len(keys), "cpu")
-    size = (chunks,), (1,)
-    plan = np.int32(count), np.int32(-(-count // chunks))
-    digit = np.int32(shift), np.uint32(2**width - 1)
-    histogram = device.empty((chunks * 2 ** DIGIT_BITS["cpu"],), np.int32)
-    out = _like(device, keys)
+    count, chunks, bits = len(keys), _chunks(len(keys), "cpu"), DIGIT_BITS["cpu"]
+    sorted_keys, sorted_values = _like(device, keys)
+    digit: dict[str, Argument] = {
+        "keys": keys,
+        "count": np.int32(count),
+        "chunk": np.int32(-(-count // chunks)),
+        "shift": np.int32(shift),
+        "mask": np.uint32(2**width - 1),
+        "histogram": device.empty((chunks * 2**bits,), np.int32),
+    }
+    histogram = device.kernel("sort/by_key", "sort_histogram", DIGIT_BITS=bits)
+    device.run(histogram, (chunks,), (1,), **digit)
     device.run(
-        device.kernel("sort/by_key", "sort_histogram"), *size, keys, *plan, *digit, histogram
+        device.kernel("sort/by_key", "sort_scatter", DIGIT_BITS=bits),
+        *((chunks,), (1,)),
+        **digit,
+        values=values,
+        sorted_keys=sorted_keys,
+        sorted_values=sorted_values,
     )
-    scatter = device.kernel("sort/by_key", "sort_scatter")
-    device.run(scatter, *size, keys, values, *plan, *digit, histogram, *out)
-    return out
+    return sorted_keys, sorted_values
 
 
 def _by_groups(
     device: Device, keys: DeviceArray, values: DeviceArray, bits: int
 ) -> tuple[DeviceArray, DeviceArray]:
     """On a GPU: a launch that counts the first digit, then one for each digit."""
-    plan = _GroupPlan.of(device, len(keys), bits)
-    sizes = *plan.items, *plan.digits
-    device.run(device.kernel("sort/by_key", "sort_histogram"), *plan.grid, keys, *sizes)
-    place = device.kernel("sort/by_key", "sort_scatter")
-    for number in range(plan.passes):
-        out = _like(device, keys)
-        device.run(place, *plan.grid, keys, values, *sizes, np.int32(number), *out)
-        keys, values = out
+    groups = _Groups.of(device, len(keys), bits)
+    sizes = {**groups.items, **groups.digits}
+    device.run(device.kernel("sort/by_key", "sort_histogram"), *groups.grid, keys=keys, **sizes)
+    for number in range(groups.passes):
+        sorted_keys, sorted_values = _like(device, keys)
+        device.run(
+            device.kernel("sort/by_key", "sort_scatter"),
+            *groups.grid,
+            keys=keys,
+            values=values,
+            **sizes,
+            number=np.int32(number),
+            sorted_keys=sorted_keys,
+            sorted_values=sorted_values,
+        )
+        keys, values = sorted_keys, sorted_values
     return keys, values
 
 
 @dataclass(frozen=True)
-class _GroupPlan:
-    """How work-groups sort: launch size, and arguments of the kernels.
+class _Groups:
+    """How work-groups sort: the passes, the launch size, and arguments of the kernels.
 
-    items: their number, and that of a chunk; digits: bits of a digit, of all, and room for the
-    histograms of all passes.
+    items: how many there are, and how many a chunk has; digits: the bits of a digit and of all, and
+    room for the histograms of all passes.
     """
 
     passes: int
-    grid: tuple[tuple[int], tuple[int]]
-    items: tuple[np.int32, np.int32]
-    digits: tuple[np.int32, np.int32, DeviceArray]
+    grid: LaunchSizes
+    items: dict[str, Argument]
+    digits: dict[str, Argument]
 
     @classmethod
-    def of(cls, device: Device, count: int, bits: int) -> _GroupPlan:
+    def of(cls, device: Device, count: int, bits: int) -> _Groups:
         """For ``count`` items and at least one bit."""
-        group, chunks, plan = (
-            GROUP_SIZE["gpu"],
-            _chunks(count, "gpu"),
-            digits(bits, DIGIT_BITS["gpu"]),
-        )
-        histograms = device.empty((len(plan), chunks, 2 ** DIGIT_BITS["gpu"]), np.int32)
+        chunks, passes = _chunks(count, "gpu"), digits(bits, DIGIT_BITS["gpu"])
+        histograms = device.empty((len(passes), chunks, 2 ** DIGIT_BITS["gpu"]), np.int32)
         return cls(
-            len(plan),
-            ((chunks * group,), (group,)),
-            (np.int32(count), np.int32(max(1, -(-count // chunks)))),
-            (np.int32(plan[0][1]), np.int32(bits), histograms),
+            len(passes),
+            ((chunks * SCAN_GROUP_SIZE,), (SCAN_GROUP_SIZE,)),
+            {"count": np.int32(count), "chunk": np.int32(max(1, -(-count // chunks)))},
+            {"width": np.int32(passes[0][1]), "bits": np.int32(bits), "histograms": histograms},
         )
 
 

@@ -21,13 +21,13 @@ import numpy.typing as npt
 from clgs.constants import TILE_SIZE
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device, round_up
-from clgs.opencl.grid import chunk_count
+from clgs.opencl.grid import by_items, chunk_count
+from clgs.opencl.kernel import Argument
 from clgs.ops import scan, sort
 from clgs.ops.project import Projected
 from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
 
-GROUP_SIZE = 64
 ROW_CHUNKS = 64
 """Work-items that count entries by row of tiles."""
 SPARE = 4
@@ -63,11 +63,11 @@ def tile_count(width: int, height: int) -> int:
 class _Footprints:
     """The tiles of N Gaussians, and all that finds them again.
 
-    geometry: arguments that kernels start with; size: of the image; boxes (N, 4) int32; counts
+    geometry: arguments of kernels that find tiles; size: of the image; boxes (N, 4) int32; counts
     (N,) int32; parts: sums of the counts.
     """
 
-    geometry: tuple[DeviceArray | np.int32, ...]
+    geometry: dict[str, Argument]
     size: tuple[int, int]
     defines: dict[str, int | float]
     boxes: DeviceArray
@@ -109,8 +109,8 @@ def forward(
     """
     _check(projected)
     found = _footprints(device, projected, size, tile_rows or (0, tile_count(1, size[1])), options)
-    keys = DeviceArray(projected.depth.buffer, projected.depth.shape, np.dtype(np.uint32))
-    order = sort.chosen(device, keys, found.counts)  # the bits of positive floats keep their order
+    keys = projected.depth.of_type(np.uint32)  # the bits of positive floats keep their order
+    order = sort.chosen(device, keys, found.counts)
     rows = scan.on_device(device, found.counts, min(room, scan.MAX_TOTAL), found.parts)
     finish = _sort_entries if device.specialisation == "gpu" else _count_entries
     return finish(device, found, order, rows, room)
@@ -133,9 +133,16 @@ def count_by_row(
     rows = tile_count(1, size[1])
     found = _footprints(device, projected, size, (0, rows), options)
     reached = device.empty((ROW_CHUNKS, rows), np.int64)
-    kernel = device.kernel("tiles/by_row", "tiles_by_row", **found.defines)
-    items = np.int32(len(found.counts)), found.boxes, found.counts, np.int32(rows)
-    device.run(kernel, (ROW_CHUNKS,), (1,), *found.geometry, *items, reached)
+    device.run(
+        device.kernel("tiles/by_row", "tiles_by_row", **found.defines),
+        *((ROW_CHUNKS,), (1,)),
+        **found.geometry,
+        count=np.int32(len(found.counts)),
+        boxes=found.boxes,
+        counts=found.counts,
+        rows=np.int32(rows),
+        reached=reached,
+    )
     return np.asarray(device.download(reached).sum(axis=0))
 
 
@@ -148,13 +155,20 @@ def _footprints(
 ) -> _Footprints:
     count = len(projected.opacity)
     found = _Footprints(
-        geometry=(
-            *(projected.mean2d, projected.whitening, projected.opacity, projected.extent),
-            *(np.int32(one) for one in (*size, *tile_rows)),
-        ),
+        geometry={
+            "mean2d": projected.mean2d,
+            "whitening": projected.whitening,
+            "opacity": projected.opacity,
+            "extent": projected.extent,
+            "width": np.int32(size[0]),
+            "height": np.int32(size[1]),
+            "first_row": np.int32(tile_rows[0]),
+            "end_row": np.int32(tile_rows[1]),
+        },
         size=size,
         defines={
             "VEC": device.lanes,
+            "SPARE": SPARE,
             **options.accuracy.defines(),
             **options.skips.defines("exact_tiles"),
         },
@@ -162,10 +176,15 @@ def _footprints(
         counts=device.empty((count,), np.int32),
         parts=scan.parts_of(device, count, device.lanes),
     )
-    kernel = device.kernel("tiles/footprint", "tiles_footprint", **found.defines)
-    grid = scan.counting_grid(device, count, device.lanes, GROUP_SIZE)
-    written = found.boxes, found.counts, found.parts.sum
-    device.run(kernel, *grid, *found.geometry, np.int32(count), *written)
+    device.run(
+        device.kernel("tiles/footprint", "tiles_footprint", **found.defines),
+        *scan.counting_grid(device, count, device.lanes),
+        **found.geometry,
+        count=np.int32(count),
+        boxes=found.boxes,
+        counts=found.counts,
+        sums=found.parts.sum,
+    )
     return found
 
 
@@ -177,35 +196,68 @@ def _count_entries(
     room: int,
 ) -> TileLists:
     """Two stable passes: by row of tiles, then by column within each."""
-    parts, count_of_rows = chunk_count(device), found.tiles // found.columns
-    chunks = (parts,), (1,)
-    pitch = round_up(count_of_rows + 1, 8)
-    counters = device.empty((parts, pitch, 2), np.int32)
+    chunks, count_of_rows = chunk_count(device), found.tiles // found.columns
+    pitch = np.int32(round_up(count_of_rows + 1, 8))
+    counters = device.empty((chunks, int(pitch), 2), np.int32)
     ranked = device.empty(found.boxes.shape, np.int32)
-    ordered = *found.geometry, order.index, order.count
-    count = device.kernel("tiles/lists", "tiles_count", **found.defines)
-    counted = found.boxes, rows.offset, np.int32(pitch), ranked, counters
-    device.run(count, *chunks, *ordered, *counted)
+    ordered = {**found.geometry, "order": order.index, "ordered": order.count}
+
+    def run(name: str, items: int, /, **arguments: Argument) -> None:
+        kernel = device.kernel("tiles/lists", name, **found.defines)
+        device.run(kernel, (items,), (1,), **arguments)
+
+    run(
+        "tiles_count",
+        chunks,
+        **ordered,
+        boxes=found.boxes,
+        row_range=rows.offset,
+        pitch=pitch,
+        ranked=ranked,
+        counters=counters,
+    )
     entries = scan.room_for(device, rows, room)
-    limit = rows.total, np.int32(entries)
+    limit: dict[str, Argument] = {"total": rows.total, "capacity": np.int32(entries)}
     starts = device.empty((count_of_rows + 1, 2), np.int32)
-    start = device.kernel("tiles/lists", "tiles_starts", **found.defines)
-    sizes = np.int32(parts), np.int32(pitch), np.int32(count_of_rows)
-    device.run(start, (1,), (1,), counters, *sizes, *limit, starts)
-    spans = device.empty((entries + SPARE * parts, 4), np.int32)
-    place = device.kernel("tiles/lists", "tiles_place", **found.defines)
-    device.run(place, *chunks, *ordered, ranked, np.int32(pitch), *limit, counters, spans)
+    run(
+        "tiles_starts",
+        1,
+        counters=counters,
+        chunks=np.int32(chunks),
+        pitch=pitch,
+        rows=np.int32(count_of_rows),
+        **limit,
+        starts=starts,
+    )
+    spans = device.empty((entries + SPARE * chunks, 4), np.int32)
+    run(
+        "tiles_place",
+        chunks,
+        **ordered,
+        ranked=ranked,
+        pitch=pitch,
+        **limit,
+        places=counters,
+        spans=spans,
+    )
     tile_range = device.empty((found.tiles + 1,), np.int32)
     gaussian, row = (device.empty((entries,), np.int32) for _ in range(2))
-    pitch = round_up(found.columns + 1, 16)
-    places = device.empty((count_of_rows, pitch), np.int32)
-    enter = device.kernel("tiles/lists", "tiles_enter", **found.defines)
-    sizes = np.int32(found.columns), np.int32(count_of_rows), np.int32(pitch)
-    lists = places, tile_range, gaussian, row
-    device.run(enter, (count_of_rows,), (1,), spans, starts, *sizes, *lists)
+    pitch = np.int32(round_up(found.columns + 1, 16))
+    run(
+        "tiles_enter",
+        count_of_rows,
+        spans=spans,
+        starts=starts,
+        columns=np.int32(found.columns),
+        rows=np.int32(count_of_rows),
+        pitch=pitch,
+        places=device.empty((count_of_rows, int(pitch)), np.int32),
+        tile_range=tile_range,
+        gaussian=gaussian,
+        row=row,
+    )
     if room != scan.EXACT:
-        pad = device.kernel("tiles/lists", "tiles_pad_lists", **found.defines)
-        device.run(pad, *chunks, *limit, gaussian, row)
+        run("tiles_pad_lists", chunks, **limit, gaussian=gaussian, row=row)
     return TileLists(found.size, gaussian, row, tile_range, rows.offset, rows.total)
 
 
@@ -218,27 +270,49 @@ def _sort_entries(
 ) -> TileLists:
     """Write the entries in depth order, then sort them by tile."""
     count, tiles = len(found.counts), found.tiles
-    ordered = order.index, order.count
+    ordered = {"order": order.index, "ordered": order.count}
     ranked_counts, parts = device.empty((count,), np.int32), scan.parts_of(device, count, 1)
-    rank = device.kernel("tiles/lists", "tiles_rank", **found.defines)
-    grid = scan.counting_grid(device, count, 1, GROUP_SIZE)
-    ranked = found.counts, np.int32(count), ranked_counts, parts.sum
-    device.run(rank, *grid, *ordered, *ranked)
+    device.run(
+        device.kernel("tiles/lists", "tiles_rank", **found.defines),
+        *scan.counting_grid(device, count, 1),
+        **ordered,
+        counts=found.counts,
+        count=np.int32(count),
+        ranked_counts=ranked_counts,
+        sums=parts.sum,
+    )
     places = scan.on_device(device, ranked_counts, parts=parts)
     entries = scan.room_for(device, rows, room)
-    limit = rows.total, np.int32(entries)
     tile, row, owner = (device.empty((entries,), t) for t in (np.uint32, np.int32, np.int32))
-    emit = device.kernel("tiles/lists", "tiles_emit", **found.defines)
-    at = *ordered, found.boxes, places.offset, rows.offset, *limit, np.int32(tiles)
-    grid = (round_up(max(count, entries), GROUP_SIZE),), (GROUP_SIZE,)
-    device.run(emit, *grid, *found.geometry, *at, tile, row, owner)
+    device.run(
+        device.kernel("tiles/lists", "tiles_emit", **found.defines),
+        *by_items(max(count, entries)),
+        **found.geometry,
+        **ordered,
+        boxes=found.boxes,
+        place=places.offset,
+        row_range=rows.offset,
+        total=rows.total,
+        capacity=np.int32(entries),
+        padding_tile=np.int32(tiles),
+        tile=tile,
+        row=row,
+        gaussian_of_row=owner,
+    )
     tile, row = sort.by_key(device, tile, row, tiles.bit_length())
     gaussian = device.empty((entries,), np.int32)
     tile_range = device.empty((tiles + 1,), np.int32)
-    ranges = device.kernel("tiles/lists", "tiles_ranges", **found.defines)
-    per_entry = (round_up(entries + 1, GROUP_SIZE),), (GROUP_SIZE,)
-    sizes = np.int32(entries), np.int32(tiles)
-    device.run(ranges, *per_entry, tile, row, *sizes, owner, tile_range, gaussian)
+    device.run(
+        device.kernel("tiles/lists", "tiles_ranges", **found.defines),
+        *by_items(entries + 1),
+        tile=tile,
+        row=row,
+        entries=np.int32(entries),
+        tiles=np.int32(tiles),
+        gaussian_of_row=owner,
+        tile_range=tile_range,
+        gaussian=gaussian,
+    )
     return TileLists(found.size, gaussian, row, tile_range, rows.offset, rows.total)
 
 

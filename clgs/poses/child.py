@@ -36,7 +36,6 @@ def run_child(
     task: str,
     arguments: Any,
     on_stage: OnStage,
-    remedy: str = "try other photos",
 ) -> Any:
     """Run ``main()`` of a module, which calls :func:`serve`, in a child; returns its result.
 
@@ -45,7 +44,6 @@ def run_child(
         task: what the child does, for messages.
         arguments: passed as JSON; the result comes back as JSON, too.
         on_stage: called with the child's reports of progress.
-        remedy: the advice if the child crashes.
 
     Raises:
         DataError: the work failed, or the child crashed.
@@ -75,7 +73,7 @@ def run_child(
             exit_code = child.wait()
             if problem := import_problem("pycolmap"):  # then the data is not at fault
                 raise DataError(f"{task}: pycolmap cannot be loaded ({problem}); install it again")
-            raise DataError(f"{task}: pycolmap crashed (exit code {exit_code}); {remedy}")
+            raise DataError(f"{task}: pycolmap crashed (exit code {exit_code}); try other photos")
         except BaseException:
             _kill(child)
             raise

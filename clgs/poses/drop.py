@@ -1,4 +1,4 @@
-"""Photos taken out of a data set that has been made: their files, and what points rest on them."""
+"""Removal of doubtful photos from a finished data set: their files, and the points they carry."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 from clgs.data.find import MASKS
 from clgs.errors import DataError
 from clgs.poses.child import OnStage, run_child, serve
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
+from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 
 LEAST_GOOD = 3
-"""Photos that a data set keeps at least."""
+"""The least photos of a data set."""
 
 _TASK = "leaving out photos"
 
 
 def drop_doubtful(target: Path, verdict: Verdict) -> Verdict:
-    """Take the photos in doubt out of the data set in ``target``; returns the verdict on the rest.
+    """Remove the photos in doubt from the data set in ``target``; returns the verdict on the rest.
 
     Raises:
         DataError: too few would be left.
@@ -33,40 +33,35 @@ def drop_doubtful(target: Path, verdict: Verdict) -> Verdict:
             f"only {good} of {verdict.total} photos are not in doubt, {LEAST_GOOD} are needed; "
             "take more, overlapping photos, or keep those in doubt"
         )
-    figures = run_child(__name__, _TASK, [str(target), names], lambda told: None)
-    photos = tuple(map(_left_out, verdict.photos))
+    figures = run_child(__name__, _TASK, [str(target), names], lambda stage: None)
+    photos = tuple(
+        replace(photo, status=LEFT_OUT) if photo.status == DOUBTFUL else photo
+        for photo in verdict.photos
+    )
     sure = f"{verdict.sure}; the {len(names)} in doubt are left out"
     return replace(verdict, **figures, registered=good, photos=photos, sure=sure)
 
 
-def _left_out(photo: PhotoVerdict) -> PhotoVerdict:
-    return replace(photo, status=LEFT_OUT) if photo.status == DOUBTFUL else photo
-
-
 def main() -> None:
-    """The process that does the work."""
+    """Run the process that changes the model and the folders."""
     serve(_work)
 
 
 def _work(arguments: Any, on_stage: OnStage) -> dict[str, float]:
+    """Remove photos by name; returns the figures of the model that is left."""
     target, names = Path(arguments[0]), set(arguments[1])
-    with quiet_pycolmap(_TASK) as pycolmap:
-        return _drop(pycolmap, target, names)
-
-
-def _drop(pycolmap: Any, target: Path, names: set[str]) -> dict[str, float]:
-    """Change the model and the folders; returns the figures of the model that is left."""
     sparse = target / "sparse" / "0"
-    model = pycolmap.Reconstruction(sparse)
-    for frame in {image.frame_id for image in model.images.values() if image.name in names}:
-        model.deregister_frame(frame)
-    model.write(sparse)
-    for name in names:
-        (target / "images" / name).unlink()
-        (target / MASKS / f"{name}.png").unlink(missing_ok=True)
-    return {
-        "points": model.num_points3D(),
-        "observations": model.compute_num_observations(),
-        "error": model.compute_mean_reprojection_error(),
-        "track_length": model.compute_mean_track_length(),
-    }
+    with quiet_pycolmap(_TASK) as pycolmap:
+        model = pycolmap.Reconstruction(sparse)
+        for frame in {image.frame_id for image in model.images.values() if image.name in names}:
+            model.deregister_frame(frame)
+        model.write(sparse)
+        for name in names:
+            (target / "images" / name).unlink()
+            (target / MASKS / f"{name}.png").unlink(missing_ok=True)
+        return {
+            "points": model.num_points3D(),
+            "observations": model.compute_num_observations(),
+            "error": model.compute_mean_reprojection_error(),
+            "track_length": model.compute_mean_track_length(),
+        }

@@ -1,4 +1,9 @@
-"""Matches of features between photos, verified by a two-view geometry."""
+"""Matches of features between photos, verified by a two-view geometry.
+
+On several threads pycolmap 4.2.1 now and then loses most matches of a pair: of 719 in photos of a
+can 42 were left. It seems that threads in OpenBLAS spoil each other's products. So several child
+processes match, each on one thread and in its own copy of the database.
+"""
 
 from __future__ import annotations
 
@@ -6,97 +11,155 @@ import shutil
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
-from clgs.poses.job import THREADS, Job
-from clgs.poses.match_part import Pairs, match_part
-from clgs.poses.pairs import MAX_EXHAUSTIVE, all_pairs, likely_pairs
+import numpy as np
+
+from clgs.poses.child import OnStage, run_child, serve
+from clgs.poses.judging.evidence import MIN_MATCHES, Evidence, MatchedPair
+from clgs.poses.pairs import all_pairs
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.workspace import THREADS, Workspace
 
 TILE, GROUP = 12, 144
-"""GROUP pairs are matched at a time, of two runs of TILE photos: few have to be indexed anew."""
+"""GROUP pairs are matched at a time, of two runs of TILE photos, so that few are indexed twice."""
 
 MOST_PROCESSES = 8
-"""Each has a copy of the database, 1 MB or more per photo."""
+"""Each process has a copy of the database, 1 MB or more per photo."""
 
 LOOSE_RATIO = 0.9
-"""Of the best over the second best distance, at the second look; COLMAP's default is 0.8."""
+"""Largest distance over the second best one, at the second look; COLMAP's default is 0.8."""
 
 MAX_SECOND_LOOK = 20
-"""So many photos that were left out are matched with all others."""
+"""The most photos that are matched again with all others."""
+
+_TASK = "matching"
+
+NamePairs = list[tuple[str, str]]
+"""Pairs of file names."""
 
 
-def match(job: Job) -> int:
-    """Match all pairs that may have something in common; returns how many were tried."""
-    pairs = _choose(job)
-    _match(job, "matches", pairs)
-    return len(pairs)
+def match(
+    workspace: Workspace,
+    pairs: list[tuple[int, int]],
+    stage: str = "matches",
+    ratio: float | None = None,
+) -> None:
+    """Match and verify pairs of photos, in several processes, and write the results.
+
+    The result does not depend on the number of processes.
+
+    Args:
+        workspace: of the reconstruction.
+        pairs: places in ``workspace.names``.
+        stage: for reports of progress.
+        ratio: largest distance of a match over the second best one; None: COLMAP's default.
+
+    Raises:
+        DataError: pycolmap fails.
+    """
+    ordered = sorted(pairs, key=lambda pair: (pair[0] // TILE, pair[1] // TILE, pair))
+    named = [(workspace.names[i], workspace.names[j]) for i, j in ordered]
+    processes = min(THREADS, MOST_PROCESSES)
+    size = max(1, min(GROUP, -(-len(named) // processes)))
+    groups = [named[start : start + size] for start in range(0, len(named), size)]
+    shares = [share for k in range(processes) if (share := groups[k::processes])]
+    matched, one_at_a_time = 0, threading.Lock()
+
+    def count(more: int) -> None:
+        nonlocal matched
+        with one_at_a_time:
+            matched += more
+            workspace.on_progress(stage, matched, len(pairs))
+
+    count(0)
+    copies = [
+        replace(workspace, folder=workspace.folder / f"matching_{number}")
+        for number in range(len(shares))
+    ]
+    with ThreadPoolExecutor(max(1, len(shares))) as pool:
+        for copy in copies:
+            copy.folder.mkdir()
+            shutil.copyfile(workspace.database, copy.database)
+        running = [
+            pool.submit(
+                run_child, __name__, _TASK, [str(copy.folder), share, ratio, copy.seed], count
+            )
+            for copy, share in zip(copies, shares, strict=True)
+        ]
+        for future in running:
+            future.result()
+    for copy, share in zip(copies, shares, strict=True):
+        with workspace.open() as whole, copy.open() as found:
+            ids = dict(zip(workspace.names, workspace.ids(whole), strict=True))
+            for first, second in ((ids[a], ids[b]) for group in share for a, b in group):
+                whole.write_matches(first, second, found.read_matches(first, second))
+                geometry = found.read_two_view_geometry(first, second)
+                whole.write_two_view_geometry(first, second, geometry)
+        shutil.rmtree(copy.folder)
 
 
-def match_again(job: Job, left_out: list[int]) -> None:
-    """Match photos, by their place in ``job.names``, with all others, less strictly."""
+def main() -> None:
+    """Run a process that matches."""
+    serve(_work)
+
+
+def _work(arguments: Any, on_stage: OnStage) -> None:
+    """Match groups of pairs of names, one group after the other, in a folder's database."""
+    folder, groups, ratio, seed = arguments
+    with quiet_pycolmap(_TASK) as pycolmap:
+        workspace = Workspace(pycolmap, Path(folder), Path(folder), [], [], seed, lambda *_: None)
+        pairing = pycolmap.ImportedPairingOptions()
+        pairing.match_list_path = workspace.folder / "pairs.txt"
+        options = pycolmap.FeatureMatchingOptions()
+        options.use_gpu = False
+        options.num_threads = 1
+        if ratio is not None:
+            options.sift.max_ratio = ratio
+        verification = pycolmap.TwoViewGeometryOptions()
+        verification.ransac.random_seed = seed
+        for group in groups:
+            lines = (f"{first} {second}\n" for first, second in group)
+            pairing.match_list_path.write_text("".join(lines))
+            workspace.call(
+                pycolmap.match_image_pairs,
+                workspace.database,
+                matching_options=options,
+                pairing_options=pairing,
+                verification_options=verification,
+                device=pycolmap.Device.cpu,
+            )
+            on_stage(len(group))
+
+
+def match_again(workspace: Workspace, left_out: list[int]) -> None:
+    """Match photos, by their place in ``workspace.names``, with all others, less strictly."""
     left_out = left_out[:MAX_SECOND_LOOK]
     chosen = set(left_out)
-    pairs = [(i, j) for i, j in all_pairs(len(job.names)) if i in chosen or j in chosen]
-    with job.open() as database:
-        ids = job.ids(database)
+    pairs = [(i, j) for i, j in all_pairs(len(workspace.names)) if i in chosen or j in chosen]
+    with workspace.open() as database:
+        ids = workspace.ids(database)
         for first, second in ((ids[i], ids[j]) for i, j in pairs):
             if database.exists_matches(first, second):
                 database.delete_matches(first, second)
             if database.exists_two_view_geometry(first, second):
                 database.delete_two_view_geometry(first, second)
-    _match(job, "second look", pairs, LOOSE_RATIO)
+    match(workspace, pairs, "second look", LOOSE_RATIO)
 
 
-def _choose(job: Job) -> list[tuple[int, int]]:
-    count = len(job.names)
-    if count <= MAX_EXHAUSTIVE:
-        return all_pairs(count)
-    with job.open() as database:
-        descriptors = [database.read_descriptors(number).data for number in job.ids(database)]
-    return likely_pairs(descriptors, job.seed)
-
-
-def _match(job: Job, stage: str, pairs: list[tuple[int, int]], ratio: float | None = None) -> None:
-    """Match and verify ``pairs`` of places in ``job.names``, a part of them in each process."""
-    ordered = sorted(pairs, key=lambda pair: (pair[0] // TILE, pair[1] // TILE, pair))
-    parts = _parts([(job.names[i], job.names[j]) for i, j in ordered])
-    matched, one_at_a_time = 0, threading.Lock()
-
-    def tell(more: int) -> None:
-        nonlocal matched
-        with one_at_a_time:
-            matched += more
-            job.on_progress(stage, matched, len(pairs))
-
-    tell(0)
-    own = [replace(job, folder=job.folder / f"matching_{number}") for number in range(len(parts))]
-    with ThreadPoolExecutor(max(1, len(parts))) as pool:
-        for one in own:
-            one.folder.mkdir()
-            shutil.copyfile(job.database, one.database)
-        running = [
-            pool.submit(match_part, one, groups, ratio, tell)
-            for one, groups in zip(own, parts, strict=True)
-        ]
-        for future in running:
-            future.result()
-    for one, groups in zip(own, parts, strict=True):
-        _take(job, one, [pair for group in groups for pair in group])
-        shutil.rmtree(one.folder)
-
-
-def _parts(pairs: Pairs) -> list[list[Pairs]]:
-    """The groups of pairs that each process matches."""
-    processes = min(THREADS, MOST_PROCESSES)
-    size = max(1, min(GROUP, -(-len(pairs) // processes)))
-    groups = [pairs[start : start + size] for start in range(0, len(pairs), size)]
-    return [part for k in range(processes) if (part := groups[k::processes])]
-
-
-def _take(job: Job, part: Job, pairs: Pairs) -> None:
-    """Write what the process of ``part`` found into the database of ``job``."""
-    with job.open() as whole, part.open() as found:
-        ids = dict(zip(job.names, job.ids(whole), strict=True))
-        for first, second in ((ids[a], ids[b]) for a, b in pairs):
-            whole.write_matches(first, second, found.read_matches(first, second))
-            geometry = found.read_two_view_geometry(first, second)
-            whole.write_two_view_geometry(first, second, geometry)
+def read_evidence(workspace: Workspace) -> Evidence:
+    """Read all verified pairs of the database that have at least MIN_MATCHES matches."""
+    with workspace.open() as database:
+        keypoints = {
+            number: np.asarray(database.read_keypoints(number), np.float64)[:, :2]
+            for number in workspace.ids(database)
+        }
+        numbers, geometries = database.read_two_view_geometries()
+    pairs = []
+    for number, geometry in zip(numbers, geometries, strict=True):
+        matches = np.asarray(geometry.inlier_matches, np.uint32).reshape(-1, 2)
+        if len(matches) >= MIN_MATCHES:
+            first, second = workspace.pycolmap.pair_id_to_image_pair(number)
+            pairs.append(MatchedPair(first, second, matches))
+    return Evidence(pairs, keypoints)

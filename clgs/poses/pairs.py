@@ -7,21 +7,27 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from clgs.poses.workspace import Workspace
+
 MAX_EXHAUSTIVE = 120
-"""Up to so many photos every pair is matched."""
+"""Up to this number of photos every pair is matched."""
 
 OVERLAP = 10
-"""Beyond, each photo with so many that follow it by name, and with those 16, 32, 64 ... later."""
+"""The photos that follow by name with which a photo of a larger set is matched.
+
+It is also matched with those 16, 32, 64 ... later.
+"""
 
 LOOK_ALIKES = 20
-"""And with so many photos whose pooled descriptors are the most similar: these close loops."""
+"""And with this number of photos whose pooled descriptors are the most similar: they close loops.
+"""
 
 CENTRES = 64
-"""Clusters of descriptors; each photo is the sum of its descriptors' distances from theirs."""
+"""Clusters of descriptors; a photo is pooled by the differences from their centres."""
 
 ROUNDS = 12
 SAMPLE = 40_000
-"""Descriptors that the clusters are learned from."""
+"""Descriptors from which the clusters are learned."""
 
 POOLED = 2048
 """Descriptors of a photo that are pooled."""
@@ -29,22 +35,35 @@ POOLED = 2048
 Floats = npt.NDArray[np.float32]
 
 
+def pairs_to_match(workspace: Workspace) -> list[tuple[int, int]]:
+    """Choose pairs (i, j), i < j, of places in ``workspace.names``, by the photos' features."""
+    count = len(workspace.names)
+    if count <= MAX_EXHAUSTIVE:
+        return all_pairs(count)
+    with workspace.open() as database:
+        numbers = workspace.ids(database)
+        descriptors = [database.read_descriptors(number).data for number in numbers]
+    return likely_pairs(descriptors, workspace.seed)
+
+
 def all_pairs(count: int) -> list[tuple[int, int]]:
-    """Every pair (i, j), i < j, of ``count`` photos."""
+    """List every pair (i, j), i < j, of ``count`` photos."""
     return [(i, j) for i in range(count) for j in range(i + 1, count)]
 
 
 def likely_pairs(descriptors: Sequence[npt.NDArray[np.uint8]], seed: int) -> list[tuple[int, int]]:
-    """Pairs (i, j), i < j, of photos that follow each other or look alike.
+    """List pairs (i, j), i < j, of photos that follow each other or look alike.
 
     Args:
-        descriptors: (M, 128) of every photo, photos in the order of their names.
-        seed: of the clusters' start.
+        descriptors: (M, 128) per photo, photos in the order of their names.
+        seed: for the initial clusters.
     """
     count = len(descriptors)
     steps = [*range(1, OVERLAP + 1), *(2**k for k in range(4, count.bit_length()))]
     pairs = {(i, i + step) for i in range(count) for step in steps if i + step < count}
-    likeness = similarity([_rooted(some) for some in descriptors], seed)
+    # An even choice of each photo's descriptors, as unit vectors.
+    chosen = [some[:: max(1, -(-len(some) // POOLED))] for some in descriptors]
+    likeness = similarity([_unit(some.astype(np.float32)) for some in chosen], seed)
     np.fill_diagonal(likeness, -np.inf)
     for i, row in enumerate(np.argsort(-likeness, axis=1, kind="stable")[:, :LOOK_ALIKES]):
         pairs |= {(min(i, j), max(i, j)) for j in row.tolist() if j != i}
@@ -52,30 +71,30 @@ def likely_pairs(descriptors: Sequence[npt.NDArray[np.uint8]], seed: int) -> lis
 
 
 def similarity(descriptors: Sequence[Floats], seed: int) -> Floats:
-    """Cosines (N, N) between photos, whose descriptors (M, 128) are pooled as VLAD does.
+    """Compute cosines (N, N) between photos whose descriptors (M, 128) are pooled as in VLAD.
 
     Jégou et al., Aggregating local descriptors into a compact image representation, CVPR 2010, with
     the normalisation of each cluster by Arandjelović and Zisserman, All about VLAD, CVPR 2013.
     """
     centres = _cluster(descriptors, seed)
-    pooled = np.stack([_pool(some, centres) for some in descriptors])
+    pooled = np.empty((len(descriptors), centres.size), np.float32)
+    for row, some in zip(pooled, descriptors, strict=True):
+        sums = np.zeros_like(centres)
+        if len(some):
+            nearest = _nearest(some, centres)
+            np.add.at(sums, nearest, some - centres[nearest])
+        row[:] = _unit(_unit(sums).ravel())
     return np.asarray(pooled @ pooled.T)
 
 
-def _rooted(descriptor: npt.NDArray[np.uint8]) -> Floats:
-    """An even choice of at most POOLED descriptors, as unit vectors."""
-    step = max(1, -(-len(descriptor) // POOLED))
-    some = descriptor[::step].astype(np.float32)
-    return _unit(some)
-
-
 def _unit(rows: Floats) -> Floats:
+    """Scale rows to length 1."""
     length = np.linalg.norm(rows, axis=-1, keepdims=True)
     return np.asarray(rows / np.maximum(length, 1e-12))
 
 
 def _cluster(descriptors: Sequence[Floats], seed: int) -> Floats:
-    """Centres (CENTRES, 128) of k-means on a sample of all descriptors."""
+    """Find centres (CENTRES, 128) by k-means on a sample of all descriptors."""
     rng = np.random.default_rng(seed)
     every = np.concatenate(descriptors)
     sample = every[rng.permutation(len(every))[:SAMPLE]]
@@ -90,15 +109,6 @@ def _cluster(descriptors: Sequence[Floats], seed: int) -> Floats:
 
 
 def _nearest(descriptor: Floats, centres: Floats) -> npt.NDArray[np.int64]:
-    """Number (M,) of the centre next to each descriptor."""
+    """Find the number (M,) of the centre nearest to each descriptor."""
     half_square = 0.5 * (centres**2).sum(1)
     return np.asarray((descriptor @ centres.T - half_square).argmax(1))
-
-
-def _pool(descriptor: Floats, centres: Floats) -> Floats:
-    """Unit vector (CENTRES * 128,) of the sums of distances from the nearest centres."""
-    sums = np.zeros_like(centres)
-    if len(descriptor):
-        nearest = _nearest(descriptor, centres)
-        np.add.at(sums, nearest, descriptor - centres[nearest])
-    return _unit(_unit(sums).ravel())

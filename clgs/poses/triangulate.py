@@ -1,10 +1,10 @@
 """Sparse points for photos that come with poses but without points.
 
-SIFT features and the triangulation are pycolmap's. The matches in between need no estimation,
-because the poses are known: mutual nearest neighbours that pass the ratio test and lie on each
+pycolmap finds SIFT features and triangulates. The matches in between need no estimation, because
+the poses are known: they are mutual nearest neighbours that pass the ratio test and lie on each
 other's epipolar line. Descriptors are integers whose products are exact in float32, so that the
-points are the same for any number of threads. A process of its own does the work (``child``): its
-memory is gone when training begins.
+points are the same for any number of threads. A child process does the work, so that its memory is
+free when training begins.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from clgs.data.masks import read_mask, save_mask
 from clgs.data.posed_photo import Photo
 from clgs.errors import DataError
 from clgs.files import atomic_path, make_folder
-from clgs.poses.child import run_child, serve
-from clgs.poses.judging.epipolar import sampson_error
+from clgs.poses.child import OnStage, run_child, serve
+from clgs.poses.judging.evidence import sampson_error
 from clgs.poses.pycolmap_lazy import SEEDS, quiet_pycolmap
 
 Floats = npt.NDArray[np.float64]
 
 SIFT_SIZE = 1600
-"""Features are searched in images whose longer side is at most this many pixels."""
+"""Larger photos are reduced to this longer side before the search for features, pixels."""
 
 MAX_FEATURES = 3072
 NEIGHBOURS = 8
-"""Each photo is matched with so many photos taken nearby in a similar direction."""
+"""The photos, taken nearby in a similar direction, with which a photo is matched."""
 
 MAX_VIEW_ANGLE = np.radians(60.0)
 MAX_RATIO = 0.85
-"""Largest distance of the best match over that of the second best."""
+"""Largest distance of a match over that of the second best one."""
 
 MAX_EPIPOLAR_ERROR = 3.0
 """Pixels at the size at which features were found."""
@@ -52,16 +52,16 @@ MAX_REPROJECTION_ERROR = 2.0
 """Points with a larger mean error are dropped, pixels at the size of the features."""
 
 BATCH = 8
-"""Photos that are in memory at a time, unless there are more processors."""
+"""The least number of photos that are in memory at a time; more if there are more processors."""
 
 _RESULT = "points.npz"
 _VERSION = 1
-"""Raised with every change of the results, so that cached points are not stale."""
+"""Raised with every change of the results, so that no stale points are found in a cache."""
 
 
 @dataclass(frozen=True)
 class Points:
-    """position (P, 3) float64 world units; color (P, 3) uint8."""
+    """P triangulated points: position (P, 3) float64, world units; color (P, 3) uint8."""
 
     position: Floats
     color: npt.NDArray[np.uint8]
@@ -69,7 +69,10 @@ class Points:
 
 @dataclass(frozen=True)
 class _Features:
-    """Of one photo: pinhole pixels (M, 2) float64, descriptors (M, 128) uint8, colors (M, 3)."""
+    """Features of a photo.
+
+    position: pinhole pixels (M, 2); descriptor: (M, 128) uint8; color: (M, 3) uint8.
+    """
 
     position: Floats
     descriptor: npt.NDArray[np.uint8]
@@ -82,16 +85,20 @@ def triangulate(
     seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Points:
-    """Points seen in at least two of the ``photos``, at their given poses.
+    """Triangulate points that at least two of the ``photos`` see, at their given poses.
 
-    With ``cache`` (a folder) the result is kept there under a name made from poses, lenses, image
-    contents and seed, and found again. ``on_stage`` is told before long work begins.
+    Args:
+        photos: with poses and lenses.
+        cache: a folder; the result is kept there under a name made from poses, lenses, contents of
+            images and seed, and is read from there the next time.
+        seed: of all random choices.
+        on_stage: called with a line of text before long work begins.
 
     Raises:
         DataError: there are fewer than two photos, or pycolmap is missing or fails.
     """
     if len(photos) < 2:
-        raise DataError("a single photo tells no depth")
+        raise DataError("a single photo gives no depth")
     file = None if cache is None else cache / f"points-{_key(photos, seed)}.npz"
     if file is not None and (cached := _read_cache(file)) is not None:
         return cached
@@ -108,19 +115,31 @@ def triangulate(
     return points
 
 
-def main() -> None:
-    """The process that does the work."""
-    serve(_work)
+def _key(photos: list[Photo], seed: int) -> str:
+    """Make a name from everything that the points depend on."""
+    digest = hashlib.blake2b(f"{_VERSION} {seed}".encode(), digest_size=10)
+    for photo in photos:
+        digest.update(f"{photo.name} {photo.lens}".encode())
+        digest.update(np.vstack([photo.rotation, photo.translation]).tobytes())
+        for file in filter(None, (photo.path, photo.mask)):
+            digest.update(hashlib.blake2b(file.read_bytes()).digest())
+    return digest.hexdigest()
 
 
-def _work(arguments: Any, on_stage: Callable[[str], None]) -> None:
-    plain, folder, seed = arguments
-    points = _triangulate([_photo(one) for one in plain], Path(folder), seed, on_stage)
-    np.savez(Path(folder) / _RESULT, position=points.position, color=points.color)
+def _read_cache(file: Path) -> Points | None:
+    """Read cached points; None if there are none or the file is damaged."""
+    try:
+        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
+            position, color = arrays["position"], arrays["color"]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+    valid = position.ndim == 2 and position.shape[1:] == (3,) and color.shape == position.shape
+    typed = position.dtype == np.float64 and color.dtype == np.uint8
+    return Points(position, color) if valid and typed else None
 
 
 def _plain(photo: Photo) -> dict[str, Any]:
-    """A photo as JSON can hold it, exactly."""
+    """Convert a photo to what JSON can hold, exactly."""
     arrays = {"rotation": photo.rotation.tolist(), "translation": photo.translation.tolist()}
     mask = None if photo.mask is None else str(photo.mask)
     files = {"path": str(photo.path), "mask": mask}
@@ -128,6 +147,7 @@ def _plain(photo: Photo) -> dict[str, Any]:
 
 
 def _photo(plain: dict[str, Any]) -> Photo:
+    """Make a photo of what :func:`_plain` returned."""
     lens: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in plain["lens"].items()
@@ -139,72 +159,64 @@ def _photo(plain: dict[str, Any]) -> Photo:
     return Photo(plain["name"], Path(plain["path"]), Lens(**lens), rotation, translation, mask)
 
 
-def _triangulate(
-    photos: list[Photo], folder: Path, seed: int, on_stage: Callable[[str], None]
-) -> Points:
+def main() -> None:
+    """Run the process that triangulates."""
+    serve(_work)
+
+
+def _work(arguments: Any, on_stage: OnStage) -> None:
+    """Write the points into a file in the folder of the arguments, in a canonical order."""
+    photos, folder = [_photo(one) for one in arguments[0]], Path(arguments[1])
+    seed = arguments[2] % SEEDS
+    (folder / "grey").mkdir()
+    (folder / "masks").mkdir()
+    names = [f"{number:06d}.png" for number in range(len(photos))]
+    features, size = [], max(BATCH, os.cpu_count() or 1)
     with quiet_pycolmap("triangulation") as pycolmap:
-        features = _extract(pycolmap, photos, folder)
+        for start in range(0, len(photos), size):
+            batch = slice(start, start + size)
+            features += _extract(pycolmap, photos[batch], names[batch], folder)
         on_stage("matching their features")
         database = _write_database(pycolmap, photos, features, folder)
         options = pycolmap.IncrementalPipelineOptions()
         options.num_threads = 1
-        options.random_seed = seed % SEEDS
-        options.triangulation.random_seed = seed % SEEDS
+        options.random_seed = seed
+        options.triangulation.random_seed = seed
         options.extract_colors = False
         options.triangulation.ignore_two_view_tracks = False
-        scale = max(_shrink(photo.lens) for photo in photos)
-        options.mapper.filter_max_reproj_error = 2 * MAX_REPROJECTION_ERROR * scale
-        reconstruction = _posed_reconstruction(pycolmap, photos, features)
+        max_error = MAX_REPROJECTION_ERROR * max(_shrink(photo.lens) for photo in photos)
+        options.mapper.filter_max_reproj_error = 2 * max_error
+        posed = _posed_reconstruction(pycolmap, photos, features)
         (folder / "out").mkdir()
         on_stage("triangulating the matches")
-        result = pycolmap.triangulate_points(
-            reconstruction, database, folder, folder / "out", options=options
+        found = pycolmap.triangulate_points(
+            posed, database, folder, folder / "out", options=options
         )
-        return _collect(result, features, MAX_REPROJECTION_ERROR * scale)
-
-
-def _collect(reconstruction: Any, features: list[_Features], max_error: float) -> Points:
-    """Accurate points in canonical order, each with its observations' mean color."""
-    positions, colors = [], []
-    for point in reconstruction.points3D.values():
-        if point.error <= max_error:
+        accurate = [point for point in found.points3D.values() if point.error <= max_error]
+        colors = []
+        for point in accurate:
             track = [(e.image_id, e.point2D_idx) for e in point.track.elements]
             seen = [features[image_id - 1].color[index] for image_id, index in track]
-            positions.append(point.xyz)
             colors.append(np.mean(seen, axis=0))
-    position = np.array(positions, np.float64).reshape(-1, 3)
+        position = np.array([point.xyz for point in accurate], np.float64).reshape(-1, 3)
     color = np.rint(np.array(colors).reshape(-1, 3)).astype(np.uint8)
     order = np.lexsort(position.T)
-    return Points(position[order], color[order])
+    np.savez(folder / _RESULT, position=position[order], color=color[order])
 
 
 def _shrink(lens: Lens) -> float:
-    """Pixels of the photo in one pixel of the image in which features are searched."""
+    """Compute the pixels of the photo per pixel of the image that is searched for features."""
     return max(1.0, max(lens.width, lens.height) / SIFT_SIZE)
 
 
-def _extract(pycolmap: Any, photos: list[Photo], folder: Path) -> list[_Features]:
-    """SIFT features of every photo, in order."""
-    names = [f"{number:06d}.png" for number in range(len(photos))]
-    (folder / "grey").mkdir()
-    (folder / "masks").mkdir()
-    features, size = [], max(BATCH, os.cpu_count() or 1)
-    for start in range(0, len(photos), size):
-        part = slice(start, start + size)
-        features += _extract_batch(pycolmap, photos[part], names[part], folder)
-    return features
-
-
-def _extract_batch(
-    pycolmap: Any, photos: list[Photo], names: list[str], folder: Path
-) -> list[_Features]:
-    """SIFT features of some photos, which are named ``names`` in the database."""
+def _extract(pycolmap: Any, photos: list[Photo], names: list[str], folder: Path) -> list[_Features]:
+    """Find SIFT features of some photos, which are named ``names`` in the database."""
     colors, masked = [], any(photo.mask for photo in photos)
     for photo, name in zip(photos, names, strict=True):
         size = photo.lens.width, photo.lens.height
         pixels = read_image(photo.path, size)
         if masked:
-            # All photos need one then; COLMAP brings them to the size of the image it searches.
+            # All photos need one then; COLMAP scales them to the size of the image it searches.
             used = read_mask(photo.mask, size) if photo.mask else np.ones(size[::-1], np.uint8)
             save_mask(used, folder / "masks" / f"{name}.png")
         picture = Image.fromarray(pixels.color)
@@ -236,7 +248,7 @@ def _extract_batch(
 
 
 def _read_features(database: Any, name: str, lens: Lens, image: npt.NDArray[np.uint8]) -> _Features:
-    """Features of one image of the database, at the pixels at which a pinhole would see them."""
+    """Read features of an image, at the pixels where a pinhole would see them; image: (H, W, 3)."""
     image_id = database.read_image_with_name(name).image_id
     found = np.asarray(database.read_keypoints(image_id), np.float64)[:, :2]
     descriptor = np.array(database.read_descriptors(image_id).data, np.uint8)
@@ -251,7 +263,7 @@ def _read_features(database: Any, name: str, lens: Lens, image: npt.NDArray[np.u
 def _write_database(
     pycolmap: Any, photos: list[Photo], features: list[_Features], folder: Path
 ) -> Path:
-    """A COLMAP database of pinhole cameras, features and verified matches; ids count from 1."""
+    """Write a COLMAP database of pinhole cameras, features and matches; ids count from 1."""
     path = folder / "matches.db"
     with pycolmap.Database.open(path) as database:
         for number, (photo, feature) in enumerate(zip(photos, features, strict=True), 1):
@@ -281,6 +293,7 @@ def _camera(pycolmap: Any, photo: Photo, number: int) -> Any:
 
 
 def _posed_reconstruction(pycolmap: Any, photos: list[Photo], features: list[_Features]) -> Any:
+    """Make pycolmap's reconstruction of the given poses and features, without points."""
     reconstruction = pycolmap.Reconstruction()
     for number, (photo, feature) in enumerate(zip(photos, features, strict=True), 1):
         reconstruction.add_camera_with_trivial_rig(_camera(pycolmap, photo, number))
@@ -296,9 +309,10 @@ def _posed_reconstruction(pycolmap: Any, photos: list[Photo], features: list[_Fe
 
 
 def choose_pairs(photos: list[Photo]) -> list[tuple[int, int]]:
-    """Pairs (i, j), i < j, of photos taken near each other in directions within MAX_VIEW_ANGLE.
+    """Choose pairs (i, j), i < j, of photos taken near each other in similar directions.
 
-    Near counts distance, in units of the median distance, plus the angle in radians.
+    The directions differ by at most MAX_VIEW_ANGLE. Nearness is the distance, in units of the
+    median distance, plus the angle in radians.
     """
     centres = np.array([photo.centre for photo in photos])
     axes = np.array([photo.rotation[2] for photo in photos])
@@ -319,7 +333,7 @@ def choose_pairs(photos: list[Photo]) -> list[tuple[int, int]]:
 def _match(
     photos: list[Photo], features: list[_Features], first: int, second: int
 ) -> npt.NDArray[np.uint32]:
-    """Matches (M, 2) of feature numbers that agree with the poses."""
+    """Find matches (M, 2) of feature numbers that agree with the poses."""
     if min(len(features[first].position), len(features[second].position)) < 2:
         return np.empty((0, 2), np.uint32)
     descriptors = (features[i].descriptor.astype(np.float32) for i in (first, second))
@@ -340,7 +354,7 @@ def _match(
 def _nearest_both_ways(
     first: npt.NDArray[np.float32], second: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.int64]:
-    """Pairs (M, 2) of rows that are each other's nearest and pass the ratio test."""
+    """Find pairs (M, 2) of rows that are each other's nearest and pass the ratio test."""
     norm = float(np.linalg.norm(first, axis=1).mean() * np.linalg.norm(second, axis=1).mean())
     similarity = first @ second.T
     forward = similarity.argmax(axis=1)
@@ -352,29 +366,6 @@ def _nearest_both_ways(
     far = np.maximum(1.0 - runner_up / norm, 0.0)
     distinct = 1.0 - best / norm <= MAX_RATIO**2 * far
     pairs = np.stack([rows[distinct], forward[distinct]], axis=1)
-    # Only the columns that matter are searched the other way: the whole would cost as much again.
+    # Only the columns of these pairs are searched the other way; all would cost as much again.
     backward = (second[pairs[:, 1]] @ first.T).argmax(axis=1)
     return np.asarray(pairs[backward == pairs[:, 0]])
-
-
-def _key(photos: list[Photo], seed: int) -> str:
-    """A name for everything that the points depend on."""
-    digest = hashlib.blake2b(f"{_VERSION} {seed}".encode(), digest_size=10)
-    for photo in photos:
-        digest.update(f"{photo.name} {photo.lens}".encode())
-        digest.update(np.vstack([photo.rotation, photo.translation]).tobytes())
-        for file in filter(None, (photo.path, photo.mask)):
-            digest.update(hashlib.blake2b(file.read_bytes()).digest())
-    return digest.hexdigest()
-
-
-def _read_cache(file: Path) -> Points | None:
-    """The cached points, or None if there are none or the file is damaged."""
-    try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
-            position, color = arrays["position"], arrays["color"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return None
-    valid = position.ndim == 2 and position.shape[1:] == (3,) and color.shape == position.shape
-    typed = position.dtype == np.float64 and color.dtype == np.uint8
-    return Points(position, color) if valid and typed else None

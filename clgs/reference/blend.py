@@ -25,7 +25,10 @@ COLOR_LIMIT = 1e3
 
 @dataclass(frozen=True)
 class Decisions:
-    """Per entry and pixel of its tile, bool (I, TILE_SIZE^2), as ``clgs.ops.blend.Decisions``."""
+    """Per entry and pixel of its tile (row-major), bool (I, TILE_SIZE^2).
+
+    contributed: the entry was blended into the pixel; saturated: with alpha at ALPHA_MAX.
+    """
 
     contributed: Bits
     saturated: Bits

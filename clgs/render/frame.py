@@ -89,7 +89,7 @@ class TileGroups:
 
 
 @dataclass(frozen=True)
-class Picture:
+class RenderedView:
     """A rendered view, of anchors or of ordinary Gaussians.
 
     room: the lengths of its arrays; totals: how many visible anchors, Gaussians and tile entries
@@ -123,7 +123,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Frame(Picture):
+class Frame(RenderedView):
     """A picture of anchors, with all that its backward pass needs."""
 
     gaussians: neural.NeuralGaussians

@@ -1,6 +1,6 @@
-"""A scene and a camera make a picture; the picture's gradient makes those of the scene.
+"""The picture that a camera sees of a scene, and the gradients of the scene by the picture.
 
-:func:`rasterise` names every stage once, in the order of the paper's figure;
+:func:`rasterise` names every stage once, in the order of the paper's figure.
 :func:`rasterise_backward` is the same list upside down.
 """
 
@@ -23,14 +23,14 @@ from clgs.render.frame import (
     DeviceView,
     Drawable,
     Frame,
-    Picture,
+    RenderedView,
     Room,
     SceneGradients,
     SplatGradients,
 )
 from clgs.scene.gaussians import DeviceGaussians, OrdinaryGaussians
 
-AnyPicture = TypeVar("AnyPicture", bound=Picture)
+AnyView = TypeVar("AnyView", bound=RenderedView)
 Recolor = Callable[[project.Projected], DeviceArray]
 
 
@@ -54,7 +54,7 @@ def rasterise(
     *,
     keep: bool = True,
     recolor: Recolor | None = None,
-) -> Picture: ...
+) -> RenderedView: ...
 
 
 def rasterise(
@@ -66,24 +66,25 @@ def rasterise(
     *,
     keep: bool = True,
     recolor: Recolor | None = None,
-) -> Picture:
+) -> RenderedView:
     """Draw one view of anchors or of ordinary Gaussians.
 
     Args:
         device: where the arrays live.
         scene: what is drawn.
-        view: from where; its background shows through the transmittance that is left.
+        view: its background shows through the transmittance that is left.
         options: accuracy, skips and memory budget.
         room: lengths of the arrays. If none is EXACT and there is no memory budget, nothing waits
             for the device; :func:`check_room` or :func:`with_enough_room` finds out whether
             everything fitted. A memory budget makes the tile lists as long as they need to be.
         keep: whether to keep what :func:`rasterise_backward` needs. If not, one fused stage takes
             the place of those from ``mlp`` to ``project``: faster, with the same bits.
-        recolor: gives the colors (N, 3) float32 to blend instead of those of the Gaussians.
+        recolor: gives the colors (N, 3) float32 to blend instead of those of the Gaussians; the
+            backward pass takes them for those.
 
     Returns:
         A :class:`Frame` of anchors if it keeps what the backward pass needs, else a
-        :class:`Picture`.
+        :class:`RenderedView`.
 
     Raises:
         BudgetError: a row of tiles needs more than ``options.max_memory``.
@@ -135,7 +136,7 @@ def rasterise(
         count = len(projected.opacity)
         blended = tile_groups.draw(device, count, view, options, groups, draw_rows)
     made = view, room, (*totals, blended.tiles.total), projected, blended, groups
-    return Picture(*made, gaussians) if frame is None else Frame(*made, *frame)
+    return RenderedView(*made, gaussians) if frame is None else Frame(*made, *frame)
 
 
 @overload
@@ -152,7 +153,7 @@ def rasterise_backward(
 def rasterise_backward(
     device: Device,
     scene: DeviceGaussians,
-    frame: Picture,
+    frame: RenderedView,
     d_image: DeviceArray,
     volume_weight: float = 0.0,
 ) -> SplatGradients: ...
@@ -161,7 +162,7 @@ def rasterise_backward(
 def rasterise_backward(
     device: Device,
     scene: Drawable,
-    frame: Picture,
+    frame: RenderedView,
     d_image: DeviceArray,
     volume_weight: float = 0.0,
 ) -> SceneGradients | SplatGradients:
@@ -209,7 +210,7 @@ def rasterise_backward(
 
 
 def blend_backward(
-    device: Device, frame: Picture, d_image: DeviceArray
+    device: Device, frame: RenderedView, d_image: DeviceArray
 ) -> project.ProjectedGradients:
     """The first stage of :func:`rasterise_backward`: gradients by the projected Gaussians."""
     with device.stage("blend backward"):
@@ -218,7 +219,7 @@ def blend_backward(
         return tile_groups.backward(device, frame.projected, frame.blended, d_image, frame.groups)
 
 
-def check_room(device: Device, frame: Picture, stop: DeviceArray) -> DeviceArray:
+def check_room(device: Device, frame: RenderedView, stop: DeviceArray) -> DeviceArray:
     """Set ``stop`` (1,) int32 if something did not fit; returns ``frame.totals`` as (3,) int64.
 
     Waits for nothing.
@@ -227,8 +228,8 @@ def check_room(device: Device, frame: Picture, stop: DeviceArray) -> DeviceArray
 
 
 def with_enough_room(
-    device: Device, room: Room, draw: Callable[[Room], AnyPicture]
-) -> tuple[AnyPicture, Room]:
+    device: Device, room: Room, draw: Callable[[Room], AnyView]
+) -> tuple[AnyView, Room]:
     """What ``draw`` makes in ``room``, or in a larger one if something did not fit.
 
     Waits for the device.
@@ -252,7 +253,7 @@ def draw_depth(
     view: DeviceView,
     options: RenderOptions = DEFAULT,
     room: Room = EXACT_ROOM,
-) -> Picture:
+) -> RenderedView:
     """The picture if the color of every Gaussian were (depth / largest depth, 1, 0), over black.
 
     Blending is linear in the colors: the first channel is the sum of depths weighted as colors are,

@@ -16,7 +16,7 @@ from clgs.render.frame import (
     EXACT_ROOM,
     DeviceView,
     Drawable,
-    Picture,
+    RenderedView,
     Room,
     upload_drawable,
     upload_view,
@@ -133,12 +133,12 @@ class Renderer:
         depth = np.where(planes[1] > 0, planes[0] / weight * unit, 0)
         return Depth(depth.astype(np.float32), np.asarray(1 - planes[2], np.float32))
 
-    def _drawn(self, draw: Callable[..., Picture], camera: Camera) -> Picture:
+    def _drawn(self, draw: Callable[..., RenderedView], camera: Camera) -> RenderedView:
         """What ``rasterise`` or ``draw_depth`` makes, with as much room as it needs."""
         check_type("camera", camera, Camera, CAMERA_REMEDY)
         device, scene, view = self._device, self._scene, self._view(camera)
 
-        def draw_in(room: Room) -> Picture:
+        def draw_in(room: Room) -> RenderedView:
             return draw(device, scene, view, self._options, room)
 
         picture, self._room = with_enough_room(device, self._room, draw_in)

@@ -12,7 +12,6 @@ import numpy as np
 
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset
 from clgs.data.images import Pixels
-from clgs.data.reduction import Reduction
 from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
 from clgs.opencl.device import Device
@@ -86,8 +85,9 @@ def speed_on(
     """
     width = min(WIDTH, photos.width)
     config = replace(preset("quick"), max_size=width, seed=seed)
-    reduction = Reduction(config.downscale, config.max_size)
-    dataset = load_dataset(data, downscale=reduction, load_images=False)
+    dataset = load_dataset(
+        data, downscale=config.downscale, max_size=config.max_size, load_images=False
+    )
     if len(dataset.points) < LEAST_POINTS:
         dataset = load_for(config, data, run, lambda line: on_event(Note(line)))
     views = dataset.train[:: max(1, len(dataset.train) // VIEWS)][:VIEWS]

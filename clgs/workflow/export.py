@@ -20,8 +20,8 @@ from clgs.bake.bake import (
 )
 from clgs.bake.cameras import cameras_around
 from clgs.codec import scene_decoder, splat_packing
-from clgs.data.axes import to_y_up
 from clgs.data.dataset import load_dataset
+from clgs.data.posed_photo import to_y_up
 from clgs.data.repose import repose
 from clgs.data.stored_photo import Planes
 from clgs.data.view import View
@@ -255,7 +255,7 @@ def _start(photos: Path, data: bytes) -> Start:
     transform = SceneTransform()  # splats keep the data set's units
     if not splat_packing.is_splats(data):
         transform = SceneTransform(**scene_decoder.describe(data)["transform"])
-    dataset = load_dataset(photos, load_images=False, load_points=False)
+    dataset = load_dataset(photos, load_images=False)
     views = repose(dataset, transform)
     first = (views.test or views.train)[0]
     return start_at(first.camera, [view.camera for view in views.train])

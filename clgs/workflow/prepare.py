@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from clgs.exports.poses_page import write_poses_page
-from clgs.opencl.device import Device
 from clgs.poses.judging.verdict import Verdict
-from clgs.poses.prepare import Doubts, prepare
-from clgs.train.run.pose_check import check_poses
+from clgs.poses.prepare import prepare
 from clgs.workflow.events import OnEvent, StageProgress, ignore
 
 PAGE = "report.html"
@@ -51,13 +48,8 @@ def prepare_data(
         overwrite=overwrite,
         quick=quick,
         frames=frames,
-        doubts=Doubts(None if quick else short_training, drop_doubtful),
+        drop_doubtful=drop_doubtful,
     )
     page = output / PAGE
     write_poses_page(page, output, verdict)
     return PreparedData(output, verdict, page, time.perf_counter() - start)
-
-
-def short_training(data: Path, on_step: Callable[[int, int], None]) -> dict[str, float]:
-    """The share of each photo's variance that a short training leaves unexplained, by name."""
-    return check_poses(data, Device(), on_step)

@@ -6,9 +6,8 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from clgs.data.colmap.model import find_model
 from clgs.data.dataset import load_dataset
-from clgs.data.reduction import Reduction
+from clgs.data.photo_set import TRANSFORMS, is_posed
 from clgs.errors import DataError
 from clgs.poses.photos.bring_in import find_source, readable_sizes
 from clgs.poses.photos.video import frame_size
@@ -53,10 +52,8 @@ def find_input(path: Path) -> RunInput:
         raise DataError(f"{path}: no such file or folder; name photos, a video or a data set")
     if (path / PLAN).is_file():
         raise DataError(f"{path}: was made by clgs run; name the photos or the data set")
-    if path.is_dir():
-        documents = [path / name for name in ("transforms_train.json", "transforms.json")]
-        if any(one.is_file() for one in documents) or find_model(path) is not None:
-            return RunInput(path, True, measure_data(path), documents[1].is_file())
+    if is_posed(path):
+        return RunInput(path, True, measure_data(path), (path / TRANSFORMS).is_file())
     found = find_source(path)
     listed = [f"{file.name}\0{file.stat().st_size}" for file in found.files]
     names = "\n".join(listed).encode("utf-8", "surrogateescape")
@@ -70,8 +67,7 @@ def find_input(path: Path) -> RunInput:
 
 def measure_data(folder: Path) -> Photos:
     """Number and size of the photos of a data set."""
-    whole = Reduction(0, 0)
-    dataset = load_dataset(folder, downscale=whole, load_images=False, load_points=False)
+    dataset = load_dataset(folder, max_size=0, load_images=False)
     first = dataset.train[0].camera
     count = len(dataset.train) + len(dataset.test)
     return Photos(count, first.width, first.height, dataset.kind == BLENDER)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,24 @@ from clgs.train.run.run_folder import (
     check_same_data,
     finished_run,
 )
-from clgs.train.run.savings import Saving, savings
 from clgs.train.run.session import Progress, Session
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
+
+
+@dataclass(frozen=True)
+class Saving:
+    """What is ``done`` of the work that would be done ``without`` a skip, both in ``unit``."""
+
+    skip: str
+    unit: str
+    done: int
+    without: int
+
+    @property
+    def share(self) -> float:
+        """Share of the work that is left out."""
+        return 1.0 - self.done / self.without if self.without else 0.0
 
 
 @dataclass(frozen=True)
@@ -98,7 +113,9 @@ def train(
     rows: list[tuple[str, int, float, float]] = []
     saved: list[Saving] = []
     if profile:
-        rows, saved = opened.profile.rows(), savings(session.trainer)
+        rows = opened.profile.rows()
+        # the laboratory counts, and is loaded only for that
+        saved = importlib.import_module("clgs.lab.savings").savings(session.trainer)
         names = ("stage", "calls", "median_ms", "total_s")
         record: dict[str, Any] = {
             "stages": [dict(zip(names, row, strict=True)) for row in rows],

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.origin import read_origin
-from clgs.data.reduction import MAX_SIZE, Reduction
+from clgs.data.reduction import MAX_SIZE
 from clgs.data.repose import alike, repose
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
@@ -75,15 +75,15 @@ def load_views(
     data = options.data or data_of(path)
     config = trained_config(path)
     if options.downscale is not None:
-        reduction = Reduction(options.downscale)
+        downscale, max_size = options.downscale, MAX_SIZE
     elif options.max_size is not None:
-        reduction = Reduction(0, options.max_size)
+        downscale, max_size = 0, options.max_size
     elif config is not None:
-        reduction = Reduction(config.downscale, config.max_size)
+        downscale, max_size = config.downscale, config.max_size
     else:
         on_event(Note(f"no config.toml next to the scene; --max-size {MAX_SIZE} is assumed"))
-        reduction = Reduction()
-    dataset = load_dataset(data, downscale=reduction, load_images=False, load_points=False)
+        downscale, max_size = 0, MAX_SIZE
+    dataset = load_dataset(data, downscale=downscale, max_size=max_size, load_images=False)
     posed = repose(dataset, scene.transform)
     if not isinstance(scene, SplatScene):
         _check_same_place(path, dataset, posed, data, on_event)

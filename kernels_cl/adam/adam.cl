@@ -164,7 +164,9 @@ __kernel void adam_step_rows(__global float *parameter, __global const float *gr
     store_state(&s, parameter, first, second, vector, total);
 }
 
+#ifndef ELEMENTS_PER_ITEM
 #define ELEMENTS_PER_ITEM 256
+#endif
 #define SIGN_OFF 0x7fffffff
 #define INFINITE 0x7f800000
 

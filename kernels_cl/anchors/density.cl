@@ -7,6 +7,7 @@
  * density_curvature: a work-item per VEC elements.
  * Work-group: any; no local memory.
  */
+#include "common/form.h"
 #include "common/items.h"
 #include "common/lanes.h"
 #include "common/method.h"
@@ -15,7 +16,7 @@
 
 /* Gaussians of a work-item: a CPU prefetches their sums together. */
 #ifndef SHARE
-#define SHARE 1
+#define SHARE (USE_LOCAL ? 1 : 32)
 #endif
 
 /* Adds to each visible anchor the sum of its positive opacities, and one visit. An entry -1 of

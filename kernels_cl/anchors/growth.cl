@@ -14,7 +14,9 @@
 #define OFFSET_DIM (3 * K_OFFSETS)
 
 /* Numbers of a place: a slot's offset, and the log scale of its anchor's offsets. */
+#ifndef PLACE_DIM
 #define PLACE_DIM 6
+#endif
 
 static inline void hide(const size_t anchor, __global float *position, __global int *visits,
                         __global int *gradient_count)

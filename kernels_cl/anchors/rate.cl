@@ -16,7 +16,9 @@
 #include "common/parts.h"
 #include "common/real.h"
 
+#ifndef VECTORS_PER_BLOCK
 #define VECTORS_PER_BLOCK 256
+#endif
 
 /* Rounded symbols of VEC elements; lanes at or past `total` are zero. */
 static inline fv symbols(__global const float *x, size_t vector, size_t total, float q)

@@ -25,7 +25,7 @@
 /* One more than there are, so that eight neighbouring moments lie in different banks. */
 #define MOMENT_VECTORS (UNIT_VECTORS + 1)
 /* An odd multiple of half the banks, so that the two units of a warp lie in different ones. */
-#define BLOCK_VECTORS (ROW_USED * MOMENT_VECTORS - 1)
+#define BLOCK_VECTORS (SUM_SIZE * MOMENT_VECTORS - 1)
 #define ROUND_BLOCKS 42 /* at least UNITS, so that there is room for any record */
 
 /* What the work-items share. A block holds the moments of a unit's pixels, moment after moment. */
@@ -52,10 +52,10 @@ static inline Place place_of(const float4 last)
 
 static inline void store_moments(const Moments *m, __local float *lane)
 {
-    const float own[ROW_USED] = {m->y1,  m->y2,    m->y11,  m->y12,  m->y22,
+    const float own[SUM_SIZE] = {m->y1,  m->y2,    m->y11,  m->y12,  m->y22,
                                  m->red, m->green, m->blue, m->alpha};
 #pragma unroll
-    for (int j = 0; j < ROW_USED; ++j)
+    for (int j = 0; j < SUM_SIZE; ++j)
         lane[4 * MOMENT_VECTORS * j] = own[j];
 }
 
@@ -79,8 +79,8 @@ static inline float sum_moment(__local const float4 *blocks, int count, const in
 static inline void write_rows(__local const Shared *shared, int begin, int end,
                               __global float *rows)
 {
-    for (int i = (int)get_local_id(0); i < (end - begin) * ROW_USED; i += TILE_PIXELS) {
-        const int record = begin + i / ROW_USED, moment = i % ROW_USED;
+    for (int i = (int)get_local_id(0); i < (end - begin) * SUM_SIZE; i += TILE_PIXELS) {
+        const int record = begin + i / SUM_SIZE, moment = i % SUM_SIZE;
         const Place place = place_of(shared->records[RECORD_VECTORS * record + 2]);
         rows[ROW_SIZE * (size_t)place.row + (size_t)moment] = sum_moment(
             shared->blocks + BLOCK_VECTORS * place.block, (int)popcount(place.units), moment);
@@ -197,7 +197,7 @@ blend_backward(__global const float *records, __global const int *tile_range,
     /* an empty list may be that of another group of tiles, whose pixels have contributors */
     const int lit = SKIP_CONTRIBUTORS ? min(first + shared.last, end) : end;
     for (int k = end - 1; k >= lit; --k)
-        if (item < ROW_USED)
+        if (item < SUM_SIZE)
             rows[ROW_SIZE * (size_t)as_int(records[RECORD_SIZE * (size_t)k + RECORD_ROW]) +
                  (size_t)item] = 0.0f;
     /* back to front: entry `stop - 1 - i` is staged as record i */

@@ -5,8 +5,12 @@
 
 #include "common/real.h"
 
+#ifndef ROW_SIZE
 #define ROW_SIZE 16 /* floats of a row */
-#define ROW_USED 9  /* in the order of Moments */
+#endif
+#ifndef SUM_SIZE
+#define SUM_SIZE 9  /* in the order of Moments */
+#endif
 
 typedef struct {
     fv y1, y2;           /* v y1, v y2 */

@@ -18,7 +18,7 @@
 
 static inline void export_bit(__global uint *words, int entry, int pixel)
 {
-    atomic_or(&words[8 * (size_t)entry + (size_t)(pixel / 32)], 1u << (pixel % 32));
+    atomic_or(&words[TILE_PIXELS / 32 * (size_t)entry + (size_t)(pixel / 32)], 1u << (pixel % 32));
 }
 
 static inline void export_decisions(__global uint *blended, __global uint *clamped, int entry,

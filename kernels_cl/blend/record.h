@@ -4,7 +4,9 @@
 #ifndef CLGS_RECORD_H
 #define CLGS_RECORD_H
 
+#ifndef RECORD_SIZE
 #define RECORD_SIZE 16
+#endif
 #define RECORD_COLOR 6   /* red, green, blue */
 #define RECORD_ELLIPSE 9 /* of a Gaussian: slope, squared and shrink, see common/ellipses.h */
 #define RECORD_UNITS 9   /* of an entry, uint: units of the tile that it may touch */

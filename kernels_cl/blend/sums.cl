@@ -30,14 +30,14 @@ static inline Sums add_rows(Sums s, __global const float *rows, int begin, int e
     return s;
 }
 
-/* Adds the rows of every Gaussian to its sums, (count, ROW_USED). */
+/* Adds the rows of every Gaussian to its sums, (count, SUM_SIZE). */
 __kernel void blend_accumulate(__global const float *rows, __global const int *row_range,
                                const int count, __global float *sums)
 {
     const int i = (int)item_from_middle();
     if (i >= count)
         return;
-    __global float *own = sums + ROW_USED * (size_t)i;
+    __global float *own = sums + SUM_SIZE * (size_t)i;
     const Sums s = add_rows(load_sums(own), rows, row_range[i], row_range[i + 1]);
     vstore8(s.first, 0, own);
     own[8] = s.alpha;
@@ -92,6 +92,6 @@ __kernel void blend_finish(__global const float *sums, const int count,
     const int i = (int)item_from_middle();
     if (i >= count)
         return;
-    store_gradients(load_sums(sums + ROW_USED * (size_t)i), i, whitening, color, opacity, d_mean2d,
+    store_gradients(load_sums(sums + SUM_SIZE * (size_t)i), i, whitening, color, opacity, d_mean2d,
                     d_whitening, d_color, d_opacity);
 }

@@ -5,9 +5,11 @@
 
 #include "common/form.h"
 
-/* Work-items of a group, PARTS_GROUP in clgs/opencl/grid.py: a number that compilers know, as each
+/* Work-items of a group: a number that compilers know, as each
  * work-item divides by it once per array. */
+#ifndef PARTS_GROUP_SIZE
 #define PARTS_GROUP_SIZE 64
+#endif
 #define PARTS_GROUP GROUP_OF(PARTS_GROUP_SIZE)
 
 /* Work-groups that have so many work-items. */

@@ -11,8 +11,12 @@
 #include "common/real.h"
 #include "loss/group.h"
 
+#ifndef EXPOSURE_BLOCK
 #define EXPOSURE_BLOCK 2048
+#endif
+#ifndef MAP_SIZE
 #define MAP_SIZE 12
+#endif
 
 /* Vector number `vector` of each of the three planes of `total` pixels. */
 static inline void load_pixels(__global const float *planes, const size_t vector,

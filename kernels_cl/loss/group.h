@@ -8,15 +8,18 @@
 
 #include "common/form.h"
 
+/* Work-items of a group. */
+#ifndef ITEMS
+#define ITEMS (USE_LOCAL ? 256 : 1)
+#endif
+
 #if USE_LOCAL
 #define SPACE __local
-#define ITEMS 256
 #define ITEM ((int)get_local_id(0))
 #define SYNC() barrier(CLK_LOCAL_MEM_FENCE)
 #define GROUP_SIZED GROUP_OF(ITEMS)
 #else
 #define SPACE __private
-#define ITEMS 1
 #define ITEM 0
 #define SYNC()
 #define GROUP_SIZED

@@ -5,7 +5,9 @@
 
 #include "common/real.h"
 
+#ifndef PATCH_COLUMNS
 #define PATCH_COLUMNS 16
+#endif
 #ifndef PATCH_ROWS
 #define PATCH_ROWS 32
 #endif

@@ -8,7 +8,9 @@
 #include "common/rows.h"
 #include "loss/group.h"
 
+#ifndef VOLUME_BLOCK
 #define VOLUME_BLOCK 256
+#endif
 
 /* Block sums of the product of the three scales; d_scale += weight * d(product) / *total. Gaussians
  * from number *total on have scales of zero and add nothing. */

@@ -22,17 +22,18 @@
 
 /* A work-item computes a block of BLOCK samples, TILE rows of a layer at a time: TILE x VECTORS
  * sums stay in registers. TILE divides the rows of every layer. */
-#if USE_LOCAL
-#define TILE 10
-#define VECTORS 1
-#else
-#define TILE 5
-#define VECTORS 2
+#ifndef TILE
+#define TILE (USE_LOCAL ? 10 : 5)
+#endif
+#ifndef VECTORS
+#define VECTORS (USE_LOCAL ? 1 : 2)
 #endif
 #define BLOCK (VEC * VECTORS)
 
 /* Work-items of a group that share local memory, in the GPU form. */
+#ifndef GROUP_SIZE
 #define GROUP_SIZE 64
+#endif
 
 #define INPUT_DIM (FEATURE_DIM + 3)
 #define HIDDEN_SIZE (HIDDEN_DIM * (INPUT_DIM + 1))

@@ -14,12 +14,11 @@
 #include "mlp/layout.h"
 
 /* As many sums as leave a CPU's registers room for a row of operands. A layer has no fewer rows. */
-#if USE_LOCAL
-#define WEIGHT_ROWS 10
-#define COLUMNS 7
-#else
-#define WEIGHT_ROWS 4
-#define COLUMNS 3
+#ifndef WEIGHT_ROWS
+#define WEIGHT_ROWS (USE_LOCAL ? 10 : 4)
+#endif
+#ifndef COLUMNS
+#define COLUMNS (USE_LOCAL ? 7 : 3)
 #endif
 
 #define TILES_OF(rows) (((rows) + WEIGHT_ROWS - 1) / WEIGHT_ROWS)

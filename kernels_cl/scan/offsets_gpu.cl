@@ -3,8 +3,8 @@
  * scan_reduce, a part per chunk. Sums of integers: the result does not depend on parts and chunks.
  * Sums above the limit are of no use: all offsets are 0 then.
  *
- * A work-group of GROUP_SIZE work-items owns a chunk, whole parts; launch size:
- * chunks * GROUP_SIZE. Local memory holds a number per work-item. */
+ * A work-group of SCAN_GROUP_SIZE work-items owns a chunk, whole parts; launch size:
+ * chunks * SCAN_GROUP_SIZE. Local memory holds a number per work-item. */
 #include "common/chunk.h"
 #include "scan/group_scan.h"
 
@@ -15,7 +15,7 @@
 static inline long own_sum(__global const int *counts, const int first, const int end)
 {
     long sum = 0;
-    for (int i = first + (int)get_local_id(0); i < end; i += GROUP_SIZE)
+    for (int i = first + (int)get_local_id(0); i < end; i += SCAN_GROUP_SIZE)
         sum += counts[i];
     return sum;
 }
@@ -39,14 +39,14 @@ SCAN_GROUP __kernel void scan_apply(__global const int *counts, const int count,
     const int begin = (int)get_group_id(0) * chunk;
     const int end = chunk_end(begin, chunk, count);
     long own_all = 0, own_before = 0, all, carry;
-    for (int i = (int)get_local_id(0); i < parts; i += GROUP_SIZE) {
+    for (int i = (int)get_local_id(0); i < parts; i += SCAN_GROUP_SIZE) {
         own_all += sums[i];
         own_before += i < begin / part ? sums[i] : 0L;
     }
     group_exclusive_scan(own_all, scratch, &all);
     group_exclusive_scan(own_before, scratch, &carry);
     const bool fits = all <= limit;
-    for (int first = begin; first < end; first += EACH * GROUP_SIZE) {
+    for (int first = begin; first < end; first += EACH * SCAN_GROUP_SIZE) {
         const int own = first + EACH * (int)get_local_id(0);
         long sum = 0, all_here;
         for (int i = own; i < min(own + EACH, end); ++i)

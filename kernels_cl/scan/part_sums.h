@@ -1,5 +1,5 @@
 /* Sums of parts of the counts, which a kernel that counts leaves for scan/offsets: on CPUs a part
- * is what a work-item counts, VEC numbers; on GPUs what a work-group of GROUP_SIZE work-items does.
+ * is what a work-item counts, VEC numbers; on GPUs what a work-group of SCAN_GROUP_SIZE work-items does.
  */
 #ifndef CLGS_PART_SUMS_H
 #define CLGS_PART_SUMS_H
@@ -10,7 +10,7 @@
 #if USE_LOCAL
 #include "scan/group_scan.h"
 
-#define PART_GROUP GROUP_OF(GROUP_SIZE)
+#define PART_GROUP GROUP_OF(SCAN_GROUP_SIZE)
 #define DECLARE_PART_SCRATCH(name) __local int name[2]
 
 /* Writes the sum over the work-group, of which every work-item must call it. The halves of the

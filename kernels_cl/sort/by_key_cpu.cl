@@ -6,7 +6,10 @@
 #include "common/chunk.h"
 #include "sort/digit.h"
 
-#define DIGITS 2048
+#ifndef DIGIT_BITS
+#define DIGIT_BITS 11
+#endif
+#define DIGITS (1 << DIGIT_BITS)
 
 __kernel void sort_histogram(__global const uint *keys, const int count, const int chunk,
                              const int shift, const uint mask, __global int *histogram)

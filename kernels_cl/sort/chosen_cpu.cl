@@ -9,7 +9,12 @@
 #define PLAN_CHOSEN 0 /* number of chosen items, known after the first pass */
 #define PLAN_LOW 1    /* smallest key */
 #define PLAN_WIDTH 2  /* bits of a digit, at most MAX_WIDTH */
+#ifndef PLAN_SIZE
+#define PLAN_SIZE 3
+#endif
+#ifndef MAX_WIDTH
 #define MAX_WIDTH 16
+#endif
 #define COUNTERS (1 << MAX_WIDTH)
 
 static inline int planned_digit(const uint key, __global const int *plan, const int pass)

@@ -2,8 +2,8 @@
  * first pass leaves the others out. Nothing waits for the host: later passes divide what is left
  * among the same number of work-groups.
  *
- * Work-item: every GROUP_SIZE-th item of the group's chunk.
- * Work-group: a chunk of the items, GROUP_SIZE work-items; local memory: see sort/group_digit.h.
+ * Work-item: every SCAN_GROUP_SIZE-th item of the group's chunk.
+ * Work-group: a chunk of the items, SCAN_GROUP_SIZE work-items; local memory: see sort/group_digit.h.
  * Launch: a work-group per chunk.
  */
 #include "sort/group_digit.h"

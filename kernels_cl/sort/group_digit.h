@@ -2,7 +2,7 @@
  *
  * Histograms lie pass by pass and chunk by chunk, histogram[chunk * DIGITS + digit]. The first one
  * is counted by a launch of its own; each pass that writes keys to their places counts the digits
- * of the next one there. A work-group of GROUP_SIZE work-items owns a chunk of the keys. Atomics
+ * of the next one there. A work-group of SCAN_GROUP_SIZE work-items owns a chunk of the keys. Atomics
  * only count or set bits, so their order does not matter. */
 #ifndef CLGS_GROUP_DIGIT_H
 #define CLGS_GROUP_DIGIT_H
@@ -12,10 +12,10 @@
 #include "scan/group_scan.h"
 #include "sort/digit.h"
 
-#define DIGITS GROUP_SIZE
-#define SORT_GROUP GROUP_OF(GROUP_SIZE)
+#define DIGITS SCAN_GROUP_SIZE
+#define SORT_GROUP GROUP_OF(SCAN_GROUP_SIZE)
 #define SEGMENT 32
-#define SEGMENTS (GROUP_SIZE / SEGMENT)
+#define SEGMENTS (SCAN_GROUP_SIZE / SEGMENT)
 
 /* What a launch sorts. chosen: items with a number above 0 take part; null: all. values: null: the
  * value of an item is its number. */
@@ -73,7 +73,7 @@ static inline void count_digits(const SortItems *items, const SortPass *pass, __
     const int end = chunk_end(begin, items->chunk, items->count);
     counter[item] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int i = begin + item; i < end; i += GROUP_SIZE)
+    for (int i = begin + item; i < end; i += SCAN_GROUP_SIZE)
         if (takes_part(items, i, end))
             atomic_inc(&counter[digit_of_pass(items->keys[i], pass, 0)]);
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -124,7 +124,7 @@ static inline int next_place(__local SortScratch *scratch, const bool used, cons
     return to;
 }
 
-/* Writes the keys of the group's chunk to their places, GROUP_SIZE at a time, and counts there the
+/* Writes the keys of the group's chunk to their places, SCAN_GROUP_SIZE at a time, and counts there the
  * digits of the next pass. Returns how many keys all chunks have. */
 static inline int place_keys(const SortItems *items, const SortPass *pass, const SortedItems *out,
                              __local SortScratch *scratch)
@@ -135,10 +135,10 @@ static inline int place_keys(const SortItems *items, const SortPass *pass, const
     const int total = find_places(histogram_of(pass, pass->number), scratch);
     volatile __global int *next = histogram_of(pass, pass->number + 1);
     const int next_chunk = max(1, (total + groups - 1) / groups);
-    for (int i = item; i < SEGMENTS * DIGITS; i += GROUP_SIZE)
+    for (int i = item; i < SEGMENTS * DIGITS; i += SCAN_GROUP_SIZE)
         scratch->having[i] = 0u;
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int first = begin; first < end; first += GROUP_SIZE) {
+    for (int first = begin; first < end; first += SCAN_GROUP_SIZE) {
         const int i = first + item;
         const bool used = takes_part(items, i, end);
         const uint key = used ? items->keys[i] : 0u;

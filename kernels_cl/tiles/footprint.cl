@@ -81,12 +81,13 @@ PART_GROUP __kernel void
 tiles_footprint(__global const float *mean2d, __global const float *whitening,
                 __global const float *opacity, __global const float *extent, const int width,
                 const int height, const int first_row, const int end_row, const int count,
-                __global float *boxes, __global int *counts, __global long *sums)
+                __global int *boxes, __global int *counts, __global long *sums)
 {
     DECLARE_PART_SCRATCH(scratch);
     const int first = (int)item_from_middle() * VEC, used = min(VEC, count - first);
     const Geometry g = {mean2d, whitening, opacity, extent};
     const Frame frame = {width, height, first_row, end_row};
-    const int sum = used > 0 ? write_footprints(&g, first, used, frame, boxes, counts) : 0;
+    const int sum = used > 0 ? write_footprints(&g, first, used, frame, (__global float *)boxes, counts)
+                             : 0;
     write_part_sum(scratch, (size_t)first, count, sum, sums);
 }

@@ -132,7 +132,9 @@ static inline void place_box(const Geometry *g, const Frame frame, const int4 bo
 
 /* The spans of every row: Gaussian, its first row of gradients there, first column, tiles. The
  * array has SPARE more places per chunk. One work-item per chunk. */
+#ifndef SPARE
 #define SPARE 4
+#endif
 __kernel void tiles_place(__global const float *mean2d, __global const float *whitening,
                           __global const float *opacity, __global const float *extent,
                           const int width, const int height, const int first_row, const int end_row,

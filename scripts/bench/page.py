@@ -21,7 +21,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.origin import read_origin
-from clgs.data.reduction import Reduction
 from clgs.data.repose import repose
 from clgs.exports.page import scene_page
 from clgs.render.renderer import render_view
@@ -84,8 +83,9 @@ def views_of(run: Path) -> Dataset:
     origin = read_origin(run)
     if origin is None:
         sys.exit(f"page.py: {run} does not name its data set")
-    reduction = Reduction(config.downscale, config.max_size)
-    loaded = load_dataset(origin.folder, downscale=reduction, load_images=False, load_points=False)
+    loaded = load_dataset(
+        origin.folder, downscale=config.downscale, max_size=config.max_size, load_images=False
+    )
     return repose(loaded, read_run(run)[0].transform)
 
 

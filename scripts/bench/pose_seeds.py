@@ -52,7 +52,7 @@ def read_verdict(folder: Path) -> Verdict:
 def read_poses(folder: Path) -> Poses:
     """Read the poses of a data set by the photos' names without folder and suffix."""
     try:
-        dataset = load_dataset(folder, load_images=False, load_points=False)
+        dataset = load_dataset(folder, load_images=False)
     except ClgsError as error:
         raise SystemExit(str(error)) from None
     views = [*dataset.train, *dataset.test]

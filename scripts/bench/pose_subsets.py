@@ -19,12 +19,10 @@ import numpy.typing as npt
 from PIL import Image, ImageFilter
 
 from clgs.data.dataset import load_dataset
-from clgs.opencl.device import Device
 from clgs.poses.judging.agreement import Poses, differences
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT
-from clgs.poses.prepare import Doubts, prepare
+from clgs.poses.prepare import prepare
 from clgs.scene.camera import Camera
-from clgs.train.run.pose_check import check_poses
 
 CHANGES = ("none", "tiny", "blur", "light", "turn")
 WRONG = 1.0
@@ -43,17 +41,11 @@ def main() -> None:
     parser.add_argument("change", nargs="?", default="none", choices=CHANGES)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    device = Device()
     with tempfile.TemporaryDirectory() as folder:
         chosen, made = Path(folder) / "photos", Path(folder) / "data"
         chosen.mkdir()
         names = copy_photos(args.photos, args.every, args.change, chosen)
-        verdict = prepare(
-            chosen,
-            made,
-            args.seed,
-            doubts=Doubts(lambda data, on_step: check_poses(data, device, on_step)),
-        )
+        verdict = prepare(chosen, made, args.seed)
         truth = known_poses(args.data, args.photos.name, names)
         turns = {
             Path(name).name: one.turn

@@ -14,13 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import mean, median
 
-from clgs.data.dataset import load_dataset
-from clgs.data.reduction import Reduction
 from clgs.data.repose import repose
 from clgs.lab.bench.step import STILL
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.train.config import from_toml
+from clgs.train.run.load import load_for
 from clgs.train.run.start import state_of_scene
 from clgs.train.run.trainer import Trainer
 from clgs.workflow.scenes import read_run
@@ -59,8 +58,7 @@ def trainer(device: Device, args: argparse.Namespace, ahead: bool) -> Trainer:
     config = from_toml((args.run / "config.toml").read_text(encoding="utf-8"))
     config = replace(config, learning_rates=STILL, adam=args.adam)
     scene = read_run(args.run)[0]
-    reduction = Reduction(config.downscale, config.max_size)
-    loaded = load_dataset(args.data, downscale=reduction, cache=args.run)
+    loaded = load_for(config, args.data, args.run)
     dataset = repose(loaded, scene.transform)
     state = state_of_scene(device, dataset, config, scene.dequantize(), config.steps)
     return Trainer(device, dataset, config, ahead, state)

@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 
 from clgs.lab.bench.step import count_frame, trainer_of
+from clgs.lab.observed_kernels import count_pairs
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
-from clgs.ops import blend, scan, sort
+from clgs.ops import scan, sort
 
 SEED = 0
 
@@ -89,23 +90,25 @@ class Recorder(Device):
         kernel: Any,
         global_size: Sequence[int],
         local_size: Sequence[int] | None,
-        *arguments: Any,
+        /,
+        **arguments: Any,
     ) -> None:
         """Run and record; work-groups that are left to the driver hold all items, up to 256."""
         if 0 in global_size:
             return
         group = tuple(local_size) if local_size else _group(global_size)
+        values = [arguments[one.name] for one in kernel.parameters]
         if hasattr(self, "launched"):
             self.launched.append(
                 {
-                    "kernel": kernel.function_name,
+                    "kernel": kernel.name,
                     "stage": self._stage,
                     "items": math.prod(map(int, global_size)),
                     "group": math.prod(map(int, group)),
-                    "count": next((int(a) for a in arguments if isinstance(a, np.int32)), 0),
+                    "count": next((int(a) for a in values if isinstance(a, np.int32)), 0),
                 }
             )
-        super().run(kernel, global_size, group, *arguments)
+        super().run(kernel, global_size, group, **arguments)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -128,7 +131,7 @@ def units(device: Device, trainer: Any) -> dict[str, int]:
     """How much of everything a step has; pairs are those that the kernels look at."""
     frame = trainer.render_next()
     counts = count_frame(device, frame)
-    forward, backward = blend.count_pairs(
+    forward, backward = count_pairs(
         device, frame.blended, device.zeros((3, frame.view.size[1], frame.view.size[0]))
     )
     tensors = [array for _, array in trainer.parameters.scene.items()]

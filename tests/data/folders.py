@@ -9,6 +9,8 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import map_coordinates
 
+from clgs.scene.camera import Camera
+
 
 def look_at(position: np.ndarray, target: np.ndarray | None = None) -> np.ndarray:
     """OpenCV camera-to-world (4, 4) at ``position`` looking at ``target``, z of the world up."""
@@ -26,6 +28,12 @@ def ring(count: int, radius: float = 4.0, height: float = 1.5) -> list[np.ndarra
     """Camera-to-world matrices on a circle around the origin."""
     angles = np.arange(count) * (2 * np.pi / count)
     return [look_at(np.array([radius * np.cos(a), radius * np.sin(a), height])) for a in angles]
+
+
+def project(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Pixels (N, 2) of points (N, 3) in the camera's world."""
+    local = points @ camera.rotation.T + camera.translation
+    return local[:, :2] / local[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
 
 def opengl(camera_to_world: np.ndarray) -> list[list[float]]:

@@ -23,7 +23,7 @@ def data(tmp_path):
 
 
 def loaded(folder):
-    return load_dataset(folder, load_images=False, load_points=False)
+    return load_dataset(folder, load_images=False)
 
 
 def turned(view):

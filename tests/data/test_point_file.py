@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ import trimesh
 
 from clgs.data import point_file
 from clgs.data.dataset import load_dataset
-from clgs.data.point_file import SUFFIXES, PointFile, read_points
+from clgs.data.point_file import SUFFIXES, read_points
 from clgs.errors import DataError
 from tests.small_scene import write_scene
 
@@ -27,7 +26,7 @@ def box():
 
 
 def read(path, kind="blender", seed=0):
-    return read_points(PointFile(path, SAMPLES), kind, seed)
+    return read_points(path, SAMPLES, kind, seed)
 
 
 def write(path, geometry):
@@ -181,7 +180,7 @@ def data(tmp_path_factory):
 
 def test_a_data_set_starts_from_the_file(data, tmp_path):
     path = write(tmp_path / "ball.ply", trimesh.creation.icosphere(radius=0.6))
-    dataset = load_dataset(data, load_points=PointFile(path, SAMPLES))
+    dataset = load_dataset(data, points_file=path, point_samples=SAMPLES)
     assert dataset.points.shape == (SAMPLES, 3)
     assert dataset.points.dtype == np.float32
     assert dataset.points_file == str(path)
@@ -202,7 +201,7 @@ def test_points_move_with_the_data_set(data, tmp_path):
     (folder / "transforms.json").write_text(json.dumps(text))
     world = np.array([[5, 5, 5], [11, 5, 5], [5, 12, 5], [5, 5, 13.0]])
     path = write(tmp_path / "cloud.ply", trimesh.PointCloud(world))
-    dataset = load_dataset(folder, load_points=PointFile(path, SAMPLES))
+    dataset = load_dataset(folder, points_file=path, point_samples=SAMPLES)
     assert dataset.kind == "transforms"
     assert dataset.transform.scale != 1
     assert dataset.transform.to_world(dataset.points.astype(float)) == pytest.approx(
@@ -213,4 +212,4 @@ def test_points_move_with_the_data_set(data, tmp_path):
 def test_points_far_from_all_cameras_are_refused(data, tmp_path):
     path = write(tmp_path / "far.ply", trimesh.PointCloud(np.eye(3) * 1e6))
     with pytest.raises(DataError, match=r"far\.ply: only 0 of its points lie near the cameras"):
-        load_dataset(data, load_points=PointFile(Path(path), SAMPLES))
+        load_dataset(data, points_file=path)

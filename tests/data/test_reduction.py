@@ -47,8 +47,8 @@ def test_wide_photos_are_reduced_by_default(tmp_path: Path):
     assert abs(pixels.mean() - whole.photo.pixels().color.mean()) <= 0.5
 
 
-@pytest.mark.parametrize("times", [0, -1])
-def test_a_number_of_times_is_at_least_one(tmp_path: Path, times: int):
+@pytest.mark.parametrize("times", [1.5, -1])
+def test_a_number_of_times_is_at_least_one(tmp_path: Path, times: float):
     write_transforms(tmp_path, 2)
     with pytest.raises(DataError, match="give a whole number of at least 1"):
         load_dataset(tmp_path, downscale=times)

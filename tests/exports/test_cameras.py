@@ -15,7 +15,7 @@ import trimesh
 
 from clgs.cli import main as cli
 from clgs.data.dataset import load_dataset
-from clgs.data.point_file import PointFile, read_points
+from clgs.data.point_file import read_points
 from clgs.exports.cameras import CAMERA_COLORS, FRUSTUM_DEPTH, cameras_glb
 from clgs.scene.scene import SceneTransform
 from tests.small_scene import write_scene
@@ -32,7 +32,7 @@ def data(tmp_path_factory):
 def dataset(data, tmp_path_factory):
     path = tmp_path_factory.mktemp("clouds") / "cloud.ply"
     trimesh.PointCloud(CLOUD).export(path)
-    return load_dataset(data, load_images=False, load_points=PointFile(path, 10))
+    return load_dataset(data, load_images=False, points_file=path, point_samples=10)
 
 
 def poses(data):
@@ -144,7 +144,7 @@ def test_lengths_are_those_of_the_world_not_of_the_scene(dataset):
 def test_training_starts_from_the_exported_points(dataset, tmp_path, kind):
     path = tmp_path / "cameras.glb"
     path.write_bytes(cameras_glb(replace(dataset, kind=kind)))
-    assert read_points(PointFile(path, 10), kind, 0) == pytest.approx(CLOUD, abs=1e-6)
+    assert read_points(path, 10, kind, 0) == pytest.approx(CLOUD, abs=1e-6)
 
 
 def test_it_needs_no_other_library(data, tmp_path):

@@ -31,7 +31,7 @@ def inline_complaints(path: str, text: str) -> list[str]:
     heads = re.findall(r"(?:^|[;}])([^;{}]*)\{", _top_level(plain))
     for head in heads:
         function = re.search(r"(\w+)\s*\([^()]*\)\s*$", head)
-        if function and not re.search(r"\bstatic\s+inline\b|\b\w*(?:kernel|KERNEL)\b", head):
+        if function and not re.search(r"\bstatic\s+inline\b|\b(?:__)?kernel\b", head):
             complaints.append(f"{path}: {function[1]} is neither a kernel nor static inline")
     return complaints
 

@@ -13,6 +13,9 @@ if not (ROOT / "clgs").is_dir():
     pytest.skip("needs a checkout", allow_module_level=True)
 
 STAGES = sorted(path.stem for path in (ROOT / "clgs/ops").glob("*.py") if path.stem != "__init__")
+KERNEL_STAGES = [*STAGES, "limits"]
+"""Of kernels; those that measure the device belong to the laboratory."""
+
 TOPS = ("clgs", "kernels_cl", "codec_c", "scripts", "tests", "web")
 SUFFIXES = {".py", ".cl", ".c", ".h", ".sh", ".js", ".css", ".html"}
 
@@ -65,7 +68,7 @@ def kernel_stages() -> dict[str, str]:
     """Stage of every kernel."""
     texts = sources("kernels_cl", suffixes={".cl", ".h"}).values()
     kernels = [name for text in texts for name in rules.kernels_in(text)]
-    return {name: rules.stage_of(name, STAGES) or "" for name in kernels}
+    return {name: rules.stage_of(name, KERNEL_STAGES) or "" for name in kernels}
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -83,7 +86,9 @@ def test_every_reference_has_its_op():
 
 def test_kernels_are_named_by_their_stage():
     files = sources("kernels_cl", suffixes={".cl", ".h"}).items()
-    assert not flat([rules.kernel_file_complaints(path, text, STAGES) for path, text in files])
+    assert not flat(
+        [rules.kernel_file_complaints(path, text, KERNEL_STAGES) for path, text in files]
+    )
 
 
 def kernel_files() -> dict[str, str]:
@@ -111,9 +116,9 @@ def test_kernel_types_options_and_headers_have_one_home():
 def test_kernels_are_fetched_by_their_stage():
     kernels, code = kernel_stages(), sources("clgs")
     assert not flat([rules.fetch_complaints(p, text, kernels) for p, text in code.items()])
-    ops = "".join(text for p, text in code.items() if p.startswith("clgs/ops/"))
+    ops = "".join(text for p, text in code.items() if p.startswith(("clgs/ops/", "clgs/lab/")))
     orphans = [name for name in kernels if f'"{name}"' not in ops]
-    assert not orphans, "no op fetches these kernels"
+    assert not orphans, "nobody fetches these kernels"
 
 
 def test_shipped_code_runs_no_foreign_code():

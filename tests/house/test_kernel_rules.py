@@ -57,7 +57,7 @@ def test_helpers_that_are_not_static_inline_are_found(text):
         HEADER,
         KERNEL % "inline_me(1)",
         "__attribute__((reqd_work_group_size(1, 1, 1))) " + KERNEL % "1",
-        "GROUP_KERNEL void room_verb(__global int *x) { if (x[0]) { x[0] = 1; } }",
+        "GROUP __kernel void room_verb(__global int *x) { if (x[0]) { x[0] = 1; } }",
         "/* an inline function */ __constant int table[] = {1, 2};",
     ],
 )

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pyopencl as cl
 import pytest
 
+from clgs.opencl.signature import DTYPES, signatures
 from clgs.opencl.source import kernel_root, program_files, read_program
 from tests.house.rules import kernels_in, plain_c
 
@@ -18,16 +20,52 @@ NOT_PORTABLE = re.compile(
 )
 
 
-def build(device, name, text):
-    form = ["-DVEC=1", "-DUSE_LOCAL=1"] if name.endswith("_gpu.cl") else []
-    return cl.Program(device.context, text).build(options=["-cl-std=CL1.2", *form])
+FORMS = [
+    (name, form)
+    for name in PROGRAMS
+    for form in ("cpu", "gpu")
+    if not name.endswith({"cpu": "_gpu.cl", "gpu": "_cpu.cl"}[form])
+]
+SPACES = {"": "PRIVATE"}
+TYPES = {np.dtype(dtype): name for name, dtype in DTYPES.items()}
 
 
-@pytest.mark.parametrize("name", PROGRAMS)
-def test_builds_alone_with_its_defaults(open_device, name):
+def build(device, form, text):
+    options = ["-DVEC=1", "-DUSE_LOCAL=1"] if form == "gpu" else []
+    return cl.Program(device.context, text).build(
+        options=["-cl-std=CL1.2", "-cl-kernel-arg-info", *options]
+    )
+
+
+@pytest.mark.parametrize(("name", "form"), FORMS)
+def test_builds_alone_with_its_defaults(open_device, name, form):
+    """And the driver finds the parameters that clgs reads from the source."""
     text = read_program(name)
-    built = build(open_device("cpu"), name, text)
-    assert set(built.kernel_names.split(";")) <= set(kernels_in(text))
+    built = build(open_device("cpu"), form, text)
+    found = signatures(text, {"VEC": "1", "USE_LOCAL": "1"} if form == "gpu" else {})
+    assert set(built.kernel_names.split(";")) == found.keys() == set(kernels_in(text))
+    for kernel in built.all_kernels():
+        parameters = found[kernel.function_name]
+        assert kernel.num_args == len(parameters)
+        assert [described(kernel, i) for i in range(kernel.num_args)] == [
+            (
+                one.name,
+                f"{TYPES[one.dtype]}{one.lanes if one.lanes > 1 else ''}{'*' if one.space else ''}",
+                SPACES.get(one.space, one.space.upper()),
+            )
+            for one in parameters
+        ]
+
+
+def described(kernel, i: int) -> tuple[str, str, str]:
+    """What the driver says of a parameter: name, type, address space."""
+    info, spaces = cl.kernel_arg_info, cl.kernel_arg_address_qualifier
+    space = kernel.get_arg_info(i, info.ADDRESS_QUALIFIER)
+    return (
+        kernel.get_arg_info(i, info.NAME).removeprefix("_cl_"),  # PoCL renames its own functions
+        kernel.get_arg_info(i, info.TYPE_NAME),
+        spaces.to_string(space),
+    )
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
@@ -38,7 +76,7 @@ def test_builds_in_its_specialisations(device, name):
     kernels = kernels_in(read_program(name))
     assert kernels
     for kernel in kernels:
-        limit = device.kernel(program, kernel).get_work_group_info(
+        limit = device.kernel(program, kernel).built.get_work_group_info(
             cl.kernel_work_group_info.LOCAL_MEM_SIZE, device.cl_device
         )
         assert limit <= 32 * 1024, f"{kernel} uses {limit} bytes of local memory"
@@ -51,7 +89,7 @@ def test_errors_name_file_and_line(open_device, name):
         len(kernel_root().joinpath(*name.split("/")).read_text(encoding="utf-8").splitlines()) + 1
     )
     with pytest.raises(cl.RuntimeError, match=rf"{name}:{line}"):
-        build(open_device("cpu"), name, text)
+        build(open_device("cpu"), "gpu" if name.endswith("_gpu.cl") else "cpu", text)
 
 
 @pytest.mark.parametrize("name", PROGRAMS)

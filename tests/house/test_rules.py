@@ -10,7 +10,7 @@ from tests.house import rules
 @pytest.mark.parametrize(
     ("module", "line", "complaint"),
     [
-        ("clgs.ops.mlp", "from clgs.render import pipeline", "ops imports render"),
+        ("clgs.ops.mlp", "from clgs.render import rasterise", "ops imports render"),
         ("clgs.scene.camera", "import clgs.train.run.trainer", "scene imports train"),
         ("clgs.files", "from clgs import opencl", "files imports opencl"),
         ("clgs.cli.commands.run", "from clgs.lab.bench import step", "cli imports lab"),
@@ -81,7 +81,7 @@ __kernel __attribute__((reqd_work_group_size(16, 16, 1))) void mlp_backward(
 __attribute__((reqd_work_group_size(1, 1, 1)))
 __kernel void blend_rows(__global float *x) {}
 __kernel void blend_rows(__global float *x, int of_another_branch) {}
-GROUP_KERNEL void mlp_group(__global float *x) {}
+GROUP __kernel void mlp_group(__global float *x) {}
 void helper(int x) {}
 """
     assert rules.kernels_in(text) == ["mlp_forward", "mlp_backward", "blend_rows", "mlp_group"]
@@ -102,6 +102,7 @@ def test_fetching_the_kernel_of_another_stage_is_found():
     assert rules.fetch_complaints("clgs/ops/mlp.py", text, kernels) == []
     (found,) = rules.fetch_complaints("clgs/ops/blend.py", text, kernels)
     assert found == "clgs/ops/blend.py:1: mlp_forward belongs to clgs/ops/mlp.py"
+    assert rules.fetch_complaints("clgs/lab/observed_kernels.py", text, kernels) == []
 
 
 @pytest.mark.parametrize(

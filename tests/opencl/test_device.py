@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.errors import DeviceError, UsageError
-from clgs.opencl import device as device_module
+from clgs.opencl import programs
 from clgs.opencl.device import Device, round_up
 
 SCALE = """#include "common/real.h"
@@ -31,7 +31,7 @@ def program(monkeypatch):
             assert wanted == f"{name}.cl"
             return f'#line 1 "{wanted}"\n{text}'
 
-        monkeypatch.setattr(device_module, "read_program", read)
+        monkeypatch.setattr(programs, "read_program", read)
 
     return install
 
@@ -106,7 +106,7 @@ def test_a_kernel_runs_with_its_macros(fresh_device, program):
     size = round_up(100, 64)
     for factor in ({}, {"FACTOR": 0.1}):
         kernel = fresh_device.kernel("scale", "scale_forward", **factor)
-        fresh_device.run(kernel, (size,), (64,), x, np.int32(100))
+        fresh_device.run(kernel, (size,), (64,), x=x, count=np.int32(100))
     expected = np.arange(100, dtype=np.float32) * np.float32(2.0) * np.float32(0.1)
     np.testing.assert_array_equal(fresh_device.download(x), expected)
 
@@ -114,7 +114,8 @@ def test_a_kernel_runs_with_its_macros(fresh_device, program):
 def test_an_empty_launch_does_nothing(fresh_device, program):
     program("scale", SCALE.replace('#include "common/real.h"\n', "\n"))
     x = fresh_device.zeros((0,))
-    fresh_device.run(fresh_device.kernel("scale", "scale_forward"), (0,), None, x, np.int32(0))
+    kernel = fresh_device.kernel("scale", "scale_forward")
+    fresh_device.run(kernel, (0,), None, x=x, count=np.int32(0))
     fresh_device.finish()
 
 
@@ -154,10 +155,10 @@ def test_lanes_follow_the_environment_and_the_form_of_the_kernels(monkeypatch):
 
 def test_floats_become_exact_float32_literals():
     for value in (0.1, 1e-30, 2.0, 1.0 / 255.0, 1e20):
-        text = device_module._literal(value)
+        text = programs.literal(value)
         assert text.endswith("f")
         assert np.float32(text[:-1]) == np.float32(value)
-    assert device_module._literal(3) == "3"
+    assert programs.literal(3) == "3"
 
 
 def test_round_up():

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 
+from clgs.lab.observed_kernels import MlpWork, drawn_output, drawn_rows, mlp_work
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import mlp as reference
@@ -55,7 +56,7 @@ def expected_activations(values, visible):
 def expected_gradients(values, visible, d_of_anchor):
     wide = {name: value.astype(np.float64) for name, value in values.items()}
     activations = expected_activations(values, visible)
-    d_output = np.where(mlp.drawn_rows(activations.output), d_of_anchor[visible].T, 0)
+    d_output = np.where(drawn_rows(activations.output), d_of_anchor[visible].T, 0)
     d_output[:10] *= activations.output[:10] > 0
     arguments = (wide["position"], wide["weights"], packed_camera(), d_output.astype(np.float64))
     gradients = reference.backward(activations, *arguments)
@@ -107,7 +108,7 @@ def test_forward_agrees_with_reference(device, rng, count):
     assert output.shape == (110, mlp.padded_size(count))
     assert not output[:10, count:].any(), "nothing is drawn in the padding"
     expected = expected_activations(values, columns)
-    rows = mlp.drawn_rows(expected.output)
+    rows = drawn_rows(expected.output)
     # 53 and 50 products added in order, see term_sums: the error of each partial sum is at most
     # half an ulp of it, and such errors average out; activations have slopes up to 1 and add two
     # roundings of a value up to 1
@@ -178,14 +179,14 @@ def test_skips_do_not_change_a_bit(device, rng, bias):
     for skips in SKIPS:
         options = RenderOptions(skips=skips)
         activations = run_forward(device, values, visible, options)
-        outputs.append(mlp.drawn_output(device, activations))
+        outputs.append(drawn_output(device, activations))
         gradients.append(run_backward(device, values, visible, d_of_anchor, options=options))
-        works.append(mlp.work(device, activations))
+        works.append(mlp_work(device, activations))
     assert all(np.array_equal(outputs[0], other) for other in outputs)
     for name, array in gradients[0].items():
         assert all(np.array_equal(array, other[name]) for other in gradients), name
     none, slots, first, both = works
-    assert none == mlp.Work(1300, 1300, 100 * 1300, 100 * 1300)
+    assert none == MlpWork(1300, 1300, 100 * 1300, 100 * 1300)
     assert (slots.samples, first.samples, first.rows) == (1300, both.samples, 100 * both.samples)
     assert slots.rows == both.rows
     drawn = (outputs[0][:10] > 0).sum()
@@ -199,8 +200,8 @@ def test_undrawn_slots_have_no_gradient(device, rng):
     d_of_anchor = random_gradients(rng, 700)
     activations = run_forward(device, values, visible)
     columns = device.download(activations.visible)
-    drawn = mlp.drawn_output(device, activations)
-    rows = mlp.drawn_rows(drawn)
+    drawn = drawn_output(device, activations)
+    rows = drawn_rows(drawn)
     rows[:10] &= drawn[:10] > 0
     other = d_of_anchor.copy()
     other[columns] = np.where(rows.T, d_of_anchor[columns], np.nan)
@@ -219,9 +220,9 @@ def test_padding_does_not_change_a_bit(device, rng, padding):
     assert np.array_equal(columns[:600], device.download(without.visible))
     assert (columns[600:] == -1).all()
     assert not device.download(activations.output)[:10, 600:].any()
-    outputs = mlp.drawn_output(device, activations)[:, :600]
-    assert np.array_equal(outputs, mlp.drawn_output(device, without))
-    assert mlp.work(device, activations) == mlp.work(device, without)
+    outputs = drawn_output(device, activations)[:, :600]
+    assert np.array_equal(outputs, drawn_output(device, without))
+    assert mlp_work(device, activations) == mlp_work(device, without)
     expected = run_backward(device, values, visible, d_of_anchor)
     for name, array in run_backward(device, values, padded, d_of_anchor).items():
         assert np.array_equal(array, expected[name]), name
@@ -278,7 +279,7 @@ def test_poison_does_not_reach_the_weights_if_nothing_is_skipped(device, rng, sl
 
 def outputs_by_anchor(device, values, visible):
     activations = run_forward(device, values, visible)
-    output = mlp.drawn_output(device, activations)
+    output = drawn_output(device, activations)
     return dict(zip(device.download(activations.visible).tolist(), output.T, strict=True))
 
 
@@ -290,8 +291,8 @@ def test_camera_centre_has_no_direction(device, rng):
     expected = expected_activations(values, device.download(activations.visible))
     assert np.linalg.norm(expected.input[50:53], axis=0).round(6).tolist().count(0) == 1
     limit = 2 * EPSILON * term_sums(values, expected)[1] + 4 * EPSILON
-    output = mlp.drawn_output(device, activations)
-    rows = mlp.drawn_rows(expected.output)
+    output = drawn_output(device, activations)
+    rows = drawn_rows(expected.output)
     assert_close(output[rows], expected.output[rows], limit[rows], "output")
     gradients = run_backward(device, values, visible, random_gradients(rng, 8))
     assert not gradients["d_position"][3].any()
@@ -305,7 +306,7 @@ def test_both_specialisations_decode_the_same(open_device, rng):
     for specialisation in ("cpu", "gpu"):
         device = open_device(specialisation)
         activations = run_forward(device, values, visible)
-        outputs.append(mlp.drawn_output(device, activations))
+        outputs.append(drawn_output(device, activations))
         columns.append(device.download(activations.visible))
     assert np.array_equal(*columns)
     assert np.array_equal(*outputs)

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clgs.lab.observed_kernels import drawn_rows
 from clgs.ops import neural
-from clgs.ops.mlp import Activations, drawn_rows, padded_size
+from clgs.ops.mlp import Activations, padded_size
 from clgs.options import DEFAULT
 from clgs.reference import neural as reference
 from tests.compare import assert_close, relative_l2

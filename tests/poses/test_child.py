@@ -1,4 +1,4 @@
-"""The process beside: its result comes through, and it ends with its parent."""
+"""A child process: its result comes through, and it ends with its parent."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def main():
 """
 PARENT = """
 from clgs.poses.child import run_child
-run_child("{module}", "a test", [{folder!r}, 3600], lambda told: print(told, flush=True))
+run_child("{module}", "a test", [{folder!r}, 3600], lambda stage: print(stage, flush=True))
 """
 NESTED = """
 from clgs.poses.child import run_child, serve
 def work(arguments, on_stage):
-    return run_child("work_beside", "a nested test", arguments, on_stage)
+    return run_child("child_work", "a nested test", arguments, on_stage)
 def main():
     serve(work)
 """
@@ -54,7 +54,7 @@ HANG = 60
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    (tmp_path / "work_beside.py").write_text(MODULE)
+    (tmp_path / "child_work.py").write_text(MODULE)
     (tmp_path / "nested.py").write_text(NESTED)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
@@ -68,13 +68,13 @@ def test_a_pycolmap_that_aborts_is_blamed_not_the_data(folder: Path):
     (folder.parent / "user.py").write_text(USER)
     said = r"^a test: pycolmap cannot be loaded \(its import ends by signal 6\); install it again$"
     with pytest.raises(DataError, match=said):
-        run_child("user", "a test", [], lambda told: None)
+        run_child("user", "a test", [], lambda stage: None)
 
 
 def test_a_result_keeps_what_was_made(folder: Path):
-    told: list[str] = []
-    assert run_child("work_beside", "a test", [str(folder), 0], told.append) == 42
-    assert told == ["made"]
+    stages: list[str] = []
+    assert run_child("child_work", "a test", [str(folder), 0], stages.append) == 42
+    assert stages == ["made"]
     assert [path.name for path in folder.iterdir()] == ["made"]
 
 
@@ -93,7 +93,7 @@ def ends(process: int) -> bool:
 
 
 def kill_parent(folder: Path, module: str) -> None:
-    """Kill a process as soon as its child, which runs a module, has told of something made."""
+    """Kill a process as soon as its child, which runs a module, has reported its file."""
     command = [sys.executable, "-c", PARENT.format(module=module, folder=str(folder))]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
@@ -101,14 +101,14 @@ def kill_parent(folder: Path, module: str) -> None:
         parent.kill()
 
 
-@pytest.mark.parametrize("module", ["work_beside", "nested"])
+@pytest.mark.parametrize("module", ["child_work", "nested"])
 def test_the_process_goes_with_a_killed_parent(folder: Path, module: str):
     kill_parent(folder, module)
     assert ends(int((folder.parent / "process").read_text()))
 
 
 def test_an_interruption_ends_the_children_of_children(folder: Path):
-    def interrupt(told: str) -> None:
+    def interrupt(stage: str) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -117,4 +117,4 @@ def test_an_interruption_ends_the_children_of_children(folder: Path):
 
 
 def test_a_nested_result_comes_through(folder: Path):
-    assert run_child("nested", "a test", [str(folder), 0], lambda told: None) == 42
+    assert run_child("nested", "a test", [str(folder), 0], lambda stage: None) == 42

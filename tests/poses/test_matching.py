@@ -12,34 +12,35 @@ from PIL import Image
 from clgs.errors import DataError
 from clgs.poses import matching
 from clgs.poses.features import extract
-from clgs.poses.job import Job
+from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.workspace import Workspace
 from tests.data.folders import room_image, room_poses
 
 pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
 
 PHOTOS = 5
+PAIRS = PHOTOS * (PHOTOS - 1) // 2
 
 
 @pytest.fixture
-def job(tmp_path: Path):
+def workspace(tmp_path: Path):
     """Features of some photos of a room."""
     images = tmp_path / "images"
     images.mkdir()
     names = [f"{number}.png" for number in range(PHOTOS)]
     for name, pose in zip(names, room_poses(2 * PHOTOS), strict=False):
         Image.fromarray(room_image(pose, (200, 150), 200.0)).save(images / name)
-    told: list[tuple[str, int, int]] = []
     with quiet_pycolmap("a test") as pycolmap:
-        job = Job(pycolmap, images, tmp_path, names, [0] * PHOTOS, 0, lambda *one: told.append(one))
-        extract(job, 200, quick=True)
-        told.clear()
-        yield job, told
+        cameras, ignore = [0] * PHOTOS, lambda *_: None
+        workspace = Workspace(pycolmap, images, tmp_path, names, cameras, 0, ignore)
+        extract(workspace, 200, quick=True)
+        yield workspace
 
 
-def found(job: Job):
-    """(matches, inliers) of each pair, and forgets them."""
-    with job.open() as database:
+def found(workspace: Workspace):
+    """Take (matches, inliers) of each pair out of the database."""
+    with workspace.open() as database:
         numbers, matches = database.read_all_matches()
         verified = dict(zip(*database.read_two_view_geometries(), strict=True))
         database.clear_matches()
@@ -50,27 +51,26 @@ def found(job: Job):
     }
 
 
-def test_any_number_of_processes_finds_the_same(job, monkeypatch):
-    job, told = job
-    results = []
+def test_any_number_of_processes_finds_the_same(workspace, monkeypatch):
+    results, progress = [], []
+    workspace = replace(workspace, on_progress=lambda *one: progress.append(one))
+    pairs = pairs_to_match(workspace)
     for processes in (1, 3):
         monkeypatch.setattr(matching, "THREADS", processes)
-        assert matching.match(job) == PHOTOS * (PHOTOS - 1) // 2
-        results.append(found(job))
-        assert not list(job.folder.glob("matching_*"))
+        matching.match(workspace, pairs)
+        results.append(found(workspace))
+        assert not list(workspace.folder.glob("matching_*"))
     one, three = results
-    assert len(one) == len(three) == PHOTOS * (PHOTOS - 1) // 2
+    assert len(one) == len(three) == len(pairs) == PAIRS
     assert sum(len(matches) for matches, _ in one.values()) > 500
     for number, arrays in one.items():
         assert all(map(np.array_equal, arrays, three[number]))
-    assert told[:3] == [("matches", done, 10) for done in (0, 10, 0)]
-    assert told[3:] == sorted(told[3:])  # whoever is first
-    assert told[-1] == ("matches", 10, 10)
+    assert progress[:3] == [("matches", done, PAIRS) for done in (0, PAIRS, 0)]
+    assert progress[3:] == sorted(progress[3:])  # the order of the processes does not matter
+    assert progress[-1] == ("matches", PAIRS, PAIRS)
 
 
-def test_a_failure_of_one_process_is_told(job, monkeypatch):
-    job, _ = job
+def test_a_failure_of_one_process_is_an_error(workspace, monkeypatch):
     monkeypatch.setattr(matching, "THREADS", 2)
-    job = replace(job, seed="no number")
     with pytest.raises(DataError, match="matching: "):
-        matching.match(job)
+        matching.match(replace(workspace, seed="no number"), pairs_to_match(workspace))

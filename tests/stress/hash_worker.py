@@ -27,6 +27,7 @@ from clgs.render.frame import upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings
 from clgs.train.config import preset
+from clgs.train.run.load import with_points
 from clgs.train.run.trainer import Trainer
 
 NORMAL_GROUP = 64
@@ -73,7 +74,7 @@ def gradients(device: Device, repeats: int) -> list[Any]:
 
 def training(device: Device, folder: Path, steps: int) -> list[Any]:
     """Parameters, moments and every step's report after ``steps`` steps."""
-    whole = load_dataset(folder)
+    whole = with_points(load_dataset(folder))
     dataset = replace(whole, points=whole.points[::25])
     # growth, quantisation and rate proxy all happen within half of the steps
     config = replace(preset("default").scaled(steps), voxel=0.02).for_dataset(dataset.kind)

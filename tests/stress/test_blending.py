@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clgs.lab.observed_kernels import blend_decisions
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.lab.synthetic.gaussians import projected_scene
-from clgs.opencl import device as device_module
-from clgs.ops import blend
+from clgs.opencl import programs
+from clgs.opencl.device import Device
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings
@@ -52,15 +53,15 @@ def options_device(request, device):
         yield device
         return
     with pytest.MonkeyPatch.context() as patch:
-        options = (*device_module.BUILD_OPTIONS, request.param)
-        patch.setattr(device_module, "BUILD_OPTIONS", options)
-        yield device_module.Device(specialisation=device.specialisation)
+        options = (*programs.BUILD_OPTIONS, request.param)
+        patch.setattr(programs, "BUILD_OPTIONS", options)
+        yield Device(specialisation=device.specialisation)
 
 
 def mismatches(device, scene, size, d_image) -> tuple[int, int]:
     """(pairs on which forward and backward disagree, pairs): contributors and saturation."""
     rendered = render(device, scene, size)
-    one, other = blend.decisions(device, rendered.blended, device.upload(d_image))
+    one, other = blend_decisions(device, rendered.blended, device.upload(d_image))
     wrong = np.count_nonzero(one.contributed != other.contributed)
     wrong += np.count_nonzero(one.saturated != other.saturated)
     return int(wrong), one.contributed.size

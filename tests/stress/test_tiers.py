@@ -15,6 +15,7 @@ from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import RenderSettings, Scene
 from clgs.train.config import preset
+from clgs.train.run.load import with_points
 from clgs.train.run.trainer import Trainer
 from tests.small_scene import write_scene
 from tests.stress.cases import LEVEL, draw, image_gradient
@@ -69,7 +70,7 @@ def test_share_of_pixels_that_differ(device, flips, whole):
 @pytest.fixture(scope="module")
 def trained(open_device, tmp_path_factory):
     """Scenes after 20 and 80 steps, float and quantised, and a held-out view."""
-    whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
+    whole = with_points(load_dataset(write_scene(tmp_path_factory.mktemp("balls"))))
     dataset = replace(whole, points=whole.points[::25])
     device = open_device("cpu")
     config = replace(preset("default").scaled(80), voxel=0.02).for_dataset(dataset.kind)

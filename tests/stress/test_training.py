@@ -9,13 +9,14 @@ import pytest
 
 from clgs.data.dataset import load_dataset
 from clgs.train.config import preset
+from clgs.train.run.load import with_points
 from clgs.train.run.trainer import Trainer
 from tests.small_scene import write_scene
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
+    whole = with_points(load_dataset(write_scene(tmp_path_factory.mktemp("balls"))))
     return replace(whole, points=whole.points[::25])
 
 

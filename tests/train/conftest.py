@@ -9,15 +9,15 @@ import pytest
 
 from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.points import RandomStart
+from clgs.train.run.load import with_points
 from tests.small_scene import write_scene
 
 
 @pytest.fixture(scope="session")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Twelve photos and three held-out ones of 40 x 40 pixels, 4,000 points."""
-    return load_dataset(
-        write_scene(tmp_path_factory.mktemp("balls")), load_points=RandomStart(count=4000)
-    )
+    whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
+    return with_points(whole, RandomStart(count=4000))
 
 
 @pytest.fixture

@@ -13,9 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from clgs.lab import limit_kernels as limits
 from clgs.lab.bench.step import count_frame
+from clgs.lab.observed_kernels import blend_decisions
 from clgs.opencl.device import Device
-from clgs.ops import blend, limits
 from clgs.render.frame import DeviceScene, Frame
 
 COPY_BYTES = 128 << 20
@@ -153,7 +154,7 @@ FORMULAS: dict[str, Formula] = {
 def count_work(device: Device, frame: Frame, scene: DeviceScene, elements: int) -> Counts:
     """The counts of a render; blended pairs are those that the blend kernel itself reports."""
     shape = (3, frame.view.size[1], frame.view.size[0])
-    made = blend.decisions(device, frame.blended, device.zeros(shape))[0]
+    made = blend_decisions(device, frame.blended, device.zeros(shape))[0]
     counts = count_frame(device, frame)
     return Counts(
         A=len(scene.anchors),

@@ -13,12 +13,13 @@ import numpy.typing as npt
 
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.errors import DataError
+from clgs.lab import limit_kernels
+from clgs.lab.observed_kernels import drawn_output
 from clgs.lab.selftest.exact_scenes import ConformanceScene, ExactRandom, conformance_scenes
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, blend, density, limits, loss, mlp, project, quantize, rate, scan, sort
+from clgs.ops import adam, blend, density, loss, project, quantize, rate, scan, sort
 from clgs.options import PRESETS, RenderOptions
-from clgs.reference import limits as reference
 from clgs.render.frame import DeviceScene, Frame, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 
@@ -85,7 +86,7 @@ def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
 def _forward_tensors(device: Device, frame: Frame) -> Iterator[Tensor]:
     visible = device.download(frame.activations.visible)
     yield "cull", "visible", visible
-    yield "mlp forward", "output", mlp.drawn_output(device, frame.activations)
+    yield "mlp forward", "output", drawn_output(device, frame.activations)
     for stage, result, names in (
         ("neural forward", frame.gaussians, "slot opacity mean scale rotation color"),
         ("project forward", frame.projected, "mean2d depth whitening extent"),
@@ -191,8 +192,8 @@ def roundings(device: Device) -> dict[str, int]:
     random = ExactRandom(COUNT + 1)
     x, y = random.floats((COUNT,), 1.0, 2.0), random.floats((COUNT,), 1.0, 2.0)
     z = -random.floats((COUNT,), 1.0, 4.0)
-    found = device.download(limits.rounding(device, *map(device.upload, (x, y, z))))
-    wanted = reference.rounding(*(one.astype(np.float64) for one in (x, y, z)))
+    found = device.download(limit_kernels.rounding(device, *map(device.upload, (x, y, z))))
+    wanted = limit_kernels.exact_rounding(*(one.astype(np.float64) for one in (x, y, z)))
     wrong = (found != wanted).sum(axis=1)
     return dict(zip(OPERATIONS, map(int, wrong), strict=True))
 

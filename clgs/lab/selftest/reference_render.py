@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clgs.lab.observed_kernels import blend_decisions
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import blend as blend_op
 from clgs.reference import blend, loss, mlp, neural, project, tiles
 from clgs.render.frame import Frame
 from clgs.scene.scene import Scene
@@ -86,10 +86,10 @@ def render_reference(
 
 def matched_decisions(device: Device, frame: Frame, d_image: DeviceArray) -> blend.Decisions:
     """The kernels' decisions for every list entry and pixel, forward equal to backward."""
-    ahead, back = blend_op.decisions(device, frame.blended, d_image)
+    ahead, back = blend_decisions(device, frame.blended, d_image)
     if not np.array_equal(ahead.contributed, back.contributed):
         raise ValueError("forward and backward kernels disagree on contributors")
-    return blend.Decisions(ahead.contributed, ahead.saturated)
+    return ahead
 
 
 def backward_reference(frame: ReferenceFrame, d_image: Array, volume_weight: float) -> Gradients:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.constants import ALPHA_CUT, TILE_SIZE
+from clgs.lab.observed_kernels import drawn_output, drawn_rows
 from clgs.lab.selftest.reference_render import (
     ReferenceFrame,
     backward_reference,
@@ -20,7 +21,6 @@ from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import loss as loss_op
-from clgs.ops import mlp
 from clgs.reference import cull, loss, tiles
 from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
@@ -143,8 +143,8 @@ def check_cull(run: _Run) -> Found:
 
 def check_mlp(run: _Run) -> Found:
     """Outputs of the MLPs, in the rows that are drawn."""
-    output = mlp.drawn_output(run.device, run.frame.activations)
-    wanted = np.where(mlp.drawn_rows(output), run.reference.activations.output, output)
+    output = drawn_output(run.device, run.frame.activations)
+    wanted = np.where(drawn_rows(output), run.reference.activations.output, output)
     # 103 products of order one, each with its rounding
     return [("output", largest(output, wanted), 103 * 2.0**-22)]
 

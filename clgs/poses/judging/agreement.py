@@ -12,7 +12,8 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 SAME = 1.0
-"""Degrees within which two photos tell the same turn between the worlds of two reconstructions."""
+"""Two photos give the same turn between two worlds if their turns differ by at most this, degrees.
+"""
 
 ROUNDS, OFF = 10, 4.0
 """Fits of the common scale, each without photos that are OFF times the median distance away."""
@@ -20,9 +21,10 @@ ROUNDS, OFF = 10, 4.0
 
 @dataclass(frozen=True)
 class Poses:
-    """Of N photos: names; rotation (N, 3, 3), world to camera; centre (N, 3); depth (N,).
+    """Poses of N photos.
 
-    depth: median distance of the points that the photo sees.
+    names; rotation: (N, 3, 3), world to camera; centre: (N, 3), world units; depth: (N,), median
+    distance of the points that a photo sees, world units.
     """
 
     names: list[str]
@@ -31,17 +33,17 @@ class Poses:
     depth: Floats
 
     def chosen(self, names: list[str]) -> Poses:
-        """The photos of these names, in this order."""
+        """Select the photos of these names, in this order."""
         place = {name: i for i, name in enumerate(self.names)}
         index = [place[name] for name in names]
         return Poses(names, self.rotation[index], self.centre[index], self.depth[index])
 
 
 @dataclass(frozen=True)
-class Difference:
-    """Of a photo in two reconstructions, degrees.
+class PoseDifference:
+    """How far a photo's poses in two reconstructions differ, degrees.
 
-    turn: angle between its rotations; shift: between its places, seen from its points.
+    turn: angle between the rotations; shift: between the places, seen from the photo's points.
     """
 
     turn: float
@@ -49,58 +51,55 @@ class Difference:
 
 
 def poses_of(model: Any) -> Poses:
-    """Of a pycolmap reconstruction, in the order of names."""
+    """Read the poses of a pycolmap reconstruction, in the order of names."""
     images = sorted((model.image(n) for n in model.reg_image_ids()), key=lambda image: image.name)
     rotation = [image.cam_from_world().rotation.matrix() for image in images]
     centre = [image.projection_center() for image in images]
-    depth = [_median_depth(model, image) for image in images]
+    depth = []
+    for image in images:
+        seen = [model.point3D(p.point3D_id).xyz for p in image.points2D if p.has_point3D()]
+        away = np.linalg.norm(np.reshape(seen, (-1, 3)) - image.projection_center(), axis=1)
+        depth.append(float(np.median(away)) if seen else 1.0)
     arrays = np.reshape(rotation, (-1, 3, 3)), np.reshape(centre, (-1, 3)), np.array(depth)
     return Poses([image.name for image in images], *arrays)
 
 
-def _median_depth(model: Any, image: Any) -> float:
-    seen = [model.point3D(p.point3D_id).xyz for p in image.points2D if p.has_point3D()]
-    if not seen:
-        return 1.0
-    return float(np.median(np.linalg.norm(np.array(seen) - image.projection_center(), axis=1)))
-
-
-def differences(first: Poses, second: Poses) -> dict[str, Difference]:
-    """Of the photos that both have, after the alignment that suits most of them."""
+def differences(first: Poses, second: Poses) -> dict[str, PoseDifference]:
+    """Compare the photos that both have, after the alignment that suits most of them, by name."""
     common = [name for name in first.names if name in set(second.names)]
     if len(common) < 2:
         return {}
     first, second = first.chosen(common), second.chosen(common)
-    # x_second = turn x_first: each photo tells it, R_second^T R_first.
-    told = np.einsum("nji,njk->nik", second.rotation, first.rotation)
-    turn, agree = _common_turn(told)
-    angles = angle(np.einsum("nji,jk->nik", told, turn))
+    # x_second = turn x_first: each photo gives a turn, R_second^T R_first.
+    turns = np.einsum("nji,njk->nik", second.rotation, first.rotation)
+    turn, agree = _common_turn(turns)
+    angles = angle(np.einsum("nji,jk->nik", turns, turn))
     moved = first.centre @ turn.T
     scale, offset = _common_similarity(moved, second.centre, agree)
     away = np.linalg.norm(scale * moved + offset - second.centre, axis=1)
     shift = np.degrees(np.arctan2(away, second.depth))
     return {
-        name: Difference(float(a), float(b))
+        name: PoseDifference(float(a), float(b))
         for name, a, b in zip(common, angles, shift, strict=True)
     }
 
 
 def angle(rotation: Floats) -> Floats:
-    """Of rotation matrices (..., 3, 3), degrees (...); accurate for small ones, too."""
+    """Compute angles (...) of rotation matrices (..., 3, 3), degrees; exact for small ones, too."""
     skew = rotation - np.swapaxes(rotation, -1, -2)
     sine = np.sqrt((skew**2).sum((-1, -2)) / 8)
     cosine = (np.trace(rotation, axis1=-2, axis2=-1) - 1) / 2
     return np.asarray(np.degrees(np.arctan2(sine, cosine)))
 
 
-def _common_turn(told: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """The rotation (3, 3) that most of ``told`` (N, 3, 3) agree on, and which do."""
-    between = angle(np.einsum("mji,njk->mnik", told, told))
+def _common_turn(turns: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Find the rotation (3, 3) that most of ``turns`` (N, 3, 3) agree on, and which of them do."""
+    between = angle(np.einsum("mji,njk->mnik", turns, turns))
     near = between <= SAME
     spread = np.where(near, between, 0.0).sum(1)
     best = np.lexsort((spread, -near.sum(1)))[0]
     agree = near[best]
-    left, _, right = np.linalg.svd(told[agree].mean(0))
+    left, _, right = np.linalg.svd(turns[agree].mean(0))
     middle = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     return middle, agree
 
@@ -108,9 +107,9 @@ def _common_turn(told: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
 def _common_similarity(
     first: Floats, second: Floats, agree: npt.NDArray[np.bool_]
 ) -> tuple[float, Floats]:
-    """Scale and offset (3,) from ``first`` (N, 3) to ``second``, by those that agree.
+    """Fit scale and offset (3,) from ``first`` (N, 3) to ``second``, by the photos that agree.
 
-    Medians to begin with, then least squares without the photos that are far off.
+    The first fit uses medians; the others are least squares without the photos that are far off.
     """
     a, b = first[agree], second[agree]
     near = np.ones(len(a), bool)

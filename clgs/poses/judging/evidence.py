@@ -1,4 +1,4 @@
-"""Whether a model explains the matches that were verified between pairs of photos."""
+"""The evidence for poses: verified matches between photos, and what models explain of them."""
 
 from __future__ import annotations
 
@@ -8,36 +8,35 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.poses.job import Job
-from clgs.poses.judging.epipolar import Floats, sampson_error
+Floats = npt.NDArray[np.float64]
 
 MAX_ERROR = 4.0
-"""Pixels off the epipolar line at which the model's poses explain a match; COLMAP's default."""
+"""A match is explained up to this distance from its epipolar line, pixels; COLMAP's default."""
 
 MIN_MATCHES = 15
-"""Pairs with fewer verified matches count for nothing, as in COLMAP."""
-
+"""Pairs with fewer verified matches are ignored, as in COLMAP."""
 
 LINKS = 4
-"""Pairs of a photo that speak for or against a model: those of the most matches.
+"""The pairs with the most matches of a photo, its links: they speak for or against a model.
 
-Repeated things match everywhere, if never as well as neighbours do: all pairs together would prefer
-the model that lays equal sides of the scene onto each other.
+Repeated things match everywhere, but never as well as neighbours do. All pairs together would
+prefer the model that lays equal sides of the scene onto each other.
 """
 
 STRONG_PAIR, CONTRADICTED = 30, 0.3
-"""A pair of so many matches contradicts the poses if they explain less than this share."""
+"""A pair with this number of matches contradicts the poses that explain less than this share."""
 
 STILL = 2.0
-"""Pixels that a match moves by at most if what it shows stands still in the picture."""
+"""A match that moves by at most this many pixels shows something that stands still in the picture.
+"""
 
 MAX_CONTRADICTED = 0.03
 """Above this share of matches in contradicting links the photos fit together in other ways, too."""
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Numbers of two images, and verified matches (M, 2) of their features."""
+class MatchedPair:
+    """The numbers of two images, and verified matches (M, 2) of their features."""
 
     first: int
     second: int
@@ -46,18 +45,18 @@ class Pair:
 
 @dataclass(frozen=True)
 class Evidence:
-    """pairs; keypoints: pixels (K, 2) by the image's number."""
+    """All verified pairs; keypoints: pixels (K, 2) by the image's number."""
 
-    pairs: list[Pair]
+    pairs: list[MatchedPair]
     keypoints: dict[int, Floats]
 
     @property
-    def links(self) -> list[Pair]:
+    def links(self) -> list[MatchedPair]:
         """The pairs that speak for or against a model."""
         return self.strongest(LINKS)
 
-    def strongest(self, most: int) -> list[Pair]:
-        """The pairs that are among the ``most`` of most matches of one of their photos."""
+    def strongest(self, most: int) -> list[MatchedPair]:
+        """Choose the pairs that are among the ``most`` best matched ones of one of their photos."""
         order = sorted(self.pairs, key=lambda pair: -len(pair.matches))
         used: dict[int, int] = {}
         found = []
@@ -70,7 +69,7 @@ class Evidence:
 
     @property
     def still(self) -> float:
-        """Share of all matches that stand still, as what is behind a turntable does."""
+        """The share of all matches that stand still, as the background of a turntable does."""
         moved = [
             np.linalg.norm(
                 self.keypoints[pair.first][pair.matches[:, 0]]
@@ -84,73 +83,120 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Explained:
-    """links, and for each (L,): verified matches, and those a model explains; -1 without poses."""
+    """How many matches of the links a model explains.
 
-    links: list[Pair]
+    links: L pairs; matches: (L,) their verified matches; explained: (L,) those that the model
+    explains, -1 if a photo has no pose.
+    """
+
+    links: list[MatchedPair]
     matches: npt.NDArray[np.int64]
     explained: npt.NDArray[np.int64]
 
     @property
     def total(self) -> int:
-        """Matches that the model explains: the more, the better the model."""
+        """The matches that the model explains: the more, the better the model."""
         return int(np.maximum(self.explained, 0).sum())
 
     @property
     def contradicted(self) -> float:
-        """Share of the links' matches that are in links which the poses do not explain."""
+        """The share of the links' matches that are in links which the poses do not explain."""
         strong = (self.matches >= STRONG_PAIR) & (self.explained >= 0)
         bad = self.explained < CONTRADICTED * self.matches
         return float(self.matches[strong & bad].sum() / max(int(self.matches[strong].sum()), 1))
 
     def without(self, photos: set[int]) -> Explained:
-        """The links between other photos than these, by number."""
+        """Select the links between other photos than these, given by number."""
         rest = np.array([not {one.first, one.second} & photos for one in self.links], np.bool_)
         links = [one for one, kept in zip(self.links, rest, strict=True) if kept]
         return Explained(links, self.matches[rest], self.explained[rest])
 
+    def inlier_ratios(self) -> dict[int, float]:
+        """Compute the share of each photo's matches in links that the poses explain, by number."""
+        total: dict[int, int] = {}
+        good: dict[int, int] = {}
+        counts = zip(self.links, self.matches.tolist(), self.explained.tolist(), strict=True)
+        for pair, matches, count in counts:
+            if count >= 0:
+                for number in (pair.first, pair.second):
+                    total[number] = total.get(number, 0) + matches
+                    good[number] = good.get(number, 0) + count
+        return {number: good[number] / total[number] for number in total}
 
-def read_evidence(job: Job) -> Evidence:
-    """All verified pairs of the database."""
-    with job.open() as database:
-        keypoints = {
-            number: np.asarray(database.read_keypoints(number), np.float64)[:, :2]
-            for number in job.ids(database)
-        }
-        numbers, geometries = database.read_two_view_geometries()
-    pairs = []
-    for number, geometry in zip(numbers, geometries, strict=True):
-        matches = np.asarray(geometry.inlier_matches, np.uint32).reshape(-1, 2)
-        if len(matches) >= MIN_MATCHES:
-            first, second = job.pycolmap.pair_id_to_image_pair(number)
-            pairs.append(Pair(first, second, matches))
-    return Evidence(pairs, keypoints)
+
+@dataclass(frozen=True)
+class MappedModel:
+    """A pycolmap reconstruction, the mapper that made it, and the matches that it explains."""
+
+    mapper: str
+    reconstruction: Any
+    explained: Explained
+
+
+@dataclass(frozen=True)
+class ModelChoice:
+    """The model that is kept, and the evidence for it.
+
+    candidates: the largest model of each mapper; apart: the photos' names of each smaller model of
+    the kept one's mapper.
+    """
+
+    kept: MappedModel
+    candidates: list[MappedModel]
+    evidence: Evidence
+    apart: list[list[str]]
 
 
 def explain(model: Any, evidence: Evidence) -> Explained:
-    """How many matches of each link agree with a pycolmap reconstruction's poses and lenses."""
+    """Count the matches of each link that agree with the poses and lenses of a reconstruction.
+
+    Args:
+        model: pycolmap's reconstruction.
+        evidence: its verified matches.
+    """
     links = evidence.links
-    rays = {number: _rays(model, number, evidence) for number in model.reg_image_ids()}
-    found = [
-        _explained(model, pair, rays) if {pair.first, pair.second} <= rays.keys() else -1
-        for pair in links
-    ]
+    images = {number: model.image(number) for number in model.reg_image_ids()}
+    # The features in focal lengths, without distortion, (K, 2).
+    rays = {
+        number: np.asarray(
+            image.camera.cam_from_img(evidence.keypoints[number]), np.float64
+        ).reshape(-1, 2)
+        for number, image in images.items()
+    }
+    counts = []
+    for pair in links:
+        if not {pair.first, pair.second} <= images.keys():
+            counts.append(-1)
+            continue
+        both = images[pair.first], images[pair.second]
+        poses = [image.cam_from_world() for image in both]
+        first, second = (np.asarray(pose.rotation.matrix()) for pose in poses)
+        rotation = second @ first.T
+        translation = poses[1].translation - rotation @ poses[0].translation
+        left, right = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
+        focal = np.mean([image.camera.mean_focal_length() for image in both])
+        error = sampson_error(rotation, translation, left, right)
+        counts.append(int((error * focal <= MAX_ERROR).sum()))
     matches = [len(pair.matches) for pair in links]
-    return Explained(links, np.array(matches, np.int64), np.array(found, np.int64))
+    return Explained(links, np.array(matches, np.int64), np.array(counts, np.int64))
 
 
-def _rays(model: Any, number: int, evidence: Evidence) -> Floats:
-    """The image's features in focal lengths, without distortion, (K, 2)."""
-    camera = model.image(number).camera
-    return np.asarray(camera.cam_from_img(evidence.keypoints[number]), np.float64).reshape(-1, 2)
+def sampson_error(rotation: Floats, translation: Floats, left: Floats, right: Floats) -> Floats:
+    """Compute the distance (M,) of ideal-plane points (M, 2) from agreeing with a relative pose.
 
-
-def _explained(model: Any, pair: Pair, rays: dict[int, Floats]) -> int:
-    images = [model.image(number) for number in (pair.first, pair.second)]
-    poses = [image.cam_from_world() for image in images]
-    first, second = (np.asarray(pose.rotation.matrix()) for pose in poses)
-    rotation = second @ first.T
-    translation = poses[1].translation - rotation @ poses[0].translation
-    left, right = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
-    focal = np.mean([image.camera.mean_focal_length() for image in images])
-    error = sampson_error(rotation, translation, left, right)
-    return int((error * focal <= MAX_ERROR).sum())
+    Args:
+        rotation: (3, 3), from the first camera's axes to the second's.
+        translation: (3,), likewise; any length but zero.
+        left: points in the first photo, in focal lengths.
+        right: the same points in the second.
+    """
+    x, y, z = translation
+    essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation
+    left = np.column_stack([left, np.ones(len(left))])
+    right = np.column_stack([right, np.ones(len(right))])
+    line_right, line_left = left @ essential.T, right @ essential
+    residual = np.abs(np.einsum("ij,ij->i", right, line_right))
+    slope = np.hypot(
+        np.hypot(line_right[:, 0], line_right[:, 1]), np.hypot(line_left[:, 0], line_left[:, 1])
+    )
+    return np.asarray(residual / np.maximum(slope, 1e-300))

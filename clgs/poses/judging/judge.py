@@ -1,16 +1,19 @@
-"""The verdict on every photo: good, doubtful or to be left out, with reasons and remedy."""
+"""The verdict on a reconstruction: every photo is good, doubtful or left out, for reasons.
+
+:func:`judge` shows the whole way from the evidence to the verdict.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from clgs.poses.judging.agreement import Difference
-from clgs.poses.judging.evidence import MAX_CONTRADICTED, Explained
-from clgs.poses.judging.figures import Figures
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict
+from clgs.poses.judging.agreement import PoseDifference, Poses, angle, differences, poses_of
+from clgs.poses.judging.evidence import MAX_CONTRADICTED, Explained, Floats, ModelChoice
+from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 
 MAX_TURN, MAX_SHIFT = 0.5, 2.0
 """Degrees by which a second reconstruction may differ: half of what training forgives."""
@@ -22,14 +25,15 @@ OTHER_SIDE = 30.0
 """Degrees of turn that no noise explains: the photo stands at another, similar place."""
 
 FEW = 50
-"""Points below which a pose is doubtful; and below twice as many it cannot outvote a doubt."""
+"""A pose on fewer points is doubtful; on fewer than twice as many it cannot outvote a doubt."""
 
 LOW_RATIO, WRONG_RATIO = 0.5, 0.25
 """Shares of a photo's matches in links that agree with its pose: below the first it is doubtful,
 below the second wrong."""
 
 APART, APART_TIMES = 45.0, 5.0
-"""Degrees from both neighbours by name, and times the median, from which a photo stands apart."""
+"""A photo stands apart if it is turned by this many degrees from both neighbours by name, and by
+this many times the median."""
 
 MIN_EQUAL = 0.9
 """A rival model is heard if it explains this share of the matches that the kept one does."""
@@ -38,133 +42,301 @@ MAX_ELSEWHERE = 0.03
 """Above this share of photos at another side the scene is ambiguous."""
 
 MAX_DROPPED = 1 / 3
-"""Of the photos; if more had to go, the whole is in doubt, and none is dropped."""
+"""If more of the photos had to be left out, the whole is in doubt, and none is left out."""
+
+MOSTLY_GOOD = 0.8
+"""Share of good photos from which poses are mostly sure."""
 
 MORE = "take more photos between it and its neighbours, or remove it"
 SHARPER = "replace it by a sharp photo that shares more of the scene with others, or remove it"
 SIDES = "put something unsymmetrical into the scene and photograph it again, or remove the photo"
+CONNECT = "take photos that connect both parts, or prepare each by itself"
+
+Differences = Mapping[str, PoseDifference]
+"""The differences from another reconstruction by name; without the photos that it does not place.
+"""
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """With the second reconstruction (None: not made), and with the rival mapper's model.
+class PhotoFigures:
+    """Figures of a photo with a pose, as in :class:`clgs.poses.judging.verdict.PhotoVerdict`.
 
-    Both by name; photos that the other does not place are missing there.
+    steps: degrees from the neighbours by name, one or two of them.
     """
 
-    second: Mapping[str, Difference] | None
-    rival: Mapping[str, Difference]
+    observations: int
+    inlier_ratio: float
+    track_length: float
+    error: float
+    tilt: float
+    steps: tuple[float, ...]
 
 
-def judge(found: Mapping[str, Figures], compared: Comparison) -> dict[str, PhotoVerdict]:
-    """Verdicts on the photos that have a pose, by name, in the order of names."""
-    steps = [min(one.steps) for one in found.values() if one.steps]
-    usual = float(np.median(steps)) if steps else 0.0
-    verdicts = {name: _judge(name, one, compared, usual) for name, one in found.items()}
-    dropped = sum(one.status == LEFT_OUT for one in verdicts.values())
-    if dropped > MAX_DROPPED * len(verdicts):
-        return {name: _kept(one) for name, one in verdicts.items()}
-    return verdicts
+def judge(
+    choice: ModelChoice, second: Any | None, checked: bool, names: Mapping[str, str]
+) -> Verdict:
+    """Judge every photo, and take photos with a wrong pose out of the kept model.
 
-
-def is_ambiguous(compared: Comparison, explained: Explained, photos: int) -> bool:
-    """Whether the photos fit together in more than one way."""
-    elsewhere = {
-        name
-        for some in (compared.second or {}, compared.rival)
-        for name, one in some.items()
-        if one.turn > OTHER_SIDE
-    }
-    many = len(elsewhere) >= max(2.0, MAX_ELSEWHERE * photos)
-    return many or explained.contradicted > MAX_CONTRADICTED
-
-
-def doubt_all(judged: Mapping[str, PhotoVerdict], explained: Explained) -> dict[str, PhotoVerdict]:
-    """None is good if too many of the links between photos that stay contradict the poses.
-
-    Photos of sides that look alike then agree on one place, each as well as if it were right.
+    Args:
+        choice: the model that is kept, and the evidence.
+        second: the second reconstruction; None if it failed or was not made.
+        checked: whether it was to be made.
+        names: all photos' own names by those that the models use, in order.
     """
-    contradicted = explained.contradicted
-    if contradicted <= MAX_CONTRADICTED:
-        return dict(judged)
-    reason = f"{100 * contradicted:.0f} % of the best matches of all photos contradict the poses"
+    kept, model = choice.kept, choice.kept.reconstruction
+    poses = poses_of(model)
+    again: Differences | None = None
+    if checked:
+        again = differences(poses, poses_of(second)) if second is not None else {}
+    rival = _differences_from_rival(choice, poses)
+    judged = judge_photos(photo_figures(model, poses, kept.explained), again, rival)
+    judged = leave_out_parts(judged, choice.apart, checked)
+    ambiguous = is_ambiguous(again, rival, kept.explained, len(poses.names))
 
-    def doubted(one: PhotoVerdict) -> PhotoVerdict:
-        return replace(one, status=DOUBTFUL, reasons=(reason,), remedy=SIDES)
+    wrong = [name for name, one in judged.items() if one.status == LEFT_OUT]
+    images = [model.find_image_with_name(name) for name in wrong]
+    between = kept.explained.without({image.image_id for image in images})
+    if between.contradicted > MAX_CONTRADICTED:
+        judged = doubt_all(judged, between.contradicted)
+    for image in images:
+        model.deregister_frame(image.frame_id)
 
-    return {n: doubted(one) if one.status == GOOD else one for n, one in judged.items()}
-
-
-def _kept(verdict: PhotoVerdict) -> PhotoVerdict:
-    status = DOUBTFUL if verdict.status == LEFT_OUT else verdict.status
-    return PhotoVerdict(**{**vars(verdict), "status": status})
-
-
-def _judge(name: str, one: Figures, compared: Comparison, usual: float) -> PhotoVerdict:
-    second = None if compared.second is None else compared.second.get(name)
-    doubts = [
-        *_support_doubts(one),
-        *_neighbour_doubts(one, usual),
-        *_second_doubts(second, compared),
-        *_rival_doubts(compared.rival.get(name)),
-    ]
-    return PhotoVerdict(
-        name,
-        _status(one, second, bool(doubts)),
-        one.observations,
-        one.inlier_ratio,
-        one.track_length,
-        one.error,
-        one.tilt,
-        min(one.steps) if one.steps else None,
-        second.turn if second else None,
-        second.shift if second else None,
-        tuple(reason for reason, _ in doubts),
-        doubts[0][1] if doubts else "",
+    photos = tuple(
+        replace(judged[name], name=own) if name in judged else _without_pose(name, own, choice)
+        for name, own in names.items()
+    )
+    placed = {name for name, one in judged.items() if one.status != LEFT_OUT}
+    apart = (tuple(names[one] for one in part if one not in placed) for part in choice.apart)
+    return Verdict(
+        registered=model.num_reg_images(),
+        total=len(names),
+        points=model.num_points3D(),
+        observations=model.compute_num_observations(),
+        error=float(model.compute_mean_reprojection_error()),
+        track_length=float(model.compute_mean_track_length()),
+        mapper=kept.mapper,
+        explained={one.mapper: one.explained.total for one in choice.candidates},
+        apart=tuple(filter(None, apart)),
+        photos=photos,
+        checked=checked,
+        ambiguous=ambiguous,
+        contradicted=kept.explained.contradicted,
+        sure=_sure(photos, checked, ambiguous),
     )
 
 
-def _status(one: Figures, second: Difference | None, doubted: bool) -> str:
-    """A pose that is clearly wrong goes: most matches say so, or it has little to say against."""
-    weak = one.observations < 2 * FEW or one.inlier_ratio < LOW_RATIO
-    far = second is not None and second.turn > FAR
-    if one.inlier_ratio < WRONG_RATIO or (far and weak):
-        return LEFT_OUT
-    return DOUBTFUL if doubted else GOOD
+def _differences_from_rival(choice: ModelChoice, poses: Poses) -> Differences:
+    """Compare with the other mapper's model, if that explains about as many matches.
+
+    Photos whose matches contradict the other model are left out: mappers lose a few now and then.
+    """
+    kept = choice.kept
+    for one in choice.candidates:
+        equal = one.explained.total >= MIN_EQUAL * kept.explained.total
+        if one.mapper != kept.mapper and equal:
+            model, ratio = one.reconstruction, one.explained.inlier_ratios()
+            found = differences(poses, poses_of(model))
+            number = {name: model.find_image_with_name(name).image_id for name in found}
+            lost = {name for name in found if ratio.get(number[name], 0.0) < WRONG_RATIO}
+            return {name: one for name, one in found.items() if name not in lost}
+    return {}
 
 
-def _support_doubts(one: Figures) -> list[tuple[str, str]]:
+def photo_figures(model: Any, poses: Poses, explained: Explained) -> dict[str, PhotoFigures]:
+    """Compute the figures of each photo with a pose in a pycolmap reconstruction, by name."""
+    ratio = explained.inlier_ratios()
+    up = -poses.rotation[:, 1]
+    # The direction with the least sum of angles to the others is nearly their median.
+    between = np.degrees(np.arccos(np.clip(up @ up.T, -1.0, 1.0)))
+    tilt = between[between.sum(1).argmin()]
+    turned = np.einsum("nij,nkj->nik", poses.rotation[1:], poses.rotation[:-1])
+    step = angle(turned).tolist()
+    found = {}
+    for place, name in enumerate(poses.names):
+        image = model.find_image_with_name(name)
+        seen = [(p.point3D_id, p.xy) for p in image.points2D if p.has_point3D()]
+        points = [model.point3D(number) for number, _ in seen]
+        length = np.mean([p.track.length() for p in points]) if points else 0.0
+        found[name] = PhotoFigures(
+            len(points),
+            ratio.get(image.image_id, 0.0),
+            float(length),
+            _error(image, np.array([p.xyz for p in points]), np.array([xy for _, xy in seen])),
+            float(tilt[place]),
+            tuple(step[max(place - 1, 0) : place + 1]),
+        )
+    return found
+
+
+def _error(image: Any, points: Floats, pixels: Floats) -> float:
+    """Compute the mean reprojection error in pixels."""
+    if not len(points):
+        return 0.0
+    pose = image.cam_from_world()
+    local = points @ np.asarray(pose.rotation.matrix()).T + pose.translation
+    projected = np.asarray(image.camera.img_from_cam(local, check_cheirality=False))
+    return float(np.linalg.norm(projected - pixels, axis=1).mean())
+
+
+def judge_photos(
+    figures: Mapping[str, PhotoFigures], again: Differences | None, rival: Differences
+) -> dict[str, PhotoVerdict]:
+    """Judge every photo by itself.
+
+    Args:
+        figures: of the photos with a pose, by name, in the order of names.
+        again: differences from the second reconstruction; None if it was not to be made.
+        rival: differences from the other mapper's model.
+    """
+    steps = [min(one.steps) for one in figures.values() if one.steps]
+    usual = float(np.median(steps)) if steps else 0.0
+    judged = {}
+    for name, one in figures.items():
+        second = again.get(name) if again else None
+        doubts = _own_doubts(one, usual)
+        doubts += _second_doubts(second) if again is not None else []
+        if name in rival and rival[name].turn > FAR:
+            turn = rival[name].turn
+            text = f"the incremental and the global mapper turn it {turn:.0f} degrees apart"
+            doubts.append((text, SIDES if turn > OTHER_SIDE else MORE))
+        # A pose that is clearly wrong goes: most matches contradict it, or it rests on little.
+        weak = one.observations < 2 * FEW or one.inlier_ratio < LOW_RATIO
+        far = second is not None and second.turn > FAR
+        wrong = one.inlier_ratio < WRONG_RATIO or (far and weak)
+        judged[name] = PhotoVerdict(
+            name,
+            LEFT_OUT if wrong else DOUBTFUL if doubts else GOOD,
+            one.observations,
+            one.inlier_ratio,
+            one.track_length,
+            one.error,
+            one.tilt,
+            min(one.steps) if one.steps else None,
+            second.turn if second else None,
+            second.shift if second else None,
+            tuple(reason for reason, _ in doubts),
+            doubts[0][1] if doubts else "",
+        )
+    if sum(one.status == LEFT_OUT for one in judged.values()) > MAX_DROPPED * len(judged):
+        for name, verdict in judged.items():
+            if verdict.status == LEFT_OUT:
+                judged[name] = replace(verdict, status=DOUBTFUL)
+    return judged
+
+
+def _own_doubts(one: PhotoFigures, usual: float) -> list[tuple[str, str]]:
+    """List reasons and remedies from a photo's own figures; usual: the median step, degrees."""
     doubts = []
     if one.inlier_ratio < LOW_RATIO:
         share = f"only {100 * one.inlier_ratio:.0f} % of its matches agree with its pose"
         doubts.append((share, SHARPER))
     if one.observations < FEW:
         doubts.append((f"it sees only {one.observations} points", SHARPER))
+    if len(one.steps) == 2 and min(one.steps) > max(APART, APART_TIMES * usual):
+        text = f"it is turned by {min(one.steps):.0f} degrees from its neighbours by name"
+        doubts.append((text, MORE))
     return doubts
 
 
-def _neighbour_doubts(one: Figures, usual: float) -> list[tuple[str, str]]:
-    """Of a photo that is turned far from the one before and the one after, as others are not."""
-    if len(one.steps) < 2 or min(one.steps) <= max(APART, APART_TIMES * usual):
-        return []
-    text = f"it is turned by {min(one.steps):.0f} degrees from its neighbours by name"
-    return [(text, MORE)]
-
-
-def _second_doubts(second: Difference | None, compared: Comparison) -> list[tuple[str, str]]:
-    if compared.second is None:
-        return []
+def _second_doubts(second: PoseDifference | None) -> list[tuple[str, str]]:
+    """List the reason and remedy if the second reconstruction lacks the photo or moves it."""
     if second is None:
         return [("a second reconstruction from half of the points could not place it", MORE)]
     if second.turn <= MAX_TURN and second.shift <= MAX_SHIFT:
         return []
     moved = f"turns it by {second.turn:.1f} and shifts it by {second.shift:.1f} degrees"
-    remedy = SIDES if second.turn > OTHER_SIDE else MORE
-    return [(f"a second reconstruction {moved}", remedy)]
+    return [(f"a second reconstruction {moved}", SIDES if second.turn > OTHER_SIDE else MORE)]
 
 
-def _rival_doubts(rival: Difference | None) -> list[tuple[str, str]]:
-    if rival is None or rival.turn <= FAR:
-        return []
-    text = f"the incremental and the global mapper turn it {rival.turn:.0f} degrees apart"
-    return [(text, SIDES if rival.turn > OTHER_SIDE else MORE)]
+def leave_out_parts(
+    judged: Mapping[str, PhotoVerdict], parts: Sequence[Sequence[str]], checked: bool
+) -> dict[str, PhotoVerdict]:
+    """Leave out the parts that the second look joined, but the test did not confirm.
+
+    A part hangs together by itself, so that a few loose matches turn all of it to a wrong side at
+    once. If most of the other photos are good, it goes, unless a second reconstruction was made
+    and most of its photos are good, too.
+
+    Args:
+        judged: the photos with a pose, by name.
+        parts: names of the photos of each model that the strict matches made apart from the kept
+            one.
+        checked: whether a second reconstruction was to be made; without it nothing confirms.
+    """
+
+    def mostly_good(names: Sequence[str]) -> bool:
+        return 2 * sum(judged[name].status == GOOD for name in names) > len(names)
+
+    found = dict(judged)
+    for part in parts:
+        joined = [name for name in part if name in judged]
+        others = [name for name in judged if name not in joined]
+        confirmed = checked and mostly_good(joined)
+        if len(part) > 1 and not confirmed and mostly_good(others):
+            for name in joined:
+                reasons = (_part_reason(part), *judged[name].reasons)
+                found[name] = replace(
+                    judged[name], status=LEFT_OUT, reasons=reasons, remedy=CONNECT
+                )
+    return found
+
+
+def _part_reason(part: Sequence[str]) -> str:
+    others = len(part) - 1
+    return f"it and {others} other{'s' * (others > 1)} form a part of their own"
+
+
+def _without_pose(name: str, own: str, choice: ModelChoice) -> PhotoVerdict:
+    """Say why a photo has no pose; own: the photo's own name."""
+    part = next((names for names in choice.apart if name in names), [])
+    if len(part) > 1:
+        return PhotoVerdict(own, LEFT_OUT, reasons=(_part_reason(part),), remedy=CONNECT)
+    reason = "it shares too little with the other photos"
+    return PhotoVerdict(own, LEFT_OUT, reasons=(reason,), remedy=SHARPER)
+
+
+def is_ambiguous(
+    again: Differences | None, rival: Differences, explained: Explained, photos: int
+) -> bool:
+    """Whether the photos fit together in more than one way; arguments as of judge_photos."""
+    elsewhere = {
+        name for some in (again or {}, rival) for name, one in some.items() if one.turn > OTHER_SIDE
+    }
+    many = len(elsewhere) >= max(2.0, MAX_ELSEWHERE * photos)
+    return many or explained.contradicted > MAX_CONTRADICTED
+
+
+def doubt_all(judged: Mapping[str, PhotoVerdict], contradicted: float) -> dict[str, PhotoVerdict]:
+    """Make all good photos doubtful, since this share of links' matches contradicts the poses.
+
+    If photos of sides that look alike agree on one place, each agrees as well as if it were right.
+    """
+    reason = f"{100 * contradicted:.0f} % of the best matches of all photos contradict the poses"
+    return {
+        name: replace(one, status=DOUBTFUL, reasons=(reason,), remedy=SIDES)
+        if one.status == GOOD
+        else one
+        for name, one in judged.items()
+    }
+
+
+def _sure(photos: Sequence[PhotoVerdict], checked: bool, ambiguous: bool) -> str:
+    """Say in one sentence how sure the poses are."""
+    good, doubtful = (sum(one.status == status for one in photos) for status in (GOOD, DOUBTFUL))
+    if ambiguous:
+        return (
+            "not sure: the scene looks alike from several sides, and photos fit together in more "
+            f"than one way; {doubtful} are doubtful"
+        )
+    if not checked:
+        return "not checked: without --quick, a second reconstruction tests every pose"
+    if good == len(photos):
+        worst = max((one.turn or 0.0 for one in photos), default=0.0)
+        return (
+            "sure: a second reconstruction from half of the points turns no photo by more than "
+            f"{worst:.2f} degrees"
+        )
+    level = "mostly sure" if good >= MOSTLY_GOOD * len(photos) else "not sure"
+    return (
+        f"{level}: a second reconstruction confirms {good} of {len(photos)} photos; see the others"
+    )

@@ -1,4 +1,4 @@
-"""What is told of a reconstruction: figures and verdict of every photo, and how sure all is."""
+"""The result of judging: figures and verdict of every photo, and how sure all poses are."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ GOOD, DOUBTFUL, LEFT_OUT = "good", "doubtful", "left out"
 
 @dataclass(frozen=True)
 class PhotoVerdict:
-    """A photo's figures; those that cannot be told are None.
+    """The verdict on a photo, and its figures; unknown ones are None.
 
     name; status: GOOD, DOUBTFUL or LEFT_OUT; observations: points that it sees; inlier_ratio: share
     of its matches in links (``evidence.LINKS``) that the poses explain; track_length: mean number
     of photos that see its points; error: mean reprojection error, pixels; tilt: degrees from the
     median up-vector; step: degrees from its neighbours by name, the nearer of both; turn, shift:
-    degrees by which a second reconstruction differs; reasons and remedy: of a doubt, else empty;
-    unexplained: share of its variance that a short training does not show.
+    degrees by which a second reconstruction differs; reasons and remedy: of a doubt, else empty.
     """
 
     name: str
@@ -33,19 +32,19 @@ class PhotoVerdict:
     shift: float | None = None
     reasons: tuple[str, ...] = ()
     remedy: str = ""
-    unexplained: float | None = None
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of the whole reconstruction.
+    """The verdict on the whole reconstruction.
 
     registered: photos with a pose in the result, of total; points; observations; error: mean
-    reprojection error, pixels; track_length: mean photos a point; mapper: whose model was kept;
-    explained: matches in links that each mapper's model explains; apart: names of photos of other
-    models; photos: all of them, by name; checked: whether a second reconstruction was made;
-    ambiguous: whether the scene looks alike from several sides; contradicted: share of matches in
-    links that contradict the poses; sure: one sentence; seconds: of each stage.
+    reprojection error, pixels; track_length: mean number of photos per point; mapper: the mapper of
+    the model that was kept; explained: matches in links that each mapper's model explains; apart:
+    names of photos of other models; photos: the verdicts on all photos, in the order of names;
+    checked: whether a second reconstruction was to be made; ambiguous: whether the scene looks
+    alike from several sides; contradicted: share of matches in links that contradict the poses;
+    sure: one sentence on how sure the poses are; seconds: of each stage.
     """
 
     registered: int
@@ -65,16 +64,16 @@ class Verdict:
     seconds: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, status: str) -> list[PhotoVerdict]:
-        """The photos of this status."""
+        """Select the photos of this status."""
         return [photo for photo in self.photos if photo.status == status]
 
     def plain(self) -> dict[str, Any]:
-        """As JSON can hold it."""
+        """Convert the verdict to what JSON can hold."""
         return asdict(self)
 
 
 def verdict_of(plain: Mapping[str, Any]) -> Verdict:
-    """The opposite of :meth:`Verdict.plain`."""
+    """Make a verdict of what :meth:`Verdict.plain` returned."""
     photos = tuple(
         PhotoVerdict(**{**one, "reasons": tuple(one["reasons"])}) for one in plain["photos"]
     )

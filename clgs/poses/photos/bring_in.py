@@ -23,29 +23,31 @@ from clgs.data.images import (
     open_image,
     read_exif,
     read_image,
+    upright_size,
 )
 from clgs.data.masks import USED, Mask, read_mask, save_mask
 from clgs.errors import DataError
-from clgs.poses.photos.video import check_video, extract_frames
+from clgs.poses.photos.video import extract_frames, video_library
 
 LEAST_PHOTOS = 3
 JPEG_QUALITY = 95
 DEFAULT_FRAMES = 100
-"""Of a video, unless another number is asked for."""
+"""Frames that are taken from a video."""
 
 WRITTEN = (".jpg", ".jpeg", ".png")
 
 _DETAILS = 0x8769
 _CAMERA_TAGS = (0x010F, 0x0110)  # maker, model
-_LENS_TAGS = (0x920A, 0xA405, 0xA20E, 0xA20F, 0xA210)
-"""Focal length, the same on 35 mm film, pixels per unit of the sensor across and down, unit."""
+_FOCAL_TAGS = (0x920A, 0xA405)  # focal length in mm, and its equivalent on 35 mm film
+_LENS_TAGS = (*_FOCAL_TAGS, 0xA20E, 0xA20F, 0xA210)
+"""Also the pixels per unit of the sensor, across and down, and the unit."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Source:
-    """What a data set is to be made of: the photos that were found, or a video."""
+class PhotoSource:
+    """The photos of a folder, or a video of which ``frames`` frames are taken."""
 
     path: Path
     collection: Collection | None
@@ -53,32 +55,32 @@ class Source:
 
     @property
     def files(self) -> list[Path]:
-        """All files that are read."""
+        """All files to read."""
         return [one.path for one in self.collection.photos] if self.collection else [self.path]
 
 
-def find_source(path: Path, frames: int | None = None) -> Source:
-    """What there is at ``path``, a folder or a video; nothing is decoded, nothing written.
+def find_source(path: Path, frames: int | None = None) -> PhotoSource:
+    """Look at ``path``, a folder or a video; nothing is decoded, and nothing is written.
 
     Args:
         path: of the folder or the video.
-        frames: of a video, to be used; default DEFAULT_FRAMES.
+        frames: number of frames to take from a video; default DEFAULT_FRAMES.
 
     Raises:
         DataError: nothing there, too few photos, or no program that reads videos.
     """
     if is_video(path):
-        check_video(path)
-        return Source(path, None, frames or DEFAULT_FRAMES)
+        video_library(path)
+        return PhotoSource(path, None, frames or DEFAULT_FRAMES)
     found = find_photos(path)
     if frames is not None:
         raise DataError(f"{path}: --frames is for videos; leave it out, or name a video")
     _check_enough(found)
-    return Source(path, found, 0)
+    return PhotoSource(path, found, 0)
 
 
 def readable_sizes(found: Collection) -> list[tuple[int, int]]:
-    """Sizes (width, height) of the photos whose headers can be read; the others are skipped.
+    """Read the sizes (width, height) of photos from their headers; damaged ones are skipped.
 
     Raises:
         DataError: fewer than 3 can be read, or no program that reads HEIC.
@@ -93,22 +95,19 @@ def readable_sizes(found: Collection) -> list[tuple[int, int]]:
 
 
 def bring_in(
-    source: Source, work: Path, on_read: Callable[[int], None] = lambda count: None
-) -> list[tuple[int, int]]:
-    """Fill ``work``/images, and ``work``/masks if photos are masked; a warning names what is not.
+    source: PhotoSource, work: Path, on_read: Callable[[int], None] = lambda count: None
+) -> None:
+    """Fill ``work``/images, and ``work``/masks if photos are masked; warn about skipped files.
 
-    Photos are whole, upright, 8-bit RGB or grey, with the EXIF data that they had. What is hidden
-    by an alpha channel is black and masked. Masks are NAME.png for the photo NAME, as COLMAP reads
-    them, and then all photos have one.
+    Photos are whole, upright, 8-bit RGB or grey, with the EXIF data that they had. What an alpha
+    channel hides is black and masked. The mask of the photo NAME is NAME.png, as COLMAP reads it;
+    if one photo has a mask, all have.
 
     Args:
         source: from :func:`find_source`.
         work: an empty folder.
-        on_read: called with the number of photos that were read so far, or of a video's frames that
-            were written.
-
-    Returns:
-        Sizes (width, height) of the photos in ``work``/images, in the order of their names.
+        on_read: called with the number of photos that were read so far, or of frames that were
+            written.
 
     Raises:
         DataError: too few photos are whole.
@@ -117,14 +116,13 @@ def bring_in(
     images.mkdir()
     found = source.collection
     if found is None:
-        extract_frames(source.path, images, source.frames, on_read)
-        sizes = [image_size(path) for path in sorted(images.iterdir())]
-        if len(sizes) < LEAST_PHOTOS:
+        count = extract_frames(source.path, images, source.frames, on_read)
+        if count < LEAST_PHOTOS:
             raise DataError(
-                f"{source.path}: only {len(sizes)} of its frames can be used, at least 3 are "
+                f"{source.path}: only {count} of its frames can be used, at least 3 are "
                 "needed; record a longer one"
             )
-        return sizes
+        return
     masks.mkdir()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         written = []
@@ -136,23 +134,13 @@ def bring_in(
     _set_aside(found, written)
     for line in found.lines():
         _log.warning("%s", line)
-    paths = sorted(images.iterdir())
-    sizes = [image_size(path) for path in paths]
-    _complete(masks, dict(zip((path.name for path in paths), sizes, strict=True)))
-    return sizes
-
-
-def _complete(masks: Path, sizes: dict[str, tuple[int, int]]) -> None:
-    """White masks for the photos without one: COLMAP passes over them otherwise.
-
-    If no photo has a mask the folder goes.
-    """
     if not any(masks.iterdir()):
         masks.rmdir()
         return
-    for name, (width, height) in sizes.items():
-        if not (masks / f"{name}.png").exists():
-            save_mask(np.ones((height, width), np.uint8), masks / f"{name}.png")
+    for path in images.iterdir():  # COLMAP skips photos without a mask
+        mask = masks / f"{path.name}.png"
+        if not mask.exists():
+            save_mask(np.ones(image_size(path)[::-1], np.uint8), mask)
 
 
 def _check_enough(found: Collection) -> None:
@@ -165,22 +153,22 @@ def _check_enough(found: Collection) -> None:
 
 
 def _set_aside(found: Collection, faults: list[str]) -> None:
-    """Skip the photos with a fault; DataError if too few are left."""
-    judged = list(zip(found.photos, faults, strict=True))
-    for one, fault in judged:
+    """Move the photos with a fault to the skipped ones; DataError if too few are left."""
+    checked = list(zip(found.photos, faults, strict=True))
+    for one, fault in checked:
         if fault:
             below = one.path.relative_to(found.root).as_posix()
             found.skipped.append((below, fault.removeprefix(f"{one.path}: ")))
-    found.photos = [one for one, fault in judged if not fault]
+    found.photos = [one for one, fault in checked if not fault]
     _check_enough(found)
 
 
 def _fault(work: Callable[[], None]) -> str:
-    """What is wrong with the photo that is read by ``work``, else an empty text."""
+    """Return the message if ``work``, which reads a photo, fails, else an empty text."""
     try:
         work()
     except DataError as error:
-        if "clgs[heif]" in str(error):  # the photo is whole, and a half of the set of no use
+        if "clgs[heif]" in str(error):  # a library is missing, no photo is damaged
             raise
         return str(error)
     return ""
@@ -205,22 +193,28 @@ def _write(one: Found, images: Path, masks: Path) -> None:
             if not seen.any():
                 raise DataError(f"{one.path}: is transparent everywhere; remove it")
             color, mask = color * seen[..., None], seen if mask is None else mask * seen
-        copy = images / _suffixed(one)
+        stem, _, suffix = one.name.rpartition(".")
+        copy = images / (one.name if f".{suffix.lower()}" in WRITTEN else f"{stem}.jpg")
         _save(color, one.path, copy)
     if mask is not None and not mask.all():
         save_mask(mask, masks / f"{copy.name}.png")
 
 
-def _suffixed(one: Found) -> str:
-    """The photo's name with the suffix of a format that it can be written in."""
-    stem, _, suffix = one.name.rpartition(".")
-    return one.name if f".{suffix.lower()}" in WRITTEN else f"{stem}.jpg"
-
-
 def _save(color: npt.NDArray[np.uint8], original: Path, copy: Path) -> None:
-    """Write pixels (H, W, 3) that are upright, with what the original says of its lens."""
+    """Write upright pixels (H, W, 3), with camera and focal length of the original's EXIF data.
+
+    Other data stays behind: maker's notes may be longer than a JPEG's header.
+    """
     with open_image(original) as opened:
-        exif = _lens_data(read_exif(opened))
+        given = read_exif(opened)
+        details = given.get_ifd(_DETAILS)
+    exif = Image.Exif()
+    for tag in _CAMERA_TAGS:
+        if tag in given:
+            exif[tag] = given[tag]
+    lens = {tag: details[tag] for tag in _LENS_TAGS if tag in details}
+    if lens:
+        exif.get_ifd(_DETAILS).update(lens)
     picture = Image.fromarray(color)
     if copy.suffix.lower() == ".png":
         picture.save(copy, "PNG", exif=exif, compress_level=1)
@@ -228,13 +222,19 @@ def _save(color: npt.NDArray[np.uint8], original: Path, copy: Path) -> None:
         picture.save(copy, "JPEG", exif=exif, quality=JPEG_QUALITY, subsampling=0)
 
 
-def _lens_data(exif: Image.Exif) -> Image.Exif:
-    """Camera and focal length alone: maker's notes may be longer than a JPEG's header."""
-    kept, details = Image.Exif(), exif.get_ifd(_DETAILS)
-    for tag in _CAMERA_TAGS:
-        if tag in exif:
-            kept[tag] = exif[tag]
-    lens = {tag: details[tag] for tag in _LENS_TAGS if tag in details}
-    if lens:
-        kept.get_ifd(_DETAILS).update(lens)
-    return kept
+def camera_numbers(paths: list[Path]) -> list[int]:
+    """Number the cameras of photos, from 0: one per size, camera and focal length.
+
+    Raises:
+        DataError: a photo is damaged.
+    """
+    numbers: dict[tuple[object, ...], int] = {}
+    found = []
+    for path in paths:
+        with open_image(path) as picture:
+            exif, size = read_exif(picture), upright_size(picture)
+        details = exif.get_ifd(_DETAILS)
+        named = [str(exif.get(tag, "")) for tag in _CAMERA_TAGS]
+        focal = [str(details.get(tag, "")) for tag in _FOCAL_TAGS]
+        found.append(numbers.setdefault((*size, *named, *focal), len(numbers)))
+    return found

@@ -1,8 +1,8 @@
 """Sharp frames of a video, evenly spread.
 
-The program ffmpeg, which the package imageio-ffmpeg ships, decodes. It hands on up to CANDIDATES
-frames for each that is wanted, at even times; the sharpest of those near the middle of each span
-of time is written, so that neighbours are never much closer or farther than others.
+The program ffmpeg, which the package imageio-ffmpeg ships, decodes up to CANDIDATES frames per
+wanted frame, at even times. The sharpest near the middle of each span of time is written, so that
+the times between neighbours are nearly equal.
 """
 
 from __future__ import annotations
@@ -22,30 +22,26 @@ from clgs.data.images import MAX_PIXELS
 from clgs.errors import DataError
 
 CANDIDATES = 8
-"""Frames that each one is chosen from, if the video has so many."""
+"""Frames from which one is chosen, if the video has enough."""
 
 MIDDLE = 0.75
-"""Share of its span of time that a frame is chosen from."""
+"""Share of a span of time from which its frame is chosen."""
 
 MEASURED_SIZE = 960
-"""Frames are reduced to about this width before sharpness is measured: noise is none."""
+"""Frames are reduced to about this width before sharpness is measured: noise is not sharpness."""
 
 WHOLE = 0.95
-"""A video that ends before this share of its length is told."""
+"""A warning says so if a video ends before this share of its length."""
 
 JPEG_QUALITY = 95
 MAX_FRAMES = 10_000
 
 _ONLY_FILES = ["-protocol_whitelist", "file", "-nostdin"]
-"""A video may name others, even in the network; ffmpeg is to open none of them."""
+"""A video may name other files, even in the network; ffmpeg must not open them."""
 
 
-def check_video(path: Path) -> None:
-    """Raise DataError unless there is a program that reads videos."""
-    _library(path)
-
-
-def _library(path: Path) -> Any:
+def video_library(path: Path) -> Any:
+    """Import the library that decodes the video ``path``; DataError if it is not installed."""
     try:
         import imageio_ffmpeg
     except ImportError as error:
@@ -74,7 +70,7 @@ def extract_frames(
     Raises:
         DataError: no video, a damaged one, or no program that reads it.
     """
-    seconds, rate = _length(path)
+    seconds, rate = _seconds_and_rate(path)
     candidates = min(seconds * rate, CANDIDATES * count)
     best: tuple[float, npt.NDArray[np.uint8]] | None = None
     writer = _Writer(folder, on_frame)
@@ -99,8 +95,8 @@ def extract_frames(
     share = (number + 1) / candidates
     if share < WHOLE - 1 / candidates:
         _warn(
-            f"{path}: ends after {share * seconds:.1f} of the {seconds:.1f} seconds that it tells, "
-            "as if cut short; copy it again if you need the rest"
+            f"{path}: ends after {share * seconds:.1f} of the {seconds:.1f} seconds that it should "
+            "have, as if cut short; copy it again if you need the rest"
         )
     if writer.equal:
         _warn(
@@ -115,7 +111,7 @@ def _warn(text: str) -> None:
 
 
 def sharpness(frame: npt.NDArray[np.uint8]) -> float:
-    """Variance of the Laplacian of the green of (H, W, 3) uint8, reduced by whole boxes."""
+    """Compute the variance of the Laplacian of the reduced green of a frame (H, W, 3) uint8."""
     factor = max(1, round(frame.shape[1] / MEASURED_SIZE))
     height, width = (size // factor for size in frame.shape[:2])
     green = frame[: height * factor, : width * factor, 1].astype(np.float32)
@@ -126,13 +122,13 @@ def sharpness(frame: npt.NDArray[np.uint8]) -> float:
     return float(laplacian.var(dtype=np.float64)) if laplacian.size else 0.0
 
 
-def _length(path: Path) -> tuple[float, float]:
-    """Seconds and frames a second of a video.
+def _seconds_and_rate(path: Path) -> tuple[float, float]:
+    """Read the length of a video in seconds, and its frames per second.
 
     Raises:
         DataError: it has neither, or is too large.
     """
-    library = _library(path)
+    library = video_library(path)
     try:
         reader = library.read_frames(_named(path), input_params=_ONLY_FILES)
         facts = next(reader)
@@ -152,13 +148,13 @@ def _length(path: Path) -> tuple[float, float]:
 
 
 def frame_size(path: Path) -> tuple[int, int]:
-    """Width and height of a video's frames as they are shown.
+    """Read width and height of a video's frames, after the rotation that it asks for.
 
     Raises:
         DataError: it is damaged, or there is no program that reads videos.
     """
     try:
-        reader = _library(path).read_frames(_named(path), input_params=_ONLY_FILES)
+        reader = video_library(path).read_frames(_named(path), input_params=_ONLY_FILES)
         width, height = next(reader)["size"]
         reader.close()
     except (OSError, RuntimeError, ValueError, KeyError, StopIteration) as error:
@@ -167,9 +163,9 @@ def frame_size(path: Path) -> tuple[int, int]:
 
 
 def _frames(path: Path, rate: float) -> Iterator[npt.NDArray[np.uint8]]:
-    """Frames (H, W, 3), ``rate`` of them a second, as long as the video can be decoded."""
+    """Decode frames (H, W, 3) uint8, ``rate`` per second, as long as the video is whole."""
     output = ["-vf", f"fps={rate:.9g}", "-fps_mode", "passthrough"]
-    reader = _library(path).read_frames(
+    reader = video_library(path).read_frames(
         _named(path), pix_fmt="rgb24", input_params=_ONLY_FILES, output_params=output
     )
     try:
@@ -184,7 +180,7 @@ def _frames(path: Path, rate: float) -> Iterator[npt.NDArray[np.uint8]]:
 
 
 def _named(path: Path) -> str:
-    """A name that ffmpeg takes for a file, whatever it looks like."""
+    """Make a name that ffmpeg always takes for a file."""
     return f"file:{path.absolute()}"
 
 
@@ -193,7 +189,7 @@ def _damaged(path: Path) -> DataError:
 
 
 class _Writer:
-    """Writes frames that differ from the one before; counts them, and the others."""
+    """Writes the frames that differ from the one before; counts these, and the equal ones."""
 
     def __init__(self, folder: Path, on_frame: Callable[[int], None]) -> None:
         self.written = self.equal = 0

@@ -1,16 +1,22 @@
-"""The data set of a training run, loaded as its settings say."""
+"""The data set of a training run, loaded as its settings say, and the points to start from."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
-from clgs.data.dataset import Dataset, load_dataset
-from clgs.data.point_file import PointFile
-from clgs.data.points import RandomStart
-from clgs.data.reduction import Reduction
-from clgs.data.stored_photo import PhotoMemory
+from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset, to_scene_points
+from clgs.data.points import RandomStart, random_points, viewpoint
+from clgs.errors import DataError
+from clgs.poses.triangulate import triangulate
 from clgs.train.config import TrainConfig
+
+MIN_TRIANGULATED = 100
+"""Fewer triangulated points count as a failure."""
+
+_log = logging.getLogger(__name__)
 
 
 def load_for(
@@ -19,7 +25,7 @@ def load_for(
     cache: Path,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Dataset:
-    """The data set in the folder ``data`` for a run with these settings.
+    """The data set in the folder ``data`` for a run with these settings, with points.
 
     Args:
         config: of the run, need not be resolved for the data set.
@@ -28,20 +34,86 @@ def load_for(
         on_stage: called with a line before work that takes minutes.
 
     Raises:
-        DataError: as of :func:`clgs.load_dataset`.
+        DataError: as of :func:`clgs.load_dataset` and :func:`with_points`.
     """
-    points: PointFile | RandomStart = RandomStart(
-        config.start_points, config.start_volume == "hull"
-    )
-    if config.points:
-        points = PointFile(Path(config.points), config.point_samples)
-    return load_dataset(
+    dataset = load_dataset(
         data,
-        downscale=Reduction(config.downscale, config.max_size),
+        downscale=config.downscale,
+        max_size=config.max_size,
         preset_units=not config.normalize,
-        cache=cache,
+        photo_memory=config.photo_memory * 2**20,
+        points_file=Path(config.points) if config.points else None,
+        point_samples=config.point_samples,
         seed=config.seed,
-        load_images=PhotoMemory(config.photo_memory * 2**20),
-        load_points=points,
-        on_stage=on_stage,
     )
+    return with_points(dataset, random_start(config), cache, config.seed, on_stage)
+
+
+def random_start(config: TrainConfig) -> RandomStart:
+    """The random points that a run with these settings starts from if it has no others."""
+    return RandomStart(config.start_points, config.start_volume == "hull")
+
+
+def with_points(
+    dataset: Dataset,
+    start: RandomStart | None = None,
+    cache: Path | None = None,
+    seed: int = 0,
+    on_stage: Callable[[str], None] = lambda stage: None,
+) -> Dataset:
+    """The data set with points to start training from, which it may have already.
+
+    Points for the photos of a transforms.json are triangulated, which takes minutes. If too few
+    are found, and for Blender scenes, random points are drawn in the volume that cameras share.
+
+    Args:
+        dataset: its folder still holds the photos.
+        start: the random points to draw; by default as ``RandomStart()``.
+        cache: folder that keeps triangulated points; never the data folder.
+        seed: of triangulated and random points.
+        on_stage: called with a line before work that takes minutes.
+
+    Raises:
+        DataError: no two photos look at the same place.
+    """
+    if len(dataset.points) >= LEAST_POINTS or not dataset.train:
+        return dataset
+    if dataset.kind == "transforms":
+        dataset = _triangulated(dataset, cache, seed, on_stage)
+        if len(dataset.points) >= LEAST_POINTS:
+            return dataset
+    elif dataset.kind == "colmap":
+        _log.warning(_TOO_FEW, dataset.folder, len(dataset.points))
+    viewpoints = [viewpoint(view.camera, view.photo.pixels().alpha) for view in dataset.train]
+    blender = dataset.kind == "blender"
+    points = random_points(viewpoints, dataset.radius, blender, seed, start or RandomStart())
+    if len(points) < LEAST_POINTS:
+        raise DataError(
+            f"{dataset.folder}: no two photos look at the same place; check the poses and their "
+            "axes"
+        )
+    return replace(dataset, points=points, point_colors=None)
+
+
+_TOO_FEW = "%s: only %d usable points, starting from random ones"
+
+
+def _triangulated(
+    dataset: Dataset, cache: Path | None, seed: int, on_stage: Callable[[str], None]
+) -> Dataset:
+    """The data set with points triangulated from its training photos, or without any."""
+    names = {view.name for view in dataset.train}
+    photos = [photo for photo in dataset.photos if photo.name in names]
+    try:
+        found = triangulate(photos, cache, seed, on_stage)
+    except DataError as error:
+        _log.warning("no triangulated points, starting from random ones: %s", error)
+        return dataset
+    if len(found.position) < MIN_TRIANGULATED:
+        count = len(found.position)
+        _log.warning("only %d points triangulated, starting from random ones", count)
+        return dataset
+    points, colors = to_scene_points(dataset, found.position, found.color)
+    if len(points) < LEAST_POINTS:
+        _log.warning(_TOO_FEW, dataset.folder, len(points))
+    return replace(dataset, points=points, point_colors=colors)

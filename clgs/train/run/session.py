@@ -34,6 +34,7 @@ from clgs.train.quality.score_views import (
     summarize,
 )
 from clgs.train.run.full_disk import Keeper
+from clgs.train.run.load import random_start, with_points
 from clgs.train.run.progress_log import ProgressLog
 from clgs.train.run.run_folder import (
     RESULTS,
@@ -254,7 +255,8 @@ def train_scene(
     """Train a scene; the run folder receives everything, ``scene.clgs`` included.
 
     Args:
-        dataset: from :func:`clgs.load_dataset`.
+        dataset: from :func:`clgs.load_dataset`; if it has no points, they are triangulated or
+            drawn first, as ``clgs train`` does it.
         folder: run folder, made if it is missing.
         config: default ``TrainConfig()`` resolved for the dataset.
         device: default: chosen as ``clgs devices`` shows.
@@ -277,6 +279,7 @@ def train_scene(
         raise UsageError("folder: the name is empty; name the run folder")
     check_run_folder(Path(folder), resume, overwrite)
     resolved = (config or TrainConfig()).for_dataset(dataset.kind)
+    dataset = with_points(dataset, random_start(resolved), Path(folder), resolved.seed)
     finished = finished_run(Path(folder), dataset, resolved) if resume else None
     if finished is not None:
         return finished

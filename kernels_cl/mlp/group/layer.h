@@ -12,8 +12,12 @@
 #include "common/method.h"
 #include "mlp/layout.h"
 
+#ifndef SAMPLES
 #define SAMPLES 64
+#endif
+#ifndef LAYER_ITEMS
 #define LAYER_ITEMS 128
+#endif
 #define LAYER_GROUP GROUP_OF(LAYER_ITEMS)
 
 /* Quads of samples, and how many work-items share one. */

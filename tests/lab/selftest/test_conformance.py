@@ -11,12 +11,12 @@ import pytest
 
 from clgs.cli.main import main
 from clgs.errors import DataError
+from clgs.lab import limit_kernels as limits
 from clgs.lab.facts import machine_facts
 from clgs.lab.selftest import SHIPPED
 from clgs.lab.selftest.conformance import differences, fingerprints, from_record, to_record
 from clgs.lab.selftest.exact_scenes import ExactRandom
 from clgs.opencl.device import Device
-from clgs.ops import limits
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_wrong_roundings_are_told_beside_differences(found, tmp_path, capsys, mo
         values[0, :7] = np.nextafter(values[0, :7], np.float32(9))
         return device.upload(values)
 
-    monkeypatch.setattr("clgs.ops.limits.rounding", careless)
+    monkeypatch.setattr("clgs.lab.limit_kernels.rounding", careless)
     assert main(["conformance", "--check", str(tmp_path / "other.json")]) == 1
     out = capsys.readouterr().out
     assert "note: division: 7 of 5000 not as IEEE 754 rounds them" in out

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from clgs.lab.observed_kernels import blend_decisions
 from clgs.lab.synthetic.gaussians import ProjectedScene
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
@@ -82,9 +83,8 @@ def in_float64(rendered: Rendered, scene: ProjectedScene) -> dict[str, Any]:
 
 def decisions(rendered: Rendered, d_image: np.ndarray) -> tuple[Any, Any]:
     """What forward and backward decide, as the reference takes it."""
-    d_uploaded = rendered.device.upload(d_image)
-    pair = blend.decisions(rendered.device, rendered.blended, d_uploaded)
-    return tuple(reference.Decisions(**vars(one)) for one in pair)
+    device = rendered.device
+    return blend_decisions(device, rendered.blended, device.upload(d_image))
 
 
 def every_tile_lists(device: Any, scene: ProjectedScene, size: tuple[int, int]) -> tiles.TileLists:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import builtins
 import logging
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +12,7 @@ from PIL import Image
 
 from clgs.data.images import read_image
 from clgs.errors import DataError
-from clgs.poses.photos.bring_in import bring_in, find_source
-from clgs.poses.photos.cameras import camera_numbers
+from clgs.poses.photos.bring_in import bring_in, camera_numbers, find_source
 from tests.data.folders import noise_image, room_image, room_poses
 
 DETAILS, ORIENTATION = 0x8769, 0x0112
@@ -96,15 +95,8 @@ def test_heic_is_read_with_its_focal_length(photos: Path, tmp_path: Path):
 
 
 def test_without_its_library_heic_ends_in_one_line(photos: Path, tmp_path: Path, monkeypatch):
-    real = builtins.__import__
-
-    def refuse(name, *rest, **more):
-        if name == "pillow_heif":
-            raise ModuleNotFoundError(name)
-        return real(name, *rest, **more)
-
-    (photos / "IMG_1.HEIC").write_bytes(b"whatever")
-    monkeypatch.setattr(builtins, "__import__", refuse)
+    (photos / "IMG_1.HEIC").write_bytes(b"any bytes")
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)  # its import fails
     with pytest.raises(DataError, match=r'IMG_1\.HEIC: HEIC needs .* "clgs\[heif\]"'):
         brought(photos, tmp_path / "work")
 

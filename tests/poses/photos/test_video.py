@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import builtins
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -140,14 +140,7 @@ def test_sound_alone_is_no_video(tmp_path: Path):
 
 
 def test_the_library_is_asked_for_in_one_line(clip: Path, monkeypatch):
-    real = builtins.__import__
-
-    def refuse(name, *rest, **more):
-        if name == "imageio_ffmpeg":
-            raise ModuleNotFoundError(name)
-        return real(name, *rest, **more)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)  # its import fails
     with pytest.raises(DataError, match=r'imageio-ffmpeg; pip install "clgs\[video\]"'):
         find_source(clip)
 

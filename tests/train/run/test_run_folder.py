@@ -18,6 +18,7 @@ from clgs.data.stored_photo import StoredPhoto
 from clgs.errors import BudgetError, DataError
 from clgs.render import tile_groups
 from clgs.train.config import preset
+from clgs.train.run.load import with_points
 from clgs.train.run.run_folder import FolderLock
 from clgs.train.run.session import train_scene
 from tests.small_scene import write_scene
@@ -32,7 +33,7 @@ def data(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def dataset(data):
-    whole = load_dataset(data)
+    whole = with_points(load_dataset(data))
     return replace(whole, points=whole.points[::25])
 
 

@@ -34,7 +34,7 @@ def uneven(tmp_path_factory):
     """The corner of a room: training photos of exposures whose mean is that of the others."""
     folder = tmp_path_factory.mktemp("room")
     write_room(folder, PHOTOS, (80, 60))
-    whole, rng = load_dataset(folder, load_points=False), np.random.default_rng(4)
+    whole, rng = load_dataset(folder), np.random.default_rng(4)
     dull = np.full(3, 0.3), np.full(3, 0.28)  # room for other exposures
     train, test = ([exposed(view, *dull) for view in some] for some in (whole.train, whole.test))
     gains = rng.uniform(-0.5, 0.5, (len(train), 1)) + rng.uniform(-0.1, 0.1, (len(train), 3))

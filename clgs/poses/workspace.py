@@ -1,4 +1,4 @@
-"""What every stage of a reconstruction needs to know."""
+"""The folder, the database and the options that all stages of a reconstruction share."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from typing import Any
 
 STAGES = (
     *("read", "features", "matches", "poses", "other poses", "second look", "more poses"),
-    *("check", "undistort", "training"),
+    *("check", "undistort"),
 )
-"""Of a reconstruction, in their order; not all are needed by each."""
+"""The stages of ``prepare`` in order; some reconstructions skip some of them."""
 
 OnProgress = Callable[[str, int, int], None]
-"""Called with a stage, what of it is done, and of how much; 0 of 0 if that cannot be told."""
+"""A function of a stage's name, the finished amount and the total; 0 of 0 if both are unknown."""
 
 THREADS = os.cpu_count() or 1
-"""Explicit, because pycolmap warns about memory if it may choose."""
+"""Given to pycolmap because it warns about memory if it may choose."""
 
 LOCKED = "database factory"
-"""What pycolmap says if it cannot open a database; it does not wait for one that is locked."""
+"""Part of pycolmap's message if it cannot open a database; it does not wait for a lock to end."""
 
 WAITS = (0.1, 0.3, 1.0, 3.0)
-"""Seconds: a connection may still be closing, or another mapper opening its own."""
+"""Seconds between attempts: another connection may be closing or opening."""
 
 
 @dataclass(frozen=True)
-class Job:
-    """One reconstruction.
+class Workspace:
+    """The inputs of one reconstruction, and the folder of its files.
 
-    pycolmap: the module; images: folder of the photos; folder: for all that is made of them;
-    names: of the files, in the order of the photos' own names; cameras: for each the number of its
-    camera; seed: of all random choices; masks: folder of a mask per file, None without.
+    pycolmap: the module; images: folder of the photos; folder: for all files that are made; names:
+    the photos' file names, in order; cameras: the camera's number of each photo; seed: of all
+    random choices; masks: folder of a mask per photo, None without masks.
     """
 
     pycolmap: Any
@@ -48,18 +48,18 @@ class Job:
 
     @property
     def database(self) -> Path:
-        """Features, matches and two-view geometries."""
+        """The path of the database: features, matches and two-view geometries."""
         return self.folder / "database.db"
 
     def open(self) -> Any:
-        """pycolmap's connection to the database."""
+        """Open the database; returns pycolmap's connection."""
         return self.call(self.pycolmap.Database.open, self.database)
 
     def call(self, function: Callable[..., Any], *args: Any, **options: Any) -> Any:
-        """What a function of pycolmap that begins by opening a database returns.
+        """Call a function of pycolmap that begins by opening a database; returns its result.
 
         Raises:
-            RuntimeError: the database could not be opened in all of WAITS, or another failure.
+            RuntimeError: the database stayed locked for all of WAITS, or another failure.
         """
         for wait in WAITS:
             try:
@@ -71,5 +71,5 @@ class Job:
         return function(*args, **options)
 
     def ids(self, database: Any) -> list[int]:
-        """The number of each photo in the open ``database``, in the order of ``names``."""
+        """Read each photo's number in the open ``database``, in the order of ``names``."""
         return [int(database.read_image_with_name(name).image_id) for name in self.names]

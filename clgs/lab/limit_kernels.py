@@ -1,4 +1,4 @@
-"""Kernels that ask what a device can do: what the other stages are measured against.
+"""Kernels that ask what a device can do: stages are measured against them.
 
 copy: target = source. fma: CHAINS independent chains x <- x factor + term per lane, starting
 at (1 .. CHAINS) / 8, and their sum. rounding: the operations whose last bit drivers disagree about.
@@ -7,12 +7,13 @@ at (1 .. CHAINS) / 8, and their sum. rounding: the operations whose last bit dri
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.device import Device, round_up
+from clgs.opencl.device import Device
+from clgs.opencl.grid import ANY_GROUP, by_items
 from clgs.shapes import Shapes
 
-GROUP_SIZE = 64
 CHAINS = 6
 FACTOR, TERM = 0.75, 0.375
 
@@ -28,25 +29,30 @@ def copy(device: Device, source: DeviceArray, target: DeviceArray) -> None:
     shapes.check("target", target, "n", np.float32)
     device.run(
         device.kernel("limits/limits", "limits_copy"),
-        (round_up(-(-len(source) // device.vec), GROUP_SIZE),),
-        (GROUP_SIZE,),
-        source,
-        np.uint32(len(source)),
-        target,
+        *by_items(-(-len(source) // device.vec)),
+        source=source,
+        total=np.uint32(len(source)),
+        target=target,
     )
 
 
 def fma(device: Device, groups: int, steps: int) -> DeviceArray:
     """The sums (lanes,) float32 of chains of ``steps`` fused multiply-adds, all lanes equal.
 
-    ``groups`` work-groups run; lanes = groups * (1 or GROUP_SIZE work-items) * vector lanes, and
+    ``groups`` work-groups run; lanes = groups * (1 or ANY_GROUP work-items) * vector lanes, and
     2 CHAINS steps lanes operations are made.
     """
-    group = GROUP_SIZE if device.specialisation == "gpu" else 1
+    group = ANY_GROUP if device.specialisation == "gpu" else 1
     result = device.empty((groups * group * device.vec,))
-    kernel = device.kernel("limits/limits", "limits_fma")
-    arguments = np.float32(FACTOR), np.float32(TERM), np.int32(steps)
-    device.run(kernel, (groups * group,), (group,), *arguments, result)
+    device.run(
+        device.kernel("limits/limits", "limits_fma"),
+        (groups * group,),
+        (group,),
+        factor=np.float32(FACTOR),
+        term=np.float32(TERM),
+        steps=np.int32(steps),
+        result=result,
+    )
     return result
 
 
@@ -63,7 +69,25 @@ def rounding(device: Device, x: DeviceArray, y: DeviceArray, z: DeviceArray) -> 
     for name, array in (("x", x), ("y", y), ("z", z)):
         shapes.check(name, array, "n", np.float32)
     result = device.empty((4, len(x)))
-    kernel = device.kernel("limits/limits", "limits_rounding")
-    size = (round_up(-(-len(x) // device.vec), GROUP_SIZE),), (GROUP_SIZE,)
-    device.run(kernel, *size, x, y, z, np.uint32(len(x)), result)
+    device.run(
+        device.kernel("limits/limits", "limits_rounding"),
+        *by_items(-(-len(x) // device.vec)),
+        x=x,
+        y=y,
+        z=z,
+        total=np.uint32(len(x)),
+        rounded=result,
+    )
     return result
+
+
+def exact_rounding(
+    x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], z: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float32]:
+    """What :func:`rounding` computes on a device that keeps to IEEE 754.
+
+    The arguments hold numbers of float32 with magnitudes from 1 to 4: x y and x y + z are exact in
+    float64 then, and a quotient or root that float64 has rounded rounds on as if it were exact.
+    """
+    product = (x * y).astype(np.float32).astype(np.float64)
+    return np.stack([x / y, np.sqrt(y), product + z, x * y + z]).astype(np.float32)

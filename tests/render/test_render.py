@@ -10,12 +10,14 @@ import pytest
 from clgs.lab.selftest.reference_render import backward_reference, render_reference
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.ops import loss
+from clgs.ops.scan import EXACT
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import loss as loss_reference
 from clgs.render.frame import EXACT_ROOM, Room, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings
 from tests.compare import relative_l2
+from tests.ops.cases.splats import stored
 
 LEVEL = 1 / 255
 VOLUME_WEIGHT = 0.01
@@ -112,3 +114,23 @@ def test_pictures_without_gradients_have_the_same_bits(device, max_memory, room)
     assert totals[0] == totals[1]
     assert min(totals[0]) > 0
     assert np.array_equal(device.download(frame.image), device.download(picture.image))
+
+
+def test_a_room_grows_only_if_it_must():
+    room = Room(10, EXACT, 30)
+    assert room.holds(Room(10, 2**40, 30))
+    assert not any(room.holds(needed) for needed in (Room(11, 0, 0), Room(0, 0, 31)))
+    grown = room.grown(Room(10, 4, 40))
+    assert grown == Room(10, 4 + 1 + 1024, 40 + 10 + 1024)
+    assert grown.grown(Room(10, 5, 41)) == grown
+
+
+def test_gradients_need_what_was_kept_of_the_same_scene(device, rng):
+    scene, camera = anchor_scene(100, 32, 3)
+    uploaded, gaussians = upload_scene(device, scene), stored(rng, 50).map(device.upload)
+    view, d_image = upload_view(device, camera, RenderSettings()), device.zeros((3, 32, 32))
+    fused = rasterise(device, uploaded, view, keep=False)
+    with pytest.raises(ValueError, match="drawn without `keep`"):
+        rasterise_backward(device, uploaded, fused, d_image)
+    with pytest.raises(ValueError, match="of ordinary Gaussians, but the scene is one of anchors"):
+        rasterise_backward(device, uploaded, rasterise(device, gaussians, view), d_image)

@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from clgs.lab.observed_kernels import PairCounts, count_pairs, mlp_work
 from clgs.opencl.device import Device
-from clgs.ops import adam, blend, mlp, tiles
+from clgs.ops import adam, blend, tiles
 from clgs.options import RenderOptions
 from clgs.render.frame import Frame
 from clgs.render.rasterise import rasterise_backward
 from clgs.train.run.trainer import Trainer
-
-
-@dataclass(frozen=True)
-class Saving:
-    """What is ``done`` of the work that would be done ``without`` a skip, both in ``unit``."""
-
-    skip: str
-    unit: str
-    done: int
-    without: int
-
-    @property
-    def share(self) -> float:
-        """Share of the work that is left out."""
-        return 1.0 - self.done / self.without if self.without else 0.0
+from clgs.workflow.train import Saving
 
 
 def savings(trainer: Trainer) -> list[Saving]:
     """Count on the first training view, with the parameters as they are; renders it again."""
     device, config, frame = trainer.device, trainer.config, trainer.render_next()
     options, rows = frame.blended.options, trainer.parameters.count
-    work = mlp.work(device, frame.activations)
+    work = mlp_work(device, frame.activations)
     found = [
         Saving("anchors", "anchors decoded", work.all_samples, rows),
         Saving("opacity_first", "anchors with color", work.samples, work.all_samples),
@@ -69,13 +56,11 @@ def savings(trainer: Trainer) -> list[Saving]:
     return [*found, Saving("rate interval", "steps with the rate proxy", due, after)]
 
 
-def _pairs(
-    device: Device, frame: Frame, options: RenderOptions
-) -> tuple[blend.PairCounts, blend.PairCounts]:
+def _pairs(device: Device, frame: Frame, options: RenderOptions) -> tuple[PairCounts, PairCounts]:
     background = frame.view.background
     blended = blend.forward(device, frame.projected, frame.tiles, background, options)
     d_image = device.upload(np.ones(blended.image.shape, np.float32))
-    return blend.count_pairs(device, blended, d_image)
+    return count_pairs(device, blended, d_image)
 
 
 def _without(options: RenderOptions, skip: str) -> RenderOptions:

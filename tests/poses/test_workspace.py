@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from clgs.poses import job as module
-from clgs.poses.job import WAITS, Job
+from clgs.poses import workspace as module
+from clgs.poses.workspace import WAITS, Workspace
 
 pycolmap = pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
 
@@ -25,18 +25,18 @@ print("free", flush=True)
 
 
 @pytest.fixture
-def job(tmp_path: Path):
-    job = Job(pycolmap, tmp_path, tmp_path, [], [], 0, lambda stage, done, total: None)
+def workspace(tmp_path: Path):
+    workspace = Workspace(pycolmap, tmp_path, tmp_path, [], [], 0, lambda *_: None)
     before, pycolmap.logging.minloglevel = pycolmap.logging.minloglevel, 3
-    job.open().close()
-    yield job
+    workspace.open().close()
+    yield workspace
     pycolmap.logging.minloglevel = before
 
 
 @pytest.fixture
-def holder(job: Job):
+def holder(workspace: Workspace):
     """A process that locks the database until it reads a line."""
-    command = [sys.executable, "-c", HOLDER, str(job.database)]
+    command = [sys.executable, "-c", HOLDER, str(workspace.database)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, **pipes) as process:
         assert process.stdout.readline() == "held\n"
@@ -44,7 +44,7 @@ def holder(job: Job):
         process.kill()
 
 
-def test_a_locked_database_is_waited_for(job, holder, monkeypatch):
+def test_a_locked_database_is_waited_for(workspace, holder, monkeypatch):
     waited = []
 
     def free(seconds: float) -> None:
@@ -55,21 +55,21 @@ def test_a_locked_database_is_waited_for(job, holder, monkeypatch):
             assert holder.stdout.readline() == "free\n"
 
     monkeypatch.setattr(module.time, "sleep", free)
-    with job.open() as database:
+    with workspace.open() as database:
         assert database.num_images() == 0
     assert waited == list(WAITS[:2])
 
 
-def test_one_that_stays_locked_is_an_error(job, holder, monkeypatch):
+def test_one_that_stays_locked_is_an_error(workspace, holder, monkeypatch):
     monkeypatch.setattr(module.time, "sleep", lambda seconds: None)
     with pytest.raises(RuntimeError, match=module.LOCKED):
-        job.open()
+        workspace.open()
 
 
-def test_other_failures_are_told_at_once(job, monkeypatch):
+def test_other_failures_are_raised_at_once(workspace, monkeypatch):
     def fail() -> None:
         raise RuntimeError("no such thing")
 
     monkeypatch.setattr(module.time, "sleep", lambda seconds: pytest.fail("waited"))
     with pytest.raises(RuntimeError, match="no such thing"):
-        job.call(fail)
+        workspace.call(fail)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.constants import NEAR_PLANE
-from clgs.ops import blend as blend_op
+from clgs.lab.observed_kernels import blend_decisions
 from clgs.options import RenderOptions
 from clgs.reference import blend, project, splats, tiles
 from clgs.render.frame import upload_view
@@ -37,8 +37,7 @@ def reference(device, gaussians, frame, d_image):
     names = "gaussian", "row", "tile_range", "row_range"
     found = {name: device.download(getattr(frame.blended.tiles, name)) for name in names}
     lists = tiles.TileLists(**found)
-    ahead, _ = blend_op.decisions(device, frame.blended, device.upload(d_image))
-    decisions = blend.Decisions(ahead.contributed, ahead.saturated)
+    decisions, _ = blend_decisions(device, frame.blended, device.upload(d_image))
     light = seen.color, seen.opacity, lists, np.array(SETTINGS.background)
     image = blend.forward(projected, *light, (72, 56), decisions).image
     drawn = blend.backward(projected, *light, decisions, d_image.astype(np.float64))

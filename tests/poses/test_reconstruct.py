@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from clgs.errors import DataError
-from clgs.poses import mapper
+from clgs.poses import reconstruct
 from tests.data.folders import noise_image
 from tests.terminal import as_from_a_terminal
 
@@ -42,7 +42,7 @@ DEAF = """
     open("deaf", "x").close()
     time.sleep(600)
 """
-"""As native code that looks for no signal."""
+"""Acts as native code that ignores signals."""
 
 HANG = 120
 """Seconds after which a process that does not end is given up."""
@@ -136,9 +136,9 @@ def test_a_crash_on_a_full_disk_asks_for_room(tmp_path: Path, monkeypatch: pytes
     def crash(*_):
         raise DataError("structure from motion: pycolmap crashed (exit code -6); try other photos")
 
-    monkeypatch.setattr(mapper, "run_child", crash)
+    monkeypatch.setattr(reconstruct, "run_child", crash)
     with pytest.raises(DataError, match="crashed"):
-        mapper.reconstruct(tmp_path, 0, False, lambda *_: None)
-    monkeypatch.setattr(mapper.shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
+        reconstruct.reconstruct(tmp_path, 0, False, lambda *_: None)
+    monkeypatch.setattr(reconstruct.shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
     with pytest.raises(OSError, match="No space left"):
-        mapper.reconstruct(tmp_path, 0, False, lambda *_: None)
+        reconstruct.reconstruct(tmp_path, 0, False, lambda *_: None)

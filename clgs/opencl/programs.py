@@ -1,0 +1,110 @@
+"""Build the programs of ``kernels_cl/`` for one device, each once."""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+import warnings
+
+import numpy as np
+import pyopencl as cl
+
+from clgs import constants
+from clgs.errors import DeviceError
+from clgs.opencl.kernel import Kernel
+from clgs.opencl.signature import Parameter, signatures
+from clgs.opencl.source import program_file, read_program
+
+BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
+"""Subnormals cost CPUs dearly; warnings are the lint's (scripts/checks/lint_kernels.sh)."""
+
+EXACT_DIVISION = "-cl-fp32-correctly-rounded-divide-sqrt"
+"""For devices that have it: a GPU's usual division may be wrong in the last two bits."""
+
+COMPILED_SECONDS = 0.06
+"""Processor time above which a program was compiled, not taken from the driver's cache."""
+
+NOTES = "clgs.notes"
+"""The logger of what is good to know while one waits."""
+
+PARTS_GROUP_SIZE = 64
+"""Work-items of a group of a launch over several arrays (kernels_cl/common/parts.h)."""
+
+SCAN_GROUP_SIZE = 256
+"""Work-items of a group that scans, counts or sorts on a GPU (kernels_cl/scan/group_scan.h)."""
+
+Defines = dict[str, int | float]
+Built = tuple[cl.Program, dict[str, tuple[Parameter, ...]]]
+"""A program, and the parameters of its kernels."""
+
+
+class Programs:
+    """The programs and kernels that one device has built so far."""
+
+    def __init__(
+        self, context: cl.Context, device_name: str, form: str, lanes: int, exact: bool
+    ) -> None:
+        """``form``: "cpu" or "gpu"; ``lanes``: VEC by default; ``exact``: see EXACT_DIVISION."""
+        self._context, self._device_name, self._form = context, device_name, form
+        self._defines = {
+            **constants.defines(),
+            "PARTS_GROUP_SIZE": PARTS_GROUP_SIZE,
+            "SCAN_GROUP_SIZE": SCAN_GROUP_SIZE,
+            "USE_LOCAL": int(form == "gpu"),
+            "VEC": lanes,
+        }
+        self._options = [*BUILD_OPTIONS, *([EXACT_DIVISION] if exact else [])]
+        self._kernels: dict[tuple[object, ...], Kernel] = {}
+        self._programs: dict[tuple[object, ...], Built] = {}
+        self._told = False
+
+    def kernel(self, program: str, name: str, defines: Defines) -> Kernel:
+        """As :meth:`clgs.opencl.device.Device.kernel`."""
+        key = (program, name, *sorted(defines.items()))
+        if key not in self._kernels:
+            built, parameters = self._program(program, defines)
+            self._kernels[key] = Kernel(cl.Kernel(built, name), parameters[name])
+        return self._kernels[key]
+
+    def _program(self, program: str, defines: Defines) -> Built:
+        key = (program, *sorted(defines.items()))
+        if key not in self._programs:
+            macros = {name: literal(value) for name, value in (self._defines | defines).items()}
+            options = [f"-D{name}={value}" for name, value in sorted(macros.items())]
+            file = program_file(program, self._form)
+            source, start = read_program(file), time.thread_time()
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", cl.CompilerWarning)
+                    built = cl.Program(self._context, source).build([*self._options, *options])
+            except cl.RuntimeError as error:
+                raise DeviceError(
+                    f"kernels_cl/{file} does not build on {self._device_name}: "
+                    f"{_first_complaint(str(error))}"
+                ) from error
+            self._tell(time.thread_time() - start)
+            self._programs[key] = built, signatures(source, macros)
+        return self._programs[key]
+
+    def _tell(self, seconds: float) -> None:
+        """Say once that kernels are compiled, which the next start of a program need not do."""
+        if seconds > COMPILED_SECONDS and not self._told:
+            self._told = True
+            logging.getLogger(NOTES).info("compiling kernels for %s (once)", self._device_name)
+
+
+def _first_complaint(log: str) -> str:
+    """The first line of a build log that names a source line, else its last line."""
+    lines = [line.strip() for line in log.splitlines() if line.strip()]
+    marked = [line for line in lines if re.search(r"\.(cl|h):\d+", line)]
+    errors = [line for line in marked if "error" in line]
+    return (errors or marked or lines[-1:] or ["no build log"])[0]
+
+
+def literal(value: int | float) -> str:
+    """A number as OpenCL C has it: an int, or a float32 of the same bits."""
+    if isinstance(value, int):
+        return str(value)
+    text = f"{np.float32(value):.9g}"
+    return f"{text}f" if "." in text or "e" in text else f"{text}.0f"

@@ -1,0 +1,281 @@
+"""Models by pycolmap's mappers, and the choice of the one that explains the most matches."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clgs.errors import DataError
+from clgs.poses.judging.evidence import (
+    MAX_CONTRADICTED,
+    MIN_MATCHES,
+    Evidence,
+    MappedModel,
+    ModelChoice,
+    explain,
+)
+from clgs.poses.matching import match_again, read_evidence
+from clgs.poses.workspace import Workspace
+
+MIN_MODEL = 3
+"""The least photos of a model."""
+
+TOLERANCE = 1e-6
+"""Relative decrease of the error at which a global bundle adjustment ends."""
+
+LOOSE_INLIERS, LOOSE_SHARE = 15, 0.15
+"""The least matches with points that a photo needs at the second look, and their least share;
+COLMAP's defaults are 30 and 0.25."""
+
+STRONGEST = 8
+"""Pairs per photo from which a model is made if the model of all pairs contradicts matches."""
+
+MOSTLY_STILL = 0.5
+"""If no model is found, this share of motionless matches is taken for the reason."""
+
+INCREMENTAL, GLOBAL = "incremental", "global"
+STRONG = "incremental, strongest pairs"
+
+HALF = 0.5
+"""Share of all tracks from which the second reconstruction is made."""
+
+OTHER_SEED = 1_000_003
+"""Added to the seed: the second reconstruction must not follow the first one's choices."""
+
+
+def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
+    """Run both mappers on all verified matches and choose the better model.
+
+    Args:
+        workspace: of the reconstruction.
+        quick: run the incremental mapper alone.
+
+    Raises:
+        DataError: no two photos could be related.
+    """
+    choice = _choose(workspace, (INCREMENTAL,) if quick else (INCREMENTAL, GLOBAL), "poses")
+    if choice is not None:
+        return choice
+    still = read_evidence(workspace).still
+    if still < MOSTLY_STILL:
+        advice = "take more, overlapping photos of a textured, motionless scene"
+    else:
+        advice = (
+            f"{still:.0%} of what they share stands still in the pictures: if a thing turned "
+            "before a camera that did not move, mask all else (masks/NAME.png); else move between "
+            "photos"
+        )
+    raise DataError(f"no two photos could be related; {advice}")
+
+
+def _choose(workspace: Workspace, mappers: Sequence[str], stage: str) -> ModelChoice | None:
+    """Choose the model that explains the most matches in links; None if there is no model.
+
+    If it contradicts links, a model of the strongest pairs alone may take its place.
+    """
+    evidence = read_evidence(workspace)
+    # Each mapper runs on one thread: sums in another order would give other poses.
+    with ThreadPoolExecutor(len(mappers)) as pool:
+        running = {name: pool.submit(MAPPERS[name], workspace, stage) for name in mappers}
+        found = {name: future.result() for name, future in running.items()}
+    candidates = _largest(found, evidence)
+    if not candidates:
+        return None
+    if max(candidates, key=_explained).explained.contradicted > MAX_CONTRADICTED:
+        found[STRONG] = _map_strongest(workspace, evidence, stage)
+        candidates = _largest(found, evidence)
+    kept = max(candidates, key=_explained)
+    placed = set(_names(kept.reconstruction))
+    others = [[name for name in _names(one) if name not in placed] for one in found[kept.mapper]]
+    apart = sorted(filter(None, others), key=len, reverse=True)
+    return ModelChoice(kept, candidates, evidence, apart)
+
+
+def _largest(found: Mapping[str, list[Any]], evidence: Evidence) -> list[MappedModel]:
+    """Pick the largest model of each mapper that made one, and count what it explains."""
+    best = {
+        name: max(models, key=lambda one: (one.num_reg_images(), one.num_points3D()))
+        for name, models in found.items()
+        if models
+    }
+    return [MappedModel(name, model, explain(model, evidence)) for name, model in best.items()]
+
+
+def _explained(model: MappedModel) -> int:
+    return model.explained.total
+
+
+def _names(model: Any) -> list[str]:
+    return sorted(model.image(number).name for number in model.reg_image_ids())
+
+
+def look_again(workspace: Workspace, choice: ModelChoice) -> ModelChoice:
+    """Try once more, less strictly, to place the photos that the kept model lacks."""
+    model = choice.kept.reconstruction
+    placed = set(_names(model))
+    left_out = [place for place, name in enumerate(workspace.names) if name not in placed]
+    if not left_out:
+        return choice
+    match_again(workspace, left_out)
+    start = workspace.folder / "first_look"
+    start.mkdir()
+    model.write(start)
+    options = _incremental_options(workspace)
+    options.multiple_models = False
+    options.mapper.abs_pose_min_num_inliers = LOOSE_INLIERS
+    options.mapper.abs_pose_min_inlier_ratio = LOOSE_SHARE
+    folder = workspace.folder / "second_look"
+    again = _run_incremental(workspace, "more poses", folder, options, start)
+    evidence = read_evidence(workspace)
+    found = [model, *again]
+    models = [MappedModel(choice.kept.mapper, one, explain(one, evidence)) for one in found]
+    return replace(choice, kept=max(models, key=_explained), evidence=evidence)
+
+
+def map_half(workspace: Workspace, choice: ModelChoice) -> Any | None:
+    """Make a second reconstruction from half of the points, by the kept model's mapper.
+
+    What both reconstructions agree on can be trusted. A photo whose pose rests on little, or on
+    matches that contradict each other, comes to stand elsewhere. The half of a feature is drawn by
+    its point in the first reconstruction, so that a track is never split; matches without a point
+    are drawn one by one. The first reconstruction's poses play no part.
+
+    Returns:
+        pycolmap's reconstruction; None if there is none.
+    """
+    model, evidence = choice.kept.reconstruction, choice.evidence
+    seed = (workspace.seed + OTHER_SEED) % 2**31
+    half = replace(workspace, folder=workspace.folder / "check", seed=seed)
+    half.folder.mkdir()
+    rng = np.random.default_rng(seed)
+    drawn = {number: int(rng.random() < HALF) for number in sorted(model.point3D_ids())}
+    # Of every feature of an image 1 or 0, the half of its track; -1 without a track.
+    halves = {}
+    for number, keypoints in evidence.keypoints.items():
+        halves[number] = np.full(len(keypoints), -1, np.int8)
+        if model.exists_image(number):
+            for index, point in enumerate(model.image(number).points2D):
+                if point.has_point3D():
+                    halves[number][index] = drawn[point.point3D_id]
+    _write_half(workspace, half, halves, evidence)
+    mapper = GLOBAL if choice.kept.mapper == GLOBAL else INCREMENTAL
+    second = _choose(half, (mapper,), "check")
+    return second.kept.reconstruction if second else None
+
+
+def _write_half(
+    workspace: Workspace, half: Workspace, halves: Mapping[int, Any], evidence: Evidence
+) -> None:
+    """Write the database of ``half``: all features, and the matches whose track is in half 1."""
+    rng = np.random.default_rng(half.seed)
+    shutil.copyfile(workspace.database, half.database)
+    with workspace.open() as whole, half.open() as part:
+        part.clear_descriptors()
+        part.clear_matches()
+        part.clear_two_view_geometries()
+        for pair in evidence.pairs:
+            first = halves[pair.first][pair.matches[:, 0]]
+            second = halves[pair.second][pair.matches[:, 1]]
+            drawn = (rng.random(len(first)) < HALF).astype(np.int8)
+            side = np.where(first >= 0, first, np.where(second >= 0, second, drawn))
+            kept = pair.matches[side == 1]
+            if len(kept) >= MIN_MATCHES:
+                geometry = whole.read_two_view_geometry(pair.first, pair.second)
+                geometry.inlier_matches = kept
+                part.write_matches(pair.first, pair.second, kept)
+                part.write_two_view_geometry(pair.first, pair.second, geometry)
+
+
+def _map_incrementally(workspace: Workspace, stage: str) -> list[Any]:
+    """COLMAP's incremental mapper: Schönberger and Frahm, Structure-from-Motion Revisited, 2016."""
+    options = _incremental_options(workspace)
+    return _run_incremental(workspace, stage, workspace.folder / INCREMENTAL, options)
+
+
+def _map_globally(workspace: Workspace, stage: str) -> list[Any]:
+    """The global mapper: Pan et al., Global Structure-from-Motion Revisited (GLOMAP), 2024."""
+    workspace.on_progress(stage, 0, 0)
+    options = workspace.pycolmap.GlobalPipelineOptions()
+    options.num_threads = 1
+    options.random_seed = workspace.seed
+    options.min_model_size = MIN_MODEL
+    options.mapper.num_threads = 1
+    options.mapper.random_seed = workspace.seed
+    options.mapper.rotation_averaging.random_seed = workspace.seed
+    options.mapper.global_positioning.random_seed = workspace.seed
+    options.mapper.global_positioning.use_gpu = False
+    options.mapper.bundle_adjustment.ceres.use_gpu = False
+    options.mapper.retriangulation.random_seed = workspace.seed
+    folder = workspace.folder / GLOBAL
+    folder.mkdir()
+    mapping = workspace.pycolmap.global_mapping
+    try:
+        models = workspace.call(mapping, workspace.database, workspace.images, folder, options)
+    except (RuntimeError, ValueError):  # it gives up if no pair determines a rotation
+        return []
+    return list(models.values())
+
+
+MAPPERS = {INCREMENTAL: _map_incrementally, GLOBAL: _map_globally}
+
+
+def _map_strongest(workspace: Workspace, evidence: Evidence, stage: str) -> list[Any]:
+    """Run the incremental mapper on the strongest pairs of every photo.
+
+    Among repeated things weak pairs mislead: a photo joins another side of the scene before its
+    neighbours are placed.
+    """
+    strongest = replace(workspace, folder=workspace.folder / "strongest")
+    strongest.folder.mkdir()
+    shutil.copyfile(workspace.database, strongest.database)
+    kept = {(pair.first, pair.second) for pair in evidence.strongest(STRONGEST)}
+    with strongest.open() as database:
+        for pair in evidence.pairs:
+            if (pair.first, pair.second) not in kept:
+                database.delete_two_view_geometry(pair.first, pair.second)
+    return _map_incrementally(strongest, "other poses" if stage == "poses" else stage)
+
+
+def _incremental_options(workspace: Workspace) -> Any:
+    options = workspace.pycolmap.IncrementalPipelineOptions()
+    options.num_threads = 1
+    options.random_seed = workspace.seed
+    options.mapper.num_threads = 1
+    options.mapper.random_seed = workspace.seed
+    options.triangulation.random_seed = workspace.seed
+    options.min_model_size = MIN_MODEL
+    options.ba_global_function_tolerance = TOLERANCE
+    return options
+
+
+def _run_incremental(
+    workspace: Workspace, stage: str, folder: Path, options: Any, start: Path | None = None
+) -> list[Any]:
+    """Run the incremental mapper, from the model in the folder ``start`` on if that is given."""
+    folder.mkdir()
+    total = len(workspace.names)
+    placed = 0
+
+    def count() -> None:
+        nonlocal placed
+        placed = min(placed + 1, total)
+        workspace.on_progress(stage, placed, total)
+
+    workspace.on_progress(stage, 0, total)
+    models = workspace.call(
+        workspace.pycolmap.incremental_mapping,
+        workspace.database,
+        workspace.images,
+        folder,
+        options=options,
+        input_path=start or "",
+        next_image_callback=count,
+    )
+    workspace.on_progress(stage, total, total)  # photos that were not placed will not be
+    return list(models.values())

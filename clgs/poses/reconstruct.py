@@ -1,0 +1,230 @@
+"""Structure from motion by pycolmap, in a child process: the stages one after the other."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from clgs.data.find import MASKS
+from clgs.data.images import image_size
+from clgs.data.masks import save_mask
+from clgs.errors import DataError
+from clgs.poses.child import OnStage, run_child, serve
+from clgs.poses.features import extract
+from clgs.poses.judging.judge import judge
+from clgs.poses.judging.verdict import Verdict, verdict_of
+from clgs.poses.mapping import look_again, map_half, map_photos
+from clgs.poses.matching import match
+from clgs.poses.pairs import pairs_to_match
+from clgs.poses.photos.bring_in import camera_numbers
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.workspace import OnProgress, Workspace
+
+JPEG_QUALITY = 95
+
+LEAST_ROOM = 1 << 20
+"""Bytes; a failure with less free space is blamed on the disk."""
+
+COUNT_SECONDS = 0.5
+"""Time between two counts of the undistorted photos."""
+
+_TASK = "structure from motion"
+
+
+def reconstruct(target: Path, seed: int, quick: bool, on_progress: OnProgress) -> Verdict:
+    """Find poses and points of the photos in ``target``/work/images: fills images/ and sparse/0/.
+
+    Args:
+        target: folder of the new data set.
+        seed: of all random choices.
+        quick: half the features, one mapper, no second reconstruction.
+        on_progress: called with the progress of each stage after "read".
+
+    Raises:
+        DataError: no reconstruction, no pycolmap, or it crashed.
+        OSError: it failed on a full disk.
+    """
+    arguments = [str(target), seed, quick]
+    try:
+        return verdict_of(run_child(__name__, _TASK, arguments, lambda one: on_progress(*one)))
+    except DataError as error:
+        if shutil.disk_usage(target).free < LEAST_ROOM:  # SQLite ends the process then
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target)) from error
+        raise
+
+
+def main() -> None:
+    """Run the process that reconstructs."""
+    serve(_work)
+
+
+def _work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
+    target, seed, quick = arguments
+    began: dict[str, float] = {}
+
+    def on_progress(stage: str, done: int, total: int) -> None:
+        began.setdefault(stage, time.perf_counter())
+        on_stage([stage, done, total])
+
+    with quiet_pycolmap(_TASK) as pycolmap:
+        verdict = _reconstruct(pycolmap, Path(target), seed, quick, on_progress)
+    # A stage ends as the next one begins.
+    ends = [*list(began.values())[1:], time.perf_counter()]
+    stages = zip(began.items(), ends, strict=True)
+    seconds = {stage: round(end - begin, 1) for (stage, begin), end in stages}
+    return replace(verdict, seconds=seconds).plain()
+
+
+def _reconstruct(
+    pycolmap: Any, target: Path, seed: int, quick: bool, on_progress: OnProgress
+) -> Verdict:
+    work = target / "work"
+    photos = _number_photos(work)
+    own_names = {photo.file: photo.name for photo in photos}
+    cameras = [photo.camera for photo in photos]
+    masks = work / "numbered_masks" if (work / MASKS).is_dir() else None
+    workspace = Workspace(
+        pycolmap, work / "numbered", work, list(own_names), cameras, seed, on_progress, masks
+    )
+    pycolmap.set_random_seed(seed)
+    extract(workspace, max(photo.size for photo in photos), quick)
+    match(workspace, pairs_to_match(workspace))
+    choice = map_photos(workspace, quick)
+    choice = look_again(workspace, choice)
+    second = None if quick else map_half(workspace, choice)
+    verdict = judge(choice, second, not quick, own_names)
+    if verdict.registered < 2:
+        raise DataError(
+            "no photo could be placed for certain; take more, overlapping photos of a textured, "
+            "motionless scene"
+        )
+    for photo in photos:
+        (work / "numbered" / photo.file).rename(work / "images" / photo.name)
+    _write_data_set(workspace, choice.kept.reconstruction, own_names, target)
+    return verdict
+
+
+@dataclass(frozen=True)
+class NumberedPhoto:
+    """A photo under the name that pycolmap reads.
+
+    file: a number with a suffix; name: its own, relative, with forward slashes; camera: equal for
+    photos that share focal length and distortion; size: longer side in pixels.
+    """
+
+    file: str
+    name: str
+    camera: int
+    size: int
+
+
+def _number_photos(work: Path) -> list[NumberedPhoto]:
+    """Move ``work``/images to ``work``/numbered under numbers: names may hold spaces and folders.
+
+    Masks are copied to ``work``/numbered_masks, if there are any.
+
+    Raises:
+        DataError: a photo is damaged.
+    """
+    images, masks = work / "images", work / MASKS
+    paths = sorted(path for path in images.rglob("*") if path.is_file())
+    photos = [
+        NumberedPhoto(
+            f"{number:06d}{path.suffix.lower()}",
+            path.relative_to(images).as_posix(),
+            camera,
+            max(image_size(path)),
+        )
+        for number, (path, camera) in enumerate(zip(paths, camera_numbers(paths), strict=True))
+    ]
+    (work / "numbered").mkdir()
+    for photo in photos:
+        (images / photo.name).rename(work / "numbered" / photo.file)
+    if masks.is_dir():
+        (work / "numbered_masks").mkdir()
+        for photo in photos:
+            copy = work / "numbered_masks" / f"{photo.file}.png"
+            shutil.copyfile(masks / f"{photo.name}.png", copy)
+    return photos
+
+
+def _write_data_set(
+    workspace: Workspace, model: Any, own_names: dict[str, str], target: Path
+) -> None:
+    """Write undistorted images, their masks, and the model with pinhole cameras into ``target``."""
+    for image in model.images.values():
+        image.name = own_names[image.name]
+    work = workspace.folder
+    (work / "model").mkdir()
+    model.write(work / "model")
+    made, total = work / "undistorted" / "images", model.num_reg_images()
+    with _files_counted(made, lambda done: workspace.on_progress("undistort", done, total)):
+        workspace.pycolmap.undistort_images(
+            work / "undistorted", work / "model", work / "images", jpeg_quality=JPEG_QUALITY
+        )
+    made.rename(target / "images")
+    _write_masks(workspace.pycolmap, model, work / MASKS, target)
+    (target / "sparse").mkdir()
+    (work / "undistorted" / "sparse").rename(target / "sparse" / "0")
+
+
+def _write_masks(pycolmap: Any, model: Any, masks: Path, target: Path) -> None:
+    """Undistort masks as the photos of ``target``/images; photos without a black pixel get none.
+
+    Args:
+        pycolmap: the module.
+        model: with the cameras of the photos as they were taken.
+        masks: folder of NAME.png for the photo NAME; it may be missing.
+        target: the new data set; its folder of masks is made if it is needed.
+    """
+    for image in model.images.values():
+        file = masks / f"{image.name}.png"
+        if not (file.is_file() and (target / "images" / image.name).is_file()):
+            continue
+        level = np.asarray(Image.open(file).convert("L"))
+        if level.all():
+            continue
+        (target / MASKS).mkdir(exist_ok=True)
+        bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(level))
+        camera = model.cameras[image.camera_id]
+        options = pycolmap.UndistortCameraOptions()
+        undistorted, _ = pycolmap.undistort_image(options, bitmap, camera)
+        used = np.asarray(undistorted.to_array()).reshape(undistorted.height, undistorted.width, -1)
+        save_mask((used[..., 0] == 255).astype(np.uint8), target / MASKS / f"{image.name}.png")
+
+
+@contextmanager
+def _files_counted(folder: Path, on_count: Callable[[int], None]) -> Iterator[None]:
+    """Call ``on_count`` with the number of files in ``folder`` now and then within the block.
+
+    pycolmap does not report how many photos it has undistorted.
+    """
+    ended = Event()
+
+    def count() -> None:
+        on_count(sum(len(names) for _, _, names in os.walk(folder)))
+
+    def watch() -> None:
+        while not ended.wait(COUNT_SECONDS):
+            count()
+
+    on_count(0)
+    thread = Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+    count()

@@ -1,0 +1,136 @@
+"""The points that training starts from: those of the data set, triangulated ones, random ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clgs.data.dataset import load_dataset
+from clgs.data.points import RandomStart
+from clgs.errors import DataError
+from clgs.train.config import TrainConfig
+from clgs.train.run import load
+from clgs.train.run.load import load_for, with_points
+from tests.data.folders import (
+    project,
+    save_json,
+    write_blender,
+    write_colmap,
+    write_room,
+    write_transforms,
+)
+
+
+def test_points_are_triangulated_once(tmp_path: Path):
+    pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+    write_room(tmp_path / "data", 6)
+    stages: list[str] = []
+    config, cache = TrainConfig(), tmp_path / "run"
+    data = load_for(config, tmp_path / "data", cache, stages.append)
+    assert len(data.points) >= load.MIN_TRIANGULATED
+    assert data.point_colors is not None
+    assert "finding points in 5 photos" in stages[0]
+    assert len(list(cache.glob("points-*.npz"))) == 1
+    read = load_dataset(tmp_path / "data")
+    assert len(read.points) == 0
+    again = with_points(read, cache=cache, on_stage=lambda stage: pytest.fail(stage))
+    assert np.array_equal(again.points, data.points)
+    assert with_points(again) is again
+    few = with_points(replace(read, train=read.train[:4]), cache=cache, on_stage=stages.append)
+    assert "finding points in 4 photos" in stages
+    assert len(few.points) != len(data.points)
+
+
+def test_a_start_has_the_number_of_points_that_is_asked_for(tmp_path: Path):
+    write_blender(tmp_path)
+    data = load_dataset(tmp_path)
+    assert len(with_points(data, RandomStart(count=500)).points) == 500
+    cube = with_points(data, RandomStart(count=5000, carved=False)).points
+    assert len(cube) == 5000
+    assert np.abs(cube).max() <= 1.3
+    assert (np.abs(cube) > 1.2).any()  # where photos show background, too
+    np.testing.assert_allclose(cube.mean(axis=0), 0.0, atol=0.06)
+
+
+def test_blender_points_are_carved_and_seeded(tmp_path: Path):
+    write_blender(tmp_path)
+    read = load_dataset(tmp_path)
+    assert len(read.points) == 0
+    data = with_points(read)
+    assert (data.kind, len(data.train), len(data.test), data.skipped) == ("blender", 8, 3, 0)
+    assert data.transform.scale == 1.0
+    assert 9_000 <= len(data.points) <= 10_000
+    distance = np.linalg.norm(data.points, axis=1)
+    # The masks are grown by 2 pixels of 40, about 0.2 units; views from one height only leave
+    # cones above and below the ball.
+    assert np.hypot(*data.points[:, :2].T).max() <= 0.8
+    assert distance.max() <= 1.3
+    assert np.array_equal(with_points(read).points, data.points)
+    assert not np.array_equal(with_points(read, seed=1).points, data.points)
+
+
+def test_photos_that_do_not_match_start_from_random_points(tmp_path: Path):
+    pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+    write_transforms(tmp_path)
+    data = with_points(load_dataset(tmp_path), cache=tmp_path / "cache")
+    assert len(data.points) >= 50_000
+    assert data.point_colors is None
+    seen = sum(
+        np.all((project(v.camera, data.points) >= 0), axis=1).astype(int) for v in data.train
+    )
+    assert seen.min() >= len(data.train) / 2
+
+
+def turn_around(document: dict) -> None:
+    for frame in document["frames"]:
+        matrix = np.array(frame["transform_matrix"])
+        matrix[:3, :3] = matrix[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
+        frame["transform_matrix"] = matrix.tolist()
+
+
+def test_photos_from_the_middle_outwards_start_from_what_two_see(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(load, "triangulate", no_points)
+    document = write_transforms(tmp_path, 40)
+    turn_around(document)
+    save_json(tmp_path, document)
+    data = with_points(load_dataset(tmp_path))
+    seen = sum(
+        np.all((project(v.camera, data.points) >= 0), axis=1).astype(int) for v in data.train
+    )
+    assert len(data.points) >= 1000
+    assert seen.min() >= 2
+
+
+def no_points(*arguments: object) -> None:
+    raise DataError("none")
+
+
+def test_cameras_that_share_no_sight_are_one_line(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(load, "triangulate", no_points)
+    document = write_transforms(tmp_path, 5)
+    turn_around(document)
+    save_json(tmp_path, document)
+    with pytest.raises(DataError, match="no two photos look at the same place; check the poses"):
+        with_points(load_dataset(tmp_path))
+
+
+def test_a_single_training_photo_starts_from_random_points(tmp_path: Path, caplog):
+    write_transforms(tmp_path, 2)
+    assert len(with_points(load_dataset(tmp_path)).points) >= 50_000
+    (warning,) = [record.getMessage() for record in caplog.records]
+    assert warning.endswith("starting from random ones: a single photo tells no depth")
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_a_model_of_few_points_starts_from_random_ones(tmp_path: Path, caplog, count: int):
+    pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+    write_colmap(tmp_path, text=True)
+    points = "".join(f"{i} 0 0 {i} 1 2 3 0.1\n" for i in range(1, count + 1))
+    (tmp_path / "sparse" / "0" / "points3D.txt").write_text(points)
+    data = with_points(load_dataset(tmp_path))
+    assert len(data.points) >= 50_000
+    assert data.point_colors is None
+    assert f"only {count} usable points, starting from random ones" in caplog.text
