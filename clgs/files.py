@@ -42,7 +42,7 @@ def atomic_write_all(contents: dict[Path, bytes]) -> None:
     """Write several files: all of them, or none.
 
     All are on the disk before the first takes its name; the first of ``contents`` takes its name
-    last. Where one cannot, the others are again what they were.
+    last. If one cannot, the others become again what they were.
 
     Raises:
         OutputError, OSError: as of :func:`atomic_write`.
@@ -79,7 +79,9 @@ def is_full(error: OSError) -> bool:
 
 
 def check_output(path: Path, *sources: Path) -> None:
-    """As :func:`check_target`; moreover ``path`` must be none of ``sources``, also through links.
+    """Check ``path`` as :func:`check_target` does; it must not be one of ``sources`` either.
+
+    A link to a source is refused too.
 
     Raises:
         OutputError: as there.
@@ -138,7 +140,7 @@ def make_folder(path: Path) -> None:
 
 @contextmanager
 def folder_to_fill(path: Path) -> Iterator[None]:
-    """As :func:`make_folder`; on a failure a folder that is new and still empty is removed.
+    """Make the folder ``path``; if the block fails, a folder that is new and empty is removed.
 
     Raises:
         OutputError: as there.
@@ -182,10 +184,10 @@ def _check_writable(path: Path, folder: Path) -> None:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A path beside ``path`` to write one file to; it takes the name ``path`` on success.
+    """A path next to ``path`` to write one file to; it takes the name ``path`` on success.
 
-    The temporary name keeps the suffix, because many writers choose the format by it. Where
-    ``path`` is a link, the file that it names is written. On any failure the temporary file is
+    The temporary name keeps the suffix, because many writers choose the format by it. If ``path``
+    is a link, the file that it names is written. On any failure the temporary file is
     removed and ``path`` stays as it was.
 
     Raises:
@@ -234,7 +236,7 @@ def _keep(target: Path, old: Path) -> None:
 
 @contextmanager
 def atomic_folder(path: Path, overwrite: bool = False) -> Iterator[Path]:
-    """A new folder beside ``path`` to fill; it takes the name ``path`` on success.
+    """A new folder next to ``path`` to fill; it takes the name ``path`` on success.
 
     On any failure it is removed with all that it holds, and what was at ``path`` is there still.
 

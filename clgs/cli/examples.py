@@ -62,7 +62,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "clgs conformance --check there.json",
     ),
 }
-"""By command."""
+"""The examples of each command."""
 
 
 def epilog(command: str) -> str:

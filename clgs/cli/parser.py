@@ -13,7 +13,7 @@ SHELLS = ("bash", "zsh", "fish")
 """Shells that complete the commands, options and values of ``clgs``."""
 
 RAW = ("examples:", "exit codes:")
-"""How paragraphs begin whose lines stay as they are."""
+"""The beginnings of paragraphs whose lines stay as they are."""
 
 _NUMBERS = re.compile(r"-(\d|\.\d|inf)")
 """The start of a word that is a negative number, or a list that begins with one."""
@@ -41,7 +41,7 @@ class Help(argparse.RawDescriptionHelpFormatter):
 class Parser(argparse.ArgumentParser):
     """A parser that refuses unknown arguments itself, in one line without the usage.
 
-    The standard one of a command hands such arguments back to that of ``clgs``.
+    The standard parser of a command hands such arguments back to the parser of ``clgs``.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -50,7 +50,7 @@ class Parser(argparse.ArgumentParser):
         self._words: list[str] = []
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """As in the base class, but an unknown command is answered by the one most like it."""
+        """Check a value; the answer to an unknown command names the one most like it."""
         if not isinstance(action, argparse._SubParsersAction) or value in action.choices:
             super()._check_value(action, value)
             return
@@ -58,7 +58,7 @@ class Parser(argparse.ArgumentParser):
         self.error(f"{action.metavar} {value!r} is unknown{near}")
 
     def error(self, message: str) -> NoReturn:
-        """Exit with code 2; a mistyped option is told before what is missing."""
+        """Exit with code 2; a mistyped option is named before what is missing."""
         mistyped = [word for word in self._words if self._suggestion([word])]
         if mistyped and message.startswith("the following arguments are required"):
             message = f"unrecognized arguments: {mistyped[0]}{self._suggestion(mistyped)}"
@@ -73,7 +73,7 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]  # one form of its four
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> tuple[Any, list[str]]:
-        """As in the base class, but unknown words are errors, and lists may begin with a minus."""
+        """Parse, but refuse unknown words, and accept lists that begin with a minus."""
         words = list(sys.argv[1:] if args is None else args)
         self._words = words
         found, unknown = super().parse_known_args(_join_numbers(words), namespace)

@@ -62,7 +62,7 @@ def anchor_bits(anchors: QuantizedAnchors) -> npt.NDArray[np.float64]:
 def _frequencies(
     channel: npt.NDArray[np.int32],
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """For each value (A,) an index, the same for equal values, and the count of each index."""
+    """An index for each value (A,), the same for equal values, and the count of each index."""
     index = channel.astype(np.intp) - int(channel.min())
     if int(index.max()) >= SPAN_LIMIT:
         _, index = np.unique(channel, return_inverse=True)

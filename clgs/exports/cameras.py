@@ -20,7 +20,7 @@ CAMERA_COLORS = {"train": (40, 90, 220, 255), "test": (230, 120, 20, 255)}
 """RGBA."""
 
 EDGES = ((0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1))
-"""Of a frustum: corner 0 is the camera's centre, 1 to 4 go around the picture."""
+"""The edges of a frustum: corner 0 is the camera's centre, 1 to 4 go around the picture."""
 
 
 def cameras_glb(dataset: Dataset) -> bytes:

@@ -32,7 +32,7 @@ HEAT_COLORS = np.array(
 """Black over violet and orange to cream: lightness grows evenly, so it reads in grey as well."""
 
 COMPRESSION = 4
-"""Of PNG: takes half the time of Pillow's own level, 6, for 2 % more bytes."""
+"""The level of PNG: it takes half the time of Pillow's own level, 6, for 2 % more bytes."""
 
 
 def save_png(path: str | Path, picture: Picture) -> None:

@@ -21,10 +21,11 @@ from clgs.errors import ClgsError
 from clgs.scene.camera import Camera
 
 SCRIPTS = ("camera.js", "hands.js", "renderer.js", "main.js")
-"""In this order they are one script."""
+"""The files that are one script, in this order."""
 
 LEAST_DISTANCE = 0.2
-"""Of a target before the first view, in distances of that view from the middle of all."""
+"""The least distance of the target from the first view, as a share of that view's
+distance from the middle of all."""
 
 
 @dataclass(frozen=True)

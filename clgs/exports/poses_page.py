@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from clgs.data.colmap.model import read_colmap
-from clgs.data.posed_photo import Photo, PhotoSet
-from clgs.exports.plan import plan
+from clgs.data.posed_photo import PhotoSet
+from clgs.exports.camera_map import draw_map
 from clgs.exports.report import STYLE, cards
 from clgs.files import atomic_write
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
@@ -35,7 +35,7 @@ _CLASS = {GOOD: "good", DOUBTFUL: "doubtful", LEFT_OUT: "left"}
 
 
 def write_poses_page(path: Path, data: Path, verdict: Verdict) -> None:
-    """Write the page on what ``clgs.prepare`` made in the folder ``data``: the whole file or none.
+    """Write the page about the data set ``data`` that ``clgs.prepare`` made, whole or not at all.
 
     Raises:
         DataError: the folder is damaged.
@@ -46,14 +46,27 @@ def write_poses_page(path: Path, data: Path, verdict: Verdict) -> None:
 
 
 def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:
-    """The page as text; sheet: the contact sheet's bytes."""
+    """Make the page as text.
+
+    Args:
+        photos: with the poses that were found.
+        verdict: on all photos.
+        sheet: the contact sheet, a JPEG file.
+    """
     picture = base64.b64encode(sheet).decode()
+    headline = [
+        ("photos with a pose", f"{verdict.registered} / {verdict.total}"),
+        ("doubtful", str(len(verdict.of(DOUBTFUL)))),
+        ("points", f"{verdict.points:,}"),
+        ("reprojection error", f"{verdict.error:.2f} px"),
+        ("track length", f"{verdict.track_length:.1f}"),
+    ]
     body = "\n".join(
         (
             "<h1>Camera poses</h1>",
             f"<p>{escape(verdict.sure)}.</p>",
-            cards(_headline(verdict)),
-            _plans(photos, verdict),
+            cards(headline),
+            _maps(photos, verdict),
             _table([*verdict.of(LEFT_OUT), *verdict.of(DOUBTFUL)]),
             _sheet(verdict.photos),
             _facts(verdict),
@@ -68,43 +81,29 @@ def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:
     )
 
 
-def _headline(verdict: Verdict) -> list[tuple[str, str]]:
-    return [
-        ("photos with a pose", f"{verdict.registered} / {verdict.total}"),
-        ("doubtful", str(len(verdict.of(DOUBTFUL)))),
-        ("points", f"{verdict.points:,}"),
-        ("reprojection error", f"{verdict.error:.2f} px"),
-        ("track length", f"{verdict.track_length:.1f}"),
-    ]
-
-
-def _plans(photos: PhotoSet, verdict: Verdict) -> str:
-    """Cameras and points from above and from the side."""
+def _maps(photos: PhotoSet, verdict: Verdict) -> str:
+    """Draw cameras and points from above and from the side: along and across the mean "down"."""
     posed = sorted([*photos.train, *photos.test], key=lambda photo: photo.name)
     if photos.points is None or not posed:
         return ""
     status = {one.name: _CLASS[one.status] for one in verdict.photos}
     marks = [(photo, status.get(photo.name, "good")) for photo in posed]
-    views = zip(("from above", "from the side"), _axes(posed), strict=True)
+    down = np.mean([photo.rotation[1] for photo in posed], axis=0)
+    down /= max(float(np.linalg.norm(down)), 1e-12)
+    across = posed[0].rotation[0]
+    right = across - (across @ down) * down
+    right /= max(float(np.linalg.norm(right)), 1e-12)
+    views = {"from above": [right, np.cross(right, down)], "from the side": [right, down]}
     figures = "".join(
-        f"<figure>{plan(marks, photos.points, axes)}<figcaption>{text}</figcaption></figure>"
-        for text, axes in views
+        f"<figure>{draw_map(marks, photos.points, np.stack(axes))}"
+        f"<figcaption>{text}</figcaption></figure>"
+        for text, axes in views.items()
     )
     legend = "Cameras look along their open side: green good, orange doubtful."
     return (
         f'<section><h2>Cameras and points</h2><p class="soft">{legend}</p>'
         f'<div class="pair">{figures}</div></section>'
     )
-
-
-def _axes(photos: Sequence[Photo]) -> list[np.ndarray]:
-    """Rows right and down (2, 3) of a view along the cameras' mean down-vector, and across it."""
-    down = np.mean([photo.rotation[1] for photo in photos], axis=0)
-    down /= max(float(np.linalg.norm(down)), 1e-12)
-    across = np.mean([photo.rotation[0] for photo in photos[:1]], axis=0)
-    right = across - (across @ down) * down
-    right /= max(float(np.linalg.norm(right)), 1e-12)
-    return [np.stack([right, np.cross(right, down)]), np.stack([right, down])]
 
 
 def _table(photos: Sequence[PhotoVerdict]) -> str:
@@ -121,26 +120,21 @@ def _table(photos: Sequence[PhotoVerdict]) -> str:
 
 
 def _sheet(photos: Sequence[PhotoVerdict]) -> str:
-    """Every photo, its frame in the colour of its verdict."""
+    """Show every photo in a frame of the colour of its verdict, with its figures."""
     width, height = CELL
     figures = []
     for number, one in enumerate(photos):
         row, column = divmod(number, COLUMNS)
         style = f"background-position: {-column * width}px {-row * height}px"
+        text = one.status
+        if one.inlier_ratio is not None:
+            text = f"{one.observations:,} points, {100 * one.inlier_ratio:.0f} % inliers"
+            text += f", ±{one.turn:.2f}°" if one.turn is not None else ""
         figures.append(
             f'<figure class="{_CLASS[one.status]}"><div class="thumb" style="{style}"></div>'
-            f"<figcaption>{escape(one.name)}<br>{escape(_figures(one))}</figcaption></figure>"
+            f"<figcaption>{escape(one.name)}<br>{escape(text)}</figcaption></figure>"
         )
     return f'<section><h2>Photos</h2><div class="sheet">{"".join(figures)}</div></section>'
-
-
-def _figures(one: PhotoVerdict) -> str:
-    if one.inlier_ratio is None:
-        return one.status
-    parts = [f"{one.observations:,} points", f"{100 * one.inlier_ratio:.0f} % inliers"]
-    if one.turn is not None:
-        parts.append(f"±{one.turn:.2f}°")
-    return ", ".join(parts)
 
 
 def _facts(verdict: Verdict) -> str:

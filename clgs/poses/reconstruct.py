@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from clgs.data.find import MASKS
 from clgs.data.images import image_size
-from clgs.data.masks import save_mask
+from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
+from clgs.poses.bring_in import camera_numbers
 from clgs.poses.child import OnStage, run_child, serve
 from clgs.poses.features import extract
 from clgs.poses.judging.judge import judge
@@ -27,7 +27,6 @@ from clgs.poses.judging.verdict import Verdict, verdict_of
 from clgs.poses.mapping import look_again, map_half, map_photos
 from clgs.poses.matching import match
 from clgs.poses.pairs import pairs_to_match
-from clgs.poses.photos.bring_in import camera_numbers
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import OnProgress, Workspace
 
@@ -70,49 +69,42 @@ def main() -> None:
 
 
 def _work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
-    target, seed, quick = arguments
-    began: dict[str, float] = {}
+    """Run all stages for the photos in the folder of the arguments; returns a plain verdict."""
+    target, seed, quick = Path(arguments[0]), arguments[1], arguments[2]
+    work, began = target / "work", dict[str, float]()
 
     def on_progress(stage: str, done: int, total: int) -> None:
         began.setdefault(stage, time.perf_counter())
         on_stage([stage, done, total])
 
     with quiet_pycolmap(_TASK) as pycolmap:
-        verdict = _reconstruct(pycolmap, Path(target), seed, quick, on_progress)
+        photos = _number_photos(work)
+        own_names = {photo.file: photo.name for photo in photos}
+        cameras = [photo.camera for photo in photos]
+        masks = work / "numbered_masks" if (work / MASKS).is_dir() else None
+        workspace = Workspace(
+            pycolmap, work / "numbered", work, list(own_names), cameras, seed, on_progress, masks
+        )
+        pycolmap.set_random_seed(seed)
+        extract(workspace, max(photo.size for photo in photos), quick)
+        match(workspace, pairs_to_match(workspace))
+        choice = map_photos(workspace, quick)
+        choice = look_again(workspace, choice)
+        second = None if quick else map_half(workspace, choice)
+        verdict = judge(choice, second, not quick, own_names)
+        if verdict.registered < 2:
+            raise DataError(
+                "no photo could be placed for certain; take more, overlapping photos of a "
+                "textured, motionless scene"
+            )
+        for photo in photos:
+            (work / "numbered" / photo.file).rename(work / "images" / photo.name)
+        _write_data_set(workspace, choice.kept.reconstruction, own_names, target)
     # A stage ends as the next one begins.
     ends = [*list(began.values())[1:], time.perf_counter()]
     stages = zip(began.items(), ends, strict=True)
     seconds = {stage: round(end - begin, 1) for (stage, begin), end in stages}
     return replace(verdict, seconds=seconds).plain()
-
-
-def _reconstruct(
-    pycolmap: Any, target: Path, seed: int, quick: bool, on_progress: OnProgress
-) -> Verdict:
-    work = target / "work"
-    photos = _number_photos(work)
-    own_names = {photo.file: photo.name for photo in photos}
-    cameras = [photo.camera for photo in photos]
-    masks = work / "numbered_masks" if (work / MASKS).is_dir() else None
-    workspace = Workspace(
-        pycolmap, work / "numbered", work, list(own_names), cameras, seed, on_progress, masks
-    )
-    pycolmap.set_random_seed(seed)
-    extract(workspace, max(photo.size for photo in photos), quick)
-    match(workspace, pairs_to_match(workspace))
-    choice = map_photos(workspace, quick)
-    choice = look_again(workspace, choice)
-    second = None if quick else map_half(workspace, choice)
-    verdict = judge(choice, second, not quick, own_names)
-    if verdict.registered < 2:
-        raise DataError(
-            "no photo could be placed for certain; take more, overlapping photos of a textured, "
-            "motionless scene"
-        )
-    for photo in photos:
-        (work / "numbered" / photo.file).rename(work / "images" / photo.name)
-    _write_data_set(workspace, choice.kept.reconstruction, own_names, target)
-    return verdict
 
 
 @dataclass(frozen=True)

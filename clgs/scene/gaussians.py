@@ -16,7 +16,7 @@ Array = TypeVar("Array", bound=Shaped)
 Other = TypeVar("Other", bound=Shaped)
 
 MAX_DEGREE = 3
-"""Of the spherical harmonics."""
+"""The highest degree of the spherical harmonics."""
 
 DEGREES = {(degree + 1) ** 2: degree for degree in range(MAX_DEGREE + 1)}
 """Degree by number of coefficients of a color channel: 1, 4, 9, 16."""
@@ -52,7 +52,7 @@ class OrdinaryGaussians(Generic[Array]):
 
     @property
     def degree(self) -> int:
-        """Of the spherical harmonics, 0 to 3."""
+        """The degree of the spherical harmonics, 0 to 3."""
         return DEGREES[self.sh.shape[1]]
 
     def items(self) -> Iterator[tuple[str, Array]]:

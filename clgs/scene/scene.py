@@ -1,7 +1,9 @@
-"""A scene: anchors and MLPs, or ordinary Gaussians, and the settings that rendering depends on."""
+"""A scene: anchors and MLPs, or ordinary Gaussians, and the numbers that rendering depends on."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,10 +14,13 @@ from clgs.scene.anchors import AnchorSet, QuantizationScales, QuantizedAnchors, 
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.mlps import Mlps
 
+MIN_Q = 2.0**-64
+"""The least Q and other scale; the greatest is its inverse."""
+
 
 @dataclass(frozen=True)
 class SceneTransform:
-    """From the data's world to scene units: scene = (world - centre) * scale, in float64."""
+    """Turns the data's world into scene units: scene = (world - centre) * scale, in float64."""
 
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     scale: float = 1.0
@@ -31,7 +36,7 @@ class SceneTransform:
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """What a render depends on besides anchors, MLPs and camera; stored in the file header.
+    """What a render depends on, except anchors, MLPs and camera; stored in the file header.
 
     background: RGB in [0, 1]; near: scene units; the others as in ``clgs.constants``.
     """
@@ -106,3 +111,36 @@ class SplatScene:
 def drawable(scene: QuantizedScene | SplatScene) -> Scene | SplatScene:
     """What is rendered of a scene from a file."""
     return scene.dequantize() if isinstance(scene, QuantizedScene) else scene
+
+
+def check_ranges(
+    scales: QuantizationScales, transform: SceneTransform, settings: RenderSettings
+) -> None:
+    """Raise ValueError, naming the field, if a number makes no sense."""
+    for name, value, valid in _rules(scales, transform, settings):
+        if not (math.isfinite(value) and valid):
+            raise ValueError(f"{name} is {value!r}")
+
+
+def _rules(
+    scales: QuantizationScales, transform: SceneTransform, settings: RenderSettings
+) -> Iterator[tuple[str, float, bool]]:
+    """(field, value, whether it is in range) of every number."""
+    for name, value in vars(scales).items():
+        yield f"Q of {name}", value, _is_scale(value)
+    yield "transform scale", transform.scale, _is_scale(transform.scale)
+    for value in transform.centre:
+        yield "transform centre", value, True
+    for value in settings.background:
+        yield "background", value, 0 <= value <= 1
+    yield "near", settings.near, _is_scale(settings.near)
+    yield "alpha_cut", settings.alpha_cut, 0 < settings.alpha_cut < 1
+    yield "alpha_max", settings.alpha_max, settings.alpha_cut < settings.alpha_max <= 1
+    stop = settings.transmittance_stop
+    yield "transmittance_stop", stop, 0 <= stop < 1
+    yield "blur", settings.blur, 0 <= settings.blur <= 2.0**64
+
+
+def _is_scale(value: float) -> bool:
+    """Whether products and quotients with any int32 stay finite and normal in float32."""
+    return MIN_Q <= value <= 1 / MIN_Q

@@ -19,8 +19,7 @@ from clgs.errors import DataError, UsageError
 from clgs.files import atomic_write
 from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, Mlps
-from clgs.scene.ranges import check_ranges
-from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform
+from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform, check_ranges
 from clgs.shapes import Shapes, check_type
 
 GROUPS: dict[str, Any] = {

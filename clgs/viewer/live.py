@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,20 +15,26 @@ from clgs.exports.clip.paths import pinhole
 from clgs.exports.image import Picture
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
+from clgs.render.frame import upload_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import take
 from clgs.scene.camera import Camera
-from clgs.scene.scene import Scene, SplatScene
+from clgs.scene.gaussians import HostGaussians
+from clgs.scene.scene import QuantizedScene, Scene, SplatScene
+from clgs.train.quality.importance import importance_without_views, sensitivity
 from clgs.train.quality.metrics import to_8bit
 
+VIEWS, SIDE = 24, 400
+"""This many cameras, with pictures whose sides have this many pixels, show what matters most."""
+
 MOVING_SECONDS = 0.08
-"""What a picture may take while the camera moves."""
+"""The time that a picture may take while the camera moves."""
 
 MOVING_LEAST = 96
-"""Rows that a picture has at least."""
+"""The fewest rows of a picture."""
 
 STILL_SECONDS = 0.15
-"""A camera that has not moved for so long stands still."""
+"""A camera that has not moved for this long stands still."""
 
 MAX_SIDE = 4096
 
@@ -62,8 +68,43 @@ def eye_of(camera: Camera, size: tuple[int, int]) -> Eye:
     return Eye(wxyz, camera.centre, float(2 * np.arctan(half)), size)
 
 
+def scene_importance(
+    device: Device,
+    scene: QuantizedScene | SplatScene,
+    cameras: Sequence[Camera],
+    options: RenderOptions = DEFAULT,
+    on_render: Callable[[], None] = lambda: None,
+) -> npt.NDArray[np.float64]:
+    """(N,) float64 of the anchors or Gaussians, larger for those that matter more.
+
+    The importance of anchors is that of ``clgs encode --target-size``: what some of ``cameras``
+    lose without them, or without cameras the area that they cover.
+    """
+    if isinstance(scene, SplatScene):
+        return splat_importance(scene.gaussians)
+    if not cameras:
+        return importance_without_views(scene)
+    uploaded = upload_scene(device, scene.dequantize())
+    seen = chosen(cameras)
+    found = sensitivity(device, uploaded, scene.settings, seen, options, False, on_render)
+    return found.importance.astype(np.float64)
+
+
+def chosen(cameras: Sequence[Camera]) -> list[Camera]:
+    """Up to VIEWS of ``cameras``, evenly spread, with smaller pictures."""
+    step = max(1, -(-len(cameras) // VIEWS))
+    return [one.reduced(-(-max(one.width, one.height) // SIDE)) for one in cameras[::step]]
+
+
+def splat_importance(gaussians: HostGaussians) -> npt.NDArray[np.float64]:
+    """(N,) float64: opacity times the area of the two longest axes."""
+    opacity = 1 / (1 + np.exp(-np.clip(gaussians.opacity.astype(np.float64), -50, 50)))
+    area = np.sort(gaussians.log_scale.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
+    return np.asarray(opacity * np.exp(np.clip(area, -80.0, 80.0)))
+
+
 class LiveScene:
-    """A scene of which more or less is drawn, for one or several people at a time."""
+    """A scene of which more or less is drawn. Several threads may ask for pictures."""
 
     def __init__(
         self,
@@ -83,7 +124,7 @@ class LiveScene:
         return len(self._order)
 
     def kept(self, share: float) -> int:
-        """How many anchors or Gaussians a share from 0 to 1 is; at least one if there are some."""
+        """How many anchors or Gaussians a share from 0 to 1 is; not 0 if there are any."""
         return min(len(self), max(1, round(share * len(self))))
 
     def picture(self, camera: Camera, share: float = 1.0) -> Picture:
@@ -99,7 +140,7 @@ class LiveScene:
             return image
 
     def moving_rows(self, eye: Eye) -> int:
-        """Rows of a picture of which the last one's speed promises MOVING_SECONDS."""
+        """Rows of a picture that takes MOVING_SECONDS at the speed of the last one."""
         if not self._seconds_by_pixel:
             return MOVING_LEAST
         pixels = MOVING_SECONDS / self._seconds_by_pixel

@@ -1,4 +1,4 @@
-"""A photo beside the render of its camera, in the window of somebody who stands there."""
+"""A photo laid over the render of the camera that took it."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from clgs.scene.camera import Camera
 
 RENDER, PHOTO, HALVES, ERROR = "render", "photo", "half photo, half render", "error"
 SHOWN = (RENDER, PHOTO, HALVES, ERROR)
-"""What may be shown at the camera of a photo."""
+"""The pictures that can be shown at the camera of a photo."""
 
 NEAR = 1e-3
-"""How far from a photo's camera, in scene units and radians, one still stands at it."""
+"""A camera stands at a photo's if it is no further away, in scene units and radians."""
 
 
 def stands_at(camera: Camera, view: View) -> bool:
@@ -30,9 +30,14 @@ def stands_at(camera: Camera, view: View) -> bool:
 
 
 def compare(render: Picture, camera: Camera, view: View, background: Color, shown: str) -> Picture:
-    """What ``shown``, one of SHOWN, is of a photo and the render (H, W, 3) uint8 of ``camera``.
+    """The picture that ``shown``, one of SHOWN, names: render, photo or both, (H, W, 3) uint8.
 
-    ``camera`` stands at the photo's; around the photo is render.
+    Args:
+        render: what ``camera`` sees, (H, W, 3) uint8; it also surrounds the photo.
+        camera: stands at the camera of the photo.
+        view: the photo.
+        background: fills what is transparent in the photo.
+        shown: one of SHOWN.
 
     Raises:
         DataError: the photo is damaged.

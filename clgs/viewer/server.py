@@ -13,7 +13,6 @@ import numpy as np
 from clgs.data.view import View
 from clgs.errors import ClgsError
 from clgs.exports.clip.framing import Framing
-from clgs.scene.camera import Camera
 from clgs.viewer.live import Eye, Follower, LiveScene, eye_of
 from clgs.viewer.photos import RENDER, SHOWN, compare, names_of, stands_at
 
@@ -25,18 +24,24 @@ LINE = 1.5
 
 COLORS = {"train": (40, 90, 220), "test": (230, 120, 20)}
 START = 1.25
-"""The first place is so many times as far from the centre as the photos' cameras."""
+"""The distance of the first place from the centre, in distances of the photos' cameras."""
 
 NO_PHOTO = "(free)"
 STILL_ROWS = 1080
-"""Rows of a picture at rest, at most, by default."""
+"""The most rows of a picture at rest."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What the viewer shows: a scene, the photos by split, and where to begin.
+    """What the viewer shows.
 
-    unit: what the scene is made of, "anchors" or "Gaussians"; nbytes: of its file, or None.
+    Attributes:
+        live: draws the scene.
+        photos: by split.
+        framing: where to begin.
+        background: of the scene, red, green and blue in [0, 1].
+        unit: what the scene is made of, "anchors" or "Gaussians".
+        nbytes: of its file, if there is one.
     """
 
     live: LiveScene
@@ -45,12 +50,6 @@ class Shown:
     background: tuple[float, float, float]
     unit: str
     nbytes: int | None
-    still_rows: int = STILL_ROWS
-
-    @property
-    def views(self) -> list[View]:
-        """All photos, those of training first."""
-        return [view for views in self.photos.values() for view in views]
 
 
 def load_viser() -> Any:
@@ -112,7 +111,8 @@ class _Window:
 
     def __init__(self, shown: Shown, client: Any) -> None:
         self._shown, self._client = shown, client
-        self._views = dict(zip(names_of(shown.views), shown.views, strict=True))
+        views = [view for some in shown.photos.values() for view in some]
+        self._views = dict(zip(names_of(views), views, strict=True))
         self.follower = Follower(self._draw)
         self._add_controls()
         self._add_photos()
@@ -195,26 +195,21 @@ class _Window:
         return max(1, camera.image_width), max(1, camera.image_height)
 
     def _draw(self, moving: bool) -> None:
-        """In the follower's thread: send a picture of what the browser's camera sees."""
+        """Send a picture of what the browser's camera sees; the follower's thread calls this.
+
+        The chosen photo is laid over it if the camera stands where the photo was taken.
+        """
+        place, live = self._client.camera, self._shown.live
+        eye = Eye(np.array(place.wxyz), np.array(place.position), place.fov, self._window_size())
+        camera = eye.camera(live.moving_rows(eye) if moving else STILL_ROWS)
+        view = self._views.get(self._photo.value) if self._views else None
         try:
-            self._send_picture(moving)
+            picture = live.picture(camera, self._size.value / 100)
+            if view is not None and stands_at(camera, view):
+                background = self._shown.background
+                picture = compare(picture, camera, view, background, self._what.value)
         except ClgsError as error:
             self._client.add_notification("clgs", str(error), auto_close_seconds=10.0)
-
-    def _send_picture(self, moving: bool) -> None:
-        place = self._client.camera
-        eye = Eye(np.array(place.wxyz), np.array(place.position), place.fov, self._window_size())
-        live = self._shown.live
-        rows = live.moving_rows(eye) if moving else self._shown.still_rows
-        camera = eye.camera(rows)
-        picture = live.picture(camera, self._size.value / 100)
-        picture = self._compared(picture, camera)
+            return
         self._client.scene.set_background_image(picture, jpeg_quality=75 if moving else 92)
         self._client.flush()
-
-    def _compared(self, picture: Any, camera: Camera) -> Any:
-        """With the chosen photo, if the camera stands where it was taken."""
-        view = self._views.get(self._photo.value) if self._views else None
-        if view is None or not stands_at(camera, view):
-            return picture
-        return compare(picture, camera, view, self._shown.background, self._what.value)

@@ -46,7 +46,7 @@ from clgs.workflow.views import known_data, load_views
 SUFFIXES = (".glb", ".html", ".ply", ".spz", ".sog")
 
 SCORED_VIEWS = 32
-"""At most this many views, evenly chosen, say what baking costs."""
+"""The most views, evenly chosen, that measure what baking costs."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""From photos to a scene, a report and what one shows to others: `clgs run`."""
+"""Photos to a scene, a report and what one shows to others: `clgs run`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from clgs.errors import UsageError
-from clgs.exports.run_report import RunStory, write_run_report
+from clgs.exports.run_report import write_run_report
 from clgs.files import check_folder, make_folder
 from clgs.train.run.run_folder import FolderLock
 from clgs.workflow.device_speed import speed_on, synthetic_speed
@@ -175,8 +175,14 @@ def _finish(
     words = ["run", given.path, "-o", output, *setting_options(record.settings)]
     if device is not None:
         words += ["--device", device]
-    story = RunStory(command_line(*words), f"{used}.", record.seconds, present)
-    write_run_report(output / RUN, story, output / REPORT)
+    write_run_report(
+        output / RUN,
+        command=command_line(*words),
+        lead=f"{used}.",
+        seconds=record.seconds,
+        links=present,
+        page=output / REPORT,
+    )
     scores = json.loads((output / SCORES).read_text(encoding="utf-8"))
     return FinishedRun(output, used, scores, record.seconds, failures)
 

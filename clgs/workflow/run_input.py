@@ -9,8 +9,8 @@ from pathlib import Path
 from clgs.data.dataset import load_dataset
 from clgs.data.photo_set import TRANSFORMS, is_posed
 from clgs.errors import DataError
-from clgs.poses.photos.bring_in import find_source, readable_sizes
-from clgs.poses.photos.video import frame_size
+from clgs.poses.bring_in import find_source, readable_sizes
+from clgs.poses.video import frame_size
 from clgs.train.config.settings import BLENDER
 from clgs.workflow.run_plan import Photos
 from clgs.workflow.scenes import PLAN

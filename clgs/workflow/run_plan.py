@@ -17,8 +17,10 @@ ENOUGH_STEPS = 1500
 """Below this, smaller pictures with more steps give the better scene (docs/guide/run.md)."""
 
 SHORT_STEPS, LARGE_PIXELS = 1_900, 100_000
-"""Runs of fewer steps, on photos of so many pixels, begin with photos of half the size: pictures as
-good in fewer bytes and less time (docs/benchmarks/sizes.md), but not of synthetic objects.
+"""Runs of fewer steps on photos of at least this many pixels begin with photos of half the size.
+
+The pictures are as good, in fewer bytes and less time (docs/benchmarks/sizes.md). This does not
+hold for synthetic objects.
 """
 
 MOST_STEPS = 30_000

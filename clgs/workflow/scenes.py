@@ -57,9 +57,9 @@ def check_there(path: Path) -> None:
 
 
 def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
-    """As :func:`read_scene`; ordinary splats, a PLY file or packed ones, are read, too.
+    """The scene, ordinary splats in a PLY file or packed ones included, and its size in bytes.
 
-    Of a run it is the scene in its file, if there is one: what is shown and scored.
+    The scene of a run is read from its .clgs file, if there is one: it is what is shown and scored.
 
     Raises:
         DataError: there is no scene at ``path``, or it is damaged.

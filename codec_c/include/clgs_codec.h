@@ -139,7 +139,7 @@ clgs_error clgs_paper_decode(const uint8_t *data, size_t size, int32_t *value, s
  * out as clgs_channel in src/attributes/model.h. An encoder fills in its predictions, lets
  * `_count` and `_choose` make the tables, and stores it with `_header_write`; a decoder gets it
  * from `_header_read`. Every function checks a model before it follows it: one that is out of
- * range is refused, whatever its bytes. */
+ * range is refused, regardless of its bytes. */
 
 /* 8,484 bytes per channel, or 0 unless there are 1 to CLGS_MAX_CHANNELS. */
 size_t clgs_attributes_model_size(size_t channels);

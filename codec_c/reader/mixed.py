@@ -21,7 +21,7 @@ class MixedModel:
         """`symbols` are those of all channels so far; the last ones are our own."""
         self.coder = coder
         self.n = n
-        self.own, self.beside, self.beside2 = [*symbols[-3:][::-1], n * [0], n * [0]][:3]
+        self.own, self.before, self.before2 = [*symbols[-3:][::-1], n * [0], n * [0]][:3]
         self.states = [
             defaultdict[object, dict[int, State]](
                 lambda limit=limit: defaultdict(lambda: State(limit))
@@ -39,14 +39,14 @@ class MixedModel:
     def residual(self, i: int, cell: int, expected: int, fraction: int) -> int:
         """The residual at row i."""
         own1 = self.signed(self.own, i - 1)
-        around = self.signed(self.beside, i - 1) + self.signed(self.beside, i + 1)
+        around = self.signed(self.before, i - 1) + self.signed(self.before, i + 1)
         contexts: tuple[object, ...] = (
             0,
             fraction,
             cell,
             place(expected, 32),
             (level(own1), small(self.signed(self.own, i - 2))),
-            (level(self.signed(self.beside, i)), small(self.signed(self.beside2, i))),
+            (level(self.signed(self.before, i)), small(self.signed(self.before2, i))),
             (level(around), small(own1)),
             (place(expected, 32), cell % 32 // 2),
             (place((self.a >> 8) - expected, 16), place((self.b >> 8) - expected, 16)),

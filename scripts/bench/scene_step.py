@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import mean, median
 
 from clgs.data.repose import repose
-from clgs.lab.bench.step import STILL
+from clgs.lab.bench.step import STILL, WARM_UP, stream_times
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.train.config import from_toml
@@ -41,14 +41,14 @@ def main() -> None:
     times: dict[str, list[float]] = {mode: [] for mode in trainers}
     for _ in range(ROUNDS):
         for mode, one in trainers.items():
-            times[mode] += stream(one, args.steps)
+            times[mode] += stream_times(one, args.steps)
     print(f"{device.name}, {trainers['ahead'].parameters.count} anchors")
     for mode, values in times.items():
         print(f"step, {mode}: median {median(values):.1f}, mean {mean(values):.1f} ms")
     values = pictures(device, args, trainers["ahead"])
     print(f"render only: median {median(values):.1f}, mean {mean(values):.1f} ms")
     device.profile.enabled = True
-    stream(trainers["waiting"], args.steps)
+    stream_times(trainers["waiting"], args.steps)
     for name, calls, milliseconds, _ in device.profile.rows():
         print(f"  {name:16} {milliseconds:8.2f} ms, {calls} calls")
 
@@ -64,25 +64,15 @@ def trainer(device: Device, args: argparse.Namespace, ahead: bool) -> Trainer:
     return Trainer(device, dataset, config, ahead, state)
 
 
-def stream(one: Trainer, count: int) -> list[float]:
-    """Milliseconds between the results of ``count`` steps, after three to warm up."""
-    times, start = [], time.perf_counter()
-    for _ in one.steps(count + 3):
-        now = time.perf_counter()
-        times.append(1e3 * (now - start))
-        start = now
-    return times[3:]
-
-
 def pictures(device: Device, args: argparse.Namespace, one: Trainer) -> list[float]:
-    """Milliseconds of a picture of each of the first training views, the first three left out."""
+    """Milliseconds of a picture of each of the first training views, after a few to warm up."""
     renderer = Renderer(device, read_run(args.run)[0].dequantize())
     times = []
-    for view in one.dataset.train[: args.steps + 3]:
+    for view in one.dataset.train[: args.steps + WARM_UP]:
         start = time.perf_counter()
         renderer.render(view.camera)
         times.append(1e3 * (time.perf_counter() - start))
-    return times[3:]
+    return times[WARM_UP:]
 
 
 if __name__ == "__main__":

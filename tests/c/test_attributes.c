@@ -298,7 +298,7 @@ static int64_t distance_of(const int32_t *a, const int32_t *b)
     return sum;
 }
 
-/* Row `row` is near row `place` of row i: so many earlier rows are nearer, or as near and later. */
+/* Row `row` is near row `place` of row i: `place` earlier rows are nearer, or as near and later. */
 static void check_near(const int32_t *position, size_t i, size_t place, int32_t row)
 {
     size_t before = 0;

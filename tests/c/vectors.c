@@ -309,7 +309,7 @@ int main(int argc, char **argv)
     weights();
     char rest[MAX_LINE];
     if (expected && (differences > 0 || fgets(rest, sizeof rest, expected))) {
-        printf("vectors: %d lines differ from %s; write it anew if the encoder was changed\n",
+        printf("vectors: %d lines differ from %s; write it again if the encoder was changed\n",
                differences, argv[1]);
         return 1;
     }

@@ -19,7 +19,7 @@ from tests.train.quality.lpips_reference import random_weights
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A data set of two test views, and a scene and a table of settings beside each other."""
+    """A data set of two test views, and a scene and a table of settings next to each other."""
     folder = tmp_path_factory.mktemp("eval")
     write_scene(folder / "data", train=2, test=2)
     (folder / "run").mkdir()

@@ -120,7 +120,7 @@ def test_an_interruption_is_not_lost_if_no_thread_starts(write_module, monkeypat
         within(lambda: importlib.import_module(module))
 
 
-def test_an_error_of_the_block_is_told_and_not_the_interruption(write_module, monkeypatch):
+def test_an_error_of_the_block_is_raised_and_not_the_interruption(write_module, monkeypatch):
     monkeypatch.setattr("clgs.cli.interruptions.LATER", 60)
     module = write_module(INTERRUPTED.format("SIGINT"))
     with pytest.raises(ValueError, match="first"):

@@ -206,7 +206,7 @@ def test_a_mistyped_command_is_answered_by_the_nearest(words, said, capsys):
     assert capsys.readouterr().err == f"clgs: error: {said}\n"
 
 
-def test_a_file_that_looks_like_an_option_is_told(tmp_path, monkeypatch, capsys):
+def test_a_file_that_looks_like_an_option_is_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "-x.mp4").touch()
     with pytest.raises(SystemExit) as done:
@@ -287,7 +287,7 @@ def test_a_specialisation_that_there_is_not_is_wrong_usage(monkeypatch, capsys):
 
 
 def test_a_closed_output_is_no_error():
-    """As of ``clgs info scene.clgs >&-``."""
+    """The case of ``clgs info scene.clgs >&-``."""
     code = "import os, sys; os.close(1); os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
     scene = next((Path(__file__).parents[1] / "codec" / "golden").glob("*.clgs"))
     command = [sys.executable, "-c", code, "-m", "clgs.cli.main", "info", str(scene)]
@@ -332,7 +332,7 @@ def test_a_reader_that_leaves_is_no_error():
     assert (result.returncode, result.stderr) == (0, b"")
 
 
-def test_a_lack_of_memory_is_told_apart_from_a_bug(run_raising, monkeypatch, capsys):
+def test_a_lack_of_memory_is_distinguished_from_a_bug(run_raising, monkeypatch, capsys):
     """Clean-up may fail after it, as of zipfile; and threads are not started."""
     closed = ValueError("I/O operation on closed file")
     closed.__context__ = MemoryError()

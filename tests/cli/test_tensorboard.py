@@ -1,4 +1,4 @@
-"""What TensorBoard is given is what training told."""
+"""TensorBoard gets what training reports."""
 
 from __future__ import annotations
 

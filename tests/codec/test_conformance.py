@@ -1,7 +1,7 @@
 """Small vectors with the SHA-256 of their bytes: every version of clgs makes the same.
 
 The decoders of clgs and the one that is made from FORMAT.md must both give back what was encoded.
-``python -m tests.codec.test_conformance`` writes ``conformance.txt`` anew, after a change of an
+``python -m tests.codec.test_conformance`` writes ``conformance.txt`` again, after a change of an
 encoder.
 """
 

@@ -189,7 +189,7 @@ def read_by_the_document(data: bytes) -> np.ndarray:
 
 
 def damaged_files(seed: int, count: int) -> None:
-    """As ``damaged_streams``, of whole files."""
+    """Damaged files are refused by both decoders, or read alike."""
     rng, cases = np.random.default_rng(seed), files()
     for _ in range(count):
         assert_alike(read_by_clgs, read_by_the_document, damaged_file(rng, cases))

@@ -1,4 +1,4 @@
-"""Weights of the MLPs: bit for bit, whatever they are (their bytes: test_conformance)."""
+"""Weights of the MLPs: bit for bit, for all values (their bytes: test_conformance)."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ def test_training_cameras_are_blue_and_held_out_ones_orange(dataset):
 
 
 def test_lengths_are_those_of_the_world_not_of_the_scene(dataset):
-    """The same file, but for rounding, whatever units training has."""
+    """The same file, except for rounding, in all units of training."""
     scale, centre = 0.125, np.array([2.0, 0.5, -1.0])
 
     def move(view):

@@ -1,4 +1,4 @@
-"""A stored scene comes back exactly; whatever is wrong with the file is one clear error."""
+"""A stored scene comes back exactly; anything wrong with the file is one clear error."""
 
 from __future__ import annotations
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from clgs.cli import training_options as training
 from clgs.cli.main import build_parser
-from clgs.cli.options import training
 from clgs.cli.parser import Parser
 from clgs.errors import UsageError
 from clgs.train.config import (

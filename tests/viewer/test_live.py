@@ -15,8 +15,15 @@ from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import RenderSettings, SplatScene
 from clgs.train.quality.metrics import to_8bit
-from clgs.viewer.importance import scene_importance, splat_importance
-from clgs.viewer.live import MOVING_LEAST, Eye, Follower, LiveScene, eye_of
+from clgs.viewer.live import (
+    MOVING_LEAST,
+    Eye,
+    Follower,
+    LiveScene,
+    eye_of,
+    scene_importance,
+    splat_importance,
+)
 from clgs.viewer.photos import ERROR, HALVES, PHOTO, RENDER, compare, names_of, stands_at
 from tests.codec.scenes import random_scene
 from tests.exports.clip.test_paths import ring
@@ -130,7 +137,7 @@ def test_a_photo_lies_over_the_render_where_it_was_taken():
     black = RenderSettings().background
     assert compare(render, there, view, black, RENDER) is render
     photo = compare(render, there, view, black, PHOTO)
-    assert not photo[:, :30].any()  # beside the photo is render
+    assert not photo[:, :30].any()  # next to the photo is render
     assert not photo[:, 150:].any()
     assert (photo[:30, 30:150] == 100).all()
     assert (photo[50:, 30:150] == 200).all()

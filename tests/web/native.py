@@ -48,7 +48,7 @@ class Page:
 
     @property
     def hashes(self) -> list[int]:
-        """Of what was decoded, and the file's own."""
+        """The hash of what was decoded, and the file's own hash."""
         return self.array("hashes", ctypes.c_uint64, 2).tolist()
 
     def gaussians(self, centre: np.ndarray) -> dict[str, np.ndarray]:

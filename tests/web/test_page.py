@@ -18,7 +18,7 @@ from tests.small_scene import write_scene
 from tests.web.scenes import quantized_scene
 
 OTHER_BYTES = 150_000
-"""What a page may take besides 1.4 times its scene."""
+"""What a page may take in addition to 1.4 times its scene."""
 
 
 @pytest.fixture(scope="module")

@@ -105,12 +105,12 @@ def test_finished_run_is_left_as_it_is(data, finished, capsys):
         paths = (path for path in finished.rglob("*") if path.is_file())
         return {path: path.stat().st_mtime_ns for path in paths}
 
-    before, told = files(), (finished / "report.html").read_text()
+    before, page = files(), (finished / "report.html").read_text()
     assert cli.main(words(data, finished, "--resume")) == 0
     assert "[page] is there" in capsys.readouterr().out
     changed = {path.name for path, when in files().items() if before.get(path) != when}
     assert changed == {"report.html"}
-    assert (finished / "report.html").read_text() == told
+    assert (finished / "report.html").read_text() == page
 
 
 def test_what_is_damaged_or_gone_is_made_again(data, finished, capsys):
@@ -124,7 +124,7 @@ def test_what_is_damaged_or_gone_is_made_again(data, finished, capsys):
     assert "[page] is there" in capsys.readouterr().out
 
 
-def test_a_run_without_its_plan_is_told_as_such(data, finished, capsys):
+def test_a_run_without_its_plan_is_refused(data, finished, capsys):
     plan = finished / "plan.json"
     text = plan.read_text()
     plan.unlink()
@@ -162,7 +162,7 @@ def test_the_folder_of_a_run_is_written_as_its_scene(finished, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["eval", "export"])
-def test_what_is_not_finished_is_told_to_go_on(tmp_path, command, capsys):
+def test_what_is_not_finished_has_to_go_on(tmp_path, command, capsys):
     out = tmp_path / "out"
     (out / "run").mkdir(parents=True)
     (out / "plan.json").write_text("{}")
@@ -269,7 +269,7 @@ def test_foreign_folder_is_refused(data, tmp_path, capsys):
     assert "holds other files" in capsys.readouterr().err
 
 
-def test_nothing_to_go_on_with_is_told(data, tmp_path, capsys):
+def test_nothing_to_go_on_with_is_named(data, tmp_path, capsys):
     assert cli.main(words(data, tmp_path / "new", "--resume", "--device", "nonexistent")) == 4
     assert "new holds no run yet; one begins" in capsys.readouterr().err
 
@@ -324,7 +324,7 @@ def test_a_failing_export_does_not_end_the_run(data, tmp_path, monkeypatch, caps
 
 
 @pytest.mark.parametrize("instant", ["[train]", ""], ids=["training", "plan"])
-def test_warning_and_interruption_are_told_once(tmp_path, instant):
+def test_warning_and_interruption_are_shown_once(tmp_path, instant):
     data = write_scene(tmp_path / "data", train=6, test=2)
     next((data / "train").iterdir()).unlink()
     command = [sys.executable, "-m", "clgs.cli.main", "run", str(data), "-o", str(tmp_path / "out")]
@@ -341,7 +341,7 @@ def test_warning_and_interruption_are_told_once(tmp_path, instant):
                 break
         process.send_signal(signal.SIGINT)
         assert process.wait() == 130
-    told = (tmp_path / "errors").read_text()
-    assert told.count("1 of 8 photos are missing") == 1
-    assert told.count("interrupted") == 1
-    assert "repeat the command with --resume" in told
+    said = (tmp_path / "errors").read_text()
+    assert said.count("1 of 8 photos are missing") == 1
+    assert said.count("interrupted") == 1
+    assert "repeat the command with --resume" in said

@@ -128,7 +128,7 @@ def test_no_times_are_refused(text):
         duration(text)
 
 
-def test_times_are_told_in_fitting_units():
+def test_times_are_shown_in_fitting_units():
     assert [in_words(s) for s in (45, 150, 7200)] == ["45 s", "2.5 min", "2.0 h"]
 
 

@@ -8,7 +8,7 @@ const viewer = {
   renderer: null, worker: null, camera: null, hands: null, scene: null,
   fixed: null, // a camera that a program has set; the hands then have no part
   number: 0, // of the newest camera
-  pending: null, // what is to be drawn next: the newest order, records that came with or before it
+  pending: null, // what must be drawn next: the newest order, records that came with or before it
   shown: -1, // the camera that the drawn order is for
   settled: false, // whether the newest order is for the newest camera, and so are its Gaussians
   updates: 0, // sets of Gaussians

@@ -129,7 +129,7 @@ class Renderer {
     return texture;
   }
 
-  // What is to be drawn: records (n, 12) if they are new, and their order, far to near.
+  // What must be drawn: records (n, 12) if they are new, and their order, far to near.
   set(records, order) {
     if (records) this.upload(this.records, records);
     this.upload(this.order, order);

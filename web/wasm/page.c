@@ -193,7 +193,7 @@ const uint32_t *EXPORT(page_records)(void)
     return page.all.record;
 }
 
-/* Sort the last complete set by depth x, y, z, 1 times the arguments; how many are to be drawn. */
+/* Sort the last complete set by depth x, y, z, 1 times the arguments; how many must be drawn. */
 size_t EXPORT(page_sort)(float x, float y, float z, float w)
 {
     const float row[4] = {x, y, z, w};

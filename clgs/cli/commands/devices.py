@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from clgs.opencl.describe import DeviceInfo
 
 HEADINGS = (
     *("", "index", "type", "name", "platform", "driver"),
@@ -38,25 +34,25 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps([asdict(device) for device in devices], indent=2))
         return 0
-    rows = [HEADINGS, *map(_row, devices)]
+    rows = [HEADINGS]
+    for device in devices:
+        rows.append(
+            (
+                "*" if device.chosen else "",
+                str(device.index),
+                device.type,
+                device.name,
+                device.platform,
+                device.driver,
+                str(device.compute_units),
+                f"{device.memory / 2**30:.1f} GiB",
+                str(device.max_work_group),
+                f"{device.local_memory / 2**10:.0f} KiB",
+                str(device.vector_width),
+            )
+        )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         print(line.rstrip())
     return 0
-
-
-def _row(device: DeviceInfo) -> tuple[str, ...]:
-    return (
-        "*" if device.chosen else "",
-        str(device.index),
-        device.type,
-        device.name,
-        device.platform,
-        device.driver,
-        str(device.compute_units),
-        f"{device.memory / 2**30:.1f} GiB",
-        str(device.max_work_group),
-        f"{device.local_memory / 2**10:.0f} KiB",
-        str(device.vector_width),
-    )

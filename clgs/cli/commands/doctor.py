@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from clgs.doctor.finding import Finding
-    from clgs.doctor.machine import ExaminedMachine
+from typing import Any
 
 HEALTHY, BAD_DATA, NO_DEVICE = 0, 3, 4
 """Exit codes: no error was found, an error in the data, no device that computes what it should."""
@@ -32,55 +28,38 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         DataError: there is no data set.
     """
+    import json
     from dataclasses import asdict
 
     from clgs.doctor.dataset import examine
-    from clgs.doctor.finding import ERROR
+    from clgs.doctor.finding import ERROR, LEVELS
     from clgs.doctor.machine import examine_machine
 
+    document: dict[str, Any]
     if args.data is None:
         machine = examine_machine()
-        code = HEALTHY if machine.usable else NO_DEVICE
-        document: dict[str, Any] = {"machine": machine.facts}
+        findings, code = machine.findings, HEALTHY if machine.usable else NO_DEVICE
+        document = {"machine": machine.facts}
         document["devices"] = [asdict(device) for device in machine.devices]
-        heading, findings = _machine_lines(machine), machine.findings
+        lines = [f"{name:<9}  {text}" for name, text in machine.facts.items()]
+        for one in machine.devices:
+            checks = f"{one.checks} checks passed in {one.seconds:.1f} s"
+            lines.append(f"device {one.index}   {one.name}: {checks}")
     else:
         examined = examine(args.data)
         findings = examined.findings
         bad = any(finding.level == ERROR for finding in findings)
         code = BAD_DATA if bad else HEALTHY
-        document, heading = {"data": examined.summary}, [examined.summary]
+        document, lines = {"data": examined.summary}, [examined.summary]
     if args.json:
-        _print_json(document | {"findings": [asdict(finding) for finding in findings]})
-    else:
-        for line in (*heading, *_finding_lines(findings)):
-            print(line)
-    return code
-
-
-def _print_json(document: dict[str, Any]) -> None:
-    import json
-
-    print(json.dumps(document, indent=2))
-
-
-def _machine_lines(machine: ExaminedMachine) -> list[str]:
-    lines = [f"{name:<9}  {text}" for name, text in machine.facts.items()]
-    for one in machine.devices:
-        checks = f"{one.checks} checks passed in {one.seconds:.1f} s"
-        lines.append(f"device {one.index}   {one.name}: {checks}")
-    return lines
-
-
-def _finding_lines(findings: list[Finding]) -> list[str]:
-    """Two lines for each finding, then their number."""
-    from clgs.doctor.finding import LEVELS
-
-    lines = []
-    for one in findings:
-        where = f"{one.where}: " if one.where else ""
-        lines.append(f"{one.level:<8} {where}{one.problem}")
-        lines.append(f"{'':<8} -> {one.remedy}")
+        document["findings"] = [asdict(finding) for finding in findings]
+        print(json.dumps(document, indent=2))
+        return code
+    for finding in findings:
+        where = f"{finding.where}: " if finding.where else ""
+        lines.append(f"{finding.level:<8} {where}{finding.problem}")
+        lines.append(f"{'':<8} -> {finding.remedy}")
     counts = {level: sum(one.level == level for one in findings) for level in LEVELS}
     parts = [f"{n} {level}{'s' * (n != 1)}" for level, n in counts.items() if n]
-    return [*lines, ", ".join(parts) or "nothing found"]
+    print(*lines, ", ".join(parts) or "nothing found", sep="\n")
+    return code

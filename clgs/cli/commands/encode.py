@@ -11,8 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.byte_count import byte_count
-from clgs.cli.options.codec import add_files, add_level, add_threads, in_range
-from clgs.cli.options.view import add_device_name, add_size_options, view_options
+from clgs.cli.shared_options import (
+    add_device_name,
+    add_files,
+    add_level,
+    add_size_options,
+    add_threads,
+    in_range,
+    view_options,
+)
 
 if TYPE_CHECKING:
     from clgs.scene.scene import QuantizedScene

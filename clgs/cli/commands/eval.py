@@ -8,14 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import add_view_options, named_path, view_options
+from clgs.cli.shared_options import add_view_options, named_path, view_options
 
 if TYPE_CHECKING:
     from clgs.workflow.evaluate import Evaluation
     from clgs.workflow.options import ViewOptions
 
 STDOUT = Path("-")
-"""What --json alone means."""
+"""The value of --json without a file."""
 
 SHOWN = {
     "psnr": ("PSNR", "{:.2f} dB"),
@@ -29,7 +29,7 @@ SHOWN = {
 """What the table shows of the scores, and how."""
 
 BASELINE = "Baseline"
-"""What the survey's tables call the results that need no name beside the method's."""
+"""The name that the survey's tables give to results without a name of their own."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import (
+from clgs.cli.shared_options import (
     add_device_name,
     add_overwrite,
     add_size_options,

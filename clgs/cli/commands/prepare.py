@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import add_overwrite, named_path, positive_int, seed
+from clgs.cli.shared_options import add_overwrite, named_path, positive_int, seed
 
 if TYPE_CHECKING:
     from clgs.workflow.prepare import PreparedData
 
 NAMED = 20
-"""At most this many photos in doubt are listed on the terminal."""
+"""The most photos in doubt that are listed on the terminal."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:

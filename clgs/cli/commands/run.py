@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from clgs.cli.options.view import (
+from clgs.cli.shared_options import (
     add_device_name,
     add_overwrite,
     named_path,
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from clgs.workflow.run_record import FinishedRun, RunPlan
 
 DESCRIPTION = """\
-The whole way, each stage a command of clgs that is shown as it runs: find the poses of the photos
-(`prepare`), train, encode, score the held-out views from the file alone, and write a web page,
-ordinary 3-D Gaussians, a clip and a report. The plan is told first: resolution and steps are chosen
-so that all of it fits --time on this device, unless --steps or --max-size say otherwise.
+Find the poses of the photos (`prepare`), train, encode, score the held-out views from the file
+alone, and write a web page, ordinary 3-D Gaussians, a clip and a report. Every stage shows the
+command of clgs that does the same. The plan is shown first: resolution and steps are chosen so that
+all of it fits --time on this device, unless --steps or --max-size say otherwise.
 
 OUT receives data/ (if poses had to be found), run/, scene.clgs, scores.json, scene.html, scene.ply,
 clip.mp4 (if the extra clgs[video] is installed) and report.html, which links to them."""
@@ -58,7 +58,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="go on with a run that was interrupted, by its plan; start it if there is none yet",
     )
-    add("--plan", action="store_true", help="only tell the plan")
+    add("--plan", action="store_true", help="only show the plan")
     add_overwrite(parser, "what an earlier run of this command left in OUT")
 
 

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.training import add_training_options, make_config
-from clgs.cli.options.view import add_device_name, add_overwrite, named_path
+from clgs.cli.shared_options import add_device_name, add_overwrite, named_path
+from clgs.cli.training_options import add_training_options, make_config
 
 if TYPE_CHECKING:
     from clgs.workflow.train import TrainedRun

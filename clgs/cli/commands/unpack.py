@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from clgs.cli.options.codec import add_files, add_threads
+from clgs.cli.shared_options import add_files, add_threads
 
 LESS_MEMORY = "--threads 1 needs less"
 
@@ -23,7 +23,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Unpack; exit code 0."""
     from clgs.codec.splat_packing import unpack
-    from clgs.data.ply.splats import write_splats
+    from clgs.data.ply.integer_splats import write_splats
     from clgs.files import atomic_write
     from clgs.workflow.outputs import check_new, check_suffix
     from clgs.workflow.scenes import naming, read_bytes

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import add_view_options, named_path, view_options, whole_number
+from clgs.cli.shared_options import add_view_options, named_path, view_options, whole_number
 from clgs.workflow.options import SIZE, ViewOptions
 
 if TYPE_CHECKING:
@@ -72,8 +72,7 @@ def scene_to_show(path: Path, views: ViewOptions, on_event: OnEvent) -> Shown:
     from clgs.exports.clip.framing import frame_cameras, frame_scene
     from clgs.opencl.device import Device
     from clgs.scene.scene import SplatScene, drawable
-    from clgs.viewer.importance import chosen, scene_importance
-    from clgs.viewer.live import LiveScene
+    from clgs.viewer.live import LiveScene, chosen, scene_importance
     from clgs.viewer.server import Shown
     from clgs.workflow.events import counter
     from clgs.workflow.scenes import read_drawable

@@ -14,8 +14,7 @@ from clgs.codec.octree import MAX_DEPTH
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
-from clgs.scene.ranges import check_ranges
-from clgs.scene.scene import RenderSettings, SceneTransform
+from clgs.scene.scene import RenderSettings, SceneTransform, check_ranges
 
 SCALING_DIM = 6
 MAX_ANCHORS = 12_000_000

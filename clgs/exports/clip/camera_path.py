@@ -1,9 +1,9 @@
 """Camera paths as JSON files in nerfstudio's form.
 
 ``camera_path`` is a list of ``camera_to_world`` (16 numbers, row-major, OpenGL's axes: x right, y
-up, z backward), ``fov`` (vertical, degrees) and ``aspect``; beside it stand ``render_width``,
-``render_height`` and ``fps``. Without that list ``keyframes`` are taken; their ``matrix`` is by
-rows or, as older viewers wrote it, by columns, which its last row (0, 0, 0, 1) tells.
+up, z backward), ``fov`` (vertical, degrees) and ``aspect``; the file also has ``render_width``,
+``render_height`` and ``fps``. Without that list the ``keyframes`` are taken. Their ``matrix`` is by
+rows if its last row is (0, 0, 0, 1); older viewers wrote it by columns.
 Source: the documentation of nerfstudio's viewer.
 """
 
@@ -31,10 +31,10 @@ POSES = "camera_to_world", "matrix"
 """Fields that hold a pose; the first that a frame has is taken."""
 
 FARTHEST = 1e12
-"""From the origin, in world units: as of the cameras of data sets."""
+"""The largest distance from the origin, in world units; cameras of data sets have the same one."""
 DEFAULT_SIZE = 800, 600
 FLIP = np.diag([1.0, -1.0, -1.0])
-"""From OpenGL's axes of a camera to OpenCV's, and back."""
+"""Turns OpenGL's axes of a camera into OpenCV's, and back."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def _pose(frame: dict[str, Any], where: str) -> npt.NDArray[np.float64]:
 
 
 def _numbers(value: Any) -> npt.NDArray[np.float64]:
-    """Of a list, or of a text that holds one; none if they are something else."""
+    """The numbers of a list, or of a text that holds one; no numbers if it is something else."""
     try:
         return np.array(json.loads(value) if isinstance(value, str) else value, np.float64).ravel()
     except (TypeError, ValueError, RecursionError):

@@ -21,7 +21,7 @@ DEFAULT_FOV = 50.0
 """Vertical angle of view without a data set, degrees."""
 
 ELEVATION = 20.0
-"""Of a ring without a data set, degrees above the middle."""
+"""How far a ring without a data set is above the middle, degrees."""
 
 REACH = 4.0
 """Largest distance of the cameras of most data sets from their mean, scene units: a ring without a
@@ -71,10 +71,10 @@ class Framing:
 def frame_scene(
     scene: QuantizedScene | SplatScene, size: tuple[int, int], up: Vector | None = None
 ) -> Framing:
-    """From what the scene is made of; ``up`` (3,) unit, by default a guess.
+    """The framing of a scene by its anchors or Gaussians; ``up`` (3,) unit is guessed if None.
 
-    The middle is the weighted median of anchors or Gaussians, of which small ones weigh more, for
-    they show detail; the ring has most of them in view and stays near where cameras usually are.
+    The middle is their weighted median. Small ones weigh more, as they show detail. The ring has
+    most of them in view and stays near where cameras usually are.
     """
     position, weight = _places(scene)
     if not len(position):
@@ -111,9 +111,9 @@ def guess_up(offset: Vector, scene: QuantizedScene | SplatScene) -> Vector:
 
 
 def frame_cameras(cameras: Sequence[Camera], fallback: Framing) -> Framing:
-    """From the cameras of a data set, at least one.
+    """The framing of a data set by its cameras, at least one.
 
-    ``fallback`` is that of the scene, for what they do not tell.
+    ``fallback`` is the framing of the scene; it serves where the cameras give no answer.
     """
     centres = np.array([camera.centre for camera in cameras])
     forward = np.array([camera.rotation[2] for camera in cameras])

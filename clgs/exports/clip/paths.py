@@ -17,8 +17,8 @@ SPIRAL_SHARE = 0.15
 """Radius of a spiral as a share of the distance to the centre, at most."""
 
 FRAMES_BY_KEY, LEAST_KEYS = 8, 12
-"""A path through photos passes one at most every so many frames, for more would be a shaky walk;
-but not fewer than that, for the way between them would cut through things."""
+"""A path through photos has a photo every FRAMES_BY_KEY frames, as more would make a shaky walk,
+but at least LEAST_KEYS photos, as the way between fewer would cut through things."""
 
 
 def pinhole(

@@ -25,15 +25,15 @@ _log = logging.getLogger(__name__)
 
 MAGIC, VERSION = 0x5053474E, 3
 FIXED_BITS = 23
-"""Of a coordinate, besides the sign."""
+"""The bits of a coordinate without its sign."""
 MAX_FRACTION = 20
 COLOR_SCALE = 0.15 * 255
 SCALE_STEPS, SCALE_LEAST = 16.0, -10.0
-"""Of a log scale: steps of a unit, and the least one."""
+"""The steps per unit of a log scale, and the least log scale."""
 SH_STEPS = 128.0
 ROTATION_STEPS = 511
 LEVEL = 9
-"""Of gzip."""
+"""The level of gzip."""
 
 
 def encode_spz(gaussians: HostGaussians) -> Encoded:
@@ -80,7 +80,7 @@ def _name_clamped(log_scale: npt.NDArray[np.float32]) -> None:
 
 
 def _fraction_bits(gaussians: HostGaussians) -> int:
-    """As many bits after the point as the largest coordinate leaves."""
+    """How many bits after the point the largest coordinate leaves."""
     largest = float(np.abs(gaussians.mean).max(initial=0.0))
     if not largest < 2.0 ** (FIXED_BITS - 1):
         raise DataError(

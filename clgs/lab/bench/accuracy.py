@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from clgs.cli.options.view import view_options
+from clgs.cli.shared_options import view_options
 from clgs.cli.tell import tell
 from clgs.errors import UsageError
 from clgs.files import write_json

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeAlias
 
-from clgs.cli.options.view import add_size_options, positive_int, seed, whole_number
+from clgs.cli.shared_options import add_size_options, positive_int, seed, whole_number
 from clgs.lab.devices import add_device_option
 
 SYNTHETIC_SCENES = ("small", "dense", "large", "tiny")

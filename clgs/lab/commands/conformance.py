@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.options.view import named_path
+from clgs.cli.shared_options import named_path
 from clgs.lab.selftest import SHIPPED
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clgs.poses.judging.agreement import PoseDifference, Poses, angle, differences, poses_of
-from clgs.poses.judging.evidence import MAX_CONTRADICTED, Explained, Floats, ModelChoice
+from clgs.poses.judging.evidence import MAX_CONTRADICTED, Explained, ModelChoice
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 
 MAX_TURN, MAX_SHIFT = 0.5, 2.0
@@ -156,26 +156,23 @@ def photo_figures(model: Any, poses: Poses, explained: Explained) -> dict[str, P
         image = model.find_image_with_name(name)
         seen = [(p.point3D_id, p.xy) for p in image.points2D if p.has_point3D()]
         points = [model.point3D(number) for number, _ in seen]
-        length = np.mean([p.track.length() for p in points]) if points else 0.0
+        length = error = 0.0
+        if points:
+            length = float(np.mean([p.track.length() for p in points]))
+            pose, world = image.cam_from_world(), np.array([p.xyz for p in points])
+            local = world @ np.asarray(pose.rotation.matrix()).T + pose.translation
+            projected = np.asarray(image.camera.img_from_cam(local, check_cheirality=False))
+            off = np.linalg.norm(projected - np.array([xy for _, xy in seen]), axis=1)
+            error = float(off.mean())
         found[name] = PhotoFigures(
             len(points),
             ratio.get(image.image_id, 0.0),
-            float(length),
-            _error(image, np.array([p.xyz for p in points]), np.array([xy for _, xy in seen])),
+            length,
+            error,
             float(tilt[place]),
             tuple(step[max(place - 1, 0) : place + 1]),
         )
     return found
-
-
-def _error(image: Any, points: Floats, pixels: Floats) -> float:
-    """Compute the mean reprojection error in pixels."""
-    if not len(points):
-        return 0.0
-    pose = image.cam_from_world()
-    local = points @ np.asarray(pose.rotation.matrix()).T + pose.translation
-    projected = np.asarray(image.camera.img_from_cam(local, check_cheirality=False))
-    return float(np.linalg.norm(projected - pixels, axis=1).mean())
 
 
 def judge_photos(

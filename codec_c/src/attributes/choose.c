@@ -9,7 +9,7 @@
 #define FRACTION 16 /* costs are in 2^-16 bits */
 #define LOG_BITS 10
 #define TABLE_COST ((uint64_t)24 << FRACTION)
-#define WORTH 256 /* classes must save one part in so many bits of a channel */
+#define WORTH 256 /* classes must save one part in WORTH of a channel's bits */
 #define SYMBOL_COST ((uint64_t)2 << FRACTION)
 
 typedef struct segment {

@@ -246,10 +246,10 @@ void clgs_columns_partial(clgs_columns *columns, size_t j)
     const clgs_channel *channel = columns->channel + j;
     size_t rows = columns->rows;
     const uint16_t *activity = columns->activity;
-    uint32_t here = (uint32_t)channel->weight[1], beside = (uint32_t)channel->weight[2];
+    uint32_t here = (uint32_t)channel->weight[1], around = (uint32_t)channel->weight[2];
     for (size_t i = 0; i < rows; i++)
         columns->partial[i] =
-            activity[i] * here + ((uint32_t)activity[(ptrdiff_t)i - 1] + activity[i + 1]) * beside;
+            activity[i] * here + ((uint32_t)activity[(ptrdiff_t)i - 1] + activity[i + 1]) * around;
     memset(columns->cell, 0, rows);
     for (size_t back = 1; back <= (size_t)channel->span; back++) {
         const uint8_t *symbol = clgs_symbols(columns, j - back);

@@ -5,7 +5,7 @@
 #include "attributes/model.h"
 #include "common/bytes.h"
 
-#define CLGS_LANES 8        /* a long column is cut into so many runs of rows, coded in turn */
+#define CLGS_LANES 8        /* runs of rows of a long column, coded in turn */
 #define CLGS_LONG_ROWS 2048 /* shorter columns are one run: every lane costs bytes */
 
 enum { CLGS_SERVES = 1, CLGS_SERVES_NEAR = 3 }; /* terms look at a column; at its near rows, too */
@@ -22,8 +22,8 @@ typedef struct clgs_columns {
     int32_t *around;       /* (channels, rows): their sums over near rows; only if `served` so */
     int32_t *rows_before;  /* (rows, CLGS_NEAR): near rows of an array without positions */
     uint8_t *symbol;       /* (channels, rows) */
-    uint8_t *cell;         /* (rows): cells of the column at hand */
-    int32_t *residual;     /* (rows): of the column at hand; sums of its prediction before */
+    uint8_t *cell;         /* (rows): cells of the present column */
+    int32_t *residual;     /* (rows): of the present column; sums of its prediction before */
     uint16_t *activity; /* (rows + 2): magnitudes of the earlier channels, summed; zero borders */
     uint32_t *partial;  /* (rows): weighted activity without the own column's part */
     uint8_t *level;     /* of each activity, CLGS_MAX_ACTIVITY + 1 of them */

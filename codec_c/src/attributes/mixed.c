@@ -15,7 +15,7 @@
 #define NEAR 32  /* expected values within this of the centre have contexts of their own */
 #define DRIFT 16 /* and averages within this of the expected value */
 
-enum { PLAIN, QUICK, CELL, EXPECTED, OWN, CROSS, BESIDE, JOINT, TREND, INPUTS };
+enum { PLAIN, QUICK, CELL, EXPECTED, OWN, CROSS, AROUND, JOINT, TREND, INPUTS };
 
 _Static_assert(INPUTS <= CLGS_MAX_INPUTS, "a mix holds all inputs");
 
@@ -88,7 +88,7 @@ static void find_contexts(const walk *w, size_t i, int32_t expected, uint32_t ce
     context[EXPECTED] = place(expected, NEAR);
     context[OWN] = clgs_signed_level(one) * 4 + clgs_small_level(two);
     context[CROSS] = clgs_signed_level(left) * 4 + clgs_small_level(further);
-    context[BESIDE] = clgs_signed_level(above + below) * 4 + clgs_small_level(one);
+    context[AROUND] = clgs_signed_level(above + below) * 4 + clgs_small_level(one);
     context[JOINT] = context[EXPECTED] * 16 + cell % CLGS_LEVELS / 2;
     context[TREND] = place((w->quick >> 8) - expected, DRIFT) * 2 * DRIFT +
                      place((w->slow >> 8) - expected, DRIFT);

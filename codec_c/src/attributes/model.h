@@ -44,7 +44,7 @@ typedef struct clgs_channel {
     int32_t taps;
     clgs_tap tap[CLGS_TAPS];
     int32_t gain;      /* magnitude = symbol's size * gain >> CLGS_GAIN_BITS */
-    int32_t weight[3]; /* of activity: own column, this row, the rows beside it */
+    int32_t weight[3]; /* of activity: own column, this row, the rows above and below it */
     int32_t span;      /* earlier channels whose symbols are looked at for zeros */
     int32_t coder;
     int32_t classes;

@@ -132,7 +132,7 @@ CLGS_INLINE void look_around(const clgs_octree_model *model, clgs_levels *levels
     around->total = density_of(around, 0, 8);
 }
 
-/* Children of the parent besides this node, in classes: 0, 1, 2-3, more. */
+/* Other children of the parent, in classes: 0, 1, 2-3, more. */
 static uint32_t siblings(const site *at)
 {
     uint32_t children = at->children;

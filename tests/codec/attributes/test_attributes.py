@@ -36,7 +36,7 @@ def decode(header: bytes, chunks: list[bytes], rows: int, channels: int, chunk: 
 
 
 def assert_round_trip(value: np.ndarray, level: str, chunk: int) -> int:
-    """Decodes to the same, and takes so many bytes."""
+    """Check that it decodes to the same; the number of its bytes."""
     header, chunks = encode(value, level, chunk)
     np.testing.assert_array_equal(decode(header, chunks, *value.shape, chunk), value)
     return len(header) + sum(map(len, chunks))

@@ -3,7 +3,7 @@
 ``python -m tests.codec.container.mutations [COUNT] [SEED]`` tries COUNT of them and prints
 what became of them: a damaged input may decode, to anything; otherwise it is a CodecError. One case
 in eight is an array that must come back from its stream. A case that takes more than a second, or
-more than 64 MiB besides twice its output, is a fault and ends the run.
+more than 64 MiB in addition to twice its output, is a fault and ends the run.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from tests.codec.scenes import GOLDEN, random_scene
 
 Case = tuple[Callable[[bytes], object], bytes]
 ROOM = 64 << 20
-"""Bytes that a decoder may take besides twice its output."""
+"""Bytes that a decoder may take in addition to twice its output."""
 
 MOST_SECONDS = 1.0
 NUMBERS = (0, 1, 2, 127, 128, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1)
 
 
 def cases(rng: np.random.Generator) -> Iterator[Case]:
-    """For ever: a function of the codec, and bytes for it."""
+    """Functions of the codec with bytes for them, without an end."""
     files, streams, calls = _files(), _streams(), binding_cases.streams()
     while True:
         kind = rng.random()

@@ -1,4 +1,4 @@
-"""Whole files: round trips, and one clear CodecError for whatever is done to one."""
+"""Whole files: round trips, and one clear CodecError for all that is done to one."""
 
 from __future__ import annotations
 

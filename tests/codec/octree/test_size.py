@@ -16,7 +16,7 @@ LIMIT = 1.003
 """Ratio to the baseline that every cloud keeps."""
 
 CHUNKS = {65_536: 1.03, 4096: 1.11, 512: 1.24}
-"""Bytes of chunks of so many points, against one tree."""
+"""The bytes of chunks of this number of points, against one tree."""
 
 
 def marked(baselines: dict[str, int]) -> list:

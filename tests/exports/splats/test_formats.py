@@ -15,7 +15,7 @@ from PIL import Image
 
 from clgs.data.ply.gaussians import read_gaussians
 from clgs.errors import DataError
-from clgs.exports.splats import tables
+from clgs.exports.splats import sog
 from clgs.exports.splats.glb import EXTENSION, encode_glb
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog
@@ -131,16 +131,16 @@ def test_a_single_gaussian_and_equal_ones_are_exported():
 
 def test_tables_hold_what_is_there():
     few = np.array([0.5, -2.0, 0.5, 7.0], np.float32)
-    table = tables.make_table(few)
+    table = sog.make_table(few)
     assert len(table) == 256
-    assert np.allclose(table[tables.nearest(table, few)], few, atol=0.04)
+    assert np.allclose(table[sog.nearest(table, few)], few, atol=0.04)
 
 
 def test_palettes_hold_repeated_sets_exactly():
     rng = np.random.default_rng(3)
     sets = rng.integers(-3, 4, (10, 8, 3)).astype(np.float32)
-    palette = tables.make_palette(sets[rng.integers(0, 10, 4000)])
-    assert len(palette.entries) <= tables.MAX_PALETTE
+    palette = sog.make_palette(sets[rng.integers(0, 10, 4000)])
+    assert len(palette.entries) <= sog.MAX_PALETTE
     error = palette.values() - sets[np.argmin(np.abs(
         palette.values()[:, None] - sets).sum(axis=(2, 3)), axis=1)]  # fmt: skip
     assert np.abs(error).max() <= 0.05

@@ -49,7 +49,7 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
 
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[str]:
-    """The address of the page, in a folder with three.js; scene.glb is to be put beside it."""
+    """The address of the page, in a folder with three.js; a test puts scene.glb there, too."""
     three = installed("node_modules/three/examples/jsm/objects/GaussianSplat.js")
     os.symlink(three.parents[4], tmp_path / "node_modules")
     shutil.copy(Path(__file__).with_name("draw_glb.html"), tmp_path)

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from clgs.cli.options.view import named_path, value_of
+from clgs.cli.shared_options import named_path, value_of
 from clgs.errors import UsageError
 from clgs.train.config import TrainConfig, layered, parse_word, read_settings
 from clgs.train.config.option import Option, Pair, Text, describe, options_of

@@ -23,7 +23,7 @@ CAMERA = 0.035
 Floats = npt.NDArray[np.float64]
 
 
-def plan(photos: Sequence[tuple[Photo, str]], points: Floats, axes: Floats) -> str:
+def draw_map(photos: Sequence[tuple[Photo, str]], points: Floats, axes: Floats) -> str:
     """The drawing.
 
     Args:
