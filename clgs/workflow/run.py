@@ -11,7 +11,7 @@ from pathlib import Path
 from clgs.errors import UsageError
 from clgs.exports.run_report import write_run_report
 from clgs.files import check_folder, make_folder
-from clgs.train.run.folder_lock import FolderLock
+from clgs.train.run.run_folder import FolderLock
 from clgs.workflow.device_speed import speed_on, synthetic_speed
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
 from clgs.workflow.run_plan import (

@@ -18,7 +18,7 @@ from clgs.codec.scene_encoder import encode
 from clgs.files import atomic_write, remove_temporaries, write_json
 from clgs.opencl.device import Device
 from clgs.train.config import layered
-from clgs.train.run.finished_run import RESULTS
+from clgs.train.run.run_folder import RESULTS
 from clgs.workflow.encode import EncodedFile
 from clgs.workflow.evaluate import Evaluation, evaluate
 from clgs.workflow.events import OnEvent, RunStage, StageFailure, StageRecord

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from clgs.cli.commands.train import show
 from clgs.cli.display import PLAIN_SECONDS, Display, describe
-from clgs.train.run.finished_run import RunResult
+from clgs.train.run.run_folder import RunResult
 from clgs.train.run.session import Progress
 from clgs.train.run.trainer import StepResult
 from clgs.workflow.events import Note, StageProgress, TrainingProgress, counter

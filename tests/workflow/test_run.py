@@ -15,7 +15,7 @@ from PIL import Image
 from clgs.cli import main as cli
 from clgs.cli.commands.run import duration
 from clgs.errors import DataError
-from clgs.train.run.folder_lock import FolderLock
+from clgs.train.run.run_folder import FolderLock
 from clgs.workflow import run_stages
 from clgs.workflow.run import run
 from clgs.workflow.run_plan import FRAMES, Photos, frames_within
