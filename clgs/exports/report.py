@@ -10,14 +10,12 @@ import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
-from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.exports.image import ERROR_GAIN, error_map, jpeg_bytes
-from clgs.files import atomic_write
 
 MOST_PICTURES = 12
 """Views whose pictures are in the page."""
@@ -88,15 +86,6 @@ class Report:
     facts: Mapping[str, str] = field(default_factory=dict)
     held_out: bool = True
     links: Sequence[tuple[str, str]] = ()
-
-
-def write_report(path: str | Path, report: Report, views: Sequence[ReportView]) -> None:
-    """Write the page to ``path``: the whole file or none.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    atomic_write(Path(path), report_html(report, views).encode())
 
 
 def report_html(report: Report, views: Sequence[ReportView]) -> str:

@@ -9,12 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from clgs.errors import UsageError
-from clgs.exports.run_report import RunStory, write_run_report
+from clgs.exports.run_report import write_run_report
 from clgs.files import check_folder, make_folder
-from clgs.train.run.folder_lock import FolderLock
+from clgs.train.run.run_folder import FolderLock
 from clgs.workflow.device_speed import speed_on, synthetic_speed
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
-from clgs.workflow.run_input import RunInput, find_input, measure_data
 from clgs.workflow.run_plan import (
     DEFAULT_SECONDS,
     Photos,
@@ -28,8 +27,11 @@ from clgs.workflow.run_record import (
     DATA,
     RUN,
     FinishedRun,
+    RunInput,
     RunPlan,
     RunRecord,
+    find_input,
+    measure_data,
     read_record,
 )
 from clgs.workflow.run_stages import (
@@ -175,8 +177,14 @@ def _finish(
     words = ["run", given.path, "-o", output, *setting_options(record.settings)]
     if device is not None:
         words += ["--device", device]
-    story = RunStory(command_line(*words), f"{used}.", record.seconds, present)
-    write_run_report(output / RUN, story, output / REPORT)
+    write_run_report(
+        output / RUN,
+        command=command_line(*words),
+        lead=f"{used}.",
+        seconds=record.seconds,
+        links=present,
+        page=output / REPORT,
+    )
     scores = json.loads((output / SCORES).read_text(encoding="utf-8"))
     return FinishedRun(output, used, scores, record.seconds, failures)
 

@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from clgs.errors import UsageError
-from clgs.exports.run_report import RunStory, write_run_report
+from clgs.exports.run_report import write_run_report
 from clgs.files import check_folder, write_json
 from clgs.memory import return_freed_memory
 from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
-from clgs.train.run.finished_run import (
+from clgs.train.run.load import load_for
+from clgs.train.run.run_folder import (
     RunResult,
     check_run_folder,
     check_same_data,
     finished_run,
 )
-from clgs.train.run.load import load_for
 from clgs.train.run.session import Progress, Session
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
@@ -122,5 +122,5 @@ def train(
             "skips": [{**asdict(saving), "share": saving.share} for saving in saved],
         }
         write_json(folder / "profile.json", record)
-    write_run_report(folder, RunStory(command, f"Trained on {data}."))
+    write_run_report(folder, command, lead=f"Trained on {data}.")
     return TrainedRun(result, config.steps, times=tuple(rows), saved=tuple(saved))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from clgs.exports.report import Report, ReportView, report_html, write_report
+from clgs.exports.report import Report, ReportView, report_html
 
 PICTURE = np.random.default_rng(2).integers(0, 256, (12, 40, 3), dtype=np.uint8)
 
@@ -137,9 +137,3 @@ def test_empty_parts_are_left_out():
     page = report_html(Report("t", "l", []), [])
     parse(page)
     assert "<h2>" not in page
-
-
-def test_file_is_written_whole(tmp_path):
-    write_report(tmp_path / "report.html", REPORT, VIEWS)
-    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
-    assert (tmp_path / "report.html").read_text(encoding="utf-8") == report_html(REPORT, VIEWS)

@@ -11,7 +11,7 @@ from clgs.codec.scene_encoder import encode
 from clgs.errors import DataError
 from clgs.exports.image import save_png
 from clgs.exports.report import MOST_PICTURES
-from clgs.exports.run_report import REPORT, RunStory, read_curve, sections, write_run_report
+from clgs.exports.run_report import REPORT, read_curve, sections, write_run_report
 from tests.codec.scenes import random_scene
 
 SUMMARY = {
@@ -41,8 +41,9 @@ def make_run(folder, views=2, **changes):
 
 
 def test_page_tells_held_out_from_training(tmp_path):
-    story = RunStory("clgs train data -o run", "Trained.", {"train": 3.0}, [("page", "a b.html")])
-    text = write_run_report(make_run(tmp_path), story).read_text()
+    command, links = "clgs train data -o run", [("page", "a b.html")]
+    made = write_run_report(make_run(tmp_path), command, "Trained.", {"train": 3.0}, links)
+    text = made.read_text()
     for part in (
         *("28.25 dB", "31.50 dB", "PSNR, held out", "PSNR in training", "Held-out views"),
         *("clgs train data -o run", 'href="a%20b.html"', "v1.jpg: 21.00 dB", "features", "700"),
@@ -55,7 +56,7 @@ def test_views_of_training_are_not_called_held_out(tmp_path):
     make_run(tmp_path, split="train")
     summary = {name: value for name, value in SUMMARY.items() if name != "train_psnr"}
     (tmp_path / "results.json").write_text(json.dumps(summary | {"split": "train"}))
-    text = write_run_report(tmp_path, RunStory()).read_text()
+    text = write_run_report(tmp_path).read_text()
     assert "Training views" in text
     assert "never saw" not in text
     assert "held out" not in text
@@ -63,7 +64,7 @@ def test_views_of_training_are_not_called_held_out(tmp_path):
 
 def test_of_many_views_the_worst_and_best_are_shown(tmp_path):
     page = tmp_path / "page.html"
-    write_run_report(make_run(tmp_path, MOST_PICTURES + 9), RunStory(), page)
+    write_run_report(make_run(tmp_path, MOST_PICTURES + 9), page=page)
     text = page.read_text()
     assert text.count("data:image/jpeg") == 3 * MOST_PICTURES
     assert "render of v0.jpg" in text
@@ -85,4 +86,4 @@ def test_damaged_runs_are_refused(tmp_path, name):
     path = make_run(tmp_path) / name
     path.unlink()
     with pytest.raises(DataError, match="is no whole run"):
-        write_run_report(tmp_path, RunStory())
+        write_run_report(tmp_path)
