@@ -1,4 +1,4 @@
-"""Cameras that are apart from the rest: most often, poses that are wrong."""
+"""Cameras that are far from the others: most often their poses are wrong."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 LEAST = 5
-"""Fewer cameras say nothing of what is usual."""
+"""Fewer cameras do not show what is usual."""
 
 APART, ASTRAY = 5.0, 20.0
-"""Times the median distance from the middle of all: of cameras to look at, and of those that no
-capture has.
+"""Multiples of the median distance from the middle of all cameras. Beyond the first a camera is
+worth a look; beyond the second no capture has cameras.
 """
 
 ALONE = 0.5
-"""Times its distance from the middle is the least from a camera to all others, if it is lonely."""
+"""A lonely camera is at least this times its distance from the middle away from all others."""
 
 
 def spread(centres: Floats) -> tuple[Floats, float]:
@@ -30,7 +30,7 @@ def spread(centres: Floats) -> tuple[Floats, float]:
 
 
 def in_one_place(centres: Floats) -> bool:
-    """Whether most cameras are where their median centre is, so that photos show no depth."""
+    """Whether most cameras are at their median centre, so that photos show no depth."""
     _, usual = spread(centres)
     return not usual > 1e-9 * (1.0 + float(np.abs(centres).max()))
 
@@ -41,15 +41,15 @@ def apart(centres: Floats, times: float) -> npt.NDArray[np.bool_]:
     None of fewer than LEAST cameras, nor of cameras that are mostly in one place.
     """
     distance, usual = spread(centres)
-    told = len(centres) >= LEAST and not in_one_place(centres)
-    return np.asarray((distance > times * usual) & told)
+    enough = len(centres) >= LEAST and not in_one_place(centres)
+    return np.asarray((distance > times * usual) & enough)
 
 
 def lonely(centres: Floats) -> npt.NDArray[np.bool_]:
-    """Which cameras (N,) to look at: far from the middle, and from all others.
+    """Which cameras (N,) are worth a look: far from the middle and from all others.
 
-    Who walks away from where most photos were taken is never far from the photo before. Cameras
-    that are astray count even if there are several of them.
+    A photographer who walks away from the others' place is never far from the previous photo.
+    Cameras beyond ASTRAY count even if there are several of them.
     """
     distance, _ = spread(centres)
     found = apart(centres, APART)

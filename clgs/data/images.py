@@ -24,7 +24,7 @@ MAX_PIXELS = 100_000_000
 """Larger images are refused before they are decoded."""
 
 PLAIN_SUFFIXES = {"JPEG": (".jpg", ".jpeg"), "PNG": (".png",)}
-"""By format: the names under which other programs know it."""
+"""The suffixes by which other programs know a format."""
 
 _BAND_COLUMNS = 64
 """Columns that are averaged at a time."""
@@ -102,7 +102,7 @@ def is_plain(path: Path) -> bool:
 
 
 def check_image(path: Path) -> None:
-    """See, in a fraction of the time of :func:`read_image`, that a photo is whole.
+    """Check that a photo is whole, in a fraction of the time of :func:`read_image`.
 
     Raises:
         DataError: as there; wrong pixels within a whole file are not found.
@@ -236,7 +236,7 @@ def _box(
 ) -> npt.NDArray[np.float32]:
     """Area means of values (H, W, C), times weight (H, W) if given, on a (height, width) grid.
 
-    A band of columns after the other, so that little of the photo is there as floats.
+    Bands of columns are averaged one after the other, so that few pixels are floats at a time.
     """
     rows, columns, channels = values.shape
     weights = _box_weights(rows, height)

@@ -178,13 +178,13 @@ def undistort_pixels(pixels: Pixels, lens: Lens) -> tuple[Pixels, Lens]:
 
 
 def forget_sources() -> None:
-    """Give back what is remembered of the last lenses: 12 bytes a pixel."""
+    """Free what is remembered of the last lenses: 12 bytes per pixel."""
     _sources.cache_clear()
 
 
 @lru_cache(maxsize=2)
 def _sources(lens: Lens) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]:
-    """For each output pixel the flat index (N,) of its upper left source pixel and the weights.
+    """The flat index (N,) of the upper left source pixel of each output pixel, and the weights.
 
     Weights (N, 2) in x and y; positions are clamped so that the lower right neighbour exists.
     """

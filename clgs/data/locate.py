@@ -1,4 +1,4 @@
-"""Photos that a data set lists, found on the disk: safe paths, sizes, masks, lenses."""
+"""Finds the photos that a data set lists on the disk: safe paths, sizes, masks, lenses."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.find import find_mask
 from clgs.data.images import SUFFIXES, image_size, stored_size
 from clgs.data.lens import Lens
+from clgs.data.masks import find_mask
 from clgs.data.posed_photo import Photo
 from clgs.errors import DataError
 

@@ -1,4 +1,4 @@
-"""Masks: which pixels of a photo are of use. White is used, black is not, as in COLMAP."""
+"""Masks: which pixels of a photo are used. White is used, black is not, as in COLMAP."""
 
 from __future__ import annotations
 
@@ -15,14 +15,28 @@ from clgs.errors import DataError
 USED = 128
 """Masks and alpha channels at this level or above mean that the pixel is used."""
 
+MASKS = "masks"
+"""The folder of masks: NAME.png for the photo NAME, or NAME without its suffix."""
+
 Mask = npt.NDArray[np.uint8]
-"""(H, W) uint8: 1 where the pixel is used, else 0."""
+"""(H, W) uint8: 1 if the pixel is used, else 0."""
+
+
+def mask_names(photo: str) -> tuple[str, str]:
+    """The names that the mask of a photo may have, without .png."""
+    return photo, photo.rpartition(".")[0]
+
+
+def find_mask(root: Path, photo: str) -> Path | None:
+    """The file of the mask of a photo in the folder MASKS of a data set, if there is one."""
+    paths = (root / MASKS / f"{name}.png" for name in mask_names(photo))
+    return next((path for path in paths if path.is_file()), None)
 
 
 def read_mask(path: Path, size: tuple[int, int]) -> Mask:
     """The mask in a file for a photo of ``size`` (width, height).
 
-    Of a picture with alpha that is the mask, else its mean level.
+    The alpha of a picture is its mask; without alpha it is the mean of the colors.
 
     Raises:
         DataError: damaged, of another size, or it leaves no pixel.
@@ -47,9 +61,9 @@ def save_mask(mask: Mask, path: Path) -> None:
 
 
 def whole(pixels: Pixels) -> Mask:
-    """The pixels that hold nothing but used ones of the photo that ``pixels`` came from.
+    """The pixels of a resampled mask that only used pixels went into.
 
-    pixels: a mask of 0 and 255 as its only channel of color, after any resampling.
+    pixels: a mask of 0 and 255 as its only channel of color.
     """
     return np.asarray(pixels.color[..., 0] == 255).astype(np.uint8)
 
@@ -63,7 +77,7 @@ class StoredMask:
         self._kept: dict[int, tuple[tuple[int, ...], npt.NDArray[np.uint8]]] = {}
 
     def used(self, factor: int = 1) -> Mask:
-        """The mask ``factor`` times smaller: pixels that hold nothing but used ones.
+        """The mask ``factor`` times smaller: the pixels that only used ones went into.
 
         Raises:
             DataError: it is damaged.

@@ -1,4 +1,4 @@
-"""Which data set a run was trained on: its folder, and a few cameras by which it is known again."""
+"""The data set that a run was trained on: its folder, and a few cameras to recognise it by."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Origin:
     cameras: dict[str, npt.NDArray[np.float64]]
 
     def check(self, views: list[View], data: Path) -> bool:
-        """See that ``views``, posed in the run's units, are of this data set; whether any is known.
+        """Whether any of ``views``, which have the run's units, is known to be of this data set.
 
         Views of other names say nothing: they may be new photos of the same place.
 

@@ -59,7 +59,7 @@ def read_points(path: Path, samples: int, kind: str, seed: int) -> Floats:
     data = _read(path)
     try:
         points = _parse(data, path.suffix.lower(), samples, seed)
-    except Exception as error:  # trimesh raises whatever its parsers stumble on
+    except Exception as error:  # the parsers of trimesh raise many classes
         reason = " ".join(str(error).split())[:80] or type(error).__name__
         raise DataError(f"{path}: is damaged ({reason}); export it again") from error
     if not len(points):
@@ -82,7 +82,7 @@ def _read(path: Path) -> bytes:
 
 
 def _parse(data: bytes, suffix: str, samples: int, seed: int) -> Floats:
-    """The points in the file's own axes; raises whatever trimesh does."""
+    """The points in the file's own axes; errors of trimesh of all classes pass through."""
     import trimesh
 
     if suffix == ".glb":
@@ -140,7 +140,7 @@ def _sample(corners: Floats, samples: int, seed: int) -> Floats:
 
 
 def _check_ply(data: bytes, vertices: int) -> None:
-    """Raise ValueError if fewer vertices were read than the header declares: text may be cut."""
+    """Raise ValueError if fewer vertices were read than the header declares (text may be cut)."""
     declared = re.search(rb"\nelement\s+vertex\s+(\d{1,18})\s", data[:MAX_PLY_HEADER])
     if declared and vertices < int(declared[1]):
         raise ValueError(

@@ -29,7 +29,7 @@ SEEN_SHARE = 0.5
 room photographed from its middle, of two cameras."""
 
 MASK_MARGIN = 2
-"""Alpha masks are grown by so many pixels before points are carved with them."""
+"""Pixels by which alpha masks are grown before points are carved with them."""
 
 FAR_LIMIT = 50.0
 """Points further than this many radii (or median distances, if those are larger) are dropped."""

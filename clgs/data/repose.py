@@ -12,7 +12,7 @@ from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
 
 UNLIKE = 0.25
-"""Scenes whose centres lie further apart, or whose units differ by more, are not of one capture."""
+"""Scenes whose centres or units differ by a larger share are not of one capture."""
 
 
 def repose(dataset: Dataset, transform: SceneTransform) -> Dataset:
@@ -36,11 +36,11 @@ def repose(dataset: Dataset, transform: SceneTransform) -> Dataset:
 
 
 def alike(one: SceneTransform, other: SceneTransform, radius: float) -> bool:
-    """Whether two transforms may be of the same photos, but for a few added or removed.
+    """Whether two transforms may be of the same photos, with a few added or removed.
 
     Args:
         one: world to scene.
-        other: likewise.
+        other: world to another scene.
         radius: of the cameras in the units of ``one``.
     """
     apart = one.scale * np.linalg.norm(np.subtract(one.centre, other.centre))

@@ -24,12 +24,12 @@ class PhotoMemory:
     """The bytes that the photos of one data set may take; photos share it."""
 
     def __init__(self, limit: int = DEFAULT_MEMORY) -> None:
-        """At most ``limit`` bytes."""
+        """``limit`` is in bytes."""
         self._free = limit
         self._lock = Lock()
 
     def take(self, nbytes: int) -> bool:
-        """Whether there is room for so many bytes more; if so, they count from now on.
+        """Whether there is room for ``nbytes`` more; if so, they count from now on.
 
         A negative number gives bytes back.
         """
@@ -55,8 +55,8 @@ class _Composited:
 class StoredPhoto:
     """A photo that can be read at any time; its bytes stay in memory if :meth:`keep` found room.
 
-    They stay in one form: as read, or, once :meth:`planes` is told that the color is final, over
-    that color. Several threads may read.
+    They stay in one form: as read, or, once :meth:`planes` is called with ``final``, over that
+    color. Several threads may read.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""A data set under examination: all faults at once, where the loader ends at the first."""
+"""Examines a data set: finds all faults at once, while the loader stops at the first."""
 
 from __future__ import annotations
 
@@ -6,18 +6,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from clgs.data.find import find_photos
 from clgs.data.locate import locate
 from clgs.data.origin import read_origin
 from clgs.data.photo_set import is_posed, read_photo_set
 from clgs.data.point_file import read_points
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.transforms import count_frames, read_document, read_frame
+from clgs.doctor.cameras import check_lenses, check_poses
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named
-from clgs.doctor.lenses import check_lenses
 from clgs.doctor.pictures import check_pictures, damaged
-from clgs.doctor.poses import check_poses
 from clgs.errors import DataError
+from clgs.poses.find import find_photos
 
 FILES = ("transforms_train.json", "transforms_test.json", "transforms.json")
 
@@ -27,7 +26,7 @@ FEW_POINTS = 100
 
 @dataclass(frozen=True)
 class Examined:
-    """What there is, in a line, and all findings, errors first."""
+    """A line on what the folder holds, and all findings, errors first."""
 
     summary: str
     findings: list[Finding]
@@ -129,7 +128,7 @@ def _missing(root: Path, photos: PhotoSet) -> Iterator[Finding]:
 
 
 def _near_names(root: Path, missing: list[str]) -> list[str]:
-    """Files that bear the name of a missing one but for capitals and suffix."""
+    """Files whose names differ from a missing one in capitals or suffix only."""
     found = []
     for name in missing:
         for base in (root, root / "images"):

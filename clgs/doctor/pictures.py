@@ -1,4 +1,4 @@
-"""The photos' files: damaged, twice the same, of several sizes, of changing exposure, masked."""
+"""Photo files: damaged, copied, of several sizes, of changing exposure, masked."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, from_error, named
 from clgs.errors import DataError
 
 SMALL_SIDE = 64
-"""Pixels; photos that are smaller have little to learn from."""
+"""Pixels; smaller photos show little to learn from."""
 
 JUMP = 0.6
-"""Stops between neighbours from which on a jump is reported, if it is rare."""
+"""Stops between neighbours; a larger jump is reported if it is rare."""
 
 RARE = 6.0
-"""A jump exceeds the median difference of neighbours so many times."""
+"""A jump is this many times as large as the median difference of neighbours."""
 
 _THUMBNAIL = 64
 
@@ -71,7 +71,7 @@ def damaged(paths: list[Path]) -> list[DataError]:
 
 
 def _look(photo: Photo) -> _Looked | DataError:
-    """As :func:`_look_at`, with the mask."""
+    """The look at a photo and its mask, or what is wrong with either."""
     found = _look_at(photo.path)
     if isinstance(found, DataError) or photo.mask is None:
         return found

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from clgs.data.find import MASKS
+from clgs.data.masks import MASKS
 from clgs.errors import DataError
 from clgs.poses.child import OnStage, run_child, serve
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from clgs.errors import DataError, ExistsError, OutputError
 from clgs.files import atomic_folder, check_folder, is_full
+from clgs.poses.bring_in import bring_in, find_source
 from clgs.poses.drop import drop_doubtful as drop_doubtful_photos
 from clgs.poses.judging.verdict import Verdict
-from clgs.poses.photos.bring_in import bring_in, find_source
 from clgs.poses.pycolmap_lazy import SEEDS
 from clgs.poses.reconstruct import reconstruct
 from clgs.poses.report import CONTACT_SHEET, REPORT, write_report

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from clgs.data.find import MASKS
 from clgs.data.images import image_size
-from clgs.data.masks import save_mask
+from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
+from clgs.poses.bring_in import camera_numbers
 from clgs.poses.child import OnStage, run_child, serve
 from clgs.poses.features import extract
 from clgs.poses.judging.judge import judge
@@ -27,7 +27,6 @@ from clgs.poses.judging.verdict import Verdict, verdict_of
 from clgs.poses.mapping import look_again, map_half, map_photos
 from clgs.poses.matching import match
 from clgs.poses.pairs import pairs_to_match
-from clgs.poses.photos.bring_in import camera_numbers
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import OnProgress, Workspace
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import pack
-from clgs.data.ply.splats import read_splats
+from clgs.data.ply.integer_splats import read_splats
 from clgs.exports.clip.camera_path import read_camera_path
 from clgs.scene.storage import save_scene
 from tests.cli.test_commands import clgs

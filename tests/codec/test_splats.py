@@ -12,7 +12,7 @@ from clgs.codec.container.section_table import write_container
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import QuantizedSplats, pack, quantize, sort_splats, unpack
-from clgs.data.ply.table import Table, pack_ply, read_ply
+from clgs.data.ply.table import PlyTable, pack_ply, read_ply
 from clgs.errors import CodecError
 from tests.codec.container.damage import ENTRY, HEAD, contents, patched, rebuilt
 from tests.codec.scenes import random_scene
@@ -152,7 +152,7 @@ def test_the_step_that_is_named_in_a_refusal_works(
     source, packed = tmp_path / "s.ply", str(tmp_path / "s.clgs")
     columns = splat_ply(rng, source).columns
     columns[column][7] = value
-    source.write_bytes(pack_ply(Table(columns)))
+    source.write_bytes(pack_ply(PlyTable(columns)))
     command = ["pack", str(source), "-o", packed, "--step"]
     assert main([*command, f"{column}=1e-12"]) == 3
     said = capsys.readouterr().err
@@ -167,7 +167,7 @@ def test_values_that_no_step_holds(
     source, packed = tmp_path / "s.ply", str(tmp_path / "s.clgs")
     columns = splat_ply(rng, source).columns
     columns["x"][7] = 3e38
-    source.write_bytes(pack_ply(Table(columns)))
+    source.write_bytes(pack_ply(PlyTable(columns)))
     for options, problem in (
         ([], f"x spans {np.ptp(columns['x']):g}, more than any step holds; correct or crop"),
         (["--step", "position=1e19"], "property x: 3e+38 in row 7 is beyond int32 in steps of"),
@@ -192,12 +192,12 @@ def test_senseless_values_are_refused(values: np.ndarray, message: str) -> None:
         pack(QuantizedSplats(NAMES, [1.0] * 5, values))
 
 
-def splat_ply(rng: np.random.Generator, path: Path) -> Table:
+def splat_ply(rng: np.random.Generator, path: Path) -> PlyTable:
     """A PLY file of 50 splats."""
     names = ["x", "y", "z", "f_dc_0", "f_rest_0", "opacity", "scale_0", "scale_1", "scale_2"]
     names += ["rot_0", "rot_1", "rot_2", "rot_3"]
     columns = {name: rng.normal(size=50).astype(np.float32) for name in names}
-    table = Table(columns | {"red": rng.integers(0, 255, 50).astype(np.uint8)})
+    table = PlyTable(columns | {"red": rng.integers(0, 255, 50).astype(np.uint8)})
     path.write_bytes(pack_ply(table))
     return table
 
@@ -231,7 +231,7 @@ def test_commands_refuse(rng: np.random.Generator, tmp_path: Path) -> None:
         assert error.value.code == 2
     assert main(["pack", source, "-o", packed, "--step", "weight=1"]) == 2
     assert main(["pack", str(tmp_path / "none.ply"), "-o", packed]) == 3
-    Path(source).write_bytes(pack_ply(Table(table.columns | {"odd": np.ones(50, np.float32)})))
+    Path(source).write_bytes(pack_ply(PlyTable(table.columns | {"odd": np.ones(50, np.float32)})))
     assert main(["pack", source, "-o", packed]) == 2
     assert main(["pack", source, "-o", packed, "--step", "odd=1"]) == 0
     assert main(["unpack", source, "-o", str(tmp_path / "t.ply")]) == 3

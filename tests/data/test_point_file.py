@@ -188,7 +188,7 @@ def test_a_data_set_starts_from_the_file(data, tmp_path):
 
 
 def test_points_move_with_the_data_set(data, tmp_path):
-    """Of transforms.json files the world is scaled and recentred; the points with it."""
+    """The world of a transforms.json is scaled and recentred, and the points with it."""
     text = json.loads((data / "transforms_train.json").read_text())
     for frame in text["frames"]:
         frame["file_path"] = f"{frame['file_path']}.png"

@@ -31,7 +31,7 @@ class Disk:
 
 
 def free(memory: PhotoMemory) -> int:
-    """By bisection, as nothing else asks."""
+    """The free bytes, found by bisection."""
     room = 0
     for step in (1 << bit for bit in reversed(range(20))):
         if memory.take(room + step):

@@ -25,7 +25,7 @@ from tests.data.folders import (
 
 
 def levels(root: Path) -> dict[str, list[str]]:
-    """By level: where and problem of every finding, in one text each."""
+    """Place and problem of each finding in one text, by level."""
     found = examine(root).findings
     assert all(one.remedy for one in found)
     return {

@@ -52,8 +52,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.codec.octree import PositionsError
     from clgs.codec.splat_packing import pack
     from clgs.data.ply.gaussians import lacking
-    from clgs.data.ply.splat_steps import group_of
-    from clgs.data.ply.splats import read_splats
+    from clgs.data.ply.integer_splats import group_of, read_splats
     from clgs.errors import CodecError, UsageError
     from clgs.files import atomic_write
     from clgs.workflow.outputs import check_new, check_suffix

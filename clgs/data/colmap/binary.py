@@ -71,7 +71,7 @@ class _File:
         return values
 
     def bounded(self, count: int, size: int) -> int:
-        """``count``, if so many records of at least ``size`` bytes can follow."""
+        """``count``, if that number of records of at least ``size`` bytes can follow."""
         if count > (len(self.data) - self.at) // size:
             self.fail(f"{count} records are declared but the file ends before")
         return count

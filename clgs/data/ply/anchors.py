@@ -4,7 +4,7 @@ Properties stand in the order of NAMES and are float32, but for those of which f
 give an integer back: they are float64. Offset j of an anchor on axis c is
 ``f_offset_{c * K + j}``. A file whose name has ".quantized" in it holds the integers, another one
 the numbers that they stand for. What the reference does not keep at all (scales, transform, render
-settings) is written as comments; opacity and rot are of no use to a render.
+settings) is written as comments; opacity and rot are not used to render.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from clgs.codec.octree import MAX_EXTENT
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.data.ply.mlps_archive import holds, load_mlps, mlps_path, pack_mlps
-from clgs.data.ply.table import Table, narrowest, pack_ply, read_ply
+from clgs.data.ply.table import PlyTable, narrowest, pack_ply, read_ply
 from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
@@ -53,14 +53,14 @@ def save_scaffold(path: Path, scene: QuantizedScene, overwrite: bool = False) ->
         OutputError: the file for the MLPs of ``path`` exists already, but ``path`` does not.
         OutputError, OSError: as of ``atomic_write_all``.
     """
-    beside = mlps_path(path)
-    check_target(beside)
+    archive = mlps_path(path)
+    check_target(archive)
     files = {path: pack_scaffold(scene, is_quantized(path))}
-    if not (beside.exists() and holds(beside, scene.mlps)):
-        if beside.exists() and not (path.exists() or overwrite):
+    if not (archive.exists() and holds(archive, scene.mlps)):
+        if archive.exists() and not (path.exists() or overwrite):
             problem = "exists and holds other MLPs; remove it or choose another output"
-            raise OutputError(f"{beside}: {problem}")
-        files[beside] = pack_mlps(scene.mlps)
+            raise OutputError(f"{archive}: {problem}")
+        files[archive] = pack_mlps(scene.mlps)
     atomic_write_all(files)
 
 
@@ -86,7 +86,7 @@ def pack_scaffold(scene: QuantizedScene, quantized: bool) -> bytes:
         **dict.fromkeys(ROTATION, zeros),
         ROTATION[0]: np.ones(count, np.float32),
     }
-    return pack_ply(Table(blocks, _comments(scene)))
+    return pack_ply(PlyTable(blocks, _comments(scene)))
 
 
 def load_scaffold(
@@ -118,7 +118,7 @@ def load_scaffold(
     return QuantizedScene(anchors, weights, scales, found["settings"], found["transform"])
 
 
-def _anchors(path: Path, table: Table, scales: QuantizationScales) -> QuantizedAnchors:
+def _anchors(path: Path, table: PlyTable, scales: QuantizationScales) -> QuantizedAnchors:
     quantized = is_quantized(path)
 
     def integers(names: list[str], scale: float, letter: str) -> npt.NDArray[np.int32]:
@@ -170,7 +170,7 @@ _GROUPS: dict[str, Any] = {
 
 
 def _comments(scene: QuantizedScene) -> list[str]:
-    """One line a field: the word clgs, group.field, numbers that round-trip."""
+    """One line per field: the word clgs, group.field, numbers that round-trip."""
     return [
         f"{COMMENT} {group}.{name} {' '.join(repr(float(x)) for x in np.atleast_1d(value))}"
         for group in _GROUPS

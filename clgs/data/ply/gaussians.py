@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec.splat_packing import QuantizedSplats, unpack
-from clgs.data.ply.splat_steps import POSITION, SCALE
-from clgs.data.ply.splats import FEATURE_OF_ANCHORS, ROTATION
+from clgs.data.ply.integer_splats import FEATURE_OF_ANCHORS, POSITION, ROTATION, SCALE
 from clgs.data.ply.table import read_ply
 from clgs.errors import CodecError, DataError
 from clgs.scene.gaussians import DEGREES, HostGaussians, OrdinaryGaussians
@@ -118,7 +117,7 @@ def gaussians_of(columns: Columns, path: Path) -> HostGaussians:
 
 
 def _finite(gaussians: HostGaussians, path: Path) -> HostGaussians:
-    """Those whose numbers are all finite."""
+    """The Gaussians whose numbers are all finite."""
     good = np.ones(len(gaussians), np.bool_)
     for _, array in gaussians.items():
         good &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))

@@ -1,4 +1,4 @@
-"""The MLPs beside a PLY file of anchors: a NumPy archive with the reference's names of the weights.
+"""The MLPs next to a PLY file of anchors: a NumPy archive with the reference's names of weights.
 
 The reference keeps them in torch files, which are pickles and never read here.
 """

@@ -36,7 +36,7 @@ MAX_PROPERTIES = 1024
 
 
 @dataclass(frozen=True)
-class Table:
+class PlyTable:
     """Columns by name, all (N,), in file order; and the lines of comment."""
 
     columns: dict[str, npt.NDArray[Any]]
@@ -57,12 +57,12 @@ class _Header:
     comments: list[str] = field(default_factory=list)
 
     def dtype(self) -> np.dtype[Any]:
-        """Of a row."""
+        """The type of a row."""
         order = self.order or "<"
         return np.dtype([(name, order + kind) for name, kind in self.properties])
 
 
-def read_ply(path: Path) -> Table:
+def read_ply(path: Path) -> PlyTable:
     """The element "vertex" of a PLY file, which must be the first; later elements are skipped.
 
     Raises:
@@ -94,23 +94,23 @@ def _is_compressed(data: bytes) -> bool:
     return b"\nelement chunk " in header and b" packed_position" in header
 
 
-def parse_ply(data: bytes) -> Table:
-    """As :func:`read_ply`, of the file's bytes.
+def parse_ply(data: bytes) -> PlyTable:
+    """The element "vertex" of the bytes of a PLY file.
 
     Raises:
-        ValueError: as DataError there.
+        ValueError: cut, damaged, or with lists in the table.
     """
     header, start = _read_header(data)
     assert header.rows is not None
     body, dtype = memoryview(data)[start:], header.dtype()
     if header.order == "":
-        return Table(_parse_text(body, header), header.comments)
+        return PlyTable(_parse_text(body, header), header.comments)
     needed = header.rows * dtype.itemsize
     if len(body) < needed or (header.alone and len(body) > needed):
         raise ValueError(f"{len(body)} bytes follow the header, which promises {needed}")
     rows = np.frombuffer(body, dtype, header.rows)
     native = {name: np.ascontiguousarray(rows[name], kind) for name, kind in header.properties}
-    return Table(native, header.comments)
+    return PlyTable(native, header.comments)
 
 
 def _parse_text(body: memoryview, header: _Header) -> dict[str, npt.NDArray[Any]]:
@@ -203,7 +203,7 @@ def _add_property(header: _Header, name: str, kind: str) -> None:
     header.properties.append((name, kind))
 
 
-def pack_ply(table: Table) -> bytes:
+def pack_ply(table: PlyTable) -> bytes:
     """The little-endian file of a table."""
     kinds = {name: column.dtype.str[1:] for name, column in table.columns.items()}
     lines = ["ply", "format binary_little_endian 1.0"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.data.ply.table import Table, pack_ply
+from clgs.data.ply.table import PlyTable, pack_ply
 from clgs.exports.splats.encoded import Encoded
 from clgs.scene.gaussians import HostGaussians
 
@@ -32,4 +32,4 @@ def encode_ply(gaussians: HostGaussians) -> Encoded:
         for names, values in parts
         for i, name in enumerate(names)
     }
-    return Encoded(pack_ply(Table(columns, ["baked by clgs"])), gaussians)
+    return Encoded(pack_ply(PlyTable(columns, ["baked by clgs"])), gaussians)

@@ -130,7 +130,7 @@ def test_truncations_are_found(tmp_path: Path, name: str):
 
 
 def test_bit_flips_are_refused_or_harmless(tmp_path: Path, rng: np.random.Generator):
-    """Whatever is not refused with a DataError has finite poses and points."""
+    """A damaged model is refused with a DataError, or has finite poses and points."""
     write_colmap(tmp_path)
     for name in ("cameras", "images", "points3D", "rigs", "frames"):
         file = tmp_path / "sparse" / "0" / f"{name}.bin"

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from clgs.data.ply.anchors import NAMES, load_scaffold, save_scaffold
 from clgs.data.ply.mlps_archive import mlps_path, pack_mlps
-from clgs.data.ply.table import Table, pack_ply, read_ply
+from clgs.data.ply.table import PlyTable, pack_ply, read_ply
 from clgs.errors import DataError, OutputError, UsageError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps
@@ -92,7 +92,7 @@ def test_layout_is_that_of_the_reference(scene: QuantizedScene, tmp_path: Path) 
 def test_files_of_others_need_no_comments(scene: QuantizedScene, tmp_path: Path) -> None:
     path = tmp_path / "s.ply"
     save_scaffold(path, scene)
-    path.write_bytes(pack_ply(Table(read_ply(path).columns)))
+    path.write_bytes(pack_ply(PlyTable(read_ply(path).columns)))
     found = load_scaffold(path, scales=scene.scales)
     assert_same(found, replace(scene, transform=SceneTransform(), settings=RenderSettings()))
     np.savez(tmp_path / "flat.npz", mlps=scene.mlps.flat)
@@ -161,7 +161,7 @@ def test_a_number_that_no_q_holds(scene: QuantizedScene, tmp_path: Path) -> None
 
 def test_ordinary_splats_are_for_another_command(tmp_path: Path) -> None:
     column = np.zeros(2, np.float32)
-    (tmp_path / "s.ply").write_bytes(pack_ply(Table({"x": column, "y": column, "z": column})))
+    (tmp_path / "s.ply").write_bytes(pack_ply(PlyTable({"x": column, "y": column, "z": column})))
     with pytest.raises(
         DataError, match=r"f_offset_0 is missing; this is no file of anchors .`clgs pa"
     ):
@@ -195,12 +195,12 @@ def test_comments_of_other_programs_are_passed_over(scene: QuantizedScene, tmp_p
     save_scaffold(path, scene)
     lines = ["clgs", "clgs is great", "clgs 1 2", "clgs scalesx 1", "clgs my.scale 7", "scale 7"]
     table = read_ply(path)
-    path.write_bytes(pack_ply(Table(table.columns, [*lines, *table.comments, *lines])))
+    path.write_bytes(pack_ply(PlyTable(table.columns, [*lines, *table.comments, *lines])))
     assert_same(load_scaffold(path), scene)
 
 
 def test_q_of_integers_is_what_the_file_says(scene: QuantizedScene, tmp_path: Path) -> None:
-    """Other ones would be another scene; floats may be rounded anew."""
+    """Another Q would make another scene; floats may be rounded to it."""
     floats, integers = tmp_path / "s.ply", tmp_path / "s.quantized.ply"
     for path in (floats, integers):
         save_scaffold(path, scene)
@@ -211,7 +211,7 @@ def test_q_of_integers_is_what_the_file_says(scene: QuantizedScene, tmp_path: Pa
         UsageError, match=r"s\.quantized\.ply: its integers have Q 333.333,1.5,0.7,8"
     ):
         load_scaffold(integers, scales=other)
-    integers.write_bytes(pack_ply(Table(read_ply(integers).columns)))
+    integers.write_bytes(pack_ply(PlyTable(read_ply(integers).columns)))
     found = load_scaffold(integers, scales=other)
     np.testing.assert_array_equal(found.anchors.position, scene.anchors.position)
     assert found.scales == other

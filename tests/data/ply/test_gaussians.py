@@ -7,14 +7,14 @@ import pytest
 
 from clgs.codec.splat_packing import pack, unpack
 from clgs.data.ply.gaussians import gaussians_of_splats, load_splats, read_gaussians
-from clgs.data.ply.splats import read_splats
-from clgs.data.ply.table import Table, pack_ply
+from clgs.data.ply.integer_splats import read_splats
+from clgs.data.ply.table import PlyTable, pack_ply
 from clgs.errors import DataError
 from tests.ops.cases.splats import stored
 
 
 def columns_of(gaussians):
-    """As 3DGS names and orders them: all of a channel's higher coefficients before the next's."""
+    """Columns as 3DGS orders them: all higher coefficients of a channel before the next's."""
     columns = {name: gaussians.mean[:, i] for i, name in enumerate("xyz")}
     columns |= {name: np.zeros(len(gaussians), np.float32) for name in ("nx", "ny", "nz")}
     columns |= {f"f_dc_{i}": gaussians.sh[:, 0, i] for i in range(3)}
@@ -28,7 +28,7 @@ def columns_of(gaussians):
 
 
 def write(path, columns):
-    path.write_bytes(pack_ply(Table(columns)))
+    path.write_bytes(pack_ply(PlyTable(columns)))
     return path
 
 

@@ -121,7 +121,7 @@ def test_a_single_training_photo_starts_from_random_points(tmp_path: Path, caplo
     write_transforms(tmp_path, 2)
     assert len(with_points(load_dataset(tmp_path)).points) >= 50_000
     (warning,) = [record.getMessage() for record in caplog.records]
-    assert warning.endswith("starting from random ones: a single photo tells no depth")
+    assert warning.endswith("starting from random ones: a single photo gives no depth")
 
 
 @pytest.mark.parametrize("count", [0, 3])

@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from clgs.data.find import MASKS, Collection, Found, find_photos, is_video
 from clgs.data.images import (
     check_image,
     image_size,
@@ -25,9 +24,10 @@ from clgs.data.images import (
     read_image,
     upright_size,
 )
-from clgs.data.masks import USED, Mask, read_mask, save_mask
+from clgs.data.masks import MASKS, USED, Mask, read_mask, save_mask
 from clgs.errors import DataError
-from clgs.poses.photos.video import extract_frames, video_library
+from clgs.poses.find import Collection, Found, find_photos, is_video
+from clgs.poses.video import extract_frames, video_library
 
 LEAST_PHOTOS = 3
 JPEG_QUALITY = 95

@@ -12,8 +12,8 @@ from PIL import Image
 from scipy.ndimage import uniform_filter
 
 from clgs.errors import DataError
-from clgs.poses.photos.bring_in import find_source
-from clgs.poses.photos.video import extract_frames, frame_size, sharpness
+from clgs.poses.bring_in import find_source
+from clgs.poses.video import extract_frames, frame_size, sharpness
 from tests.data.folders import noise_image
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")

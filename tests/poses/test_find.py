@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from clgs.data.find import find_mask, find_photos, is_video
+from clgs.data.masks import find_mask
 from clgs.errors import DataError
+from clgs.poses.find import find_photos, is_video
 from tests.data.folders import noise_image
 
 

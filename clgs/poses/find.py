@@ -10,27 +10,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from clgs.data.images import HEIF_SUFFIXES, SUFFIXES
+from clgs.data.masks import MASKS, mask_names
 from clgs.errors import DataError
-
-MASKS = "masks"
-"""The folder of masks: NAME.png for the photo NAME, or NAME without its suffix."""
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".mts", ".3gp")
 RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
 UNREAD_SUFFIXES = (".tif", ".tiff", ".bmp", ".gif", ".avif", ".jxl", *RAW_SUFFIXES)
 
 NAME_LENGTH = 120
-"""Characters of a photo's own name that its name in the data set keeps, the last ones."""
+"""Characters that the name in the data set keeps of a photo's own name, from its end."""
 
 NAMED = 5
-"""Of the files that are skipped for one reason, so many are named."""
+"""Files that are named of those that are skipped for one reason."""
 
 _FOREIGN_FOLDERS = (MASKS, "__MACOSX", "@eaDir")
 _RUNS = ("plan.json", "progress.csv")
-"""A folder with one of these was made by clgs run or train."""
+"""A folder that holds one of these was made by clgs run or train."""
 
 _OWN = (*_RUNS, "sparse/0/cameras.bin")
-"""A folder below with one of these was made by clgs run, train or prepare."""
+"""A folder below that holds one of these was made by clgs run, train or prepare."""
 
 _UNSAFE = re.compile(r"[^\w.+=@()\[\] -]|[\ud800-\udfff]")
 
@@ -97,7 +95,7 @@ def find_photos(folder: Path) -> Collection:
     taken: set[str] = set()
     for path in kept:
         below = path.relative_to(collection.root).as_posix()
-        mask = next((masks[key] for key in _mask_keys(below) if key in masks), None)
+        mask = next((masks[key] for key in mask_names(below) if key in masks), None)
         collection.photos.append(Found(path, _new_name(below, taken), mask))
     used = {found.mask for found in collection.photos}
     collection.skipped += [
@@ -112,7 +110,7 @@ def _is_photo(path: Path) -> bool:
 
 
 def _files(collection: Collection) -> Iterator[Path]:
-    """Files that are photos by their names; what is skipped is noted."""
+    """Files that are photos by their names; the others are noted as skipped."""
     root = collection.root
     for where, folders, names in os.walk(root):
         here = Path(where)
@@ -126,7 +124,7 @@ def _files(collection: Collection) -> Iterator[Path]:
 
 
 def _folders(collection: Collection, here: Path, names: list[str]) -> list[str]:
-    """Those of the folders in ``here`` that are searched; what is skipped is noted."""
+    """The folders in ``here`` that are searched; the others are noted as skipped."""
     kept = []
     for name in sorted(names):
         path = here / name
@@ -183,7 +181,7 @@ def _without_copies(paths: list[Path], collection: Collection) -> list[Path]:
 
 
 def _masks(folder: Path, root: Path) -> dict[str, Path]:
-    """The masks beside the photos or beside images/, by path below masks/ without .png."""
+    """The masks next to the photos or next to images/, by path below masks/ without .png."""
     found: dict[str, Path] = {}
     for place in dict.fromkeys((folder / MASKS, root / MASKS)):
         if place.is_dir():
@@ -192,17 +190,6 @@ def _masks(folder: Path, root: Path) -> dict[str, Path]:
                     below = path.relative_to(place).as_posix()
                     found.setdefault(below.removesuffix(".png"), path)
     return found
-
-
-def _mask_keys(name: str) -> tuple[str, str]:
-    """What the mask of the photo ``name`` may be called, without .png."""
-    return name, name.rpartition(".")[0]
-
-
-def find_mask(root: Path, name: str) -> Path | None:
-    """The mask of the photo ``name`` of a data set: masks/NAME.png, NAME with or without suffix."""
-    paths = (root / MASKS / f"{key}.png" for key in _mask_keys(name))
-    return next((path for path in paths if path.is_file()), None)
 
 
 def _new_name(below: str, taken: set[str]) -> str:

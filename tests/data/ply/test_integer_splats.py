@@ -12,9 +12,14 @@ from hypothesis import strategies as st
 
 from clgs.cli.main import main
 from clgs.codec.splat_packing import QuantizedSplats, pack, sort_splats, unpack
-from clgs.data.ply.splat_steps import group_of, resolution, usual_extent
-from clgs.data.ply.splats import read_splats, write_splats
-from clgs.data.ply.table import Table, pack_ply, parse_ply, read_ply
+from clgs.data.ply.integer_splats import (
+    group_of,
+    read_splats,
+    resolution,
+    usual_extent,
+    write_splats,
+)
+from clgs.data.ply.table import PlyTable, pack_ply, parse_ply, read_ply
 from clgs.errors import UsageError
 
 UTM = (4.5e6, 4e5, 100.0)
@@ -37,7 +42,7 @@ def steps_of(
 ) -> list[float]:
     """The steps of x, y and z; the way to the file and back must keep every integer."""
     path = folder / "s.ply"
-    path.write_bytes(pack_ply(Table({name: c.astype(kind) for name, c in columns.items()})))
+    path.write_bytes(pack_ply(PlyTable({name: c.astype(kind) for name, c in columns.items()})))
     splats, errors = read_splats(path, named)
     found = unpack(pack(splats))
     np.testing.assert_array_equal(found.values, sort_splats(splats.values))
@@ -71,7 +76,7 @@ def test_ordinary_splats_have_an_eighth_of_their_median_scale(
 def test_far_from_zero_float32_says_what_is_fine_enough(
     rng: np.random.Generator, tmp_path: Path, warned: pytest.LogCaptureFixture
 ) -> None:
-    """At 4.5e6 float32 has steps of 0.5, at 4e5 of 1 / 32: no error is made in coarse steps."""
+    """Float32 has steps of 0.5 at 4.5e6 and of 1 / 32 at 4e5: coarse steps add no error."""
     columns = {name: column.astype("f4") for name, column in cloud(rng, UTM).items()}
     assert steps_of(tmp_path, columns) == [0.5, 2.0**-5, 2.0**-9]
     splats = unpack(pack(read_splats(tmp_path / "s.ply", {})[0]))
@@ -184,14 +189,14 @@ def test_pack_says_the_steps_of_every_axis_and_warns_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     columns = {name: column.astype("f4") for name, column in cloud(rng, UTM).items()}
-    (tmp_path / "s.ply").write_bytes(pack_ply(Table(columns)))
+    (tmp_path / "s.ply").write_bytes(pack_ply(PlyTable(columns)))
     assert main(["pack", "s.ply", "-o", "s.clgs"]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("position: step 0.5 of x, 0.03125 of y, 0.00195312 of z, rounded by")
     assert main(["pack", "s.ply", "-o", "t.clgs", "--step", "position=1e-6"]) == 3
     assert capsys.readouterr().err.startswith("clgs: error: s.ply: property x: ")
     columns["z"][0] = 1e6
-    (tmp_path / "s.ply").write_bytes(pack_ply(Table(columns)))
+    (tmp_path / "s.ply").write_bytes(pack_ply(PlyTable(columns)))
     assert main(["pack", "s.ply", "-o", "t.clgs", "--step", "position=0.25"]) == 3
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
@@ -210,7 +215,7 @@ def test_steps_that_are_missing_or_name_nothing(rng: np.random.Generator, tmp_pa
 
 def test_points_that_are_no_splats_are_called_so(tmp_path, rng, capsys) -> None:
     path = tmp_path / "points.ply"
-    path.write_bytes(pack_ply(Table(cloud(rng) | {"odd": np.zeros(1000, np.float32)}, [])))
+    path.write_bytes(pack_ply(PlyTable(cloud(rng) | {"odd": np.zeros(1000, np.float32)}, [])))
     words = ["pack", str(path), "-o", str(tmp_path / "p.clgs"), "--step", "odd=1"]
     assert main(words) == 0
     assert "property f_dc_0 is missing, so these are points, no 3DGS" in capsys.readouterr().err
@@ -221,7 +226,7 @@ def test_signalling_nans_are_one_line(tmp_path, rng, capsys):
     """Casting them is invalid to the processor, of which NumPy warns."""
     columns = {name: column.astype(">f4") for name, column in cloud(rng).items()}
     path = tmp_path / "s.ply"
-    path.write_bytes(pack_ply(Table(columns)))
+    path.write_bytes(pack_ply(PlyTable(columns)))
     data = bytearray(path.read_bytes())
     data[-4:] = np.array(0x7FA00000, "<u4").tobytes()
     path.write_bytes(data)

@@ -1,17 +1,27 @@
-"""The steps in which the properties of an ordinary 3DGS file are kept."""
+"""Ordinary 3DGS PLY files to integers in stated steps, and back.
+
+Quaternions (rot_0 to rot_3) are scaled to length 1 with rot_0 >= 0 first: the same rotation, in
+numbers that one step suits.
+"""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.codec.octree import MAX_EXTENT
-from clgs.codec.splat_packing import MAX_STEP
-from clgs.errors import DataError, UsageError
+from clgs.codec.splat_packing import MAX_STEP, QuantizedSplats, quantize
+from clgs.data.ply.table import PlyTable, narrowest, pack_ply, read_ply
+from clgs.errors import ClgsError, DataError, UsageError
 
+FEATURE_OF_ANCHORS = "f_anchor_feat_0"
+"""A property that files of anchors have and files of splats do not."""
+
+ROTATION = [f"rot_{i}" for i in range(4)]
 POSITION = ["x", "y", "z"]
 SCALE = [f"scale_{i}" for i in range(3)]
 
@@ -32,6 +42,59 @@ Columns = Mapping[str, npt.NDArray[np.float64]]
 """Finite numbers (N,) by name of the property."""
 
 _log = logging.getLogger(__name__)
+
+
+def read_splats(path: Path, steps: dict[str, float]) -> tuple[QuantizedSplats, dict[str, float]]:
+    """The splats of a PLY file, and the largest rounding error of each group.
+
+    Args:
+        path: PLY file with x, y, z and at least one more property.
+        steps: by group or by name of a property, before the defaults.
+
+    Raises:
+        DataError: no such file, or a property that is needed is missing or not finite.
+        UsageError: a property without a step, or a step for none.
+    """
+    table = read_ply(path)
+    if FEATURE_OF_ANCHORS in table.columns:
+        raise DataError(f"{path}: holds anchors, no splats; `clgs encode` takes it")
+    missing = [name for name in POSITION if name not in table.columns]
+    if missing or len(table.columns) < 4:
+        raise DataError(f"{path}: property {(missing or ['after z'])[0]} is missing; no splats")
+    names = [*POSITION, *(name for name in table.columns if name not in POSITION)]
+    with np.errstate(invalid="ignore"):  # NaNs are refused by name
+        values = {name: table.columns[name].astype(np.float64) for name in names}
+    for name in names:
+        if not np.isfinite(values[name]).all():
+            raise DataError(f"{path}: property {name}: a number is not finite; correct the file")
+    if all(name in values for name in ROTATION):
+        rotation = np.stack([values[name] for name in ROTATION], 1)
+        length = np.linalg.norm(rotation, axis=1, keepdims=True)
+        rotation /= np.where(length > 0, length, 1.0)
+        rotation *= np.where(rotation[:, :1] < 0, -1.0, 1.0)
+        values.update({name: rotation[:, i] for i, name in enumerate(ROTATION)})
+    kinds = {name: column.dtype for name, column in table.columns.items()}
+    try:
+        chosen = choose_steps(values, kinds, steps)
+        integers = [quantize(values[name], chosen[name], name) for name in names]
+    except ClgsError as problem:
+        raise type(problem)(f"{path}: {problem}") from None
+    errors: dict[str, float] = {}
+    for name, column in zip(names, integers, strict=True):
+        error = float(np.abs(column * chosen[name] - values[name]).max(initial=0.0))
+        errors[group_of(name)] = max(error, errors.get(group_of(name), 0.0))
+    return QuantizedSplats(names, [chosen[name] for name in names], np.stack(integers, 1)), errors
+
+
+def write_splats(splats: QuantizedSplats) -> bytes:
+    """The PLY file of ``splats``: float32, or float64 if float32 would lose an integer."""
+
+    def column(integers: npt.NDArray[np.int32], step: float) -> npt.NDArray[np.floating]:
+        return narrowest(integers, lambda n: n * np.float64(step), lambda v: v / step)
+
+    steps = zip(splats.names, splats.steps, strict=True)
+    columns = {name: column(splats.values[:, i], step) for i, (name, step) in enumerate(steps)}
+    return pack_ply(PlyTable(columns, ["unpacked by clgs"]))
 
 
 def group_of(name: str) -> str:
@@ -121,7 +184,7 @@ def position_steps(
 
 
 def usual_extent(column: npt.NDArray[np.float64]) -> float:
-    """The extent of ``column`` (N,) but for a few floaters: 4 times that of the middle 90 %.
+    """The extent of ``column`` (N,) without a few floaters: 4 times that of the middle 90 %.
 
     It is never more than the true extent, and equals it unless a few splats lie far from the rest.
     """
@@ -131,7 +194,7 @@ def usual_extent(column: npt.NDArray[np.float64]) -> float:
 
 
 def resolution(column: npt.NDArray[np.float64], kind: np.dtype[np.generic]) -> float:
-    """How far apart numbers of type ``kind`` are, at all of ``column`` (N,) but the least 1 %."""
+    r"""The spacing of numbers of type ``kind`` at the least 1 % of the sizes in ``column`` (N,)."""
     if kind != np.float32:
         return 0.0
     return float(np.spacing(np.float32(np.percentile(np.abs(column), 1))))
