@@ -72,7 +72,7 @@ class Display:
             case TrainingProgress(progress, steps):
                 step = progress.result.step
                 if self._stage != "training":
-                    self._begin("training", step - 1)
+                    self._begin("training", step)
                     self._psnr = self._size = ""
                 if progress.psnr is not None:
                     self._psnr = f"train {progress.psnr:.2f} dB"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import re
-from pathlib import Path
 from typing import Any
 
 from clgs.cli.shared_options import named_path, value_of
@@ -13,7 +12,7 @@ from clgs.train.config import TrainConfig, layered, parse_word, read_settings
 from clgs.train.config.option import Option, Pair, Text, describe, options_of
 
 LOSS_WEIGHTS = ("l1_weight", "ssim_weight")
-"""What --loss-weights sets."""
+"""The settings that --loss-weights sets."""
 
 
 def add_training_options(parser: argparse.ArgumentParser) -> None:
@@ -81,8 +80,15 @@ def make_config(args: argparse.Namespace) -> TrainConfig:
     Raises:
         UsageError: a value has the wrong type or range, or values do not go together.
     """
-    file: Path | None = args.config
-    settings, given = read_settings(file) if file else {}, _given(args)
+    known = options_of(TrainConfig)
+    given: dict[str, Any] = dict(zip(LOSS_WEIGHTS, args.loss_weights or (), strict=False))
+    given |= {name: value for name, value in vars(args).items() if name in known}
+    for word in args.set:
+        try:
+            name, given[name] = parse_word(word)
+        except UsageError as error:
+            raise UsageError(f"--set {error}") from None
+    settings = read_settings(args.config) if args.config else {}
     if given.get("target_size") and given.get("size_lambda") is not None:
         raise UsageError("--lambda: follows from --target-size; give one of the two")
     try:
@@ -98,16 +104,3 @@ def with_flags(message: str) -> str:
         place = rf"\b{name}\b" if "_" in one.name else rf"^{name}(?=:)"
         message = re.sub(place, flag, message)
     return message
-
-
-def _given(args: argparse.Namespace) -> dict[str, Any]:
-    """The settings on the command line, by name."""
-    known = options_of(TrainConfig)
-    found = dict(zip(LOSS_WEIGHTS, args.loss_weights or (), strict=False))
-    found |= {name: value for name, value in vars(args).items() if name in known}
-    for word in args.set:
-        try:
-            name, found[name] = parse_word(word)
-        except UsageError as error:
-            raise UsageError(f"--set {error}") from None
-    return found

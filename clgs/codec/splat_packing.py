@@ -73,9 +73,14 @@ def pack(splats: QuantizedSplats, level: str = "default", threads: int | None = 
         splats.check()
     except ValueError as error:
         raise CodecError(f"splats: {error}; correct them") from error
-    _check_extent(splats)
+    for name, column in zip(splats.names[:3], splats.values.T, strict=False):
+        cells = int(column.max()) - int(column.min()) + 1 if len(splats) else 0
+        if cells > MAX_EXTENT:
+            problem = f"splats: {name} spans {cells} steps, at most {MAX_EXTENT} fit"
+            raise PositionsError(problem, "crop distant ones, or take a larger step", wide=True)
     values = sort_splats(splats.values)
-    first = _first_of_voxel(values)
+    first = np.ones(len(values), bool)  # whether a row is the first of its voxel
+    first[1:] = (values[1:, :3] != values[:-1, :3]).any(axis=1)
     count = np.diff(np.append(np.flatnonzero(first), len(values)))
     head = _HEAD.pack(len(values), len(count), len(splats.names), 0, _hash(values))
     for name, step in zip(splats.names, splats.steps, strict=True):
@@ -96,7 +101,7 @@ def unpack(data: bytes, threads: int | None = None) -> QuantizedSplats:
         CodecError: no file of splats, or damaged.
     """
     _, sections = section_table.read_container(data, splats=True)
-    splats, voxels, content = _read_head(sections[SPLT])
+    splats, voxels, content = guarded(sections[SPLT], _unpack_head)
     expected = {SPOS: (voxels, 3), SMUL: (voxels, 1), SATR: (len(splats), len(splats.names) - 3)}
     for tag, shape in expected.items():
         if streams.declared_shape(sections[tag].data) != shape:
@@ -112,16 +117,6 @@ def unpack(data: bytes, threads: int | None = None) -> QuantizedSplats:
     return QuantizedSplats(splats.names, splats.steps, values)
 
 
-def _check_extent(splats: QuantizedSplats) -> None:
-    """Raise PositionsError if an axis has more steps than Morton codes have room for."""
-    for i, name in enumerate(splats.names[:3] if len(splats) else []):
-        column = splats.values[:, i]
-        cells = int(column.max()) - int(column.min()) + 1
-        if cells > MAX_EXTENT:
-            problem = f"splats: {name} spans {cells} steps, at most {MAX_EXTENT} fit"
-            raise PositionsError(problem, "crop distant ones, or take a larger step", wide=True)
-
-
 def is_splats(data: bytes) -> bool:
     """Whether a .clgs file that begins like this holds splats."""
     return data[16:20] == SPLT.encode("ascii")
@@ -134,7 +129,7 @@ def describe(data: bytes) -> dict[str, object]:
         CodecError: as ``unpack``, but for damage that only decoding can show.
     """
     _, sections = section_table.read_container(data, splats=True)
-    splats, voxels, content = _read_head(sections[SPLT])
+    splats, voxels, content = guarded(sections[SPLT], _unpack_head)
     sizes = {tag: len(section.data) for tag, section in sections.items()}
     return {
         "bytes": len(data),
@@ -190,12 +185,8 @@ def _decode(
         raise section.error(str(error).partition(";")[0]) from error
 
 
-def _read_head(section: Section) -> tuple[QuantizedSplats, int, int]:
-    """QuantizedSplats without values that were read, number of voxels and the hash."""
-    return guarded(section, _parse_head)
-
-
-def _parse_head(data: memoryview) -> tuple[QuantizedSplats, int, int]:
+def _unpack_head(data: memoryview) -> tuple[QuantizedSplats, int, int]:
+    """Splats whose values are not yet read, the number of voxels and the hash."""
     if len(data) < _HEAD.size:
         raise ValueError(f"{len(data)} bytes, at least {_HEAD.size} are needed")
     rows, voxels, properties, reserved, content = _HEAD.unpack_from(data)
@@ -213,13 +204,6 @@ def _parse_head(data: memoryview) -> tuple[QuantizedSplats, int, int]:
     splats = QuantizedSplats(names, steps, empty)
     splats.check()
     return splats, voxels, content
-
-
-def _first_of_voxel(values: Ints) -> npt.NDArray[np.bool_]:
-    """Whether a row is the first of its voxel; rows in Morton order."""
-    first = np.ones(len(values), bool)
-    first[1:] = (values[1:, :3] != values[:-1, :3]).any(axis=1)
-    return first
 
 
 def _hash(values: Ints) -> int:

@@ -38,7 +38,10 @@ def cameras_glb(dataset: Dataset) -> bytes:
     scene = trimesh.Scene(base_frame="world")
     if len(dataset.points):
         world = dataset.transform.to_world(dataset.points.astype(np.float64)) @ turn.T
-        cloud = trimesh.PointCloud(world, colors=_colors(dataset))
+        colors = np.full((len(world), 4), POINT_COLOR, np.uint8)
+        if dataset.point_colors is not None:
+            colors[:, :3] = dataset.point_colors
+        cloud = trimesh.PointCloud(world, colors=colors)
         scene.add_geometry(cloud, node_name="points", geom_name="points")
     for split, views in (("train", dataset.train), ("test", dataset.test)):
         for view in views:
@@ -47,14 +50,6 @@ def cameras_glb(dataset: Dataset) -> bytes:
             name = f"{split}/{view.name}"
             scene.add_geometry(frustum, node_name=name, geom_name=name, transform=pose)
     return bytes(scene.export(file_type="glb"))
-
-
-def _colors(dataset: Dataset) -> npt.NDArray[np.uint8]:
-    """RGBA (P, 4) of the points; grey if the data set has none."""
-    colors = np.full((len(dataset.points), 4), POINT_COLOR, np.uint8)
-    if dataset.point_colors is not None:
-        colors[:, :3] = dataset.point_colors
-    return colors
 
 
 def _frustum(camera: Camera, depth: float, color: tuple[int, ...]) -> Any:

@@ -45,7 +45,7 @@ def vendor_folder() -> Path:
 
 
 def drivers() -> list[Driver]:
-    """Of every *.icd file: the library that it names, tried in a process of its own."""
+    """Every *.icd file with the library that it names, which a process of its own tries to load."""
     folder = vendor_folder()
     files = [folder] if folder.suffix == ".icd" else sorted(folder.glob("*.icd"))
     return [_driver(file) for file in files if file.is_file()]

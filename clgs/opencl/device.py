@@ -18,11 +18,9 @@ from clgs.memory import return_unused_memory
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import choose_device, compiles_vectors, is_emulator
 from clgs.opencl.kernel import Argument, Kernel
-from clgs.opencl.kernel_times import KernelTimes
-from clgs.opencl.profile import Profile
 from clgs.opencl.programs import Programs
+from clgs.opencl.timing import KernelTimes, Profile, Waits
 from clgs.opencl.transfer import Download, Transfers
-from clgs.opencl.waits import Waits
 from clgs.shapes import check_type
 
 POOL_BITS = {"cpu": 0, "gpu": 2}
@@ -58,19 +56,20 @@ class Device:
         self.cl_device = choose_device(name)
         self.context = cl.Context([self.cl_device])
         self.queue = cl.CommandQueue(self.context)
-        self.specialisation = chosen or self._usual_specialisation()
+        is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
+        usual = "cpu" if is_cpu and compiles_vectors(self.cl_device) else "gpu"
+        self.specialisation = chosen or usual
         self.vec = 16 if self.specialisation == "cpu" else 1
         width = int(self.cl_device.native_vector_width_float)
         self._register_lanes = _wanted_lanes() or min(max(width, 4), 16)
         self._largest_array = int(self.cl_device.max_mem_alloc_size)
         self.profile = Profile()
         self.waits = Waits()
-        """Of downloads."""
+        """How often and how long downloads waited."""
         self._transfers = Transfers(self.queue, self.waits)
         allocator = cl.tools.ImmediateAllocator(self.queue)
         # Sizes are rounded up, so that more arrays share memory: on a CPU, where memory that
         # nobody touches takes no room, to powers of two.
-        is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
         bits = POOL_BITS["cpu" if is_cpu else "gpu"]
         self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=bits)
         self._programs = Programs(
@@ -79,10 +78,6 @@ class Device:
         self._kernel_times: KernelTimes | None = None
         self.launches = 0
         """Kernels enqueued so far."""
-
-    def _usual_specialisation(self) -> str:
-        is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
-        return "cpu" if is_cpu and compiles_vectors(self.cl_device) else "gpu"
 
     @property
     def exact_division(self) -> bool:
@@ -109,7 +104,7 @@ class Device:
     def register_lanes(self) -> int:
         """Numbers of a register: 4, 8 or 16 on a CPU, or what CLGS_LANES says, else 1.
 
-        Results have the same bits whatever it is.
+        Results have the same bits for any number.
         """
         return self._register_lanes if self.specialisation == "cpu" else 1
 
@@ -171,7 +166,7 @@ class Device:
         return longer
 
     def has_room(self, array: DeviceArray, rows: int) -> bool:
-        """Whether the memory of ``array`` holds so many rows."""
+        """Whether the memory of ``array`` holds ``rows`` rows."""
         row = math.prod(array.shape[1:]) * array.dtype.itemsize
         return rows * row <= int(array.buffer.size)
 
@@ -206,7 +201,7 @@ class Device:
             self._transfers.write(array.buffer, host)
 
     def upload_constant(self, host: npt.NDArray[Any]) -> DeviceArray:
-        """As :meth:`upload`, but never waits and copies once; ``host`` must never change."""
+        """Upload without a wait, and copy once; ``host`` must never change."""
         array = self.empty(host.shape, host.dtype)
         if array.nbytes:
             self._transfers.write_constant(array.buffer, host)
@@ -217,7 +212,7 @@ class Device:
         return self.download_later(array).get()
 
     def hand_over(self, array: DeviceArray) -> npt.NDArray[Any]:
-        """As :meth:`download`, of an array that nothing on the device will write to any more.
+        """Download an array that nothing on the device will write to any more.
 
         On a CPU it is not copied: the host's array is the device's memory, and keeps it.
         """
@@ -239,7 +234,7 @@ class Device:
                 view.release()
 
     def download_later(self, array: DeviceArray) -> Download:
-        """As :meth:`download`, but only ``Download.get`` waits, and not for later work."""
+        """Begin a download; only ``Download.get`` waits, and not for later work."""
         return self._transfers.read(array)
 
     def kernel(self, program: str, name: str, **defines: int | float) -> Kernel:
@@ -275,11 +270,12 @@ class Device:
         Raises:
             TypeError: the kernel has other arguments, or of other types.
         """
+        ordered = kernel.ordered(arguments)
         if 0 in global_size:
             return
         self.launches += 1
         sizes = tuple(global_size), tuple(local_size) if local_size else None
-        event = kernel.built(self.queue, *sizes, *kernel.ordered(arguments))
+        event = kernel.built(self.queue, *sizes, *ordered)
         if self._kernel_times:
             self._kernel_times.add(kernel.name, event)
 

@@ -36,7 +36,7 @@ def by_lanes(device: Device, count: int, lanes: int) -> LaunchSizes:
 
 
 def by_parts(sizes: Iterable[int], per_item: int) -> LaunchSizes:
-    """Global and local size of a launch over several arrays of so many elements.
+    """Global and local size of a launch over several arrays of ``sizes`` elements.
 
     Each begins with a work-group; a work-item takes ``per_item`` elements (common/parts.h).
     """
@@ -47,7 +47,7 @@ def by_parts(sizes: Iterable[int], per_item: int) -> LaunchSizes:
 def filled(items: Sequence[Item], count: int) -> list[Item]:
     """``items``, the last of them repeated until there are ``count``.
 
-    For kernels that take so many arrays; those past the last have a size of 0.
+    A kernel takes ``count`` arrays; the repeated ones have a size of 0.
     """
     return [*items, *[items[-1]] * (count - len(items))]
 

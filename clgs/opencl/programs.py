@@ -20,7 +20,7 @@ BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
 """Subnormals cost CPUs dearly; warnings are the lint's (scripts/checks/lint_kernels.sh)."""
 
 EXACT_DIVISION = "-cl-fp32-correctly-rounded-divide-sqrt"
-"""For devices that have it: a GPU's usual division may be wrong in the last two bits."""
+"""Devices that have it get it: a GPU's usual division may be wrong in the last two bits."""
 
 COMPILED_SECONDS = 0.06
 """Processor time above which a program was compiled, not taken from the driver's cache."""
@@ -60,7 +60,7 @@ class Programs:
         self._told = False
 
     def kernel(self, program: str, name: str, defines: Defines) -> Kernel:
-        """As :meth:`clgs.opencl.device.Device.kernel`."""
+        """What :meth:`clgs.opencl.device.Device.kernel` returns."""
         key = (program, name, *sorted(defines.items()))
         if key not in self._kernels:
             built, parameters = self._program(program, defines)
@@ -83,15 +83,11 @@ class Programs:
                     f"kernels_cl/{file} does not build on {self._device_name}: "
                     f"{_first_complaint(str(error))}"
                 ) from error
-            self._tell(time.thread_time() - start)
+            if time.thread_time() - start > COMPILED_SECONDS and not self._told:
+                self._told = True  # the next start of the process need not compile
+                logging.getLogger(NOTES).info("compiling kernels for %s (once)", self._device_name)
             self._programs[key] = built, signatures(source, macros)
         return self._programs[key]
-
-    def _tell(self, seconds: float) -> None:
-        """Say once that kernels are compiled, which the next start of a program need not do."""
-        if seconds > COMPILED_SECONDS and not self._told:
-            self._told = True
-            logging.getLogger(NOTES).info("compiling kernels for %s (once)", self._device_name)
 
 
 def _first_complaint(log: str) -> str:

@@ -112,7 +112,7 @@ def preprocess(source: str, options: Mapping[str, str]) -> tuple[str, Macros]:
     macros: Macros = {name: (None, value) for name, value in options.items()}
     kept: list[str] = []
     branches = [(True, True)]
-    """Of every open #if: whether its lines are kept, and whether a branch was, or none may be."""
+    """Each open #if: whether its lines are kept, and whether no later branch may be kept."""
     for line in _COMMENT.sub(" ", source).splitlines():
         directive = _DIRECTIVE.match(line)
         active = branches[-1][0]
@@ -128,16 +128,10 @@ def preprocess(source: str, options: Mapping[str, str]) -> tuple[str, Macros]:
             branches.append((chosen, chosen or done))
         elif directive[1] == "endif":
             branches.pop()
-        elif active and directive[1] == "define":
-            _define(directive[2], macros)
+        elif active and directive[1] == "define" and (match := _DEFINE.match(directive[2])):
+            parameters = match[2].replace(" ", "").split(",") if match[2] is not None else None
+            macros[match[1]] = (parameters, match[3] or "")
     return "\n".join(kept), macros
-
-
-def _define(text: str, macros: Macros) -> None:
-    match = _DEFINE.match(text)
-    if match:
-        parameters = match[2].replace(" ", "").split(",") if match[2] is not None else None
-        macros[match[1]] = (parameters, match[3] or "")
 
 
 def _condition(directive: str, text: str, macros: Macros) -> bool:
@@ -146,8 +140,8 @@ def _condition(directive: str, text: str, macros: Macros) -> bool:
         return True
     if directive in ("ifdef", "ifndef"):
         return (text.split()[0] in macros) == (directive == "ifdef")
-    told = _DEFINED.sub(lambda match: str(int((match[1] or match[2]) in macros)), text)
-    value = evaluate(expand(told, macros))
+    answered = _DEFINED.sub(lambda match: str(int((match[1] or match[2]) in macros)), text)
+    value = evaluate(expand(answered, macros))
     if value is None:
         raise ValueError(f"#{directive} {text}: this condition is not understood")
     return bool(value)

@@ -30,7 +30,7 @@ class BlockSums:
         return self.mean_later(device).get()
 
     def mean_later(self, device: Device) -> LaterMean:
-        """As :meth:`mean`, but only ``LaterMean.get`` waits."""
+        """Begin :meth:`mean`; only ``LaterMean.get`` waits."""
         count = self.count
         later = count if isinstance(count, int) else device.download_later(count)
         return LaterMean(device.download_later(self.partials), later)

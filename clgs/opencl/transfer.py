@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pyopencl as cl
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.waits import Waits, is_complete
+from clgs.opencl.timing import Waits, is_complete
 
 LARGEST_PATTERN = 128
 """Bytes that a fill command takes along, so that nothing on the host must be kept for it."""
@@ -40,7 +40,7 @@ class MappedView:
     """An array of the device, mapped for reading."""
 
     def __init__(self, queue: Any, array: DeviceArray, waits: Waits) -> None:
-        """Of an array that is not empty; does not wait."""
+        """Begin to map an array that is not empty; does not wait."""
         self._queue, self._waits = queue, waits
         self._view, self._event = cl.enqueue_map_buffer(
             queue, array.buffer, cl.map_flags.READ, 0, array.shape, array.dtype, is_blocking=False
@@ -85,7 +85,7 @@ class Transfers:
             self.write_constant(buffer, np.array(host, order="C"))
 
     def write_constant(self, buffer: Any, host: npt.NDArray[Any]) -> None:
-        """As :meth:`write`, of an array that never changes; does not wait."""
+        """Write an array that never changes; does not wait."""
         constant = np.ascontiguousarray(host)
         self._keep(cl.enqueue_copy(self._queue, buffer, constant, is_blocking=False))
 

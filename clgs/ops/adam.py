@@ -37,16 +37,16 @@ MIN_SECOND_MOMENT = 1e-36
 """Moments below these are set to zero; kernels_cl/adam/adam.cl says why there are two sizes."""
 
 NOT_FINITE = 1
-"""Bit of the stop flag: a gradient was infinite or NaN."""
+"""The bit of the stop flag that says that a gradient was infinite or NaN."""
 
 ELEMENTS_PER_ITEM = 256
 """Elements that a work-item of :func:`check_finite` looks at."""
 
 CHECKED_ARRAYS, UPDATED_PARTS = 5, 6
-"""Arrays that a launch checks, and parts that it updates, at most."""
+"""The most arrays that a launch checks, and the most parts that it updates."""
 
 PARTS_WIDTH = 8
-"""Length of the vectors that hold a number of each."""
+"""Length of the vectors that hold one number per array or part."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ class Update:
 
 
 def step_all(device: Device, updates: Sequence[Update], stop: DeviceArray) -> None:
-    """As :func:`step` for each of ``updates``, which share no element; fewer, longer launches.
+    """Do :func:`step` for each of ``updates``, which share no element, in fewer, longer launches.
 
     Raises:
         ValueError: sizes or dtypes differ.
@@ -225,7 +225,7 @@ def step_rows(
     stop: DeviceArray,
     marks: DeviceArray,
 ) -> None:
-    """As :func:`step`, but only of the rows that are marked.
+    """Do :func:`step` only in the rows that are marked.
 
     Args:
         device: where the arrays live.

@@ -28,7 +28,7 @@ Array = TypeVar("Array", bound=Shaped)
 Other = TypeVar("Other", bound=Shaped)
 
 SHARE = {"cpu": 32, "gpu": 1}
-"""Gaussians of a work-item."""
+"""Gaussians that a work-item adds up."""
 
 
 @dataclass(frozen=True)
@@ -133,14 +133,17 @@ def accumulate(
 
 @dataclass(frozen=True)
 class Importance:
-    """Of A anchors: total (A,) float32, a sum over views; seen (A,) int32, 1 if one shows it."""
+    """What pictures depend on of A anchors.
+
+    total (A,) float32: a sum over views; seen (A,) int32: 1 if a view shows the anchor.
+    """
 
     total: DeviceArray
     seen: DeviceArray
 
 
 def no_importance(device: Device, anchors: int) -> Importance:
-    """Of anchors that were never seen."""
+    """The importance of anchors that were never seen."""
     return Importance(device.zeros((anchors,)), device.zeros((anchors,), np.int32))
 
 

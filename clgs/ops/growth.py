@@ -217,7 +217,7 @@ def append(device: Device, anchors: DeviceAnchors, new: NewAnchors) -> DeviceAnc
 
 
 def with_zeros(device: Device, array: DeviceArray, rows: int) -> DeviceArray:
-    """``array`` with so many rows of zeros after its own, in the same memory if it has room."""
+    """``array`` with ``rows`` rows of zeros after its own, in the same memory if it has room."""
     longer = device.extended(array, len(array) + rows)
     device.fill_zero(longer, array.size)
     return longer

@@ -72,7 +72,7 @@ class Loss:
         return self.value_later(device).get()
 
     def value_later(self, device: Device) -> LaterValue:
-        """As :meth:`value`, but only ``LaterValue.get`` waits."""
+        """Begin :meth:`value`; only ``LaterValue.get`` waits."""
         return LaterValue(self.sums.mean_later(device), self.weights)
 
 

@@ -151,7 +151,7 @@ def opacities(
     options: RenderOptions,
     rows: int = OUTPUT_DIM,
 ) -> Activations:
-    """As :func:`forward`, but the outputs, ``rows`` of them, hold nothing but the opacities."""
+    """Do the part of :func:`forward` that gives opacities; the other ``rows`` hold nothing."""
     inputs.check()
     Shapes().check("visible", visible, "V", np.int32)
     count = len(visible)

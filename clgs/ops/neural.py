@@ -186,7 +186,9 @@ def backward(
     """
     _check(activations, anchors)
     output, visible = activations.output, activations.visible
-    _check_gradients(d_gaussians, len(gaussians))
+    shapes, widths = Shapes(N=len(gaussians)), {"d_rotation": "N 4", "d_opacity": "N"}
+    for name, array in vars(d_gaussians).items():
+        shapes.check(name, array, widths.get(name, "N 3"), np.float32)
     result = NeuralGradients(
         d_output=device.empty(output.shape),
         d_offset=device.zeros(anchors.offset.shape),
@@ -232,12 +234,3 @@ def _check(activations: Activations, anchors: DeviceAnchors) -> None:
     shapes.check("visible", activations.visible, "V", np.int32)
     if shapes.axes["V"] > shapes.axes["P"]:
         raise ValueError(f"output: {shapes.axes['P']} columns for {shapes.axes['V']} anchors")
-
-
-def _check_gradients(d_gaussians: GaussianGradients, count: int) -> None:
-    shapes = Shapes(N=count)
-    shapes.check("d_mean", d_gaussians.d_mean, "N 3", np.float32)
-    shapes.check("d_scale", d_gaussians.d_scale, "N 3", np.float32)
-    shapes.check("d_rotation", d_gaussians.d_rotation, "N 4", np.float32)
-    shapes.check("d_color", d_gaussians.d_color, "N 3", np.float32)
-    shapes.check("d_opacity", d_gaussians.d_opacity, "N", np.float32)

@@ -35,7 +35,7 @@ def forward(device: Device, x: DeviceArray, q: float) -> DeviceArray:
 
 
 def forward_all(device: Device, arrays: Sequence[tuple[DeviceArray, float]]) -> list[DeviceArray]:
-    """As :func:`forward` of each (x, q); fewer, longer launches.
+    """Do :func:`forward` for each (x, q), in fewer, longer launches.
 
     Raises:
         TypeError: an ``x`` is not float32.

@@ -67,7 +67,7 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class _Sums:
+class _ChannelSums:
     """Per channel: number of symbols, centre, mean - centre, and the sums of rate_statistics."""
 
     count: int
@@ -97,7 +97,7 @@ def forward(device: Device, x: DeviceArray, q: float, form: Form = "channel") ->
         raise ValueError(f"form is '{form}'; use channel or pooled")
     if x.dtype != np.float32:
         raise TypeError(f"x: dtype is {x.dtype}, expected float32")
-    channels = _channels(x) if form == "channel" else 1
+    channels = int(np.prod(x.shape[1:])) if form == "channel" else 1
     if x.size == 0:
         return Rate(0.0, q, np.zeros((8, channels)))
     with np.errstate(all="ignore"):
@@ -148,7 +148,7 @@ def slopes(device: Device, rate: Rate, weight: float) -> Slopes:
 def backward_all(
     device: Device, attributes: Sequence[tuple[Slopes, DeviceArray, DeviceArray]]
 ) -> None:
-    """As :func:`backward` for each (slopes, x, d_x), three at most, in one launch.
+    """Do :func:`backward` for each (slopes, x, d_x), three at most, in one launch.
 
     Raises:
         ValueError, TypeError: a ``d_x`` does not fit.
@@ -201,7 +201,7 @@ def _near(distance: Values, b: Values) -> Cost:
     return Cost(nats, by_distance, by_b)
 
 
-def _per_channel(sums: _Sums) -> tuple[Values, Values]:
+def _per_channel(sums: _ChannelSums) -> tuple[Values, Values]:
     """(nats of every channel, table by nats) with b = std/sqrt(2) and no limits."""
     b = np.sqrt(0.5 * (sums.square / sums.count - sums.mean**2))
     constant = b == 0
@@ -217,19 +217,19 @@ def _per_channel(sums: _Sums) -> tuple[Values, Values]:
     return np.where(constant, 0.0, nats), table
 
 
-def _deviation(sums: _Sums) -> Values:
+def _deviation(sums: _ChannelSums) -> Values:
     return np.sqrt((sums.square - sums.count * sums.mean**2) / max(sums.count - 1, 1))
 
 
-def _pooled_limits(sums: _Sums) -> Values:
+def _pooled_limits(sums: _ChannelSums) -> Values:
     """Largest distance from the mean at which the cost still varies: clamp or floor, (1,)."""
     b = np.maximum(_deviation(sums), POOLED_MIN_SCALE)
     floor = 0.5 + b * (POOLED_MAX_NATS + np.log(-0.5 * np.expm1(-1 / b)))
     return np.minimum(POOLED_CLAMP * b, floor)
 
 
-def _pooled(sums: _Sums, limits: Values) -> tuple[Values, Values]:
-    """As :func:`_per_channel`, in the form of the code of Voxel-GS."""
+def _pooled(sums: _ChannelSums, limits: Values) -> tuple[Values, Values]:
+    """The same as :func:`_per_channel`, in the form of the code of Voxel-GS."""
     deviation = _deviation(sums)
     b = np.maximum(deviation, POOLED_MIN_SCALE)
     at_centre = _floored(cost(np.abs(sums.mean), b))
@@ -253,7 +253,7 @@ def _floored(cost_of: Cost) -> Cost:
     )
 
 
-def _far_sums(sums: _Sums, b: Values) -> Cost:
+def _far_sums(sums: _ChannelSums, b: Values) -> Cost:
     """Sums over the symbols that are neither at the centre nor outside of the limits."""
     count = sums.below + sums.above
     distance = sums.distance - sums.mean * (sums.above - sums.below)
@@ -266,7 +266,7 @@ def _far_sums(sums: _Sums, b: Values) -> Cost:
     )
 
 
-def _table(sums: _Sums, b: Values, at_centre: Cost, slope: Values, limits: Values) -> Values:
+def _table(sums: _ChannelSums, b: Values, at_centre: Cost, slope: Values, limits: Values) -> Values:
     """``Rate.table`` by nats; mu moves by 1/count with every symbol."""
     centre_slope = np.sign(-sums.mean) * at_centre.by_distance
     hits = sums.count - sums.below - sums.above - sums.outside
@@ -275,10 +275,6 @@ def _table(sums: _Sums, b: Values, at_centre: Cost, slope: Values, limits: Value
     low, high = np.ceil(sums.mean - limits), np.floor(sums.mean + limits)
     sides = (shared - 1 / b, shared + centre_slope, shared + 1 / b, shared)
     return np.stack([sums.centre, np.minimum(low, 0), np.maximum(high, 0), slope, *sides])
-
-
-def _channels(x: DeviceArray) -> int:
-    return int(np.prod(x.shape[1:]))
 
 
 def _centre(device: Device, x: DeviceArray, q: float, channels: int) -> tuple[Values, Values]:
@@ -290,14 +286,14 @@ def _centre(device: Device, x: DeviceArray, q: float, channels: int) -> tuple[Va
 
 def _statistics(
     device: Device, x: DeviceArray, q: float, mean: tuple[Values, Values], limits: Values | None
-) -> _Sums:
+) -> _ChannelSums:
     centre, fraction = mean
     reach = np.full_like(centre, np.inf) if limits is None else limits
     low = np.minimum(np.ceil(fraction - reach), 0)
     high = np.maximum(np.floor(fraction + reach), 0)
     tables = {"centre": centre[None], "limits": np.stack([low, high])}
     columns = _sums(device, "rate_statistics", 5, (x, q, len(centre)), **tables)
-    return _Sums(x.size // len(centre), centre, fraction, *columns)
+    return _ChannelSums(x.size // len(centre), centre, fraction, *columns)
 
 
 def _sums(

@@ -90,7 +90,7 @@ def room_for(device: Device, offsets: Offsets, room: int) -> int:
 def on_device(
     device: Device, counts: DeviceArray, limit: int = EXACT, parts: PartSums | None = None
 ) -> Offsets:
-    """As :func:`exclusive`, but nothing is downloaded; offsets are all 0 if total > limit.
+    """The offsets of :func:`exclusive`, without a download; all are 0 if total > limit.
 
     ``parts``: sums of the same counts; by default they are added up here.
     """

@@ -23,7 +23,7 @@ DIGIT_BITS = {"cpu": 11, "gpu": SCAN_GROUP_SIZE.bit_length() - 1}
 
 SHORTEST_CHUNK = {"cpu": 32768, "gpu": 2048}
 MOST_CHUNKS = {"cpu": 32, "gpu": 128}
-"""Of :func:`by_key`; every chunk adds up the counts of all, so they are few."""
+"""How :func:`by_key` cuts keys into chunks: few, as every chunk adds up the counts of all."""
 
 MAX_WIDTH = 16
 """Bits of a digit of :func:`chosen` on a CPU, at most: two digits are a key."""
@@ -214,7 +214,7 @@ class _Groups:
 
     @classmethod
     def of(cls, device: Device, count: int, bits: int) -> _Groups:
-        """For ``count`` items and at least one bit."""
+        """Plan the sort of ``count`` items by at least one bit."""
         chunks, passes = _chunks(count, "gpu"), digits(bits, DIGIT_BITS["gpu"])
         histograms = device.empty((len(passes), chunks, 2 ** DIGIT_BITS["gpu"]), np.int32)
         return cls(

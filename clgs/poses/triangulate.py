@@ -177,7 +177,7 @@ def _work(arguments: Any, on_stage: OnStage) -> None:
             batch = slice(start, start + size)
             features += _extract(pycolmap, photos[batch], names[batch], folder)
         on_stage("matching their features")
-        database = _write_database(pycolmap, photos, features, folder)
+        posed = _write_database(pycolmap, photos, features, folder / "matches.db")
         options = pycolmap.IncrementalPipelineOptions()
         options.num_threads = 1
         options.random_seed = seed
@@ -186,11 +186,10 @@ def _work(arguments: Any, on_stage: OnStage) -> None:
         options.triangulation.ignore_two_view_tracks = False
         max_error = MAX_REPROJECTION_ERROR * max(_shrink(photo.lens) for photo in photos)
         options.mapper.filter_max_reproj_error = 2 * max_error
-        posed = _posed_reconstruction(pycolmap, photos, features)
         (folder / "out").mkdir()
         on_stage("triangulating the matches")
         found = pycolmap.triangulate_points(
-            posed, database, folder, folder / "out", options=options
+            posed, folder / "matches.db", folder, folder / "out", options=options
         )
         accurate = [point for point in found.points3D.values() if point.error <= max_error]
         colors = []
@@ -261,16 +260,36 @@ def _read_features(database: Any, name: str, lens: Lens, image: npt.NDArray[np.u
 
 
 def _write_database(
-    pycolmap: Any, photos: list[Photo], features: list[_Features], folder: Path
-) -> Path:
-    """Write a COLMAP database of pinhole cameras, features and matches; ids count from 1."""
-    path = folder / "matches.db"
+    pycolmap: Any, photos: list[Photo], features: list[_Features], path: Path
+) -> Any:
+    """Write a COLMAP database of pinhole cameras, features and matches; ids count from 1.
+
+    Returns:
+        pycolmap's reconstruction of the same cameras at the given poses, without points.
+    """
+    posed = pycolmap.Reconstruction()
     with pycolmap.Database.open(path) as database:
         for number, (photo, feature) in enumerate(zip(photos, features, strict=True), 1):
-            database.write_camera(_camera(pycolmap, photo, number), True)
-            image = pycolmap.Image(name=f"{number:06d}", camera_id=number, image_id=number)
+            lens = photo.lens
+            camera = pycolmap.Camera(
+                model="PINHOLE",
+                width=lens.width,
+                height=lens.height,
+                params=[lens.fx, lens.fy, lens.cx, lens.cy],
+                camera_id=number,
+            )
+            image = pycolmap.Image(
+                name=f"{number:06d}",
+                keypoints=feature.position,
+                camera_id=number,
+                image_id=number,
+            )
+            database.write_camera(camera, True)
             database.write_image(image, True)
             database.write_keypoints(number, feature.position.astype(np.float32))
+            posed.add_camera_with_trivial_rig(camera)
+            pose = pycolmap.Rigid3d(pycolmap.Rotation3d(photo.rotation), photo.translation)
+            posed.add_image_with_trivial_frame(image, pose)
         for first, second in choose_pairs(photos):
             matches = _match(photos, features, first, second)
             geometry = pycolmap.TwoViewGeometry()
@@ -278,34 +297,7 @@ def _write_database(
             geometry.inlier_matches = matches
             database.write_matches(first + 1, second + 1, matches)
             database.write_two_view_geometry(first + 1, second + 1, geometry)
-    return path
-
-
-def _camera(pycolmap: Any, photo: Photo, number: int) -> Any:
-    lens = photo.lens
-    return pycolmap.Camera(
-        model="PINHOLE",
-        width=lens.width,
-        height=lens.height,
-        params=[lens.fx, lens.fy, lens.cx, lens.cy],
-        camera_id=number,
-    )
-
-
-def _posed_reconstruction(pycolmap: Any, photos: list[Photo], features: list[_Features]) -> Any:
-    """Make pycolmap's reconstruction of the given poses and features, without points."""
-    reconstruction = pycolmap.Reconstruction()
-    for number, (photo, feature) in enumerate(zip(photos, features, strict=True), 1):
-        reconstruction.add_camera_with_trivial_rig(_camera(pycolmap, photo, number))
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(photo.rotation), photo.translation)
-        image = pycolmap.Image(
-            name=f"{number:06d}",
-            keypoints=feature.position,
-            camera_id=number,
-            image_id=number,
-        )
-        reconstruction.add_image_with_trivial_frame(image, pose)
-    return reconstruction
+    return posed
 
 
 def choose_pairs(photos: list[Photo]) -> list[tuple[int, int]]:

@@ -1,4 +1,4 @@
-"""Adam in float64, as Kingma and Ba (2015) write it, epsilon beside the corrected root."""
+"""Adam in float64, as Kingma and Ba (2015) write it, epsilon added to the corrected root."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ Integers = npt.NDArray[np.int32]
 
 @dataclass
 class Statistics:
-    """As ``clgs.ops.density.Statistics``: (A,), (A,), (A, K), (A, K)."""
+    """The fields of ``clgs.ops.density.Statistics``: (A,), (A,), (A, K), (A, K)."""
 
     opacity_sum: Array
     visits: Integers

@@ -20,7 +20,7 @@ CENTRE = slice(23, 26)
 
 @dataclass(frozen=True)
 class Activations:
-    """As ``clgs.ops.mlp.Activations`` without padding: input, hidden, output, visible."""
+    """What ``clgs.ops.mlp.Activations`` holds, without padding, and the layers before it."""
 
     input: Array
     hidden: Array
@@ -29,7 +29,7 @@ class Activations:
 
 
 @dataclass(frozen=True)
-class Head:
+class HeadWeights:
     """One head's weights (views), and its rows of the outputs."""
 
     name: str
@@ -41,7 +41,7 @@ class Head:
     rows: slice
 
 
-def heads(weights: Array) -> Iterator[Head]:
+def heads(weights: Array) -> Iterator[HeadWeights]:
     """Views into the packed weights (13710,); layout as in ``clgs.scene.mlps``."""
     start, row = 0, 0
     for number, (name, outputs) in enumerate(HEAD_DIMS.items()):
@@ -53,7 +53,7 @@ def heads(weights: Array) -> Iterator[Head]:
             start += size
         units = slice(number * HIDDEN_DIM, (number + 1) * HIDDEN_DIM)
         rows = slice(row, row + outputs)
-        yield Head(name, arrays[0], arrays[1], arrays[2], arrays[3], units, rows)
+        yield HeadWeights(name, arrays[0], arrays[1], arrays[2], arrays[3], units, rows)
         row += outputs
 
 

@@ -15,7 +15,7 @@ Indices = npt.NDArray[np.int32]
 
 @dataclass(frozen=True)
 class NeuralGaussians:
-    """As ``clgs.ops.neural.NeuralGaussians``: mean, scale, rotation, color, opacity, slot."""
+    """The fields of ``clgs.ops.neural.NeuralGaussians``, float64, and ``slot``."""
 
     mean: Array
     scale: Array
@@ -27,7 +27,7 @@ class NeuralGaussians:
 
 @dataclass(frozen=True)
 class GaussianGradients:
-    """As ``clgs.ops.neural.GaussianGradients``."""
+    """The fields of ``clgs.ops.neural.GaussianGradients``."""
 
     d_mean: Array
     d_scale: Array

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Projected:
-    """As ``clgs.ops.project.Projected``, float64: mean2d, whitening, depth, extent."""
+    """The fields of ``clgs.ops.project.Projected``, float64: mean2d, whitening, depth, extent."""
 
     mean2d: Array
     whitening: Array
@@ -27,7 +27,7 @@ class Projected:
 
 
 @dataclass(frozen=True)
-class View:
+class UnpackedCamera:
     """The packed camera (26,) by name."""
 
     rotation: Array
@@ -39,10 +39,10 @@ class View:
     limits: Array
 
 
-def unpack(camera: npt.NDArray[np.floating]) -> View:
+def unpack(camera: npt.NDArray[np.floating]) -> UnpackedCamera:
     """Name the entries of ``Camera.pack``."""
     c = np.asarray(camera, np.float64)
-    return View(
+    return UnpackedCamera(
         rotation=c[0:9].reshape(3, 3),
         translation=c[9:12],
         focal=c[12:14],
@@ -64,7 +64,7 @@ def rotation_matrix(rotation: Array) -> Array:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def jacobian(view: View, point: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+def jacobian(view: UnpackedCamera, point: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     """J (N, 2, 3) at camera-space points (N, 3), and which of x/z, y/z (N, 2) lie in the limits."""
     slope = point[:, :2] / point[:, 2:]
     clamped = np.clip(slope, view.limits[:, 0], view.limits[:, 1])
@@ -75,7 +75,7 @@ def jacobian(view: View, point: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     return matrix, clamped == slope
 
 
-def covariance2d(view: View, mean: Array, scale: Array, rotation: Array) -> Array:
+def covariance2d(view: UnpackedCamera, mean: Array, scale: Array, rotation: Array) -> Array:
     """Blurred screen-space covariance (N, 2, 2), square pixels."""
     point = mean @ view.rotation.T + view.translation
     axes = rotation_matrix(rotation) * scale[:, None, :]
@@ -140,7 +140,7 @@ def backward(
 
 
 def _backward_drawn(
-    gaussians: tuple[Array, Array, Array], view: View, d_mean2d: Array, d_whitening: Array
+    gaussians: tuple[Array, Array, Array], view: UnpackedCamera, d_mean2d: Array, d_whitening: Array
 ) -> tuple[Array, Array, Array]:
     mean, scale, rotation = gaussians
     point = mean @ view.rotation.T + view.translation
@@ -171,7 +171,7 @@ def covariance_gradient(cov: Array, d_whitening: Array) -> Array:
 
 
 def _point_gradient(
-    view: View, point: Array, d_mean2d: Array, d_j: Array, free: npt.NDArray[np.bool_]
+    view: UnpackedCamera, point: Array, d_mean2d: Array, d_j: Array, free: npt.NDArray[np.bool_]
 ) -> Array:
     z = point[:, 2]
     d_point = np.zeros_like(point)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -11,22 +9,13 @@ from clgs.reference import mlp, neural, project
 from clgs.reference.project import Array
 
 
-@dataclass(frozen=True)
-class Splats:
-    """As ``clgs.ops.project_anchors.Splats``: projected, color, opacity."""
-
-    projected: project.Projected
-    color: Array
-    opacity: Array
-
-
 def forward(
     anchors: tuple[Array, Array, Array, Array],
     visible: npt.NDArray[np.int32],
     weights: Array,
     camera: npt.NDArray[np.floating],
-) -> Splats:
-    """Gaussians in the order of ``visible``, which holds no -1.
+) -> tuple[project.Projected, Array, Array]:
+    """Projections, colors and opacities in the order of ``visible``, which holds no -1.
 
     anchors: position (A, 3), offset (A, K, 3), feature (A, F), scaling (A, 6).
     """
@@ -35,4 +24,4 @@ def forward(
     drawn = neural.forward(output, visible, position, offset, scaling)
     shape = drawn.mean, drawn.scale, drawn.rotation
     projected = project.forward(*shape, drawn.opacity, camera)
-    return Splats(projected, drawn.color, drawn.opacity)
+    return projected, drawn.color, drawn.opacity

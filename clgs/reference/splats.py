@@ -46,7 +46,7 @@ HARMONICS: tuple[Polynomial, ...] = (
 
 @dataclass(frozen=True)
 class Stored:
-    """As ``clgs.scene.gaussians.OrdinaryGaussians``, float64."""
+    """The fields of ``clgs.scene.gaussians.OrdinaryGaussians``, float64."""
 
     mean: Array
     log_scale: Array
@@ -57,7 +57,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Seen:
-    """As ``clgs.ops.neural.Gaussians``, float64."""
+    """The fields of ``clgs.ops.neural.Gaussians``, float64."""
 
     mean: Array
     scale: Array

@@ -16,7 +16,7 @@ Index = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class TileLists:
-    """As ``clgs.ops.tiles.TileLists``: gaussian, row, tile_range, row_range."""
+    """The fields of ``clgs.ops.tiles.TileLists``: gaussian, row, tile_range, row_range."""
 
     gaussian: Index
     row: Index

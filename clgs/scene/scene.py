@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -117,28 +116,21 @@ def check_ranges(
     scales: QuantizationScales, transform: SceneTransform, settings: RenderSettings
 ) -> None:
     """Raise ValueError, naming the field, if a number makes no sense."""
-    for name, value, valid in _rules(scales, transform, settings):
+    stop = settings.transmittance_stop
+    rules = [
+        *((f"Q of {name}", value, _is_scale(value)) for name, value in vars(scales).items()),
+        ("transform scale", transform.scale, _is_scale(transform.scale)),
+        *(("transform centre", value, True) for value in transform.centre),
+        *(("background", value, 0 <= value <= 1) for value in settings.background),
+        ("near", settings.near, _is_scale(settings.near)),
+        ("alpha_cut", settings.alpha_cut, 0 < settings.alpha_cut < 1),
+        ("alpha_max", settings.alpha_max, settings.alpha_cut < settings.alpha_max <= 1),
+        ("transmittance_stop", stop, 0 <= stop < 1),
+        ("blur", settings.blur, 0 <= settings.blur <= 2.0**64),
+    ]
+    for name, value, valid in rules:
         if not (math.isfinite(value) and valid):
             raise ValueError(f"{name} is {value!r}")
-
-
-def _rules(
-    scales: QuantizationScales, transform: SceneTransform, settings: RenderSettings
-) -> Iterator[tuple[str, float, bool]]:
-    """(field, value, whether it is in range) of every number."""
-    for name, value in vars(scales).items():
-        yield f"Q of {name}", value, _is_scale(value)
-    yield "transform scale", transform.scale, _is_scale(transform.scale)
-    for value in transform.centre:
-        yield "transform centre", value, True
-    for value in settings.background:
-        yield "background", value, 0 <= value <= 1
-    yield "near", settings.near, _is_scale(settings.near)
-    yield "alpha_cut", settings.alpha_cut, 0 < settings.alpha_cut < 1
-    yield "alpha_max", settings.alpha_max, settings.alpha_cut < settings.alpha_max <= 1
-    stop = settings.transmittance_stop
-    yield "transmittance_stop", stop, 0 <= stop < 1
-    yield "blur", settings.blur, 0 <= settings.blur <= 2.0**64
 
 
 def _is_scale(value: float) -> bool:

@@ -11,8 +11,8 @@ from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.rate_control import (
     MAX_CAMERAS,
     MEASURED,
-    Judge,
     Reduced,
+    SceneJudge,
     reduce_to_psnr,
     reduce_to_size,
     spread,
@@ -78,7 +78,7 @@ def encode_within(
     chosen = [every[i] for i in spread(cameras, len(cameras) if all_views else MEASURED)]
     for view in chosen:
         view.photo.keep()  # they are read once, the others never
-    judge = Judge(
+    judge = SceneJudge(
         Device(views.device),
         [cameras[i] for i in spread(cameras, MAX_CAMERAS)],
         chosen,

@@ -8,8 +8,13 @@ from typing import Any
 
 from clgs.opencl.device import Device
 from clgs.scene.scene import QuantizedScene, SplatScene
-from clgs.train.quality.drawn import count_drawn
-from clgs.train.quality.score_views import Measure, ViewScore, evaluate_views, summarize
+from clgs.train.quality.score_views import (
+    Measure,
+    ViewScore,
+    count_drawn,
+    evaluate_views,
+    summarize,
+)
 from clgs.workflow.events import OnEvent, counter, ignore
 from clgs.workflow.options import ViewOptions
 from clgs.workflow.views import drawing_options, over_background, select_views

@@ -38,14 +38,13 @@ class TrainingProgress:
 
 @dataclass(frozen=True)
 class RunStage:
-    """``clgs run`` begins or skips a stage. ``text`` is the same work as a command, or the reason.
+    """``clgs run`` begins a stage, or skips it.
 
-    ``skipped`` says that nothing is done.
+    ``text`` is a command that does the same work, or the reason why nothing is done.
     """
 
     stage: str
     text: str
-    skipped: bool = False
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from pathlib import Path
 from clgs.errors import UsageError
 from clgs.exports.run_report import write_run_report
 from clgs.files import check_folder, make_folder
-from clgs.train.run.folder_lock import FolderLock
+from clgs.train.run.run_folder import FolderLock
 from clgs.workflow.device_speed import speed_on, synthetic_speed
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
-from clgs.workflow.run_input import RunInput, find_input, measure_data
 from clgs.workflow.run_plan import (
     DEFAULT_SECONDS,
     Photos,
@@ -28,8 +27,11 @@ from clgs.workflow.run_record import (
     DATA,
     RUN,
     FinishedRun,
+    RunInput,
     RunPlan,
     RunRecord,
+    find_input,
+    measure_data,
     read_record,
 )
 from clgs.workflow.run_stages import (

@@ -18,7 +18,7 @@ from clgs.codec.scene_encoder import encode
 from clgs.files import atomic_write, remove_temporaries, write_json
 from clgs.opencl.device import Device
 from clgs.train.config import layered
-from clgs.train.run.finished_run import RESULTS
+from clgs.train.run.run_folder import RESULTS
 from clgs.workflow.encode import EncodedFile
 from clgs.workflow.evaluate import Evaluation, evaluate
 from clgs.workflow.events import OnEvent, RunStage, StageFailure, StageRecord
@@ -26,9 +26,8 @@ from clgs.workflow.export import export
 from clgs.workflow.options import PathOptions, ViewOptions
 from clgs.workflow.pictures import render_clip
 from clgs.workflow.prepare import prepare_data
-from clgs.workflow.run_input import RunInput
 from clgs.workflow.run_plan import TrainingPlan
-from clgs.workflow.run_record import DATA, RUN, RunRecord
+from clgs.workflow.run_record import DATA, RUN, RunInput, RunRecord
 from clgs.workflow.scenes import read_drawable, read_scene
 from clgs.workflow.train import train
 
@@ -179,8 +178,7 @@ class RunStages:
         failures: dict[str, Exception] = {}
         for name, file, words, work in todo:
             if name == "clip" and find_spec("imageio_ffmpeg") is None:
-                needs = "left out; it needs: pip install 'clgs[video]'"
-                on_event(RunStage(name, needs, skipped=True))
+                on_event(RunStage(name, "left out; it needs: pip install 'clgs[video]'"))
                 continue
             try:
                 self._stage(name, file, [*words, "-o", file, *shared], work, needed=False)
@@ -203,7 +201,7 @@ class RunStages:
         """
         size = self._record.made.get(made.name)
         if made.is_dir() or (made.is_file() and made.stat().st_size == size):
-            self._on_event(RunStage(name, f"is there: {made}", skipped=True))
+            self._on_event(RunStage(name, f"is there: {made}"))
             return
         self._on_event(RunStage(name, command_line(*words)))
         try:

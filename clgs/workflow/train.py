@@ -13,13 +13,13 @@ from clgs.files import check_folder, write_json
 from clgs.memory import return_freed_memory
 from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
-from clgs.train.run.finished_run import (
+from clgs.train.run.load import load_for
+from clgs.train.run.run_folder import (
     RunResult,
     check_run_folder,
     check_same_data,
     finished_run,
 )
-from clgs.train.run.load import load_for
 from clgs.train.run.session import Progress, Session
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart

@@ -9,7 +9,7 @@
 #define ROW_SIZE 16 /* floats of a row */
 #endif
 #ifndef SUM_SIZE
-#define SUM_SIZE 9  /* in the order of Moments */
+#define SUM_SIZE 9 /* in the order of Moments */
 #endif
 
 typedef struct {

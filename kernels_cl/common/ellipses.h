@@ -16,7 +16,7 @@
 #endif
 
 #define WHITENING_UNIT 0.849321800f /* sqrt(log2(e) / 2) */
-#define BIAS_MAX 64.0f              /* keeps 2^bias finite whatever the opacity */
+#define BIAS_MAX 64.0f              /* keeps 2^bias finite for any opacity */
 
 /* VEC projected Gaussians and their ellipses, a little too large so that rounding never loses a
  * pixel. On a row of pixels dy below its centre an ellipse lies around slope dy, and half its width

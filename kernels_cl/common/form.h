@@ -8,8 +8,8 @@
 #define USE_LOCAL 0
 #endif
 
-/* Before a kernel: its work-groups have so many work-items, which lets a compiler give each of them
- * the registers that there are, and a driver refuse what would give wrong sums. */
+/* Stands before a kernel whose work-groups have this many work-items: a compiler can give each of
+ * them the registers that there are, and a driver refuses sizes that would give wrong sums. */
 #define GROUP_OF(items) __attribute__((reqd_work_group_size((items), 1, 1)))
 
 #endif

@@ -52,7 +52,7 @@ static inline void store_lanes(fv value, size_t vector, __global float *values, 
         values[vector * VEC + lane] = lanes[lane];
 }
 
-/* Sums over lanes go by a tree of 16 of them, so that gradients have the same bits whatever the
+/* Sums over lanes go by a tree of 16 of them, so that gradients have the same bits for every
  * width of vectors: narrower ones sum each SUM_PARTS-th vector apart, and then the first half of
  * the parts to the second until one is left. In the GPU form work-items are the lanes. */
 #define SUM_LANES 16

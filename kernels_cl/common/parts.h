@@ -12,7 +12,7 @@
 #endif
 #define PARTS_GROUP GROUP_OF(PARTS_GROUP_SIZE)
 
-/* Work-groups that have so many work-items. */
+/* How many work-groups `items` work-items fill. */
 static inline uint groups_of(const size_t items)
 {
     return (uint)((items + PARTS_GROUP_SIZE - 1) / PARTS_GROUP_SIZE);

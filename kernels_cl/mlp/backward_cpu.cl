@@ -2,7 +2,7 @@
  *
  * Work-item: part after part of the weight gradient, until none is left. A part is made of every
  *     PARTS-th batch; the rows of a batch stay in the cache, in BATCH_SIZE floats of the work-item.
- *     A faster work-item takes more parts; the bits of a part are the same whoever computes it.
+ *     A faster work-item takes more parts; which of them computes a part changes no bit of it.
  * Work-group: one work-item; no local memory.
  * Launch: a work-item per thread of the CPU, PARTS at most. backward_sum.cl adds the parts.
  */

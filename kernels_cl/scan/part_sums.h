@@ -1,5 +1,6 @@
 /* Sums of parts of the counts, which a kernel that counts leaves for scan/offsets: on CPUs a part
- * is what a work-item counts, VEC numbers; on GPUs what a work-group of SCAN_GROUP_SIZE work-items does.
+ * is what a work-item counts, VEC numbers; on GPUs what a work-group of SCAN_GROUP_SIZE work-items
+ * does.
  */
 #ifndef CLGS_PART_SUMS_H
 #define CLGS_PART_SUMS_H

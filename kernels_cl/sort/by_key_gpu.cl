@@ -1,8 +1,8 @@
 /* A stable radix sort, GPU form: the histogram of the first digit, then a launch per digit.
  *
  * Work-item: every SCAN_GROUP_SIZE-th key of the group's chunk.
- * Work-group: a chunk of the keys, SCAN_GROUP_SIZE work-items; local memory: see sort/group_digit.h.
- * Launch: a work-group per chunk.
+ * Work-group: a chunk of the keys, SCAN_GROUP_SIZE work-items; local memory: see
+ * sort/group_digit.h. Launch: a work-group per chunk.
  */
 #include "sort/group_digit.h"
 

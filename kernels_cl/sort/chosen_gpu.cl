@@ -3,8 +3,8 @@
  * among the same number of work-groups.
  *
  * Work-item: every SCAN_GROUP_SIZE-th item of the group's chunk.
- * Work-group: a chunk of the items, SCAN_GROUP_SIZE work-items; local memory: see sort/group_digit.h.
- * Launch: a work-group per chunk.
+ * Work-group: a chunk of the items, SCAN_GROUP_SIZE work-items; local memory: see
+ * sort/group_digit.h. Launch: a work-group per chunk.
  */
 #include "sort/group_digit.h"
 

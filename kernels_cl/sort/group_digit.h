@@ -2,8 +2,8 @@
  *
  * Histograms lie pass by pass and chunk by chunk, histogram[chunk * DIGITS + digit]. The first one
  * is counted by a launch of its own; each pass that writes keys to their places counts the digits
- * of the next one there. A work-group of SCAN_GROUP_SIZE work-items owns a chunk of the keys. Atomics
- * only count or set bits, so their order does not matter. */
+ * of the next one there. A work-group of SCAN_GROUP_SIZE work-items owns a chunk of the keys.
+ * Atomics only count or set bits, so their order does not matter. */
 #ifndef CLGS_GROUP_DIGIT_H
 #define CLGS_GROUP_DIGIT_H
 
@@ -124,8 +124,8 @@ static inline int next_place(__local SortScratch *scratch, const bool used, cons
     return to;
 }
 
-/* Writes the keys of the group's chunk to their places, SCAN_GROUP_SIZE at a time, and counts there the
- * digits of the next pass. Returns how many keys all chunks have. */
+/* Writes the keys of the group's chunk to their places, SCAN_GROUP_SIZE at a time, and counts there
+ * the digits of the next pass. Returns how many keys all chunks have. */
 static inline int place_keys(const SortItems *items, const SortPass *pass, const SortedItems *out,
                              __local SortScratch *scratch)
 {

@@ -87,7 +87,7 @@ tiles_footprint(__global const float *mean2d, __global const float *whitening,
     const int first = (int)item_from_middle() * VEC, used = min(VEC, count - first);
     const Geometry g = {mean2d, whitening, opacity, extent};
     const Frame frame = {width, height, first_row, end_row};
-    const int sum = used > 0 ? write_footprints(&g, first, used, frame, (__global float *)boxes, counts)
-                             : 0;
+    const int sum =
+        used > 0 ? write_footprints(&g, first, used, frame, (__global float *)boxes, counts) : 0;
     write_part_sum(scratch, (size_t)first, count, sum, sums);
 }

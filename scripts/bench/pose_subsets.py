@@ -96,7 +96,7 @@ def lit(photo: Image.Image, number: int) -> Image.Image:
 
 def known_poses(data: Path, folder: str, turned: Mapping[str, bool]) -> Poses:
     """Poses of a data set's photos in ``folder``; of those of ``turned`` alone, if it has any."""
-    dataset = load_dataset(data, load_images=False, load_points=False)
+    dataset = load_dataset(data, load_images=False)
     cameras: dict[str, Camera] = {}
     for view in [*dataset.train, *dataset.test]:
         path = Path(view.name)

@@ -15,7 +15,7 @@ from clgs.data.images import list_images
 from clgs.errors import DataError
 from clgs.exports.image import picture_names, save_png
 from clgs.exports.run_report import sections
-from clgs.workflow.run_input import measure_data
+from clgs.workflow.run_record import measure_data
 
 
 @dataclass(frozen=True)

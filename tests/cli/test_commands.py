@@ -205,12 +205,6 @@ def test_no_device_is_exit_code_4(run, tmp_path):
     )
 
 
-def test_usage_is_exit_code_2(data, tmp_path):
-    assert clgs("train", data).returncode == 2
-    assert clgs("train", data, "-o", tmp_path / "r", "--steps", "0").returncode == 2
-    assert clgs("nonsense").returncode == 2
-
-
 @pytest.mark.slow
 def test_bench():
     assert "blend backward" in succeed("bench", "step", "--gaussians", 2000, "--size", 64)

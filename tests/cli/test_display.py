@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from clgs.cli.commands.train import show
 from clgs.cli.display import PLAIN_SECONDS, Display, describe
-from clgs.train.run.finished_run import RunResult
+from clgs.train.run.run_folder import RunResult
 from clgs.train.run.session import Progress
 from clgs.train.run.trainer import StepResult
 from clgs.workflow.events import Note, StageProgress, TrainingProgress, counter
@@ -58,13 +59,13 @@ def test_without_a_terminal_long_work_prints_a_line_now_and_then(capsys):
         clock.now = 60.0
         display(TRAINING)
         clock.now = 75.0
-        display(TRAINING)
+        display(replace(TRAINING, progress=Progress(replace(RESULT, step=12_346))))
     assert capsys.readouterr().err.splitlines() == [
         "clgs: one view is missing",
         "features 2/4, 12 s, about 12 s left",
         "features 4/4, 30 s",
         "short 1/1",
-        "training 12345/30000, 15 s, about 264825 s left  0.1 it/s  train 31.25 dB  "
+        "training 12346/30000, 15 s, about 264810 s left  0.1 it/s  train 31.25 dB  "
         "125,000 anchors  ~12.34 MB",
     ]
 

@@ -222,17 +222,19 @@ def test_a_file_that_looks_like_an_option_is_named(tmp_path, monkeypatch, capsys
         ("nonsense",),
         ("info",),
         ("info", "x", "--nonsense"),
+        ("train", "x"),
         ("bench", "step", "--nonsense"),
         ("bench", "accuracy", "--size", "0"),
     ],
 )
-def test_wrong_usage_exits_2(arguments):
-    result = clgs(*arguments)
-    assert result.returncode == 2
+def test_wrong_usage_exits_2(arguments, capsys):
+    with pytest.raises(SystemExit) as done:
+        cli.main(arguments)
+    assert done.value.code == 2
     command = " ".join(takewhile(cli.COMMANDS.__contains__, arguments))
     kind = " ".join(arguments[1:2]) if command == "bench" else ""
     name = " ".join(word for word in ("clgs", command, kind) if word)
-    assert re.fullmatch(rf"clgs: error: .+; see {name} --help\n", result.stderr)
+    assert re.fullmatch(rf"clgs: error: .+; see {name} --help\n", capsys.readouterr().err)
 
 
 @pytest.mark.parametrize(
@@ -241,6 +243,7 @@ def test_wrong_usage_exits_2(arguments):
         ("bench", "step", "--seed", "-1"),
         ("bench", "ops", "--size", "0"),
         ("train", "x", "--output", ""),
+        ("train", "x", "-o", "y", "--steps", "0"),
         ("render", "x", "--data", "y", "--output", ""),
         ("prepare", "x", "--output", " "),
         ("prepare", "x", "-o", "y", "--seed", "-1"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from clgs.cli import main as cli
-from clgs.cli.tensorboard import EventLog
+from clgs.cli.commands.train import EventLog
 from clgs.train.run.session import Progress
 from clgs.train.run.trainer import StepResult
 
@@ -34,6 +34,6 @@ def test_scalars_are_read_back(tmp_path):
 
 
 def test_missing_library_is_named(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr("clgs.cli.tensorboard.find_spec", lambda name: None)
+    monkeypatch.setattr("clgs.cli.commands.train.find_spec", lambda name: None)
     assert cli.main(["train", str(tmp_path), "-o", str(tmp_path / "run"), "--tensorboard"]) == 2
     assert "clgs[tensorboard]" in capsys.readouterr().err

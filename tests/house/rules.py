@@ -30,7 +30,7 @@ OPS_NEVER = ("clgs.scene.scene",)
 """Ops know arrays, anchors, cameras and devices, never a whole scene with its settings."""
 
 REFERENCE_ONLY = ("numpy", "clgs.constants", "clgs.shapes", "clgs.reference")
-"""Besides the standard library, references import nothing else."""
+"""References import these and the standard library, and nothing else."""
 
 UNSAFE_MODULES = {"pickle", "cPickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}
 UNSAFE_CALLS = {"eval", "exec", "__import__", "os.system", "os.popen", "yaml.load"}
@@ -181,7 +181,7 @@ def kernel_file_complaints(path: str, text: str, stages: Iterable[str]) -> list[
 def fetch_complaints(path: str, text: str, kernels: dict[str, str]) -> list[str]:
     """Kernel names (``kernels``: name -> stage) that ``path`` uses without being their op.
 
-    The laboratory may fetch any: it builds them anew, to observe them.
+    The laboratory may fetch any: it builds them again, to observe them.
     """
     if path.startswith("clgs/lab/"):
         return []

@@ -14,7 +14,7 @@ if not (ROOT / "clgs").is_dir():
 
 STAGES = sorted(path.stem for path in (ROOT / "clgs/ops").glob("*.py") if path.stem != "__init__")
 KERNEL_STAGES = [*STAGES, "limits"]
-"""Of kernels; those that measure the device belong to the laboratory."""
+"""Stages of kernels; those that measure the device belong to the laboratory."""
 
 TOPS = ("clgs", "kernels_cl", "codec_c", "scripts", "tests", "web")
 SUFFIXES = {".py", ".cl", ".c", ".h", ".sh", ".js", ".css", ".html"}

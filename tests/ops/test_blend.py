@@ -79,7 +79,7 @@ EXP2_ERROR = {6: 0.0, 5: 2e-7, 4: 3e-6, 3: 8e-5}
 def every_degree():
     """Presets with their own degree (parity's is compared above); others for a release.
 
-    Each pair is compiled anew.
+    Each pair is compiled again.
     """
     quick = {(name, preset.exp2_degree) for name, preset in PRESETS.items() if name != "parity"}
     for pair in product(PRESETS, EXP2_ERROR):
@@ -194,7 +194,7 @@ def test_free_reference_differs_at_few_pixels(device, rng):
 
 
 def test_both_forms_render_the_same_bits(open_device, rng):
-    """Of image, decisions and gradients: sums over a tile's pixels run in one order."""
+    """Image, decisions and gradients agree: sums over a tile's pixels run in one order."""
     scene = projected_scene(rng, 4000, 120, 90, 2.5, 10.0)
     d_image = rng.normal(size=(3, 90, 120)).astype(np.float32)
     cpu, gpu = (render(open_device(name), scene, (120, 90)) for name in ("cpu", "gpu"))
@@ -328,7 +328,7 @@ POISON = [np.nan, np.inf, -1e38, 1e-45]
 @pytest.mark.parametrize("value", POISON)
 @pytest.mark.parametrize("slot", ["mean2d", "whitening", "color", "opacity"])
 def test_poison_stays_where_it_is(device, rng, slot, value):
-    """Whatever one Gaussian holds, images and gradients are finite, and NaN draws nothing."""
+    """One Gaussian may hold any numbers: images and gradients are finite, and NaN draws nothing."""
     scene = projected_scene(rng, 120, 40, 40, 4.0)
     array = getattr(scene, slot).copy()
     array.reshape(120, -1)[60, -1] = value

@@ -7,9 +7,13 @@ import subprocess
 import sys
 
 import numpy as np
+import pyopencl as cl
 import pytest
 
+from clgs import constants
 from clgs.lab.observed_kernels import MlpWork, drawn_output, drawn_rows, mlp_work
+from clgs.opencl import source
+from clgs.opencl.programs import literal
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import mlp as reference
@@ -229,7 +233,7 @@ def test_padding_does_not_change_a_bit(device, rng, padding):
 
 
 def test_samples_without_anchor_may_lie_anywhere(device, rng):
-    """As the first of a block, too."""
+    """A sample without anchor may come first in a block."""
     values, visible = anchors(rng, 200), some(rng, 200, 200)
     gaps = visible.copy()
     gaps[::8] = -1
@@ -252,7 +256,7 @@ def test_poison_stays_in_its_anchor(device, rng, slot, poison):
     assert all(np.array_equal(clean[one], dirty[one]) for one in visible if one != bad)
     if slot == "feature" or not np.isfinite(poison):
         assert np.isnan(dirty[bad][:10]).all(), "not drawn: no comparison with NaN holds"
-    # whatever gradient arrives, the weights see the other anchors only; they may lie elsewhere
+    # the weights see the other anchors only; they may lie elsewhere
     d_of_anchor[bad] = 5 if np.isnan(dirty[bad][0]) else 0
     terms = gradient_terms(values, visible[visible != bad], d_of_anchor)
     for name, array in run_backward(device, values, visible, d_of_anchor).items():
@@ -361,3 +365,20 @@ def test_wrong_shapes_are_refused(device, rng):
         run_forward(device, {**values, "weights": values["weights"][1:]}, visible)
     with pytest.raises(TypeError, match="visible"):
         run_forward(device, values, visible.astype(np.int64))
+
+
+def test_the_kernels_lay_out_what_python_allocates(device):
+    """The rows of a batch, and a part of the weight gradient, have the sizes of their buffers."""
+    file = source.program_file("mlp/backward", device.specialisation)
+    text = source.read_program(file) + (
+        "\n__kernel void sizes(__global int *out) {"
+        " out[0] = (int)BATCH_SIZE; out[1] = (int)part_size(); }"
+    )
+    form = {"USE_LOCAL": int(device.specialisation == "gpu")}
+    macros = {**constants.defines(), **form, **mlp.defines(device, DEFAULT)}
+    built = cl.Program(device.context, text).build(
+        ["-cl-std=CL1.2", *(f"-D{name}={literal(value)}" for name, value in macros.items())]
+    )
+    found = device.zeros((2,), np.int32)
+    cl.Kernel(built, "sizes")(device.queue, (1,), (1,), found.buffer)
+    assert device.download(found).tolist() == [mlp._batch_size(device), mlp._part_size(device)]

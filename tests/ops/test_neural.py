@@ -180,7 +180,7 @@ def test_quaternions_of_any_length(device, factor):
 
 @pytest.mark.parametrize("log_scale", [-1e4, -20, 20, 88, np.inf])
 def test_log_scales_are_clamped(device, rng, log_scale):
-    """N04: finite whatever the log scale, no gradient beyond the limits."""
+    """N04: finite for any log scale, no gradient beyond the limits."""
     values = case(rng, 20, 20)
     values["scaling"][:] = log_scale
     _, actual = run_forward(device, values)
@@ -225,7 +225,7 @@ def test_poison_stays_in_its_anchor(device, rng, slot, poison):
 
 
 def test_any_nan_in_a_log_scale_stays_one(device, rng):
-    """Whatever its payload: exponentials work on the bits, which must not hide it."""
+    """A NaN of any payload shows: exponentials work on the bits, which must not hide it."""
     values = case(rng, 4, 4)
     values["output"][:10] = 0.5
     payloads = np.array([0x7FC00000, 0xFFC00000, 0x7FFFFFFF, 0x7FC00001], np.uint32)

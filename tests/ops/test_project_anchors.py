@@ -93,18 +93,18 @@ def test_forward_agrees_with_reference(device, rng):
     anchor = by_stages(device, values, visible)[1]
     wide = {name: value.astype(np.float64) for name, value in values.items()}
     given = tuple(wide[name] for name in FIELDS)
-    expected = reference.forward(given, visible, wide["weights"], packed_camera())
+    expected, *light = reference.forward(given, visible, wide["weights"], packed_camera())
     # slots ascend within an anchor, and anchors in `visible`
     order = np.argsort(anchor, kind="stable")
-    assert len(order) == len(expected.opacity) > 500
-    drawn = expected.projected.extent[:, 0] > 0
+    assert len(order) == len(expected.depth) > 500
+    drawn = expected.extent[:, 0] > 0
     assert np.mean((found["extent"][order, 0] > 0) == drawn) > 0.99
     drawn &= found["extent"][order, 0] > 0
     assert drawn.sum() > 100
-    for name in LIGHT:
-        assert_close(found[name][order], getattr(expected, name), 1e-5, name)
+    for name, wanted in zip(("color", "opacity"), light, strict=True):
+        assert_close(found[name][order], wanted, 1e-5, name)
     for name in PROJECTED:
-        actual, wanted = found[name][order][drawn], getattr(expected.projected, name)[drawn]
+        actual, wanted = found[name][order][drawn], getattr(expected, name)[drawn]
         # 54 products of order one are summed twice before anything is projected
         assert relative_l2(actual, wanted) <= 1e-5, name
 

@@ -112,7 +112,7 @@ def test_small_images_and_scenes(device, rng, size, count):
 
 
 def test_large_gaussians_keep_their_order(device, rng):
-    """Boxes of more tiles than fit a set of them, beside small ones."""
+    """Boxes of more tiles than fit a set of them, and small ones."""
     scene = projected_scene(rng, 400, 1300, 100, 3.0)
     wide = projected_scene(rng, 400, 1300, 100, 250.0, 40.0)
     mixed = ProjectedScene(

@@ -70,9 +70,9 @@ def test_the_search_for_points_is_said_once(tmp_path: Path, capsys: pytest.Captu
     out, err = capsys.readouterr()
     assert "finding points" not in out
     assert err.splitlines()[:3] == [
-        f"finding points in {len(photos(tmp_path / 'room'))} photos",
-        "matching their features",
-        "triangulating the matches",
+        f"clgs: finding points in {len(photos(tmp_path / 'room'))} photos",
+        "clgs: matching their features",
+        "clgs: triangulating the matches",
     ]
     assert main([*command, "--resume"]) == 0  # from the cache in the run folder
     assert "finding points" not in capsys.readouterr().err

@@ -120,7 +120,7 @@ def background_only(drawn) -> bool:
 
 INVISIBLE = {
     "behind": lambda scene: changed(scene, "mean", (slice(None), 2), -9),
-    "beside": lambda scene: changed(scene, "mean", (slice(None), 0), 1e3),
+    "at the side": lambda scene: changed(scene, "mean", (slice(None), 0), 1e3),
     "far away": lambda scene: changed(scene, "mean", slice(None), 1e30),
     "transparent": lambda scene: changed(scene, "opacity", slice(None), 0.0),
     "below the cut": lambda scene: changed(scene, "opacity", slice(None), 0.0039),

@@ -41,7 +41,7 @@ def test_decision_matched(device, kind):
 
 @pytest.fixture(scope="module")
 def flips():
-    """By specialisation and form: [pixels off by more than 0.1 level, pixels]."""
+    """[pixels off by more than 0.1 level, pixels] by specialisation and form."""
     return {}
 
 
@@ -60,7 +60,7 @@ def test_free_reference(device, flips, kind, whole):
 
 @pytest.mark.parametrize("whole", [False, True], ids=["same splats", "whole"])
 def test_share_of_pixels_that_differ(device, flips, whole):
-    """At most one pixel of 1e5; runs after the cases above have counted."""
+    """No more than one pixel of 1e5 differs; runs after the cases above have counted."""
     wrong, pixels = flips.get((device.specialisation, whole), (0, 0))
     if pixels < len(KINDS) * SIZES[1][0] * SIZES[1][1]:
         pytest.skip("counts all kinds of scenes, in one run")
@@ -88,7 +88,7 @@ def trained(open_device, tmp_path_factory):
 
 @pytest.mark.parametrize(("which", "view"), [(20, 0), (80, 1), ("quantised", 2)])
 def test_trained_scene(device, trained, which, view):
-    """From parameters to the image of a test view, and back to their gradients."""
+    """Parameters give the image of a test view, and it gives their gradients."""
     scene, camera = trained[0][which], trained[1][view].camera
     uploaded = upload_scene(device, scene)
     frame = rasterise(device, uploaded, upload_view(device, camera, RenderSettings()))

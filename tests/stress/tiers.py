@@ -90,7 +90,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Limits:
-    """Of a tier-1 scene: image in levels, then gradients; all relative."""
+    """The largest errors of a tier-1 scene: the image in levels, then gradients, relative."""
 
     p999: float = 1e-3
     largest: float = 5e-3
@@ -103,7 +103,7 @@ class Limits:
 
 TYPICAL = Limits()
 NEEDLES = Limits(5e-3, 2e-2, 1e-3, 1e-6, 1e-4, 1e-2, 1e-1)
-"""Of long ones, and of those as long as float32 allows."""
+"""The limits of long needles, and of needles as long as float32 allows."""
 
 
 def limits_of(kind: str) -> Limits:

@@ -127,10 +127,7 @@ def test_any_number_of_steps_gives_a_valid_run(steps: int) -> None:
 
 
 def test_presets() -> None:
-    quick, paper = preset("quick"), preset("paper")
-    assert quick == dataclasses.replace(TrainConfig().scaled(3000), preset="quick")
-    assert (paper.normalize, paper.proxy, paper.steps) == (False, "pooled", 30_000)
-    assert (paper.l1_weight, paper.ssim_weight) == (0.8, 0.2)
+    assert preset("quick") == dataclasses.replace(TrainConfig().scaled(3000), preset="quick")
     with pytest.raises(UsageError, match="default, quick or paper"):
         preset("best")
 

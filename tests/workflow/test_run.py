@@ -15,12 +15,11 @@ from PIL import Image
 from clgs.cli import main as cli
 from clgs.cli.commands.run import duration
 from clgs.errors import DataError
-from clgs.train.run.folder_lock import FolderLock
+from clgs.train.run.run_folder import FolderLock
 from clgs.workflow import run_stages
 from clgs.workflow.run import run
-from clgs.workflow.run_input import find_input
 from clgs.workflow.run_plan import FRAMES, Photos, frames_within
-from clgs.workflow.run_record import RunRecord
+from clgs.workflow.run_record import RunRecord, find_input
 from tests.small_scene import write_scene
 from tests.terminal import as_from_a_terminal
 

@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     import json
     from dataclasses import asdict
 
-    from clgs.opencl.describe import describe_devices
+    from clgs.opencl.choose import describe_devices
 
     devices = describe_devices()
     if args.json:

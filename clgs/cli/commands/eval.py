@@ -88,8 +88,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.files import write_json
     from clgs.opencl.device import Device
     from clgs.scene.scene import SplatScene
-    from clgs.train.quality.lpips import Lpips
-    from clgs.train.quality.lpips_weights import read_lpips_weights
+    from clgs.train.quality.lpips import Lpips, read_lpips_weights
     from clgs.train.quality.score_tables import append_survey, write_inria
     from clgs.train.state.hashes import differences, read_fingerprint
     from clgs.workflow.evaluate import evaluate

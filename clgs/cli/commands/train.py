@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.shared_options import add_device_name, add_overwrite, named_path
 from clgs.cli.training_options import add_training_options, make_config
+from clgs.errors import UsageError
 
 if TYPE_CHECKING:
+    from clgs.train.run.session import Progress
     from clgs.workflow.train import TrainedRun
 
 LEFT_OVER = 0.02
@@ -53,13 +56,12 @@ def register(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Train; exit code 0."""
     from clgs.cli.display import Display
-    from clgs.cli.tensorboard import EventLog, check_tensorboard
     from clgs.workflow.events import Event, TrainingProgress
     from clgs.workflow.train import train
 
     config = make_config(args)
-    if args.tensorboard:
-        check_tensorboard()
+    if args.tensorboard and find_spec("tensorboard") is None:
+        raise UsageError("--tensorboard: is not installed; pip install 'clgs[tensorboard]'")
     events = EventLog(args.output / "tensorboard") if args.tensorboard else None
     display = Display()
 
@@ -130,3 +132,30 @@ def _print_profile(trained: TrainedRun) -> None:
         counts = f"{one.done:,}", f"{one.without:,}", f"{100 * one.share:.1f} %"
         skips.add_row(one.skip, one.unit, *counts)
     Console().print(table, skips)
+
+
+class EventLog:
+    """Writes the progress for TensorBoard, at the steps at which the PSNR is measured."""
+
+    def __init__(self, folder: Path) -> None:
+        from tensorboard.summary import Writer
+
+        self._writer = Writer(str(folder))
+
+    def update(self, progress: Progress) -> None:
+        """Write a step, if its PSNR was measured, and leave nothing in memory."""
+        if progress.psnr is None:
+            return
+        result = progress.result
+        values = {
+            "loss/total": result.loss,
+            "loss/l1": result.l1,
+            "loss/ssim": result.ssim,
+            "psnr/training views": progress.psnr,
+            "size/anchors": result.anchors,
+            "size/estimated bytes": progress.estimated_bytes,
+        }
+        for name, value in values.items():
+            if value is not None:
+                self._writer.add_scalar(name, float(value), result.step)
+        self._writer.flush()

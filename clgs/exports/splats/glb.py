@@ -40,19 +40,29 @@ def encode_glb(gaussians: HostGaussians, turn: npt.NDArray[np.float64] | None = 
         turn: rotation (3, 3) from their axes to glTF's; default: none.
     """
     attributes = _attributes(gaussians)
+    binary = b"".join(values.tobytes() for values in attributes.values())
+    binary += b"\0" * (-len(binary) % 4)
     offset = 0
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
-    for name, values in attributes.items():
-        views.append(
-            {"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes}
-            | {"target": ARRAY_BUFFER}
-        )
-        accessors.append(_accessor(len(accessors), name, values))
+    for values in attributes.values():
+        width = values.shape[1] if values.ndim > 1 else 1
+        place = {"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes}
+        views.append(place | {"target": ARRAY_BUFFER})
+        accessor = {"bufferView": len(accessors), "count": len(values), "type": TYPES[width]}
+        accessor["componentType"] = FLOAT if values.dtype == np.float32 else UNSIGNED_BYTE
+        if values.dtype == np.uint8:
+            accessor["normalized"] = True
+        accessors.append(accessor)
         offset += values.nbytes
+    position = accessors[list(attributes).index("POSITION")]
+    position["min"] = [float(x) for x in gaussians.mean.min(axis=0)]
+    position["max"] = [float(x) for x in gaussians.mean.max(axis=0)]
     node: dict[str, Any] = {"mesh": 0}
     if turn is not None:
-        node["matrix"] = _by_columns(turn)
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn
+        node["matrix"] = [float(x) + 0.0 for x in matrix.T.ravel()]  # no negative zeros
     primitive = {
         "attributes": {name: i for i, name in enumerate(attributes)},
         "mode": POINTS,
@@ -69,16 +79,13 @@ def encode_glb(gaussians: HostGaussians, turn: npt.NDArray[np.float64] | None = 
         "bufferViews": views,
         "buffers": [{"byteLength": offset}],
     }
-    return Encoded(
-        _container(document, b"".join(v.tobytes() for v in attributes.values())), gaussians
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = b"".join(
+        struct.pack("<I4s", len(chunk), kind) + chunk
+        for kind, chunk in ((b"JSON", text), (b"BIN\0", binary))
     )
-
-
-def _by_columns(turn: npt.NDArray[np.float64]) -> list[float]:
-    """The matrix (4, 4) of a rotation, column by column, without negative zeros."""
-    whole = np.eye(4)
-    whole[:3, :3] = turn
-    return [float(x) + 0.0 for x in whole.T.ravel()]
+    return Encoded(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks, gaussians)
 
 
 def _attributes(gaussians: HostGaussians) -> dict[str, npt.NDArray[Any]]:
@@ -98,27 +105,3 @@ def _attributes(gaussians: HostGaussians) -> dict[str, npt.NDArray[Any]]:
         name = f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number - degree**2}"
         found[name] = gaussians.sh[:, number]
     return {name: np.ascontiguousarray(values) for name, values in found.items()}
-
-
-def _accessor(view: int, name: str, values: npt.NDArray[Any]) -> dict[str, Any]:
-    width = values.shape[1] if values.ndim > 1 else 1
-    accessor: dict[str, Any] = {"bufferView": view, "count": len(values), "type": TYPES[width]}
-    accessor["componentType"] = FLOAT if values.dtype == np.float32 else UNSIGNED_BYTE
-    if values.dtype == np.uint8:
-        accessor["normalized"] = True
-    if name == "POSITION":
-        accessor["min"] = [float(x) for x in values.min(axis=0)]
-        accessor["max"] = [float(x) for x in values.max(axis=0)]
-    return accessor
-
-
-def _container(document: dict[str, Any], binary: bytes) -> bytes:
-    """The two chunks behind the header, each filled up to a multiple of 4 bytes."""
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    binary += b"\0" * (-len(binary) % 4)
-    chunks = b"".join(
-        struct.pack("<I4s", len(chunk), kind) + chunk
-        for kind, chunk in ((b"JSON", text), (b"BIN\0", binary))
-    )
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

@@ -87,14 +87,23 @@ def encode_sog(gaussians: HostGaussians) -> Encoded:
     sh = color_table[color][:, None]
     if gaussians.degree:
         palette = make_palette(gaussians.sh[:, 1:])
-        meta["shN"] = _describe(palette, gaussians.degree)
+        meta["shN"] = {
+            "count": len(palette.entries),
+            "bands": gaussians.degree,
+            "codebook": palette.table.tolist(),
+            "files": ["shN_centroids.webp", "shN_labels.webp"],
+        }
         files |= _palette_files(palette)
         sh = np.concatenate([sh, palette.values()], axis=1)
     stored = OrdinaryGaussians(
         mean, scale_table[scale], rotation, logit(opacity / 255.0), np.ascontiguousarray(sh)
     )
     files = {"meta.json": json.dumps(meta, separators=(",", ":")).encode(), **files}
-    return Encoded(_archive(files), stored)
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(zipfile.ZipInfo(name, EARLIEST), data)
+    return Encoded(buffer.getvalue(), stored)
 
 
 def _positions(
@@ -125,15 +134,6 @@ def _rotations(unit: npt.NDArray[np.float64]) -> tuple[Bytes, npt.NDArray[np.flo
     return np.column_stack([small, tag]), whole.astype(np.float32)
 
 
-def _describe(palette: Palette, degree: int) -> dict[str, Any]:
-    return {
-        "count": len(palette.entries),
-        "bands": degree,
-        "codebook": palette.table.tolist(),
-        "files": ["shN_centroids.webp", "shN_labels.webp"],
-    }
-
-
 def _palette_files(palette: Palette) -> dict[str, bytes]:
     count, size, _ = palette.entries.shape
     rows = -(-count // PALETTE_COLUMNS)
@@ -162,14 +162,6 @@ def _webp(image: Bytes) -> bytes:
 
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "WEBP", lossless=True, exact=True, quality=100, method=4)
-    return buffer.getvalue()
-
-
-def _archive(files: dict[str, bytes]) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, data in files.items():
-            archive.writestr(zipfile.ZipInfo(name, EARLIEST), data)
     return buffer.getvalue()
 
 

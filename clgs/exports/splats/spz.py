@@ -47,7 +47,14 @@ def encode_spz(gaussians: HostGaussians) -> Encoded:
     opacity = _bytes(sigmoid(gaussians.opacity) * 255)
     color = _bytes(gaussians.sh[:, 0] * COLOR_SCALE + 127.5)
     scale = _bytes((gaussians.log_scale - SCALE_LEAST) * SCALE_STEPS)
-    _name_clamped(gaussians.log_scale)
+    most = SCALE_LEAST + 255 / SCALE_STEPS
+    if count := int((gaussians.log_scale > most + 0.5 / SCALE_STEPS).any(axis=1).sum()):
+        # tiny ones are drawn as points in any case
+        _log.warning(
+            "%d Gaussians are larger than the %.0f units that .spz can hold, and are made smaller; "
+            "write .ply to keep them",
+            *(count, np.exp(most)),
+        )
     largest, small = _smallest_three(unit_rotation(gaussians.rotation))
     rest = _bytes(gaussians.sh[:, 1:] * SH_STEPS + SH_STEPS)
     head = struct.pack("<IIIBBBB", MAGIC, VERSION, len(gaussians), gaussians.degree, fraction, 0, 0)
@@ -63,20 +70,11 @@ def encode_spz(gaussians: HostGaussians) -> Encoded:
         log_scale=(scale / SCALE_STEPS + SCALE_LEAST).astype(np.float32),
         rotation=_rotations(largest, small),
         opacity=logit(opacity / 255.0),
-        sh=_colors(color, rest),
+        sh=np.concatenate(
+            [(color[:, None] - 127.5) / COLOR_SCALE, (rest - SH_STEPS) / SH_STEPS], axis=1
+        ).astype(np.float32),
     )
     return Encoded(gzip.compress(data, LEVEL, mtime=0), stored)
-
-
-def _name_clamped(log_scale: npt.NDArray[np.float32]) -> None:
-    """Warn of sizes that the format has no bytes for; tiny ones are drawn as points anyway."""
-    most = SCALE_LEAST + 255 / SCALE_STEPS
-    if count := int((log_scale > most + 0.5 / SCALE_STEPS).any(axis=1).sum()):
-        _log.warning(
-            "%d Gaussians are larger than the %.0f units that .spz can tell, and are made smaller; "
-            "write .ply to keep them",
-            *(count, np.exp(most)),
-        )
 
 
 def _fraction_bits(gaussians: HostGaussians) -> int:
@@ -129,9 +127,3 @@ def _rotations(
     rest = np.sqrt(np.maximum(0.0, 1.0 - np.square(whole).sum(axis=1)))
     whole[np.arange(len(whole)), largest] = rest
     return whole[:, [3, 0, 1, 2]].astype(np.float32)
-
-
-def _colors(color: npt.NDArray[np.uint8], rest: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-    first = (color[:, None] - 127.5) / COLOR_SCALE
-    others = (rest - SH_STEPS) / SH_STEPS
-    return np.concatenate([first, others], axis=1).astype(np.float32)

@@ -68,9 +68,9 @@ class LearningRates:
     def for_shorter_run(self, shorter: float) -> LearningRates:
         """The rates of a run that is ``shorter`` times as short, as SHORT_RUN_POWERS says.
 
-        Features and offsets start at zero, and a short run would leave them small beside the
-        rounding to integers when that sets in. The exposure of a photo moves only when that photo
-        is seen.
+        Features and offsets start at zero, and a short run would leave them small compared
+        with the steps of rounding when that begins. The exposure of a photo moves only when that
+        photo is seen.
         """
         changed = {
             name: tuple(

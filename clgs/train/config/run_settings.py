@@ -82,8 +82,8 @@ class RunSettings:
     )
     start_pixels: float = option(
         3.0,
-        "the data set's points are thinned to at most one for so many pixels of a photo; 0: all of "
-        "them stay (code)",
+        "the data set's points are thinned to at most one for this many pixels of a photo; 0: all "
+        "of them stay (code)",
         at_least(0),
         unit="pixels",
     )
@@ -152,7 +152,7 @@ class PhotoSettings:
 
     downscale: int = option(
         0,
-        "reduce the photos this many times, whatever --max-size says; 0: as that says",
+        "reduce the photos this many times, regardless of --max-size; 0: as that says",
         at_least(0),
         unit="times",
         group="photos",

@@ -46,8 +46,11 @@ def psnr_8bit(
 
     The literature's form. Both (H, W, 3) uint8; equal pictures give infinity.
     """
-    x, y = _unit_pair(render, photo)
-    return float(_decibel(_chosen(np.square(x - y), used).mean()))
+    shapes = Shapes()
+    shapes.check("render", render, "H W 3", np.uint8)
+    shapes.check("photo", photo, "H W 3", np.uint8)
+    squared = np.square(render / 255.0 - photo / 255.0)
+    return float(_decibel(_chosen(squared, used).mean()))
 
 
 def blackened(picture: npt.NDArray[np.uint8], used: Used) -> npt.NDArray[np.uint8]:
@@ -56,7 +59,7 @@ def blackened(picture: npt.NDArray[np.uint8], used: Used) -> npt.NDArray[np.uint
 
 
 def _chosen(values: npt.NDArray[np.float64], used: Used) -> npt.NDArray[np.float64]:
-    """Those of ``values`` (H, W, C) that count; (N, C) if there is a mask."""
+    """Select the ``values`` (H, W, C) that count; (N, C) if there is a mask."""
     return values if used is None or not used.any() else values[used != 0]
 
 
@@ -97,7 +100,14 @@ def ssim_map(
 
     def fill(top: int) -> None:
         first, last = max(top - reach, 0), top + BAND + reach
-        band = _ssim_map(render[first:last] / 255.0, photo[first:last] / 255.0)
+        x, y = render[first:last] / 255.0, photo[first:last] / 255.0
+        mean_x, mean_y = _blur(x), _blur(y)
+        variance_x = _blur(x * x) - mean_x**2
+        variance_y = _blur(y * y) - mean_y**2
+        covariance = _blur(x * y) - mean_x * mean_y
+        numerator = (2.0 * mean_x * mean_y + SSIM_C1) * (2.0 * covariance + SSIM_C2)
+        denominator = (mean_x**2 + mean_y**2 + SSIM_C1) * (variance_x + variance_y + SSIM_C2)
+        band = numerator / denominator
         result[top : top + BAND] = band[top - first : top - first + BAND]
 
     with workers(min(processors(), MOST_THREADS)) as pool:
@@ -105,29 +115,9 @@ def ssim_map(
     return result
 
 
-def _ssim_map(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    mean_x, mean_y = _blur(x), _blur(y)
-    variance_x = _blur(x * x) - mean_x**2
-    variance_y = _blur(y * y) - mean_y**2
-    covariance = _blur(x * y) - mean_x * mean_y
-    numerator = (2.0 * mean_x * mean_y + SSIM_C1) * (2.0 * covariance + SSIM_C2)
-    denominator = (mean_x**2 + mean_y**2 + SSIM_C1) * (variance_x + variance_y + SSIM_C2)
-    return np.asarray(numerator / denominator)
-
-
 def _decibel(mse: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     with np.errstate(divide="ignore"):
         return np.asarray(-10.0 * np.log10(mse))
-
-
-def _unit_pair(
-    render: npt.NDArray[np.uint8], photo: npt.NDArray[np.uint8]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Two pictures of the same size in float64 with white at 1."""
-    shapes = Shapes()
-    shapes.check("render", render, "H W 3", np.uint8)
-    shapes.check("photo", photo, "H W 3", np.uint8)
-    return render / 255.0, photo / 255.0
 
 
 def _blur(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

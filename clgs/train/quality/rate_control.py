@@ -43,10 +43,10 @@ SPARE = 1.1
 """A coarser Q is tried if all anchors would still take this many times the room."""
 
 MAX_CAMERAS = 48
-"""At most this many views say what is useful; each shows anchors that few others do."""
+"""The most views that say what is useful; each shows anchors that few others do."""
 
 MEASURED, COMPARED = 12, 6
-"""Views on which PSNR is measured, unless all are asked for; and on which Q are compared."""
+"""Views on which PSNR is measured, unless all are asked for, and on which Q are compared."""
 
 PIXELS = 2.0
 """Usefulness is judged at half the resolution if this many pixels per anchor remain."""
@@ -58,7 +58,7 @@ PSNR_STEPS = 6
 
 
 @dataclass(frozen=True)
-class Judge:
+class SceneJudge:
     """The cameras that say what is useful, and the photos that PSNR is measured on.
 
     on_render: called after each picture.
@@ -77,7 +77,7 @@ class Judge:
         return mean_psnr(renderer, views, scene.settings.background, self.on_render)
 
     def importance(self, scene: QuantizedScene) -> npt.NDArray[np.float64]:
-        """Of each anchor, (A,)."""
+        """The squared error of the pictures that each anchor saves, (A,)."""
         room = PIXELS * len(scene.anchors)
         cameras = [
             camera.reduced(2 if camera.width * camera.height >= 4 * room else 1)
@@ -104,9 +104,9 @@ class Reduced:
 
 
 def reduce_to_size(
-    scene: QuantizedScene, target: int, encode: Encode, judge: Judge | None
+    scene: QuantizedScene, target: int, encode: Encode, judge: SceneJudge | None
 ) -> Reduced:
-    """At most ``target`` bytes, at least 99 % of them if anchors suffice.
+    """Reduce a scene to at most ``target`` bytes, at least 99 % of them if anchors suffice.
 
     Raises:
         UsageError: the file is larger even without anchors.
@@ -127,8 +127,10 @@ def reduce_to_size(
     return Reduced(found, data, factors, (before, judge.psnr(found)))
 
 
-def reduce_to_psnr(scene: QuantizedScene, target: float, encode: Encode, judge: Judge) -> Reduced:
-    """The fewest anchors, most useful first, that keep ``target`` dB on the views.
+def reduce_to_psnr(
+    scene: QuantizedScene, target: float, encode: Encode, judge: SceneJudge
+) -> Reduced:
+    """Keep the fewest anchors, most useful first, that have ``target`` dB on the views.
 
     Raises:
         UsageError: the whole scene is below ``target``, or one without anchors is not.
@@ -158,13 +160,13 @@ def reduce_to_psnr(scene: QuantizedScene, target: float, encode: Encode, judge: 
 
 
 def rank(
-    scene: QuantizedScene, judge: Judge, too_few: Callable[[QuantizedScene], bool]
+    scene: QuantizedScene, judge: SceneJudge, too_few: Callable[[QuantizedScene], bool]
 ) -> tuple[npt.NDArray[np.intp], tuple[int, int]]:
-    """The anchors (A,), most useful first; what is left is judged again after every ROUND.
+    """Order the anchors (A,), most useful first; those left are judged again after every ROUND.
 
     Anchors gain importance as others go. Rounds end when ``too_few`` says that a cut goes too far.
-    With them, two numbers of anchors, first ones first: one that is too few (or 0), and one that
-    is not.
+    Also returned are two numbers of anchors, counted in this order: one that is too few (or 0), and
+    one that is not.
     """
     rows, dropped = np.arange(len(scene.anchors)), np.empty(0, np.intp)
     while True:
@@ -177,11 +179,12 @@ def rank(
 
 
 def _best_factors(
-    scene: QuantizedScene, order: npt.NDArray[np.intp], room: float, judge: Judge
+    scene: QuantizedScene, order: npt.NDArray[np.intp], room: float, judge: SceneJudge
 ) -> Factors:
-    """What Q is multiplied by for the best PSNR in about ``room`` bits of anchors.
+    """Find what to multiply Q by for the best PSNR in about ``room`` bits of anchors.
 
-    First ones of ``order`` first. One STEP of one attribute at a time, while that is a gain.
+    Anchors are kept from the start of ``order`` on. One attribute becomes one STEP coarser at a
+    time, as long as that is a gain.
     """
 
     def reached(factors: Factors) -> float:
@@ -202,10 +205,10 @@ def _best_factors(
 
 
 def spread(cameras: Sequence[Camera], count: int) -> list[int]:
-    """The numbers of ``count`` of the cameras, or of all, in rising order.
+    """Choose ``count`` of the cameras, or all, far from each other; their numbers, ascending.
 
-    The first one, then always the one whose centre is farthest from those chosen before it
-    (Gonzalez 1985); of equals the one with the smallest number.
+    The first camera is chosen, then always the one whose centre is farthest from those chosen
+    before (Gonzalez 1985); of equals the one with the smallest number.
     """
     centre = np.array([camera.centre for camera in cameras])
     distance = np.full(len(cameras), np.inf)

@@ -27,7 +27,7 @@ METRICS = {
 """Names in the family's files, and ours; the last is no part of them, and marks the other form."""
 
 HEADER = ("Submethod", "PSNR", "SSIM", "LPIPS", "Size [Bytes]", "#Gaussians")
-"""Of the 3DGS compression survey's tables of results, one file a scene."""
+"""Columns of the tables of results of the 3DGS compression survey, one file per scene."""
 
 FILES = ("results.json", "per_view.json")
 

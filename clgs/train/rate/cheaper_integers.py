@@ -12,24 +12,24 @@ from clgs.ops import rate
 Floats = npt.NDArray[np.float64]
 
 LEAST_SCALE = 0.05
-"""Of the Laplace law of a channel, in integers: what is nearly constant stays so."""
+"""The least scale of the Laplace law of a channel, in integers: constant channels stay so."""
 
 SCALES_PER_OCTAVE = 4
 """Integers per unit are powers of the root of this order of 2."""
 
 LEAST_POWER, MOST_POWER = -2 * SCALES_PER_OCTAVE, 8 * SCALES_PER_OCTAVE
-"""From 1/4 to 256 integers per unit."""
+"""Powers for 1/4 and for 256 integers per unit."""
 
 BLOCK = 256
 """Rows looked at at once: what is computed of them stays in a processor's cache."""
 
 SAMPLED = 4096
-"""Rows that :func:`best_scale` looks at, at least if there are so many."""
+"""The least number of rows that :func:`best_scale` looks at, if there are that many."""
 
 
 @dataclass(frozen=True)
 class LaplaceLaw:
-    """What integers of each channel cost in nats, see ``clgs.ops.rate``; all (channels,) float64.
+    """What the integers of each channel cost in nats, see ``clgs.ops.rate``; (channels,) float64.
 
     Beyond half an integer from the mean the cost is linear in the distance, and only one integer,
     ``centre``, is nearer.
@@ -57,7 +57,7 @@ class LaplaceLaw:
         )
 
     def nats(self, integers: Floats) -> Floats:
-        """Of the integers (A, channels), each."""
+        """What each of the integers (A, channels) costs, in nats."""
         nats = np.subtract(integers, self.mean)
         np.abs(nats, out=nats)
         nats -= 0.5
@@ -93,7 +93,7 @@ def cheaper_integers(
 
 
 def _cheapest(exact: Floats, weight: Floats, nat: float, law: LaplaceLaw) -> Floats:
-    """Of the integers near ``exact`` (A, channels), those with the least sum.
+    """The integers near ``exact`` (A, channels) with the least sum of loss and bits.
 
     ``weight``: the curvature of the loss by integers; ``nat``: the price of a nat.
     """

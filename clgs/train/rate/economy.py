@@ -82,7 +82,7 @@ changes of single values, and pictures that fit badly seem to allow large change
 """
 
 NO_LIMIT = 1000.0
-"""From this many times the usual lambda on the loss has no limit; the power stays finite."""
+"""The loss has no limit from this many times the usual lambda on; the power stays finite."""
 
 SPARE = 0.995
 """The share of the requested size that rounds aim at: the MLPs still change."""

@@ -1,6 +1,7 @@
 """How many bits integers take if each channel is coded by its own frequencies.
 
-Or by those among anchors that are about as active: a guess at the file that takes milliseconds.
+The frequencies are those of all anchors, or of anchors that are about as active. This estimate of
+the file takes milliseconds.
 """
 
 from __future__ import annotations
@@ -12,18 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 MOST_VALUES = 2**16
-"""Counted in a table if they lie within so many integers; else they are sorted, which is slower."""
+"""Values are counted in a table if they span fewer integers; else they are sorted: slower."""
 
 
 CLASSES = 16
-"""Of anchors, by how large their integers are: about what the encoder's contexts tell."""
+"""Classes of anchors by the size of their integers: about what the encoder's contexts know."""
 
 
 def coded_bits(integers: Mapping[str, npt.NDArray[np.integer]]) -> dict[str, float]:
-    """About the bits in the file of each attribute: ``offset``, ``feature``, ``scaling`` (A, ...).
+    """Estimate the bits in the file of ``offset``, ``feature`` and ``scaling`` (A, ...) each.
 
-    Features and scalings among anchors whose features are about as large, offsets among anchors
-    whose offsets are; or without classes, if that takes less.
+    Features and scalings are counted among anchors whose features are about as large, offsets among
+    anchors whose offsets are; or without classes, if that takes less.
     """
     active = {name: activity_classes(integers[name]) for name in ("feature", "offset")}
     classes = {**active, "scaling": active["feature"]}
@@ -34,7 +35,7 @@ def coded_bits(integers: Mapping[str, npt.NDArray[np.integer]]) -> dict[str, flo
 
 
 def activity_classes(integers: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
-    """The class (A,) of each anchor, 0 to CLASSES - 1: equally many anchors in each, about."""
+    """The class (A,) of each anchor, 0 to CLASSES - 1, with about equally many anchors in each."""
     if not len(integers):
         return np.zeros(0, np.int64)
     size = np.abs(integers.reshape(len(integers), -1)).mean(axis=1, dtype=np.float64)

@@ -34,7 +34,7 @@ class Keeper:
     """Writes the checkpoints of a run."""
 
     def __init__(self, folder: Path, trainer: Trainer) -> None:
-        """Of ``trainer``, whose present state is on the disk already; ``folder``: run folder."""
+        """Keep ``trainer``, whose present state is on the disk already; ``folder``: run folder."""
         self._folder, self._trainer = folder / "checkpoint", trainer
         self._saved_step = trainer.steps_done
         self._full = False
@@ -63,7 +63,7 @@ class Keeper:
         self._saved_step, self._full = self._trainer.steps_done, False
 
     def try_save(self) -> None:
-        """As :meth:`save`, but a full disk is a warning, the first time, and makes tries frequent.
+        """Do what :meth:`save` does; a full disk gives a warning, once, and makes tries frequent.
 
         Raises:
             ClgsError: the file cannot be written for another reason.
@@ -82,7 +82,7 @@ class Keeper:
             FullDiskError: no room came in WAIT_SECONDS, or the run can be resumed without loss.
             OSError: another failure of ``work``.
         """
-        deadline, told = time.monotonic() + WAIT_SECONDS, False
+        deadline, warned = time.monotonic() + WAIT_SECONDS, False
         while True:
             try:
                 return work()
@@ -91,12 +91,12 @@ class Keeper:
                     raise
                 if self._is_saved() or time.monotonic() >= deadline:
                     raise self._no_room(error) from error
-                if not told:
+                if not warned:
                     _log.warning(
                         "%s: %s; free space: the scene waits for it up to %.0f minutes",
                         *(error.filename, error.strerror, WAIT_SECONDS / 60),
                     )
-                told = True
+                warned = True
             time.sleep(WAIT_INTERVAL)
             self.try_save()
 
@@ -104,7 +104,7 @@ class Keeper:
         return self._saved_step == self._trainer.steps_done
 
     def _no_room(self, error: OSError) -> FullDiskError:
-        again = f"goes on after step {self._saved_step}" if self._saved_step else "starts anew"
+        again = f"goes on after step {self._saved_step}" if self._saved_step else "starts again"
         return FullDiskError(
             f"{error.filename}: {error.strerror}; free space, then repeat the command with "
             f"--resume: it {again}"

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from clgs.codec.fit_size import POSITION_BITS
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
 from clgs.data.origin import write_origin
@@ -25,7 +25,7 @@ from clgs.shapes import check_type
 from clgs.signals import interruptions
 from clgs.train.config import TrainConfig
 from clgs.train.config.size_settings import MLP_BYTES
-from clgs.train.quality.rate_control import MAX_CAMERAS, Judge, reduce_to_size, spread
+from clgs.train.quality.rate_control import MAX_CAMERAS, SceneJudge, reduce_to_size, spread
 from clgs.train.quality.score_views import (
     Pictures,
     ViewScore,
@@ -33,28 +33,25 @@ from clgs.train.quality.score_views import (
     mean_psnr,
     summarize,
 )
-from clgs.train.run.finished_run import (
+from clgs.train.run.full_disk import Keeper
+from clgs.train.run.load import random_start, with_points
+from clgs.train.run.progress_log import ProgressLog
+from clgs.train.run.run_folder import (
     RESULTS,
+    FolderLock,
     RunResult,
     check_run_folder,
     finished_run,
     remove_run,
     settings_for,
 )
-from clgs.train.run.folder_lock import FolderLock
-from clgs.train.run.full_disk import Keeper
-from clgs.train.run.load import random_start, with_points
-from clgs.train.run.progress_log import ProgressLog
 from clgs.train.run.trainer import StepResult, Trainer
 from clgs.train.state.checkpoint import checkpoints
 from clgs.train.state.hashes import fingerprint, run_digest
 
 HASHED_VIEWS = 3
-POSITION_BITS = 12.0
-"""Bits that an anchor's position takes, for the size estimate shown while training."""
-
 TRAINING_VIEWS = 16
-"""Of the training views, at most so many are scored at the end."""
+"""The most training views that are scored at the end."""
 
 
 @dataclass
@@ -161,7 +158,9 @@ class Session:
             progress.psnr = self._log_psnr(f"{marks[result.step]} the switch")
         if result.step % config.log_interval == 0 or result.step == config.steps:
             progress.psnr = self.fixed_view_psnr()
-            progress.estimated_bytes = self._estimated_bytes()
+            bits = self.trainer.estimated_bits() + POSITION_BITS
+            anchors = int(self.trainer.parameters.count * bits / 8)
+            progress.estimated_bytes = anchors + MLP_BYTES[config.mlp]
             self.log.write(result, progress.psnr, progress.estimated_bytes)
         if self.keeper.interval and result.step % self.keeper.interval == 0:
             self.keeper.try_save()
@@ -182,43 +181,45 @@ class Session:
         """PSNR on the fixed training views, of the rounded scene while quantising."""
         return self.trainer.psnr(self.fixed_views())
 
-    def _estimated_bytes(self) -> int:
-        bits = self.trainer.estimated_bits() + POSITION_BITS
-        return int(self.trainer.parameters.count * bits / 8) + MLP_BYTES[self.config.mlp]
-
     def _finish(self) -> RunResult:
+        """Write the scene and everything that is known of it."""
+        config, dataset, device = self.config, self.dataset, self.device
+        options = self.trainer.options
         self.log.flush()
-        self.device.release_unused()
+        device.release_unused()
         scene = self._within_size(self.trainer.quantized_scene())
         save_scene(self.folder / "scene.npz", scene)
-        views = (self.dataset.test or self.dataset.train)[:HASHED_VIEWS]
-        cameras = [view.camera for view in views]
-        hashes = fingerprint(self.device, scene, cameras, self.config.accuracy)
+        views = dataset.test or dataset.train
+        cameras = [view.camera for view in views[:HASHED_VIEWS]]
+        hashes = fingerprint(device, scene, cameras, config.accuracy)
         write_json(self.folder / "hashes.json", hashes)
         bitstream = encode(scene)
         atomic_write(self.folder / "scene.clgs", bitstream)
-        views = self.dataset.test or self.dataset.train
-        pictures = PictureFolder(self.folder, self.config.steps, [view.name for view in views])
-        options = self.trainer.options
+        pictures = PictureFolder(self.folder, config.steps, [view.name for view in views])
 
         def keep(score: ViewScore, seen: Pictures) -> None:
             pictures.add(score.name, seen.render, seen.photo)
 
-        scores = evaluate_views(self.device, scene, views, keep, options)
+        scores = evaluate_views(device, scene, views, keep, options)
         summary = summarize(scene, scores, len(bitstream))
-        summary |= self._training_psnr(scene)
-        if self.config.target_size:
-            summary["target_size"] = self.config.target_size
+        if dataset.test:  # some training views, to compare with the held-out ones
+            train = dataset.train
+            chosen = [train[i] for i in spread([view.camera for view in train], TRAINING_VIEWS)]
+            renderer = Renderer(device, scene.dequantize(), options)
+            mean = mean_psnr(renderer, chosen, scene.settings.background)
+            summary |= {"train_psnr": mean, "train_views": len(chosen)}
+        if config.target_size:
+            summary["target_size"] = config.target_size
         summary |= {
-            "accuracy": self.config.accuracy,
-            "split": "test" if self.dataset.test else "train",
-            "steps": self.config.steps,
+            "accuracy": config.accuracy,
+            "split": "test" if dataset.test else "train",
+            "steps": config.steps,
             "train_seconds": self.log.seconds,
-            "seconds_per_step": self.log.seconds / max(1, self.config.steps),
+            "seconds_per_step": self.log.seconds / max(1, config.steps),
             "peak_memory_bytes": peak_memory(),
-            "device": self.device.name,
-            "skipped_images": self.dataset.skipped,
-            "digest": run_digest(self.dataset, self.config),
+            "device": device.name,
+            "skipped_images": dataset.skipped,
+            "digest": run_digest(dataset, config),
             "merged_anchors": self.trainer.state.merged,
             "switch_psnr": self.log.events,
         }
@@ -226,28 +227,18 @@ class Session:
         write_json(self.folder / RESULTS, summary)
         return RunResult(self.folder, scene, bitstream, summary)
 
-    def _training_psnr(self, scene: QuantizedScene) -> dict[str, Any]:
-        """PSNR on some of the training views, to set beside that of the held-out ones."""
-        views = self.dataset.train
-        if not self.dataset.test:
-            return {}
-        chosen = [views[i] for i in spread([view.camera for view in views], TRAINING_VIEWS)]
-        renderer = Renderer(self.device, scene.dequantize(), self.trainer.options)
-        mean = mean_psnr(renderer, chosen, scene.settings.background)
-        return {"train_psnr": mean, "train_views": len(chosen)}
-
     def _within_size(self, scene: QuantizedScene) -> QuantizedScene:
-        """The scene, or so much of it as fits the size asked for.
+        """The scene, or the part of it that fits the size asked for.
 
-        The rounds of training see to the size; this is for runs of a few steps, which have none,
-        and for networks that grew after the last round.
+        Rounds of training meet the size. This is for runs of a few steps, which have none, and for
+        networks that grew after the last round.
         """
         target = self.config.target_size
         if not target or len(encode(scene)) <= target:
             return scene
         cameras = [view.camera for view in self.dataset.train]
         chosen = [cameras[i] for i in spread(cameras, MAX_CAMERAS)]
-        judge = Judge(self.device, chosen, self.fixed_views(), self.trainer.options)
+        judge = SceneJudge(self.device, chosen, self.fixed_views(), self.trainer.options)
         return reduce_to_size(scene, target, encode, judge).scene
 
 

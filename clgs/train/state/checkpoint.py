@@ -95,7 +95,7 @@ def load(folder: Path, digest: str, changed: str = "") -> tuple[Arrays, Scalars]
         return arrays, scalars
     damaged = "its one checkpoint is" if len(paths) == 1 else f"all {len(paths)} checkpoints are"
     found = f"{damaged} damaged" if paths else "no checkpoint"
-    raise DataError(f"{folder}: {found}; start the run anew")
+    raise DataError(f"{folder}: {found}; start the run again")
 
 
 def checkpoints(folder: Path) -> list[Path]:

@@ -26,9 +26,11 @@ from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
 from clgs.train.config import TrainConfig
 
+CAMERA_NUMBERS = ("fx", "fy", "cx", "cy", "width", "height")
+
 MAX_NUMBER = 1e12
 MIN_FOCAL = 1e-6
-"""A camera's numbers keep to these, so that float32 holds all that follows from them."""
+"""Limits of a camera's numbers, so that float32 holds everything that follows from them."""
 
 
 def run_digest(dataset: Dataset, config: TrainConfig) -> str:
@@ -74,7 +76,14 @@ def fingerprint(
         "scene": scene_hash(scene),
         "accuracy": accuracy,
         "renders": render_hashes(device, scene, cameras, accuracy),
-        "cameras": [_camera_record(camera) for camera in cameras],
+        "cameras": [
+            {
+                "rotation": camera.rotation.tolist(),
+                "translation": camera.translation.tolist(),
+                **{name: getattr(camera, name) for name in CAMERA_NUMBERS},
+            }
+            for camera in cameras
+        ],
     }
 
 
@@ -130,19 +139,10 @@ def _read_cameras(expected: Any) -> list[Camera]:
     return [_camera(record, f"camera {index}") for index, record in enumerate(cameras)]
 
 
-def _camera_record(camera: Camera) -> dict[str, Any]:
-    plain = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
-    return {
-        "rotation": camera.rotation.tolist(),
-        "translation": camera.translation.tolist(),
-        **plain,
-    }
-
-
 def _camera(record: Any, source: str) -> Camera:
     if not isinstance(record, dict):
         raise ValueError(f"{source}: no JSON object")
-    lens = {name: _number(record, name, source) for name in ("fx", "fy", "cx", "cy")}
+    lens = {name: float(_array(record, name, (), source)) for name in ("fx", "fy", "cx", "cy")}
     if not min(lens["fx"], lens["fy"]) >= MIN_FOCAL:
         raise ValueError(f"{source}: fx and fy must be positive")
     width, height = record.get("width"), record.get("height")
@@ -153,10 +153,6 @@ def _camera(record: Any, source: str) -> Camera:
     rotation = _array(record, "rotation", (3, 3), source)
     translation = _array(record, "translation", (3,), source)
     return Camera(rotation, translation, **lens, width=width, height=height)
-
-
-def _number(record: dict[str, Any], name: str, source: str) -> float:
-    return float(_array(record, name, (), source))
 
 
 def _array(

@@ -24,7 +24,7 @@
 #define QUADS (SAMPLES / 4)
 #define SHARES (LAYER_ITEMS / QUADS)
 
-/* Units of each work-item if a layer has so many. */
+/* Units of each work-item in a layer of `layer_units`. */
 #define UNITS(layer_units) (((layer_units) + SHARES - 1) / SHARES)
 #define MOST_UNITS UNITS(7 * K_OFFSETS)
 

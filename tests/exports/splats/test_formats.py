@@ -77,7 +77,7 @@ def test_spz_tells_of_sizes_that_it_cannot_hold(caplog):
     sizes[1] = 80.0
     stored = encode_spz(replace(whole, log_scale=sizes)).gaussians
     assert stored.log_scale[1] == pytest.approx(5.94, abs=0.01)
-    assert "1 Gaussians are larger than the 379 units that .spz can tell" in caplog.text
+    assert "1 Gaussians are larger than the 379 units that .spz can hold" in caplog.text
 
 
 def test_spz_keeps_the_largest_coordinate():

@@ -105,7 +105,7 @@ def every_tile_lists(device: Any, scene: ProjectedScene, size: tuple[int, int]) 
 
 
 def part_of_lists(device: Any, whole: tiles.TileLists, first: int, last: int) -> tiles.TileLists:
-    """The lists of tiles [first, last), all others empty; rows are numbered anew."""
+    """The lists of tiles [first, last), all others empty; rows are numbered again from 0."""
     names = ("gaussian", "row", "tile_range", "row_range")
     lists = {name: device.download(getattr(whole, name)) for name in names}
     count = len(lists["row_range"]) - 1

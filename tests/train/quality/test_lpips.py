@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.errors import ClgsError, DataError
-from clgs.train.quality.lpips import Lpips, require_onnx
-from clgs.train.quality.lpips_weights import read_lpips_weights
+from clgs.train.quality.lpips import Lpips, read_lpips_weights, require_onnx
 from tests.train.quality import lpips_reference as reference
 from tests.train.quality.test_metrics import pictures
 

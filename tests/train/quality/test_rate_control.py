@@ -25,7 +25,7 @@ from clgs.train.quality.importance import (
     sensitivity,
 )
 from clgs.train.quality.metrics import to_8bit
-from clgs.train.quality.rate_control import Judge, reduce_to_psnr, reduce_to_size
+from clgs.train.quality.rate_control import SceneJudge, reduce_to_psnr, reduce_to_size, spread
 from tests.codec.scenes import random_scene
 
 
@@ -97,7 +97,7 @@ def test_a_size_is_met_and_the_useful_kept(
     device: Device, seen: tuple[QuantizedScene, View], share: float
 ) -> None:
     scene, view = seen
-    judge = Judge(device, [view.camera] * 4, [view])
+    judge = SceneJudge(device, [view.camera] * 4, [view])
     target = int(share * len(fast(scene)))
     found = reduce_to_size(scene, target, fast, judge)
     assert 0.98 * target <= len(found.data) <= target
@@ -113,7 +113,7 @@ def test_a_size_is_met_and_the_useful_kept(
 
 def test_a_scene_that_fits_is_left_alone(device: Device, seen: tuple[QuantizedScene, View]) -> None:
     scene, view = seen
-    found = reduce_to_size(scene, len(fast(scene)), fast, Judge(device, [view.camera], [view]))
+    found = reduce_to_size(scene, len(fast(scene)), fast, SceneJudge(device, [view.camera], [view]))
     assert found.scene is scene
     assert found.psnr is not None
     assert found.psnr[0] == found.psnr[1]
@@ -123,7 +123,7 @@ def test_a_psnr_is_kept_with_fewer_anchors(
     device: Device, seen: tuple[QuantizedScene, View]
 ) -> None:
     scene, view = seen
-    judge = Judge(device, [view.camera], [view])
+    judge = SceneJudge(device, [view.camera], [view])
     whole = judge.psnr(scene)
     found = reduce_to_psnr(scene, whole - 6.0, fast, judge)
     assert found.psnr == (whole, judge.psnr(found.scene))
@@ -138,7 +138,7 @@ def test_a_psnr_is_kept_with_fewer_anchors(
 def test_the_same_bytes_every_time(device: Device, seen: tuple[QuantizedScene, View]) -> None:
     scene, view = seen
     target = int(0.8 * len(fast(scene)))
-    judge = Judge(device, [view.camera] * 2, [view])
+    judge = SceneJudge(device, [view.camera] * 2, [view])
     first, second = (reduce_to_size(scene, target, fast, judge) for _ in range(2))
     assert first.data == second.data
     assert first.psnr == second.psnr
@@ -150,7 +150,7 @@ def test_nearly_the_whole_file_is_met(
 ) -> None:
     scene, view = seen
     target = len(fast(scene)) - tight
-    found = reduce_to_size(scene, target, fast, Judge(device, [view.camera], [view]))
+    found = reduce_to_size(scene, target, fast, SceneJudge(device, [view.camera], [view]))
     assert 0.98 * target <= len(found.data) <= target
 
 
@@ -159,7 +159,7 @@ def test_what_cannot_be_reached_is_refused_before_rendering(
 ) -> None:
     scene, view = seen
     renders: list[None] = []
-    judge = Judge(device, [view.camera], [view], on_render=lambda: renders.append(None))
+    judge = SceneJudge(device, [view.camera], [view], on_render=lambda: renders.append(None))
     with pytest.raises(UsageError, match="a file of 100 bytes is too small"):
         reduce_to_size(scene, 100, fast, judge)
     assert not renders
@@ -183,7 +183,7 @@ def test_pictures_with_room_are_judged_at_half_the_resolution(
     # Two pixels an anchor remain of the larger one.
     side = int(np.ceil(np.sqrt(8 * len(scene.anchors))))
     cameras = [view.camera.resized(size, size) for size in (side - 1, side)]
-    Judge(device, cameras, [view]).importance(scene)
+    SceneJudge(device, cameras, [view]).importance(scene)
     assert widths == [side - 1, round(side / 2)]
 
 
@@ -193,7 +193,7 @@ def test_without_views_large_anchors_come_first(seen: tuple[QuantizedScene, View
     assert (np.diff(shape[np.argsort(useful, kind="stable")]) >= 0).all()
 
 
-class Counting(Judge):
+class Counting(SceneJudge):
     """Every anchor is worth a decibel more than none has."""
 
     def psnr(self, scene: QuantizedScene, count: int | None = None) -> float:
@@ -217,7 +217,7 @@ def test_a_psnr_that_needs_no_anchor_is_refused(
 ) -> None:
     """A size that no file meets is refused likewise; both say what a file without anchors has."""
     scene, view = seen
-    judge = Judge(device, [view.camera], [view])
+    judge = SceneJudge(device, [view.camera], [view])
     least = judge.psnr(take(scene, np.arange(0)))
     said = rf"^1 dB is too little: {least:.2f} dB remain without anchors; ask for more$"
     with pytest.raises(UsageError, match=said):
@@ -225,3 +225,24 @@ def test_a_psnr_that_needs_no_anchor_is_refused(
     found = reduce_to_psnr(scene, least + 0.1, fast, judge)
     assert found.psnr is not None
     assert found.psnr[1] >= least + 0.1
+
+
+def cameras(centres: list[float]) -> list[Camera]:
+    """Cameras on a line."""
+    size = (10.0, 10.0, 4.0, 4.0, 8, 8)
+    return [Camera(np.eye(3), np.array([-x, 0.0, 0.0]), *size) for x in centres]
+
+
+def test_the_farthest_come_first() -> None:
+    line = cameras([0.0, 1.0, 2.0, 3.0, 10.0, 11.0, 5.0])
+    assert spread(line, 1) == [0]
+    assert spread(line, 2) == [0, 5]
+    assert spread(line, 3) == [0, 5, 6]
+    assert spread(line, 4) == [0, 2, 5, 6]
+
+
+def test_no_camera_comes_twice() -> None:
+    one_place = cameras([1.0] * 5)
+    assert spread(one_place, 3) == [0, 1, 2]
+    assert spread(one_place, 9) == [0, 1, 2, 3, 4]
+    assert spread([], 3) == []

@@ -22,7 +22,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def nats_of(integers: Floats, nearest: Floats) -> Floats:
-    """By the float64 reference, under the law of ``nearest``."""
+    """The float64 reference's nats, under the law of ``nearest``."""
     mean = nearest.mean(axis=0)
     scale = np.maximum(np.abs(nearest - mean).mean(axis=0), LEAST_SCALE)
     return laplace_nats(np.abs(integers - mean), np.broadcast_to(scale, integers.shape))

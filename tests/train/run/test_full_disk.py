@@ -150,7 +150,7 @@ def test_an_interrupt_on_a_full_disk_says_what_is_lost(disk, train):
         if progress.result.step == 3:
             os.kill(os.getpid(), signal.SIGTERM)
 
-    with pytest.raises(FullDiskError, match=r"checkpoint.*No space left.*--resume: it starts anew"):
+    with pytest.raises(FullDiskError, match=r"checkpoint.*No space left.*it starts again"):
         train(on_progress)
 
 
@@ -167,7 +167,7 @@ def small_disk(tmp_path):
 
 
 def take_all(path):
-    """Leave no room beside ``path``."""
+    """Leave no room next to ``path``."""
     with path.open("ab", buffering=0) as file, suppress(OSError):
         while True:
             file.write(bytes(4096))

@@ -1,9 +1,11 @@
-"""A folder of a finished run: what it holds, and whether it matches the request."""
+"""The folder of a run: one process at a time works in it; what a finished run left there."""
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import weakref
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,6 @@ from clgs.errors import DataError, ExistsError, UsageError
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig
-from clgs.train.run.folder_lock import FolderLock
 from clgs.train.state.checkpoint import checkpoints
 from clgs.train.state.hashes import read_fingerprint, run_digest, scene_hash
 from clgs.train.state.resume import SETTINGS, changed_settings
@@ -27,10 +28,44 @@ FILES = (
     *("scene.clgs", "scene.npz", "progress.csv", "per_view.json", "hashes.json", "preview.png"),
     *("profile.json", "report.html", ORIGIN, RESULTS, SETTINGS),
 )
-"""What a run writes, besides its folders and points; SETTINGS, by which it is known, at the end."""
+"""What a run writes, except its folders and points; SETTINGS, by which it is known, comes last."""
 
 SHOWN = {"split", "psnr", "ssim", "bytes", "anchors", "train_seconds", "digest"}
 """The fields of it that are read again."""
+
+
+class FolderLock:
+    """A lock that is held until :meth:`release`, or until the process ends in any way.
+
+    Nothing is written. On Windows, and on file systems without locks, it has no effect.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Lock ``folder``, which exists.
+
+        Raises:
+            DataError: another process, or another lock of this one, holds it.
+        """
+        if os.name == "nt":
+            return
+        import fcntl
+
+        opened = os.open(folder, os.O_RDONLY)
+        self._close = weakref.finalize(self, os.close, opened)
+        try:
+            fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.release()
+            raise DataError(
+                f"{folder}: another process works in it; wait for it, or choose another folder"
+            ) from None
+        except OSError:
+            self.release()
+
+    def release(self) -> None:
+        """Let others in."""
+        if os.name != "nt":
+            self._close()
 
 
 @dataclass
@@ -69,7 +104,7 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
     except (DataError, ValueError, TypeError, KeyError, RecursionError, FileNotFoundError) as error:
         raise DataError(
             f"{folder}: a finished run, but damaged ({error}); remove {RESULTS} and resume again "
-            "to make its files anew, or name another run folder"
+            "to make its files again, or name another run folder"
         ) from error
     config = settings_for(dataset, config)
     if digest != run_digest(dataset, config):
@@ -82,11 +117,11 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
 
 
 def check_run_folder(folder: Path, resume: bool, overwrite: bool) -> None:
-    """See that a run may go to ``folder``.
+    """Make sure that a run may go to ``folder``.
 
     Raises:
         ExistsError: it holds a run, which is neither to be resumed nor overwritten.
-        UsageError: it is to be both.
+        UsageError: both are asked for.
         DataError: another process works in it.
     """
     if resume and overwrite:
@@ -100,7 +135,7 @@ def check_run_folder(folder: Path, resume: bool, overwrite: bool) -> None:
 
 
 def check_same_data(folder: Path, data: Path) -> None:
-    """See that the run in ``folder``, if there is one, is of the data set ``data``.
+    """Make sure that the run in ``folder``, if there is one, is of the data set ``data``.
 
     A data set that is not where it was any more may be this one.
 

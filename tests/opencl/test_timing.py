@@ -1,10 +1,12 @@
-"""Times of kernels by the device's clock."""
+"""Times of kernels by the device's clock, and what counts as a wait."""
 
 from __future__ import annotations
 
 import numpy as np
+import pyopencl as cl
 import pytest
 
+from clgs.opencl.timing import Waits
 from clgs.ops import adam
 
 
@@ -43,3 +45,22 @@ def test_after_the_block_all_is_as_before(device):
     assert device.queue is queue
     np.testing.assert_array_equal(device.download(found[0]), np.arange(1000))
     assert check(device) == 0
+
+
+class Event:
+    def __init__(self, status):
+        self.command_execution_status = status
+
+    def wait(self):
+        if self.command_execution_status < 0:
+            raise ValueError("the command failed")
+
+
+def test_a_wait_for_what_is_complete_is_none():
+    status, waits = cl.command_execution_status, Waits()
+    waits.wait(Event(status.COMPLETE))
+    assert (waits.count, waits.seconds) == (0, 0.0)
+    waits.wait(Event(status.RUNNING))
+    assert (waits.count, waits.seconds >= 0) == (1, True)
+    with pytest.raises(ValueError, match="failed"):
+        waits.wait(Event(-5))
