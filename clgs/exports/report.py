@@ -102,13 +102,17 @@ def report_html(report: Report, views: Sequence[ReportView]) -> str:
         _curve(report.curve),
         _pictures(shown(views), report.held_out),
         _scores(views),
-        _facts(report.facts),
+        facts_table(report.facts),
     ]
-    body = "\n".join(part for part in parts if part)
+    return html_page(report.title, "\n".join(part for part in parts if part))
+
+
+def html_page(title: str, body: str, style: str = "") -> str:
+    """A whole page; ``style`` is added to STYLE."""
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(report.title)}</title>\n<style>\n{STYLE}</style>\n</head>\n"
+        f"<title>{escape(title)}</title>\n<style>\n{STYLE}{style}</style>\n</head>\n"
         f"<body>\n{body}\n</body>\n</html>\n"
     )
 
@@ -238,7 +242,8 @@ def _scores(views: Sequence[ReportView]) -> str:
     return f"<section><h2>Scores by view</h2><table>{head}{rows}</table></section>"
 
 
-def _facts(facts: Mapping[str, str]) -> str:
+def facts_table(facts: Mapping[str, str]) -> str:
+    """The small print, (name, text); nothing if there is none."""
     if not facts:
         return ""
     rows = "".join(f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in facts.items())

@@ -31,13 +31,8 @@ _serving: list[bool] = []
 _running: list[subprocess.Popen[str]] = []
 
 
-def run_child(
-    module: str,
-    task: str,
-    arguments: Any,
-    on_stage: OnStage,
-) -> Any:
-    """Run ``main()`` of a module, which calls :func:`serve`, in a child; returns its result.
+def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
+    """Run ``work(arguments, on_stage)`` of a module in a child process; returns its result.
 
     Args:
         module: the dotted name.
@@ -48,7 +43,10 @@ def run_child(
     Raises:
         DataError: the work failed, or the child crashed.
     """
-    program = f"import sys; sys.path[:] = {sys.path!r}; from {module} import main; main()"
+    program = (
+        f"import sys; sys.path[:] = {sys.path!r}; from clgs.poses.child import serve; "
+        f"from {module} import work; serve(work)"
+    )
     with subprocess.Popen(
         [sys.executable, "-c", program],
         stdin=subprocess.PIPE,

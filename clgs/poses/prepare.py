@@ -1,10 +1,16 @@
-"""Raw photos or a video to a COLMAP data set with a verdict on every pose."""
+"""Raw photos or a video to a COLMAP data set with a verdict on every pose, and its files."""
 
 from __future__ import annotations
 
+import io
+import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
+from PIL import Image
+
+from clgs.data.images import read_image
 from clgs.errors import DataError, ExistsError, OutputError
 from clgs.files import atomic_folder, check_folder, is_full
 from clgs.poses.bring_in import bring_in, find_source
@@ -12,9 +18,18 @@ from clgs.poses.drop import drop_doubtful as drop_doubtful_photos
 from clgs.poses.judging.verdict import Verdict
 from clgs.poses.pycolmap_lazy import SEEDS
 from clgs.poses.reconstruct import reconstruct
-from clgs.poses.report import CONTACT_SHEET, REPORT, write_report
 from clgs.poses.unfinished import owned, remove_leftovers, removed_if_killed
 from clgs.poses.workspace import OnProgress
+
+REPORT = "report.json"
+CONTACT_SHEET = "contact_sheet.jpg"
+"""All photos of the verdict, in its order; see :func:`contact_sheet`."""
+
+COLUMNS = 8
+CELL = (160, 120)
+"""Width and height of a photo on the sheet, pixels."""
+
+QUALITY = 80
 
 MADE = {"images", "masks", "sparse", REPORT, CONTACT_SHEET, "report.html"}
 """What this function, and the command of that name, make: a folder of these may be replaced."""
@@ -69,7 +84,10 @@ def prepare(
                 verdict = reconstruct(target, seed % SEEDS, quick, on_progress)
                 if drop_doubtful:
                     verdict = drop_doubtful_photos(target, verdict)
-                write_report(target, verdict, work / "images")
+                sheet = contact_sheet([work / "images" / one.name for one in verdict.photos])
+                (target / CONTACT_SHEET).write_bytes(sheet)
+                report = json.dumps(verdict.plain(), indent=1, allow_nan=False)
+                (target / REPORT).write_text(report + "\n", encoding="utf-8")
             shutil.rmtree(work)
             return verdict
     except OutputError:
@@ -94,3 +112,23 @@ def _check_replaceable(output: Path, photos: list[Path]) -> None:
         )
     if any(output.resolve() in path.resolve().parents for path in photos):
         raise ExistsError(f"{output}: holds the photos that are read; choose another")
+
+
+def contact_sheet(photos: Sequence[Path]) -> bytes:
+    """Make a JPEG file: COLUMNS photos per row, each reduced to fit into the middle of its CELL.
+
+    Raises:
+        DataError: a photo is damaged.
+    """
+    width, height = CELL
+    rows = -(-len(photos) // COLUMNS)
+    sheet = Image.new("RGB", (COLUMNS * width, max(rows, 1) * height), (128, 128, 128))
+    for number, path in enumerate(photos):
+        picture = Image.fromarray(read_image(path).color)
+        picture.thumbnail(CELL)
+        row, column = divmod(number, COLUMNS)
+        left = column * width + (width - picture.width) // 2
+        sheet.paste(picture, (left, row * height + (height - picture.height) // 2))
+    buffer = io.BytesIO()
+    sheet.save(buffer, "JPEG", quality=QUALITY)
+    return buffer.getvalue()

@@ -20,12 +20,11 @@ from clgs.data.images import image_size
 from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
 from clgs.poses.bring_in import camera_numbers
-from clgs.poses.child import OnStage, run_child, serve
-from clgs.poses.features import extract
+from clgs.poses.child import OnStage, run_child
 from clgs.poses.judging.judge import judge
 from clgs.poses.judging.verdict import Verdict, verdict_of
 from clgs.poses.mapping import look_again, map_half, map_photos
-from clgs.poses.matching import match
+from clgs.poses.matching import extract, match
 from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import OnProgress, Workspace
@@ -63,13 +62,8 @@ def reconstruct(target: Path, seed: int, quick: bool, on_progress: OnProgress) -
         raise
 
 
-def main() -> None:
-    """Run the process that reconstructs."""
-    serve(_work)
-
-
-def _work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
-    """Run all stages for the photos in the folder of the arguments; returns a plain verdict."""
+def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
+    """Be the child: run all stages for the photos in a folder; returns a plain verdict."""
     target, seed, quick = Path(arguments[0]), arguments[1], arguments[2]
     work, began = target / "work", dict[str, float]()
 

@@ -28,7 +28,7 @@ from clgs.data.masks import read_mask, save_mask
 from clgs.data.posed_photo import Photo
 from clgs.errors import DataError
 from clgs.files import atomic_path, make_folder
-from clgs.poses.child import OnStage, run_child, serve
+from clgs.poses.child import OnStage, run_child
 from clgs.poses.judging.evidence import sampson_error
 from clgs.poses.pycolmap_lazy import SEEDS, quiet_pycolmap
 
@@ -159,13 +159,8 @@ def _photo(plain: dict[str, Any]) -> Photo:
     return Photo(plain["name"], Path(plain["path"]), Lens(**lens), rotation, translation, mask)
 
 
-def main() -> None:
-    """Run the process that triangulates."""
-    serve(_work)
-
-
-def _work(arguments: Any, on_stage: OnStage) -> None:
-    """Write the points into a file in the folder of the arguments, in a canonical order."""
+def work(arguments: Any, on_stage: OnStage) -> None:
+    """Be the child: write the points, in a canonical order, into a file in the given folder."""
     photos, folder = [_photo(one) for one in arguments[0]], Path(arguments[1])
     seed = arguments[2] % SEEDS
     (folder / "grey").mkdir()

@@ -12,7 +12,7 @@ from clgs.data.lens import Lens
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.exports.poses_page import poses_html
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
-from clgs.poses.report import CELL, COLUMNS, contact_sheet
+from clgs.poses.prepare import CELL, COLUMNS, contact_sheet
 from tests.data.folders import noise_image, ring
 
 NAMES = ["a.jpg", "b & <b>.jpg", "c.jpg"]
