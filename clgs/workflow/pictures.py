@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -206,9 +205,12 @@ def render_clip(
             for camera in track(cameras, "rendering", len(cameras), on_event):
                 add(draw(camera).picture)
     else:
-        with _frame_folder(output, found.transform) as add_frame:
-            for camera in track(cameras, "rendering", len(cameras), on_event):
-                add_frame(draw(camera))
+        with folder_to_fill(output):
+            for number, camera in enumerate(track(cameras, "rendering", len(cameras), on_event)):
+                _save(output / f"frame_{number:05}.png", draw(camera), found.transform)
+        for older in _frames_in(output)[len(cameras) :]:
+            older.unlink()
+            older.with_suffix(".npy").unlink(missing_ok=True)
     if save_path is not None:
         world = [move_camera(camera, found.transform, SceneTransform()) for camera in cameras]
         write_camera_path(save_path, world, fps)
@@ -228,25 +230,6 @@ def _check_clip_output(output: Path, overwrite: bool, scene: Path) -> bool:
     for picture in _frames_in(output)[:1]:
         check_new(picture, overwrite)
     return False
-
-
-@contextmanager
-def _frame_folder(
-    output: Path, transform: SceneTransform
-) -> Iterator[Callable[[DrawnPicture], None]]:
-    """A function that writes the next frame to ``output``; at the end no older frame is left."""
-    count = 0
-
-    def add(frame: DrawnPicture) -> None:
-        nonlocal count
-        _save(output / f"frame_{count:05}.png", frame, transform)
-        count += 1
-
-    with folder_to_fill(output):
-        yield add
-    for path in _frames_in(output)[count:]:
-        path.unlink()
-        path.with_suffix(".npy").unlink(missing_ok=True)
 
 
 def _frames_in(folder: Path) -> list[Path]:

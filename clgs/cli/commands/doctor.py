@@ -23,11 +23,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was found; the exit code says whether there was an error.
-
-    Raises:
-        DataError: there is no data set.
-    """
+    """Print what was found; the exit code says whether there was an error."""
     import json
     from dataclasses import asdict
 
