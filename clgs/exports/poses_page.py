@@ -58,13 +58,7 @@ def write_poses_page(path: Path, data: Path, verdict: Verdict) -> None:
 
 
 def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:
-    """Make the page as text.
-
-    Args:
-        photos: with the poses that were found.
-        verdict: on all photos.
-        sheet: the contact sheet, a JPEG file.
-    """
+    """Make the page as text; ``photos`` have the poses that were found, ``sheet`` is a JPEG."""
     picture = base64.b64encode(sheet).decode()
     headline = [
         ("photos with a pose", f"{verdict.registered} / {verdict.total}"),

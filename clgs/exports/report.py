@@ -208,7 +208,13 @@ def _pictures(views: Sequence[ReportView], held_out: bool) -> str:
         caption = f"{view.name}: {view.psnr:.2f} dB, SSIM {view.ssim:.4f}"
         photo, render = view.pictures()
         trio = (("photo", photo), ("render", render), ("error", error_map(photo, render)))
-        images = "".join(_image(f"{name} of {view.name}", picture) for name, picture in trio)
+        # a picture fills the window while its hidden box is checked: no script is needed
+        images = "".join(
+            '<label><input type="checkbox" aria-label="enlarge">'
+            f'<img alt="{escape(f"{name} of {view.name}")}" src="data:image/jpeg;base64,'
+            f'{base64.b64encode(jpeg_bytes(picture)).decode()}"></label>'
+            for name, picture in trio
+        )
         figures.append(
             f"<figure><div>{images}</div><figcaption>{escape(caption)}</figcaption></figure>"
         )
@@ -219,15 +225,6 @@ def _pictures(views: Sequence[ReportView], held_out: bool) -> str:
     )
     title = "Held-out views" if held_out else "Training views"
     return f'<section><h2>{title}</h2><p class="soft">{text}</p>{"".join(figures)}</section>'
-
-
-def _image(name: str, picture: npt.NDArray[np.uint8]) -> str:
-    """A picture that fills the window while its hidden box is checked: no script is needed."""
-    data = base64.b64encode(jpeg_bytes(picture)).decode()
-    return (
-        f'<label><input type="checkbox" aria-label="enlarge">'
-        f'<img alt="{escape(name)}" src="data:image/jpeg;base64,{data}"></label>'
-    )
 
 
 def _scores(views: Sequence[ReportView]) -> str:

@@ -65,10 +65,7 @@ def extract(workspace: Workspace, size: int, quick: bool) -> None:
 
     All images are numbered before the search begins, so that results do not depend on threads.
 
-    Args:
-        workspace: of the reconstruction.
-        size: longer side of the largest photo, pixels.
-        quick: find fewer features.
+    ``size``: longer side of the largest photo, pixels; ``quick``: find fewer features.
     """
     pycolmap = workspace.pycolmap
     workspace.open().close()  # pycolmap imports into a database that exists
@@ -120,11 +117,8 @@ def match(
 
     The result does not depend on the number of processes.
 
-    Args:
-        workspace: of the reconstruction.
-        pairs: places in ``workspace.names``.
-        stage: for reports of progress.
-        ratio: largest distance of a match over the second best one; None: COLMAP's default.
+    ``pairs`` are places in ``workspace.names``; ``ratio`` is the largest distance of a match over
+    the second best one, by default COLMAP's.
 
     Raises:
         DataError: pycolmap fails.

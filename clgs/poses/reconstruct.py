@@ -43,11 +43,8 @@ _TASK = "structure from motion"
 def reconstruct(target: Path, seed: int, quick: bool, on_progress: OnProgress) -> Verdict:
     """Find poses and points of the photos in ``target``/work/images: fills images/ and sparse/0/.
 
-    Args:
-        target: folder of the new data set.
-        seed: of all random choices.
-        quick: half the features, one mapper, no second reconstruction.
-        on_progress: called with the progress of each stage after "read".
+    ``quick``: half the features, one mapper, no second reconstruction. ``on_progress`` receives the
+    progress of each stage after "read".
 
     Raises:
         DataError: no reconstruction, no pycolmap, or it crashed.
@@ -168,11 +165,8 @@ def _write_data_set(
 def _write_masks(pycolmap: Any, model: Any, masks: Path, target: Path) -> None:
     """Undistort masks as the photos of ``target``/images; photos without a black pixel get none.
 
-    Args:
-        pycolmap: the module.
-        model: with the cameras of the photos as they were taken.
-        masks: folder of NAME.png for the photo NAME; it may be missing.
-        target: the new data set; its folder of masks is made if it is needed.
+    ``model`` has the cameras of the photos as they were taken. ``masks`` holds NAME.png for the
+    photo NAME; it may be missing.
     """
     for image in model.images.values():
         file = masks / f"{image.name}.png"

@@ -87,12 +87,9 @@ def triangulate(
 ) -> Points:
     """Triangulate points that at least two of the ``photos`` see, at their given poses.
 
-    Args:
-        photos: with poses and lenses.
-        cache: a folder; the result is kept there under a name made from poses, lenses, contents of
-            images and seed, and is read from there the next time.
-        seed: of all random choices.
-        on_stage: called with a line of text before long work begins.
+    The result is kept in the folder ``cache``, under a name made from poses, lenses, contents of
+    images and seed, and is read from there the next time. ``on_stage`` receives a line of text
+    before long work begins.
 
     Raises:
         DataError: there are fewer than two photos, or pycolmap is missing or fails.

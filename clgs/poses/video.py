@@ -35,7 +35,6 @@ WHOLE = 0.95
 """A warning says so if a video ends before this share of its length."""
 
 JPEG_QUALITY = 95
-MAX_FRAMES = 10_000
 
 _ONLY_FILES = ["-protocol_whitelist", "file", "-nostdin"]
 """A video may name other files, even in the network; ffmpeg must not open them."""
@@ -59,14 +58,8 @@ def extract_frames(
 ) -> int:
     """Write ``count`` frames, or as many as there are, to ``folder`` as JPEG, in order.
 
-    Args:
-        path: of the video; the rotation that it asks for is applied.
-        folder: for frame_0001.jpg and so on.
-        count: of frames, 1 to MAX_FRAMES.
-        on_frame: called with the number of frames written so far.
-
-    Returns:
-        The number of frames.
+    The rotation that the video asks for is applied. ``on_frame`` receives the number of frames
+    written so far; that of all is returned.
 
     Raises:
         DataError: no video, a damaged one, or no program that reads it.

@@ -112,13 +112,8 @@ def render_views(
 ) -> int:
     """Write pictures of the data set's views to the folder ``output``; their number.
 
-    Args:
-        scene: run folder, .clgs file or 3DGS PLY file.
-        output: folder of the PNG files, named after the photos; depths go to .npy files too.
-        views: which photos, and how the scene is drawn.
-        kind: "color", "depth" or "opacity".
-        overwrite: whether pictures of the same names are replaced.
-        on_event: receives the progress.
+    The PNG files are named after the photos; depths go to .npy files too. ``kind`` is "color",
+    "depth" or "opacity". With ``overwrite`` pictures of the same names are replaced.
 
     Raises:
         UsageError: the data set is not known, or ``output`` is not fit for pictures.
@@ -164,15 +159,8 @@ def render_clip(
 ) -> Clip:
     """Write a clip along a path, as an .mp4 file or as PNG files in a folder.
 
-    Args:
-        scene: run folder, .clgs file or 3DGS PLY file.
-        output: name of the video, or of the folder.
-        path: where the camera goes.
-        views: the data set whose cameras give the path, and how the scene is drawn.
-        kind: "color", "depth" or "opacity".
-        save_path: receives the cameras, a .json file.
-        overwrite: whether the video, or an older clip in the folder, is replaced.
-        on_event: receives the progress.
+    ``kind`` is "color", "depth" or "opacity". ``save_path``, a .json file, receives the cameras.
+    With ``overwrite`` the video, or an older clip in the folder, is replaced.
 
     Raises:
         UsageError: options contradict each other, or ``output`` is not fit for a clip.
