@@ -18,6 +18,12 @@ KINDS = (
     (cl.device_type.ACCELERATOR, "accelerator"),
 )
 
+LEAST_WORK_GROUP = 256
+"""Work-items of the largest work-group that is launched."""
+
+LEAST_LOCAL_MEMORY = 32 << 10
+"""Bytes per work-group, which OpenCL 1.2 asks of every device."""
+
 
 def list_devices() -> list[Any]:
     """Every usable device of every platform; a platform without devices counts as none."""
@@ -47,14 +53,36 @@ def is_emulator(device: Any) -> bool:
     return "oclgrind" in device.platform.name.lower()
 
 
-def compiles_vectors(device: Any) -> bool:
-    """Whether ``device`` compiles vectors of 16 lanes.
+def is_software(device: Any) -> bool:
+    """Whether ``device`` is a graphics driver's stand-in for a card, or an emulated one."""
+    name = device.name.lower()
+    return any(word in name for word in ("llvmpipe", "softpipe", "swrast", "fpga emulation"))
 
-    PoCL 3.0, the wheel on PyPI, hangs on them or ends the process; 3.1 does not.
+
+def serves_cpu_form(device: Any) -> bool:
+    """Whether the kernels' form for CPUs, vectors of 16 lanes, is known to work on ``device``.
+
+    It does with PoCL from 3.1 on and with Intel's runtime for CPUs. PoCL 3.0, the wheel on PyPI,
+    hangs on the vectors or ends the process; Mesa's llvmpipe does so on a prefetch.
     """
-    version = re.match(r"(\d+)\.(\d+)", device.driver_version)
-    is_pocl = device.platform.name == "Portable Computing Language"
-    return not (is_pocl and version) or (int(version[1]), int(version[2])) >= (3, 1)
+    if not device.type & cl.device_type.CPU:
+        return False
+    platform = device.platform.name
+    if platform == "Portable Computing Language":
+        version = re.match(r"(\d+)\.(\d+)", device.driver_version)
+        return version is not None and (int(version[1]), int(version[2])) >= (3, 1)
+    return bool(platform.startswith("Intel")) and not is_software(device)
+
+
+def too_small(device: Any) -> str:
+    """What ``device`` lacks to run the kernels; empty if it lacks nothing."""
+    if device.max_work_group_size < LEAST_WORK_GROUP:
+        most = device.max_work_group_size
+        return f"its work-groups hold {most} work-items at most, {LEAST_WORK_GROUP} are needed"
+    if device.local_mem_size < LEAST_LOCAL_MEMORY:
+        size = device.local_mem_size
+        return f"it has {size} bytes of local memory, {LEAST_LOCAL_MEMORY} are needed"
+    return ""
 
 
 def _platforms() -> list[Any]:
@@ -67,7 +95,8 @@ def _platforms() -> list[Any]:
 def choose_device(name: str | None = None) -> Any:
     """One device: by ``name``, else by PYOPENCL_CTX, else the first GPU, else the first CPU.
 
-    A GPU with memory of its own comes before one that shares the CPU's.
+    A GPU with memory of its own comes before one that shares the CPU's. A card that software stands
+    in for (Mesa's llvmpipe) comes after all others.
 
     ``name`` is the number that ``clgs devices`` shows, or a part of the device's or platform's
     name. PYOPENCL_CTX reads as in pyopencl: platform or platform:device, each a number or a part
@@ -105,22 +134,30 @@ def _pick(choices: list[Any], wanted: str, origin: str) -> Any:
     else:
         found = [choice for choice in choices if wanted.lower() in _full_name(choice).lower()]
     if not found:
-        names = ", ".join(f"{i}: {choice.name.strip()}" for i, choice in enumerate(choices))
+        all_names = [choice.name.strip() for choice in choices]
+        names = ", ".join(
+            f"{i}: {name if all_names.count(name) == 1 else _full_name(choice)}"
+            for i, (name, choice) in enumerate(zip(all_names, choices, strict=True))
+        )
         raise DeviceError(f"{origin} matches no OpenCL device; available: {names}")
     return found[0]
 
 
 def _full_name(choice: Any) -> str:
     platform = getattr(choice, "platform", None)
-    return f"{choice.name} {platform.name}" if platform is not None else str(choice.name)
+    return f"{choice.name.strip()} {platform.name}" if platform is not None else str(choice.name)
 
 
 def _preference(device: Any) -> int:
     if is_emulator(device):
+        return 6
+    if too_small(device):
+        return 5
+    if is_software(device):
         return 4
     if device.type & cl.device_type.GPU:
         return 1 if device.host_unified_memory else 0
-    return 2 if compiles_vectors(device) else 3
+    return 2 if serves_cpu_form(device) else 3
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ import numpy.typing as npt
 import pyopencl as cl
 import pyopencl.tools
 
-from clgs.errors import NoRoomError, UsageError
+from clgs.errors import DeviceError, NoRoomError, UsageError
 from clgs.memory import return_unused_memory
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.choose import choose_device, compiles_vectors, is_emulator
+from clgs.opencl.choose import choose_device, is_emulator, serves_cpu_form, too_small
 from clgs.opencl.kernel import Argument, Kernel
 from clgs.opencl.programs import Programs
 from clgs.opencl.timing import KernelTimes, Profile, Waits
@@ -46,7 +46,7 @@ class Device:
             specialisation: "cpu" or "gpu"; default CLGS_SPECIALISATION, else by device type.
 
         Raises:
-            DeviceError: no such device.
+            DeviceError: there is no such device, or it is too small.
             UsageError: CLGS_SPECIALISATION is neither "cpu" nor "gpu", CLGS_LANES neither 8 nor 16.
             TypeError: ``name`` is no string.
         """
@@ -54,11 +54,13 @@ class Device:
             check_type("name", name, str, 'a number is one, too: clgs.Device("0")')
         chosen = specialisation or _wanted_specialisation()
         self.cl_device = choose_device(name)
+        if problem := too_small(self.cl_device):
+            raise DeviceError(f"{self.name} cannot be used: {problem}; use another --device")
         self.context = cl.Context([self.cl_device])
         self.queue = cl.CommandQueue(self.context)
         is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
-        usual = "cpu" if is_cpu and compiles_vectors(self.cl_device) else "gpu"
-        self.specialisation = chosen or usual
+        usual = serves_cpu_form(self.cl_device)
+        self.specialisation = chosen or ("cpu" if usual else "gpu")
         self.vec = 16 if self.specialisation == "cpu" else 1
         width = int(self.cl_device.native_vector_width_float)
         self._register_lanes = _wanted_lanes() or min(max(width, 4), 16)
@@ -73,7 +75,7 @@ class Device:
         bits = POOL_BITS["cpu" if is_cpu else "gpu"]
         self._pool = cl.tools.MemoryPool(allocator, leading_bits_in_bin_id=bits)
         self._programs = Programs(
-            self.context, self.name, self.specialisation, self.vec, self.exact_division
+            self.context, self.name, self.specialisation, self.vec, self.exact_division, usual
         )
         self._kernel_times: KernelTimes | None = None
         self.launches = 0

@@ -43,15 +43,31 @@ class Programs:
     """The programs and kernels that one device has built so far."""
 
     def __init__(
-        self, context: cl.Context, device_name: str, form: str, lanes: int, exact: bool
+        self,
+        context: cl.Context,
+        device_name: str,
+        form: str,
+        lanes: int,
+        exact: bool,
+        prefetch: bool,
     ) -> None:
-        """``form``: "cpu" or "gpu"; ``lanes``: VEC by default; ``exact``: see EXACT_DIVISION."""
+        """Nothing is built before it is asked for.
+
+        Args:
+            context: of the device.
+            device_name: for messages.
+            form: "cpu" or "gpu".
+            lanes: VEC, unless a program defines another one.
+            exact: see EXACT_DIVISION.
+            prefetch: whether the driver knows the compiler's builtin; see common/prefetch.h.
+        """
         self._context, self._device_name, self._form = context, device_name, form
         self._defines = {
             **constants.defines(),
             "PARTS_GROUP_SIZE": PARTS_GROUP_SIZE,
             "SCAN_GROUP_SIZE": SCAN_GROUP_SIZE,
             "USE_LOCAL": int(form == "gpu"),
+            "USE_PREFETCH": int(prefetch),
             "VEC": lanes,
         }
         self._options = [*BUILD_OPTIONS, *([EXACT_DIVISION] if exact else [])]

@@ -150,7 +150,7 @@ def number(device: Device, activations: Activations) -> tuple[DeviceArray, scan.
     drawn, counts = device.empty((count,), np.int32), device.empty((count,), np.int32)
     parts = scan.parts_of(device, count, device.vec)
     device.run(
-        device.kernel("gaussian/neural", "neural_count"),
+        device.kernel("gaussian/neural_count", "neural_count"),
         *scan.counting_grid(device, count, device.vec, group=1),
         output=activations.output,
         visible=activations.visible,

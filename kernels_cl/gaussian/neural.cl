@@ -3,7 +3,7 @@
  * Work-item: VEC visible anchors, counted from the middle of the view on, with all their slots. The
  *     drawn slots are gathered one after the other, and arithmetic goes by lanes over them.
  *     neural_pad: a Gaussian; neural_backward_position: a visible anchor.
- * Work-group: see scan/part_sums.h for neural_count, else any.
+ * Work-group: any.
  * Launch: a work-item per VEC visible anchors, in neural_backward per VEC columns of output.
  *
  * output is feature-major, (11 K, padded): K opacities, 3 K colors, 7 K covariance numbers. Outputs
@@ -21,31 +21,6 @@
 #include "gaussian/shapes.h"
 #include "gaussian/unit_quaternion.h"
 #include "gaussian/visible_anchors.h"
-#include "scan/part_sums.h"
-
-/* Which opacities of each visible anchor are positive, one per bit, and how many. NaN is not
- * positive. */
-PART_GROUP __kernel void neural_count(__global const float *output, __global const int *visible,
-                                      const int count, const int padded, __global int *drawn,
-                                      __global int *counts, __global long *sums)
-{
-    DECLARE_PART_SCRATCH(scratch);
-    const size_t v = item_from_middle() * VEC;
-    iv bits = (iv)(0);
-    for (int j = 0; v < (size_t)count && j < K_OFFSETS; ++j) {
-        const fv opacity = LOAD_V(0, output + (size_t)j * (size_t)padded + v);
-        bits |= opacity > (fv)(0.0f) ? (iv)(1 << j) : (iv)(0);
-    }
-    int lanes[VEC], sum = 0;
-    STORE_V(bits, 0, lanes);
-    for (size_t lane = 0; lane < VEC && v + lane < (size_t)count; ++lane) {
-        const int positive = visible[v + lane] >= 0 ? lanes[lane] : 0;
-        drawn[v + lane] = positive;
-        counts[v + lane] = popcount(positive);
-        sum += popcount(positive);
-    }
-    write_part_sum(scratch, v, count, sum, sums);
-}
 
 /* Arrays of all Gaussians. slot: number of the visible anchor times K, plus that of the slot. */
 typedef struct {

@@ -28,17 +28,27 @@
 #define SSIM_C2 8.99999985e-04f
 #endif
 
+/* The window's weight at a tap. An array would lie in memory: its index is computed. */
+static inline float tap_weight(const int tap)
+{
+    const int distance = tap < 0 ? -tap : tap;
+    return distance == 0   ? SSIM_WEIGHT_0
+           : distance == 1 ? SSIM_WEIGHT_1
+           : distance == 2 ? SSIM_WEIGHT_2
+           : distance == 3 ? SSIM_WEIGHT_3
+           : distance == 4 ? SSIM_WEIGHT_4
+                           : SSIM_WEIGHT_5;
+}
+
 /* The part of the window around `position` that lies on an axis of `size` pixels; 1 inside. */
 static inline float coverage(int position, int size)
 {
-    const float weights[RADIUS + 1] = {SSIM_WEIGHT_0, SSIM_WEIGHT_1, SSIM_WEIGHT_2,
-                                       SSIM_WEIGHT_3, SSIM_WEIGHT_4, SSIM_WEIGHT_5};
     if (position >= RADIUS && position + RADIUS < size)
         return 1.0f;
     float sum = 0.0f;
     for (int tap = -RADIUS; tap <= RADIUS; ++tap)
         if (position + tap >= 0 && position + tap < size)
-            sum += weights[tap < 0 ? -tap : tap];
+            sum += tap_weight(tap);
     return sum;
 }
 

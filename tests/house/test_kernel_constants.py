@@ -27,7 +27,7 @@ MODULES = ["opencl/programs", "lab/limit_kernels"]
 MODULES += [f"ops/{path.stem}" for path in sorted((ROOT / "clgs/ops").glob("[a-z]*.py"))]
 
 VARYING = {
-    *("VEC", "USE_LOCAL"),  # the form
+    *("VEC", "USE_LOCAL", "USE_PREFETCH"),  # the form, and the driver
     *("WIDTH", "COEFFICIENTS", "WANT_POSITION", "MIN_EXTENT"),  # of arrays and calls
     *("SSIM_C1", "SSIM_C2", *(f"SSIM_WEIGHT_{tap}" for tap in range(6)), "SKIP_FLAT"),
     *("PREFETCH", "PREFETCH_WRITE", "OUTPUT_SPACE"),  # of the compiler, and of a file

@@ -20,6 +20,8 @@ class FakeDevice:
     platform: FakePlatform | None = None
     driver_version: str = "3.1+debian"
     host_unified_memory: bool = False
+    max_work_group_size: int = 4096
+    local_mem_size: int = 1 << 20
 
 
 @dataclass(eq=False)
@@ -179,20 +181,55 @@ def test_an_emulator_is_taken_where_nothing_else_is(machine):
 
 
 @pytest.mark.parametrize(
-    ("platform", "version", "vectors"),
+    ("platform", "name", "version", "serves"),
     [
-        ("Portable Computing Language", "3.0-rc2", False),
-        ("Portable Computing Language", "1.8", False),
-        ("Portable Computing Language", "3.1+debian", True),
-        ("Portable Computing Language", "10.0", True),
-        ("Portable Computing Language", "unknown", True),
-        ("Vendor CL", "2.5", True),
+        ("Portable Computing Language", "cpu", "3.0-rc2", False),
+        ("Portable Computing Language", "cpu", "1.8", False),
+        ("Portable Computing Language", "cpu", "3.1+debian", True),
+        ("Portable Computing Language", "cpu", "10.0", True),
+        ("Portable Computing Language", "cpu", "unknown", False),
+        ("Intel(R) OpenCL", "AMD EPYC", "2026.22", True),
+        ("Intel(R) FPGA Emulation Platform", "Intel(R) FPGA Emulation Device", "2026", False),
+        ("rusticl", "llvmpipe (LLVM 15.0.6, 256 bits)", "22.3.6", False),
+        ("Vendor CL", "cpu", "2.5", False),
     ],
 )
-def test_an_old_pocl_compiles_no_vectors(platform, version, vectors):
-    device = FakeDevice("cpu", driver_version=version)
+def test_the_form_for_cpus_is_taken_on_drivers_that_it_is_known_to_serve(
+    platform, name, version, serves
+):
+    device = FakeDevice(name, driver_version=version)
     FakePlatform(platform, [device])
-    assert choose.compiles_vectors(device) is vectors
+    assert choose.serves_cpu_form(device) is serves
+
+
+def test_a_stand_in_for_a_card_comes_after_every_cpu(machine):
+    card = FakeDevice("llvmpipe (LLVM 15.0.6, 256 bits)", cl.device_type.GPU)
+    cpu = FakeDevice("cpu", driver_version="2.5")
+    machine(FakePlatform("rusticl", [card]), FakePlatform("Vendor CL", [cpu]))
+    assert choose.choose_device() is cpu
+
+
+@pytest.mark.parametrize(
+    ("limits", "problem"),
+    [
+        ({"max_work_group_size": 128}, "hold 128 work-items at most, 256 are needed"),
+        ({"local_mem_size": 16384}, "has 16384 bytes of local memory, 32768 are needed"),
+        ({}, ""),
+    ],
+)
+def test_what_a_device_lacks_is_said(machine, limits, problem):
+    small, large = FakeDevice("small", **limits), FakeDevice("large")
+    machine(FakePlatform("One", [small]), FakePlatform("Two", [large]))
+    assert problem in choose.too_small(small)
+    assert choose.choose_device() is (large if limits else small)
+
+
+def test_two_drivers_of_one_card_are_distinguished(machine):
+    cards = [FakeDevice("Radeon", cl.device_type.GPU) for _ in range(2)]
+    machine(FakePlatform("AMD", [cards[0]]), FakePlatform("rusticl", [cards[1]]))
+    with pytest.raises(DeviceError, match="0: Radeon AMD, 1: Radeon rusticl"):
+        choose.choose_device("GeForce")
+    assert choose.choose_device("rusticl") is cards[1]
 
 
 def test_a_cpu_that_compiles_vectors_comes_first(machine):

@@ -42,6 +42,12 @@ def fresh_device():
     return Device(specialisation="cpu")
 
 
+def test_a_device_that_is_too_small_is_refused(monkeypatch):
+    monkeypatch.setattr("clgs.opencl.device.too_small", lambda device: "it has no local memory")
+    with pytest.raises(DeviceError, match="cannot be used: it has no local memory; use another"):
+        Device()
+
+
 def test_first_rows_share_the_memory(device):
     array = device.upload(np.arange(12, dtype=np.int32).reshape(4, 3))
     rows = array.first(2)

@@ -21,9 +21,9 @@ static inline void finish_column(const Inputs *inputs, const int anchor, __local
     }
     for (int i = 0; i < 3; ++i)
         column[(FEATURE_DIM + i) * ROW_PITCH] = view[i];
-    bool finite = true;
+    int finite = 1; /* by `&`: compilers make a branch of every `&&` */
     for (int k = 0; k < INPUT_DIM; ++k)
-        finite = finite && fabs(column[k * ROW_PITCH]) <= INPUT_LIMIT;
+        finite &= fabs(column[k * ROW_PITCH]) <= INPUT_LIMIT;
     for (int k = 0; k < INPUT_DIM && !finite; ++k)
         column[k * ROW_PITCH] = 0.0f;
     column[INPUT_DIM * ROW_PITCH] = anchor < 0 ? 0.0f : finite ? 1.0f : NAN;

@@ -84,25 +84,46 @@ static inline CONSTANT_UNITS void load_slice(const LayerWeights *weights, const 
     }
 }
 
-/* sum[u] += weight times row of x, over the inputs of a slice. */
+/* sum[u] += weight times row of x, over the inputs of a slice. A function for each width that layers
+ * have, a literal number: if it were an argument, AMD's compiler would keep the sums in memory. */
+#define DEFINE_ADD_SLICE(name, width)                                                              \
+    static inline CONSTANT_UNITS void name(float (*sum)[4], __local const float *slice,            \
+                                           __local const float *x, const int some)                 \
+    {                                                                                              \
+        __local const float4 *rows = (__local const float4 *)x + own_quad();                       \
+        __local const float4 *weights =                                                            \
+            (__local const float4 *)(slice + own_share() * WHOLE_QUADS(width));                    \
+        for (int k = 0; k < some; ++k) {                                                           \
+            const float4 quad = rows[k * (ROW_PITCH / 4)];                                         \
+            _Pragma("unroll") for (int u = 0; u < (width); ++u)                                    \
+            {                                                                                      \
+                const float4 four = weights[k * (SLICE_PITCH / 4) + u / 4];                        \
+                const float weight = NUMBER(four, u % 4);                                          \
+                _Pragma("unroll") for (int i = 0; i < 4; ++i) sum[u][i] =                          \
+                    fma(weight, NUMBER(quad, i), sum[u][i]);                                       \
+            }                                                                                      \
+        }                                                                                          \
+    }
+DEFINE_ADD_SLICE(add_slice_opacity, UNITS(K_OFFSETS))
+DEFINE_ADD_SLICE(add_slice_color, UNITS(3 * K_OFFSETS))
+DEFINE_ADD_SLICE(add_slice_hidden, UNITS(HIDDEN_DIM))
+DEFINE_ADD_SLICE(add_slice_input, UNITS(INPUT_DIM))
+DEFINE_ADD_SLICE(add_slice_covariance, UNITS(7 * K_OFFSETS))
+
 static inline CONSTANT_UNITS void add_slice(float (*sum)[4], const int units,
                                             __local const float *slice, __local const float *x,
                                             const int some)
 {
-    __local const float4 *rows = (__local const float4 *)x + own_quad();
-    __local const float4 *weights =
-        (__local const float4 *)(slice + own_share() * WHOLE_QUADS(units));
-    for (int k = 0; k < some; ++k) {
-        const float4 quad = rows[k * (ROW_PITCH / 4)];
-#pragma unroll
-        for (int u = 0; u < units; ++u) {
-            const float4 four = weights[k * (SLICE_PITCH / 4) + u / 4];
-            const float weight = NUMBER(four, u % 4);
-#pragma unroll
-            for (int i = 0; i < 4; ++i)
-                sum[u][i] = fma(weight, NUMBER(quad, i), sum[u][i]);
-        }
-    }
+    if (units == UNITS(K_OFFSETS))
+        add_slice_opacity(sum, slice, x, some);
+    else if (units == UNITS(3 * K_OFFSETS))
+        add_slice_color(sum, slice, x, some);
+    else if (units == UNITS(HIDDEN_DIM))
+        add_slice_hidden(sum, slice, x, some);
+    else if (units == UNITS(INPUT_DIM))
+        add_slice_input(sum, slice, x, some);
+    else
+        add_slice_covariance(sum, slice, x, some);
 }
 
 /* sum[u] += weights times x, over all `inputs`. units: a constant, at most MOST_UNITS. Begins with
