@@ -10,14 +10,11 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.images import SUFFIXES, image_size, stored_size
+from clgs.data.images import SUFFIXES, posed_size, scales_evenly
 from clgs.data.lens import Lens
 from clgs.data.masks import find_mask
 from clgs.data.posed_photo import Photo
 from clgs.errors import DataError
-
-ASPECT_TOLERANCE = 1.5
-"""Pixels by which an image may differ from its declared size scaled evenly (sizes are rounded)."""
 
 LONGEST_NAME, LONGEST_PATH = 255, 4096
 """Bytes that Linux allows; other systems allow as much or less."""
@@ -87,12 +84,8 @@ def locate(listed: ListedPhoto, root: Path, folder: Path) -> Photo | None:
     path = _find_file(listed, folder)
     if path is None:
         return None
-    if listed.size is None:
-        size = image_size(path)
-        lens = listed.lens(*size)
-    else:
-        size = stored_size(path, listed.size)
-        lens = fit_lens(listed.lens(*listed.size), size, path)
+    size = posed_size(path, listed.size)
+    lens = fit_lens(listed.lens(*(listed.size or size)), size, path)
     mask = find_mask(root, listed.name) if listed.mask_by_name else None
     if listed.mask is not None:
         mask = inside(root, listed.mask, f"{listed.source}: mask_path")
@@ -123,9 +116,7 @@ def fit_lens(lens: Lens, size: tuple[int, int], path: Path) -> Lens:
     width, height = size
     if (width, height) == (lens.width, lens.height):
         return lens
-    scale = max(width / lens.width, height / lens.height)
-    excess = max(abs(lens.width * scale - width), abs(lens.height * scale - height))
-    if not excess <= ASPECT_TOLERANCE:
+    if not scales_evenly(size, (lens.width, lens.height)):
         raise DataError(
             f"{path}: image is {width}x{height} but its intrinsics are for "
             f"{lens.width}x{lens.height}; crop neither, or correct w, h and the intrinsics"

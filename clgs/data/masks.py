@@ -33,16 +33,17 @@ def find_mask(root: Path, photo: str) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def read_mask(path: Path, size: tuple[int, int]) -> Mask:
+def read_mask(path: Path, size: tuple[int, int], posed: bool = True) -> Mask:
     """The mask in a file for a photo of ``size`` (width, height).
 
-    The alpha of a picture is its mask; without alpha it is the mean of the colors.
+    The alpha of a picture is its mask; without alpha it is the mean of the colors. The mask of a
+    photo that has no pose yet (``posed``) is turned upright as the photo is.
 
     Raises:
         DataError: damaged, of another size, or it leaves no pixel.
     """
     found = image_size(path)
-    pixels = read_image(path, size)
+    pixels = read_image(path, size if posed or found != size else None)
     if pixels.size != size:
         raise DataError(
             f"{path}: the mask is {found[0]}x{found[1]}, its photo {size[0]}x{size[1]}; make it "

@@ -171,6 +171,17 @@ def test_exposure_that_jumps(healthy: Path):
     assert "011.png to images/012.png (2.0 stops)" in line
 
 
+@pytest.mark.parametrize("tag, done", [(3, "taken as stored"), (6, "turned to fit their poses")])
+def test_exif_orientations_are_named(healthy: Path, tag: int, done: str):
+    path, exif = healthy / "images" / "001.png", Image.Exif()
+    exif[0x0112] = tag
+    pixels = Image.open(path)
+    (pixels.rotate(90, expand=True) if tag == 6 else pixels).save(path, exif=exif)
+    (note,) = levels(healthy)[NOTE]
+    assert note.startswith("images/001.png: 1 photos have an EXIF orientation")
+    assert note.endswith(done)
+
+
 def test_masks_are_checked(healthy: Path):
     (healthy / "masks").mkdir()
     half = np.zeros((64, 80), np.uint8)
