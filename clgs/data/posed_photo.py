@@ -21,7 +21,8 @@ class Photo:
 
     name: unique, relative to the data set, forward slashes; lens: for the pixels in the file;
     rotation (3, 3), translation (3,) float64 in the data's world units; mask: the file that says
-    which pixels are used, if there is one.
+    which pixels are used, if there is one; listed: the name that the data set has for it, if it is
+    not that of the file.
     """
 
     name: str
@@ -30,6 +31,12 @@ class Photo:
     rotation: npt.NDArray[np.float64]
     translation: npt.NDArray[np.float64]
     mask: Path | None = None
+    listed: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its name, and that in the data set if it is another."""
+        return (self.name, self.listed) if self.listed else (self.name,)
 
     @property
     def centre(self) -> npt.NDArray[np.float64]:

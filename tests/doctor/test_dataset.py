@@ -171,7 +171,9 @@ def test_exposure_that_jumps(healthy: Path):
     assert "011.png to images/012.png (2.0 stops)" in line
 
 
-@pytest.mark.parametrize("tag, done", [(3, "taken as stored"), (6, "turned to fit their poses")])
+@pytest.mark.parametrize(
+    ("tag", "done"), [(3, "taken as stored"), (6, "turned to fit their poses")]
+)
 def test_exif_orientations_are_named(healthy: Path, tag: int, done: str):
     path, exif = healthy / "images" / "001.png", Image.Exif()
     exif[0x0112] = tag
