@@ -50,7 +50,9 @@ class PhotoSet:
 
     kind: "blender", "transforms" or "colmap"; missing: names of photos that are not on disk;
     points (P, 3) float64 world units and point_colors (P, 3) uint8, or None if the set has none;
-    points_file: the file that the data set names for its points, not read yet.
+    points_file: the file that the data set names for its points, not read yet; models: if there are
+    several COLMAP models, their names and numbers of photos; the first was read; stray_masks:
+    names of what seem to be masks of no photo.
     """
 
     kind: str
@@ -60,6 +62,15 @@ class PhotoSet:
     points: npt.NDArray[np.float64] | None = None
     point_colors: npt.NDArray[np.uint8] | None = None
     points_file: Path | None = None
+    models: dict[str, int] = field(default_factory=dict)
+    stray_masks: list[str] = field(default_factory=list)
+
+    def models_in_words(self) -> str:
+        """A sentence on the COLMAP models if there are several, else nothing."""
+        first, *others = self.models or [""]
+        left = ", ".join(f"{name} with {self.models[name]}" for name in others[:8])
+        read = f"{first} with {self.models.get(first)} photos is read"
+        return f"there are {len(self.models)} COLMAP models; {read}, not {left}" if left else ""
 
 
 def hold_out(photos: list[Photo], interval: int = 8) -> tuple[list[Photo], list[Photo]]:

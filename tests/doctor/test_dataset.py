@@ -104,7 +104,7 @@ def test_lenses(healthy: Path):
     change(healthy, 2, k1=-30.0)
     change(healthy, 3, cx=10.0)
     change(healthy, 4, fl_x=2000.0, fl_y=2000.0)
-    change(healthy, 5, fl_y=60.0)
+    change(healthy, 5, fl_x=50.0, fl_y=60.0)
     found = levels(healthy)
     assert has(found[NOTE], "001.png", "a distorted lens")
     assert has(found[ERROR] + found[WARNING], "002.png")
