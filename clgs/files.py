@@ -30,11 +30,7 @@ def atomic_write(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as indented JSON, atomically.
-
-    Raises:
-        OutputError, OSError: as :func:`atomic_write`.
-    """
+    """Write ``value`` as indented JSON, as :func:`atomic_write` does."""
     atomic_write(path, (json.dumps(value, indent=1) + "\n").encode())
 
 
@@ -79,13 +75,9 @@ def is_full(error: OSError) -> bool:
 
 
 def check_output(path: Path, *sources: Path) -> None:
-    """Check ``path`` as :func:`check_target` does; it must not be one of ``sources`` either.
+    """Check ``path`` as :func:`check_target` does; UsageError if it is one of ``sources``.
 
     A link to a source is refused too.
-
-    Raises:
-        OutputError: as there.
-        UsageError: writing to ``path`` would destroy what is read.
     """
     check_target(path)
     for source in sources:
@@ -140,11 +132,7 @@ def make_folder(path: Path) -> None:
 
 @contextmanager
 def folder_to_fill(path: Path) -> Iterator[None]:
-    """Make the folder ``path``; if the block fails, a folder that is new and empty is removed.
-
-    Raises:
-        OutputError: as there.
-    """
+    """Make the folder ``path``; if the block fails, a folder that is new and empty is removed."""
     new = not path.exists()
     make_folder(path)
     try:
@@ -215,7 +203,10 @@ def _put_back(path: Path) -> Iterator[None]:
     existed, old = target.exists(), _temporary(path, target.parent)
     try:
         if existed:
-            _keep(target, old)
+            try:
+                os.link(target, old)
+            except OSError:  # the file system has no hard links
+                shutil.copy2(target, old)
         yield
     except BaseException:
         with suppress(OSError):
@@ -224,14 +215,6 @@ def _put_back(path: Path) -> Iterator[None]:
     finally:
         with suppress(OSError):
             old.unlink()
-
-
-def _keep(target: Path, old: Path) -> None:
-    """Let ``old`` name the file ``target``, or a copy if the file system has no hard links."""
-    try:
-        os.link(target, old)
-    except OSError:
-        shutil.copy2(target, old)
 
 
 @contextmanager

@@ -56,7 +56,7 @@ def device(request: pytest.FixtureRequest, open_device: Callable[..., Any]) -> A
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder of real captures beside the checkout (CLGS_SHARED_DATA names another)."""
+    """Folder of real captures next to the checkout (CLGS_SHARED_DATA names another)."""
     folder = Path(os.environ.get("CLGS_SHARED_DATA", SHARED_DATA))
     if not folder.is_dir():
         pytest.skip(f"no shared data: {folder} is missing")

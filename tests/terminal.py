@@ -6,6 +6,6 @@ import signal
 
 
 def as_from_a_terminal() -> None:
-    """For ``preexec_fn``: a shell's background job starts with SIGINT ignored, nohup's SIGHUP."""
+    """A ``preexec_fn``. A shell's background job starts with SIGINT ignored, nohup's SIGHUP."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)

@@ -293,7 +293,7 @@ def test_an_output_is_no_input(tmp_path):
 
 
 def test_what_cannot_be_added_whole_is_not_added(tmp_path, monkeypatch):
-    """As on a disk with room for a part."""
+    """The disk has room for a part."""
     path = tmp_path / "log"
     append(path, b"one\n")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 from rich.console import Console
@@ -39,19 +38,14 @@ class Display:
         self._console = Console(stderr=True)
         self._clock = clock
         self._bar: Progress | None = None
-        self._stage, self._line = "", ""
+        self._stage = ""
         self._first, self._began, self._printed = 0, clock(), clock()
         self._psnr = self._size = ""
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def stop(self) -> None:

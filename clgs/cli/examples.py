@@ -57,10 +57,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "clgs accept -o accept.json",
         "clgs accept -o accept.json --device 1 --data DATA --downscale 8",
     ),
-    "conformance": (
-        "clgs conformance -o here.json",
-        "clgs conformance --check there.json",
-    ),
+    "conformance": ("clgs conformance -o here.json", "clgs conformance --check there.json"),
 }
 """The examples of each command."""
 

@@ -81,9 +81,13 @@ class Interruptions:
     def _repeat(self) -> None:
         time.sleep(LATER)
         with self._lock:
-            if self._waiting:
-                self._repeated = True
-                _send(self._waiting)
+            if not self._waiting:
+                return
+            self._repeated = True
+            if hasattr(signal, "pthread_kill"):  # so that the main thread wakes if it waits
+                signal.pthread_kill(threading.main_thread().ident or 0, self._waiting)
+            else:  # Windows
+                signal.raise_signal(self._waiting)
 
     def _imports(self, frame: FrameType | None) -> bool:
         """Whether an import that began within the block is under way."""
@@ -92,11 +96,3 @@ class Interruptions:
                 return True
             frame = frame.f_back
         return False
-
-
-def _send(number: int) -> None:
-    """Send a signal to the main thread, so that it wakes if it waits."""
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, number)
-    else:  # Windows
-        signal.raise_signal(number)

@@ -18,8 +18,9 @@ from clgs.workflow.options import BACKGROUNDS, ViewOptions
 
 
 def add_view_options(parser: argparse.ArgumentParser, split: bool = True) -> None:
-    """Add the options that choose views (--split if so), their rendering and the device."""
+    """Add SCENE and the options that choose views (--split if so), their rendering, the device."""
     add = parser.add_argument
+    add("scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file")
     where = "the one that the run folder of SCENE names"
     add("--data", type=Path, help=f"the data set that the scene was made of (default: {where})")
     if split:
@@ -56,10 +57,7 @@ def add_size_options(parser: argparse.ArgumentParser, scene: str) -> None:
     """Add --downscale and --max-size; ``scene``: how the command calls the scene."""
     size = parser.add_mutually_exclusive_group()
     size.add_argument(
-        "--downscale",
-        type=positive_int,
-        metavar="N",
-        help="reduce the photos N times",
+        "--downscale", type=positive_int, metavar="N", help="reduce the photos N times"
     )
     size.add_argument(
         "--max-size",
@@ -104,6 +102,11 @@ def view_options(args: argparse.Namespace) -> ViewOptions:
     """What the options of :func:`add_view_options` say; those that a command lacks are None."""
     given = vars(args)
     return ViewOptions(**{one.name: given.get(one.name) for one in fields(ViewOptions)})
+
+
+def chosen(args: argparse.Namespace, *names: str) -> dict[str, Any]:
+    """The options of these names, which the function behind the command knows by the same names."""
+    return {name: getattr(args, name) for name in names}
 
 
 def value_of(one: Option) -> Callable[[str], Any]:
@@ -157,14 +160,20 @@ def seed(text: str) -> int:
     return int(text)
 
 
-def in_range(text: str) -> float:
-    """An argument that must be a step, or integers per unit, in the range that a file can hold."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 2.0**-64 <= value <= 2.0**64:
-        raise argparse.ArgumentTypeError(
-            f"{text} is not a number from 2^-64 to 2^64 (5.5e-20 to 1.8e19)"
-        )
-    return value
+def number_within(least: float, most: float, words: str) -> Callable[[str], float]:
+    """The type of arguments that must be numbers from ``least`` to ``most``, which is ``words``."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text} is not a number {words}")
+        return value
+
+    return parse
+
+
+in_range = number_within(2.0**-64, 2.0**64, "from 2^-64 to 2^64 (5.5e-20 to 1.8e19)")
+"""The type of a step, or of integers per unit: the range that a file can hold."""

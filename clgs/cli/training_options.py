@@ -63,13 +63,10 @@ def add_option(group: argparse._ArgumentGroup, one: Option) -> None:
     elif choices:
         group.add_argument(row.flag, choices=choices, **shared)
     else:
-        group.add_argument(row.flag, type=value_of(one), metavar=_metavar(one), **shared)
-
-
-def _metavar(one: Option) -> str:
-    if isinstance(one.allowed, Text):
-        return "FILE"
-    return {int: "N", Pair: "FIRST,LAST"}.get(one.kind, "X")
+        metavar = {int: "N", Pair: "FIRST,LAST"}.get(one.kind, "X")
+        if isinstance(one.allowed, Text):
+            metavar = "FILE"
+        group.add_argument(row.flag, type=value_of(one), metavar=metavar, **shared)
 
 
 def make_config(args: argparse.Namespace) -> TrainConfig:

@@ -21,7 +21,7 @@ MASKS = "masks"
 MASK_FOLDERS = (MASKS, "mask")
 MASK_SUFFIXES = (".png", *SUFFIXES)
 MASK_MARKS = ("_mask", ".mask")
-"""What the name of a mask may end in before its suffix; beside its photo it must."""
+"""What the name of a mask may end in before its suffix; next to its photo it must."""
 
 Mask = npt.NDArray[np.uint8]
 """(H, W) uint8: 1 if the pixel is used, else 0."""
@@ -31,7 +31,7 @@ def find_mask(root: Path, photos: Path, name: str) -> Path | None:
     """The file of the mask of the photo called ``name``, if there is one.
 
     It is called as the photo is, with or without the suffix of the photo and one of MASK_MARKS. It
-    lies in one of MASK_FOLDERS of the data set, or, with a mark, beside the photo.
+    lies in one of MASK_FOLDERS of the data set, or, with a mark, next to the photo.
 
     Args:
         root: folder of the data set.
@@ -57,7 +57,7 @@ def find_mask(root: Path, photos: Path, name: str) -> Path | None:
 
 
 def mask_folders(root: Path, photos: Path) -> list[Path]:
-    """Those of MASK_FOLDERS that are in the data set ``root``, or in or next to its photos."""
+    """List the MASK_FOLDERS that are in the data set ``root``, in its photos or next to them."""
     above = [] if photos == root else [photos.parent]
     places = dict.fromkeys([root, photos, *above, root / "images"])
     return [path for place in places for name in MASK_FOLDERS if (path := place / name).is_dir()]

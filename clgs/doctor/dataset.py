@@ -60,15 +60,11 @@ def examine(root: Path) -> Examined:
         remedy = "call them NAME.png as the photos are, in masks; they are not used"
         findings.append(Finding(WARNING, named(photos.stray_masks), problem, remedy))
     findings += _points(photos)
-    return Examined(_summary(root, photos), errors_first(findings))
-
-
-def _summary(root: Path, photos: PhotoSet) -> str:
-    total = len(photos.train) + len(photos.test)
-    if not total:
-        return f"{root}: no photo can be used"
     split = f"{len(photos.train)} to train on, {len(photos.test)} held out"
-    return f"{root}: {photos.kind}, {total} photos ({split})"
+    summary = f"{photos.kind}, {len(everyone)} photos ({split})"
+    if not everyone:
+        summary = "no photo can be used"
+    return Examined(f"{root}: {summary}", errors_first(findings))
 
 
 def _unposed(root: Path, error: DataError) -> Examined:

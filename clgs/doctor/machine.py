@@ -58,15 +58,10 @@ class ExaminedMachine:
     devices: list[Tried]
     findings: list[Finding]
 
-    @property
-    def usable(self) -> bool:
-        """Whether a device computed correctly."""
-        return bool(self.devices)
-
 
 def examine_machine() -> ExaminedMachine:
     """Everything that clgs needs of this machine, with a second of checks per device."""
-    findings = [*_memory(), *_disk(), *_packages()]
+    findings = [*_memory_and_disk(), *_packages()]
     devices: list[Tried] = []
     try:
         for found in _devices():
@@ -90,17 +85,14 @@ def examine_machine() -> ExaminedMachine:
     return ExaminedMachine(facts, devices, errors_first(findings))
 
 
-def _memory() -> Iterator[Finding]:
+def _memory_and_disk() -> Iterator[Finding]:
+    from clgs.opencl.absence import write_problem
+
     available = available_memory()
     if available is not None and available < LEAST_MEMORY:
         problem = f"{available / 2**30:.1f} GiB of memory are available"
         remedy = "end other programs, or train with --photo-memory 256 and a larger --downscale"
         yield Finding(WARNING, "memory", problem, remedy)
-
-
-def _disk() -> Iterator[Finding]:
-    from clgs.opencl.absence import write_problem
-
     folders = {"disk": Path.cwd()}
     try:
         folders["temporary files"] = Path(tempfile.gettempdir())

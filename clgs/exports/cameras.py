@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clgs.data.dataset import Dataset
 from clgs.data.posed_photo import to_y_up
 from clgs.scene.camera import Camera
-from clgs.scene.scene import SceneTransform
 
 FRUSTUM_DEPTH = 0.1
 """Length of a frustum in camera radii."""
@@ -46,7 +44,9 @@ def cameras_glb(dataset: Dataset) -> bytes:
     for split, views in (("train", dataset.train), ("test", dataset.test)):
         for view in views:
             frustum = _frustum(view.camera, depth, CAMERA_COLORS[split])
-            pose = _pose(view.camera, dataset.transform, turn)
+            pose = np.eye(4)  # camera to turned world
+            pose[:3, :3] = turn @ view.camera.rotation.T
+            pose[:3, 3] = turn @ dataset.transform.to_world(view.camera.centre[None])[0]
             name = f"{split}/{view.name}"
             scene.add_geometry(frustum, node_name=name, geom_name=name, transform=pose)
     return bytes(scene.export(file_type="glb"))
@@ -64,13 +64,3 @@ def _frustum(camera: Camera, depth: float, color: tuple[int, ...]) -> Any:
     return Path3D(
         lines, np.vstack([np.zeros(3), corners]), colors=[color] * len(EDGES), process=False
     )
-
-
-def _pose(
-    camera: Camera, transform: SceneTransform, turn: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
-    """Camera to turned world, (4, 4): x_cam = R x_scene + t has its centre at -R^T t."""
-    centre = transform.to_world((-camera.rotation.T @ camera.translation)[None])[0]
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turn @ camera.rotation.T, turn @ centre
-    return pose

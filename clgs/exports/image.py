@@ -112,16 +112,13 @@ def picture_names(names: Sequence[str]) -> list[str]:
     """
     stems = [PurePosixPath(name.replace("\\", "/")).with_suffix("") for name in names]
     for form in ("name", "path", "numbered"):
-        plain = [_plain(stem.name if form == "name" else str(stem)) for stem in stems]
+        chosen = (stem.name if form == "name" else str(stem) for stem in stems)
+        plain = [re.sub(r"[^\w.-]", "_", text.strip("./")) for text in chosen]
         if form == "numbered":
             plain = [f"{name}_{number}" for number, name in enumerate(plain)]
         if len({name.casefold() for name in plain}) == len(plain):
             break
     return [f"{name}.png" for name in plain]
-
-
-def _plain(text: str) -> str:
-    return re.sub(r"[^\w.-]", "_", text.strip("./"))
 
 
 class PictureFolder:

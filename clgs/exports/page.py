@@ -39,16 +39,19 @@ class Start:
 
 
 def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
-    """The page that shows a .clgs file; without ``data`` a page to drop such files on.
+    """The page that shows a .clgs file, all of ``data``; without it one to drop such files on.
 
-    Args:
-        data: a whole file of a scene or of splats; the page verifies it.
-        title: of the page; empty without data.
-        start: the first view; by default the page guesses one.
+    The page verifies the file. It begins at ``start``, or guesses a view.
 
     Raises:
         ClgsError: the package was built without the decoder.
     """
+    decoder = importlib.resources.files("clgs") / "web" / "scene.wasm"
+    if not decoder.is_file():
+        raise ClgsError(
+            "clgs was built without the page's decoder; install clang with lld, or `pip install "
+            "ziglang`, and install clgs again"
+        )
     settings = {
         "title": title,
         "start": asdict(start) if start else None,
@@ -57,7 +60,7 @@ def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
     values = {
         "title": escape(title or "clgs viewer"),
         "settings": json.dumps(settings).replace("<", "\\u003c"),
-        "wasm": base64.b64encode(_decoder()).decode(),
+        "wasm": base64.b64encode(decoder.read_bytes()).decode(),
         "scene": base64.b64encode(data).decode(),
         "scripts": "\n".join(_text(name) for name in SCRIPTS),
         "page.css": _text("page.css"),
@@ -98,18 +101,3 @@ def _meeting(cameras: Sequence[Camera]) -> np.ndarray[tuple[int], np.dtype[np.fl
 def _text(name: str) -> str:
     folder = importlib.resources.files("clgs") / "web" / "page"
     return (folder / name).read_text(encoding="utf-8").strip()
-
-
-def _decoder() -> bytes:
-    """The decoder of the page.
-
-    Raises:
-        ClgsError: there is none.
-    """
-    file = importlib.resources.files("clgs") / "web" / "scene.wasm"
-    if not file.is_file():
-        raise ClgsError(
-            "clgs was built without the page's decoder; install clang with lld, or `pip install "
-            "ziglang`, and install clgs again"
-        )
-    return file.read_bytes()

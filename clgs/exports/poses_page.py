@@ -11,14 +11,14 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.data.colmap.model import read_colmap
-from clgs.data.posed_photo import PhotoSet
-from clgs.exports.camera_map import draw_map
-from clgs.exports.report import STYLE, cards
+from clgs.data.posed_photo import Photo, PhotoSet
+from clgs.exports.report import cards, facts_table, html_page
 from clgs.files import atomic_write
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
-from clgs.poses.report import CELL, COLUMNS, CONTACT_SHEET
+from clgs.poses.prepare import CELL, COLUMNS, CONTACT_SHEET
 
 OWN_STYLE = """\
 .good { --status: #2e8b57; } .doubtful { --status: #d98200; } .left { --status: #c53030; }
@@ -30,6 +30,18 @@ OWN_STYLE = """\
   background-image: var(--photos); }
 .status { color: var(--status); font-weight: 600; }
 """
+
+MAP_SIZE = 480
+"""Width and height of the drawing, pixels."""
+
+MAX_POINTS = 4000
+KEPT = 0.9
+"""Share of the points that the drawing must hold; those far away are cut off."""
+
+CAMERA = 0.035
+"""Length of a camera, of the drawing's width."""
+
+Floats = npt.NDArray[np.float64]
 
 _CLASS = {GOOD: "good", DOUBTFUL: "doubtful", LEFT_OUT: "left"}
 
@@ -46,13 +58,7 @@ def write_poses_page(path: Path, data: Path, verdict: Verdict) -> None:
 
 
 def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:
-    """Make the page as text.
-
-    Args:
-        photos: with the poses that were found.
-        verdict: on all photos.
-        sheet: the contact sheet, a JPEG file.
-    """
+    """Make the page as text; ``photos`` have the poses that were found, ``sheet`` is a JPEG."""
     picture = base64.b64encode(sheet).decode()
     headline = [
         ("photos with a pose", f"{verdict.registered} / {verdict.total}"),
@@ -69,16 +75,11 @@ def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:
             _maps(photos, verdict),
             _table([*verdict.of(LEFT_OUT), *verdict.of(DOUBTFUL)]),
             _sheet(verdict.photos),
-            _facts(verdict),
+            facts_table(_facts(verdict)),
         )
     )
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>Camera poses</title>\n<style>\n{STYLE}{OWN_STYLE}"
-        f".sheet {{ --photos: url(data:image/jpeg;base64,{picture}); }}\n</style>\n</head>\n"
-        f"<body>\n{body}\n</body>\n</html>\n"
-    )
+    style = f"{OWN_STYLE}.sheet {{ --photos: url(data:image/jpeg;base64,{picture}); }}\n"
+    return html_page("Camera poses", body, style)
 
 
 def _maps(photos: PhotoSet, verdict: Verdict) -> str:
@@ -95,7 +96,7 @@ def _maps(photos: PhotoSet, verdict: Verdict) -> str:
     right /= max(float(np.linalg.norm(right)), 1e-12)
     views = {"from above": [right, np.cross(right, down)], "from the side": [right, down]}
     figures = "".join(
-        f"<figure>{draw_map(marks, photos.points, np.stack(axes))}"
+        f"<figure>{_draw_map(marks, photos.points, np.stack(axes))}"
         f"<figcaption>{text}</figcaption></figure>"
         for text, axes in views.items()
     )
@@ -104,6 +105,50 @@ def _maps(photos: PhotoSet, verdict: Verdict) -> str:
         f'<section><h2>Cameras and points</h2><p class="soft">{legend}</p>'
         f'<div class="pair">{figures}</div></section>'
     )
+
+
+def _draw_map(photos: Sequence[tuple[Photo, str]], points: Floats, axes: Floats) -> str:
+    """Draw photos, each with the class of its mark, and points (P, 3) in world units, as SVG.
+
+    axes: (2, 3), the directions to the right and down, unit.
+    """
+    centres = np.array([photo.centre for photo, _ in photos]) @ axes.T
+    flat = points[:: max(1, len(points) // MAX_POINTS)] @ axes.T
+    low, size = _frame(centres, flat)
+    scale = MAP_SIZE / size
+    dots = (flat - low) * scale
+    inside = dots[((dots >= 0) & (dots <= MAP_SIZE)).all(1)]
+    path = "".join(f"M{x:.0f} {y:.0f}h0" for x, y in inside)
+    marks = "".join(
+        _mark(photo, kind, (centre - low) * scale, axes)
+        for (photo, kind), centre in zip(photos, centres, strict=True)
+    )
+    return (
+        f'<svg class="chart plan" role="img" viewBox="0 0 {MAP_SIZE} {MAP_SIZE}" '
+        f'aria-label="cameras and points"><path class="points" d="{path}"/>{marks}</svg>'
+    )
+
+
+def _frame(centres: Floats, points: Floats) -> tuple[Floats, float]:
+    """Upper left corner (2,) and width of a square that holds all cameras and most points."""
+    lower, upper = centres.min(0), centres.max(0)
+    if len(points):
+        tail = (1 - KEPT) / 2
+        lower = np.minimum(lower, np.quantile(points, tail, axis=0))
+        upper = np.maximum(upper, np.quantile(points, 1 - tail, axis=0))
+    size = 1.1 * max(float((upper - lower).max()), 1e-12)
+    return np.asarray((lower + upper - size) / 2), size
+
+
+def _mark(photo: Photo, kind: str, centre: Floats, axes: Floats) -> str:
+    """A triangle that opens where the camera looks."""
+    forward, aside = axes @ photo.rotation[2], axes @ photo.rotation[0]
+    length = CAMERA * MAP_SIZE
+    half = 0.5 * photo.lens.width / photo.lens.fx
+    corners = [centre, *(centre + length * (forward + side * half * aside) for side in (-1, 1))]
+    text = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+    title = f"<title>{escape(photo.name)}</title>"
+    return f'<polygon class="camera {kind}" points="{text}">{title}</polygon>'
 
 
 def _table(photos: Sequence[PhotoVerdict]) -> str:
@@ -137,7 +182,7 @@ def _sheet(photos: Sequence[PhotoVerdict]) -> str:
     return f'<section><h2>Photos</h2><div class="sheet">{"".join(figures)}</div></section>'
 
 
-def _facts(verdict: Verdict) -> str:
+def _facts(verdict: Verdict) -> dict[str, str]:
     facts = {"mapper kept": verdict.mapper}
     facts |= {f"matches explained, {name}": f"{n:,}" for name, n in verdict.explained.items()}
     facts["matches in links that contradict the poses"] = f"{100 * verdict.contradicted:.1f} %"
@@ -145,6 +190,4 @@ def _facts(verdict: Verdict) -> str:
         f"other model {number}": f"{len(names)} photos: {', '.join(names)}"
         for number, names in enumerate(verdict.apart, 1)
     }
-    facts |= {f"seconds, {stage}": f"{value:.1f}" for stage, value in verdict.seconds.items()}
-    rows = "".join(f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in facts.items())
-    return f"<section><h2>Conditions</h2><table>{rows}</table></section>"
+    return facts | {f"seconds, {stage}": f"{value:.1f}" for stage, value in verdict.seconds.items()}

@@ -102,13 +102,17 @@ def report_html(report: Report, views: Sequence[ReportView]) -> str:
         _curve(report.curve),
         _pictures(shown(views), report.held_out),
         _scores(views),
-        _facts(report.facts),
+        facts_table(report.facts),
     ]
-    body = "\n".join(part for part in parts if part)
+    return html_page(report.title, "\n".join(part for part in parts if part))
+
+
+def html_page(title: str, body: str, style: str = "") -> str:
+    """A whole page; ``style`` is added to STYLE."""
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(report.title)}</title>\n<style>\n{STYLE}</style>\n</head>\n"
+        f"<title>{escape(title)}</title>\n<style>\n{STYLE}{style}</style>\n</head>\n"
         f"<body>\n{body}\n</body>\n</html>\n"
     )
 
@@ -204,7 +208,13 @@ def _pictures(views: Sequence[ReportView], held_out: bool) -> str:
         caption = f"{view.name}: {view.psnr:.2f} dB, SSIM {view.ssim:.4f}"
         photo, render = view.pictures()
         trio = (("photo", photo), ("render", render), ("error", error_map(photo, render)))
-        images = "".join(_image(f"{name} of {view.name}", picture) for name, picture in trio)
+        # a picture fills the window while its hidden box is checked: no script is needed
+        images = "".join(
+            '<label><input type="checkbox" aria-label="enlarge">'
+            f'<img alt="{escape(f"{name} of {view.name}")}" src="data:image/jpeg;base64,'
+            f'{base64.b64encode(jpeg_bytes(picture)).decode()}"></label>'
+            for name, picture in trio
+        )
         figures.append(
             f"<figure><div>{images}</div><figcaption>{escape(caption)}</figcaption></figure>"
         )
@@ -215,15 +225,6 @@ def _pictures(views: Sequence[ReportView], held_out: bool) -> str:
     )
     title = "Held-out views" if held_out else "Training views"
     return f'<section><h2>{title}</h2><p class="soft">{text}</p>{"".join(figures)}</section>'
-
-
-def _image(name: str, picture: npt.NDArray[np.uint8]) -> str:
-    """A picture that fills the window while its hidden box is checked: no script is needed."""
-    data = base64.b64encode(jpeg_bytes(picture)).decode()
-    return (
-        f'<label><input type="checkbox" aria-label="enlarge">'
-        f'<img alt="{escape(name)}" src="data:image/jpeg;base64,{data}"></label>'
-    )
 
 
 def _scores(views: Sequence[ReportView]) -> str:
@@ -238,7 +239,8 @@ def _scores(views: Sequence[ReportView]) -> str:
     return f"<section><h2>Scores by view</h2><table>{head}{rows}</table></section>"
 
 
-def _facts(facts: Mapping[str, str]) -> str:
+def facts_table(facts: Mapping[str, str]) -> str:
+    """The small print, (name, text); nothing if there is none."""
     if not facts:
         return ""
     rows = "".join(f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in facts.items())

@@ -41,16 +41,9 @@ def write_run_report(
 ) -> Path:
     """Write the page about the finished run in ``folder``.
 
-    Args:
-        folder: results.json, per_view.json, progress.csv, scene.clgs and the pictures of the run.
-        command: the command that repeats the run.
-        lead: the first sentence of the page.
-        seconds: the time of each stage; by default the page has the time of training alone.
-        links: (label, file in the page's folder).
-        page: where to write, by default REPORT in ``folder``.
-
-    Returns:
-        The path of the page.
+    The page tells the ``command`` that repeats the run, the ``seconds`` of each stage, by default
+    of training alone, and ``links``: (label, file in the page's folder). ``lead`` is its first
+    sentence. Its path, by default REPORT in ``folder``, is returned.
 
     Raises:
         DataError: a file of the run is missing or damaged.

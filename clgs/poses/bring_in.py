@@ -62,9 +62,7 @@ class PhotoSource:
 def find_source(path: Path, frames: int | None = None) -> PhotoSource:
     """Look at ``path``, a folder or a video; nothing is decoded, and nothing is written.
 
-    Args:
-        path: of the folder or the video.
-        frames: number of frames to take from a video; default DEFAULT_FRAMES.
+    ``frames``: how many to take from a video; default DEFAULT_FRAMES.
 
     Raises:
         DataError: nothing there, too few photos, or no program that reads videos.
@@ -103,11 +101,8 @@ def bring_in(
     channel hides is black and masked. The mask of the photo NAME is NAME.png, as COLMAP reads it;
     if one photo has a mask, all have.
 
-    Args:
-        source: from :func:`find_source`.
-        work: an empty folder.
-        on_read: called with the number of photos that were read so far, or of frames that were
-            written.
+    ``work`` is an empty folder. ``on_read`` is called with the number of photos that were read so
+    far, or of frames that were written.
 
     Raises:
         DataError: too few photos are whole.
@@ -157,8 +152,7 @@ def _set_aside(found: Collection, faults: list[str]) -> None:
     checked = list(zip(found.photos, faults, strict=True))
     for one, fault in checked:
         if fault:
-            below = one.path.relative_to(found.root).as_posix()
-            found.skipped.append((below, fault.removeprefix(f"{one.path}: ")))
+            found.skip(one.path, fault.removeprefix(f"{one.path}: "))
     found.photos = [one for one, fault in checked if not fault]
     _check_enough(found)
 

@@ -31,24 +31,18 @@ _serving: list[bool] = []
 _running: list[subprocess.Popen[str]] = []
 
 
-def run_child(
-    module: str,
-    task: str,
-    arguments: Any,
-    on_stage: OnStage,
-) -> Any:
-    """Run ``main()`` of a module, which calls :func:`serve`, in a child; returns its result.
+def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
+    """Run ``work(arguments, on_stage)`` of a module in a child process; returns its result.
 
-    Args:
-        module: the dotted name.
-        task: what the child does, for messages.
-        arguments: passed as JSON; the result comes back as JSON, too.
-        on_stage: called with the child's reports of progress.
+    Arguments, results and reports of progress pass as JSON; messages name the ``task``.
 
     Raises:
         DataError: the work failed, or the child crashed.
     """
-    program = f"import sys; sys.path[:] = {sys.path!r}; from {module} import main; main()"
+    program = (
+        f"import sys; sys.path[:] = {sys.path!r}; from clgs.poses.child import serve; "
+        f"from {module} import work; serve(work)"
+    )
     with subprocess.Popen(
         [sys.executable, "-c", program],
         stdin=subprocess.PIPE,

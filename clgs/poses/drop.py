@@ -8,7 +8,7 @@ from typing import Any
 
 from clgs.data.masks import MASKS
 from clgs.errors import DataError
-from clgs.poses.child import OnStage, run_child, serve
+from clgs.poses.child import OnStage, run_child
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 
@@ -42,13 +42,8 @@ def drop_doubtful(target: Path, verdict: Verdict) -> Verdict:
     return replace(verdict, **figures, registered=good, photos=photos, sure=sure)
 
 
-def main() -> None:
-    """Run the process that changes the model and the folders."""
-    serve(_work)
-
-
-def _work(arguments: Any, on_stage: OnStage) -> dict[str, float]:
-    """Remove photos by name; returns the figures of the model that is left."""
+def work(arguments: Any, on_stage: OnStage) -> dict[str, float]:
+    """Be the child: remove photos by name; returns the figures of the model that is left."""
     target, names = Path(arguments[0]), set(arguments[1])
     sparse = target / "sparse" / "0"
     with quiet_pycolmap(_TASK) as pycolmap:

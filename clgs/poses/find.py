@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -49,6 +50,10 @@ class Collection:
     root: Path
     photos: list[Found] = field(default_factory=list)
     skipped: list[tuple[str, str]] = field(default_factory=list)
+
+    def skip(self, path: Path, reason: str) -> None:
+        """Note why a file or folder is no photo."""
+        self.skipped.append((path.relative_to(self.root).as_posix(), reason))
 
     def lines(self) -> list[str]:
         """One line for each reason that files were skipped for, with the first of their names."""
@@ -112,14 +117,12 @@ def _is_photo(path: Path) -> bool:
 
 def _files(collection: Collection) -> Iterator[Path]:
     """Files that are photos by their names; the others are noted as skipped."""
-    root = collection.root
-    for where, folders, names in os.walk(root):
+    for where, folders, names in os.walk(collection.root):
         here = Path(where)
         folders[:] = _folders(collection, here, folders)
         for name in sorted(names):
-            reason = _reason(here / name)
-            if reason:
-                collection.skipped.append(((here / name).relative_to(root).as_posix(), reason))
+            if reason := _reason(here / name):
+                collection.skip(here / name, reason)
             else:
                 yield here / name
 
@@ -129,13 +132,10 @@ def _folders(collection: Collection, here: Path, names: list[str]) -> list[str]:
     kept = []
     for name in sorted(names):
         path = here / name
-        reason = ""
         if path.is_symlink() and name not in _FOREIGN_FOLDERS:
-            reason = "links to folders; copy what they hold"
+            collection.skip(path, "links to folders; copy what they hold")
         elif any((path / file).exists() for file in _OWN):
-            reason = "folders that clgs made"
-        if reason:
-            collection.skipped.append((path.relative_to(collection.root).as_posix(), reason))
+            collection.skip(path, "folders that clgs made")
         elif name not in _FOREIGN_FOLDERS and not name.startswith("."):
             kept.append(name)
     return kept
@@ -161,24 +161,19 @@ def _reason(path: Path) -> str:
 
 def _without_copies(paths: list[Path], collection: Collection) -> list[Path]:
     """``paths`` without files that hold the same bytes as an earlier one."""
-    by_size: dict[int, list[Path]] = {}
+    sizes = Counter(path.stat().st_size for path in paths)
+    seen: set[bytes] = set()
+    kept = []
     for path in paths:
-        by_size.setdefault(path.stat().st_size, []).append(path)
-    copies: set[Path] = set()
-    for same in by_size.values():
-        seen: set[bytes] = set()
-        for path in same if len(same) > 1 else ():
+        if sizes[path.stat().st_size] > 1:
             with path.open("rb") as file:
                 digest = hashlib.file_digest(file, "blake2b").digest()
             if digest in seen:
-                copies.add(path)
+                collection.skip(path, "second copies of the same bytes")
+                continue
             seen.add(digest)
-    collection.skipped += [
-        (path.relative_to(collection.root).as_posix(), "second copies of the same bytes")
-        for path in paths
-        if path in copies
-    ]
-    return [path for path in paths if path not in copies]
+        kept.append(path)
+    return kept
 
 
 def _new_name(below: str, taken: set[str]) -> str:

@@ -50,11 +50,7 @@ OTHER_SEED = 1_000_003
 
 
 def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
-    """Run both mappers on all verified matches and choose the better model.
-
-    Args:
-        workspace: of the reconstruction.
-        quick: run the incremental mapper alone.
+    """Run both mappers, if ``quick`` the incremental one, and choose the better model.
 
     Raises:
         DataError: no two photos could be related.
@@ -202,16 +198,12 @@ def _map_globally(workspace: Workspace, stage: str) -> list[Any]:
     """The global mapper: Pan et al., Global Structure-from-Motion Revisited (GLOMAP), 2024."""
     workspace.on_progress(stage, 0, 0)
     options = workspace.pycolmap.GlobalPipelineOptions()
-    options.num_threads = 1
-    options.random_seed = workspace.seed
-    options.min_model_size = MIN_MODEL
-    options.mapper.num_threads = 1
-    options.mapper.random_seed = workspace.seed
-    options.mapper.rotation_averaging.random_seed = workspace.seed
-    options.mapper.global_positioning.random_seed = workspace.seed
-    options.mapper.global_positioning.use_gpu = False
-    options.mapper.bundle_adjustment.ceres.use_gpu = False
-    options.mapper.retriangulation.random_seed = workspace.seed
+    mapper, options.min_model_size = options.mapper, MIN_MODEL
+    options.num_threads = mapper.num_threads = 1
+    positioning = mapper.global_positioning
+    for one in (options, mapper, mapper.rotation_averaging, positioning, mapper.retriangulation):
+        one.random_seed = workspace.seed
+    positioning.use_gpu = mapper.bundle_adjustment.ceres.use_gpu = False
     folder = workspace.folder / GLOBAL
     folder.mkdir()
     mapping = workspace.pycolmap.global_mapping

@@ -1,4 +1,4 @@
-"""Matches of features between photos, verified by a two-view geometry.
+"""SIFT features of photos, and matches between them, verified by a two-view geometry.
 
 On several threads pycolmap 4.2.1 now and then loses most matches of a pair: of 719 in photos of a
 can 42 were left. It seems that threads in OpenBLAS spoil each other's products. So several child
@@ -16,11 +16,31 @@ from typing import Any
 
 import numpy as np
 
-from clgs.poses.child import OnStage, run_child, serve
+from clgs.poses.child import OnStage, run_child
 from clgs.poses.judging.evidence import MIN_MATCHES, Evidence, MatchedPair
 from clgs.poses.pairs import all_pairs
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import THREADS, Workspace
+
+MAX_FEATURES = 8192
+"""The most features of a photo; COLMAP's default. pycolmap prefers large ones."""
+
+QUICK_FEATURES = 4096
+
+FINEST_SIZE = 3200
+"""Larger photos are reduced to this longer side before the search, pixels; COLMAP's default."""
+
+DOUBLED_SIZE = 1600
+"""Photos up to this size are searched at twice their resolution, too, as COLMAP does by default.
+
+Doubled images beyond FINEST_SIZE would take gigabytes of memory.
+"""
+
+PEAK_THRESHOLD = 0.004
+"""The least contrast of a feature; COLMAP's 0.0067 finds too few in small photos."""
+
+BATCH = 4 * THREADS
+"""Photos between two reports of progress."""
 
 TILE, GROUP = 12, 144
 """GROUP pairs are matched at a time, of two runs of TILE photos, so that few are indexed twice."""
@@ -40,6 +60,53 @@ NamePairs = list[tuple[str, str]]
 """Pairs of file names."""
 
 
+def extract(workspace: Workspace, size: int, quick: bool) -> None:
+    """Write cameras, images and features of all photos into a new database.
+
+    All images are numbered before the search begins, so that results do not depend on threads.
+
+    ``size``: longer side of the largest photo, pixels; ``quick``: find fewer features.
+    """
+    pycolmap = workspace.pycolmap
+    workspace.open().close()  # pycolmap imports into a database that exists
+    for camera in sorted(set(workspace.cameras)):
+        # The photos of one camera share its focal length and distortion.
+        importing = pycolmap.ImageReaderOptions()
+        importing.camera_model = "SIMPLE_RADIAL"
+        cameras = zip(workspace.names, workspace.cameras, strict=True)
+        workspace.call(
+            pycolmap.import_images,
+            workspace.database,
+            workspace.images,
+            camera_mode=pycolmap.CameraMode.SINGLE,
+            image_names=[name for name, own in cameras if own == camera],
+            options=importing,
+        )
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu = False
+    options.num_threads = THREADS
+    options.max_image_size = FINEST_SIZE
+    options.sift.max_num_features = QUICK_FEATURES if quick else MAX_FEATURES
+    options.sift.first_octave = -1 if size <= DOUBLED_SIZE else 0
+    options.sift.peak_threshold = PEAK_THRESHOLD
+    reader = pycolmap.ImageReaderOptions()
+    if workspace.masks is not None:
+        reader.mask_path = workspace.masks
+    total = len(workspace.names)
+    for start in range(0, total, BATCH):
+        workspace.on_progress("features", start, total)
+        workspace.call(
+            pycolmap.extract_features,
+            workspace.database,
+            workspace.images,
+            image_names=workspace.names[start : start + BATCH],
+            reader_options=reader,
+            extraction_options=options,
+            device=pycolmap.Device.cpu,
+        )
+    workspace.on_progress("features", total, total)
+
+
 def match(
     workspace: Workspace,
     pairs: list[tuple[int, int]],
@@ -50,11 +117,8 @@ def match(
 
     The result does not depend on the number of processes.
 
-    Args:
-        workspace: of the reconstruction.
-        pairs: places in ``workspace.names``.
-        stage: for reports of progress.
-        ratio: largest distance of a match over the second best one; None: COLMAP's default.
+    ``pairs`` are places in ``workspace.names``; ``ratio`` is the largest distance of a match over
+    the second best one, by default COLMAP's.
 
     Raises:
         DataError: pycolmap fails.
@@ -100,13 +164,8 @@ def match(
         shutil.rmtree(copy.folder)
 
 
-def main() -> None:
-    """Run a process that matches."""
-    serve(_work)
-
-
-def _work(arguments: Any, on_stage: OnStage) -> None:
-    """Match groups of pairs of names, one group after the other, in a folder's database."""
+def work(arguments: Any, on_stage: OnStage) -> None:
+    """Be the child: match groups of pairs of names, one after the other, in a folder's database."""
     folder, groups, ratio, seed = arguments
     with quiet_pycolmap(_TASK) as pycolmap:
         workspace = Workspace(pycolmap, Path(folder), Path(folder), [], [], seed, lambda *_: None)

@@ -54,9 +54,7 @@ def all_pairs(count: int) -> list[tuple[int, int]]:
 def likely_pairs(descriptors: Sequence[npt.NDArray[np.uint8]], seed: int) -> list[tuple[int, int]]:
     """List pairs (i, j), i < j, of photos that follow each other or look alike.
 
-    Args:
-        descriptors: (M, 128) per photo, photos in the order of their names.
-        seed: for the initial clusters.
+    ``descriptors``: (M, 128) per photo, photos in the order of their names.
     """
     count = len(descriptors)
     steps = [*range(1, OVERLAP + 1), *(2**k for k in range(4, count.bit_length()))]

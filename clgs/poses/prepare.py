@@ -1,20 +1,50 @@
-"""Raw photos or a video to a COLMAP data set with a verdict on every pose."""
+"""Raw photos or a video to a COLMAP data set with a verdict on every pose, and its files."""
 
 from __future__ import annotations
 
+import io
+import json
+import os
+import re
 import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from PIL import Image
+
+from clgs.data.images import read_image
 from clgs.errors import DataError, ExistsError, OutputError
-from clgs.files import atomic_folder, check_folder, is_full
+from clgs.files import STEM_KEPT, atomic_folder, check_folder, is_full
 from clgs.poses.bring_in import bring_in, find_source
 from clgs.poses.drop import drop_doubtful as drop_doubtful_photos
 from clgs.poses.judging.verdict import Verdict
 from clgs.poses.pycolmap_lazy import SEEDS
 from clgs.poses.reconstruct import reconstruct
-from clgs.poses.report import CONTACT_SHEET, REPORT, write_report
-from clgs.poses.unfinished import owned, remove_leftovers, removed_if_killed
 from clgs.poses.workspace import OnProgress
+
+REPORT = "report.json"
+CONTACT_SHEET = "contact_sheet.jpg"
+"""All photos of the verdict, in its order; see :func:`contact_sheet`."""
+
+COLUMNS = 8
+CELL = (160, 120)
+"""Width and height of a photo on the sheet, pixels."""
+
+QUALITY = 80
+
+OWNER = "owner"
+"""A file in the folder work/ of an unfinished data set; the running process holds a lock on it."""
+
+_GUARD = """
+import shutil, sys, time
+if not sys.stdin.buffer.read():
+    for _ in range(50):  # children of the killed process may write for a moment more
+        shutil.rmtree(sys.argv[1], ignore_errors=True)
+        time.sleep(0.1)
+"""
 
 MADE = {"images", "masks", "sparse", REPORT, CONTACT_SHEET, "report.html"}
 """What this function, and the command of that name, make: a folder of these may be replaced."""
@@ -69,7 +99,10 @@ def prepare(
                 verdict = reconstruct(target, seed % SEEDS, quick, on_progress)
                 if drop_doubtful:
                     verdict = drop_doubtful_photos(target, verdict)
-                write_report(target, verdict, work / "images")
+                sheet = contact_sheet([work / "images" / one.name for one in verdict.photos])
+                (target / CONTACT_SHEET).write_bytes(sheet)
+                report = json.dumps(verdict.plain(), indent=1, allow_nan=False)
+                (target / REPORT).write_text(report + "\n", encoding="utf-8")
             shutil.rmtree(work)
             return verdict
     except OutputError:
@@ -94,3 +127,74 @@ def _check_replaceable(output: Path, photos: list[Path]) -> None:
         )
     if any(output.resolve() in path.resolve().parents for path in photos):
         raise ExistsError(f"{output}: holds the photos that are read; choose another")
+
+
+def contact_sheet(photos: Sequence[Path]) -> bytes:
+    """Make a JPEG file: COLUMNS photos per row, each reduced to fit into the middle of its CELL.
+
+    Raises:
+        DataError: a photo is damaged.
+    """
+    width, height = CELL
+    rows = -(-len(photos) // COLUMNS)
+    sheet = Image.new("RGB", (COLUMNS * width, max(rows, 1) * height), (128, 128, 128))
+    for number, path in enumerate(photos):
+        picture = Image.fromarray(read_image(path).color)
+        picture.thumbnail(CELL)
+        row, column = divmod(number, COLUMNS)
+        left = column * width + (width - picture.width) // 2
+        sheet.paste(picture, (left, row * height + (height - picture.height) // 2))
+    buffer = io.BytesIO()
+    sheet.save(buffer, "JPEG", quality=QUALITY)
+    return buffer.getvalue()
+
+
+@contextmanager
+def removed_if_killed(folder: Path) -> Iterator[None]:
+    """Remove ``folder`` and all that it holds if this process is killed within the block.
+
+    A killed process cannot do that, so another process waits for its end.
+    """
+    with subprocess.Popen(
+        [sys.executable, "-I", "-S", "-c", _GUARD, str(folder)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # so that it survives what ends all processes of a terminal
+    ) as guard:
+        try:
+            yield
+        finally:
+            with suppress(BrokenPipeError):
+                guard.communicate(b"done")
+
+
+@contextmanager
+def owned(work: Path) -> Iterator[None]:
+    """Make the folder ``work`` and show other processes that it is in use within the block."""
+    work.mkdir()
+    with (work / OWNER).open("wb") as file:
+        if os.name != "nt":
+            import fcntl
+
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+
+
+def remove_leftovers(output: Path) -> None:
+    """Remove the hidden folders that killed runs with the same ``output`` left next to it."""
+    if os.name == "nt" or not output.parent.is_dir():
+        return
+    import fcntl
+
+    name = rf"\.{re.escape(output.stem[:STEM_KEPT])}\.[0-9a-f]{{8}}{re.escape(output.suffix)}"
+    for folder in output.parent.iterdir():
+        if not re.fullmatch(name, folder.name):
+            continue
+        try:
+            with (folder / "work" / OWNER).open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:  # there is no such file, or a running process holds the lock
+            continue
+        shutil.rmtree(folder, ignore_errors=True)

@@ -20,12 +20,11 @@ from clgs.data.images import image_size
 from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
 from clgs.poses.bring_in import camera_numbers
-from clgs.poses.child import OnStage, run_child, serve
-from clgs.poses.features import extract
+from clgs.poses.child import OnStage, run_child
 from clgs.poses.judging.judge import judge
 from clgs.poses.judging.verdict import Verdict, verdict_of
 from clgs.poses.mapping import look_again, map_half, map_photos
-from clgs.poses.matching import match
+from clgs.poses.matching import extract, match
 from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import OnProgress, Workspace
@@ -44,11 +43,8 @@ _TASK = "structure from motion"
 def reconstruct(target: Path, seed: int, quick: bool, on_progress: OnProgress) -> Verdict:
     """Find poses and points of the photos in ``target``/work/images: fills images/ and sparse/0/.
 
-    Args:
-        target: folder of the new data set.
-        seed: of all random choices.
-        quick: half the features, one mapper, no second reconstruction.
-        on_progress: called with the progress of each stage after "read".
+    ``quick``: half the features, one mapper, no second reconstruction. ``on_progress`` receives the
+    progress of each stage after "read".
 
     Raises:
         DataError: no reconstruction, no pycolmap, or it crashed.
@@ -63,13 +59,8 @@ def reconstruct(target: Path, seed: int, quick: bool, on_progress: OnProgress) -
         raise
 
 
-def main() -> None:
-    """Run the process that reconstructs."""
-    serve(_work)
-
-
-def _work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
-    """Run all stages for the photos in the folder of the arguments; returns a plain verdict."""
+def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
+    """Be the child: run all stages for the photos in a folder; returns a plain verdict."""
     target, seed, quick = Path(arguments[0]), arguments[1], arguments[2]
     work, began = target / "work", dict[str, float]()
 
@@ -174,11 +165,8 @@ def _write_data_set(
 def _write_masks(pycolmap: Any, model: Any, masks: Path, target: Path) -> None:
     """Undistort masks as the photos of ``target``/images; photos without a black pixel get none.
 
-    Args:
-        pycolmap: the module.
-        model: with the cameras of the photos as they were taken.
-        masks: folder of NAME.png for the photo NAME; it may be missing.
-        target: the new data set; its folder of masks is made if it is needed.
+    ``model`` has the cameras of the photos as they were taken. ``masks`` holds NAME.png for the
+    photo NAME; it may be missing.
     """
     for image in model.images.values():
         file = masks / f"{image.name}.png"

@@ -28,7 +28,7 @@ from clgs.data.masks import read_mask, save_mask
 from clgs.data.posed_photo import Photo
 from clgs.errors import DataError
 from clgs.files import atomic_path, make_folder
-from clgs.poses.child import OnStage, run_child, serve
+from clgs.poses.child import OnStage, run_child
 from clgs.poses.judging.evidence import sampson_error
 from clgs.poses.pycolmap_lazy import SEEDS, quiet_pycolmap
 
@@ -87,12 +87,9 @@ def triangulate(
 ) -> Points:
     """Triangulate points that at least two of the ``photos`` see, at their given poses.
 
-    Args:
-        photos: with poses and lenses.
-        cache: a folder; the result is kept there under a name made from poses, lenses, contents of
-            images and seed, and is read from there the next time.
-        seed: of all random choices.
-        on_stage: called with a line of text before long work begins.
+    The result is kept in the folder ``cache``, under a name made from poses, lenses, contents of
+    images and seed, and is read from there the next time. ``on_stage`` receives a line of text
+    before long work begins.
 
     Raises:
         DataError: there are fewer than two photos, or pycolmap is missing or fails.
@@ -159,13 +156,8 @@ def _photo(plain: dict[str, Any]) -> Photo:
     return Photo(plain["name"], Path(plain["path"]), Lens(**lens), rotation, translation, mask)
 
 
-def main() -> None:
-    """Run the process that triangulates."""
-    serve(_work)
-
-
-def _work(arguments: Any, on_stage: OnStage) -> None:
-    """Write the points into a file in the folder of the arguments, in a canonical order."""
+def work(arguments: Any, on_stage: OnStage) -> None:
+    """Be the child: write the points, in a canonical order, into a file in the given folder."""
     photos, folder = [_photo(one) for one in arguments[0]], Path(arguments[1])
     seed = arguments[2] % SEEDS
     (folder / "grey").mkdir()

@@ -11,6 +11,7 @@ import logging
 import math
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,6 @@ WHOLE = 0.95
 """A warning says so if a video ends before this share of its length."""
 
 JPEG_QUALITY = 95
-MAX_FRAMES = 10_000
 
 _ONLY_FILES = ["-protocol_whitelist", "file", "-nostdin"]
 """A video may name other files, even in the network; ffmpeg must not open them."""
@@ -58,14 +58,8 @@ def extract_frames(
 ) -> int:
     """Write ``count`` frames, or as many as there are, to ``folder`` as JPEG, in order.
 
-    Args:
-        path: of the video; the rotation that it asks for is applied.
-        folder: for frame_0001.jpg and so on.
-        count: of frames, 1 to MAX_FRAMES.
-        on_frame: called with the number of frames written so far.
-
-    Returns:
-        The number of frames.
+    The rotation that the video asks for is applied. ``on_frame`` receives the number of frames
+    written so far; that of all is returned.
 
     Raises:
         DataError: no video, a damaged one, or no program that reads it.
@@ -129,19 +123,15 @@ def _seconds_and_rate(path: Path) -> tuple[float, float]:
         DataError: it has neither, or is too large.
     """
     library = video_library(path)
-    try:
-        reader = library.read_frames(_named(path), input_params=_ONLY_FILES)
-        facts = next(reader)
-        reader.close()
+    with _whole(path):
+        facts = _facts(path)
         rate, seconds = float(facts.get("fps") or 0), float(facts.get("duration") or 0)
         width, height = facts["source_size"]
         if not (0 < rate < 1e5 and math.isfinite(seconds) and seconds > 0):
             total, seconds = library.count_frames_and_secs(_named(path))
             rate = total / seconds if seconds else 0.0
-    except (OSError, RuntimeError, ValueError, KeyError, StopIteration) as error:
-        raise _damaged(path) from error
-    if not (seconds > 0 and 0 < rate < 1e5):
-        raise _damaged(path)
+        if not (seconds > 0 and 0 < rate < 1e5):
+            raise ValueError("neither length nor rate")
     if width * height > MAX_PIXELS:
         raise DataError(f"{path}: frames of {width}x{height} pixels are too large; scale it down")
     return seconds, rate
@@ -153,13 +143,17 @@ def frame_size(path: Path) -> tuple[int, int]:
     Raises:
         DataError: it is damaged, or there is no program that reads videos.
     """
-    try:
-        reader = video_library(path).read_frames(_named(path), input_params=_ONLY_FILES)
-        width, height = next(reader)["size"]
-        reader.close()
-    except (OSError, RuntimeError, ValueError, KeyError, StopIteration) as error:
-        raise _damaged(path) from error
-    return int(width), int(height)
+    with _whole(path):
+        width, height = _facts(path)["size"]
+        return int(width), int(height)
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    """Read what ffmpeg says about a video before its first frame."""
+    reader = video_library(path).read_frames(_named(path), input_params=_ONLY_FILES)
+    facts: dict[str, Any] = next(reader)
+    reader.close()
+    return facts
 
 
 def _frames(path: Path, rate: float) -> Iterator[npt.NDArray[np.uint8]]:
@@ -168,15 +162,10 @@ def _frames(path: Path, rate: float) -> Iterator[npt.NDArray[np.uint8]]:
     reader = video_library(path).read_frames(
         _named(path), pix_fmt="rgb24", input_params=_ONLY_FILES, output_params=output
     )
-    try:
-        facts = next(reader)
-        width, height = facts["size"]
+    with closing(reader), _whole(path):
+        width, height = next(reader)["size"]
         for data in reader:
             yield np.frombuffer(data, np.uint8).reshape(height, width, 3)
-    except (OSError, RuntimeError, ValueError, KeyError, StopIteration) as error:
-        raise _damaged(path) from error
-    finally:
-        reader.close()
 
 
 def _named(path: Path) -> str:
@@ -184,8 +173,15 @@ def _named(path: Path) -> str:
     return f"file:{path.absolute()}"
 
 
-def _damaged(path: Path) -> DataError:
-    return DataError(f"{path}: is no video that ffmpeg reads, or a damaged one; record it again")
+@contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    """Let everything that fails while a video is read be a DataError."""
+    try:
+        yield
+    except (OSError, RuntimeError, ValueError, KeyError, StopIteration) as error:
+        raise DataError(
+            f"{path}: is no video that ffmpeg reads, or a damaged one; record it again"
+        ) from error
 
 
 class _Writer:

@@ -32,12 +32,8 @@ def stands_at(camera: Camera, view: View) -> bool:
 def compare(render: Picture, camera: Camera, view: View, background: Color, shown: str) -> Picture:
     """The picture that ``shown``, one of SHOWN, names: render, photo or both, (H, W, 3) uint8.
 
-    Args:
-        render: what ``camera`` sees, (H, W, 3) uint8; it also surrounds the photo.
-        camera: stands at the camera of the photo.
-        view: the photo.
-        background: fills what is transparent in the photo.
-        shown: one of SHOWN.
+    ``camera`` stands where the photo was taken; what it sees, ``render`` (H, W, 3) uint8, surrounds
+    the photo. ``background`` fills what is transparent in it.
 
     Raises:
         DataError: the photo is damaged.

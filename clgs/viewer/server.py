@@ -33,15 +33,10 @@ STILL_ROWS = 1080
 
 @dataclass(frozen=True)
 class Shown:
-    """What the viewer shows.
+    """A scene, photos by split, and where to begin.
 
-    Attributes:
-        live: draws the scene.
-        photos: by split.
-        framing: where to begin.
-        background: of the scene, red, green and blue in [0, 1].
-        unit: what the scene is made of, "anchors" or "Gaussians".
-        nbytes: of its file, if there is one.
+    background: red, green and blue in [0, 1]; unit: what the scene is made of, "anchors" or
+    "Gaussians"; nbytes: of its file, if there is one.
     """
 
     live: LiveScene
@@ -53,11 +48,7 @@ class Shown:
 
 
 def load_viser() -> Any:
-    """The module.
-
-    Raises:
-        ClgsError: it is missing.
-    """
+    """The module; ClgsError if it is missing."""
     try:
         import viser
     except ImportError as error:

@@ -51,11 +51,11 @@ def make_path(
     """
     fps = path.fps or FPS
     if path.name not in PATHS:
-        found = read_camera_path(Path(path.name))
-        moved = [move_camera(one, SceneTransform(), scene.transform) for one in found.cameras]
+        found, own_fps = read_camera_path(Path(path.name))
+        moved = [move_camera(one, SceneTransform(), scene.transform) for one in found]
         if path.frames is not None and path.frames != len(moved):
             moved = interpolate(moved, path.frames)
-        return [_resized(one, path.size) for one in moved], path.fps or found.fps or FPS
+        return [_resized(one, path.size) for one in moved], path.fps or own_fps or FPS
     frames = path.frames or FRAMES
     if path.name == "interpolate":
         assert dataset is not None

@@ -24,11 +24,8 @@ from clgs.train.step.schedule import COARSE_STAGES
 from clgs.workflow.events import Note, OnEvent
 from clgs.workflow.run_plan import Photos, StepSpeed, fit_speed
 
-SYNTHETIC_ANCHORS = 12_500
-"""Anchors of the synthetic scene."""
-
-EDGES = (160, 960)
-"""Pixels of the edges of its two photos."""
+SYNTHETIC_ANCHORS, EDGES = 12_500, (160, 960)
+"""Anchors of the synthetic scene, and pixels of the edges of its two photos."""
 
 REPEATS, WARM_UP = 12, 3
 """Steps that are timed, and steps before them."""
@@ -70,15 +67,9 @@ def synthetic_speed(device: Device) -> StepSpeed:
 def speed_on(
     device: Device, data: Path, photos: Photos, run: Path, seed: int, on_event: OnEvent
 ) -> StepSpeed:
-    """The speed of the first steps on a data set.
+    """The speed of the first steps on the data set ``data`` of these photos.
 
-    Args:
-        device: that will train.
-        data: folder of the data set.
-        photos: what it holds.
-        run: folder of the run, which keeps points that are found for it.
-        seed: of the run.
-        on_event: receives notes.
+    Points that are found for it are kept in ``run``, the folder of the run.
 
     Raises:
         ClgsError: it cannot be trained on.
@@ -106,9 +97,8 @@ def speed_on(
     if start >= GROWN:
         return found
     later = synthetic_speed(device)
-    return StepSpeed(
-        _between(found.fixed, later.fixed), _between(found.pixel, later.pixel / SHALLOWER)
-    )
+    pixel = _between(found.pixel, later.pixel / SHALLOWER)
+    return StepSpeed(_between(found.fixed, later.fixed), pixel)
 
 
 def _between(first: float, later: float) -> float:

@@ -55,15 +55,9 @@ def encode_within(
 ) -> FittedScene:
     """Leave out anchors, and make Q coarser, until the file meets one of the two targets.
 
-    Args:
-        path: where the scene was read.
-        scene: all of it.
-        encode: gives the bytes of a scene.
-        views: the data set whose training views say what is useful; without one, size does.
-        target_size: bytes.
-        target_psnr: dB; needs a data set.
-        all_views: whether PSNR is measured on all training views, not on MEASURED of them.
-        on_event: receives the progress.
+    The training views of the data set that ``views`` names say what is useful; without one, size
+    does. PSNR (dB) needs them; it is measured on MEASURED of them, or with ``all_views`` on all.
+    ``encode`` gives the bytes of a scene, ``path`` says where it was read.
 
     Raises:
         UsageError: the target cannot be reached.

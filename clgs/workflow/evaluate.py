@@ -43,17 +43,10 @@ def evaluate(
     count_gaussians: bool = False,
     on_event: OnEvent = ignore,
 ) -> Evaluation:
-    """Score ``scene`` on the views of its data set.
+    """Score ``scene``, which was read at ``path``, on the views of its data set.
 
-    Args:
-        device: where to render.
-        path: where the scene was read.
-        scene: what to score.
-        size: bytes of its file; None if it has none.
-        views: which photos, and how the scene is drawn.
-        lpips: measured too if it is given.
-        count_gaussians: whether the Gaussians that are drawn are counted.
-        on_event: receives the progress.
+    ``size``: bytes of its file, None if it has none. LPIPS is measured if it is given, and the
+    Gaussians that are drawn are counted if ``count_gaussians`` says so.
 
     Raises:
         UsageError: no data set is named, neither by ``views`` nor by the run.

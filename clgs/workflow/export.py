@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +26,7 @@ from clgs.data.stored_photo import Planes
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
 from clgs.exports.cameras import cameras_glb
-from clgs.exports.page import Start, scene_page, start_at
+from clgs.exports.page import scene_page, start_at
 from clgs.exports.splats.encoded import Encoded
 from clgs.exports.splats.glb import encode_glb
 from clgs.exports.splats.ply import encode_ply
@@ -36,7 +35,7 @@ from clgs.exports.splats.spz import encode_spz
 from clgs.files import atomic_write, check_output
 from clgs.opencl.device import Device
 from clgs.scene.gaussians import HostGaussians
-from clgs.scene.scene import QuantizedScene, Scene, SceneTransform, SplatScene
+from clgs.scene.scene import QuantizedScene, SceneTransform, SplatScene
 from clgs.workflow.events import Note, OnEvent, counter, ignore
 from clgs.workflow.options import BAKE_STEPS, SH_DEGREES, ViewOptions
 from clgs.workflow.outputs import check_new
@@ -174,18 +173,22 @@ def _bake(
 ) -> tuple[Encoded, BakedLoss]:
     """The file of the baked Gaussians, and what baking costs."""
     scene, kind = quantized.dequantize(), ""
+
+    def photo(view: View) -> Planes:
+        view.photo.keep()
+        return view.photo.planes(scene.settings.background, final=True)
+
     if views.data is None:
-        on_event(
-            Note(
-                "without --data cameras around the scene are assumed; with the data set it fits "
-                "better"
-            )
-        )
+        assumed = "without --data cameras around the scene are assumed"
+        on_event(Note(f"{assumed}; with the data set it fits better"))
         seen = [BakeView(camera) for camera in cameras_around(scene)]
         scored = evenly(seen, SCORED_VIEWS)
     else:
         dataset = load_views(source, quantized, views, on_event)
-        seen, held_out = (_with_photos(scene, some) for some in (dataset.train, dataset.test))
+        seen, held_out = (
+            [BakeView(view.camera, partial(photo, view)) for view in views]
+            for views in (dataset.train, dataset.test)
+        )
         scored, kind = evenly(held_out or seen, SCORED_VIEWS), dataset.kind
     device = Device(views.device)
     advance = counter("baking", count_steps(len(seen), settings), on_event)
@@ -199,14 +202,6 @@ def _bake(
     return encoded, baked_loss(device, scene, stored, scored)
 
 
-def _with_photos(scene: Scene, views: Sequence[View]) -> list[BakeView]:
-    def photo(view: View) -> Planes:
-        view.photo.keep()
-        return view.photo.planes(scene.settings.background, final=True)
-
-    return [BakeView(view.camera, partial(photo, view)) for view in views]
-
-
 def _encode(output: Path, gaussians: HostGaussians, kind: str) -> Encoded:
     """The file that ``output`` names by its suffix; ``kind`` of the data set, "" if not known."""
     suffix = output.suffix.lower()
@@ -216,7 +211,10 @@ def _encode(output: Path, gaussians: HostGaussians, kind: str) -> Encoded:
 
 
 def _page(source: Path | None, output: Path, photos: Path | None, viewer: bool) -> ExportedPage:
-    """Write the web page of a scene, or one without a scene."""
+    """Write the web page of a scene, or one without a scene.
+
+    It starts at the first held-out view of the data set ``photos``, if there is one.
+    """
     if viewer and source is not None:
         raise UsageError("--viewer makes a page without a scene; leave it out, or the SCENE")
     if not viewer and source is None:
@@ -225,7 +223,13 @@ def _page(source: Path | None, output: Path, photos: Path | None, viewer: bool) 
     if source is not None:
         data = _scene_file(source)
         check_output(output, source)
-        start = _start(photos, data) if photos is not None else None
+    if photos is not None and source is not None:
+        transform = SceneTransform()  # splats keep the data set's units
+        if not splat_packing.is_splats(data):
+            transform = SceneTransform(**scene_decoder.describe(data)["transform"])
+        views = repose(load_dataset(photos, load_images=False), transform)
+        first = (views.test or views.train)[0]
+        start = start_at(first.camera, [view.camera for view in views.train])
     page = scene_page(data, source.stem if source else "", start)
     atomic_write(output, page)
     return ExportedPage(output, len(page), len(data))
@@ -248,14 +252,3 @@ def _scene_file(path: Path) -> bytes:
     with naming(path):
         (splat_packing if splat_packing.is_splats(data) else scene_decoder).describe(data)
     return data
-
-
-def _start(photos: Path, data: bytes) -> Start:
-    """Where the page starts: at the first held-out view of the data set ``photos``."""
-    transform = SceneTransform()  # splats keep the data set's units
-    if not splat_packing.is_splats(data):
-        transform = SceneTransform(**scene_decoder.describe(data)["transform"])
-    dataset = load_dataset(photos, load_images=False)
-    views = repose(dataset, transform)
-    first = (views.test or views.train)[0]
-    return start_at(first.camera, [view.camera for view in views.train])

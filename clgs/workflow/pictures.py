@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -113,13 +112,8 @@ def render_views(
 ) -> int:
     """Write pictures of the data set's views to the folder ``output``; their number.
 
-    Args:
-        scene: run folder, .clgs file or 3DGS PLY file.
-        output: folder of the PNG files, named after the photos; depths go to .npy files too.
-        views: which photos, and how the scene is drawn.
-        kind: "color", "depth" or "opacity".
-        overwrite: whether pictures of the same names are replaced.
-        on_event: receives the progress.
+    The PNG files are named after the photos; depths go to .npy files too. ``kind`` is "color",
+    "depth" or "opacity". With ``overwrite`` pictures of the same names are replaced.
 
     Raises:
         UsageError: the data set is not known, or ``output`` is not fit for pictures.
@@ -165,15 +159,8 @@ def render_clip(
 ) -> Clip:
     """Write a clip along a path, as an .mp4 file or as PNG files in a folder.
 
-    Args:
-        scene: run folder, .clgs file or 3DGS PLY file.
-        output: name of the video, or of the folder.
-        path: where the camera goes.
-        views: the data set whose cameras give the path, and how the scene is drawn.
-        kind: "color", "depth" or "opacity".
-        save_path: receives the cameras, a .json file.
-        overwrite: whether the video, or an older clip in the folder, is replaced.
-        on_event: receives the progress.
+    ``kind`` is "color", "depth" or "opacity". ``save_path``, a .json file, receives the cameras.
+    With ``overwrite`` the video, or an older clip in the folder, is replaced.
 
     Raises:
         UsageError: options contradict each other, or ``output`` is not fit for a clip.
@@ -206,9 +193,12 @@ def render_clip(
             for camera in track(cameras, "rendering", len(cameras), on_event):
                 add(draw(camera).picture)
     else:
-        with _frame_folder(output, found.transform) as add_frame:
-            for camera in track(cameras, "rendering", len(cameras), on_event):
-                add_frame(draw(camera))
+        with folder_to_fill(output):
+            for number, camera in enumerate(track(cameras, "rendering", len(cameras), on_event)):
+                _save(output / f"frame_{number:05}.png", draw(camera), found.transform)
+        for older in _frames_in(output)[len(cameras) :]:
+            older.unlink()
+            older.with_suffix(".npy").unlink(missing_ok=True)
     if save_path is not None:
         world = [move_camera(camera, found.transform, SceneTransform()) for camera in cameras]
         write_camera_path(save_path, world, fps)
@@ -228,25 +218,6 @@ def _check_clip_output(output: Path, overwrite: bool, scene: Path) -> bool:
     for picture in _frames_in(output)[:1]:
         check_new(picture, overwrite)
     return False
-
-
-@contextmanager
-def _frame_folder(
-    output: Path, transform: SceneTransform
-) -> Iterator[Callable[[DrawnPicture], None]]:
-    """A function that writes the next frame to ``output``; at the end no older frame is left."""
-    count = 0
-
-    def add(frame: DrawnPicture) -> None:
-        nonlocal count
-        _save(output / f"frame_{count:05}.png", frame, transform)
-        count += 1
-
-    with folder_to_fill(output):
-        yield add
-    for path in _frames_in(output)[count:]:
-        path.unlink()
-        path.with_suffix(".npy").unlink(missing_ok=True)
 
 
 def _frames_in(folder: Path) -> list[Path]:

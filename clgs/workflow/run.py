@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import os
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from clgs.errors import UsageError
 from clgs.exports.run_report import write_run_report
 from clgs.files import check_folder, make_folder
 from clgs.train.run.run_folder import FolderLock
-from clgs.workflow.device_speed import speed_on, synthetic_speed
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
 from clgs.workflow.run_plan import (
     DEFAULT_SECONDS,
@@ -49,6 +48,8 @@ from clgs.workflow.run_stages import (
 MADE = (DATA, RUN, SCENE, SCORES, REPORT, PAGE, GAUSSIANS, CLIP)
 """Everything in the output folder that is replaced by another run."""
 
+CORES = os.cpu_count() or 1
+
 
 def plan_run(
     photos: Path | str,
@@ -73,7 +74,7 @@ def plan_run(
     read_record(output, resume=False, overwrite=True)
     given, allowed = find_input(Path(photos)), seconds or DEFAULT_SECONDS
     stages = RunStages(output, _record(given, allowed), seed or 0, device, on_event)
-    return _Planner(stages, allowed, steps, max_size, on_event).plan(_shortened(given, allowed))
+    return _Planner(stages, allowed, steps, max_size).plan(_shortened(given, allowed))
 
 
 def run(
@@ -129,7 +130,7 @@ def run(
         record = found or _record(given, allowed)
         given = _shortened(given, allowed)
         stages = RunStages(output, record, seed or 0, device, on_event, begun=found is not None)
-        planner = _Planner(stages, allowed, steps, max_size, on_event)
+        planner = _Planner(stages, allowed, steps, max_size)
         training = None
         if not record.settings:
             plan = planner.plan(given)
@@ -142,7 +143,7 @@ def run(
             stages.begin(MADE)
         data = given.path
         if not given.posed:
-            data = stages.prepare(given, must_hurry(given.photos.count, _cores(), allowed))
+            data = stages.prepare(given, must_hurry(given.photos.count, CORES, allowed))
         if training is not None:
             if not given.complete:
                 training = planner.plan_training(measure_data(data), 0.0, data)
@@ -152,21 +153,18 @@ def run(
         stages.encode()
         stages.evaluate(data)
         failures = stages.export()
-        return _finish(given, data, output, record, device, failures)
+        used = _write_report(given, data, output, record, device)
+        scores = json.loads((output / SCORES).read_text(encoding="utf-8"))
+        return FinishedRun(output, used, scores, record.seconds, failures)
     finally:
         if lock is not None:
             lock.release()
 
 
-def _finish(
-    given: RunInput,
-    data: Path,
-    output: Path,
-    record: RunRecord,
-    device: str | None,
-    failures: dict[str, Exception],
-) -> FinishedRun:
-    """Write the report, with the command that repeats the run; what was made."""
+def _write_report(
+    given: RunInput, data: Path, output: Path, record: RunRecord, device: str | None
+) -> str:
+    """Write the report, with the command that repeats the run; says how many photos were used."""
     if given.posed:
         used = f"{given.photos.count} of the data set {given.path}"
     else:
@@ -185,12 +183,7 @@ def _finish(
         links=present,
         page=output / REPORT,
     )
-    scores = json.loads((output / SCORES).read_text(encoding="utf-8"))
-    return FinishedRun(output, used, scores, record.seconds, failures)
-
-
-def _cores() -> int:
-    return os.cpu_count() or 1
+    return used
 
 
 def _record(given: RunInput, allowed: float) -> RunRecord:
@@ -201,8 +194,8 @@ def _shortened(given: RunInput, allowed: float) -> RunInput:
     """The input with as many frames as the time allows, if it is a video."""
     if not given.video:
         return given
-    count = frames_within(_cores(), allowed)
-    return replace(given, photos=replace(given.photos, count=count))
+    photos = replace(given.photos, count=frames_within(CORES, allowed))
+    return replace(given, photos=photos)
 
 
 def _check_apart(photos: Path, output: Path) -> None:
@@ -212,41 +205,29 @@ def _check_apart(photos: Path, output: Path) -> None:
         raise UsageError(f"{photos}: lies in the folder that is written to; copy it first")
 
 
+@dataclass
 class _Planner:
     """Chooses size and length of training by the speed of the device and the time that is left."""
 
-    def __init__(
-        self,
-        stages: RunStages,
-        allowed: float,
-        steps: int | None,
-        max_size: int | None,
-        on_event: OnEvent,
-    ) -> None:
-        self._stages, self._allowed, self._on_event = stages, allowed, on_event
-        self._steps, self._max_size = steps, max_size
-        self._start = time.perf_counter()
+    stages: RunStages
+    allowed: float
+    steps: int | None
+    max_size: int | None
+    start: float = field(default_factory=time.perf_counter)
 
     def plan(self, given: RunInput) -> RunPlan:
-        """The plan for ``given``."""
         count = given.photos.count
-        hurry = must_hurry(count, _cores(), self._allowed)
-        preparing = 0.0
-        if not given.complete:
-            preparing = prepare_seconds(count, _cores(), hurry or given.pointless)
-        ready = given.path if given.complete else None
-        training = self.plan_training(given.photos, preparing, ready)
-        return RunPlan(given, training, self._stages.device.name, hurry, self._allowed)
+        hurry = must_hurry(count, CORES, self.allowed)
+        if given.complete:
+            training = self.plan_training(given.photos, 0.0, given.path)
+        else:
+            preparing = prepare_seconds(count, CORES, hurry or given.pointless)
+            training = self.plan_training(given.photos, preparing, None)
+        return RunPlan(given, training, self.stages.device.name, hurry, self.allowed)
 
     def plan_training(self, photos: Photos, preparing: float, data: Path | None) -> TrainingPlan:
         """The plan by the speed on the data set ``data``, if there is one already."""
-        stages = self._stages
-        with stages.timed("plan"):
-            self._on_event(Note("measuring how fast this device trains"))
-            if data is None:
-                speed = synthetic_speed(stages.device)
-            else:
-                run = stages.run_folder
-                speed = speed_on(stages.device, data, photos, run, stages.seed, self._on_event)
-        left = self._allowed - (time.perf_counter() - self._start)
-        return make_plan(photos, speed, preparing, left, self._steps, self._max_size)
+        with self.stages.timed("plan"):
+            speed = self.stages.measure_speed(photos, data)
+        left = self.allowed - (time.perf_counter() - self.start)
+        return make_plan(photos, speed, preparing, left, self.steps, self.max_size)

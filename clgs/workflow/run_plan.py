@@ -80,15 +80,9 @@ class StepSpeed:
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """Size and length of a training, and seconds by stage.
+    """Size and length of a training, and seconds by stage; the others are all that follows it.
 
-    Attributes:
-        max_size: wider photos are reduced to this width in pixels.
-        steps: of training.
-        coarse: whether training begins with photos of half the size.
-        prepare_seconds: for the poses.
-        train_seconds: for training.
-        other_seconds: for all that follows.
+    Wider photos are reduced to ``max_size`` pixels; ``coarse``: training begins with half of it.
     """
 
     max_size: int
@@ -136,15 +130,9 @@ def make_plan(
     steps: int | None = None,
     max_size: int | None = None,
 ) -> TrainingPlan:
-    """The plan that fits ``seconds``, or has the ``steps`` and the ``max_size`` that are given.
+    """The plan that fits ``seconds`` for the whole, of which the poses take ``preparing``.
 
-    Args:
-        photos: to train on.
-        speed: of a step.
-        preparing: seconds that the poses take; 0 if they are known.
-        seconds: for the whole.
-        steps: of training, if the user chose them.
-        max_size: of the photos, if the user chose it.
+    It has the ``steps`` and the ``max_size`` that are given.
     """
     left = max(0.0, seconds - preparing)
     if max_size is None:

@@ -148,14 +148,9 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class RunPlan:
-    """What `clgs run` is going to do.
+    """What `clgs run` is going to do on the device of that name, in ``allowed`` seconds.
 
-    Attributes:
-        input: photos, video or data set.
-        training: size, length and times.
-        device: the name of the device.
-        hurry: whether the poses are not tested, for lack of time.
-        allowed: seconds for everything.
+    hurry: the poses are not tested, for lack of time.
     """
 
     input: RunInput

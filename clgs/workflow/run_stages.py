@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,14 +19,15 @@ from clgs.files import atomic_write, remove_temporaries, write_json
 from clgs.opencl.device import Device
 from clgs.train.config import layered
 from clgs.train.run.run_folder import RESULTS
+from clgs.workflow.device_speed import speed_on, synthetic_speed
 from clgs.workflow.encode import EncodedFile
 from clgs.workflow.evaluate import Evaluation, evaluate
-from clgs.workflow.events import OnEvent, RunStage, StageFailure, StageRecord
+from clgs.workflow.events import Note, OnEvent, RunStage, StageFailure, StageRecord
 from clgs.workflow.export import export
 from clgs.workflow.options import PathOptions, ViewOptions
 from clgs.workflow.pictures import render_clip
 from clgs.workflow.prepare import prepare_data
-from clgs.workflow.run_plan import TrainingPlan
+from clgs.workflow.run_plan import Photos, StepSpeed, TrainingPlan
 from clgs.workflow.run_record import DATA, RUN, RunInput, RunRecord
 from clgs.workflow.scenes import read_drawable, read_scene
 from clgs.workflow.train import train
@@ -63,6 +64,13 @@ class RunStages:
         """The device of all stages, opened when it is first needed."""
         return Device(self._device_name)
 
+    def measure_speed(self, photos: Photos, data: Path | None) -> StepSpeed:
+        """The speed of steps on the data set ``data`` of these photos, or on a synthetic scene."""
+        self._on_event(Note("measuring how fast this device trains"))
+        if data is None:
+            return synthetic_speed(self.device)
+        return speed_on(self.device, data, photos, self.run_folder, self.seed, self._on_event)
+
     def begin(self, doomed: Sequence[str]) -> None:
         """Write the record, and remove the files of an earlier run, by name."""
         self._begun = True
@@ -86,18 +94,8 @@ class RunStages:
         frames = given.photos.count if given.video else None
         words = ["prepare", given.path, "-o", data, "--seed", self.seed]
         words += ["--quick"] * quick + ["--frames", frames] * given.video
-
-        def work() -> object:
-            return prepare_data(
-                given.path,
-                data,
-                seed=self.seed,
-                quick=quick,
-                frames=frames,
-                on_event=self._on_event,
-            )
-
-        self._stage("prepare", data, words, work)
+        work = partial(prepare_data, given.path, data, seed=self.seed, quick=quick, frames=frames)
+        self._stage("prepare", data, words, partial(work, on_event=self._on_event))
         return data
 
     def train(self, data: Path) -> None:
@@ -110,19 +108,10 @@ class RunStages:
         words += ["--coarse-to-fine"] * bool(settings.get("coarse_to_fine")) + ["--device", device]
         given = {name: value for name, value in settings.items() if value is not False}
         config = layered({}, {"preset": "quick", **given})
-
-        def work() -> object:
-            return train(
-                data,
-                run,
-                config,
-                device=device,
-                resume=True,
-                command=command_line(*words),
-                on_event=self._on_event,
-            )
-
-        self._stage("train", run / RESULTS, [*words, "--resume"], work)
+        command = command_line(*words)
+        work = partial(train, data, run, config, device=device, resume=True, command=command)
+        words.append("--resume")
+        self._stage("train", run / RESULTS, words, partial(work, on_event=self._on_event))
 
     def encode(self) -> None:
         """Write the scene as one file."""
@@ -163,17 +152,13 @@ class RunStages:
         shared = ["--device", device, "--overwrite"]
         path_words = ["--path", "interpolate", "--frames", CLIP_FRAMES]
 
-        def write_clip() -> object:
-            path, views = PathOptions("interpolate", CLIP_FRAMES), ViewOptions(device=device)
-            return render_clip(run, clip, path, views, overwrite=True, on_event=on_event)
-
-        def write(file: Path) -> Callable[[], object]:
-            return lambda: export(run, file, device=device, overwrite=True, on_event=on_event)
-
+        along, views = PathOptions("interpolate", CLIP_FRAMES), ViewOptions(device=device)
+        write = partial(export, run, device=device, overwrite=True, on_event=on_event)
+        draw = partial(render_clip, run, clip, along, views, overwrite=True, on_event=on_event)
         todo: list[tuple[str, Path, list[Any], Callable[[], object]]] = [
-            ("page", page, ["export", run], write(page)),
-            ("Gaussians", gaussians, ["export", run], write(gaussians)),
-            ("clip", clip, ["render", run, *path_words], write_clip),
+            ("page", page, ["export", run], partial(write, page)),
+            ("Gaussians", gaussians, ["export", run], partial(write, gaussians)),
+            ("clip", clip, ["render", run, *path_words], draw),
         ]
         failures: dict[str, Exception] = {}
         for name, file, words, work in todo:

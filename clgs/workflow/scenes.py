@@ -47,11 +47,7 @@ def read_scene(path: Path) -> tuple[QuantizedScene, int | None]:
 
 
 def check_there(path: Path) -> None:
-    """See that there is something at ``path``.
-
-    Raises:
-        DataError: there is nothing.
-    """
+    """Raise DataError if there is nothing at ``path``."""
     if not path.exists():
         raise DataError(f"{path}: no such file or folder; name a run folder or a .clgs file")
 
@@ -160,14 +156,6 @@ def _readable(path: Path) -> Iterator[None]:
         raise DataError(f"{path}: may not be read; give yourself the permission") from None
 
 
-def _file_in(folder: Path) -> str:
-    """What to do if ``folder`` is named in place of a .clgs file."""
-    file = folder / "scene.clgs"
-    if file.is_file():
-        return f"name a .clgs file, such as {file}"
-    return instead(folder) if holds_run(folder) else "name a .clgs file"
-
-
 def _mode(path: Path) -> int:
     """The mode of a file or pipe."""
     try:
@@ -175,7 +163,11 @@ def _mode(path: Path) -> int:
     except FileNotFoundError:
         raise DataError(f"{path}: no such file; `clgs encode` and `clgs pack` make some") from None
     if stat.S_ISDIR(mode):
-        raise DataError(f"{path}: is a folder; {_file_in(path)}")
+        file = path / "scene.clgs"
+        remedy = instead(path) if holds_run(path) else "name a .clgs file"
+        if file.is_file():
+            remedy = f"name a .clgs file, such as {file}"
+        raise DataError(f"{path}: is a folder; {remedy}")
     if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
         raise DataError(f"{path}: is neither a file nor a pipe; name a .clgs file")
     return mode

@@ -14,12 +14,7 @@ from clgs.memory import return_freed_memory
 from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
 from clgs.train.run.load import load_for
-from clgs.train.run.run_folder import (
-    RunResult,
-    check_run_folder,
-    check_same_data,
-    finished_run,
-)
+from clgs.train.run.run_folder import RunResult, check_run_folder, check_same_data, finished_run
 from clgs.train.run.session import Progress, Session
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
@@ -44,12 +39,8 @@ class Saving:
 class TrainedRun:
     """A run: its result, its steps, and what was measured if that was asked for.
 
-    Attributes:
-        result: scene, bitstream and summary.
-        steps: of the whole run.
-        was_finished: whether the folder held the result already.
-        times: (stage, calls, median milliseconds, seconds in all) of each stage.
-        saved: what each skip saved on the first view.
+    was_finished: the folder held the result already; times: (stage, calls, median milliseconds,
+    seconds in all) of each stage; saved: what each skip saved on the first view.
     """
 
     result: RunResult

@@ -55,18 +55,11 @@ def trained_config(scene: Path) -> TrainConfig | None:
 
 
 def load_views(
-    path: Path,
-    scene: QuantizedScene | SplatScene,
-    options: ViewOptions,
-    on_event: OnEvent = ignore,
+    path: Path, scene: QuantizedScene | SplatScene, options: ViewOptions, on_event: OnEvent = ignore
 ) -> Dataset:
     """The data set in the scene's units, without points; its photos are not read yet.
 
-    Args:
-        path: where the scene was read.
-        scene: whose units the cameras get.
-        options: data set and size of the photos.
-        on_event: receives a :class:`Note` if something had to be assumed.
+    ``path``: where the scene was read. A :class:`Note` tells if something had to be assumed.
 
     Raises:
         UsageError: no data set is named, neither by the options nor by the run.
@@ -97,33 +90,22 @@ def _check_same_place(
     origin = read_origin(run_folder(path))
     if origin is not None and origin.check(posed.train + posed.test, data):
         return
-    if alike(dataset.transform, posed.transform, dataset.radius):
-        if origin is not None:
-            on_event(
-                Note(
-                    f"{data} has none of the photos that the scene was trained with; if it shows "
-                    f"another scene, name {origin.folder} with --data"
-                )
-            )
-    elif origin is not None:
-        raise DataError(
-            f"{data}: has none of the photos that the scene was trained with, and other "
-            f"cameras; name {origin.folder} with --data"
-        )
-    else:
-        on_event(
-            Note(
-                f"the cameras of {data} are placed unlike those that the scene was trained with; "
-                "if it shows another scene, name the right one with --data"
-            )
-        )
+    near = alike(dataset.transform, posed.transform, dataset.radius)
+    none = "has none of the photos that the scene was trained with"
+    if origin is not None and not near:
+        remedy = f"name {origin.folder} with --data"
+        raise DataError(f"{data}: {none}, and other cameras; {remedy}")
+    if origin is not None:
+        remedy = f"if it shows another scene, name {origin.folder} with --data"
+        on_event(Note(f"{data} {none}; {remedy}"))
+    elif not near:
+        unlike = "are placed unlike those that the scene was trained with"
+        remedy = "if it shows another scene, name the right one with --data"
+        on_event(Note(f"the cameras of {data} {unlike}; {remedy}"))
 
 
 def select_views(
-    path: Path,
-    scene: QuantizedScene | SplatScene,
-    options: ViewOptions,
-    on_event: OnEvent = ignore,
+    path: Path, scene: QuantizedScene | SplatScene, options: ViewOptions, on_event: OnEvent = ignore
 ) -> list[View]:
     """The views of the split that ``options`` name, as :func:`load_views` loads them.
 

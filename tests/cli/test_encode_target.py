@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,21 @@ import pytest
 from clgs.cli.commands.encode import size
 from clgs.cli.main import main
 from clgs.codec.scene_encoder import encode
-from clgs.opencl.device import Device
 from clgs.scene.storage import save_scene
 from tests.codec.scenes import random_scene
 from tests.data.folders import write_transforms
+
+
+@pytest.fixture
+def scene(tmp_path: Path, rng: np.random.Generator) -> str:
+    """A file of a random scene."""
+    save_scene(tmp_path / "s.npz", random_scene(rng, 2000))
+    return str(tmp_path / "s.npz")
+
+
+@pytest.fixture
+def target(tmp_path: Path) -> Path:
+    return tmp_path / "s.clgs"
 
 
 def test_sizes() -> None:
@@ -27,11 +37,7 @@ def test_sizes() -> None:
             size(text)
 
 
-def test_options_must_fit_each_other(
-    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene, target = str(tmp_path / "s.npz"), str(tmp_path / "s.clgs")
-    save_scene(Path(scene), random_scene(rng))
+def test_options_must_fit_each_other(scene, target, capsys) -> None:
     for options in (
         ["--target-psnr", "30"],
         ["--data", "."],
@@ -39,7 +45,7 @@ def test_options_must_fit_each_other(
         ["--mlps", "x.npz"],
         ["--all-views"],
     ):
-        assert main(["encode", scene, "-o", target, *options]) == 2
+        assert main(["encode", scene, "-o", str(target), *options]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     for options in (
         ["--target-size", "10k", "--target-psnr", "3"],
@@ -48,33 +54,27 @@ def test_options_must_fit_each_other(
         ["--q", "1,2,3"],
     ):
         with pytest.raises(SystemExit) as error:
-            main(["encode", scene, "-o", target, *options])
+            main(["encode", scene, "-o", str(target), *options])
         assert error.value.code == 2
         said = capsys.readouterr().err
         assert said.startswith("clgs: error: --")
         assert said.count("\n") == 1
-    assert not Path(target).exists()
+    assert not target.exists()
 
 
-def test_without_a_dataset_the_cost_is_not_measured(
-    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene, target = tmp_path / "s.npz", tmp_path / "s.clgs"
-    save_scene(scene, random_scene(rng, 2000))
-    assert main(["encode", str(scene), "-o", str(target)]) == 0
+def test_without_a_dataset_the_cost_is_not_measured(scene, target, capsys) -> None:
+    assert main(["encode", scene, "-o", str(target)]) == 0
     wanted = target.stat().st_size * 6 // 10
     capsys.readouterr()
     smaller = ["--target-size", str(wanted), "--overwrite"]
-    assert main(["encode", str(scene), "-o", str(target), *smaller]) == 0
+    assert main(["encode", scene, "-o", str(target), *smaller]) == 0
     assert 0.98 * wanted <= target.stat().st_size <= wanted
     assert "PSNR cost: not measured" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("level", ["fast", "default"])
-def test_the_same_file_every_time(tmp_path: Path, rng: np.random.Generator, level: str) -> None:
-    scene = tmp_path / "s.npz"
-    save_scene(scene, random_scene(rng, 2000))
-    command = ["encode", str(scene), "--level", level, "--target-size", "50k"]
+def test_the_same_file_every_time(scene, tmp_path: Path, level: str) -> None:
+    command = ["encode", scene, "--level", level, "--target-size", "50k"]
     for name, threads in (("a.clgs", "1"), ("b.clgs", "2")):
         assert main([*command, "--threads", threads, "-o", str(tmp_path / name)]) == 0
     first = (tmp_path / "a.clgs").read_bytes()
@@ -82,23 +82,15 @@ def test_the_same_file_every_time(tmp_path: Path, rng: np.random.Generator, leve
     assert 0.98 * 50_000 <= len(first) <= 50_000
 
 
-def test_a_size_that_cannot_be_reached_is_one_line(
-    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene, target = tmp_path / "s.npz", tmp_path / "s.clgs"
-    save_scene(scene, random_scene(rng, 200))
-    assert main(["encode", str(scene), "-o", str(target), "--target-size", "50"]) == 2
+def test_a_size_that_cannot_be_reached_is_one_line(scene, target, capsys) -> None:
+    assert main(["encode", scene, "-o", str(target), "--target-size", "50"]) == 2
     error = capsys.readouterr().err
     assert error.startswith("clgs: error: a file of 50 bytes is too small: ")
     assert error.count("\n") == 1
     assert not target.exists()
 
 
-def test_an_interrupted_run_leaves_nothing(
-    tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene, target = tmp_path / "s.npz", tmp_path / "s.clgs"
-    save_scene(scene, random_scene(rng, 2000))
+def test_an_interrupted_run_leaves_nothing(scene, target, tmp_path: Path, monkeypatch) -> None:
     target.write_bytes(b"before")
     trials: list[int] = []
 
@@ -109,7 +101,7 @@ def test_an_interrupted_run_leaves_nothing(
         return encode(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr("clgs.codec.scene_encoder.encode", interrupted)
-    command = ["encode", str(scene), "-o", str(target), "--target-size", "60k", "--overwrite"]
+    command = ["encode", scene, "-o", str(target), "--target-size", "60k", "--overwrite"]
     assert main(command) == 130
     assert len(trials) == 3
     assert target.read_bytes() == b"before"
@@ -117,15 +109,10 @@ def test_an_interrupted_run_leaves_nothing(
 
 
 def test_photos_of_a_dataset_say_what_it_costs(
-    tmp_path: Path,
-    open_device: Callable[[str], Device],
-    rng: np.random.Generator,
-    capsys: pytest.CaptureFixture[str],
+    scene, target, tmp_path: Path, open_device, capsys
 ) -> None:
-    scene, target = tmp_path / "s.npz", tmp_path / "s.clgs"
-    save_scene(scene, random_scene(rng, 2000))
     write_transforms(tmp_path / "data", 16)
-    command = ["encode", str(scene), "-o", str(target), "--data", str(tmp_path / "data")]
+    command = ["encode", scene, "-o", str(target), "--data", str(tmp_path / "data")]
     command += ["--target-size", "50k", "--downscale", "1", "--device", open_device("cpu").name]
     assert main(command) == 0
     assert "PSNR on 12 of 14 training views: " in capsys.readouterr().out

@@ -47,7 +47,7 @@ def test_people_get_a_table_and_programs_a_file(folder, capsys, tmp_path):
     rows = printed(folder, capsys, "--json", tmp_path / "scores.json").splitlines()
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert [row.split("  ", 1)[0] for row in rows] == [
-        *("views", "PSNR", "PSNR, channel mean", "SSIM", "bytes", "anchors"),
+        *("views", "PSNR", "PSNR, channel mean", "SSIM", "bytes", "anchors")
     ]
     assert rows[0].endswith("  2 (test)")
     assert rows[1].endswith(f"  {scores['psnr']:.2f} dB")

@@ -73,20 +73,14 @@ def test_an_import_ends_before_the_interruption(write_module, name):
     assert sys.modules[module].done
 
 
-def test_an_interruption_that_still_waits_comes_at_the_end_of_the_block(write_module, monkeypatch):
+@pytest.mark.parametrize("times", [1, 2], ids=["comes at the end of the block", "does not wait"])
+def test_an_interruption_that_still_waits_and_a_second_one(write_module, monkeypatch, times):
     monkeypatch.setattr("clgs.cli.interruptions.LATER", 60)
-    module = write_module(INTERRUPTED.format("SIGINT"))
+    module = write_module(times * INTERRUPTED.format("SIGINT"))
     with pytest.raises(KeyboardInterrupt):
         within(lambda: importlib.import_module(module))
-    assert sys.modules[module].done
-
-
-def test_a_second_interruption_does_not_wait(write_module, monkeypatch):
-    monkeypatch.setattr("clgs.cli.interruptions.LATER", 60)
-    module = write_module(2 * INTERRUPTED.format("SIGINT"))
-    with pytest.raises(KeyboardInterrupt):
-        within(lambda: importlib.import_module(module))
-    assert module not in sys.modules
+    assert (module in sys.modules) == (times == 1)
+    assert times == 2 or sys.modules[module].done
 
 
 def test_a_module_that_runs_a_command_as_it_is_imported_can_be_interrupted(write_module):

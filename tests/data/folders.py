@@ -45,6 +45,14 @@ def noise_image(width: int, height: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)
 
 
+def write_noise(folder: Path, count: int = 3, size: tuple[int, int] = (8, 6)) -> Path:
+    """A folder of photos 0.png, 1.png and so on that have nothing in common; returns it."""
+    folder.mkdir(exist_ok=True)
+    for number in range(count):
+        Image.fromarray(noise_image(*size, number)).save(folder / f"{number}.png")
+    return folder
+
+
 def write_transforms(
     root: Path, count: int = 10, size: tuple[int, int] = (40, 30), **shared
 ) -> dict:
@@ -178,6 +186,15 @@ def _texture(points: np.ndarray, seed: int) -> np.ndarray:
         at = (points * cells_per_unit).T
         value += weight * map_coordinates(grid, at, order=3, mode="grid-wrap")
     return np.clip((value - 128) * 1.6 + 128, 0, 255)
+
+
+def write_room_photos(folder: Path, count: int) -> list[np.ndarray]:
+    """Photos of the room alone, 320 x 240 pixels; returns camera-to-world matrices."""
+    folder.mkdir()
+    poses = room_poses(count)
+    for number, pose in enumerate(poses):
+        Image.fromarray(room_image(pose, (320, 240), 320.0)).save(folder / f"{number}.png")
+    return poses
 
 
 def write_room(root: Path, count: int, size: tuple[int, int] = (320, 240)) -> list[np.ndarray]:

@@ -12,8 +12,8 @@ from clgs.data.lens import Lens
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.exports.poses_page import poses_html
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
-from clgs.poses.report import CELL, COLUMNS, contact_sheet
-from tests.data.folders import noise_image, ring
+from clgs.poses.prepare import CELL, COLUMNS, contact_sheet
+from tests.data.folders import ring, write_noise
 
 NAMES = ["a.jpg", "b & <b>.jpg", "c.jpg"]
 
@@ -54,9 +54,7 @@ def verdict() -> Verdict:
 
 
 def test_the_page_tells_all_and_escapes_names(tmp_path: Path):
-    files = [tmp_path / f"{number}.png" for number in range(3)]
-    for number, path in enumerate(files):
-        Image.fromarray(noise_image(64, 48, number)).save(path)
+    files = sorted(write_noise(tmp_path, 3, (64, 48)).iterdir())
     page = poses_html(photo_set(), verdict(), contact_sheet(files))
     for text in ("2 / 3", "0.52 px", "12,345", "900 points", "it shares too little", "c.jpg"):
         assert text in page

@@ -122,10 +122,7 @@ def test_curve_of_too_few_points_is_left_out(curve):
     assert "<polyline" not in report_html(Report("t", "l", [], curve=curve), [])
 
 
-@given(
-    st.floats(-20, 90, allow_nan=False),
-    st.floats(0, 60, allow_nan=False),
-)
+@given(st.floats(-20, 90, allow_nan=False), st.floats(0, 60, allow_nan=False))
 def test_curve_stays_inside_the_chart(low, rise):
     page = report_html(Report("t", "l", [], curve=[(0, low), (10, low + rise)]), [])
     (points,) = re.findall(r'points="([^"]+)"', page)

@@ -78,19 +78,19 @@ def sources(paths: list[str]) -> Iterator[Path]:
                 yield file
 
 
+def found_in(paths: list[str]) -> Iterator[str]:
+    """All complaints below some paths from the root; without one, in the whole checkout."""
+    for file in sources(paths or [*FOLDERS, *(path.name for path in ROOT.glob("*.md"))]):
+        name = file.relative_to(ROOT).as_posix()
+        if not name.startswith("tests/house/") or "plain_english" not in name:
+            yield from complaints(name, file.read_text(encoding="utf-8"))
+
+
 def main() -> int:
     """List what is not plain; the exit code is 1 if there is any."""
-    found = 0
-    for file in sources(sys.argv[1:] or [*FOLDERS, *(p.name for p in ROOT.glob("*.md"))]):
-        if file == Path(__file__).resolve():
-            continue
-        for complaint in complaints(
-            file.relative_to(ROOT).as_posix(), file.read_text(encoding="utf-8")
-        ):
-            print(complaint)
-            found += 1
-    print(f"{found} found", file=sys.stderr)
-    return int(found > 0)
+    found = list(found_in(sys.argv[1:]))
+    print("\n".join([*found, f"{len(found)} found"]))
+    return int(bool(found))
 
 
 if __name__ == "__main__":

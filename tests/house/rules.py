@@ -219,3 +219,14 @@ def listed_folders(document: str) -> set[str]:
     """Folders that the table of ARCHITECTURE.md's section "Folders" names."""
     section = document.split("## Folders", 1)[-1].split("\n## ", 1)[0]
     return set(re.findall(r"^\| `([^`]+)/` \|", section, flags=re.M))
+
+
+def named_paths(document: str) -> set[str]:
+    """What a document names as a path from the root or from ``clgs``, suffixes left out or not.
+
+    In backticks and in its figures; names with ``<``, ``*`` or blanks are patterns, not paths.
+    """
+    marked = re.findall(r"`([^`\n]+)`", document)
+    drawn = [word for block in document.split("```")[1::2] for word in block.split()]
+    path = re.compile(r"(?:[\w.-]+/)+[\w.-]*\w")
+    return {word for word in (*marked, *drawn) if path.fullmatch(word)}

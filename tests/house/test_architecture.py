@@ -140,6 +140,17 @@ def test_architecture_lists_the_folders_that_exist():
     assert listed == existing_folders()
 
 
+def test_architecture_names_paths_that_exist():
+    named = rules.named_paths((ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"))
+    assert len(named) > 20
+    bases = ROOT, ROOT / "clgs", ROOT / "clgs" / "codec"
+    assert not [
+        name
+        for name in sorted(named)
+        if not any((base / f"{name}{suffix}").exists() for base in bases for suffix in ("", ".py"))
+    ]
+
+
 def existing_folders() -> set[str]:
     """Folders two levels deep with a file in or below them, but for those that git ignores."""
     lines = (ROOT / ".gitignore").read_text(encoding="utf-8").splitlines()

@@ -14,9 +14,9 @@ from clgs.errors import DataError
 from clgs.poses.child import run_child
 
 MODULE = """
-import os, time
+import atexit, os, time
 from pathlib import Path
-from clgs.poses.child import serve
+atexit.register(time.sleep, 1.0)  # as a process that takes its time to end
 def work(arguments, on_stage):
     folder, seconds = arguments
     (Path(folder) / "made").touch()
@@ -24,29 +24,21 @@ def work(arguments, on_stage):
     on_stage("made")
     time.sleep(seconds)
     return 42
-def main():
-    serve(work)
-    time.sleep(1.0)  # as a process that takes its time to end
 """
 PARENT = """
 from clgs.poses.child import run_child
 run_child("{module}", "a test", [{folder!r}, 3600], lambda stage: print(stage, flush=True))
 """
 NESTED = """
-from clgs.poses.child import run_child, serve
+from clgs.poses.child import run_child
 def work(arguments, on_stage):
     return run_child("child_work", "a nested test", arguments, on_stage)
-def main():
-    serve(work)
 """
 USER = """
-from clgs.poses.child import serve
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 def work(arguments, on_stage):
     with quiet_pycolmap("a test"):
         pass
-def main():
-    serve(work)
 """
 HANG = 60
 """Seconds after which the clean-up is given up."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +10,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.cli.commands import prepare as command
+from clgs.cli.main import main
 from clgs.data.dataset import load_dataset
 from clgs.errors import DataError
 from clgs.poses.drop import drop_doubtful
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict, verdict_of
 from clgs.poses.reconstruct import reconstruct
-from tests.data.folders import room_image, room_poses
+from tests.data.folders import write_room_photos
 
 PHOTOS = 7
 DOUBTED = "3.png"
@@ -28,10 +27,8 @@ def test_what_is_in_doubt_is_left_out(
 ) -> None:
     pycolmap = pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     photos, output = tmp_path / "photos", tmp_path / "data"
-    (photos / "masks").mkdir(parents=True)
-    for number, pose in enumerate(room_poses(PHOTOS)):
-        image = Image.fromarray(room_image(pose, (320, 240), 320.0))
-        image.save(photos / f"{number}.png")
+    write_room_photos(photos, PHOTOS)
+    (photos / "masks").mkdir()
     used = np.full((240, 320), 255, np.uint8)
     used[:40, :40] = 0
     Image.fromarray(used).save(photos / "masks" / DOUBTED)
@@ -48,10 +45,8 @@ def test_what_is_in_doubt_is_left_out(
         return replace(verdict, photos=doubted)
 
     monkeypatch.setattr("clgs.poses.prepare.reconstruct", reconstruct_and_doubt)
-    parser = argparse.ArgumentParser()
-    command.register(parser)
-    words = [str(photos), "-o", str(output), "--drop-doubtful", "--quick"]
-    assert command.run(parser.parse_args(words)) == 0
+    words = ["prepare", str(photos), "-o", str(output), "--drop-doubtful", "--quick"]
+    assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "registered 6 of 7 photos" in lines[0]
     assert lines[1].endswith("; the 1 in doubt are left out")

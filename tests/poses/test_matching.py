@@ -11,7 +11,7 @@ from PIL import Image
 
 from clgs.errors import DataError
 from clgs.poses import matching
-from clgs.poses.features import extract
+from clgs.poses.matching import extract
 from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import Workspace

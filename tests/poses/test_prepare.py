@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 
@@ -10,14 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.cli.commands import prepare as command
-from clgs.cli.main import explain
+from clgs.cli.main import explain, main
 from clgs.data.dataset import load_dataset
 from clgs.errors import DataError, ExistsError, OutputError
 from clgs.poses.judging.verdict import GOOD, verdict_of
 from clgs.poses.prepare import prepare
 from clgs.poses.workspace import STAGES
-from tests.data.folders import noise_image, room_image, room_poses
+from tests.data.folders import noise_image, write_noise, write_room_photos
 
 pycolmap = pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
 
@@ -34,21 +32,12 @@ def similarity_error(found: np.ndarray, true: np.ndarray) -> float:
 
 def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     photos, output = tmp_path / "photos", tmp_path / "data"
-    photos.mkdir()
-    poses = room_poses(9)
-    for number, pose in enumerate(poses):
-        image = Image.fromarray(room_image(pose, (320, 240), 320.0))
-        if number == 4:
-            exif = Image.Exif()
-            exif[0x0112] = 3
-            image = image.transpose(Image.Transpose.ROTATE_180)
-            image.save(photos / f"{number}.png", exif=exif)
-        else:
-            image.save(photos / f"{number}.png")
-    parser = argparse.ArgumentParser()
-    command.register(parser)
-    args = parser.parse_args([str(photos), "-o", str(output)])
-    assert command.run(args) == 0
+    poses = write_room_photos(photos, 9)
+    exif = Image.Exif()
+    exif[0x0112] = 3
+    turned = Image.open(photos / "4.png").transpose(Image.Transpose.ROTATE_180)
+    turned.save(photos / "4.png", exif=exif)
+    assert main(["prepare", str(photos), "-o", str(output)]) == 0
     printed = capsys.readouterr()
     for stage in ("read", "features", "poses", "undistort"):
         assert f"\n{stage} 9/9" in "\n" + printed.err
@@ -74,11 +63,7 @@ def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str
 @pytest.fixture
 def unrelated(tmp_path: Path) -> Path:
     """A folder of three photos that have nothing in common."""
-    photos = tmp_path / "photos"
-    photos.mkdir()
-    for number in range(3):
-        Image.fromarray(noise_image(64, 48, number)).save(photos / f"{number}.png")
-    return photos
+    return write_noise(tmp_path / "photos", 3, (64, 48))
 
 
 def test_unrelated_photos_leave_nothing(unrelated: Path, tmp_path: Path):
@@ -136,8 +121,7 @@ def test_bad_folders(tmp_path: Path):
     with pytest.raises(DataError, match="no such file or folder"):
         prepare(tmp_path / "none", tmp_path / "data")
     (tmp_path / "file").touch()
-    for number in range(3):
-        Image.fromarray(noise_image(8, 8, number)).save(tmp_path / f"{number}.png")
+    write_noise(tmp_path)
     with pytest.raises(OutputError, match="file: is no folder; choose another name"):
         prepare(tmp_path, tmp_path / "file" / "data")
     for number in range(3):
@@ -154,9 +138,8 @@ def test_bad_folders(tmp_path: Path):
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits(tmp_path: Path):
     photos = tmp_path / "photos"
-    photos.mkdir()
-    for number, pose in enumerate(room_poses(7)):
-        Image.fromarray(room_image(pose, (320, 240), 320.0)).save(photos / f"{number} a.png")
+    write_room_photos(photos, 7)
+    (photos / "3.png").rename(photos / "3 a.png")
     made = []
     for folder in (tmp_path / "first", tmp_path / "second"):
         prepare(photos, folder, seed=5)

@@ -11,11 +11,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from PIL import Image
 
 from clgs.errors import DataError
 from clgs.poses import reconstruct
-from tests.data.folders import noise_image
+from tests.data.folders import write_noise
 from tests.terminal import as_from_a_terminal
 
 PYCOLMAP = """
@@ -54,9 +53,7 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="no such signals")
 def start(tmp_path):
     """Start ``clgs prepare`` with a pycolmap that does something else; it ends with the test."""
     started: list[subprocess.Popen[str]] = []
-    (tmp_path / "photos").mkdir()
-    for number in range(3):
-        Image.fromarray(noise_image(8, 8, number)).save(tmp_path / "photos" / f"{number}.png")
+    write_noise(tmp_path / "photos")
     (tmp_path / "data").mkdir()
 
     def start_with(act):

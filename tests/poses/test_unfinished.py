@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from clgs.poses.unfinished import OWNER, owned, remove_leftovers, removed_if_killed
+from clgs.poses.prepare import OWNER, owned, remove_leftovers, removed_if_killed
 
 PROCESS = """
 import subprocess, sys
 from pathlib import Path
-from clgs.poses.unfinished import removed_if_killed
+from clgs.poses.prepare import removed_if_killed
 folder = Path(sys.argv[1])
 folder.mkdir()
 with removed_if_killed(folder):

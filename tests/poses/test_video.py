@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter
 from clgs.errors import DataError
 from clgs.poses.bring_in import find_source
 from clgs.poses.video import extract_frames, frame_size, sharpness
-from tests.data.folders import noise_image
+from tests.data.folders import noise_image, write_noise
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
 
@@ -146,10 +146,8 @@ def test_the_library_is_asked_for_in_one_line(clip: Path, monkeypatch):
 
 
 def test_frames_are_of_videos_alone(tmp_path: Path, clip: Path):
-    for number in range(3):
-        Image.fromarray(noise_image(8, 6, number)).save(tmp_path / f"{number}.png")
     with pytest.raises(DataError, match="--frames is for videos"):
-        find_source(tmp_path, 20)
+        find_source(write_noise(tmp_path), 20)
     assert find_source(clip, 20).frames == 20
     assert find_source(clip).frames == 100
 

@@ -53,12 +53,6 @@ def test_a_folder_in_use_is_left_alone(data, tmp_path, capsys):
     lock.release()
 
 
-def test_a_refused_input_leaves_no_folder(tmp_path, capsys):
-    (tmp_path / "empty").mkdir()
-    assert cli.main(words(tmp_path / "empty", tmp_path / "out")) == 3
-    assert not (tmp_path / "out").exists()
-
-
 def test_plan_alone_writes_nothing(data, tmp_path, capsys):
     assert cli.main(words(data, tmp_path / "out", "--plan")) == 0
     printed = capsys.readouterr().out

@@ -20,11 +20,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the devices; exit code 0.
-
-    Raises:
-        DeviceError: there are none.
-    """
+    """Print the devices; exit code 0."""
     import json
     from dataclasses import asdict
 
@@ -35,22 +31,11 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps([asdict(device) for device in devices], indent=2))
         return 0
     rows = [HEADINGS]
-    for device in devices:
-        rows.append(
-            (
-                "*" if device.chosen else "",
-                str(device.index),
-                device.type,
-                device.name,
-                device.platform,
-                device.driver,
-                str(device.compute_units),
-                f"{device.memory / 2**30:.1f} GiB",
-                str(device.max_work_group),
-                f"{device.local_memory / 2**10:.0f} KiB",
-                str(device.vector_width),
-            )
-        )
+    for one in devices:
+        named = "*" if one.chosen else "", str(one.index), one.type, one.name, one.platform
+        memory, local = f"{one.memory / 2**30:.1f} GiB", f"{one.local_memory / 2**10:.0f} KiB"
+        sizes = str(one.compute_units), memory, str(one.max_work_group), local
+        rows.append((*named, one.driver, *sizes, str(one.vector_width)))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))

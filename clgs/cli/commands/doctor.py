@@ -23,11 +23,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was found; the exit code says whether there was an error.
-
-    Raises:
-        DataError: there is no data set.
-    """
+    """Print what was found; the exit code says whether there was an error."""
     import json
     from dataclasses import asdict
 
@@ -38,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     document: dict[str, Any]
     if args.data is None:
         machine = examine_machine()
-        findings, code = machine.findings, HEALTHY if machine.usable else NO_DEVICE
+        findings, code = machine.findings, HEALTHY if machine.devices else NO_DEVICE
         document = {"machine": machine.facts}
         document["devices"] = [asdict(device) for device in machine.devices]
         lines = [f"{name:<9}  {text}" for name, text in machine.facts.items()]

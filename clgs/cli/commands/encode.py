@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import math
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -18,6 +18,7 @@ from clgs.cli.shared_options import (
     add_size_options,
     add_threads,
     in_range,
+    number_within,
     view_options,
 )
 
@@ -77,7 +78,8 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mlp", default="auto", help="auto or float32 (default: auto)")
     targets = parser.add_mutually_exclusive_group()
     targets.add_argument("--target-size", type=size, metavar="BYTES", help="such as 800k or 1.5M")
-    targets.add_argument("--target-psnr", type=_decibel, metavar="DB", help="such as 29.5")
+    decibel = number_within(-sys.float_info.max, sys.float_info.max, "of dB")
+    targets.add_argument("--target-psnr", type=decibel, metavar="DB", help="such as 29.5")
     parser.add_argument("--data", type=Path, help="the dataset that RUN was trained on")
     add_size_options(parser, "RUN")
     parser.add_argument(
@@ -129,16 +131,8 @@ def run(args: argparse.Namespace) -> int:
 
     if target:
         with Display() as display:
-            fitted = encode_within(
-                path,
-                scene,
-                pack,
-                views,
-                args.target_size,
-                args.target_psnr,
-                args.all_views,
-                display,
-            )
+            targets = args.target_size, args.target_psnr
+            fitted = encode_within(path, scene, pack, views, *targets, args.all_views, display)
         _show_fitted(fitted, len(scene.anchors))
         scene, data = fitted.found.scene, fitted.found.data
     else:
@@ -202,15 +196,4 @@ def size(text: str) -> int:
     value = byte_count(text)
     if value is None:
         raise argparse.ArgumentTypeError(f"{text} is not a size such as 800k or 1.5M")
-    return value
-
-
-def _decibel(text: str) -> float:
-    """The type of an argument that must be a finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is not a number of dB")
     return value

@@ -42,9 +42,6 @@ def register(parser: argparse.ArgumentParser) -> None:
         "code 1 if not). SCENE may be an ordinary 3DGS PLY file, too, whose coordinates are "
         "those of its data set."
     )
-    parser.add_argument(
-        "scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
-    )
     add_view_options(parser)
     parser.add_argument(
         "--json",
@@ -110,6 +107,7 @@ def run(args: argparse.Namespace) -> int:
     if views.data is None:
         return code
     with Display() as display:
+        count = bool(args.csv)
         scored = evaluate(
             device,
             args.scene,
@@ -117,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
             size,
             views,
             lpips=lpips,
-            count_gaussians=bool(args.csv),
+            count_gaussians=count,
             on_event=display,
         )
     if args.json == STDOUT:

@@ -10,6 +10,7 @@ from clgs.cli.shared_options import (
     add_device_name,
     add_overwrite,
     add_size_options,
+    chosen,
     named_path,
     whole_number,
 )
@@ -88,21 +89,10 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.display import Display
     from clgs.workflow.export import export
 
+    names = "data", "sh_degree", "steps", "units", "downscale", "max_size", "device", "viewer"
+    options = chosen(args, *names, "overwrite")
     with Display() as display:
-        made = export(
-            args.source,
-            args.output,
-            data=args.data,
-            sh_degree=args.sh_degree,
-            steps=args.steps,
-            units=args.units,
-            downscale=args.downscale,
-            max_size=args.max_size,
-            device=args.device,
-            viewer=args.viewer,
-            overwrite=args.overwrite,
-            on_event=display,
-        )
+        made = export(args.source, args.output, on_event=display, **options)
     show(made)
     return 0
 

@@ -19,12 +19,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the description of a file; exit code 0.
-
-    Raises:
-        DataError: the file is missing, or a folder.
-        CodecError: it is no .clgs file, or is damaged.
-    """
+    """Print the description of a file; exit code 0."""
     import json
 
     from clgs.codec import scene_decoder, splat_packing

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import add_overwrite, named_path, positive_int, seed
+from clgs.cli.shared_options import add_overwrite, chosen, named_path, positive_int, seed
 
 if TYPE_CHECKING:
     from clgs.workflow.prepare import PreparedData
@@ -23,11 +23,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         "channel)."
     )
     add = parser.add_argument
-    add(
-        "photos",
-        metavar="PHOTOS",
-        help="folder of photos (JPEG, PNG, WebP, HEIC), or a video",
-    )
+    add("photos", metavar="PHOTOS", help="folder of photos (JPEG, PNG, WebP, HEIC), or a video")
     add(
         "--frames",
         type=positive_int,
@@ -36,11 +32,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     add("-o", "--output", type=named_path, metavar="DATA", required=True, help="new folder")
     add("--seed", type=seed, default=0, help="random seed (default: %(default)s)")
-    add(
-        "--quick",
-        action="store_true",
-        help="fewer features, one mapper, poses not tested",
-    )
+    add("--quick", action="store_true", help="fewer features, one mapper, poses not tested")
     add(
         "--drop-doubtful",
         action="store_true",
@@ -54,17 +46,9 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.display import Display
     from clgs.workflow.prepare import prepare_data
 
+    options = chosen(args, "seed", "quick", "frames", "drop_doubtful", "overwrite")
     with Display() as display:
-        made = prepare_data(
-            args.photos,
-            args.output,
-            seed=args.seed,
-            quick=args.quick,
-            frames=args.frames,
-            drop_doubtful=args.drop_doubtful,
-            overwrite=args.overwrite,
-            on_event=display,
-        )
+        made = prepare_data(args.photos, args.output, on_event=display, **options)
     show(made)
     return 0
 

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 from clgs.cli.shared_options import (
     add_overwrite,
     add_view_options,
+    chosen,
     named_path,
+    number_within,
     positive_int,
     view_options,
 )
@@ -29,9 +31,6 @@ MAX_SIDE = 16384
 def register(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = DESCRIPTION
-    parser.add_argument(
-        "scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
-    )
     add_view_options(parser)
     parser.add_argument(
         "-o", "--output", type=named_path, required=True, metavar="DIR|F.mp4", help="new pictures"
@@ -67,7 +66,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     clip.add_argument(
         "--fps",
-        type=_rate,
+        type=number_within(0.1, 1000, "from 0.1 to 1000"),
         metavar="X",
         help=f"frames per second (default: {FPS:g}, or F.json's)",
     )
@@ -96,21 +95,12 @@ def run(args: argparse.Namespace) -> int:
     from clgs.errors import UsageError
     from clgs.workflow.pictures import OTHER_VIDEOS, render_clip, render_views
 
-    views = view_options(args)
+    views, options = view_options(args), chosen(args, "kind", "overwrite")
     if args.path is not None:
         path = PathOptions(args.path, args.frames, args.fps, args.size, args.up)
+        options["save_path"] = args.save_path
         with Display() as display:
-            clip = render_clip(
-                args.scene,
-                args.output,
-                path,
-                views,
-                kind=args.kind,
-                save_path=args.save_path,
-                overwrite=args.overwrite,
-                on_event=display,
-            )
-        show(clip)
+            show(render_clip(args.scene, args.output, path, views, on_event=display, **options))
         return 0
     for name in ("frames", "fps", "size", "up", "save_path"):
         if getattr(args, name) is not None:
@@ -119,14 +109,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output.suffix.lower() in (".mp4", *OTHER_VIDEOS):
         raise UsageError(f"{args.output}: a video is a clip; give --path, or name a folder")
     with Display() as display:
-        count = render_views(
-            args.scene,
-            args.output,
-            views,
-            kind=args.kind,
-            overwrite=args.overwrite,
-            on_event=display,
-        )
+        count = render_views(args.scene, args.output, views, on_event=display, **options)
     print(f"{args.output}: {counted(count, 'picture')}")
     return 0
 
@@ -149,13 +132,3 @@ def _size(text: str) -> tuple[int, int]:
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise argparse.ArgumentTypeError(f"{text}: sides are 1 to {MAX_SIDE} pixels")
     return width, height
-
-
-def _rate(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.1 <= value <= 1000:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 0.1 to 1000")
-    return value

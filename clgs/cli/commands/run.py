@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from clgs.cli.shared_options import (
     add_device_name,
     add_overwrite,
+    chosen,
     named_path,
     photo_width,
     positive_int,
@@ -38,12 +39,8 @@ def register(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("input", type=named_path, metavar="INPUT", help="folder of photos, video, or data set")
     add("-o", "--output", type=named_path, required=True, metavar="OUT", help="folder for all")
-    add(
-        "--time",
-        type=duration,
-        metavar="T",
-        help="for everything, such as 90s, 5m or 1h (default: 10m)",
-    )
+    help_time = "for everything, such as 90s, 5m or 1h (default: 10m)"
+    add("--time", type=duration, metavar="T", help=help_time)
     add("--steps", type=positive_int, metavar="N", help="of training (default: what T allows)")
     add(
         "--max-size",
@@ -88,26 +85,17 @@ def run(args: argparse.Namespace) -> int:
             case _:
                 display(event)
 
-    chosen = {name: getattr(args, name) for name in ("steps", "max_size", "seed", "device")}
+    options = {"seconds": args.time, **chosen(args, "steps", "max_size", "seed", "device")}
     done: RunPlan | FinishedRun
     try:
         with warnings_once(), display:
             if args.plan:
                 if args.resume and args.overwrite:
                     raise UsageError("--resume and --overwrite contradict each other; give one")
-                done = plan_run(
-                    args.input, args.output, seconds=args.time, on_event=follow, **chosen
-                )
+                done = plan_run(args.input, args.output, on_event=follow, **options)
             else:
-                done = run_all(
-                    args.input,
-                    args.output,
-                    seconds=args.time,
-                    resume=args.resume,
-                    overwrite=args.overwrite,
-                    on_event=follow,
-                    **chosen,
-                )
+                options |= chosen(args, "resume", "overwrite")
+                done = run_all(args.input, args.output, on_event=follow, **options)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
     _show(done)

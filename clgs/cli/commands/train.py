@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import add_device_name, add_overwrite, named_path
+from clgs.cli.shared_options import add_device_name, add_overwrite, chosen, named_path
 from clgs.cli.training_options import add_training_options, make_config
 from clgs.errors import UsageError
 
@@ -64,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--tensorboard: is not installed; pip install 'clgs[tensorboard]'")
     events = EventLog(args.output / "tensorboard") if args.tensorboard else None
     display = Display()
+    options = chosen(args, "device", "resume", "overwrite", "profile")
+    options["command"] = args.command_line.replace(" --resume", "")  # it would change nothing
 
     def follow(event: Event) -> None:
         display(event)
@@ -72,17 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
     try:
         with display:
-            trained = train(
-                args.data,
-                args.output,
-                config,
-                device=args.device,
-                resume=args.resume,
-                overwrite=args.overwrite,
-                profile=args.profile,
-                command=args.command_line.replace(" --resume", ""),  # it would change nothing
-                on_event=follow,
-            )
+            trained = train(args.data, args.output, config, on_event=follow, **options)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
     show(trained)

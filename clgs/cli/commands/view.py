@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import add_view_options, named_path, view_options, whole_number
+from clgs.cli.shared_options import add_view_options, view_options, whole_number
 from clgs.workflow.options import SIZE, ViewOptions
 
 if TYPE_CHECKING:
@@ -28,9 +28,6 @@ The address is open to this machine alone unless --host says otherwise."""
 def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
     parser.description = DESCRIPTION
-    parser.add_argument(
-        "scene", type=named_path, metavar="SCENE", help="run folder, .clgs or 3DGS .ply file"
-    )
     parser.add_argument(
         "--port",
         type=whole_number(65535),

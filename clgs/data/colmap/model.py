@@ -21,7 +21,7 @@ NOT_UNDISTORTED = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 
 
 WORKSPACES = "", "dense", "dense/[0-9]*", "[0-9]*", "colmap"
-"""Folders below a data set that have a model in sparse/0, sparse/1 and so on, in sparse, or, beside
+"""Folders below a data set that have a model in sparse/0, sparse/1 and so on, in sparse, or, next to
 their photos, in themselves. Models of the first that has any are read.
 """
 
@@ -88,7 +88,7 @@ def read_model(folder: Path) -> ColmapModel:
 def read_colmap(root: Path, folder: Path) -> PhotoSet:
     """Photos of ``root``/images posed by the model in ``folder``, with masks.
 
-    Photos without a folder images lie beside the model or in a folder above it, up to ``root``.
+    Photos without a folder images lie next to the model or in a folder above it, up to ``root``.
     Every 8th photo by name is held out; points that are not finite are left out.
 
     Raises:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,16 +36,8 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 """Turns OpenGL's axes of a camera into OpenCV's, and back."""
 
 
-@dataclass(frozen=True)
-class CameraPath:
-    """Cameras in the data set's world units, and frames a second."""
-
-    cameras: list[Camera]
-    fps: float | None = None
-
-
-def read_camera_path(path: Path) -> CameraPath:
-    """The cameras of a file, at least one.
+def read_camera_path(path: Path) -> tuple[list[Camera], float | None]:
+    """The cameras of a file, at least one, in the data set's world units, and frames per second.
 
     Raises:
         DataError: no such file, or not a path of perspective cameras; names the field.
@@ -73,7 +64,7 @@ class _PathError(Exception):
     """What is wrong with a file, and the remedy."""
 
 
-def _parse(record: Any) -> CameraPath:
+def _parse(record: Any) -> tuple[list[Camera], float | None]:
     if not isinstance(record, dict):
         raise _PathError("not an object with the list camera_path; export the camera path again")
     kind = record.get("camera_type", "perspective")
@@ -88,7 +79,7 @@ def _parse(record: Any) -> CameraPath:
         raise _PathError("camera_path: has no cameras; add some and export it again")
     size = round(width), round(height)
     cameras = [_camera(frame, f"{name}[{i}]", size) for i, frame in enumerate(frames)]
-    return CameraPath(cameras, fps or None)
+    return cameras, fps or None
 
 
 def _camera(frame: Any, where: str, size: tuple[int, int]) -> Camera:
@@ -143,11 +134,6 @@ def write_camera_path(path: Path, cameras: Sequence[Camera], fps: float) -> None
     Raises:
         OutputError, OSError: as of :func:`clgs.files.atomic_write`.
     """
-    atomic_write(path, to_json(cameras, fps).encode())
-
-
-def to_json(cameras: Sequence[Camera], fps: float) -> str:
-    """The text of the file."""
     frames = []
     for camera in cameras:
         pose = np.eye(4)
@@ -166,4 +152,4 @@ def to_json(cameras: Sequence[Camera], fps: float) -> str:
         "keyframes": [],
         "is_cycle": False,
     }
-    return json.dumps(record, indent=1)
+    atomic_write(path, json.dumps(record, indent=1).encode())

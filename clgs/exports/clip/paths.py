@@ -24,14 +24,10 @@ but at least LEAST_KEYS photos, as the way between fewer would cut through thing
 def pinhole(
     rotation: Vector, centre: Vector, fov: float, size: tuple[int, int], aspect: float = 0.0
 ) -> Camera:
-    """A camera with square pixels and the principal point in the middle.
+    """A camera at ``centre`` (3,), its principal point in the middle; ``fov``: vertical, degrees.
 
-    Args:
-        rotation: (3, 3) world to camera, OpenCV's axes.
-        centre: (3,).
-        fov: vertical, degrees.
-        size: (width, height), pixels.
-        aspect: width over height of the picture if pixels are not square; 0: they are.
+    rotation: (3, 3) world to camera, OpenCV's axes; size: (width, height), pixels; aspect: width
+    over height of the picture if pixels are not square, else 0.
     """
     width, height = size
     fy = float(height / (2 * np.tan(np.radians(fov) / 2)))

@@ -54,17 +54,14 @@ def mp4_writer(
 
             yield add
         except OSError as error:
-            raise ClgsError(f"{path}: ffmpeg failed: {_first_line(error)}") from error
+            first = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            raise ClgsError(f"{path}: ffmpeg failed: {first}") from error
         finally:
             sink.close()
 
 
 def load_writer() -> Any:
-    """imageio-ffmpeg's ``write_frames``.
-
-    Raises:
-        ClgsError: the package is missing.
-    """
+    """imageio-ffmpeg's ``write_frames``; ClgsError if the package is missing."""
     try:
         from imageio_ffmpeg import write_frames
     except ImportError as error:
@@ -73,7 +70,3 @@ def load_writer() -> Any:
             "for PNG files"
         ) from error
     return write_frames
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -19,7 +19,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.exports.splats.encoded import Encoded, logit, sigmoid, unit_rotation
+from clgs.exports.splats.encoded import (
+    Encoded,
+    from_smallest_three,
+    logit,
+    sigmoid,
+    smallest_three,
+    unit_rotation,
+)
 from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
 
 Bytes = npt.NDArray[np.uint8]
@@ -66,12 +73,14 @@ def encode_sog(gaussians: HostGaussians) -> Encoded:
     scale = nearest(scale_table, gaussians.log_scale)
     color = nearest(color_table, gaussians.sh[:, 0])
     opacity = np.rint(255 * sigmoid(gaussians.opacity)).astype(np.uint8)
-    packed, rotation = _rotations(unit_rotation(gaussians.rotation))
+    largest, others = smallest_three(unit_rotation(gaussians.rotation))
+    small = np.rint(255 * (others / np.sqrt(2) + 0.5)).astype(np.uint8)
+    rotation = from_smallest_three(largest, (small / 255.0 - 0.5) * np.sqrt(2)).astype(np.float32)
     images = {
         "means_l": (coordinates & 255).astype(np.uint8),
         "means_u": (coordinates >> 8).astype(np.uint8),
         "scales": scale,
-        "quats": packed,
+        "quats": np.column_stack([small, (ROTATION_TAG + largest).astype(np.uint8)]),
         "sh0": np.column_stack([color, opacity]),
     }
     files = {f"{name}.webp": _webp(_square(image)) for name, image in images.items()}
@@ -118,20 +127,6 @@ def _positions(
     back = least + span * (integers / COORDINATE_STEPS)
     stored = np.sign(back) * np.expm1(np.abs(back))
     return integers, {"mins": least.tolist(), "maxs": most.tolist()}, stored.astype(np.float32)
-
-
-def _rotations(unit: npt.NDArray[np.float64]) -> tuple[Bytes, npt.NDArray[np.float32]]:
-    """Bytes (N, 4), and the quaternions that they stand for."""
-    largest = np.argmax(np.abs(unit), axis=1)
-    rows = np.arange(len(unit))
-    signed = unit * np.where(unit[rows, largest] < 0, -1.0, 1.0)[:, None]
-    others = np.arange(4) != largest[:, None]
-    small = np.rint(255 * (signed[others].reshape(-1, 3) / np.sqrt(2) + 0.5)).astype(np.uint8)
-    whole = np.zeros(unit.shape)
-    whole[others] = ((small / 255.0 - 0.5) * np.sqrt(2)).ravel()
-    whole[rows, largest] = np.sqrt(np.maximum(0.0, 1.0 - np.square(whole).sum(axis=1)))
-    tag = (ROTATION_TAG + largest).astype(np.uint8)
-    return np.column_stack([small, tag]), whole.astype(np.float32)
 
 
 def _palette_files(palette: Palette) -> dict[str, bytes]:

@@ -18,7 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.errors import DataError
-from clgs.exports.splats.encoded import Encoded, logit, sigmoid, unit_rotation
+from clgs.exports.splats.encoded import (
+    Encoded,
+    from_smallest_three,
+    logit,
+    sigmoid,
+    smallest_three,
+    unit_rotation,
+)
 from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
 
 _log = logging.getLogger(__name__)
@@ -55,20 +62,25 @@ def encode_spz(gaussians: HostGaussians) -> Encoded:
             "write .ply to keep them",
             *(count, np.exp(most)),
         )
-    largest, small = _smallest_three(unit_rotation(gaussians.rotation))
+    largest, others = smallest_three(unit_rotation(gaussians.rotation)[:, [1, 2, 3, 0]])  # x y z w
+    small = np.rint(others * np.sqrt(2) * ROTATION_STEPS).astype(np.int64)
+    words = largest  # two bits, then sign and size of each of the others, 10 bits
+    for i in range(3):
+        words = words << 10 | (small[:, i] < 0) << 9 | np.abs(small[:, i])
+    rotation = from_smallest_three(largest, small / (ROTATION_STEPS * np.sqrt(2)))
     rest = _bytes(gaussians.sh[:, 1:] * SH_STEPS + SH_STEPS)
     head = struct.pack("<IIIBBBB", MAGIC, VERSION, len(gaussians), gaussians.degree, fraction, 0, 0)
     parts = (
         position.astype("<i4").view(np.uint8).reshape(len(gaussians), 3, 4)[..., :3],
         *(opacity, color, scale),
-        _pack_rotations(largest, small),
+        words.astype("<u4"),
         rest,
     )
     data = head + b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
     stored = OrdinaryGaussians(
         mean=(position / 2.0**fraction).astype(np.float32),
         log_scale=(scale / SCALE_STEPS + SCALE_LEAST).astype(np.float32),
-        rotation=_rotations(largest, small),
+        rotation=rotation[:, [3, 0, 1, 2]].astype(np.float32),
         opacity=logit(opacity / 255.0),
         sh=np.concatenate(
             [(color[:, None] - 127.5) / COLOR_SCALE, (rest - SH_STEPS) / SH_STEPS], axis=1
@@ -90,40 +102,3 @@ def _fraction_bits(gaussians: HostGaussians) -> int:
 
 def _bytes(values: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
     return np.asarray(np.clip(np.rint(values), 0, 255).astype(np.uint8))
-
-
-def _smallest_three(
-    unit: npt.NDArray[np.float64],
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Index (N,) of the largest of x y z w, and the others (N, 3) in steps, in that order."""
-    q = unit[:, [1, 2, 3, 0]]
-    largest = np.argmax(np.abs(q), axis=1)
-    q *= np.where(q[np.arange(len(q)), largest] < 0, -1.0, 1.0)[:, None]
-    small = q[_others(largest)].reshape(-1, 3)
-    return largest, np.rint(small * np.sqrt(2) * ROTATION_STEPS).astype(np.int64)
-
-
-def _others(largest: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """(N, 4): which components are not the largest."""
-    return np.asarray(np.arange(4) != largest[:, None])
-
-
-def _pack_rotations(
-    largest: npt.NDArray[np.int64], small: npt.NDArray[np.int64]
-) -> npt.NDArray[np.uint32]:
-    """Two bits for the largest, then sign and size of the others, 10 bits each."""
-    words = largest
-    for i in range(3):
-        words = words << 10 | (small[:, i] < 0) << 9 | np.abs(small[:, i])
-    return words.astype("<u4")
-
-
-def _rotations(
-    largest: npt.NDArray[np.int64], small: npt.NDArray[np.int64]
-) -> npt.NDArray[np.float32]:
-    """Quaternions (N, 4), w x y z, as readers make them."""
-    whole = np.zeros((len(largest), 4))
-    whole[_others(largest)] = (small / (ROTATION_STEPS * np.sqrt(2))).ravel()
-    rest = np.sqrt(np.maximum(0.0, 1.0 - np.square(whole).sum(axis=1)))
-    whole[np.arange(len(whole)), largest] = rest
-    return whole[:, [3, 0, 1, 2]].astype(np.float32)

@@ -148,12 +148,7 @@ class ModelChoice:
 
 
 def explain(model: Any, evidence: Evidence) -> Explained:
-    """Count the matches of each link that agree with the poses and lenses of a reconstruction.
-
-    Args:
-        model: pycolmap's reconstruction.
-        evidence: its verified matches.
-    """
+    """Count the matches of each link that agree with the poses of pycolmap's ``model``."""
     links = evidence.links
     images = {number: model.image(number) for number in model.reg_image_ids()}
     # The features in focal lengths, without distortion, (K, 2).
@@ -182,13 +177,9 @@ def explain(model: Any, evidence: Evidence) -> Explained:
 
 
 def sampson_error(rotation: Floats, translation: Floats, left: Floats, right: Floats) -> Floats:
-    """Compute the distance (M,) of ideal-plane points (M, 2) from agreeing with a relative pose.
+    """Compute the distance (M,) of points (M, 2), in focal lengths, from agreeing with a pose.
 
-    Args:
-        rotation: (3, 3), from the first camera's axes to the second's.
-        translation: (3,), likewise; any length but zero.
-        left: points in the first photo, in focal lengths.
-        right: the same points in the second.
+    It is the second camera's relative to the first, (3, 3) and (3,); of any length but zero.
     """
     x, y, z = translation
     essential = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation

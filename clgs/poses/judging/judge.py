@@ -77,11 +77,8 @@ def judge(
 ) -> Verdict:
     """Judge every photo, and take photos with a wrong pose out of the kept model.
 
-    Args:
-        choice: the model that is kept, and the evidence.
-        second: the second reconstruction; None if it failed or was not made.
-        checked: whether it was to be made.
-        names: all photos' own names by those that the models use, in order.
+    ``second``: the second reconstruction, None if it failed or was not made; ``checked``: it was to
+    be made; ``names``: all photos' own names by those that the models use, in order.
     """
     kept, model = choice.kept, choice.kept.reconstruction
     poses = poses_of(model)
@@ -178,12 +175,10 @@ def photo_figures(model: Any, poses: Poses, explained: Explained) -> dict[str, P
 def judge_photos(
     figures: Mapping[str, PhotoFigures], again: Differences | None, rival: Differences
 ) -> dict[str, PhotoVerdict]:
-    """Judge every photo by itself.
+    """Judge every photo with a pose by itself, in the order of names.
 
-    Args:
-        figures: of the photos with a pose, by name, in the order of names.
-        again: differences from the second reconstruction; None if it was not to be made.
-        rival: differences from the other mapper's model.
+    ``again``: differences from the second reconstruction, None if it was not to be made; ``rival``:
+    from the other mapper's model.
     """
     steps = [min(one.steps) for one in figures.values() if one.steps]
     usual = float(np.median(steps)) if steps else 0.0
@@ -254,11 +249,8 @@ def leave_out_parts(
     once. If most of the other photos are good, it goes, unless a second reconstruction was made
     and most of its photos are good, too.
 
-    Args:
-        judged: the photos with a pose, by name.
-        parts: names of the photos of each model that the strict matches made apart from the kept
-            one.
-        checked: whether a second reconstruction was to be made; without it nothing confirms.
+    ``parts`` are the names of the photos of each model that the strict matches made apart from the
+    kept one. ``checked``: a second reconstruction was to be made; without it nothing confirms.
     """
 
     def mostly_good(names: Sequence[str]) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.errors import DataError
-from clgs.exports.clip.camera_path import read_camera_path, to_json, write_camera_path
+from clgs.exports.clip.camera_path import read_camera_path, write_camera_path
 from tests.exports.clip.test_paths import ring
 
 POSE = np.eye(4).ravel().tolist()
@@ -40,14 +40,14 @@ def assert_same(found, wanted):
 def test_what_is_written_is_read(tmp_path):
     cameras = ring(5)
     write_camera_path(tmp_path / "p.json", cameras, 25.0)
-    found = read_camera_path(tmp_path / "p.json")
-    assert found.fps == 25
-    assert_same(found.cameras, cameras)
+    found, fps = read_camera_path(tmp_path / "p.json")
+    assert fps == 25
+    assert_same(found, cameras)
 
 
 def test_axes_and_angle_are_those_of_opengl(tmp_path):
     """The identity looks along -z, y up; fov is vertical."""
-    camera = read_camera_path(written(tmp_path, record())).cameras[0]
+    camera = read_camera_path(written(tmp_path, record()))[0][0]
     np.testing.assert_allclose(camera.rotation, np.diag([1, -1, -1]), atol=1e-12)
     assert camera.fy == pytest.approx(24 / np.tan(np.radians(30)))
     assert camera.fx == camera.fy
@@ -56,17 +56,15 @@ def test_axes_and_angle_are_those_of_opengl(tmp_path):
 
 def test_keyframes_are_read_by_rows_and_by_columns(tmp_path):
     cameras = ring(3)
-    frames = json.loads(to_json(cameras, 30))["camera_path"]
+    write_camera_path(tmp_path / "path.json", cameras, 30)
+    frames = json.loads((tmp_path / "path.json").read_text())["camera_path"]
     poses = [np.array(frame["camera_to_world"]).reshape(4, 4) for frame in frames]
     size = {"render_width": 60, "render_height": 40, "camera_path": []}
     by_row = [{"matrix": pose.ravel().tolist(), "fov": 40} for pose in poses]
-    assert_same(
-        read_camera_path(written(tmp_path, record(keyframes=by_row, **size))).cameras, cameras
-    )
     by_column = [{"matrix": json.dumps(pose.T.ravel().tolist()), "fov": 40} for pose in poses]
-    assert_same(
-        read_camera_path(written(tmp_path, record(keyframes=by_column, **size))).cameras, cameras
-    )
+    for keyframes in (by_row, by_column):
+        found, _ = read_camera_path(written(tmp_path, record(keyframes=keyframes, **size)))
+        assert_same(found, cameras)
 
 
 @pytest.mark.parametrize(
