@@ -164,6 +164,8 @@ def _check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
         total = len(missing) + len(photos.train) + len(photos.test)
         named = _named(missing)
         _log.warning("%s: %d of %d photos are missing: %s", root, len(missing), total, named)
+    if models := photos.models_in_words():
+        _log.warning("%s: %s", root, models)
     if not photos.train:
         raise DataError(f"{root}: no photo is left to train on; hold out fewer")
     centres = np.array([photo.centre for photo in photos.train])

@@ -26,6 +26,9 @@ MAX_PIXELS = 100_000_000
 PLAIN_SUFFIXES = {"JPEG": (".jpg", ".jpeg"), "PNG": (".png",)}
 """The suffixes by which other programs know a format."""
 
+ASPECT_TOLERANCE = 1.5
+"""Pixels by which an image may differ from its declared size scaled evenly (sizes are rounded)."""
+
 _BAND_COLUMNS = 64
 """Columns that are averaged at a time."""
 
@@ -75,14 +78,14 @@ def image_size(path: Path) -> tuple[int, int]:
 def read_image(path: Path, expected: tuple[int, int] | None = None) -> Pixels:
     """The image as 8-bit RGB with its alpha, EXIF rotation applied.
 
-    If ``expected`` (width, height) is the size before but not after the rotation, the poses were
-    made for the unrotated pixels, and these are returned.
+    If ``expected`` (width, height) is given, the image has a pose for pixels of that size. Then
+    it is only turned if its stored size does not fit and its turned size does.
 
     Raises:
         DataError: of another format, larger than MAX_PIXELS, truncated or damaged.
     """
     with open_image(path) as picture:
-        rotate = expected is None or not _only_unrotated(picture, expected)
+        rotate = expected is None or _must_turn(picture, expected)
         operation = _ROTATIONS.get(_orientation(picture)) if rotate else None
         picture.load()
         return _to_8_bit(picture if operation is None else picture.transpose(operation))
@@ -115,10 +118,27 @@ def check_image(path: Path) -> None:
             picture.load()
 
 
-def stored_size(path: Path, expected: tuple[int, int]) -> tuple[int, int]:
-    """The size that ``read_image`` with the same arguments returns, from the header alone."""
+def posed_size(path: Path, expected: tuple[int, int] | None) -> tuple[int, int]:
+    """(width, height) of an image that has a pose for pixels of the ``expected`` size.
+
+    It is read from the header alone. Without an expected size the image stays as it is stored.
+    """
     with open_image(path) as picture:
-        return picture.size if _only_unrotated(picture, expected) else upright_size(picture)
+        turned = expected is not None and _must_turn(picture, expected)
+        return upright_size(picture) if turned else picture.size
+
+
+def exif_turn(path: Path, expected: tuple[int, int]) -> tuple[bool, bool]:
+    """Whether EXIF data say that an image with a pose is not upright, and whether it is turned."""
+    with open_image(path) as picture:
+        return _orientation(picture) in _ROTATIONS, _must_turn(picture, expected)
+
+
+def scales_evenly(size: tuple[int, int], expected: tuple[int, int]) -> bool:
+    """Whether two sizes (width, height) have one aspect ratio, but for rounding to pixels."""
+    scale = max(size[0] / expected[0], size[1] / expected[1])
+    excess = max(abs(b * scale - a) for a, b in zip(size, expected, strict=True))
+    return excess <= ASPECT_TOLERANCE
 
 
 def box_downscale(pixels: Pixels, factor: int) -> Pixels:
@@ -208,8 +228,10 @@ def upright_size(picture: Image.Image) -> tuple[int, int]:
     return (picture.height, picture.width) if transposed else picture.size
 
 
-def _only_unrotated(picture: Image.Image, expected: tuple[int, int]) -> bool:
-    return picture.size == expected != upright_size(picture)
+def _must_turn(picture: Image.Image, expected: tuple[int, int]) -> bool:
+    """Whether only the turned pixels fit a pose for pixels of the ``expected`` size."""
+    upright = upright_size(picture)
+    return not scales_evenly(picture.size, expected) and scales_evenly(upright, expected)
 
 
 def _to_8_bit(image: Image.Image) -> Pixels:

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import re
+import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.images import SUFFIXES, image_size, stored_size
+from clgs.data.images import SUFFIXES, list_images, posed_size, scales_evenly
 from clgs.data.lens import Lens
 from clgs.data.masks import find_mask
 from clgs.data.posed_photo import Photo
 from clgs.errors import DataError
 
-ASPECT_TOLERANCE = 1.5
-"""Pixels by which an image may differ from its declared size scaled evenly (sizes are rounded)."""
+_log = logging.getLogger(__name__)
 
 LONGEST_NAME, LONGEST_PATH = 255, 4096
 """Bytes that Linux allows; other systems allow as much or less."""
@@ -44,6 +47,81 @@ class ListedPhoto:
     mask_by_name: bool = False
 
 
+class PhotoFolder:
+    """The files of a folder, found by the names that a data set has for them.
+
+    A name that no file has also finds the one file that differs from it in no more than these:
+    capitals, slashes, Unicode's forms of one letter, escapes of URLs, characters that Windows
+    replaces, .jpeg for .jpg, and the folders above, if the name is that of another machine.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """``path`` is the folder that names are relative to; nothing is read yet."""
+        self.path = path
+        self._alike: dict[str, list[Path]] | None = None
+
+    def find(self, listed: ListedPhoto) -> Path | None:
+        """The file of the photo, whose listed name may lack its suffix; None if there is none.
+
+        Raises:
+            DataError: as of ``inside``, unless a file fits.
+        """
+        if self._is_literal(listed.name):
+            return self.path / listed.name
+        try:
+            path = inside(self.path, listed.name, listed.source)
+        except DataError:
+            found = self._find_alike(listed)
+            if found is None:
+                raise
+            return found
+        if path.is_file():
+            return path
+        suffixes = (*SUFFIXES, *(suffix.upper() for suffix in SUFFIXES))
+        extended = (path.with_name(path.name + suffix) for suffix in suffixes)
+        suffixed = next((each for each in extended if nameable(each) and each.is_file()), None)
+        if suffixed is None:
+            return self._find_alike(listed)
+        return inside(self.path, suffixed.relative_to(self.path).as_posix(), listed.source)
+
+    def _is_literal(self, name: str) -> bool:
+        """Whether a file inside the folder has this very name, be it with colons or backslashes."""
+        path = self.path / name
+        safe = not Path(name).is_absolute() and ".." not in path.parts and "\0" not in name
+        there = safe and nameable(path) and path.is_file()
+        return there and path.resolve().is_relative_to(self.path.resolve())
+
+    def _find_alike(self, listed: ListedPhoto) -> Path | None:
+        name = _plain(listed.name)
+        if self._alike is None:
+            self._alike = {}
+            for where, _, files in os.walk(self.path):
+                for path in (Path(where, file) for file in files):
+                    if path.suffix.lower() in SUFFIXES:
+                        key = _plain(path.relative_to(self.path).as_posix())
+                        self._alike.setdefault(key, []).append(path)
+        names = [name, *(name + suffix for suffix in SUFFIXES)]
+        found = [path for each in names for path in self._alike.get(each, ())]
+        if not found and _absolute(listed.name):
+            places = name.split("/")
+            below = ("/".join(places[start:]) for start in range(1, len(places)))
+            found = next((self._alike[each] for each in below if each in self._alike), [])
+            if not found:
+                ends = "/" + places[-1]
+                found = [
+                    p
+                    for key, paths in self._alike.items()
+                    for p in paths
+                    if ("/" + key).endswith(ends)
+                ]
+        if len(found) > 1:
+            named = ", ".join(path.name for path in found[:3])
+            _log.warning("%s: %d files fit: %s; keep one", listed.source, len(found), named)
+        one = found[0] if len(found) == 1 else None
+        usable = one is not None and one.resolve().is_relative_to(self.path.resolve())
+        return one if usable and ".." not in name.split("/") else None
+
+
 def locate_all(
     listed: list[ListedPhoto], root: Path, folder: Path, source: str
 ) -> tuple[list[Photo], list[str]]:
@@ -60,8 +138,9 @@ def locate_all(
     """
     photos: dict[str, Photo] = {}
     missing: list[str] = []
+    files = PhotoFolder(folder)
     for one in listed:
-        photo = locate(one, root, folder)
+        photo = locate(one, root, files)
         if photo is None:
             missing.append(one.name)
         elif photo.name in photos:
@@ -70,48 +149,58 @@ def locate_all(
             photos[photo.name] = photo
     if not photos:
         first = f" ({missing[0][:80]} and so on)" if missing else ""
-        raise DataError(
-            f"{source}: none of the {len(listed)} listed photos is in {folder}; put them there"
-            f"{first}"
+        others = list_images(folder) if folder.is_dir() else []
+        there = (
+            f"; {others[0].name[:80]!r} is one of {len(others)} that are there" if others else ""
         )
+        raise DataError(
+            f"{source}: none of the {len(listed)} listed photos is in {folder}{there}; put them "
+            f"there{first}"
+        )
+    renamed = [photo for photo in photos.values() if photo.listed]
+    if renamed:
+        example = f"{renamed[0].listed[:80]!r} is {renamed[0].name[:80]!r}"
+        _log.warning("%s: %d photos have other names: %s", source, len(renamed), example)
     return list(photos.values()), missing
 
 
-def locate(listed: ListedPhoto, root: Path, folder: Path) -> Photo | None:
+def locate(listed: ListedPhoto, root: Path, files: PhotoFolder) -> Photo | None:
     """The photo with its lens on the actual pixels and its mask; None if its file is missing.
 
     Raises:
         DataError: a path leads out of the data set, the photo cannot be read, or its aspect ratio
             is not that of the lens; or the listed mask is missing.
     """
-    path = _find_file(listed, folder)
+    path = files.find(listed)
     if path is None:
         return None
-    if listed.size is None:
-        size = image_size(path)
-        lens = listed.lens(*size)
-    else:
-        size = stored_size(path, listed.size)
-        lens = fit_lens(listed.lens(*listed.size), size, path)
-    mask = find_mask(root, listed.name) if listed.mask_by_name else None
+    size = posed_size(path, listed.size)
+    lens = fit_lens(listed.lens(*(listed.size or size)), size, path)
+    name = path.relative_to(files.path).as_posix()
+    portable = PurePosixPath(listed.name.replace("\\", "/")).as_posix()
+    other = "" if name in (portable, f"{portable}{path.suffix}") else listed.name
+    mask = None
+    if listed.mask_by_name:
+        found = (find_mask(root, files.path, each) for each in (portable, name))
+        mask = next(filter(None, found), None)
     if listed.mask is not None:
         mask = inside(root, listed.mask, f"{listed.source}: mask_path")
         if not mask.is_file():
             problem = f"names no file ({mask.name[:80]!r}); add it or remove the field"
             raise DataError(f"{listed.source}: mask_path {problem}")
-    name = path.relative_to(folder).as_posix()
-    return Photo(name, path, lens, listed.rotation, listed.translation, mask)
+    return Photo(name, path, lens, listed.rotation, listed.translation, mask, other)
 
 
-def _find_file(listed: ListedPhoto, folder: Path) -> Path | None:
-    """The existing file of the photo, whose listed name may lack its suffix."""
-    path = inside(folder, listed.name, listed.source)
-    if path.is_file():
-        return path
-    suffixes = (*SUFFIXES, *(suffix.upper() for suffix in SUFFIXES))
-    extended = (path.with_name(path.name + suffix) for suffix in suffixes)
-    found = next((each for each in extended if nameable(each) and each.is_file()), None)
-    return found and inside(folder, found.relative_to(folder).as_posix(), listed.source)
+def _plain(name: str) -> str:
+    """A name of a photo without what may differ between machines."""
+    text = unicodedata.normalize("NFC", unquote(name).replace("\\", "/")).casefold()
+    text = PurePosixPath(re.sub(r'[<>:"|?*]', "_", text)).as_posix()
+    return re.sub(r"\.jpeg$", ".jpg", text)
+
+
+def _absolute(name: str) -> bool:
+    drive = PureWindowsPath(name).drive
+    return bool(drive) or PurePosixPath(name.replace("\\", "/")).is_absolute()
 
 
 def fit_lens(lens: Lens, size: tuple[int, int], path: Path) -> Lens:
@@ -123,9 +212,7 @@ def fit_lens(lens: Lens, size: tuple[int, int], path: Path) -> Lens:
     width, height = size
     if (width, height) == (lens.width, lens.height):
         return lens
-    scale = max(width / lens.width, height / lens.height)
-    excess = max(abs(lens.width * scale - width), abs(lens.height * scale - height))
-    if not excess <= ASPECT_TOLERANCE:
+    if not scales_evenly(size, (lens.width, lens.height)):
         raise DataError(
             f"{path}: image is {width}x{height} but its intrinsics are for "
             f"{lens.width}x{lens.height}; crop neither, or correct w, h and the intrinsics"
@@ -151,8 +238,7 @@ def inside(root: Path, name: str, source: str) -> Path:
     """
     portable = name.replace("\\", "/")
     relative = PurePosixPath(portable)
-    absolute = relative.is_absolute() or bool(PureWindowsPath(name).drive)
-    if not relative.parts or absolute or ".." in relative.parts or "\0" in name:
+    if not relative.parts or _absolute(name) or ".." in relative.parts or "\0" in name:
         raise DataError(f"{source}: path {name[:80]!r} must stay inside the data folder")
     path = root / relative
     if not nameable(path):

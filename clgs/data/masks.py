@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from clgs.data.images import Pixels, box_downscale, image_size, read_image
+from clgs.data.images import SUFFIXES, Pixels, box_downscale, image_size, list_images, read_image
 from clgs.errors import DataError
 
 USED = 128
@@ -18,31 +18,70 @@ USED = 128
 MASKS = "masks"
 """The folder of masks: NAME.png for the photo NAME, or NAME without its suffix."""
 
+MASK_FOLDERS = (MASKS, "mask")
+MASK_SUFFIXES = (".png", *SUFFIXES)
+MASK_MARKS = ("_mask", ".mask")
+"""What the name of a mask may end in before its suffix; next to its photo it must."""
+
 Mask = npt.NDArray[np.uint8]
 """(H, W) uint8: 1 if the pixel is used, else 0."""
 
 
-def mask_names(photo: str) -> tuple[str, str]:
-    """The names that the mask of a photo may have, without .png."""
-    return photo, photo.rpartition(".")[0]
+def find_mask(root: Path, photos: Path, name: str) -> Path | None:
+    """The file of the mask of the photo called ``name``, if there is one.
 
+    It is called as the photo is, with or without the suffix of the photo and one of MASK_MARKS. It
+    lies in one of MASK_FOLDERS of the data set, or, with a mark, next to the photo.
 
-def find_mask(root: Path, photo: str) -> Path | None:
-    """The file of the mask of a photo in the folder MASKS of a data set, if there is one."""
-    paths = (root / MASKS / f"{name}.png" for name in mask_names(photo))
+    Args:
+        root: folder of the data set.
+        photos: folder of its photos, which the name is relative to.
+        name: of the photo, with forward slashes.
+    """
+    names = (name, name.rpartition(".")[0])
+    below = [each.removeprefix("images/") for each in names]
+    paths = [
+        folder / f"{each}{mark}{suffix}"
+        for folder in mask_folders(root, photos)
+        for mark in ("", *MASK_MARKS)
+        for suffix in MASK_SUFFIXES
+        for each in below
+    ]
+    paths += [
+        photos / f"{each}{mark}{suffix}"
+        for mark in MASK_MARKS
+        for suffix in MASK_SUFFIXES
+        for each in names
+    ]
     return next((path for path in paths if path.is_file()), None)
 
 
-def read_mask(path: Path, size: tuple[int, int]) -> Mask:
+def mask_folders(root: Path, photos: Path) -> list[Path]:
+    """List the MASK_FOLDERS that are in the data set ``root``, in its photos or next to them."""
+    above = [] if photos == root else [photos.parent]
+    places = dict.fromkeys([root, photos, *above, root / "images"])
+    return [path for place in places for name in MASK_FOLDERS if (path := place / name).is_dir()]
+
+
+def list_masks(root: Path, photos: Path) -> list[Path]:
+    """All files that seem to be masks of a data set; arguments as of :func:`find_mask`."""
+    found = [path for folder in mask_folders(root, photos) for path in folder.rglob("*")]
+    found += [path for path in list_images(photos) if path.stem.lower().endswith(MASK_MARKS)]
+    images = (p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
+    return sorted(set(images))
+
+
+def read_mask(path: Path, size: tuple[int, int], posed: bool = True) -> Mask:
     """The mask in a file for a photo of ``size`` (width, height).
 
-    The alpha of a picture is its mask; without alpha it is the mean of the colors.
+    The alpha of a picture is its mask; without alpha it is the mean of the colors. The mask of a
+    photo that has no pose yet (``posed``) is turned upright as the photo is.
 
     Raises:
         DataError: damaged, of another size, or it leaves no pixel.
     """
     found = image_size(path)
-    pixels = read_image(path, size)
+    pixels = read_image(path, size if posed or found != size else None)
     if pixels.size != size:
         raise DataError(
             f"{path}: the mask is {found[0]}x{found[1]}, its photo {size[0]}x{size[1]}; make it "

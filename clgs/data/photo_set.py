@@ -7,6 +7,7 @@ from pathlib import Path
 
 from clgs.data.colmap.model import find_model, read_colmap
 from clgs.data.images import list_images
+from clgs.data.masks import list_masks
 from clgs.data.posed_photo import PhotoSet
 from clgs.data.transforms import read_blender, read_transforms
 from clgs.errors import DataError
@@ -31,11 +32,14 @@ def read_photo_set(root: Path) -> PhotoSet:
         raise DataError(f"{root}: {_why_none(root)}")
     if (root / BLENDER).is_file():
         return read_blender(root)
-    if (root / TRANSFORMS).is_file():
-        return read_transforms(root)
-    model = find_model(root)
-    assert model is not None
-    return read_colmap(root, model)
+    model = None if (root / TRANSFORMS).is_file() else find_model(root)
+    found = read_transforms(root) if model is None else read_colmap(root, model)
+    everyone = found.train + found.test
+    used = {photo.mask for photo in everyone} | {photo.path for photo in everyone}
+    folders = sorted({photo.path.parent for photo in everyone})
+    masks = dict.fromkeys(mask for folder in folders for mask in list_masks(root, folder))
+    found.stray_masks = [mask.relative_to(root).as_posix() for mask in masks if mask not in used]
+    return found
 
 
 def _why_none(root: Path) -> str:
@@ -51,4 +55,4 @@ def _why_none(root: Path) -> str:
         return f"is a part of a data set; name the whole of it: {above}"
     if any(list_images(folder) for folder in (root, root / "images") if folder.is_dir()):
         return f"photos without poses; run: clgs prepare {shlex.quote(str(root))} -o DATA"
-    return "no transforms.json, transforms_train.json, sparse/0 or photos; check the path"
+    return "no transforms.json, transforms_train.json, COLMAP model or photos; check the path"

@@ -21,7 +21,8 @@ class Photo:
 
     name: unique, relative to the data set, forward slashes; lens: for the pixels in the file;
     rotation (3, 3), translation (3,) float64 in the data's world units; mask: the file that says
-    which pixels are used, if there is one.
+    which pixels are used, if there is one; listed: the name that the data set has for it, if it is
+    not that of the file.
     """
 
     name: str
@@ -30,6 +31,12 @@ class Photo:
     rotation: npt.NDArray[np.float64]
     translation: npt.NDArray[np.float64]
     mask: Path | None = None
+    listed: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its name, and that in the data set if it is another."""
+        return (self.name, self.listed) if self.listed else (self.name,)
 
     @property
     def centre(self) -> npt.NDArray[np.float64]:
@@ -43,7 +50,9 @@ class PhotoSet:
 
     kind: "blender", "transforms" or "colmap"; missing: names of photos that are not on disk;
     points (P, 3) float64 world units and point_colors (P, 3) uint8, or None if the set has none;
-    points_file: the file that the data set names for its points, not read yet.
+    points_file: the file that the data set names for its points, not read yet; models: if there are
+    several COLMAP models, their names and numbers of photos; the first was read; stray_masks:
+    names of what seem to be masks of no photo.
     """
 
     kind: str
@@ -53,6 +62,15 @@ class PhotoSet:
     points: npt.NDArray[np.float64] | None = None
     point_colors: npt.NDArray[np.uint8] | None = None
     points_file: Path | None = None
+    models: dict[str, int] = field(default_factory=dict)
+    stray_masks: list[str] = field(default_factory=list)
+
+    def models_in_words(self) -> str:
+        """A sentence on the COLMAP models if there are several, else nothing."""
+        first, *others = self.models or [""]
+        left = ", ".join(f"{name} with {self.models[name]}" for name in others[:8])
+        read = f"{first} with {self.models.get(first)} photos is read"
+        return f"there are {len(self.models)} COLMAP models; {read}, not {left}" if left else ""
 
 
 def hold_out(photos: list[Photo], interval: int = 8) -> tuple[list[Photo], list[Photo]]:

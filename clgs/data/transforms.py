@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -35,8 +36,20 @@ COEFFICIENTS = {
 }
 """Distortion coefficients that each ``camera_model`` reads; missing ones are zero."""
 
+DISTORTION = COEFFICIENTS["FULL_OPENCV"].split()
+
+SIZE, CENTRE = ("w", "h"), ("cx", "cy")
+FOCAL = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
+"""Fields that belong together: all of a group are those of the frame, or those that frames share.
+
+The coefficients of the distortion are such a group as well.
+"""
+
 FOCAL_LENGTHS = 1e-3, 1e9
 """Least and greatest, in pixels: beyond them there is no lens, and float32 overflows."""
+
+SPLITS = "train_filenames", "test_filenames", "val_filenames"
+"""Fields that list photos; those of the last two are held out."""
 
 MAX_BYTES = 256 * 2**20
 """A larger transforms.json is refused before it is parsed."""
@@ -68,19 +81,28 @@ def read_transforms(root: Path) -> PhotoSet:
     photos, missing = _read_photos(root, file)
     found = PhotoSet("transforms", *hold_out(photos), missing)
     found.points_file = _points_file(root, document, file)
-    test_key = "test_filenames" if "test_filenames" in document else "val_filenames"
-    if test_key not in document:
+    keys = [key for key in SPLITS if key in document]
+    if not keys:
         return found
-    test_names = _names(document, test_key, file)
-    known = {photo.name for photo in photos} | set(missing)
+    known = {name for photo in photos for name in photo.names} | set(missing)
     known |= {str(PurePosixPath(name).with_suffix("")) for name in known}
-    if strangers := sorted(test_names - known):
-        _log.warning("%s: %s: no frame has the name %s", file, test_key, ", ".join(strangers[:8]))
-    found.test = [photo for photo in photos if _listed(photo, test_names)]
-    found.train = [photo for photo in photos if not _listed(photo, test_names)]
-    if "train_filenames" in document:
-        train_names = _names(document, "train_filenames", file)
-        found.train = [photo for photo in found.train if _listed(photo, train_names)]
+    lists = {key: _names(document, key, file) for key in keys}
+    for key, names in lists.items():
+        if strangers := sorted(names - known):
+            said = ", ".join(strangers[:8])
+            _log.warning("%s: %s: no frame has the name %s", file, key, said)
+    held_out = {name for key in SPLITS[1:] for name in lists.get(key, ())}
+    tested = lists.get("test_filenames") or lists.get("val_filenames", set())
+    wanted = lists.get("train_filenames")
+    found.test = [photo for photo in photos if _listed(photo, tested)]
+    found.train = [photo for photo in photos if not _listed(photo, held_out)]
+    if wanted is not None:
+        if both := [p.name for p in photos if _listed(p, wanted) and _listed(p, held_out)]:
+            said = "is held out as well, so it is not trained on"
+            _log.warning("%s: train_filenames: %s %s", file, ", ".join(both[:8]), said)
+        if keys == ["train_filenames"]:
+            found.test = [photo for photo in photos if not _listed(photo, wanted)]
+        found.train = [photo for photo in found.train if _listed(photo, wanted)]
     return found
 
 
@@ -133,8 +155,9 @@ def read_frame(file: Path, document: dict[str, Any], number: int) -> ListedPhoto
     if "file_path" not in frame:
         fields.fail("file_path", "is missing; name the image")
     size = None
-    if fields.has("w") and fields.has("h"):
-        width, height = fields.number("w", 0), fields.number("h", 0)
+    level = fields.level(SIZE)
+    if all(key in level for key in SIZE):
+        width, height = (fields.number(key, 0, SIZE) for key in SIZE)
         if not (1 <= width <= 1e6 and 1 <= height <= 1e6):
             fields.fail("w, h", "are not image sizes; correct them")
         size = round(width), round(height)
@@ -142,7 +165,8 @@ def read_frame(file: Path, document: dict[str, Any], number: int) -> ListedPhoto
     lens(*(size or (1, 1)))  # a bad file is bad on every machine, even if the image is missing
     mask = fields.text("mask_path", "") if "mask_path" in frame else None
     name = fields.text("file_path", "")
-    return ListedPhoto(name, source, rotation, translation, size, lens, mask)
+    by_name = mask is None and file.name == "transforms.json"
+    return ListedPhoto(name, source, rotation, translation, size, lens, mask, by_name)
 
 
 @dataclass(frozen=True)
@@ -153,14 +177,15 @@ class _Fields:
     shared: dict[str, Any]
     source: str
 
-    def has(self, key: str) -> bool:
-        return key in self.frame or key in self.shared
+    def level(self, group: Sequence[str]) -> dict[str, Any]:
+        """The fields of the frame if it has any of ``group``, else the shared ones."""
+        return self.frame if any(key in self.frame for key in group) else self.shared
 
     def fail(self, key: str, problem: str) -> NoReturn:
         raise DataError(f"{self.source}: {key} {problem}")
 
-    def number(self, key: str, default: float) -> float:
-        value = self.frame.get(key, self.shared.get(key, default))
+    def number(self, key: str, default: float, group: Sequence[str]) -> float:
+        value = self.level(group).get(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float):
             self.fail(key, "is not a number; correct it")
         if not abs(value) < 1e15:
@@ -198,20 +223,21 @@ def _read_lens(fields: _Fields, width: int, height: int) -> Lens:
     if model not in COEFFICIENTS:
         known = ", ".join(COEFFICIENTS)
         fields.fail("camera_model", f"{model[:40]!r} is unknown; undistort to one of {known}")
-    coefficients = {name: fields.number(name, 0.0) for name in COEFFICIENTS[model].split()}
+    names = COEFFICIENTS[model].split()
+    coefficients = {name: fields.number(name, 0.0, DISTORTION) for name in names}
     focal = _focal_lengths(fields, width, height)
-    centre = fields.number("cx", width / 2), fields.number("cy", height / 2)
+    centre = fields.number("cx", width / 2, CENTRE), fields.number("cy", height / 2, CENTRE)
     return Lens.of_model(model, (width, height), focal, centre, coefficients)
 
 
 def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, float]:
     """fl_x and fl_y, or those of the fields of view; if only one is known, pixels are square."""
-    known = {}
+    known, level = {}, fields.level(FOCAL)
     for axis, size in (("x", width), ("y", height)):
-        if fields.has(f"fl_{axis}"):
-            known[axis] = fields.number(f"fl_{axis}", 0.0)
-        elif fields.has(f"camera_angle_{axis}"):
-            angle = fields.number(f"camera_angle_{axis}", 0.0)
+        if f"fl_{axis}" in level:
+            known[axis] = fields.number(f"fl_{axis}", 0.0, FOCAL)
+        elif f"camera_angle_{axis}" in level:
+            angle = fields.number(f"camera_angle_{axis}", 0.0, FOCAL)
             if not 0 < angle < np.pi:
                 fields.fail(f"camera_angle_{axis}", "is not between 0 and pi; correct it")
             known[axis] = 0.5 * size / float(np.tan(angle / 2))
@@ -219,7 +245,7 @@ def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, flo
         fields.fail("fl_x", "and camera_angle_x are missing; give one of them")
     fx = known.get("x", known.get("y", 0.0))
     # A given fl_x without fl_y means square pixels, even if there is a rounded camera_angle_y.
-    fy = known.get("y", fx) if fields.has("fl_y") or not fields.has("fl_x") else fx
+    fy = known.get("y", fx) if "fl_y" in level or "fl_x" not in level else fx
     least, most = FOCAL_LENGTHS
     if not (least <= fx <= most and least <= fy <= most):
         found = f"are {fx:g} and {fy:g}, not {least:g} to {most:g} pixels"
@@ -261,4 +287,6 @@ def _names(document: dict[str, Any], key: str, file: Path) -> set[str]:
 
 
 def _listed(photo: Photo, names: set[str]) -> bool:
-    return photo.name in names or str(PurePosixPath(photo.name).with_suffix("")) in names
+    return any(
+        name in names or str(PurePosixPath(name).with_suffix("")) in names for name in photo.names
+    )

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from clgs.data.locate import locate
+from clgs.data.locate import PhotoFolder, locate
 from clgs.data.origin import read_origin
 from clgs.data.photo_set import is_posed, read_photo_set
 from clgs.data.point_file import read_points
@@ -55,7 +55,11 @@ def examine(root: Path) -> Examined:
         findings += check_lenses(everyone)
         findings += check_poses(everyone)
         findings += check_pictures(everyone, photos.kind == "blender")
-    findings += _points(root, photos)
+    if photos.stray_masks:
+        problem = f"{len(photos.stray_masks)} files look like masks, but are those of no photo"
+        remedy = "call them NAME.png as the photos are, in masks; they are not used"
+        findings.append(Finding(WARNING, named(photos.stray_masks), problem, remedy))
+    findings += _points(photos)
     split = f"{len(photos.train)} to train on, {len(photos.test)} held out"
     summary = f"{photos.kind}, {len(everyone)} photos ({split})"
     if not everyone:
@@ -95,10 +99,11 @@ def _piecewise(root: Path) -> tuple[PhotoSet, list[Finding]]:
         except DataError as error:
             findings.append(from_error(error))
             continue
+        files = PhotoFolder(root)
         for number in range(count):
             try:
                 listed = read_frame(file, document, number)
-                photo = locate(listed, root, root)
+                photo = locate(listed, root, files)
             except DataError as error:
                 findings.append(from_error(error))
                 continue
@@ -135,7 +140,7 @@ def _near_names(root: Path, missing: list[str]) -> list[str]:
     return found
 
 
-def _points(root: Path, photos: PhotoSet) -> Iterator[Finding]:
+def _points(photos: PhotoSet) -> Iterator[Finding]:
     if photos.points is not None and len(photos.points) < FEW_POINTS:
         problem = f"only {len(photos.points)} points to start from"
         yield Finding(WARNING, "", problem, "prepare again, or give --points FILE")
@@ -144,8 +149,6 @@ def _points(root: Path, photos: PhotoSet) -> Iterator[Finding]:
             read_points(photos.points_file, FEW_POINTS, photos.kind, seed=0)
         except DataError as error:
             yield from_error(error)
-    others = [p for p in sorted((root / "sparse").glob("[0-9]*")) if p.name != "0" and p.is_dir()]
-    if photos.kind == "colmap" and others:
-        problem = f"there are {len(others) + 1} models; sparse/0 is used"
+    if models := photos.models_in_words():
         remedy = "if photos are missing, take more between the parts and prepare again"
-        yield Finding(NOTE, named([p.name for p in others]), problem, remedy)
+        yield Finding(NOTE, "", models, remedy)

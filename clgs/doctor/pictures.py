@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clgs.data.images import open_image
+from clgs.data.images import exif_turn, open_image
 from clgs.data.masks import read_mask
 from clgs.data.posed_photo import Photo
 from clgs.data.reduction import MAX_SIZE
@@ -33,11 +33,15 @@ _THUMBNAIL = 64
 
 @dataclass(frozen=True)
 class _Looked:
-    """digest of the file; brightness: mean level in (0, 1]; used: share that a mask leaves."""
+    """digest of the file; brightness: mean level in (0, 1]; used: share that a mask leaves.
+
+    exif: whether the file has an EXIF orientation, and whether the pixels are turned by it.
+    """
 
     digest: bytes
     brightness: float
     used: float = 1.0
+    exif: tuple[bool, bool] = (False, False)
 
 
 def check_pictures(photos: list[Photo], rendered: bool) -> Iterator[Finding]:
@@ -59,6 +63,7 @@ def check_pictures(photos: list[Photo], rendered: bool) -> Iterator[Finding]:
             whole.append((photo.name, found))
     yield from _copies(whole)
     yield from _masks(whole)
+    yield from _orientations(whole)
     if not rendered:
         yield from _exposure(sorted(whole))
 
@@ -73,13 +78,14 @@ def damaged(paths: list[Path]) -> list[DataError]:
 def _look(photo: Photo) -> _Looked | DataError:
     """The look at a photo and its mask, or what is wrong with either."""
     found = _look_at(photo.path)
-    if isinstance(found, DataError) or photo.mask is None:
+    if isinstance(found, DataError):
         return found
+    size = photo.lens.width, photo.lens.height
     try:
-        used = read_mask(photo.mask, (photo.lens.width, photo.lens.height)).mean()
+        used = 1.0 if photo.mask is None else float(read_mask(photo.mask, size).mean())
+        return replace(found, used=used, exif=exif_turn(photo.path, size))
     except DataError as error:
         return error
-    return replace(found, used=float(used))
 
 
 def _look_at(path: Path) -> _Looked | DataError:
@@ -136,6 +142,15 @@ def _masks(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
     if used:
         problem = f"{len(used)} photos are masked; {np.mean(used):.0%} of their pixels are used"
         yield Finding(NOTE, "", problem, "nothing to do: what is masked is neither used nor scored")
+
+
+def _orientations(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
+    stored = [name for name, looked in whole if looked.exif == (True, False)]
+    turned = [name for name, looked in whole if looked.exif == (True, True)]
+    for names, done in ((stored, "taken as stored"), (turned, "turned to fit their poses")):
+        if names:
+            problem = f"{len(names)} photos have an EXIF orientation; their pixels are {done}"
+            yield Finding(NOTE, named(names), problem, "if renders lie on the side, prepare again")
 
 
 def _exposure(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:

@@ -174,14 +174,14 @@ def _write(one: Found, images: Path, masks: Path) -> None:
     if is_plain(one.path):
         check_image(one.path)
         if one.mask:
-            mask = read_mask(one.mask, image_size(one.path))
+            mask = read_mask(one.mask, image_size(one.path), posed=False)
         copy = images / one.name
         shutil.copyfile(one.path, copy)
     else:
         pixels = read_image(one.path)
         color = pixels.color
         if one.mask:
-            mask = read_mask(one.mask, pixels.size)
+            mask = read_mask(one.mask, pixels.size, posed=False)
         if pixels.alpha is not None:
             seen = (pixels.alpha >= USED).astype(np.uint8)
             if not seen.any():

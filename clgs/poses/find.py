@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from clgs.data.images import HEIF_SUFFIXES, SUFFIXES
-from clgs.data.masks import MASKS, mask_names
+from clgs.data.masks import MASK_FOLDERS, find_mask, list_masks
 from clgs.errors import DataError
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".mts", ".3gp")
@@ -24,7 +24,7 @@ NAME_LENGTH = 120
 NAMED = 5
 """Files that are named of those that are skipped for one reason."""
 
-_FOREIGN_FOLDERS = (MASKS, "__MACOSX", "@eaDir")
+_FOREIGN_FOLDERS = (*MASK_FOLDERS, "__MACOSX", "@eaDir")
 _RUNS = ("plan.json", "progress.csv")
 """A folder that holds one of these was made by clgs run or train."""
 
@@ -95,16 +95,17 @@ def find_photos(folder: Path) -> Collection:
     made = any((folder / file).exists() for file in _OWN)  # and its contact sheet is no photo
     own = not made and any(_is_photo(path) for path in folder.iterdir())
     collection = Collection(images if images.is_dir() and not own else folder)
-    masks = _masks(folder, collection.root)
-    kept = _without_copies(list(_files(collection)), collection)
+    files = {path: path.relative_to(collection.root).as_posix() for path in _files(collection)}
+    masks = {path: find_mask(folder, collection.root, below) for path, below in files.items()}
+    photos = [path for path in files if path not in set(masks.values())]
     taken: set[str] = set()
-    for path in kept:
-        below = path.relative_to(collection.root).as_posix()
-        mask = next((masks[key] for key in mask_names(below) if key in masks), None)
-        collection.photos.append(Found(path, _new_name(below, taken), mask))
+    for path in _without_copies(photos, collection):
+        collection.photos.append(Found(path, _new_name(files[path], taken), masks[path]))
     used = {found.mask for found in collection.photos}
     collection.skipped += [
-        (f"{MASKS}/{key}.png", "masks of no photo") for key, m in masks.items() if m not in used
+        (path.relative_to(folder).as_posix(), "masks of no photo")
+        for path in list_masks(folder, collection.root)
+        if path not in used
     ]
     return collection
 
@@ -173,18 +174,6 @@ def _without_copies(paths: list[Path], collection: Collection) -> list[Path]:
             seen.add(digest)
         kept.append(path)
     return kept
-
-
-def _masks(folder: Path, root: Path) -> dict[str, Path]:
-    """The masks next to the photos or next to images/, by path below masks/ without .png."""
-    found: dict[str, Path] = {}
-    for place in dict.fromkeys((folder / MASKS, root / MASKS)):
-        if place.is_dir():
-            for path in sorted(place.rglob("*.png")):
-                if path.is_file() and not path.name.startswith("."):
-                    below = path.relative_to(place).as_posix()
-                    found.setdefault(below.removesuffix(".png"), path)
-    return found
 
 
 def _new_name(below: str, taken: set[str]) -> str:

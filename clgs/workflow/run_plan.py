@@ -52,12 +52,13 @@ LATER_SECONDS = 8.0
 
 @dataclass(frozen=True)
 class Photos:
-    """The photos of a run: their number, the size of the first, and if they are synthetic."""
+    """The photos of a run: their number, the size of the first, if they are synthetic, masks."""
 
     count: int
     width: int
     height: int
     synthetic: bool = False
+    masks: int = 0
 
     def at(self, width: int) -> int:
         """Pixels of a photo that is at most ``width`` wide."""

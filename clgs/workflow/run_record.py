@@ -71,7 +71,9 @@ def find_input(path: Path) -> RunInput:
         photos = Photos(found.frames, *frame_size(path))
         return RunInput(path, False, photos, video=True, digest=digest)
     sizes = readable_sizes(found.collection)
-    return RunInput(path, False, Photos(len(sizes), *sizes[0]), digest=digest)
+    masks = sum(one.mask is not None for one in found.collection.photos)
+    photos = Photos(len(sizes), *sizes[0], masks=masks)
+    return RunInput(path, False, photos, digest=digest)
 
 
 def measure_data(folder: Path) -> Photos:
@@ -79,7 +81,8 @@ def measure_data(folder: Path) -> Photos:
     dataset = load_dataset(folder, max_size=0, load_images=False)
     first = dataset.train[0].camera
     count = len(dataset.train) + len(dataset.test)
-    return Photos(count, first.width, first.height, dataset.kind == BLENDER)
+    masks = sum(view.mask is not None for view in dataset.train + dataset.test)
+    return Photos(count, first.width, first.height, dataset.kind == BLENDER, masks)
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageOps
 
 from clgs.data.images import (
     Pixels,
     box_downscale,
+    exif_turn,
     image_size,
     is_plain,
+    posed_size,
     read_image,
-    stored_size,
+    scales_evenly,
 )
+from clgs.data.masks import USED, read_mask
 from clgs.errors import DataError
 from tests.data.folders import noise_image
 
@@ -63,8 +66,29 @@ def test_exif_rotation(tmp_path: Path, suffix: str):
     assert upright.size == (16, 32)
     assert upright.color[:8].mean() >= 250
     assert upright.color[-8:].mean() <= 5
-    assert stored_size(path, (32, 16)) == (32, 16)
-    assert read_image(path, (32, 16)).size == (32, 16)
+
+
+@pytest.mark.parametrize("tag", range(1, 9))
+@pytest.mark.parametrize("size", [(32, 16), (16, 16)])
+def test_a_pose_decides_about_the_exif_rotation(tmp_path: Path, tag: int, size: tuple[int, int]):
+    """Only pixels that fit no other way are turned; a pose may be for the photo at full size."""
+    path, (width, height), stored = tmp_path / "a.png", size, noise_image(*size)
+    exif = Image.Exif()
+    exif[0x0112] = tag
+    Image.fromarray(stored).save(path, exif=exif)
+    turned = np.asarray(ImageOps.exif_transpose(Image.open(path)))
+    for times in (1, 3):
+        for expected in ((width * times, height * times), (height * times, width * times)):
+            fits = tag < 5 or scales_evenly(size, expected)
+            right = stored if fits else turned
+            assert posed_size(path, expected) == right.shape[1::-1]
+            assert np.array_equal(read_image(path, expected).color, right)
+            assert exif_turn(path, expected) == (tag > 1, not fits)
+    assert posed_size(path, None) == size
+    mask = read_mask(path, size)
+    assert np.array_equal(mask, stored.mean(axis=2) >= USED)
+    upright = read_mask(path, turned.shape[1::-1], posed=False)
+    assert np.array_equal(upright, turned.mean(axis=2) >= USED)
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png"])

@@ -55,14 +55,28 @@ def test_every_eighth_after_missing_ones_is_held_out(tmp_path: Path):
     assert len(photos.train) == 15
 
 
-def test_own_split_is_honoured(tmp_path: Path):
+@pytest.mark.parametrize(
+    ("train", "test", "val", "trained", "tested", "said"),
+    [
+        ("02", "1", None, "02", "1", ""),
+        ("0125", None, None, "0125", "34", ""),
+        (None, None, "1", "02345", "1", ""),
+        (None, "1", "2", "0345", "1", ""),
+        ("012", "1", "2", "0", "1", "images/001.png, images/002.png is held out as well"),
+        ("09", "1", None, "0", "1", "train_filenames: no frame has the name images/009.png"),
+    ],
+)
+def test_own_split_is_honoured(tmp_path: Path, caplog, train, test, val, trained, tested, said):
     document = write_transforms(tmp_path, 6)
-    document["train_filenames"] = ["images/000.png", "./images/002.png"]
-    document["test_filenames"] = ["images/001.png"]
+    for key, numbers in (("train", train), ("test", test), ("val", val)):
+        if numbers is not None:
+            document[f"{key}_filenames"] = [f"./images/00{number}.png" for number in numbers]
     save_json(tmp_path, document)
     photos = read_transforms(tmp_path)
-    assert [p.name for p in photos.train] == ["images/000.png", "images/002.png"]
-    assert [p.name for p in photos.test] == ["images/001.png"]
+    assert "".join(p.name[-5] for p in photos.train) == trained
+    assert "".join(p.name[-5] for p in photos.test) == tested
+    assert said in caplog.text
+    assert bool(said) == bool(caplog.text)
 
 
 def test_a_listed_name_that_no_frame_has_is_told(tmp_path: Path, caplog):
@@ -88,14 +102,29 @@ def test_points_that_the_file_names_are_taken(tmp_path: Path, caplog):
         read_transforms(tmp_path)
 
 
-def test_intrinsics_of_a_frame_win(tmp_path: Path):
-    document = write_transforms(tmp_path, 2, k1=0.1, camera_model="OPENCV")
-    document["frames"][0] |= {"fl_x": 60.0, "fl_y": 61.0, "cx": 19.0, "k1": 0.2}
+@pytest.mark.parametrize(
+    ("own", "expected"),
+    [
+        ({"fl_x": 60.0, "fl_y": 61.0, "cx": 19.0, "k1": 0.2}, (60, 61, 19, 15, 0.2, 0)),
+        ({"fl_x": 60.0}, (60, 60, 18, 14, 0.1, 0.3)),
+        ({"fl_y": 60.0}, (60, 60, 18, 14, 0.1, 0.3)),
+        ({"camera_angle_x": 2 * math.atan(0.5)}, (40, 40, 18, 14, 0.1, 0.3)),
+        ({"camera_angle_y": 2 * math.atan(0.5)}, (30, 30, 18, 14, 0.1, 0.3)),
+        ({"k2": 0.5}, (50, 51, 18, 14, 0, 0.5)),
+        ({"w": 80, "h": 60, "fl_x": 100.0, "cx": 38.0}, (50, 50, 19, 15, 0.1, 0.3)),
+        ({}, (50, 51, 18, 14, 0.1, 0.3)),
+    ],
+)
+def test_intrinsics_of_a_frame_win(tmp_path: Path, own: dict, expected: tuple):
+    """What belongs together comes from one place, so that no lens is a mixture of two."""
+    shared = {"fl_y": 51.0, "cx": 18.0, "cy": 14.0, "k1": 0.1, "k2": 0.3}
+    document = write_transforms(tmp_path, 2, **shared)
+    document["frames"][0] |= own
     save_json(tmp_path, document)
-    first, second = sorted(everything(tmp_path), key=lambda p: p.name)
-    assert (first.lens.fx, first.lens.fy, first.lens.cx) == (60.0, 61.0, 19.0)
-    assert first.lens.radial[0] == 0.2
-    assert second.lens.radial[0] == 0.1
+    first, second = (p.lens for p in sorted(everything(tmp_path), key=lambda p: p.name))
+    for lens, values in ((first, expected), (second, (50, 51, 18, 14, 0.1, 0.3))):
+        found = (lens.fx, lens.fy, lens.cx, lens.cy, *lens.radial[:2])
+        assert found == pytest.approx(values)
 
 
 def test_angle_gives_focal_length_and_extension_is_found(tmp_path: Path):

@@ -104,7 +104,7 @@ def test_lenses(healthy: Path):
     change(healthy, 2, k1=-30.0)
     change(healthy, 3, cx=10.0)
     change(healthy, 4, fl_x=2000.0, fl_y=2000.0)
-    change(healthy, 5, fl_y=60.0)
+    change(healthy, 5, fl_x=50.0, fl_y=60.0)
     found = levels(healthy)
     assert has(found[NOTE], "001.png", "a distorted lens")
     assert has(found[ERROR] + found[WARNING], "002.png")
@@ -169,6 +169,19 @@ def test_exposure_that_jumps(healthy: Path):
     (line,) = levels(healthy)[WARNING]
     assert "010.png to images/011.png (2.0 stops)" in line
     assert "011.png to images/012.png (2.0 stops)" in line
+
+
+@pytest.mark.parametrize(
+    ("tag", "done"), [(3, "taken as stored"), (6, "turned to fit their poses")]
+)
+def test_exif_orientations_are_named(healthy: Path, tag: int, done: str):
+    path, exif = healthy / "images" / "001.png", Image.Exif()
+    exif[0x0112] = tag
+    pixels = Image.open(path)
+    (pixels.rotate(90, expand=True) if tag == 6 else pixels).save(path, exif=exif)
+    (note,) = levels(healthy)[NOTE]
+    assert note.startswith("images/001.png: 1 photos have an EXIF orientation")
+    assert note.endswith(done)
 
 
 def test_masks_are_checked(healthy: Path):

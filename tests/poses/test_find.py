@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from clgs.data.masks import find_mask
 from clgs.errors import DataError
 from clgs.poses.find import find_photos, is_video
 from tests.data.folders import noise_image
@@ -129,8 +128,14 @@ def test_masks_are_found_by_either_name(tmp_path: Path):
     masks = {one.name: one.mask and one.mask.name for one in found.photos}
     assert masks == {"a.jpg": "a.png", "b.jpg": "b.jpg.png", "left_c.jpg": "c.png", "d.jpg": None}
     assert found.skipped == [("masks/stray.png", "masks of no photo")]
-    assert find_mask(tmp_path, "b.jpg") == tmp_path / "masks" / "b.jpg.png"
-    assert find_mask(tmp_path, "d.jpg") is None
+    for path in (tmp_path / "masks").rglob("*.png"):
+        path.rename(
+            (tmp_path / path.relative_to(tmp_path / "masks")).with_stem(f"{path.stem}_mask")
+        )
+    found = find_photos(tmp_path)
+    masks = {one.name: one.mask and one.mask.name for one in found.photos}
+    assert masks["a.jpg"] == "a_mask.png"
+    assert masks["left_c.jpg"] == "c_mask.png"
 
 
 def test_a_data_set_of_ours_has_its_photos_in_images(tmp_path: Path):

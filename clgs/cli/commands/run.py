@@ -127,11 +127,13 @@ def _show(record: object) -> None:
 
 
 def _show_plan(plan: RunPlan) -> None:
+    from clgs.cli.tell import counted
     from clgs.workflow.run_record import in_words
 
     given, photos, training = plan.input, plan.input.photos, plan.training
     kind = "data set" if given.posed else "frames" if given.video else "photos"
-    print(f"{given.path}: {kind}, {photos.count} of {photos.width} x {photos.height} pixels")
+    masks = f", {counted(photos.masks, 'mask')}" * bool(photos.masks)
+    print(f"{given.path}: {kind}, {photos.count} of {photos.width} x {photos.height} pixels{masks}")
     preparing = f"about {in_words(training.prepare_seconds)}"
     if not given.posed:
         tested = (

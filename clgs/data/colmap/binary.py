@@ -28,6 +28,7 @@ from clgs.data.colmap.records import (
 from clgs.errors import DataError
 
 MAX_NAME_BYTES = 1024
+LEAST_IMAGE_BYTES = 73
 _MODELS = list(PARAMETERS)
 _POINT = np.dtype([("number", "<u8"), ("position", "<f8", 3), ("color", "u1", 3)])
 _POINT_BYTES = 51
@@ -125,7 +126,7 @@ def _read_cameras(file: _File) -> dict[int, ColmapCamera]:
 
 def _read_images(file: _File, cameras: dict[int, ColmapCamera]) -> list[ColmapImage]:
     images: dict[int, ColmapImage] = {}
-    for _ in file.records(73):
+    for _ in file.records(LEAST_IMAGE_BYTES):
         (number,) = file.take("<I")
         quaternion, translation = file.pose()
         (camera,) = file.take("<I")

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from clgs.data.colmap.binary import read_binary
+from clgs.data.colmap.binary import LEAST_IMAGE_BYTES, read_binary
 from clgs.data.colmap.records import ColmapCamera, ColmapModel
 from clgs.data.colmap.text import read_text
+from clgs.data.images import list_images
 from clgs.data.lens import Lens
 from clgs.data.locate import ListedPhoto, locate_all
 from clgs.data.posed_photo import PhotoSet, hold_out, rigid
@@ -19,12 +20,55 @@ NOT_UNDISTORTED = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 """Camera models whose distortion is not removed here."""
 
 
+WORKSPACES = "", "dense", "dense/[0-9]*", "[0-9]*", "colmap"
+"""Folders below a data set that have a model in sparse/0, sparse/1 and so on, in sparse, or, next to
+their photos, in themselves. Models of the first that has any are read.
+"""
+
+
 def find_model(root: Path) -> Path | None:
-    """The folder below ``root`` that holds a COLMAP model: sparse/0, else sparse."""
-    for folder in (root / "sparse" / "0", root / "sparse"):
-        if any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt")):
-            return folder
-    return None
+    """The folder at or below ``root`` that holds the COLMAP model with the most photos."""
+    return next(iter(find_models(root)), None)
+
+
+def find_models(root: Path) -> dict[Path, int]:
+    """The folders of the models of one workspace and their numbers of photos, largest first."""
+    for workspace in WORKSPACES:
+        found: list[Path] = []
+        bases = [root / workspace]
+        if workspace.endswith("*"):
+            bases = sorted(path for path in root.glob(workspace) if path.name.isdecimal())
+        for base in bases:
+            numbered = (p for p in (base / "sparse").glob("[0-9]*") if p.name.isdecimal())
+            found += sorted(numbered, key=lambda path: int(path.name))
+            found.append(base / "sparse")
+            if (base / "images").is_dir() or (_is_model(base) and list_images(base)):
+                found.append(base)
+        models = [folder for folder in found if _is_model(folder)]
+        if models:
+            counts = {folder: _count_photos(folder) for folder in models}
+            return dict(sorted(counts.items(), key=lambda one: -one[1]))
+    return {}
+
+
+def _is_model(folder: Path) -> bool:
+    return any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
+
+
+def _count_photos(folder: Path) -> int:
+    """The number of photos that the model in ``folder`` declares, at most what its file can hold.
+
+    Nothing else of the model is read; 0 if there is no such file.
+    """
+    binary, text = folder / "images.bin", folder / "images.txt"
+    if binary.is_file():
+        with binary.open("rb") as file:
+            declared = int.from_bytes(file.read(8), "little")
+        return min(declared, binary.stat().st_size // LEAST_IMAGE_BYTES)
+    if not text.is_file():
+        return 0
+    with text.open("rb") as file:
+        return (sum(not line.startswith(b"#") for line in file) + 1) // 2
 
 
 def read_model(folder: Path) -> ColmapModel:
@@ -44,15 +88,17 @@ def read_model(folder: Path) -> ColmapModel:
 def read_colmap(root: Path, folder: Path) -> PhotoSet:
     """Photos of ``root``/images posed by the model in ``folder``, with masks.
 
+    Photos without a folder images lie next to the model or in a folder above it, up to ``root``.
     Every 8th photo by name is held out; points that are not finite are left out.
 
     Raises:
         DataError: names file, field and remedy.
     """
     model = read_model(folder)
+    file = folder / ("images.bin" if (folder / "cameras.bin").is_file() else "images.txt")
     listed = []
     for image in model.images:
-        source = f"{folder}: image {image.name[:80]!r}"
+        source = f"{file}: image {image.name[:80]!r}"
         camera = image.camera
         listed.append(
             ListedPhoto(
@@ -65,12 +111,27 @@ def read_colmap(root: Path, folder: Path) -> PhotoSet:
                 mask_by_name=True,
             )
         )
-    images = root / "images" if (root / "images").is_dir() else root
-    photos, missing = locate_all(listed, root, images, str(folder))
+    photos, missing = locate_all(listed, root, _photo_folder(root, folder, model), str(folder))
     usable = np.all(np.abs(model.position) < 1e12, axis=1)
-    return PhotoSet(
+    found = PhotoSet(
         "colmap", *hold_out(photos), missing, model.position[usable], model.color[usable]
     )
+    if folder != root and len(models := find_models(root)) > 1:
+        found.models = {path.relative_to(root).as_posix(): n for path, n in models.items()}
+    return found
+
+
+def _photo_folder(root: Path, folder: Path, model: ColmapModel) -> Path:
+    """The folder that names of a model are relative to: the first that has any of its photos."""
+    names = [image.name for image in model.images if not Path(image.name).is_absolute()]
+    images = root / "images"
+    for above in (folder, *folder.parents):
+        for place in (above / "images", above):
+            if any((place / name).is_file() for name in names):
+                return place
+        if above == root:
+            break
+    return images if images.is_dir() else root
 
 
 def _lens(camera: ColmapCamera, source: str, width: int, height: int) -> Lens:

@@ -104,9 +104,8 @@ def check_pose(quaternion: tuple[float, ...], translation: tuple[float, ...], fa
 
 
 def check_name(name: str, fail: Fail) -> None:
-    """Call ``fail`` if an image name is empty, absolute or leads upwards."""
-    parts = name.replace("\\", "/").split("/")
-    if not name or not parts[0] or ".." in parts or ":" in parts[0]:
+    """Call ``fail`` if an image name is empty or leads upwards."""
+    if not name or ".." in name.replace("\\", "/").split("/"):
         fail(f"image name {name[:80]!r} must stay inside the images folder")
 
 

@@ -274,7 +274,8 @@ def test_a_photo_with_two_poses_is_refused(tmp_path: Path, text: bool):
     file = tmp_path / "sparse" / "0" / f"images.{'txt' if text else 'bin'}"
     file.write_bytes(file.read_bytes().replace(b"002.png", b"001.png"))
     with pytest.raises(
-        DataError, match=r"sparse.0: image '001\.png': '001\.png' is listed twice; keep one"
+        DataError,
+        match=r"sparse.0.images\.\w+: image '001\.png': '001\.png' is listed twice; keep one",
     ):
         load(tmp_path)
 

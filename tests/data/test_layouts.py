@@ -1,0 +1,143 @@
+"""Layouts of other programs, names that differ in form, masks named otherwise."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from clgs.data.dataset import load_dataset
+from clgs.data.photo_set import read_photo_set
+from clgs.doctor.dataset import examine
+from clgs.errors import DataError
+from tests.data.folders import save_json, write_colmap, write_transforms
+
+pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+
+LAYOUTS = {
+    "the dense workspace": ("dense/0/sparse", "dense/0/images"),
+    "one dense workspace": ("dense/sparse", "dense/images"),
+    "a second dense model": ("dense/0/sparse/1", "dense/0/images"),
+    "next to the folder of photos": (".", "images"),
+    "next to the photos": (".", "."),
+    "inside of nerfstudio's folder": ("colmap/sparse/0", "images"),
+    "next to the photos of a workspace": ("dense/0", "dense/0"),
+    "photos next to sparse": ("sparse/0", "."),
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+@pytest.mark.parametrize("text", [False, True])
+def test_layouts_of_other_programs(tmp_path: Path, name: str, text: bool):
+    model, images = (tmp_path / "there" / each for each in LAYOUTS[name])
+    write_colmap(tmp_path / "here", text=text)
+    for source, target in (("sparse/0", model), ("images", images)):
+        target.mkdir(parents=True, exist_ok=True)
+        for file in (tmp_path / "here" / source).iterdir():
+            file.rename(target / file.name)
+    photos = read_photo_set(tmp_path / "there")
+    assert (len(photos.train), len(photos.test), photos.missing) == (8, 2, [])
+    assert photos.models == {}
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_the_largest_model_is_read_and_named(tmp_path: Path, text: bool, caplog):
+    write_colmap(tmp_path, text=text)
+    import pycolmap
+
+    whole = tmp_path / "sparse" / "0"
+    part = pycolmap.Reconstruction(str(whole))
+    for frame in range(1, 8):
+        part.deregister_frame(frame)
+    whole.rename(tmp_path / "sparse" / "10")
+    whole.mkdir()
+    (part.write_text if text else part.write_binary)(whole)
+    data = load_dataset(tmp_path, load_images=False)
+    assert len(data.train) + len(data.test) == 10
+    said = "there are 2 COLMAP models; sparse/10 with 10 photos is read, not sparse/0 with 3"
+    assert said in caplog.text
+    assert said in [one.problem for one in examine(tmp_path).findings]
+
+
+NAMES = {
+    "capitals": ("images/001.jpg", "images/001.JPG"),
+    "the other spelling of JPEG": ("images/001.jpeg", "images/001.JPG"),
+    "a colon": ("images/10:30.jpg", "images/10:30.jpg"),
+    "a colon that Windows replaced": ("images/10:30.jpg", "images/10_30.jpg"),
+    "a letter and a colon": ("a:1.jpg", "a:1.jpg"),
+    "a path of Windows": ("C:\\data\\IMAGES\\001.jpg", "images/001.jpg"),
+    "a path of another machine": ("/home/you/shots/001.jpg", "images/001.jpg"),
+    "slashes of Windows": ("images\\001.jpg", "images/001.jpg"),
+    "no folder but a backslash": ("images/a\\001.jpg", "images/a\\001.jpg"),
+    "an escaped blank": ("images/a%20b.jpg", "images/a b.jpg"),
+    "two forms of a letter": ("images/\u00fc.jpg", "images/u\u0308.jpg"),
+    "no suffix": ("images/A", "images/a.Jpg"),
+}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="has no such names")
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("kind", ["colmap", "transforms"])
+def test_names_that_differ_in_form_are_found(tmp_path: Path, name: str, kind: str, caplog):
+    listed, there = NAMES[name]
+    if kind == "colmap":
+        write_colmap(tmp_path)
+        file, base = tmp_path / "sparse" / "0" / "images.bin", tmp_path / "images" / "images"
+        file.write_bytes(file.read_bytes().replace(b"002.png\0", listed.encode() + b"\0"))
+        missing, folder = "002.png", tmp_path / "images"
+    else:
+        missing, folder = "images/000.png", tmp_path
+        document = write_transforms(tmp_path, 10)
+        document["frames"][0]["file_path"] = listed
+        save_json(tmp_path, document)
+        base = tmp_path / "images"
+    base.mkdir(exist_ok=True)
+    (folder / missing).rename(folder / there)
+    photos = read_photo_set(tmp_path)
+    assert there in [photo.name for photo in photos.train + photos.test]
+    assert photos.missing == []
+
+
+def test_a_name_that_two_files_fit_is_missing(tmp_path: Path, caplog):
+    write_colmap(tmp_path)
+    images = tmp_path / "images"
+    (images / "002.png").rename(images / "002.PNG")
+    (images / "002.pNg").touch()
+    if len(list(images.iterdir())) < 11:
+        pytest.skip("the file system does not tell capitals apart")
+    assert read_photo_set(tmp_path).missing == ["002.png"]
+    assert "2 files fit" in caplog.text
+
+
+def test_names_of_files_that_are_there_are_told(tmp_path: Path):
+    write_colmap(tmp_path)
+    for path in list((tmp_path / "images").iterdir()):
+        path.rename(path.with_name(f"new_{path.name}"))
+    with pytest.raises(DataError, match=r"'new_001\.png' is one of 10 that are there; put them"):
+        read_photo_set(tmp_path)
+
+
+MASKS = [
+    *("masks/002.png", "masks/002.png.png", "masks/002.jpg", "mask/002.png.jpg"),
+    *(
+        "masks/002_mask.png",
+        "masks/002.png_mask.jpg",
+        "images/masks/002.png",
+        "images/002_mask.png",
+    ),
+    *("images/002.mask.jpg", "masks/002.mask.webp"),
+]
+
+
+@pytest.mark.parametrize("name", MASKS)
+@pytest.mark.parametrize("kind", ["colmap", "transforms"])
+def test_masks_are_found_by_plain_names(tmp_path: Path, name: str, kind: str):
+    (write_colmap if kind == "colmap" else write_transforms)(tmp_path)
+    for path in (tmp_path / name, tmp_path / name.replace("002", "stray")):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes((tmp_path / "images" / "002.png").read_bytes())
+    photos = read_photo_set(tmp_path)
+    masked = [photo for photo in photos.train + photos.test if photo.mask]
+    assert [(photo.path.name, photo.mask) for photo in masked] == [("002.png", tmp_path / name)]
+    assert photos.stray_masks == [name.replace("002", "stray")]
