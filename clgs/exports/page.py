@@ -46,12 +46,6 @@ def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
     Raises:
         ClgsError: the package was built without the decoder.
     """
-    decoder = importlib.resources.files("clgs") / "web" / "scene.wasm"
-    if not decoder.is_file():
-        raise ClgsError(
-            "clgs was built without the page's decoder; install clang with lld, or `pip install "
-            "ziglang`, and install clgs again"
-        )
     settings = {
         "title": title,
         "start": asdict(start) if start else None,
@@ -60,7 +54,7 @@ def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
     values = {
         "title": escape(title or "clgs viewer"),
         "settings": json.dumps(settings).replace("<", "\\u003c"),
-        "wasm": base64.b64encode(decoder.read_bytes()).decode(),
+        "wasm": base64.b64encode(_decoder()).decode(),
         "scene": base64.b64encode(data).decode(),
         "scripts": "\n".join(_text(name) for name in SCRIPTS),
         "page.css": _text("page.css"),
@@ -96,6 +90,16 @@ def _meeting(cameras: Sequence[Camera]) -> np.ndarray[tuple[int], np.dtype[np.fl
         matrix += across
         right += across @ camera.centre
     return np.asarray(np.linalg.solve(matrix, right))
+
+
+def _decoder() -> bytes:
+    decoder = importlib.resources.files("clgs") / "web" / "scene.wasm"
+    if not decoder.is_file():
+        raise ClgsError(
+            "clgs was built without the page's decoder; install clang with lld, or `pip install "
+            "ziglang`, and install clgs again"
+        )
+    return decoder.read_bytes()
 
 
 def _text(name: str) -> str:

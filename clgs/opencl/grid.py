@@ -25,9 +25,13 @@ ANY_GROUP = 64
 CHUNKS_PER_UNIT, MOST_CHUNKS = 2, 32
 
 
-def by_items(count: int, group: int = ANY_GROUP) -> LaunchSizes:
-    """Global and local size of ``count`` work-items, rounded up to whole groups."""
-    return (round_up(count, group),), (group,)
+def by_items(count: int, group: int | None = None) -> LaunchSizes:
+    """Global and local size of ``count`` work-items, rounded up to whole groups.
+
+    ``group``: work-items of a group, ANY_GROUP if they share nothing.
+    """
+    size = ANY_GROUP if group is None else group
+    return (round_up(count, size),), (size,)
 
 
 def by_lanes(device: Device, count: int, lanes: int) -> LaunchSizes:

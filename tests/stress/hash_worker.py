@@ -43,8 +43,9 @@ def set_group_size(size: int, specialisation: str = "cpu") -> list[str]:
         if getattr(op, "GROUP_SIZE", None) == NORMAL_GROUP and not compiled:
             op.GROUP_SIZE = size  # type: ignore[attr-defined]
             changed.append(module.name)
-        elif hasattr(op, "by_lanes"):
+        elif hasattr(op, "by_lanes") or hasattr(op, "by_items"):
             changed.append(module.name)
+    clgs.opencl.grid.ANY_GROUP = size
     clgs.opencl.grid.GROUP_SIZE = dict.fromkeys(clgs.opencl.grid.GROUP_SIZE, size)
     return changed
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from clgs.opencl import grid
 from clgs.ops import adam, loss, rate
 from clgs.reference import adam as adam_reference
 from clgs.reference import loss as loss_reference
@@ -104,7 +105,7 @@ def test_gradients_of_any_size(device, exponent):
 
 
 def bits_of(device, x, monkeypatch, group):
-    monkeypatch.setattr(rate, "GROUP_SIZE", group)
+    monkeypatch.setattr(grid, "ANY_GROUP", group)
     result = rate.forward(device, device.upload(x), 1.0)
     return result.bits, result.table
 
