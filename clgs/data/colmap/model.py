@@ -21,8 +21,8 @@ NOT_UNDISTORTED = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 
 
 WORKSPACES = "", "dense", "dense/[0-9]*", "[0-9]*", "colmap"
-"""Folders below a data set that have a model in sparse/0, sparse/1 and so on, in sparse, or, next to
-their photos, in themselves. Models of the first that has any are read.
+"""Folders below a data set that may hold models: in sparse/0, sparse/1 and so on, in sparse, or in
+themselves, next to their photos. Models of the first that has any are read.
 """
 
 
