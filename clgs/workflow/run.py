@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from clgs.errors import UsageError
-from clgs.exports.run_report import write_run_report
 from clgs.files import check_folder, make_folder
 from clgs.train.run.run_folder import FolderLock
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
@@ -23,8 +21,6 @@ from clgs.workflow.run_plan import (
     prepare_seconds,
 )
 from clgs.workflow.run_record import (
-    DATA,
-    RUN,
     FinishedRun,
     RunInput,
     RunPlan,
@@ -33,20 +29,7 @@ from clgs.workflow.run_record import (
     measure_data,
     read_record,
 )
-from clgs.workflow.run_stages import (
-    CLIP,
-    GAUSSIANS,
-    PAGE,
-    REPORT,
-    SCENE,
-    SCORES,
-    RunStages,
-    command_line,
-    setting_options,
-)
-
-MADE = (DATA, RUN, SCENE, SCORES, REPORT, PAGE, GAUSSIANS, CLIP)
-"""Everything in the output folder that is replaced by another run."""
+from clgs.workflow.run_stages import MADE, RunStages
 
 CORES = os.cpu_count() or 1
 
@@ -140,7 +123,7 @@ def run(
             _check_apart(given.path, output)
             make_folder(output)
             lock = lock or FolderLock(output)
-            stages.begin(MADE)
+            stages.begin()
         data = given.path
         if not given.posed:
             data = stages.prepare(given, must_hurry(given.photos.count, CORES, allowed))
@@ -153,37 +136,10 @@ def run(
         stages.encode()
         stages.evaluate(data)
         failures = stages.export()
-        used = _write_report(given, data, output, record, device)
-        scores = json.loads((output / SCORES).read_text(encoding="utf-8"))
-        return FinishedRun(output, used, scores, record.seconds, failures)
+        return stages.finish(given, data, failures)
     finally:
         if lock is not None:
             lock.release()
-
-
-def _write_report(
-    given: RunInput, data: Path, output: Path, record: RunRecord, device: str | None
-) -> str:
-    """Write the report, with the command that repeats the run; says how many photos were used."""
-    if given.posed:
-        used = f"{given.photos.count} of the data set {given.path}"
-    else:
-        used = f"{measure_data(data).count} of {given.photos.count} found their pose"
-    links = {"the scene as a web page": PAGE, "clip": CLIP, "the file": SCENE}
-    links |= {"ordinary Gaussians": GAUSSIANS, "poses of the photos": f"{DATA}/{REPORT}"}
-    present = [(label, name) for label, name in links.items() if (output / name).exists()]
-    words = ["run", given.path, "-o", output, *setting_options(record.settings)]
-    if device is not None:
-        words += ["--device", device]
-    write_run_report(
-        output / RUN,
-        command=command_line(*words),
-        lead=f"{used}.",
-        seconds=record.seconds,
-        links=present,
-        page=output / REPORT,
-    )
-    return used
 
 
 def _record(given: RunInput, allowed: float) -> RunRecord:

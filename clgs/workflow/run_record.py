@@ -27,15 +27,11 @@ RUN = "run"
 
 @dataclass(frozen=True)
 class RunInput:
-    """What a run begins with.
+    """What a run begins with: the path as the user named it, and what it holds.
 
-    Attributes:
-        path: as the user named it.
-        posed: whether it is a data set, so that no poses have to be found.
-        photos: their number and size.
-        pointless: whether it is a data set without points, which are found before training.
-        video: whether the photos are frames of a video.
-        digest: changes if photos are added, removed or replaced; "" for a data set.
+    posed: it is a data set, so that no poses have to be found; pointless: one without points, which
+    are found before training; video: the photos are frames of one; digest: changes if photos are
+    added, removed or replaced, "" for a data set.
     """
 
     path: Path
@@ -162,14 +158,10 @@ class RunPlan:
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What `clgs run` made.
+    """What `clgs run` made in its output folder.
 
-    Attributes:
-        folder: the output folder.
-        photos: how many photos were used, in words.
-        scores: as ``clgs eval --json`` writes them.
-        seconds: by stage, over all calls that worked on the run.
-        failures: the exports that failed, by stage.
+    photos: how many were used, in words; scores: as ``clgs eval --json`` writes them; seconds: by
+    stage, over all calls that worked on the run; failures: of exports, by stage.
     """
 
     folder: Path

@@ -6,7 +6,7 @@ import json
 import shlex
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import cached_property, partial
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from clgs.codec.scene_encoder import encode
+from clgs.exports.run_report import write_run_report
 from clgs.files import atomic_write, remove_temporaries, write_json
 from clgs.opencl.device import Device
 from clgs.train.config import layered
@@ -28,12 +29,15 @@ from clgs.workflow.options import PathOptions, ViewOptions
 from clgs.workflow.pictures import render_clip
 from clgs.workflow.prepare import prepare_data
 from clgs.workflow.run_plan import Photos, StepSpeed, TrainingPlan
-from clgs.workflow.run_record import DATA, RUN, RunInput, RunRecord
+from clgs.workflow.run_record import DATA, RUN, FinishedRun, RunInput, RunRecord, measure_data
 from clgs.workflow.scenes import read_drawable, read_scene
 from clgs.workflow.train import train
 
 SCENE, SCORES, REPORT = "scene.clgs", "scores.json", "report.html"
 PAGE, GAUSSIANS, CLIP = "scene.html", "scene.ply", "clip.mp4"
+MADE = (DATA, RUN, SCENE, SCORES, REPORT, PAGE, GAUSSIANS, CLIP)
+"""Everything in the output folder that is replaced by another run."""
+
 CLIP_FRAMES = 120
 
 NEEDED = (SCENE, "scene.npz", "hashes.json", "per_view.json", "progress.csv")
@@ -71,11 +75,11 @@ class RunStages:
             return synthetic_speed(self.device)
         return speed_on(self.device, data, photos, self.run_folder, self.seed, self._on_event)
 
-    def begin(self, doomed: Sequence[str]) -> None:
-        """Write the record, and remove the files of an earlier run, by name."""
+    def begin(self) -> None:
+        """Write the record, and remove the files of an earlier run."""
         self._begun = True
         self._record.write(self._out)
-        for path in (self._out / name for name in doomed):
+        for path in (self._out / name for name in MADE):
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
             else:
@@ -171,6 +175,28 @@ class RunStages:
                 failures[name] = error
                 on_event(StageFailure(name, error))
         return failures
+
+    def finish(self, given: RunInput, data: Path, failures: dict[str, Exception]) -> FinishedRun:
+        """Write the report, with the command that repeats the run; what was made."""
+        out, record = self._out, self._record
+        used = f"{given.photos.count} of the data set {given.path}"
+        if not given.posed:
+            used = f"{measure_data(data).count} of {given.photos.count} found their pose"
+        links = {"the scene as a web page": PAGE, "clip": CLIP, "the file": SCENE}
+        links |= {"ordinary Gaussians": GAUSSIANS, "poses of the photos": f"{DATA}/{REPORT}"}
+        words = ["run", given.path, "-o", out, *setting_options(record.settings)]
+        if self._device_name is not None:
+            words += ["--device", self._device_name]
+        write_run_report(
+            self.run_folder,
+            command=command_line(*words),
+            lead=f"{used}.",
+            seconds=record.seconds,
+            links=[(label, name) for label, name in links.items() if (out / name).exists()],
+            page=out / REPORT,
+        )
+        scores = json.loads((out / SCORES).read_text(encoding="utf-8"))
+        return FinishedRun(out, used, scores, record.seconds, failures)
 
     def _stage(
         self,
