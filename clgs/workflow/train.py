@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,24 +14,10 @@ from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
 from clgs.train.run.load import load_for
 from clgs.train.run.run_folder import RunResult, check_run_folder, check_same_data, finished_run
+from clgs.train.run.savings import Saving, savings
 from clgs.train.run.session import Progress, Session
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
-
-
-@dataclass(frozen=True)
-class Saving:
-    """What is ``done`` of the work that would be done ``without`` a skip, both in ``unit``."""
-
-    skip: str
-    unit: str
-    done: int
-    without: int
-
-    @property
-    def share(self) -> float:
-        """Share of the work that is left out."""
-        return 1.0 - self.done / self.without if self.without else 0.0
 
 
 @dataclass(frozen=True)
@@ -105,8 +90,7 @@ def train(
     saved: list[Saving] = []
     if profile:
         rows = opened.profile.rows()
-        # the laboratory counts, and is loaded only for that
-        saved = importlib.import_module("clgs.lab.savings").savings(session.trainer)
+        saved = savings(session.trainer)
         names = ("stage", "calls", "median_ms", "total_s")
         record: dict[str, Any] = {
             "stages": [dict(zip(names, row, strict=True)) for row in rows],

@@ -23,10 +23,9 @@ from typing import Any
 import numpy as np
 
 from clgs.lab.bench.step import count_frame, trainer_of
-from clgs.lab.observed_kernels import count_pairs
 from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
-from clgs.ops import scan, sort
+from clgs.ops import blend, scan, sort
 
 SEED = 0
 
@@ -131,7 +130,7 @@ def units(device: Device, trainer: Any) -> dict[str, int]:
     """How much of everything a step has; pairs are those that the kernels look at."""
     frame = trainer.render_next()
     counts = count_frame(device, frame)
-    forward, backward = count_pairs(
+    forward, backward = blend.count_pairs(
         device, frame.blended, device.zeros((3, frame.view.size[1], frame.view.size[0]))
     )
     tensors = [array for _, array in trainer.parameters.scene.items()]

@@ -11,12 +11,13 @@ import pyopencl as cl
 import pytest
 
 from clgs import constants
-from clgs.lab.observed_kernels import MlpWork, drawn_output, drawn_rows, mlp_work
+from clgs.lab.observed_kernels import drawn_output, drawn_rows
 from clgs.opencl import source
 from clgs.opencl.programs import literal
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import mlp as reference
+from clgs.train.run.savings import MlpWork, mlp_work
 from tests.compare import assert_close, relative_l2
 from tests.ops.cases.mlp import (
     anchors,

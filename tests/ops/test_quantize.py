@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from clgs.opencl import programs
+from clgs.opencl.device import Device
 from clgs.ops import quantize
 from clgs.reference import quantize as reference
 
@@ -65,6 +67,25 @@ def test_a_scale_for_each_element(device, rng):
     odd = rng.uniform(1, 999, len(x)).astype(np.float32)
     rounded = device.download(quantize.elements(device, device.upload(x), device.upload(odd)))
     assert np.array_equal(rounded, reference.elements(x, odd))
+
+
+@pytest.mark.parametrize("towards", ["INFINITY", "-INFINITY"])
+def test_a_device_whose_division_is_inexact_rounds_like_others(device, rng, monkeypatch, towards):
+    def read(name, read_program=programs.read_program):
+        exact, inexact = "n / q;", f"nextafter(n / q, (fv)({towards}));"
+        text = read_program(name)
+        assert exact in text
+        return text.replace(exact, inexact)
+
+    monkeypatch.setattr(programs, "read_program", read)
+    inexact = Device(specialisation=device.specialisation)
+    for q in (3.0, *SCALES):
+        x = (rng.choice([-1, 1], 10_003) * np.exp(rng.uniform(0, 8, 10_003))).astype(np.float32)
+        values = inexact.download(quantize.forward(inexact, inexact.upload(x), q))
+        assert np.array_equal(values, reference.forward(x, q))
+        scale = np.full(x.shape, q, np.float32)
+        array = quantize.elements(inexact, inexact.upload(x), inexact.upload(scale))
+        assert np.array_equal(inexact.download(array), reference.elements(x, scale))
 
 
 @pytest.mark.family("N33")

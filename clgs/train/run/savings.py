@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clgs.lab.observed_kernels import PairCounts, count_pairs, mlp_work
+from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.opencl.device import Device
-from clgs.ops import adam, blend, tiles
+from clgs.ops import adam, blend, mlp, tiles
+from clgs.ops.blend import PairCounts
 from clgs.options import RenderOptions
 from clgs.render.frame import Frame
 from clgs.render.rasterise import rasterise_backward
 from clgs.train.run.trainer import Trainer
-from clgs.workflow.train import Saving
+
+
+@dataclass(frozen=True)
+class Saving:
+    """What is ``done`` of the work that would be done ``without`` a skip, both in ``unit``."""
+
+    skip: str
+    unit: str
+    done: int
+    without: int
+
+    @property
+    def share(self) -> float:
+        """Share of the work that is left out."""
+        return 1.0 - self.done / self.without if self.without else 0.0
 
 
 def savings(trainer: Trainer) -> list[Saving]:
@@ -60,8 +75,46 @@ def _pairs(device: Device, frame: Frame, options: RenderOptions) -> tuple[PairCo
     background = frame.view.background
     blended = blend.forward(device, frame.projected, frame.tiles, background, options)
     d_image = device.upload(np.ones(blended.image.shape, np.float32))
-    return count_pairs(device, blended, d_image)
+    return blend.count_pairs(device, blended, d_image)
 
 
 def _without(options: RenderOptions, skip: str) -> RenderOptions:
     return replace(options, skips=replace(options.skips, **{skip: False}))
+
+
+@dataclass(frozen=True)
+class MlpWork:
+    """Samples, and rows of outputs times samples, that were computed, and how many there are."""
+
+    samples: int
+    all_samples: int
+    rows: int
+    all_rows: int
+
+
+def mlp_work(device: Device, activations: mlp.Activations) -> MlpWork:
+    """Count the samples whose colors and covariances were computed, and the rows of these heads.
+
+    Waits for the device. Columns without an anchor are not counted.
+    """
+    count = int(np.count_nonzero(device.download(activations.visible) >= 0))
+    drawn = device.download(activations.output)[:K_OFFSETS] > 0
+    macros = mlp.defines(device, activations.options)
+    block = int(macros["VECTORS"] * macros["VEC"])
+    size = mlp.SAMPLES if device.specialisation == "gpu" else block
+    drawn = np.pad(drawn, ((0, 0), (0, -drawn.shape[1] % size)))
+    slots = np.any(drawn.reshape(K_OFFSETS, -1, size), axis=2)
+    used = np.any(slots, axis=0)
+    skips = activations.options.skips
+    if not skips.slots:
+        slots[:] = used | (not skips.opacity_first)
+    if not skips.opacity_first:
+        used[:] = True
+    lanes = np.clip(count - size * np.arange(len(used)), 0, size)
+    each = (OUTPUT_DIM - K_OFFSETS) // K_OFFSETS
+    return MlpWork(
+        samples=int(used @ lanes),
+        all_samples=count,
+        rows=each * int((slots @ lanes).sum()),
+        all_rows=each * K_OFFSETS * count,
+    )
