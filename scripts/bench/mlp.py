@@ -21,8 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, K_OFFSETS, OUTPUT_DIM
+from clgs.lab.anchor_scene import square_camera
 from clgs.lab.bench.stage_limits import measure_limits
-from clgs.lab.synthetic.anchor_scene import square_camera
 from clgs.opencl.device import Device
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips

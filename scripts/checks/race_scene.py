@@ -11,14 +11,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pyopencl as cl
 
 from clgs.constants import TILE_SIZE
-from clgs.lab.synthetic.anchor_scene import anchor_scene, photo_dataset
-from clgs.lab.synthetic.gaussians import projected_scene
+from clgs.lab.anchor_scene import anchor_scene, photo_dataset
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, cull, rate, tiles
@@ -33,6 +33,9 @@ from clgs.train.run.start import state_of_scene
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.parameters import ANCHOR_GROUPS
 from clgs.train.state.rounding import rounded_anchors
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from tests.gaussians import projected_scene
 
 GAUSSIANS = 70
 """About; from 18 anchors, one full lane vector and one that is not."""

@@ -10,7 +10,7 @@ import pytest
 from clgs.cli import main as cli
 from clgs.data.ply.gaussians import read_gaussians
 from clgs.exports.splats.ply import encode_ply
-from clgs.lab.synthetic.anchor_scene import anchor_scene
+from clgs.lab.anchor_scene import anchor_scene
 from clgs.scene.anchors import QuantizationScales, quantize
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene

@@ -11,7 +11,7 @@ from clgs.cli.main import main
 from clgs.lab import facts
 from clgs.lab.commands import selftest as command
 from clgs.lab.selftest import render_checks
-from clgs.lab.selftest.render_checks import Check
+from clgs.lab.selftest.reference_render import Check
 from clgs.opencl import choose
 
 

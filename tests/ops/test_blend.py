@@ -8,12 +8,12 @@ from itertools import product
 import numpy as np
 import pytest
 
-from clgs.lab.synthetic.gaussians import projected_scene
 from clgs.ops import blend
 from clgs.options import DEFAULT, PRESETS, RenderOptions, Skips
 from clgs.reference import blend as reference
 from clgs.reference.tiles import TileLists
 from tests.compare import assert_close, relative_l2
+from tests.gaussians import projected_scene
 from tests.ops.cases.blend import (
     BACKGROUND,
     GRADIENTS,

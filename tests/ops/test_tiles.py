@@ -9,11 +9,11 @@ import pytest
 
 from clgs.constants import ALPHA_CUT, TILE_SIZE
 from clgs.errors import ClgsError
-from clgs.lab.synthetic.gaussians import ProjectedScene, projected_scene
 from clgs.ops import scan, tiles
 from clgs.options import RenderOptions, Skips
 from clgs.reference import project as reference_project
 from clgs.reference import tiles as reference
+from tests.gaussians import ProjectedScene, projected_scene
 from tests.ops.cases.blend import GEOMETRY, lists_of, render, upload
 
 FIELDS = ("gaussian", "row", "tile_range", "row_range")

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.lab.synthetic.gaussians import projected_scene
 from clgs.reference import blend, tiles
 from clgs.reference.project import Projected
 from tests.compare import central_difference
+from tests.gaussians import projected_scene
 
 SIZE = 37, 20
 NAMES = ("mean2d", "whitening", "color", "opacity")

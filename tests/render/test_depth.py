@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clgs.lab.anchor_scene import anchor_scene
 from clgs.lab.selftest.reference_render import render_reference
-from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.options import DEFAULT, RenderOptions
 from clgs.reference import blend
 from clgs.render.frame import upload_scene, upload_view

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from clgs.constants import NEAR_PLANE
-from clgs.lab.synthetic.gaussians import SIGMA_SPREAD, GaussianScene
 from clgs.ops import blend as blend_op
 from clgs.ops import project, tiles
 from clgs.ops.neural import Gaussians
@@ -17,6 +16,7 @@ from clgs.reference import project as project_reference
 from clgs.reference.tiles import TileLists
 from clgs.scene.camera import Camera
 from tests.compare import relative_l2
+from tests.gaussians import SIGMA_SPREAD, GaussianScene
 from tests.ops.cases.blend import BACKGROUND, Rendered, decisions
 
 LEVEL = 1 / 255

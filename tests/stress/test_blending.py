@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clgs.lab.anchor_scene import anchor_scene
 from clgs.lab.observed_kernels import blend_decisions
-from clgs.lab.synthetic.anchor_scene import anchor_scene
-from clgs.lab.synthetic.gaussians import projected_scene
 from clgs.opencl import programs
 from clgs.opencl.device import Device
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings
+from tests.gaussians import projected_scene
 from tests.ops.cases.blend import BACKGROUND, render
 from tests.stress.cases import (
     GRADIENTS,

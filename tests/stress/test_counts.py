@@ -10,9 +10,9 @@ import pytest
 
 from clgs.constants import NEAR_PLANE
 from clgs.errors import ClgsError
-from clgs.lab.synthetic.gaussians import projected_scene
 from clgs.ops import blend, project, scan, tiles
 from clgs.ops.neural import Gaussians
+from tests.gaussians import projected_scene
 from tests.ops.cases.blend import BACKGROUND, GRADIENTS, render, upload
 from tests.stress.cases import SHAPE, space_scene, straight_camera
 

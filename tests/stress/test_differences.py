@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from clgs.constants import LOG_SCALE_LIMIT
+from clgs.lab.anchor_scene import anchor_scene
 from clgs.lab.selftest.reference_render import ReferenceFrame, backward_reference, wide
-from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.reference import blend, cull, loss, mlp, neural, project, tiles
 from tests.compare import central_difference
 

@@ -9,7 +9,6 @@ import pytest
 
 from clgs.constants import BLUR, NEAR_PLANE
 from clgs.data.dataset import load_dataset
-from clgs.lab.synthetic.gaussians import GaussianScene, gaussian_scene
 from clgs.ops import project
 from clgs.ops.neural import Gaussians
 from clgs.reference import blend as blend_reference
@@ -17,6 +16,7 @@ from clgs.reference import project as reference
 from clgs.scene.camera import Camera
 from tests.compare import relative_l2
 from tests.data.folders import opengl, ring, save_json, write_transforms
+from tests.gaussians import GaussianScene, gaussian_scene
 from tests.stress.cases import (
     LEVEL,
     PARTS,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from clgs.constants import ALPHA_CUT, TILE_SIZE
-from clgs.lab.synthetic.gaussians import ProjectedScene, projected_scene
 from clgs.ops import tiles
 from clgs.options import RenderOptions, Skips
+from tests.gaussians import ProjectedScene, projected_scene
 from tests.ops.cases.blend import GRADIENTS, every_tile_lists, lists_of, render
 from tests.stress.cases import (
     LEVEL,

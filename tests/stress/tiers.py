@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from clgs.constants import ALPHA_CUT
-from clgs.lab.synthetic.gaussians import GaussianScene
 from clgs.reference import blend as blend_reference
 from clgs.reference import project as project_reference
 from clgs.reference import tiles as tiles_reference
 from clgs.scene.camera import Camera
 from tests.compare import relative_l2
+from tests.gaussians import GaussianScene
 from tests.stress.cases import (
     LEVEL,
     Drawn,

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from clgs.exports.clip.framing import frame_cameras, frame_scene
-from clgs.lab.synthetic.anchor_scene import anchor_scene
+from clgs.lab.anchor_scene import anchor_scene
 from clgs.viewer.live import LiveScene, eye_of
 from clgs.viewer.server import Shown, close_server, open_server
 from tests.codec.scenes import random_scene

@@ -13,7 +13,7 @@ from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import pack
 from clgs.errors import ClgsError
 from clgs.exports import page
-from clgs.lab.synthetic.anchor_scene import square_camera
+from clgs.lab.anchor_scene import square_camera
 from clgs.render.renderer import render_view
 from clgs.train.quality.metrics import to_8bit
 from tests.web.browser import Browser, find_browser

@@ -13,7 +13,7 @@ from clgs.cli import main as cli
 from clgs.codec.scene_encoder import encode
 from clgs.errors import ClgsError
 from clgs.exports import page
-from clgs.lab.synthetic.anchor_scene import square_camera
+from clgs.lab.anchor_scene import square_camera
 from tests.small_scene import write_scene
 from tests.web.scenes import quantized_scene
 

@@ -10,10 +10,10 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from clgs.lab.anchor_scene import anchor_scene
 from clgs.lab.bench.accuracy_settings import PRESET_SWEEP, Setting, without_stop
 from clgs.lab.bench.untruncated import cached_reference
 from clgs.lab.selftest.reference_render import relative_l2
-from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.options import Accuracy, RenderOptions

@@ -21,7 +21,8 @@ from clgs.lab.bench.stage_limits import (
 from clgs.lab.bench.step import synthetic_trainer, time_steps
 from clgs.lab.devices import open_devices
 from clgs.lab.facts import command_line, machine_facts
-from clgs.lab.selftest.render_checks import Check, selftest
+from clgs.lab.selftest.reference_render import Check
+from clgs.lab.selftest.render_checks import selftest
 from clgs.lab.selftest.training_checks import training_checks
 from clgs.opencl.device import Device
 
@@ -98,9 +99,9 @@ def bench_ops(device: Device, load: Workload) -> OpsFigures:
     trainer = synthetic_trainer(device, load.gaussians, load.size, load.seed)
     times = dict(time_steps(trainer, load.repeats).stages)
     counts = count_work(device, trainer.render_next(), trainer.parameters.scene, load.elements)
-    for stage, _, _, _, milliseconds in training_checks(device, load.elements):
-        if stage in ALONE:
-            times[stage] = milliseconds
+    for check in training_checks(device, load.elements):
+        if check.stage in ALONE:
+            times[check.stage] = check.milliseconds
     stages = [
         StageFigures(
             name,

@@ -15,10 +15,10 @@ from rich.table import Table
 
 from clgs.cli.tell import tell
 from clgs.files import write_json
+from clgs.lab.anchor_scene import anchor_scene, square_camera
 from clgs.lab.bench.plots import PANEL, STYLE, check_figure_files, require_pyplot, save
 from clgs.lab.bench.step import count_frame, stream_times, trainer_of
 from clgs.lab.facts import command_line, machine_facts
-from clgs.lab.synthetic.anchor_scene import anchor_scene, square_camera
 from clgs.opencl.device import Device
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene

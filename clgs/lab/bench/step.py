@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from clgs.files import check_target, write_json
+from clgs.lab.anchor_scene import anchor_scene, photo_dataset
 from clgs.lab.facts import command_line, machine_facts
-from clgs.lab.synthetic.anchor_scene import anchor_scene, photo_dataset
 from clgs.opencl.device import Device
 from clgs.render.frame import Frame
 from clgs.render.renderer import Renderer

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from clgs.lab.devices import add_device_option, open_devices
 
 if TYPE_CHECKING:
-    from clgs.lab.selftest.render_checks import Check
+    from clgs.lab.selftest.reference_render import Check
     from clgs.opencl.device import Device
 
 

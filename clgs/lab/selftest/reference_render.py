@@ -6,6 +6,7 @@ saturation of alpha come from the device. Only rounding is left to differ.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,13 +69,12 @@ def render_reference(
     projected = project.forward(
         gaussians.mean, gaussians.scale, gaussians.rotation, gaussians.opacity, camera
     )
-    lists = tiles.TileLists(
-        **{
-            name: device.download(getattr(frame.tiles, name))
-            for name in ("gaussian", "row", "tile_range", "row_range")
-        }
-    )
-    decisions = matched_decisions(device, frame, d_image)
+    names = ("gaussian", "row", "tile_range", "row_range")
+    found = {name: device.download(getattr(frame.tiles, name)) for name in names}
+    lists = tiles.TileLists(**found)
+    decisions, back = blend_decisions(device, frame.blended, d_image)
+    if not np.array_equal(decisions.contributed, back.contributed):
+        raise ValueError("forward and backward kernels disagree on contributors")
     background = device.download(frame.view.background).astype(np.float64)
     image = blend.forward(
         projected, gaussians.color, gaussians.opacity, lists, background, frame.view.size, decisions
@@ -82,14 +82,6 @@ def render_reference(
     return ReferenceFrame(
         host, camera, background, activations, gaussians, projected, lists, decisions, image
     )
-
-
-def matched_decisions(device: Device, frame: Frame, d_image: DeviceArray) -> blend.Decisions:
-    """The kernels' decisions for every list entry and pixel, forward equal to backward."""
-    ahead, back = blend_decisions(device, frame.blended, d_image)
-    if not np.array_equal(ahead.contributed, back.contributed):
-        raise ValueError("forward and backward kernels disagree on contributors")
-    return ahead
 
 
 def backward_reference(frame: ReferenceFrame, d_image: Array, volume_weight: float) -> Gradients:
@@ -127,6 +119,40 @@ def backward_reference(frame: ReferenceFrame, d_image: Array, volume_weight: flo
         "d_feature": d_feature,
         "d_scaling": d_scaling,
         "d_weights": d_weights,
+    }
+
+
+@dataclass(frozen=True)
+class Check:
+    """One quantity of one stage: its error, the limit, and the stage's median milliseconds.
+
+    The stage passes if ``error <= limit``; NaN does not.
+    """
+
+    stage: str
+    quantity: str
+    error: float
+    limit: float
+    milliseconds: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the error is a number within the limit."""
+        return self.error <= self.limit
+
+    @property
+    def share(self) -> float:
+        """The error in units of its limit; not a number if the error is not."""
+        return self.error / self.limit if self.limit else self.error * np.inf if self.error else 0.0
+
+
+def relative_errors(
+    device: Device, found: object, wanted: object, names: Iterable[str]
+) -> dict[str, float]:
+    """:func:`relative_l2` of each named array of two records, the first of them on ``device``."""
+    return {
+        name: relative_l2(device.download(getattr(found, name)), getattr(wanted, name))
+        for name in names
     }
 
 

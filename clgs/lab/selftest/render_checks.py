@@ -8,23 +8,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.constants import ALPHA_CUT, TILE_SIZE
+from clgs.lab.anchor_scene import anchor_scene
 from clgs.lab.observed_kernels import drawn_output, drawn_rows
 from clgs.lab.selftest.reference_render import (
+    Check,
     ReferenceFrame,
     backward_reference,
     largest,
+    relative_errors,
     relative_l2,
     render_reference,
 )
 from clgs.lab.selftest.training_checks import training_checks
-from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import loss as loss_op
 from clgs.reference import cull, loss, tiles
 from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
-from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene
 
 SEED = 11
@@ -51,30 +52,6 @@ TINY = Case(gaussians=70, size=24, count=600, repeats=1)
 
 
 @dataclass(frozen=True)
-class Check:
-    """One quantity of one stage: its error, the limit, and the stage's median milliseconds.
-
-    The stage passes if ``error <= limit``; NaN does not.
-    """
-
-    stage: str
-    quantity: str
-    error: float
-    limit: float
-    milliseconds: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether the error is a number within the limit."""
-        return self.error <= self.limit
-
-    @property
-    def share(self) -> float:
-        """The error in units of its limit; not a number if the error is not."""
-        return self.error / self.limit if self.limit else self.error * np.inf if self.error else 0.0
-
-
-@dataclass(frozen=True)
 class _Run:
     """The device's results for the self-test scene, with the float64 ones."""
 
@@ -93,13 +70,17 @@ def selftest(device: Device, case: Case | None = None) -> Iterator[Check]:
     case = case or (TINY if device.is_emulator else Case())
     run = _run(device, case)
     times = {name: milliseconds for name, _, milliseconds, _ in device.profile.rows()}
-    for stages, check in FORWARD_CHECKS:
-        milliseconds = sum(times.get(name, 0.0) for name in stages.split("+"))
+    for stage, check in FORWARD_CHECKS.items():
         for quantity, error, limit in check(run):
-            yield Check(stages.split("+")[0].split(" ")[0], quantity, error, limit, milliseconds)
-    yield from _gradient_checks(run, times)
-    for stage, quantity, error, limit, milliseconds in training_checks(device, case.count):
-        yield Check(stage, quantity, error, limit, milliseconds)
+            yield Check(stage.split(" ")[0], quantity, error, limit, times.get(stage, 0.0))
+    # gradients of the parameters, through all backward kernels at once
+    d_image = device.download(run.d_image).astype(np.float64)
+    wanted = backward_reference(run.reference, d_image, VOLUME_WEIGHT)
+    milliseconds = sum(value for name, value in times.items() if name.endswith("backward"))
+    for name, expected in wanted.items():
+        error = relative_l2(device.download(getattr(run.gradients, name)), expected)
+        yield Check("backward", name, error, 1e-5, milliseconds)
+    yield from training_checks(device, case.count)
 
 
 def _run(device: Device, case: Case) -> _Run:
@@ -108,25 +89,18 @@ def _run(device: Device, case: Case) -> _Run:
     shape = (3, case.size, case.size)
     photo = np.random.default_rng(SEED).integers(0, 256, shape).astype(np.uint8)
     target = device.upload(photo)
+    settings = RenderSettings(background=(0.1, 0.2, 0.3))
     device.profile.clear()
     device.profile.enabled = True
     for _ in range(case.repeats):
-        frame, d_image, gradients = _step(device, uploaded, camera, target)
+        frame = rasterise(device, uploaded, upload_view(device, camera, settings))
+        with device.stage("loss"):
+            compared = loss_op.forward(device, frame.image, target)
+            d_image = loss_op.backward(device, frame.image, target, compared)
+        gradients = rasterise_backward(device, uploaded, frame, d_image, VOLUME_WEIGHT)
     device.profile.enabled = False
     reference = render_reference(device, scene, frame, d_image)
     return _Run(device, scene, uploaded, frame, photo, d_image, gradients, reference)
-
-
-def _step(
-    device: Device, scene: DeviceScene, camera: Camera, target: DeviceArray
-) -> tuple[Frame, DeviceArray, SceneGradients]:
-    frame = rasterise(
-        device, scene, upload_view(device, camera, RenderSettings(background=(0.1, 0.2, 0.3)))
-    )
-    with device.stage("loss"):
-        compared = loss_op.forward(device, frame.image, target)
-        d_image = loss_op.backward(device, frame.image, target, compared)
-    return frame, d_image, rasterise_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
 
 
 Found = list[tuple[str, float, float]]
@@ -153,22 +127,19 @@ def check_neural(run: _Run) -> Found:
     """Neural Gaussians and their slots."""
     mine, wanted = run.frame.gaussians, run.reference.gaussians
     names = ("mean", "scale", "rotation", "color", "opacity")
-    found = [
-        (name, relative_l2(run.device.download(getattr(mine, name)), getattr(wanted, name)), 1e-5)
-        for name in names
+    errors = relative_errors(run.device, mine, wanted, names)
+    same = np.array_equal(run.device.download(mine.slot), wanted.slot)
+    return [
+        *((name, error, 1e-5) for name, error in errors.items()),
+        ("slot", 0.0 if same else np.inf, 0.0),
     ]
-    slots = run.device.download(mine.slot)
-    return [*found, ("slot", 0.0 if np.array_equal(slots, wanted.slot) else np.inf, 0.0)]
 
 
 def check_project(run: _Run) -> Found:
     """Projected Gaussians."""
-    mine, wanted = run.frame.projected, run.reference.projected
     names = ("mean2d", "whitening", "depth", "extent")
-    return [
-        (name, relative_l2(run.device.download(getattr(mine, name)), getattr(wanted, name)), 1e-5)
-        for name in names
-    ]
+    errors = relative_errors(run.device, run.frame.projected, run.reference.projected, names)
+    return [(name, error, 1e-5) for name, error in errors.items()]
 
 
 def check_tiles(run: _Run) -> Found:
@@ -222,22 +193,13 @@ def check_loss(run: _Run) -> Found:
     ]
 
 
-FORWARD_CHECKS: tuple[tuple[str, Callable[[_Run], Found]], ...] = (
-    ("cull", check_cull),
-    ("mlp forward", check_mlp),
-    ("neural forward", check_neural),
-    ("project forward", check_project),
-    ("tiles", check_tiles),
-    ("blend forward", check_blend),
-    ("loss", check_loss),
-)
-
-
-def _gradient_checks(run: _Run, times: dict[str, float]) -> Iterator[Check]:
-    """Gradients of the parameters, through all backward kernels at once."""
-    d_image = run.device.download(run.d_image).astype(np.float64)
-    wanted = backward_reference(run.reference, d_image, VOLUME_WEIGHT)
-    milliseconds = sum(value for name, value in times.items() if name.endswith("backward"))
-    for name, expected in wanted.items():
-        actual = run.device.download(getattr(run.gradients, name))
-        yield Check("backward", name, relative_l2(actual, expected), 1e-5, milliseconds)
+FORWARD_CHECKS: dict[str, Callable[[_Run], Found]] = {
+    "cull": check_cull,
+    "mlp forward": check_mlp,
+    "neural forward": check_neural,
+    "project forward": check_project,
+    "tiles": check_tiles,
+    "blend forward": check_blend,
+    "loss": check_loss,
+}
+"""By the stage whose time is shown."""

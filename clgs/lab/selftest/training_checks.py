@@ -10,8 +10,8 @@ from statistics import median
 import numpy as np
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
-from clgs.lab.selftest.reference_render import largest, relative_l2
-from clgs.lab.synthetic.anchor_scene import square_camera
+from clgs.lab.anchor_scene import square_camera
+from clgs.lab.selftest.reference_render import Check, largest, relative_errors, relative_l2
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import adam, density, exposure, growth, mask, quantize, rate, scan, sort, splats
@@ -30,25 +30,24 @@ from clgs.scene.anchors import AnchorSet
 from clgs.scene.gaussians import OrdinaryGaussians
 
 COUNT, SEED, REPEATS = 20_000, 5, 3
-Found = tuple[str, str, float, float, float]
+
+Found = tuple[str, str, float, float, Callable[[], object]]
+"""Stage, quantity, error, limit, and the work that is timed."""
 
 
-def training_checks(device: Device, count: int = COUNT) -> Iterator[Found]:
-    """(stage, quantity, error, limit, milliseconds) of every check, on ``count`` numbers."""
+def training_checks(device: Device, count: int = COUNT) -> Iterator[Check]:
+    """Every check, on ``count`` numbers."""
     rng = np.random.default_rng(SEED)
     numbers = check_scan, check_sort, check_quantize, check_rate, check_adam
     for check in (*numbers, check_density, check_growth, check_exposure, check_mask, check_splats):
-        yield from check(device, rng, count)
-
-
-def _milliseconds(device: Device, work: Callable[[], object]) -> float:
-    times = []
-    for _ in range(REPEATS + 1):
-        start = time.perf_counter()
-        work()
-        device.finish()
-        times.append(1e3 * (time.perf_counter() - start))
-    return median(times[1:])
+        for stage, quantity, error, limit, work in check(device, rng, count):
+            times = []
+            for _ in range(REPEATS + 1):
+                start = time.perf_counter()
+                work()
+                device.finish()
+                times.append(1e3 * (time.perf_counter() - start))
+            yield Check(stage, quantity, error, limit, median(times[1:]))
 
 
 def check_scan(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
@@ -57,9 +56,8 @@ def check_scan(device: Device, rng: np.random.Generator, count: int) -> Iterator
     uploaded = device.upload(counts)
     offsets, total = scan.exclusive(device, uploaded)
     wanted, wanted_total = scan_reference.exclusive(counts)
-    milliseconds = _milliseconds(device, lambda: scan.exclusive(device, uploaded))
     error = largest(device.download(offsets), wanted) + abs(total - wanted_total)
-    yield "scan", "offsets and total", error, 0.0, milliseconds
+    yield "scan", "offsets and total", error, 0.0, partial(scan.exclusive, device, uploaded)
 
 
 def check_sort(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
@@ -67,69 +65,59 @@ def check_sort(device: Device, rng: np.random.Generator, count: int) -> Iterator
     keys = rng.integers(0, 2**32, count).astype(np.uint32)
     keys[::3] = keys[0]
     values = np.arange(count, dtype=np.int32)
-    uploaded = device.upload(keys), device.upload(values)
-    _, sorted_values = sort.by_key(device, *uploaded, 32)
-    milliseconds = _milliseconds(device, lambda: sort.by_key(device, *uploaded, 32))
-    wanted = sort_reference.by_key(keys, values, 32)[1]
-    yield "sort", "order", largest(device.download(sorted_values), wanted), 0.0, milliseconds
+    sort_keys = partial(sort.by_key, device, device.upload(keys), device.upload(values), 32)
+    error = largest(device.download(sort_keys()[1]), sort_reference.by_key(keys, values, 32)[1])
+    yield "sort", "order", error, 0.0, sort_keys
 
 
 def check_quantize(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
     """Rounded values, integers, and a Q per element."""
     x = (rng.normal(0, 4, count)).astype(np.float32)
     uploaded = device.upload(x)
-    rounded = device.download(quantize.forward(device, uploaded, 8.0))
+    forward = partial(quantize.forward, device, uploaded, 8.0)
+    error = largest(device.download(forward()), quantize_reference.forward(x, 8.0))
     integers = device.download(quantize.integers(device, uploaded, 8.0))
-    milliseconds = _milliseconds(device, lambda: quantize.forward(device, uploaded, 8.0))
-    error = largest(rounded, quantize_reference.forward(x, 8.0))
     error += largest(integers, quantize_reference.integers(x, 8.0))
     q = (2.0 ** rng.integers(0, 12, count)).astype(np.float32)
     each = device.download(quantize.elements(device, uploaded, device.upload(q)))
     error += largest(each, quantize_reference.elements(x, q))
-    yield "quantize", "values and integers", error, 0.0, milliseconds
+    yield "quantize", "values and integers", error, 0.0, forward
 
 
 def check_rate(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
     """Bits and gradient of both forms of the rate proxy."""
     x = rng.laplace(0.3, np.arange(1, 7), (count // 6, 6)).astype(np.float32)
     uploaded = device.upload(x)
+    symbols = rate_reference.symbols(x, 1.0)
     forms: tuple[rate.Form, ...] = ("channel", "pooled")
     for form in forms:
-        d_x = device.zeros(x.shape)
-        result = rate.forward(device, uploaded, 1.0, form)
+        forward = partial(rate.forward, device, uploaded, 1.0, form)
+        result, d_x = forward(), device.zeros(x.shape)
         rate.backward(device, result, uploaded, 1.0, d_x)
-        symbols = rate_reference.symbols(x, 1.0)
-        bits = rate_reference.forward(symbols, form)
+        bits = np.array([rate_reference.forward(symbols, form)])
         gradient = rate_reference.backward(symbols, form)
-        milliseconds = _milliseconds(device, partial(rate.forward, device, uploaded, 1.0, form))
-        error = relative_l2(np.array([result.bits]), np.array([bits]))
-        yield "rate", f"bits ({form})", error, 1e-6, milliseconds
-        error = relative_l2(device.download(d_x), gradient)
-        yield "rate", f"d_x ({form})", error, 1e-5, milliseconds
+        yield "rate", f"bits ({form})", relative_l2(np.array([result.bits]), bits), 1e-6, forward
+        yield "rate", f"d_x ({form})", relative_l2(device.download(d_x), gradient), 1e-5, forward
 
 
 def check_adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
     """A parameter after ten steps."""
     parameter, gradient = rng.normal(size=(2, count)).astype(np.float32)
     uploaded = device.upload(parameter)
-    d_parameter = device.upload(gradient)
     moments, stop = adam.zero_moments(device, uploaded), adam.stop_flag(device)
-    wanted = parameter.astype(np.float64)
+    trained = adam.Trained(uploaded, device.upload(gradient), moments)
+    wanted, d_wanted = parameter.astype(np.float64), gradient.astype(np.float64)
     state = np.zeros(count), np.zeros(count)
-
-    trained = adam.Trained(uploaded, d_parameter, moments)
 
     def step(number: int) -> None:
         adam.step(device, trained, adam.factors(0.01, number), stop)
 
     for number in range(1, 11):
         step(number)
-        d_wanted = gradient.astype(np.float64)
         wanted, state = adam_reference.step(wanted, d_wanted, state, 0.01, number)
     error = largest(device.download(uploaded), wanted)
     # ten roundings of values up to 8
-    limit = 10 * 8 * 2.0**-24
-    yield "adam", "parameter after 10 steps", error, limit, _milliseconds(device, lambda: step(11))
+    yield "adam", "parameter after 10 steps", error, 10 * 8 * 2.0**-24, lambda: step(11)
 
 
 def check_density(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
@@ -153,12 +141,9 @@ def check_density(device: Device, rng: np.random.Generator, count: int) -> Itera
     wanted = density_reference.zeros(2 * anchors)
     gaussians = slot, extent.astype(np.float64), d_mean2d.astype(np.float64)
     density_reference.accumulate(wanted, output.astype(np.float64), visible, gaussians, (320, 200))
-    errors = [
-        relative_l2(device.download(array), getattr(wanted, name))
-        for name, array in statistics.items()
-    ]
-    milliseconds = _milliseconds(device, partial(density.accumulate, device, statistics, seen))
-    yield "density", "sums and counts", max(errors), 1e-6, milliseconds
+    errors = relative_errors(device, statistics, wanted, [name for name, _ in statistics.items()])
+    accumulate = partial(density.accumulate, device, statistics, seen)
+    yield "density", "sums and counts", max(errors.values()), 1e-6, accumulate
 
 
 def check_growth(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
@@ -174,16 +159,10 @@ def check_growth(device: Device, rng: np.random.Generator, count: int) -> Iterat
         rng.integers(0, anchors, int(sizes.sum())).astype(np.int32),
     )
     wanted = growth_reference.features(host.feature.astype(np.float64), new.first, new.parents)
-    there = host.map(device.upload)
-    longer = device.download(growth.append(device, there, new).feature)
+    append = partial(growth.append, device, host.map(device.upload), new)
+    longer = device.download(append().feature)
     error = largest(longer, np.concatenate([host.feature, wanted]))
-    yield (
-        "growth",
-        "features",
-        error,
-        0.0,
-        _milliseconds(device, partial(growth.append, device, there, new)),
-    )
+    yield "growth", "features", error, 0.0, append
 
 
 def check_exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
@@ -192,21 +171,17 @@ def check_exposure(device: Device, rng: np.random.Generator, count: int) -> Iter
     image, d_picture = rng.normal(size=(2, *shape)).astype(np.float32)
     maps = (np.eye(3, 4) + rng.normal(0, 0.2, (2, 3, 4))).astype(np.float32)
     uploaded, d_uploaded, on_device = map(device.upload, (image, d_picture, maps))
-    picture = device.download(exposure.forward(device, uploaded, on_device, 1))
     d_maps, weight = device.zeros(maps.shape), 0.5
-
-    def backward() -> DeviceArray:
-        arrays = uploaded, d_uploaded, on_device
-        return exposure.backward(device, *arrays, 1, weight, d_maps)
-
-    milliseconds = _milliseconds(device, lambda: exposure.forward(device, uploaded, on_device, 1))
+    forward = partial(exposure.forward, device, uploaded, on_device, 1)
+    arrays = uploaded, d_uploaded, on_device
+    backward = partial(exposure.backward, device, *arrays, 1, weight, d_maps)
     wide = image.astype(np.float64), d_picture.astype(np.float64), maps[1].astype(np.float64)
-    error = relative_l2(picture, exposure_reference.forward(wide[0], wide[2]))
-    yield "exposure", "picture", error, 1e-6, milliseconds
+    error = relative_l2(device.download(forward()), exposure_reference.forward(wide[0], wide[2]))
+    yield "exposure", "picture", error, 1e-6, forward
     d_image, d_map = exposure_reference.backward(*wide, weight)
     error = relative_l2(device.download(backward()), d_image)
     error += relative_l2(device.download(d_maps)[1], d_map)
-    yield "exposure", "d_image and d_map", error, 1e-5, _milliseconds(device, backward)
+    yield "exposure", "d_image and d_map", error, 1e-5, backward
 
 
 def check_mask(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
@@ -214,13 +189,12 @@ def check_mask(device: Device, rng: np.random.Generator, count: int) -> Iterator
     image = rng.normal(size=(3, 1, count)).astype(np.float32)
     used = rng.integers(0, 2, (1, count)).astype(np.uint8)
     uploaded = device.upload(image), device.upload(used)
-    milliseconds = _milliseconds(device, lambda: mask.forward(device, *uploaded))
     wide = image.astype(np.float64)
-    found = device.download(mask.forward(device, *uploaded))
-    error = largest(found, mask_reference.forward(wide, used))
-    found = device.download(mask.backward(device, *uploaded))
-    error += largest(found, mask_reference.backward(wide, used))
-    yield "mask", "picture and d_image", error, 0.0, milliseconds
+    forward = partial(mask.forward, device, *uploaded)
+    error = largest(device.download(forward()), mask_reference.forward(wide, used))
+    d_image = device.download(mask.backward(device, *uploaded))
+    error += largest(d_image, mask_reference.backward(wide, used))
+    yield "mask", "picture and d_image", error, 0.0, forward
 
 
 def check_splats(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
@@ -232,15 +206,12 @@ def check_splats(device: Device, rng: np.random.Generator, count: int) -> Iterat
     uploaded = stored.map(device.upload)
     packed = square_camera(64).pack(NEAR_PLANE)
     camera = device.upload(packed)
-    seen = splats.forward(device, uploaded, camera)
+    forward = partial(splats.forward, device, uploaded, camera)
+    seen = forward()
     wide = splats_reference.Stored(*(array.astype(np.float64) for _, array in stored.items()))
     wanted = splats_reference.forward(wide, packed)
-    errors = [
-        relative_l2(device.download(getattr(seen, name)), getattr(wanted, name))
-        for name in ("scale", "rotation", "color", "opacity")
-    ]
-    milliseconds = _milliseconds(device, lambda: splats.forward(device, uploaded, camera))
-    yield "splats", "what a camera sees", max(errors), 1e-5, milliseconds
+    errors = relative_errors(device, seen, wanted, ("scale", "rotation", "color", "opacity"))
+    yield "splats", "what a camera sees", max(errors.values()), 1e-5, forward
 
     names = ("mean", "scale", "rotation", "color", "opacity")
     singles = [np.ones(getattr(wanted, name).shape, np.float32) for name in names]
@@ -251,6 +222,5 @@ def check_splats(device: Device, rng: np.random.Generator, count: int) -> Iterat
         return splats.backward(device, uploaded, camera, seen, GaussianGradients(*ones))
 
     expected = splats_reference.backward(wide, packed, d_seen)
-    found = backward()
-    errors = [relative_l2(device.download(a), getattr(expected, n)) for n, a in found.items()]
-    yield "splats", "gradients", max(errors), 1e-5, _milliseconds(device, backward)
+    errors = relative_errors(device, backward(), expected, widths)
+    yield "splats", "gradients", max(errors.values()), 1e-5, backward

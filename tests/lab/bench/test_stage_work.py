@@ -12,7 +12,7 @@ from clgs.lab.bench.stage_limits import (
     measure_limits,
     share_of_limit,
 )
-from clgs.lab.selftest.render_checks import Check
+from clgs.lab.selftest.reference_render import Check
 
 COUNTS = Counts(A=10, V=8, N=100, I=400, B=20_000, P=256, M=900, E=50)
 

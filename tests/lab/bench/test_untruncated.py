@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from clgs.constants import ALPHA_MAX
+from clgs.lab.anchor_scene import anchor_scene
 from clgs.lab.bench import untruncated
 from clgs.lab.selftest.reference_render import backward_reference
-from clgs.lab.synthetic.anchor_scene import anchor_scene
 from clgs.reference.blend import COLOR_LIMIT
 
 SIZE = 21

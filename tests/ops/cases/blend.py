@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from clgs.lab.observed_kernels import blend_decisions
-from clgs.lab.synthetic.gaussians import ProjectedScene
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
 from clgs.options import DEFAULT, RenderOptions
 from clgs.reference import blend as reference
 from clgs.reference import project as reference_project
 from clgs.reference.tiles import TileLists
+from tests.gaussians import ProjectedScene
 
 GEOMETRY = ("mean2d", "whitening", "depth", "extent")
 GRADIENTS = ("d_mean2d", "d_whitening", "d_color", "d_opacity")

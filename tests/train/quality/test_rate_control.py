@@ -12,7 +12,7 @@ from clgs.data.images import Pixels
 from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
 from clgs.errors import UsageError
-from clgs.lab.synthetic.anchor_scene import anchor_scene
+from clgs.lab.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
 from clgs.render.frame import upload_scene
 from clgs.render.renderer import Renderer

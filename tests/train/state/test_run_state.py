@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.lab.synthetic.anchor_scene import anchor_scene
+from clgs.lab.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops.rate import forward
 from clgs.scene.anchors import QuantizationScales

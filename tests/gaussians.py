@@ -1,14 +1,13 @@
-"""Seeded synthetic scenes, shared by tests, ``clgs selftest`` and ``clgs bench``. NumPy only."""
+"""Seeded Gaussians on the screen and in space, for tests and measurements of single stages."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.constants import ALPHA_CUT, BLUR
+from clgs.constants import ALPHA_CUT
 
 Array = npt.NDArray[np.float32]
 
@@ -82,30 +81,6 @@ def projected_scene(
     )
 
 
-def lognormal_scene(
-    rng: np.random.Generator, count: int, size: tuple[int, int], sigma_median: float
-) -> ProjectedScene:
-    """Gaussians whose two axes are log-normal, blurred as by the projection.
-
-    Args:
-        rng: source of all randomness.
-        count: N.
-        size: width and height, pixels; centres are spread evenly over them.
-        sigma_median: median standard deviation along an axis, pixels.
-    """
-    axes = sigma_median * np.exp(SIGMA_SPREAD * rng.normal(size=(2, count)))
-    xx, xy, yy = covariance2d(axes[0], axes[1], rng.uniform(0, np.pi, count))
-    opacity = rng.uniform(0.02, 0.9, count)
-    return ProjectedScene(
-        mean2d=rng.uniform(0, size, (count, 2)).astype(np.float32),
-        whitening=whitening(xx + BLUR, xy, yy + BLUR),
-        depth=rng.uniform(1, 10, count).astype(np.float32),
-        extent=extent(xx + BLUR, yy + BLUR, opacity),
-        color=rng.uniform(0, 1, (count, 3)).astype(np.float32),
-        opacity=opacity.astype(np.float32),
-    )
-
-
 def covariance2d(
     major: npt.NDArray[np.float64], minor: npt.NDArray[np.float64], angle: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -163,15 +138,3 @@ def gaussian_scene(
         color=rng.uniform(0, 1, (count, 3)).astype(np.float32),
         opacity=rng.uniform(0.02, 0.9, count).astype(np.float32),
     )
-
-
-BLEND_SCENES: dict[str, tuple[tuple[int, int], Callable[[np.random.Generator], ProjectedScene]]] = {
-    "small 200k": ((400, 400), lambda rng: projected_scene(rng, 200_000, 400, 400, 1.2)),
-    "medium 50k": ((800, 800), lambda rng: projected_scene(rng, 50_000, 800, 800, 5.2)),
-    "lognormal 10k": ((400, 400), lambda rng: lognormal_scene(rng, 10_000, (400, 400), 3.5)),
-    "lognormal 50k": ((400, 400), lambda rng: lognormal_scene(rng, 50_000, (400, 400), 1.55)),
-    "lognormal 100k": ((400, 400), lambda rng: lognormal_scene(rng, 100_000, (400, 400), 1.1)),
-    "dense 40k": ((400, 400), lambda rng: lognormal_scene(rng, 40_000, (400, 400), 3.5)),
-    "needles 20k": ((400, 400), lambda rng: projected_scene(rng, 20_000, 400, 400, 12.0, 400.0)),
-}
-"""The scenes that blending is measured on: size of the image and generator, by name."""
