@@ -84,8 +84,9 @@ static inline CONSTANT_UNITS void load_slice(const LayerWeights *weights, const 
     }
 }
 
-/* sum[u] += weight times row of x, over the inputs of a slice. A function for each width that layers
- * have, a literal number: if it were an argument, AMD's compiler would keep the sums in memory. */
+/* sum[u] += weight times row of x, over the inputs of a slice. A function for each width that
+ * layers have, a literal number: if it were an argument, AMD's compiler would keep the sums in
+ * memory. */
 #define DEFINE_ADD_SLICE(name, width)                                                              \
     static inline CONSTANT_UNITS void name(float (*sum)[4], __local const float *slice,            \
                                            __local const float *x, const int some)                 \
