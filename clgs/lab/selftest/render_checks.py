@@ -202,4 +202,4 @@ FORWARD_CHECKS: dict[str, Callable[[_Run], Found]] = {
     "blend forward": check_blend,
     "loss": check_loss,
 }
-"""By the stage whose time is shown."""
+"""The key is the stage whose time is shown."""
