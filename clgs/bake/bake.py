@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.bake.fit import Observation, fit, observe
-from clgs.bake.refine import refine
+from clgs.bake.refine import Target, refine
 from clgs.constants import ALPHA_CUT, K_OFFSETS
 from clgs.data.dataset import RADIUS_MARGIN
+from clgs.data.masks import Mask
 from clgs.errors import DataError
-from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import DeviceView, upload_scene, upload_view
+from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.gaussians import HostGaussians
@@ -46,11 +46,13 @@ class BakeSettings:
 class BakeView:
     """A camera in scene units, and what gives its photo (3, H, W) uint8.
 
-    Without a photo the scene is rendered instead.
+    Without a photo the scene is rendered instead. ``used`` gives the photo's mask (H, W) uint8 of 0
+    and 1, or None if every pixel counts.
     """
 
     camera: Camera
     photo: Callable[[], Planes] | None = None
+    used: Callable[[], Mask | None] = lambda: None
 
 
 def bake(
@@ -80,10 +82,12 @@ def bake(
     """
     settings = settings or BakeSettings()
     uploaded = upload_scene(device, scene)
-    seen = [view.camera for view in evenly(views, FIT_VIEWS)]
+    seen = evenly(views, FIT_VIEWS)
 
     def observations() -> Iterator[Observation]:
-        on_device = (upload_view(device, camera, scene.settings) for camera in seen)
+        on_device = (
+            (upload_view(device, view.camera, scene.settings), view.used()) for view in seen
+        )
         for observation in observe(device, uploaded, on_device, options):
             yield observation
             on_step()
@@ -113,8 +117,8 @@ def evenly(views: Sequence[BakeView], most: int) -> list[BakeView]:
 
 def _pictures(
     device: Device, scene: Scene, views: Sequence[BakeView], options: RenderOptions
-) -> Iterator[tuple[DeviceView, DeviceArray]]:
-    """All views in random order, again and again, and what they are to show, (3, H, W) uint8."""
+) -> Iterator[Target]:
+    """All views in random order, again and again, and what they are to show."""
     rng = np.random.default_rng(SEED)
     renderer = Renderer(device, scene, options)
     while True:
@@ -124,8 +128,9 @@ def _pictures(
                 planes = view.photo()
             else:
                 planes = to_8bit(renderer.render(view.camera)).transpose(2, 0, 1)
-            picture = device.upload(np.ascontiguousarray(planes))
-            yield upload_view(device, view.camera, scene.settings), picture
+            seen, used = upload_view(device, view.camera, scene.settings), view.used()
+            picture = device.upload(np.ascontiguousarray(planes if used is None else planes * used))
+            yield Target(seen, picture, None if used is None else device.upload(used))
 
 
 def without_faint(gaussians: HostGaussians) -> HostGaussians:
@@ -163,7 +168,7 @@ def to_scene(gaussians: HostGaussians, transform: SceneTransform) -> HostGaussia
 
 @dataclass(frozen=True)
 class BakedLoss:
-    """What baking costs: mean PSNR over ``views`` views, in dB, against their photos.
+    """What baking costs: mean PSNR over ``views`` views, in dB, against their photos, masked.
 
     baked: of the baked Gaussians; scene: of the scene that they were baked from. Without photos
     ``baked`` is against renders of the scene, and ``scene`` is None.
@@ -192,6 +197,7 @@ def baked_loss(
             baked.append(psnr_8bit(picture, whole))
             continue
         photo = np.ascontiguousarray(view.photo().transpose(1, 2, 0))
-        baked.append(psnr_8bit(picture, photo))
-        before.append(psnr_8bit(whole, photo))
+        used = view.used()
+        baked.append(psnr_8bit(picture, photo, used))
+        before.append(psnr_8bit(whole, photo, used))
     return BakedLoss(len(views), float(np.mean(baked)), float(np.mean(before)) if before else None)

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import K_OFFSETS
+from clgs.data.masks import Mask
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
 from clgs.reference.project import rotation_matrix
@@ -60,19 +61,24 @@ class Observation:
 
 
 def observe(
-    device: Device, scene: DeviceScene, views: Iterable[DeviceView], options: RenderOptions
+    device: Device,
+    scene: DeviceScene,
+    views: Iterable[tuple[DeviceView, Mask | None]],
+    options: RenderOptions,
 ) -> Iterator[Observation]:
-    """What each of ``views`` shows of ``scene``.
+    """What each of ``views`` shows of ``scene`` in the pixels that its mask leaves.
 
     The picture is linear in the colors: its derivative by a Gaussian's color is what that Gaussian
     contributes.
     """
     room = EXACT_ROOM
-    for view in views:
+    for view, used in views:
         draw = partial(rasterise, device, scene, view, options)
         frame, room = with_enough_room(device, room, draw)
-        ones = device.upload(np.ones(frame.image.shape, np.float32))
-        weight = device.download(blend_backward(device, frame, ones).d_color)[:, 0]
+        counted = np.ones(frame.image.shape, np.float32)
+        counted *= 1 if used is None else used
+        gradients = blend_backward(device, frame, device.upload(counted))
+        weight = device.download(gradients.d_color)[:, 0]
         seen = np.flatnonzero(weight > 0)
         mean, scale, rotation, color, opacity = (
             device.download(getattr(frame.gaussians, name))[seen]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import partial
 
 from clgs.errors import ClgsError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, loss
+from clgs.ops import adam, loss, mask
 from clgs.options import RenderOptions
 from clgs.render.frame import EXACT_ROOM, DeviceView
 from clgs.render.rasterise import rasterise, rasterise_backward, with_enough_room
@@ -21,21 +22,34 @@ LAST_RATE = 0.1
 """Rates fall exponentially, to this share of the first ones."""
 
 
+@dataclass(frozen=True)
+class Target:
+    """A view and what it is to show, on the device.
+
+    picture (3, H, W) uint8, zero where it is masked; used (H, W) uint8 of 0 and 1, None if nothing
+    is masked.
+    """
+
+    view: DeviceView
+    picture: DeviceArray
+    used: DeviceArray | None = None
+
+
 def refine(
     device: Device,
     gaussians: HostGaussians,
-    pictures: Iterable[tuple[DeviceView, DeviceArray]],
+    targets: Iterable[Target],
     steps: int,
     radius: float,
     options: RenderOptions,
     on_step: Callable[[], None] = lambda: None,
 ) -> HostGaussians:
-    """One step of Adam for each of the first ``steps`` pictures, with the loss of training.
+    """One step of Adam for each of the first ``steps`` targets, with the loss of training.
 
     Args:
         device: where the arrays live.
         gaussians: in scene units.
-        pictures: at least ``steps``: views, and (3, H, W) uint8 that they are to show.
+        targets: at least ``steps``.
         steps: number of steps.
         radius: of the cameras, scene units.
         options: of the renders.
@@ -47,11 +61,14 @@ def refine(
     stored, room = gaussians.map(device.upload), EXACT_ROOM
     moments = {name: adam.zero_moments(device, array) for name, array in stored.items()}
     stop = adam.stop_flag(device)
-    for number, (view, picture) in zip(range(1, steps + 1), pictures, strict=False):
-        draw = partial(rasterise, device, stored, view, options)
+    for number, target in zip(range(1, steps + 1), targets, strict=False):
+        draw = partial(rasterise, device, stored, target.view, options)
         frame, room = with_enough_room(device, room, draw)
-        compared = loss.forward(device, frame.image, picture)
-        d_image = loss.backward(device, frame.image, picture, compared)
+        image, picture, used = frame.image, target.picture, target.used
+        image = image if used is None else mask.forward(device, image, used)
+        compared = loss.forward(device, image, picture)
+        d_image = loss.backward(device, image, picture, compared)
+        d_image = d_image if used is None else mask.backward(device, d_image, used)
         gradients = dict(rasterise_backward(device, stored, frame, d_image).d_stored.items())
         del frame  # before the next one is made
         adam.check_finite(device, gradients.values(), stop)

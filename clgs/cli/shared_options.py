@@ -9,6 +9,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+from clgs.data.masks import MEANINGS
 from clgs.data.reduction import MAX_SIZE
 from clgs.errors import UsageError
 from clgs.options import PRESETS
@@ -66,6 +67,12 @@ def add_size_options(parser: argparse.ArgumentParser, scene: str) -> None:
         help="reduce photos that are wider to this width; 0: never (default of both: as the "
         f"config.toml next to {scene} says, else {MAX_SIZE})",
     )
+
+
+def add_masks(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add --masks of the commands that compare with photos; ``default`` in words."""
+    help_masks = f"{options_of(TrainConfig)['masks'].help} (default: {default})"
+    parser.add_argument("--masks", choices=MEANINGS, help=help_masks)
 
 
 def add_files(parser: argparse.ArgumentParser, name: str, source: str, output: str) -> None:
@@ -142,6 +149,9 @@ def whole_number(largest: int) -> Callable[[str], int]:
 
     return parse
 
+
+AS_TRAINED = "as the config.toml next to the scene says, else ignore"
+"""The default of --masks of commands that are given a scene."""
 
 positive_int = whole_number(2**31 - 1)
 

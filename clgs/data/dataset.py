@@ -15,7 +15,7 @@ import numpy.typing as npt
 from clgs.data.apart import ASTRAY, apart, in_one_place
 from clgs.data.images import Pixels, box_resized, check_image, read_image
 from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
-from clgs.data.masks import StoredMask, read_mask
+from clgs.data.masks import IGNORE, MEANINGS, OBJECT, StoredMask, read_mask
 from clgs.data.photo_set import read_photo_set
 from clgs.data.point_file import read_points
 from clgs.data.points import keep_near
@@ -87,6 +87,7 @@ def load_dataset(
     points_file: Path | None = None,
     point_samples: int = POINT_SAMPLES,
     seed: int = 0,
+    masks: str = IGNORE,
 ) -> Dataset:
     """The data set in the folder ``path``: Blender, transforms.json or COLMAP.
 
@@ -106,6 +107,7 @@ def load_dataset(
         points_file: a point cloud or mesh to take the points from instead of the data set.
         point_samples: points that are drawn on surfaces, if a file of points has any.
         seed: of the points on surfaces.
+        masks: "ignore": masked pixels are compared with nothing; "object": they are transparent.
 
     Raises:
         DataError: nothing usable there; one line with file, field and remedy.
@@ -113,6 +115,7 @@ def load_dataset(
     root, reduction = Path(path), Reduction(downscale, max_size)
     photos = read_photo_set(root)
     _check_photos(root, photos, reduction)
+    _check_masks(root, photos, masks)
     transform, radius = _normalise(photos, preset_units, _astray(root, photos))
     dataset = Dataset(
         *([], [], np.empty((0, 3), np.float32), None),
@@ -137,7 +140,7 @@ def load_dataset(
         )
     memory = PhotoMemory(photo_memory)
     for listed, views in ((photos.train, dataset.train), (photos.test, dataset.test)):
-        views += [_view(photo, transform, reduction, memory) for photo in listed]
+        views += [_view(photo, transform, reduction, memory, masks) for photo in listed]
     if load_images:
         _read_images(dataset, photos.test)
     return dataset
@@ -182,6 +185,18 @@ def _check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
         )
 
 
+def _check_masks(root: Path, photos: PhotoSet, masks: str) -> None:
+    """Raise DataError unless ``masks`` is known; warn of photos that lack what it asks for."""
+    if masks not in MEANINGS:
+        raise DataError(f"masks is {masks!r}; give {' or '.join(MEANINGS)}")
+    without = [photo.name for photo in photos.train + photos.test if photo.mask is None]
+    if masks == OBJECT and without:
+        _log.warning(
+            "%s: %d photos have no mask, so that all that they show is the object: %s",
+            *(root, len(without), _named(without)),
+        )
+
+
 def _named(names: list[str]) -> str:
     """The first of some names, printable."""
     shown = [name[:80] if name.isprintable() else repr(name[:80]) for name in names[:NAMED]]
@@ -222,7 +237,7 @@ def _normalise(
 
 
 def _view(
-    photo: Photo, transform: SceneTransform, reduction: Reduction, memory: PhotoMemory
+    photo: Photo, transform: SceneTransform, reduction: Reduction, memory: PhotoMemory, masks: str
 ) -> View:
     """The photo undistorted at full resolution, cropped to valid pixels, then reduced."""
     try:
@@ -239,13 +254,20 @@ def _view(
         *(lens.fx, lens.fy, lens.cx, lens.cy),
         *(lens.width, lens.height),
     )
-    stored = StoredPhoto(partial(_pixels, photo, size), memory, str(photo.path))
+    read = partial(_pixels, photo, size, cut_out=masks == OBJECT)
+    stored = StoredPhoto(read, memory, str(photo.path))
     mask = StoredMask(partial(_mask_pixels, photo, size)) if photo.mask else None
-    return View(photo.name, camera, stored, mask)
+    return View(photo.name, camera, stored, mask, masks)
 
 
-def _pixels(photo: Photo, size: tuple[int, int]) -> Pixels:
-    pixels = read_image(photo.path, (photo.lens.width, photo.lens.height))
+def _pixels(photo: Photo, size: tuple[int, int], cut_out: bool = False) -> Pixels:
+    """The photo at ``size``; with ``cut_out`` what is masked is transparent."""
+    whole = photo.lens.width, photo.lens.height
+    pixels = read_image(photo.path, whole)
+    if cut_out and photo.mask is not None:
+        used = read_mask(photo.mask, whole) * np.uint8(255)
+        alpha = used if pixels.alpha is None else np.minimum(used, pixels.alpha)
+        pixels = Pixels(pixels.color, alpha)
     return box_resized(undistort_pixels(pixels, photo.lens)[0], *size)
 
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from clgs.data.images import SUFFIXES, Pixels, box_downscale, image_size, list_images, read_image
+from clgs.data.images import (
+    SUFFIXES,
+    Pixels,
+    box_downscale,
+    image_size,
+    list_images,
+    open_image,
+    read_image,
+)
 from clgs.errors import DataError
 
 USED = 128
@@ -22,6 +30,17 @@ MASK_FOLDERS = (MASKS, "mask")
 MASK_SUFFIXES = (".png", *SUFFIXES)
 MASK_MARKS = ("_mask", ".mask")
 """What the name of a mask may end in before its suffix; next to its photo it must."""
+
+IGNORE, OBJECT = MEANINGS = ("ignore", "object")
+"""What is where a photo is masked: anything, so that nothing is compared; or nothing at all."""
+
+JUDGED = 16
+"""The number of masks, evenly chosen, that say what masks mean; each is reduced to SMALL."""
+
+SMALL = (64, 64)
+MOST_BORDER, MOST_USED, LEAST_CHANGE = 0.25, 0.6, 0.01
+"""Masks of an object leave at most these shares of a picture's border and of the whole of it, and
+differ from photo to photo by at least the last, unlike those of a lens or a rig."""
 
 Mask = npt.NDArray[np.uint8]
 """(H, W) uint8: 1 if the pixel is used, else 0."""
@@ -92,6 +111,30 @@ def read_mask(path: Path, size: tuple[int, int], posed: bool = True) -> Mask:
     if not used.any():
         raise DataError(f"{path}: the mask is black, so nothing of the photo is left; correct it")
     return used
+
+
+def meaning_of(masks: Sequence[Path | None]) -> str:
+    """One of MEANINGS, by the masks of all photos, None for a photo without one.
+
+    It is OBJECT if every photo has a mask and they usually leave something in the middle.
+
+    Raises:
+        DataError: a mask is damaged.
+    """
+    paths = [path for path in masks if path is not None]
+    if not paths or len(paths) < len(masks):
+        return IGNORE
+    levels = []
+    for number in np.linspace(0, len(paths) - 1, min(len(paths), JUDGED)).round().astype(int):
+        with open_image(paths[number]) as picture:
+            level = picture.convert("RGBA").split()[3] if picture.has_transparency_data else picture
+            levels.append(np.asarray(level.convert("L").resize(SMALL)) >= USED)
+    used = np.array(levels)
+    border = np.concatenate([used[:, 0], used[:, -1], used[:, :, 0], used[:, :, -1]], axis=1)
+    change = np.abs(np.diff(used.astype(float), axis=0)).mean() if len(used) > 1 else 1.0
+    within = np.median(border.mean(axis=1)) <= MOST_BORDER
+    part = np.median(used.mean(axis=(1, 2))) <= MOST_USED
+    return OBJECT if within and part and change >= LEAST_CHANGE else IGNORE
 
 
 def save_mask(mask: Mask, path: Path) -> None:

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import chain
 
-from clgs.data.masks import Mask, StoredMask
+from clgs.data.masks import IGNORE, OBJECT, Mask, StoredMask
 from clgs.data.stored_photo import Color, Planes, StoredPhoto
 from clgs.scene.camera import Camera
 
@@ -17,21 +17,25 @@ class View:
     """One photo, undistorted and reduced, and its camera in scene units.
 
     ``photo.pixels()`` has the pixels: color (H, W, 3) uint8, and alpha (H, W) uint8 or None; mask
-    says which of them are compared with renders, all if it is None.
+    says which of them are of use, all if it is None. If ``masks`` is "ignore", the others are not
+    compared with renders; if it is "object", the photo's alpha is 0 there and all are compared.
     """
 
     name: str
     camera: Camera
     photo: StoredPhoto
     mask: StoredMask | None = None
+    masks: str = IGNORE
 
     def used(self, factor: int = 1) -> Mask | None:
-        """The mask (H, W) uint8 of 0 and 1, ``factor`` times smaller; None: every pixel is used.
+        """The pixels to compare, (H, W) uint8 of 0 and 1, ``factor`` times smaller; None: all.
 
         Raises:
             DataError: it is damaged.
         """
-        return None if self.mask is None else self.mask.used(factor)
+        if self.mask is None or self.masks == OBJECT:
+            return None
+        return self.mask.used(factor)
 
 
 def with_photos(views: Sequence[View], color: Color) -> Iterator[tuple[View, Planes]]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from clgs.data.masks import USED
 from clgs.data.stored_photo import Color
 from clgs.data.view import View
 from clgs.exports.image import Picture, error_map
@@ -46,6 +47,9 @@ def compare(render: Picture, camera: Camera, view: View, background: Color, show
     inside = render[top:bottom, left:right]
     if shown == ERROR:
         placed = error_map(placed, np.ascontiguousarray(inside))
+        if (used := view.used()) is not None:  # masked pixels have no error
+            mask = np.repeat(used[..., None] * np.uint8(255), 3, axis=2)
+            placed = placed * (_placed(mask, camera, view.camera)[0] >= USED)
     if shown == HALVES:
         middle = (right - left) // 2
         result[top:bottom, left : left + middle] = placed[:, :middle]

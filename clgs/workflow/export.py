@@ -186,7 +186,7 @@ def _bake(
     else:
         dataset = load_views(source, quantized, views, on_event)
         seen, held_out = (
-            [BakeView(view.camera, partial(photo, view)) for view in views]
+            [BakeView(view.camera, partial(photo, view), view.used) for view in views]
             for views in (dataset.train, dataset.test)
         )
         scored, kind = evenly(held_out or seen, SCORED_VIEWS), dataset.kind

@@ -42,6 +42,7 @@ def plan_run(
     steps: int | None = None,
     max_size: int | None = None,
     seed: int | None = None,
+    masks: str | None = None,
     device: str | None = None,
     on_event: OnEvent = ignore,
 ) -> RunPlan:
@@ -55,7 +56,7 @@ def plan_run(
     output = Path(output)
     check_folder(output)
     read_record(output, resume=False, overwrite=True)
-    given, allowed = find_input(Path(photos)), seconds or DEFAULT_SECONDS
+    given, allowed = _find_input(Path(photos), masks), seconds or DEFAULT_SECONDS
     stages = RunStages(output, _record(given, allowed), seed or 0, device, on_event)
     return _Planner(stages, allowed, steps, max_size).plan(_shortened(given, allowed))
 
@@ -68,6 +69,7 @@ def run(
     steps: int | None = None,
     max_size: int | None = None,
     seed: int | None = None,
+    masks: str | None = None,
     device: str | None = None,
     resume: bool = False,
     overwrite: bool = False,
@@ -84,6 +86,7 @@ def run(
         steps: of training; default: what the time allows.
         max_size: wider photos are reduced to this width; default: what the time allows.
         seed: of all random choices; default: 0.
+        masks: what they mean, "ignore" or "object"; default: by what they leave of the photos.
         device: number or part of the name.
         resume: go on with the run in ``output`` by its plan; begin if there is none.
         overwrite: replace the run in ``output``.
@@ -105,9 +108,9 @@ def run(
         found = read_record(output, resume, overwrite)
         if resume and found is None:
             on_event(Note(f"{output} holds no run yet; one begins"))
-        given = find_input(Path(photos))
+        given = _find_input(Path(photos), masks)
         if found is not None:
-            chosen = {"steps": steps, "max_size": max_size, "seed": seed}
+            chosen = {"steps": steps, "max_size": max_size, "seed": seed, "masks": masks}
             found.check(output, given, seconds, chosen)
         allowed = seconds or (found.time if found else DEFAULT_SECONDS)
         record = found or _record(given, allowed)
@@ -128,10 +131,13 @@ def run(
         if not given.posed:
             data = stages.prepare(given, must_hurry(given.photos.count, CORES, allowed))
         if training is not None:
+            posed = _with_meaning(given.photos if given.posed else measure_data(data), masks)
             if not given.complete:
-                training = planner.plan_training(measure_data(data), 0.0, data)
+                training = planner.plan_training(posed, 0.0, data)
                 on_event(StageRecord(training))
-            stages.settle(training)
+            if not given.posed and posed.masks_in_words() != given.photos.masks_in_words():
+                on_event(Note(posed.masks_in_words()))
+            stages.settle(training, posed)
         stages.train(data)
         stages.encode()
         stages.evaluate(data)
@@ -140,6 +146,16 @@ def run(
     finally:
         if lock is not None:
             lock.release()
+
+
+def _find_input(path: Path, masks: str | None) -> RunInput:
+    """Look at ``path``; its masks mean ``masks`` if that is not None."""
+    given = find_input(path)
+    return replace(given, photos=_with_meaning(given.photos, masks))
+
+
+def _with_meaning(photos: Photos, masks: str | None) -> Photos:
+    return photos if masks is None else replace(photos, meaning=masks)
 
 
 def _record(given: RunInput, allowed: float) -> RunRecord:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from clgs.data.masks import IGNORE, OBJECT
 from clgs.train.step.schedule import COARSE_STAGES
 
 DEFAULT_SECONDS = 600.0
@@ -52,13 +53,27 @@ LATER_SECONDS = 8.0
 
 @dataclass(frozen=True)
 class Photos:
-    """The photos of a run: their number, the size of the first, if they are synthetic, masks."""
+    """The photos of a run: their number, the size of the first, if they are synthetic, masks.
+
+    meaning: what the masks mean, "ignore" or "object".
+    """
 
     count: int
     width: int
     height: int
     synthetic: bool = False
     masks: int = 0
+    meaning: str = IGNORE
+
+    def masks_in_words(self) -> str:
+        """What is made of the masks, and the option that changes it; empty if there are none."""
+        if not self.masks:
+            return ""
+        done, other = "masked pixels are not compared", OBJECT
+        if self.meaning == OBJECT:
+            done, other = "they cut out the object, and nothing is asked for around it", IGNORE
+        masks = f"{self.masks} mask{'s' * (self.masks > 1)}"
+        return f"{masks}: {done} (--masks {other} if that is wrong)"
 
     def at(self, width: int) -> int:
         """Pixels of a photo that is at most ``width`` wide."""

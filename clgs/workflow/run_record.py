@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from clgs.data.dataset import load_dataset
+from clgs.data.masks import meaning_of
 from clgs.data.photo_set import TRANSFORMS, is_posed
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.files import write_json
@@ -67,8 +68,9 @@ def find_input(path: Path) -> RunInput:
         photos = Photos(found.frames, *frame_size(path))
         return RunInput(path, False, photos, video=True, digest=digest)
     sizes = readable_sizes(found.collection)
-    masks = sum(one.mask is not None for one in found.collection.photos)
-    photos = Photos(len(sizes), *sizes[0], masks=masks)
+    masks = [one.mask for one in found.collection.photos]
+    given, meaning = sum(mask is not None for mask in masks), meaning_of(masks)
+    photos = Photos(len(sizes), *sizes[0], masks=given, meaning=meaning)
     return RunInput(path, False, photos, digest=digest)
 
 
@@ -78,7 +80,8 @@ def measure_data(folder: Path) -> Photos:
     first = dataset.train[0].camera
     count = len(dataset.train) + len(dataset.test)
     masks = sum(view.mask is not None for view in dataset.train + dataset.test)
-    return Photos(count, first.width, first.height, dataset.kind == BLENDER, masks)
+    meaning = meaning_of([photo.mask for photo in dataset.photos])
+    return Photos(count, first.width, first.height, dataset.kind == BLENDER, masks, meaning)
 
 
 @dataclass(frozen=True)

@@ -85,10 +85,11 @@ class RunStages:
             else:
                 path.unlink(missing_ok=True)
 
-    def settle(self, plan: TrainingPlan) -> None:
+    def settle(self, plan: TrainingPlan, photos: Photos) -> None:
         """Keep the plan of the training, and the settings that follow from it."""
         settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self.seed}
-        self._record.settings.update(settings, coarse_to_fine=plan.coarse)
+        masks = {"masks": photos.meaning} if photos.masks else {}
+        self._record.settings.update(settings, coarse_to_fine=plan.coarse, **masks)
         self._record.plan.update(asdict(plan))
         self._record.write(self._out)
 
@@ -133,12 +134,13 @@ class RunStages:
         """Score the file on the views that the run was scored on."""
         file, scores, device = self._out / SCENE, self._out / SCORES, self.device.name
         split = json.loads((self.run_folder / RESULTS).read_text(encoding="utf-8"))["split"]
-        size = self._record.settings["max_size"]
+        size, masks = self._record.settings["max_size"], self._record.settings.get("masks")
         words = ["eval", file, "--data", data, "--json", scores]
         words += ["--max-size", size, "--split", split, "--device", device]
+        words += ["--masks", masks] if masks else []
 
         def work() -> Evaluation:
-            views = ViewOptions(data, split, max_size=size, device=device)
+            views = ViewOptions(data, split, max_size=size, masks=masks, device=device)
             scene, nbytes = read_drawable(file)
             opened = Device(device)
             found = evaluate(opened, file, scene, nbytes, views, on_event=self._on_event)

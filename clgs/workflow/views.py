@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from clgs.data.dataset import Dataset, load_dataset
+from clgs.data.masks import IGNORE
 from clgs.data.origin import read_origin
 from clgs.data.reduction import MAX_SIZE
 from clgs.data.repose import alike, repose
@@ -76,7 +77,10 @@ def load_views(
     else:
         on_event(Note(f"no config.toml next to the scene; --max-size {MAX_SIZE} is assumed"))
         downscale, max_size = 0, MAX_SIZE
-    dataset = load_dataset(data, downscale=downscale, max_size=max_size, load_images=False)
+    masks = options.masks or (IGNORE if config is None else config.masks)
+    dataset = load_dataset(
+        data, downscale=downscale, max_size=max_size, load_images=False, masks=masks
+    )
     posed = repose(dataset, scene.transform)
     if not isinstance(scene, SplatScene):
         _check_same_place(path, dataset, posed, data, on_event)

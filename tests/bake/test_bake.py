@@ -26,7 +26,7 @@ from clgs.lab.anchor_scene import anchor_scene
 from clgs.options import DEFAULT
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
-from clgs.scene.scene import SceneTransform
+from clgs.scene.scene import SceneTransform, SplatScene
 from clgs.train.quality.metrics import to_8bit
 from tests.exports.splats.cases import differences, gaussians
 
@@ -56,7 +56,7 @@ def test_contributions_add_up_to_the_picture(device, views):
     scene, (view, *_) = views
     black = replace(scene.settings, background=(0.0, 0.0, 0.0))
     on_device = upload_view(device, view.camera, black)
-    (seen,) = observe(device, upload_scene(device, scene), [on_device], DEFAULT)
+    (seen,) = observe(device, upload_scene(device, scene), [(on_device, None)], DEFAULT)
     picture = Renderer(device, replace(scene, settings=black)).render(view.camera)
     total = (seen.weight[:, None].astype(np.float64) * seen.color).sum(axis=0)
     assert np.allclose(total, picture.sum(axis=(1, 2), dtype=np.float64), rtol=1e-4)
@@ -87,6 +87,34 @@ def test_photos_are_what_it_is_refined_to(device, views):
     losses = [baked_loss(device, scene, one, painted) for one in (before, found)]
     assert losses[0].scene == losses[1].scene is not None
     assert losses[1].baked > losses[0].baked + 1
+
+
+def test_masked_pixels_enter_neither_fit_nor_refinement_nor_scores(device, views):
+    """The same bits whatever the photos show there; nothing is left that only they show."""
+    scene, turned = views
+    renderer, used = Renderer(device, scene), np.zeros((SIZE, SIZE), np.uint8)
+    used[:, : SIZE // 2] = 1
+    found, losses = [], []
+    for level in (0, 255):
+        painted = []
+        for view in turned[:2]:
+            planes = to_8bit(renderer.render(view.camera)).transpose(2, 0, 1).copy()
+            planes[:, used == 0] = level
+            painted.append(BakeView(view.camera, lambda p=planes: p, lambda: used))
+        found.append(bake(device, scene, painted, BakeSettings(1, 20)))
+        losses.append(baked_loss(device, scene, found[-1], painted))
+    for name, array in found[0].items():
+        assert np.array_equal(getattr(found[1], name), array), name
+    assert losses[0] == losses[1]
+    assert losses[0].scene == np.inf
+    assert losses[0].baked > 20
+    whole = bake(device, scene, turned[:2], BakeSettings(1, 0))
+    masked = bake(device, scene, painted, BakeSettings(1, 0))
+    assert len(masked) < 0.8 * len(whole)
+    shown = Renderer(device, SplatScene(found[0], scene.settings)).render(turned[0].camera)
+    black = np.array(scene.settings.background)[:, None, None]
+    beyond = np.abs(shown - black)[:, :, SIZE // 2 + 12 :]
+    assert beyond.mean() < 0.02
 
 
 def test_every_step_is_reported(device, views):

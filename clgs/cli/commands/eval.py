@@ -8,7 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import add_view_options, named_path, view_options
+from clgs.cli.shared_options import (
+    AS_TRAINED,
+    add_masks,
+    add_view_options,
+    named_path,
+    view_options,
+)
 
 if TYPE_CHECKING:
     from clgs.workflow.evaluate import Evaluation
@@ -43,6 +49,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         "those of its data set."
     )
     add_view_options(parser)
+    add_masks(parser, AS_TRAINED)
     parser.add_argument(
         "--json",
         type=named_path,

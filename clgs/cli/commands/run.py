@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from clgs.cli.shared_options import (
     add_device_name,
+    add_masks,
     add_overwrite,
     chosen,
     named_path,
@@ -49,6 +50,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         help="reduce wider photos to this width (default: what T allows)",
     )
     add("--seed", type=seed, help="random seed (default: 0)")
+    add_masks(parser, "object if all photos have masks that leave something in the middle")
     add_device_name(parser)
     add(
         "--resume",
@@ -85,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
             case _:
                 display(event)
 
-    options = {"seconds": args.time, **chosen(args, "steps", "max_size", "seed", "device")}
+    options = {"seconds": args.time, **chosen(args, "steps", "max_size", "seed", "masks", "device")}
     done: RunPlan | FinishedRun
     try:
         with warnings_once(), display:
@@ -127,13 +129,13 @@ def _show(record: object) -> None:
 
 
 def _show_plan(plan: RunPlan) -> None:
-    from clgs.cli.tell import counted
     from clgs.workflow.run_record import in_words
 
     given, photos, training = plan.input, plan.input.photos, plan.training
     kind = "data set" if given.posed else "frames" if given.video else "photos"
-    masks = f", {counted(photos.masks, 'mask')}" * bool(photos.masks)
-    print(f"{given.path}: {kind}, {photos.count} of {photos.width} x {photos.height} pixels{masks}")
+    print(f"{given.path}: {kind}, {photos.count} of {photos.width} x {photos.height} pixels")
+    if photos.masks:
+        print(photos.masks_in_words())
     preparing = f"about {in_words(training.prepare_seconds)}"
     if not given.posed:
         tested = (

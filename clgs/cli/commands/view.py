@@ -7,7 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import add_view_options, view_options, whole_number
+from clgs.cli.shared_options import (
+    AS_TRAINED,
+    add_masks,
+    add_view_options,
+    view_options,
+    whole_number,
+)
 from clgs.workflow.options import SIZE, ViewOptions
 
 if TYPE_CHECKING:
@@ -42,6 +48,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         help=f"0.0.0.0: also for other machines (default: {HOST})",
     )
     add_view_options(parser, split=False)
+    add_masks(parser, AS_TRAINED)
 
 
 def run(args: argparse.Namespace) -> int:

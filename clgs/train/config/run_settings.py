@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from clgs.constants import NEAR_PLANE
+from clgs.data.masks import IGNORE, MEANINGS
 from clgs.data.reduction import LEAST_SIZE, MAX_SIZE
 from clgs.options import PRESETS
 from clgs.train.config.option import POSITIVE, WEIGHT, Range, Text, at_least, option
@@ -170,6 +171,12 @@ class PhotoSettings:
         at_least(0),
         unit="MiB",
         in_digest=False,
+    )
+    masks: str = option(
+        IGNORE,
+        "what is where photos are masked; ignore: anything, so that nothing is compared; object: "
+        "nothing, so that renders show the background, which is random while training",
+        MEANINGS,
     )
     exposure: bool = option(
         False,

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
+from clgs.data.masks import IGNORE, OBJECT
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
 from clgs.train.config.learning_rates import LearningRates
@@ -200,6 +201,11 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         return max(LEAST_ANCHORS, math.ceil(bits / ANCHOR_BITS))
 
     @property
+    def step_background(self) -> str:
+        """The background of training steps: haze around an object would pass for a fixed one."""
+        return "random" if self.masks == OBJECT else self.background
+
+    @property
     def most_anchors(self) -> int:
         """Most anchors at any time, by max_anchors and target_size; 0: no limit."""
         ample = math.ceil(AMPLE * self.held_anchors) if self.steps >= LEARNING else 0
@@ -262,7 +268,9 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
     def digest(self) -> str:
         """SHA-256 of the settings that results depend on, hexadecimal; the same for equal runs."""
         free = {n: one.default for n, one in options_of(TrainConfig).items() if not one.in_digest}
-        return hashlib.sha256(replace(self, **free).to_toml().encode()).hexdigest()
+        text = replace(self, **free).to_toml()
+        text = text.replace(f'masks = "{IGNORE}"\n', "")  # runs had this digest before it was one
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _shortness(steps: int) -> float:

@@ -52,7 +52,7 @@ class ViewScore:
 
 @dataclass(frozen=True)
 class Pictures:
-    """What was compared: render and photo, (H, W, 3) uint8."""
+    """What was compared: render and photo, (H, W, 3) uint8, black where the photo is masked."""
 
     render: npt.NDArray[np.uint8]
     photo: npt.NDArray[np.uint8]
@@ -125,16 +125,16 @@ def _score(
     image = renderer.render(view.camera)
     seconds = time.perf_counter() - start
     photo, used = np.ascontiguousarray(planes.transpose(1, 2, 0)), view.used()
-    picture = to_8bit(image)
+    shown = Pictures(blackened(to_8bit(image), used), blackened(photo, used))
     score = ViewScore(
         view.name,
-        psnr_8bit(picture, photo, used),
+        psnr_8bit(shown.render, shown.photo, used),
         psnr_channel_mean(image, photo, used),
-        ssim(picture, photo, used),
+        ssim(shown.render, shown.photo, used),
         seconds,
-        lpips(blackened(picture, used), blackened(photo, used)) if lpips else None,
+        lpips(shown.render, shown.photo) if lpips else None,
     )
-    return score, Pictures(picture, photo)
+    return score, shown
 
 
 def summarize(

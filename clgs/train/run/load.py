@@ -45,6 +45,7 @@ def load_for(
         points_file=Path(config.points) if config.points else None,
         point_samples=config.point_samples,
         seed=config.seed,
+        masks=config.masks,
     )
     return with_points(dataset, random_start(config), cache, config.seed, on_stage)
 

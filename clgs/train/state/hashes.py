@@ -40,8 +40,8 @@ def run_digest(dataset: Dataset, config: TrainConfig) -> str:
         shape = view.camera.height, view.camera.width, 3
         digest.update(f"{view.name} {shape}".encode())
         digest.update(view.photo.checksum().to_bytes(4, "little"))
-        if (used := view.used()) is not None:
-            digest.update(used.tobytes())
+        if view.mask is not None:
+            digest.update(view.mask.used().tobytes())
         digest.update(view.camera.pack(config.near).tobytes())
     digest.update(dataset.points.tobytes())
     return digest.hexdigest()

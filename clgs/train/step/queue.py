@@ -77,7 +77,7 @@ class StepQueue:
         """Prepare the steps of a run; ``config`` is resolved for the dataset."""
         self._device, self._config, self._rounding = device, config, rounding
         self._optimizer = Optimizer(device, config, dataset.radius)
-        self._photos = TrainingPhotos(device, dataset.train, config.background, config.near)
+        self._photos = TrainingPhotos(device, dataset.train, config.step_background, config.near)
         self._exposure = ExposureTerm(device, config, len(dataset.train))
         self._rate = RateTerm(device, config)
         self._stop = adam.stop_flag(device)

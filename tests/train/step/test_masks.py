@@ -79,13 +79,20 @@ def test_scores_do_not_see_what_is_hidden(dataset, cpu, half):
     for _ in range(20):
         trainer.step()
     scene = trainer.quantized_scene()
+    shown = []
     scores = [
         [
             replace(score, seconds=0.0)
-            for score in evaluate_views(cpu, scene, masked(dataset, half, hidden).test)
+            for score in evaluate_views(
+                cpu, scene, masked(dataset, half, hidden).test, lambda _, seen: shown.append(seen)
+            )
         ]
         for hidden in (0, 255)
     ]
+    for seen in shown:  # reports show what was compared
+        assert not seen.render[:, :12].any()
+        assert not seen.photo[:, :12].any()
+        assert seen.render[:, 12:].any()
     assert scores[0] == scores[1]
     plain = [replace(score, seconds=0.0) for score in evaluate_views(cpu, scene, dataset.test)]
     assert plain != scores[0]
