@@ -83,7 +83,7 @@ def test_unknown_levels_are_refused():
 
 def test_mixing_pays_where_channels_follow_others_loosely():
     value = mixture(8000)
-    model = row_coder.fit(value, "max").model
+    model = row_coder.fit(value, "max").tables
     assert model["coder"].any()
     assert not model["coder"].all() or len(model) > 1
     assert assert_round_trip(value, "max", 3000) < assert_round_trip(value, "default", 3000)
@@ -107,8 +107,8 @@ def test_small_matrices_are_no_longer_than_the_plain_coder_makes_them(shape, lev
 def test_short_chunks_are_not_mixed():
     value = mixture(8000)
     model = row_coder.fit(value, "max", 255)
-    assert not isinstance(model, row_coder.TableModel) or not model.model["coder"].any()
-    assert row_coder.fit(value, "max", 3000).model["coder"].any()
+    assert model.tables is None or not model.tables["coder"].any()
+    assert row_coder.fit(value, "max", 3000).tables["coder"].any()
 
 
 @pytest.mark.parametrize("name", ["extremes", "spread 4194304", "mixture", "shifted"])

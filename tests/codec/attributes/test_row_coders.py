@@ -12,15 +12,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from clgs.codec.attributes import row_coder
-from clgs.codec.plain_rows import (
-    decode_paper,
-    decode_run_lengths,
-    encode_paper,
-    encode_run_lengths,
-)
 from clgs.lab.bench.codec_subjects import PUBLISHED_ATTRIBUTES as ATTRIBUTES
 from codec_c.reader.rows import decode_paper_rows, decode_rows
-from tests.codec.samples import INT32, draw, matrices
+from tests.codec.samples import (
+    INT32,
+    decode_paper,
+    decode_run_lengths,
+    draw,
+    encode_paper,
+    encode_run_lengths,
+    matrices,
+)
 
 CODERS = {
     "run lengths": (encode_run_lengths, decode_run_lengths),
