@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 from hypothesis import strategies as st
 
 from clgs import _codec
+from clgs.codec import morton_order
 from clgs.codec.attributes import model_search, row_coder
 from clgs.codec.octree import runs
 
@@ -20,6 +23,21 @@ def draw(rows: int, channels: int, spread: int) -> np.ndarray:
     first, second = ((state >> np.uint64(s) & np.uint64(0xFFFF)).astype(np.int64) for s in (16, 40))
     value = ((first - 32768) * second * spread >> 31) * (first % 3 > 0)
     return value.astype(np.int32).reshape(rows, channels)
+
+
+def cloud(count: int, seed: int = 0, extent: int = 2**21) -> np.ndarray:
+    """About ``count`` points, in any order."""
+    rng = np.random.default_rng(seed)
+    return rng.permutation(np.unique(rng.integers(0, extent, (count, 3)), axis=0))
+
+
+def in_order(positions: np.ndarray) -> np.ndarray:
+    return positions[morton_order(positions)]
+
+
+def sealed(body: bytes) -> bytes:
+    """A stream with its checksum."""
+    return body + struct.pack("<I", _codec.crc32c(body))
 
 
 def clouds() -> dict[str, np.ndarray]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -121,25 +120,6 @@ def test_mixed_channels_take_any_values(name):
 
 def test_constant_rows_cost_next_to_nothing():
     assert assert_round_trip(np.full((200_000, 30), 7, np.int32), "default", 65536) <= 300
-
-
-def test_read_only_and_strided_arrays_are_taken_as_they_are():
-    value = draw(400, 8, 6)
-    wide = np.repeat(value, 2, axis=1)[:, ::2]
-    wide.setflags(write=False)
-    assert encode(wide, "default", 128) == encode(value, "default", 128)
-    assert encode(np.asfortranarray(value), "default", 128) == encode(value, "default", 128)
-
-
-def test_one_model_serves_many_threads():
-    value = np.resize(matrices()["busy"], (8000, 5))
-    model = row_coder.fit(value, "default", 500)
-    parts = [value[i : i + 500] for i in range(0, 8000, 500)]
-    with ThreadPoolExecutor(4) as pool:
-        data = list(pool.map(model.encode, parts))
-        decoded = list(pool.map(model.decode, data, [500] * 16))
-    assert data == [model.encode(part) for part in parts]
-    np.testing.assert_array_equal(np.concatenate(decoded), value)
 
 
 def outcome(call, *arguments):

@@ -99,15 +99,6 @@ def test_noise_is_never_longer_than_raw(encode, decode):
 
 
 @MANY
-def test_read_only_and_strided_arrays_are_taken_as_they_are(encode, decode):
-    value = draw(40, 8, 6)
-    wide = np.repeat(value, 2, axis=1)[:, ::2]
-    wide.setflags(write=False)
-    assert encode(wide) == encode(value)
-    assert encode(np.asfortranarray(value)) == encode(value)
-
-
-@MANY
 def test_wrong_row_counts_are_refused(encode, decode):
     value = matrices()["triplets"]
     data = encode(value)
