@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec import octree, weights
-from clgs.codec.arguments import check_choice, check_integer
 from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import NearRows
 from clgs.codec.container import section_table
@@ -33,7 +32,7 @@ from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
 from clgs.scene.scene import QuantizedScene
-from clgs.shapes import Shapes, check_type
+from clgs.shapes import Shapes, check_choice, check_integer, check_type
 
 
 def encode(

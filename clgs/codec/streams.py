@@ -14,11 +14,11 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec import octree
-from clgs.codec.arguments import check_choice, check_integers
 from clgs.codec.attributes import row_coder
 from clgs.codec.container.meta import LEVELS
 from clgs.codec.workers import workers
 from clgs.errors import CodecError
+from clgs.shapes import check_choice
 
 POSITIONS, LATTICE, ATTRIBUTES = b"\x8bCP\x02", b"\x8bCP\x03", b"\x8bCA\x02"
 """Signatures: of positions as they are, of positions divided by their factors, of attributes."""
@@ -208,6 +208,33 @@ def morton_order(positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
     if position.shape[1] != 3:
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
     return octree.morton_order(position)
+
+
+def check_integers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.int32]:
+    """``values`` (N, columns) as contiguous int32.
+
+    Raises:
+        TypeError: not an array of integers.
+        CodecError: rows of several lengths, not two axes, a masked element, or out of range.
+    """
+    if np.ma.is_masked(values):
+        hidden = np.count_nonzero(np.ma.getmask(values))
+        raise CodecError(f"{name}: {hidden} elements are masked; fill them or leave out the rows")
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise CodecError(f"{name}: rows of several lengths; (N, columns) is needed") from None
+    if array.size == 0 and isinstance(values, list):
+        raise CodecError(f"{name}: an empty list has no columns; np.empty((0, 3), int) has three")
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"{name}: dtype is {array.dtype}, integers are needed; round floats first")
+    if array.ndim != 2:
+        raise CodecError(f"{name}: shape is {array.shape}, two axes are needed")
+    if array.size and not np.can_cast(array.dtype, np.int32):
+        low, high = int(array.min()), int(array.max())
+        if low < -(2**31) or high >= 2**31:
+            raise CodecError(f"{name}: {low} to {high} is outside of int32; round to larger steps")
+    return np.ascontiguousarray(array, np.int32)
 
 
 def common_factors(position: npt.NDArray[np.int32]) -> list[int]:

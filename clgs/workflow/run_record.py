@@ -8,8 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from clgs.data.dataset import load_dataset
-from clgs.data.photo_set import TRANSFORMS, is_posed
+from clgs.data.dataset import TRANSFORMS, is_posed, load_dataset
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.files import write_json
 from clgs.poses.bring_in import find_source, readable_sizes

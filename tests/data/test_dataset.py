@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.data.dataset import SCENE_RADIUS, load_dataset
-from clgs.data.points import MAX_COORDINATE, keep_near
+from clgs.data.dataset import MAX_COORDINATE, SCENE_RADIUS, keep_near, load_dataset
 from clgs.errors import DataError
 from tests.data.folders import (
     noise_image,
