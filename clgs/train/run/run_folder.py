@@ -110,8 +110,9 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
     if digest != run_digest(dataset, config):
         changed = changed_settings(folder, config)
         raise ExistsError(
-            f"{folder}: holds a finished run with other settings or photos{changed}; to train it "
-            f"further, name another run folder and add --from {folder}"
+            f"{folder}: holds a finished run with other settings or photos{changed}; give the same "
+            "options (config.toml lists them) or choose another run folder, in which --from "
+            f"{folder} trains this one further"
         )
     return result
 

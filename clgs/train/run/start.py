@@ -83,8 +83,8 @@ def state_of_run(device: Device, dataset: Dataset, config: TrainConfig, folder: 
     """The state of a run that goes on from the finished run in ``folder``.
 
     That is the last checkpoint if it is of the last step and of the same data set at the same
-    size; else the scene, so that moments and statistics begin at zero. The next round finds the
-    price of a bit anew if that is wanted otherwise.
+    size; else the scene, so that moments and statistics begin at zero. The next round sets the
+    price of a bit if lambda or the size differ.
 
     Args:
         device: where to train.

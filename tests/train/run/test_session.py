@@ -63,7 +63,7 @@ def test_interrupted_runs_end_alike(dataset, open_device, tmp_path):
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_finished_run_is_trained_on(dataset, open_device, tmp_path, kept):
-    """From the checkpoint, or from the scene alone; with other settings, and interrupted."""
+    """It goes on from the checkpoint or the scene, with other settings, and after a break."""
     device, first, more = open_device("cpu"), tmp_path / "first", tmp_path / "more"
     short = train_scene(dataset, first, config(), device=device)
     if not kept:
@@ -86,7 +86,7 @@ def test_a_finished_run_is_trained_on(dataset, open_device, tmp_path, kept):
     assert run.summary["psnr"] > short.summary["psnr"] - 0.5
     assert train_scene(dataset, more, longer, **options).bitstream == run.bitstream
     assert {path: path.read_bytes() for path in first.rglob("*") if path.is_file()} == before
-    with pytest.raises(ExistsError, match=f"add --from {first}"):
+    with pytest.raises(ExistsError, match=f"in which --from {first} trains"):
         train_scene(dataset, first, longer, device=device, resume=True)
 
 
