@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import hashlib
 import os
-import pickle
 import tempfile
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -55,9 +54,7 @@ MAX_REPROJECTION_ERROR = 2.0
 BATCH = 8
 """The least number of photos that are in memory at a time; more if there are more processors."""
 
-_PHOTOS, _RESULT = "photos.pickle", "points.npz"
-"""Files in the folder of the child: what it reads, and what it writes."""
-
+_RESULT = "points.npz"
 _VERSION = 1
 """Raised with every change of the results, so that no stale points are found in a cache."""
 
@@ -104,8 +101,8 @@ def triangulate(
         return cached
     on_stage(f"finding points in {len(photos)} photos")
     with tempfile.TemporaryDirectory(prefix="clgs-") as folder:
-        (Path(folder) / _PHOTOS).write_bytes(pickle.dumps(photos))
-        run_child(__name__, "triangulation", [folder, seed], on_stage)
+        plain = [_plain(photo) for photo in photos]
+        run_child(__name__, "triangulation", [plain, folder, seed], on_stage)
         with np.load(Path(folder) / _RESULT, allow_pickle=False) as arrays:
             points = Points(arrays["position"], arrays["color"])
     if file is not None:
@@ -127,6 +124,7 @@ def _key(photos: list[Photo], seed: int) -> str:
 
 
 def _read_cache(file: Path) -> Points | None:
+    """Read cached points; None if there are none or the file is damaged."""
     try:
         with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
             position, color = arrays["position"], arrays["color"]
@@ -137,10 +135,31 @@ def _read_cache(file: Path) -> Points | None:
     return Points(position, color) if valid and typed else None
 
 
+def _plain(photo: Photo) -> dict[str, Any]:
+    """Convert a photo to what JSON can hold, exactly."""
+    arrays = {"rotation": photo.rotation.tolist(), "translation": photo.translation.tolist()}
+    mask = None if photo.mask is None else str(photo.mask)
+    files = {"path": str(photo.path), "mask": mask}
+    return {"name": photo.name, "lens": asdict(photo.lens), **files, **arrays}
+
+
+def _photo(plain: dict[str, Any]) -> Photo:
+    """Make a photo of what :func:`_plain` returned."""
+    lens: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in plain["lens"].items()
+    }
+    rotation, translation = (
+        np.array(plain[name], np.float64) for name in ("rotation", "translation")
+    )
+    mask = None if plain["mask"] is None else Path(plain["mask"])
+    return Photo(plain["name"], Path(plain["path"]), Lens(**lens), rotation, translation, mask)
+
+
 def work(arguments: Any, on_stage: OnStage) -> None:
     """Be the child: write the points, in a canonical order, into a file in the given folder."""
-    folder, seed = Path(arguments[0]), arguments[1] % SEEDS
-    photos: list[Photo] = pickle.loads((folder / _PHOTOS).read_bytes())
+    photos, folder = [_photo(one) for one in arguments[0]], Path(arguments[1])
+    seed = arguments[2] % SEEDS
     (folder / "grey").mkdir()
     (folder / "masks").mkdir()
     names = [f"{number:06d}.png" for number in range(len(photos))]
@@ -252,7 +271,10 @@ def _write_database(
                 camera_id=number,
             )
             image = pycolmap.Image(
-                name=f"{number:06d}", keypoints=feature.position, camera_id=number, image_id=number
+                name=f"{number:06d}",
+                keypoints=feature.position,
+                camera_id=number,
+                image_id=number,
             )
             database.write_camera(camera, True)
             database.write_image(image, True)
