@@ -106,7 +106,6 @@ def check_target(path: Path) -> Path:
 
 
 def _mode(path: Path) -> int:
-    """The mode of what ``path`` names, or would name."""
     try:
         return os.stat(path).st_mode
     except (FileNotFoundError, NotADirectoryError):

@@ -48,7 +48,6 @@ def check_choice(name: str, value: object, known: Sequence[str]) -> None:
 
 
 def _shown(value: object) -> str:
-    """On one line, shortened."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."
 

@@ -41,9 +41,7 @@ def coarsen(scene: QuantizedScene, factors: Factors) -> QuantizedScene:
     }
     scales = {name: getattr(scene.scales, name) * factor for name, factor in factors.items()}
     return replace(
-        scene,
-        anchors=replace(scene.anchors, **integers),
-        scales=replace(scene.scales, **scales),
+        scene, anchors=replace(scene.anchors, **integers), scales=replace(scene.scales, **scales)
     )
 
 

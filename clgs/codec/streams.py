@@ -7,7 +7,6 @@ an octree costs bits: q = c + (p - c) / f on each axis, with c the least p.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -53,10 +52,7 @@ def encode_positions(positions: npt.ArrayLike, threads: int | None = None) -> by
         TypeError: not an array of integers.
         CodecError: wrong shape, masked, out of range, too far apart, or rows repeat (how many).
     """
-    position = check_integers("positions", positions)
-    if position.shape[1] != 3:
-        raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
-    position = octree.in_order(position)
+    position = octree.in_order(_check_positions(positions))
     plain = _encode_octrees(_POSITIONS_HEAD.pack(POSITIONS, len(position)), position, threads)
     factors = common_factors(position) if len(position) else (1, 1, 1)
     if max(factors) == 1:
@@ -92,7 +88,13 @@ def decode_positions(
     try:
         if not octree.ascends(octree.morton_codes(position)):
             raise ValueError("the chunks are not in Morton order")
-        return _multiply(position, factors) if factors else position
+        if not factors:
+            return position
+        corner = np.array(octree.bounds(position)[0])
+        grown = corner + (position - corner) * np.array(factors)
+        if grown.max() > np.iinfo(np.int32).max:
+            raise ValueError("the lattice leaves the range of int32")
+        return octree.in_order(grown.astype(np.int32))
     except octree.PositionsError as error:
         raise _damage(head.size, error.problem) from error
     except ValueError as error:
@@ -204,10 +206,14 @@ def morton_order(positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
     Raises:
         TypeError, CodecError: as of ``encode_positions``.
     """
+    return octree.morton_order(_check_positions(positions))
+
+
+def _check_positions(positions: npt.ArrayLike) -> npt.NDArray[np.int32]:
     position = check_integers("positions", positions)
     if position.shape[1] != 3:
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
-    return octree.morton_order(position)
+    return position
 
 
 def check_integers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.int32]:
@@ -247,20 +253,6 @@ def common_factors(position: npt.NDArray[np.int32]) -> list[int]:
                 factor = int(np.gcd.reduce(part.astype(np.int64) - int(part[0])))
         factors.append(max(factor, 1))
     return factors
-
-
-def _multiply(position: npt.NDArray[np.int32], factors: Sequence[int]) -> npt.NDArray[np.int32]:
-    """Positions (N, 3) int32, N > 0, that were divided by their factors, in Morton order.
-
-    Raises:
-        ValueError: a coordinate would leave int32.
-        PositionsError: the extent reaches 2^21 on an axis.
-    """
-    corner = np.array(octree.bounds(position)[0])
-    grown = corner + (position - corner) * np.array(factors)
-    if grown.max() > np.iinfo(np.int32).max:
-        raise ValueError("the lattice leaves the range of int32")
-    return octree.in_order(grown.astype(np.int32))
 
 
 def _seal(head: bytes, header: bytes, streams: list[bytes]) -> bytes:

@@ -227,7 +227,6 @@ def to_scene_points(
 
 
 def _check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
-    """Raise DataError unless there is something to train on; warn of what is missing."""
     if missing := photos.missing:
         total = len(missing) + len(photos.train) + len(photos.test)
         named = _named(missing)
@@ -251,7 +250,6 @@ def _check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
 
 
 def _named(names: list[str]) -> str:
-    """The first of some names, printable."""
     shown = [name[:80] if name.isprintable() else repr(name[:80]) for name in names[:NAMED]]
     return ", ".join(shown) + ", ..." * (len(names) > NAMED)
 

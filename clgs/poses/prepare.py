@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 
 from PIL import Image
@@ -101,7 +102,7 @@ def prepare(
                     verdict = drop_doubtful_photos(target, verdict)
                 sheet = contact_sheet([work / "images" / one.name for one in verdict.photos])
                 (target / CONTACT_SHEET).write_bytes(sheet)
-                report = json.dumps(verdict.plain(), indent=1, allow_nan=False)
+                report = json.dumps(asdict(verdict), indent=1, allow_nan=False)
                 (target / REPORT).write_text(report + "\n", encoding="utf-8")
             shutil.rmtree(work)
             return verdict

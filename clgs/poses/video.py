@@ -149,7 +149,6 @@ def frame_size(path: Path) -> tuple[int, int]:
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    """Read what ffmpeg says about a video before its first frame."""
     reader = video_library(path).read_frames(_named(path), input_params=_ONLY_FILES)
     facts: dict[str, Any] = next(reader)
     reader.close()

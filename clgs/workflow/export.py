@@ -20,8 +20,8 @@ from clgs.bake.bake import (
 from clgs.bake.cameras import cameras_around
 from clgs.codec import scene_decoder, splat_packing
 from clgs.data.dataset import load_dataset
+from clgs.data.origin import repose
 from clgs.data.posed_photo import to_y_up
-from clgs.data.repose import repose
 from clgs.data.stored_photo import Planes
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.repose import move_camera
+from clgs.data.origin import move_camera
 from clgs.errors import UsageError
 from clgs.exports.clip.camera_path import write_camera_path
 from clgs.exports.clip.video import SUFFIX, load_writer, mp4_writer

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from clgs.data.dataset import Dataset, load_dataset
-from clgs.data.origin import read_origin
+from clgs.data.origin import alike, read_origin, repose
 from clgs.data.reduction import MAX_SIZE
-from clgs.data.repose import alike, repose
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
 from clgs.options import RenderOptions, render_options

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any
 
@@ -209,7 +209,7 @@ def test_none_is_good_if_the_best_matches_contradict_the_poses(pycolmap, share, 
     reasons = [photo.reasons for photo in verdict.of(DOUBTFUL)]
     reason = "7 % of the best matches of all photos contradict the poses"
     assert reasons == ([(reason,)] * PHOTOS if doubted else [])
-    assert verdict_of(verdict.plain()) == verdict
+    assert verdict_of(asdict(verdict)) == verdict
 
 
 @pytest.mark.parametrize(("share", "heard"), [(0.9, True), (0.3, True), (0.2, False), (0.0, False)])

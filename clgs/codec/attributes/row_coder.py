@@ -139,7 +139,6 @@ def fit(
 
 
 def _size(model: RowModel, rows: RowChunks) -> int:
-    """Bytes of the header and of all chunks."""
     chunks = rows.with_near(model.tables)
     return len(model.header) + sum(len(model.encode(values, near)) for values, near in chunks)
 

@@ -136,7 +136,6 @@ def pack_rows(chunk: int, shared: list[int], crcs: list[int], rows: Rows) -> byt
 
 
 def _join(rows: Rows) -> Rows:
-    """The row of a group with the chunks ``rows``."""
     total: Rows = rows.sum(axis=0)
     total[1:4], total[4:7] = rows[:, 1:4].min(axis=0), rows[:, 4:7].max(axis=0)
     return total

@@ -104,10 +104,10 @@ class SceneReader:
         except ValueError as error:
             raise part.error(f"{name}: {error}") from error
         low, high = octree.bounds(position)
-        if tuple(low) != chunk.least:
-            raise part.error(f"{name}: least position is {low}")
-        if tuple(high) != chunk.greatest:
-            raise part.error(f"{name}: greatest position is {high}")
+        if low != chunk.least:
+            raise part.error(f"{name}: least position is {list(low)}")
+        if high != chunk.greatest:
+            raise part.error(f"{name}: greatest position is {list(high)}")
         return position
 
     def streams(self, chunk: Chunk) -> dict[str, Section]:

@@ -261,7 +261,6 @@ def _part_reason(part: Sequence[str]) -> str:
 
 
 def _without_pose(name: str, own: str, choice: ModelChoice) -> PhotoVerdict:
-    """Say why a photo has no pose; own: the photo's own name."""
     part = next((names for names in choice.apart if name in names), [])
     if len(part) > 1:
         return PhotoVerdict(own, LEFT_OUT, reasons=(_part_reason(part),), remedy=CONNECT)
@@ -295,7 +294,6 @@ def doubt_all(judged: Mapping[str, PhotoVerdict], contradicted: float) -> dict[s
 
 
 def _sure(photos: Sequence[PhotoVerdict], checked: bool, ambiguous: bool) -> str:
-    """Say in one sentence how sure the poses are."""
     good, doubtful = (sum(one.status == status for one in photos) for status in (GOOD, DOUBTFUL))
     if ambiguous:
         return (
