@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from clgs.data.repose import repose
+from clgs.data.origin import repose
 from clgs.errors import UsageError
 from clgs.exports.run_report import write_run_report
 from clgs.files import check_folder, write_json

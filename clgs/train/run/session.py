@@ -11,8 +11,7 @@ import numpy as np
 from clgs.codec.fit_size import POSITION_BITS
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
-from clgs.data.origin import write_origin
-from clgs.data.repose import repose
+from clgs.data.origin import repose, write_origin
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
 from clgs.exports.image import PictureFolder
