@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from errno import EDQUOT, ENOSPC
 from pathlib import Path
+from types import GeneratorType
 from typing import Any
 
 from clgs.errors import ExistsError, OutputError, UsageError
@@ -269,6 +270,22 @@ def _take_name(folder: Path, target: Path) -> None:
         old.rename(target)
         raise
     shutil.rmtree(old)
+
+
+@contextmanager
+def ffmpeg_closed(generator: GeneratorType[Any, Any, Any]) -> Iterator[None]:
+    """After the block, close a generator of imageio-ffmpeg and the pipes that it leaves open."""
+    frame = generator.gi_frame
+    try:
+        yield
+    finally:
+        generator.close()
+        found = frame.f_locals if frame else {}
+        process = found.get("process") or found.get("p")
+        for pipe in (process.stdin, process.stdout, process.stderr) if process else ():
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
 
 
 def remove_temporaries(path: Path) -> None:

@@ -25,6 +25,7 @@ from clgs.train.run.savings import Saving, savings
 from clgs.train.run.session import Progress, Session
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
+from clgs.workflow.views import scene_name
 
 
 @dataclass(frozen=True)
@@ -112,5 +113,5 @@ def train(
         }
         write_json(folder / "profile.json", record)
     further = "" if start is None else f", from {start} on"
-    write_run_report(folder, command, lead=f"Trained on {data}{further}.")
+    write_run_report(folder, command, lead=f"Trained on {data}{further}.", title=scene_name(data))
     return TrainedRun(result, config.steps, times=tuple(rows), saved=tuple(saved))

@@ -27,6 +27,14 @@ def known_data(scene: Path) -> Path | None:
     return origin.folder if origin is not None and origin.folder.is_dir() else None
 
 
+def scene_name(photos: Path) -> str:
+    """What to call the scene of these photos: by their folder, or the one above a usual name."""
+    path = photos.resolve()
+    if path.name.lower() in ("images", "photos", "input", "data") and path.parent.name:
+        path = path.parent
+    return path.stem if path.is_file() else path.name
+
+
 def data_of(scene: Path) -> Path:
     """The data set that the run folder of ``scene`` names.
 
