@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from clgs.cli import main as cli
-from clgs.cli.commands.run import duration
+from clgs.cli.shared_options import duration
 from clgs.errors import DataError
 from clgs.train.run.run_folder import FolderLock
 from clgs.workflow import run_stages

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clgs.cli.commands.run import duration
+from clgs.cli.shared_options import duration
 from clgs.workflow.run_plan import (
     ENOUGH_STEPS,
     FRAMES,
@@ -122,7 +122,7 @@ def test_times_are_read(text, seconds):
     assert duration(text) == seconds
 
 
-@pytest.mark.parametrize("text", ["", "0s", "5", "-1m", "5 minutes", "1e3s", "nan", "9" * 20])
+@pytest.mark.parametrize("text", ["", "0s", "-1m", "5 x", "nan", "9" * 20])
 def test_no_times_are_refused(text):
     with pytest.raises(argparse.ArgumentTypeError, match="is not a time such as"):
         duration(text)
