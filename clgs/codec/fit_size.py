@@ -115,11 +115,7 @@ def fit_size(
 def least_size(
     scene: QuantizedScene, target: int, encode: Callable[[QuantizedScene], bytes]
 ) -> int:
-    """Bytes of the file without anchors.
-
-    Raises:
-        UsageError: more than ``target``.
-    """
+    """Bytes of the file without anchors; UsageError if more than ``target``."""
     least = len(encode(take(scene, np.arange(0))))
     if least > target:
         raise UsageError(

@@ -134,11 +134,7 @@ def _points_file(root: Path, document: dict[str, Any], file: Path) -> Path | Non
 
 
 def count_frames(file: Path, document: dict[str, Any]) -> int:
-    """The number of frames.
-
-    Raises:
-        DataError: there are no frames.
-    """
+    """The number of frames; DataError if there are no frames."""
     frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise DataError(f"{file}: frames is missing or empty; list one entry for each photo")

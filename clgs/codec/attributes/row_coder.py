@@ -151,11 +151,7 @@ def _sampled_size(model: RowModel, rows: RowChunks) -> int:
 
 
 def read(header: bytes | memoryview, channels: int) -> RowModel:
-    """The model of a header.
-
-    Raises:
-        ValueError: the header is damaged.
-    """
+    """The model of a header; ValueError if the header is damaged."""
     if header in (RAW, PAPER):
         return RowModel(channels, bytes(header))
     model = np.zeros(channels, CHANNEL)

@@ -179,11 +179,7 @@ def _starts(rows: Rows, first: Rows) -> Rows:
 
 
 def head_size(data: bytes | memoryview) -> int:
-    """Bytes of the whole head, from its first HEAD_SIZE ones.
-
-    Raises:
-        ValueError: they are fewer.
-    """
+    """Bytes of the whole head, from its first HEAD_SIZE ones; ValueError if they are fewer."""
     if len(data) < HEAD_SIZE:
         raise ValueError(f"{len(data)} bytes, at least {HEAD_SIZE} are needed")
     _, count, *_, rows = _HEAD.unpack_from(data)
@@ -191,11 +187,7 @@ def head_size(data: bytes | memoryview) -> int:
 
 
 def unpack_head(data: bytes | memoryview) -> DirectoryHead:
-    """The head, of ``head_size`` bytes.
-
-    Raises:
-        ValueError: it is damaged.
-    """
+    """The head, of ``head_size`` bytes; ValueError if it is damaged."""
     chunk, count, *shared, _ = _HEAD.unpack_from(data)
     groups = -(-count // GROUP)
     crc = int.from_bytes(data[_HEAD.size : HEAD_SIZE], "little")
@@ -240,11 +232,7 @@ def check_head(head: DirectoryHead, meta: Meta) -> None:
 
 
 def unpack_group(data: bytes | memoryview, head: DirectoryHead, index: int) -> list[Chunk]:
-    """The chunks of group ``index``.
-
-    Raises:
-        ValueError: they are damaged, or do not fit the head.
-    """
+    """The chunks of group ``index``; ValueError if they are damaged, or do not fit the head."""
     first_chunk = GROUP * index
     count = min(GROUP, head.count - first_chunk)
     if len(data) < 8 * count:

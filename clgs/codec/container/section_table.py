@@ -155,11 +155,7 @@ def read_container(data: bytes, splats: bool = False) -> tuple[SectionTable, dic
 
 
 def read_section(source: RandomAccess, entry: SectionEntry) -> Section:
-    """The content of one section, its checksum verified.
-
-    Raises:
-        CodecError: the section is damaged.
-    """
+    """The content of one section, its checksum verified; CodecError if the section is damaged."""
     section = Section(entry.tag, entry.offset, source.read(entry.offset, entry.length))
     if _codec.crc32c(section.data) != entry.crc:
         raise section.error("checksum differs")
