@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import stat
 from collections.abc import Iterator
@@ -294,8 +295,34 @@ def remove_temporaries(path: Path) -> None:
         left.unlink(missing_ok=True)
 
 
+def remove_abandoned(folder: Path, *suffixes: str) -> None:
+    """Remove what processes that are gone began to write in ``folder``, by the suffix of the files.
+
+    A process on another machine that writes to the same folder counts as gone.
+    """
+    if os.name == "nt" or not folder.is_dir():  # Windows has no signal that only asks
+        return
+    for left in folder.glob(".*"):
+        found = re.fullmatch(r"\..+\.([0-9a-f]{6})[0-9a-f]{2}", left.stem)
+        if found and left.suffix in suffixes and left.is_file() and not _is_alive(found[1]):
+            left.unlink(missing_ok=True)
+
+
+def _is_alive(number: str) -> bool:
+    """Whether there is a process with this number, hexadecimal."""
+    try:
+        os.kill(int(number, 16), 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
 def _temporary(path: Path, folder: Path) -> Path:
-    return folder / f".{path.stem[:STEM_KEPT]}.{os.urandom(4).hex()}{path.suffix}"
+    """A new name, which holds the number of the process."""
+    own = f"{os.getpid() & 0xFFFFFF:06x}{os.urandom(1).hex()}"
+    return folder / f".{path.stem[:STEM_KEPT]}.{own}{path.suffix}"
 
 
 @contextmanager

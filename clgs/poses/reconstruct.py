@@ -135,18 +135,21 @@ def _write_data_set(
             work / "undistorted", work / "model", work / "images", jpeg_quality=JPEG_QUALITY
         )
     made.rename(target / "images")
-    _write_masks(workspace.pycolmap, model, work / MASKS, target)
+    _write_masks(workspace, model, work / MASKS, target)
     (target / "sparse").mkdir()
     (work / "undistorted" / "sparse").rename(target / "sparse" / "0")
 
 
-def _write_masks(pycolmap: Any, model: Any, masks: Path, target: Path) -> None:
+def _write_masks(workspace: Workspace, model: Any, masks: Path, target: Path) -> None:
     """Undistort masks as the photos of ``target``/images; photos without a black pixel get none.
 
     ``model`` has the cameras of the photos as they were taken. ``masks`` holds NAME.png for the
     photo NAME; it may be missing.
     """
-    for image in model.images.values():
+    pycolmap, total = workspace.pycolmap, model.num_reg_images() if masks.is_dir() else 0
+    for number, image in enumerate(model.images.values(), 1):
+        if total:
+            workspace.on_progress("masks", number, total)
         file = masks / f"{image.name}.png"
         if not (file.is_file() and (target / "images" / image.name).is_file()):
             continue

@@ -356,13 +356,16 @@ def test_warning_and_interruption_are_shown_once(tmp_path, instant):
     data = write_scene(tmp_path / "data", train=6, test=2)
     next((data / "train").iterdir()).unlink()
     command = [sys.executable, "-m", "clgs.cli.main", "run", str(data), "-o", str(tmp_path / "out")]
-    with subprocess.Popen(
-        [*command, "--steps", "1000000"],
-        stdout=subprocess.PIPE,
-        stderr=(tmp_path / "errors").open("w"),
-        text=True,
-        preexec_fn=as_from_a_terminal,
-    ) as process:
+    with (
+        (tmp_path / "errors").open("w") as errors,
+        subprocess.Popen(
+            [*command, "--steps", "1000000"],
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            preexec_fn=as_from_a_terminal,
+        ) as process,
+    ):
         assert process.stdout is not None
         for line in process.stdout:
             if line.startswith(instant):
