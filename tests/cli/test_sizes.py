@@ -34,7 +34,7 @@ def command(
 
 
 def sizes(folder: Path) -> set[tuple[int, int]]:
-    """Those of the pictures in a folder."""
+    """The sizes of the pictures in a folder."""
     found = set()
     for path in folder.iterdir():
         with Image.open(path) as picture:
