@@ -91,7 +91,7 @@ def write_run_report(
             held_out=held_out,
             links=links,
         )
-        atomic_write(path, report_html(report, views).encode())
+        atomic_write(path, report_html(report, views).encode(errors="backslashreplace"))
     except (ValueError, KeyError, TypeError, FileNotFoundError) as error:
         raise DataError(f"{folder}: is no whole run ({error}); train it again") from error
     return path
