@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.viewer and args.source is None and args.output.suffix.lower() == ".html":
         raise UsageError("name a SCENE, or give --viewer for a page without one")
     names = "data", "sh_degree", "steps", "units", "downscale", "max_size", "device", "name"
-    options = chosen(args, *names, "overwrite")
+    options = chosen(vars(args), *names, "overwrite")
     with Display() as display:
         made = export(args.source, args.output, on_event=display, **options)
     show(made)

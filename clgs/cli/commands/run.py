@@ -121,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
         del settings[name]
     settings |= dict(map(parse_word, args.set))
     options = {"seconds": args.time, "settings": settings}
-    options |= chosen(args, "steps", "max_size", "seed", "device")
+    options |= chosen(vars(args), "steps", "max_size", "seed", "device")
     options["shown"] = Presentation(args.name, args.clip, args.clip_time, args.clip_size)
     done: RunPlan | FinishedRun
     try:
@@ -131,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
                     raise UsageError("--resume and --overwrite contradict each other; give one")
                 done = plan_run(args.input, args.output, on_event=follow, **options)
             else:
-                options |= chosen(args, "resume", "overwrite")
+                options |= chosen(vars(args), "resume", "overwrite")
                 done = run_all(args.input, args.output, on_event=follow, **options)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None

@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--tensorboard: is not installed; pip install 'clgs[tensorboard]'")
     events = EventLog(args.output / "tensorboard") if args.tensorboard else None
     display = Display()
-    options = chosen(args, "start", "device", "resume", "overwrite", "profile")
+    options = chosen(vars(args), "start", "device", "resume", "overwrite", "profile")
     options["command"] = args.command_line.replace(" --resume", "")  # it would change nothing
 
     def follow(event: Event) -> None:
