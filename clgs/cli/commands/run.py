@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +11,24 @@ from clgs.cli.shared_options import (
     add_masks,
     add_overwrite,
     chosen,
+    duration,
+    frame_size,
     named_path,
     photo_width,
     positive_int,
     seed,
 )
+from clgs.cli.training_options import add_option
 from clgs.errors import UsageError
+from clgs.train.config import TrainConfig, parse_word
+from clgs.train.config.option import options_of
 
 if TYPE_CHECKING:
     from clgs.workflow.run_plan import TrainingPlan
     from clgs.workflow.run_record import FinishedRun, RunPlan
+
+TRAINING = ("size_lambda", "target_size", "exposure", "max_anchors", "background")
+"""Settings of training that have options of their own."""
 
 DESCRIPTION = """\
 Find the poses of the photos (`prepare`), train, encode, score the held-out views from the file
@@ -40,7 +47,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("input", type=named_path, metavar="INPUT", help="folder of photos, video, or data set")
     add("-o", "--output", type=named_path, required=True, metavar="OUT", help="folder for all")
-    help_time = "for everything, such as 90s, 5m or 1h (default: 10m)"
+    help_time = "for everything, such as 90s, 5m or 1h30m (default: 10m); a number alone is seconds"
     add("--time", type=duration, metavar="T", help=help_time)
     add("--steps", type=positive_int, metavar="N", help="of training (default: what T allows)")
     add(
@@ -50,7 +57,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         help="reduce wider photos to this width (default: what T allows)",
     )
     add("--seed", type=seed, help="random seed (default: 0)")
-    add_masks(parser, "object if all photos have masks that leave something in the middle")
+    add("--name", metavar="TITLE", help="of report and page (default: the photos' folder)")
     add_device_name(parser)
     add(
         "--resume",
@@ -59,6 +66,27 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     add("--plan", action="store_true", help="only show the plan")
     add_overwrite(parser, "what an earlier run of this command left in OUT")
+    clip = parser.add_argument_group("the clip (defaults: what the photos and a part of T allow)")
+    clip.add_argument(
+        "--clip",
+        metavar="orbit|spiral|interpolate|F.json|none",
+        help="where its camera goes, as of `clgs render --path` (default: orbit, or through the "
+        "photos if they look outward)",
+    )
+    add_clip = clip.add_argument
+    add_clip("--clip-time", type=duration, metavar="T", help="such as 10s")
+    add_clip("--clip-size", type=frame_size, metavar="WxH", help="even numbers of pixels")
+    training = parser.add_argument_group("training, as of `clgs train`")
+    for name in TRAINING:
+        add_option(training, options_of(TrainConfig)[name])
+    add_masks(training, "object if all photos have masks that leave something in the middle")
+    training.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="any other setting that the plan leaves open; may be given several times",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -87,7 +115,16 @@ def run(args: argparse.Namespace) -> int:
             case _:
                 display(event)
 
-    options = {"seconds": args.time, **chosen(args, "steps", "max_size", "seed", "masks", "device")}
+    from clgs.workflow.run_plan import Presentation
+
+    known = options_of(TrainConfig)
+    settings = {name: value for name, value in vars(args).items() if name in known}
+    for name in ("steps", "max_size", "seed"):
+        del settings[name]
+    settings |= dict(map(parse_word, args.set))
+    options = {"seconds": args.time, "settings": settings}
+    options |= chosen(vars(args), "steps", "max_size", "seed", "device")
+    options["shown"] = Presentation(args.name, args.clip, args.clip_time, args.clip_size)
     done: RunPlan | FinishedRun
     try:
         with warnings_once(), display:
@@ -96,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
                     raise UsageError("--resume and --overwrite contradict each other; give one")
                 done = plan_run(args.input, args.output, on_event=follow, **options)
             else:
-                options |= chosen(args, "resume", "overwrite")
+                options |= chosen(vars(args), "resume", "overwrite")
                 done = run_all(args.input, args.output, on_event=follow, **options)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
@@ -146,6 +183,11 @@ def _show_plan(plan: RunPlan) -> None:
         print(f"points:   {preparing}")
     print(f"training: {_training(training)}")
     print(f"the rest: about {in_words(training.other_seconds)}: scores, page, Gaussians, clip")
+    if (clip := training.clip).frames:
+        print(
+            f"clip:     {clip.frames / clip.fps:g} s at {clip.fps:g} per second of "
+            f"{clip.width} x {clip.height} pixels, about {in_words(clip.seconds)} of these"
+        )
     too_long = training.seconds > 1.05 * plan.allowed
     late = f", more than the {in_words(plan.allowed)} of --time" if too_long else ""
     whole = f"about {in_words(training.seconds)} on {plan.device}{late}"
@@ -186,12 +228,3 @@ def _show_box(done: FinishedRun) -> None:
     for name, value in rows.items():
         table.add_row(Text(name, style="dim"), Text(value))
     Console().print(Panel(table, title="clgs run: done", border_style="green", expand=False))
-
-
-def duration(text: str) -> float:
-    """Seconds of an argument that is a time; without a unit it could mean two things."""
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)(s|m|h)", text.strip().lower())
-    seconds = float(found[1]) * {"s": 1.0, "m": 60.0, "h": 3600.0}[found[2]] if found else 0.0
-    if not 0 < seconds < 1e7:
-        raise argparse.ArgumentTypeError(f"{text} is not a time such as 90s, 5m or 1h")
-    return seconds
