@@ -90,7 +90,7 @@ def test_photos_are_what_it_is_refined_to(device, views):
 
 
 def test_masked_pixels_enter_neither_fit_nor_refinement_nor_scores(device, views):
-    """The same bits whatever the photos show there; nothing is left that only they show."""
+    """Nothing in the photos changes a bit there, and no Gaussian is left that only they show."""
     scene, turned = views
     renderer, used = Renderer(device, scene), np.zeros((SIZE, SIZE), np.uint8)
     used[:, : SIZE // 2] = 1
