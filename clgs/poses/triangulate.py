@@ -31,6 +31,7 @@ from clgs.files import atomic_path, make_folder
 from clgs.poses.child import OnStage, run_child
 from clgs.poses.judging.evidence import sampson_error
 from clgs.poses.pycolmap_lazy import SEEDS, quiet_pycolmap
+from clgs.scene.storage import load_archive
 
 Floats = npt.NDArray[np.float64]
 
@@ -126,7 +127,7 @@ def _key(photos: list[Photo], seed: int) -> str:
 def _read_cache(file: Path) -> Points | None:
     """Read cached points; None if there are none or the file is damaged."""
     try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
+        with file.open("rb") as opened, load_archive(opened) as arrays:
             position, color = arrays["position"], arrays["color"]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None

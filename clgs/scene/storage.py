@@ -5,13 +5,14 @@ from __future__ import annotations
 import io
 import lzma
 import math
+import os
 import struct
 import tokenize
 import zipfile
 import zlib
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -46,6 +47,9 @@ SUFFIX = ".npz"
 
 MOST_FOR_A_BYTE = 1032
 """Bytes that one byte of an archive expands to, at most, in the usual compression (deflate)."""
+
+LIKELY_FOR_A_BYTE, SMALL_ARRAYS = 64, 1 << 24
+"""Numbers that mean something expand less. Arrays of this many bytes are read in any case."""
 
 
 def save_scene(path: Path | str, scene: QuantizedScene) -> None:
@@ -85,7 +89,7 @@ def load_scene(path: Path | str) -> QuantizedScene:
     """
     path = Path(path)
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with path.open("rb") as file, load_archive(file) as archive:
             arrays = {name: archive[name] for name in ARRAY_NAMES if name in archive.files}
         return _scene(arrays)
     except FileNotFoundError:
@@ -100,6 +104,23 @@ def load_scene(path: Path | str) -> QuantizedScene:
         problem = describe_damage(error)
         remedy = "clgs.decode reads it" if path.suffix == ".clgs" else "write the file again"
         raise DataError(f"{path}: not a scene archive ({problem}); {remedy}") from None
+
+
+def load_archive(file: BinaryIO) -> Any:
+    """What np.load gives for an open file, without pickles; nothing is decompressed yet.
+
+    Raises:
+        ValueError: the arrays that an archive declares are too large for a file of its size.
+        DAMAGE: as of np.load.
+    """
+    if zipfile.is_zipfile(file):
+        size = file.seek(0, os.SEEK_END)
+        with zipfile.ZipFile(file) as archive:
+            declared = sum(member.file_size for member in archive.infolist())
+        if declared > max(LIKELY_FOR_A_BYTE * size, SMALL_ARRAYS):
+            raise ValueError(f"{size:,} bytes that declare arrays of {declared:,} bytes")
+    file.seek(0)
+    return np.load(file, allow_pickle=False)
 
 
 def _can_hold(path: Path, error: MemoryError) -> bool:

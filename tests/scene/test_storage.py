@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import gc
+import tracemalloc
 import warnings
+import zipfile
 
 import numpy as np
 import pytest
 
+from clgs.data.ply.mlps_archive import load_mlps
 from clgs.errors import DataError, UsageError
+from clgs.lab.bench.codec_subjects import file_subjects
 from clgs.scene.storage import ARRAY_NAMES, load_scene, save_scene
+from clgs.train.state import checkpoint
 from tests.codec.scenes import assert_same, random_scene
 
 
@@ -23,6 +28,14 @@ def arrays(scene, tmp_path):
     save_scene(tmp_path / "scene.npz", scene)
     with np.load(tmp_path / "scene.npz") as archive:
         return dict(archive)
+
+
+def load_subjects(path):
+    return file_subjects([path])
+
+
+def load_checkpoint(path):
+    return checkpoint.load(path.parent, "")
 
 
 def refusal(path):
@@ -115,6 +128,31 @@ def test_a_damaged_archive_is_closed(arrays, tmp_path):
         refusal(path)
         gc.collect()
     assert not [one for one in said if one.category is ResourceWarning]
+
+
+def bomb(path, names):
+    """An archive of zeros that takes a thousandth of what it declares, 64 MiB an array."""
+    np.savez_compressed(path, **dict.fromkeys(names, np.zeros(1 << 26, np.uint8)))
+    return path
+
+
+@pytest.mark.parametrize("read", [load_scene, load_mlps, load_subjects, load_checkpoint])
+def test_declared_sizes_are_bounded_before_anything_is_read(tmp_path, read):
+    """Of archives that users name, of those next to them, and of checkpoints."""
+    path = bomb(tmp_path / "step_00000010.npz", ["feature", "mlps", "values"])
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("metadata.json", '{"version": 1, "arrays": {"mlps": 0}, "digest": ""}')
+    tracemalloc.start()
+    with warnings.catch_warnings(action="ignore"), pytest.raises(DataError):
+        read(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 23
+
+
+def test_what_a_declared_size_is_refused_for_is_said(tmp_path):
+    text = refusal(bomb(tmp_path / "x.npz", ["feature"]))
+    assert "bytes that declare arrays of 67,108,992 bytes" in text
 
 
 def test_no_room_is_no_damage(scene, tmp_path, monkeypatch):

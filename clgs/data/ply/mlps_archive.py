@@ -15,7 +15,7 @@ import numpy.typing as npt
 from clgs.constants import HEAD_DIMS
 from clgs.errors import DataError
 from clgs.scene.mlps import LAYERS, MLP_SIZE, Mlps, unpack_head
-from clgs.scene.storage import DAMAGE, describe_damage
+from clgs.scene.storage import DAMAGE, describe_damage, load_archive
 
 TORCH_HEADS = {"opacity": "opacity_mlp", "color": "color_mlp", "covariance": "cov_mlp"}
 TORCH_LAYERS = dict(zip(LAYERS, ("0.weight", "0.bias", "2.weight", "2.bias"), strict=True))
@@ -52,7 +52,7 @@ def load_mlps(path: Path) -> Mlps:
         DataError: missing, damaged, or another network.
     """
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with path.open("rb") as file, load_archive(file) as archive:
             flat = _flat_weights(archive)
     except FileNotFoundError:
         raise DataError(

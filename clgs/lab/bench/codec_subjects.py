@@ -19,6 +19,7 @@ from clgs.errors import CodecError, DataError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene
+from clgs.scene.storage import load_archive
 
 Ints = npt.NDArray[np.int32]
 
@@ -148,7 +149,7 @@ def _read(file: Path) -> list[CodedData]:
     try:
         if file.suffix.lower() == ".clgs":
             return scene_subjects(file.stem, decode(file.read_bytes()))
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as arrays:
+        with file.open("rb") as opened, load_archive(opened) as arrays:
             name = "positions" if "positions" in arrays else "values"
             rows = arrays[name]
     except OSError as error:
