@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -29,6 +30,14 @@ def check_type(name: str, value: object, kind: type, remedy: str) -> None:
     """Raise TypeError, one line with ``remedy``, unless ``value`` is of the class ``kind``."""
     if not isinstance(value, kind):
         raise TypeError(f"{name}: is {type(value).__name__}, {kind.__name__} is needed; {remedy}")
+
+
+def as_path(name: str, value: object) -> Path:
+    """``value`` as a path; TypeError if it names none, such as a list of them."""
+    try:
+        return Path(value)  # type: ignore[arg-type]  # what it is for
+    except TypeError:
+        raise TypeError(f"{name}: {_shown(value)}; a path is needed, as text or Path") from None
 
 
 def check_integer(name: str, value: object) -> int:

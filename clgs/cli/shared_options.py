@@ -74,6 +74,13 @@ def add_size_options(parser: argparse.ArgumentParser, scene: str) -> None:
     )
 
 
+def add_test_every(parser: argparse.ArgumentParser) -> None:
+    """Add --test-every of the commands that score held-out photos."""
+    declared = options_of(TrainConfig)["test_every"]
+    help_every = f"{declared.help} (default: as the config.toml next to SCENE says, else 8)"
+    parser.add_argument("--test-every", type=value_of(declared), metavar="N", help=help_every)
+
+
 def add_masks(parser: argparse._ActionsContainer, default: str) -> None:
     """Add --masks of the commands that compare with photos; ``default`` in words."""
     help_masks = f"{options_of(TrainConfig)['masks'].help} (default: {default})"

@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from clgs.data.apart import ASTRAY, apart, in_one_place
 from clgs.data.colmap.model import find_model, read_colmap
-from clgs.data.images import Pixels, box_resized, check_image, list_images, read_image
+from clgs.data.images import Pixels, box_resized, check_chunks, check_image, list_images, read_image
 from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
 from clgs.data.masks import IGNORE, MEANINGS, OBJECT, StoredMask, list_masks, read_mask
 from clgs.data.point_file import read_points
-from clgs.data.posed_photo import Photo, PhotoSet
+from clgs.data.posed_photo import EVERY, Photo, PhotoSet, hold_out
 from clgs.data.reduction import DEFAULT, MAX_SIZE, Reduction
 from clgs.data.stored_photo import DEFAULT_MEMORY, PhotoMemory, StoredPhoto
 from clgs.data.transforms import read_blender, read_transforms
@@ -27,6 +27,7 @@ from clgs.data.view import View
 from clgs.errors import DataError
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
+from clgs.shapes import as_path, check_integer
 
 Floats = npt.NDArray[np.float64]
 
@@ -50,6 +51,8 @@ FAR_LIMIT = 50.0
 
 MAX_COORDINATE = 2.0**20 / 200.0
 """Largest |coordinate| in scene units: the codec stores 21 bits of 1/200 unit."""
+
+NONE_LEFT = "all photos are held out, none is left to train on; --test-every 0 holds none out"
 
 NAMED = 8
 """A warning names at most this many photos."""
@@ -94,24 +97,33 @@ def is_posed(folder: Path) -> bool:
     return marked or find_model(folder) is not None
 
 
-def read_photo_set(root: Path) -> PhotoSet:
-    """The photos with poses in ``root``; no picture is decoded.
+def read_photo_set(root: Path, test_every: int = EVERY) -> PhotoSet:
+    """The photos with poses in ``root``; no picture is decoded. ``test_every``: see load_dataset.
 
     Raises:
         DataError: no data set, or a damaged one.
     """
     if not root.is_dir() or not is_posed(root):
         raise DataError(f"{root}: {_why_none(root)}")
-    if (root / BLENDER).is_file():
-        return read_blender(root)
-    model = None if (root / TRANSFORMS).is_file() else find_model(root)
-    found = read_transforms(root) if model is None else read_colmap(root, model)
+    found = _read_format(root)
+    if test_every == 0 or (test_every != EVERY and not found.split):
+        found.train, found.test = hold_out(found.train + found.test, test_every)
+    if found.kind == "blender":
+        return found
     everyone = found.train + found.test
     used = {photo.mask for photo in everyone} | {photo.path for photo in everyone}
     folders = sorted({photo.path.parent for photo in everyone})
     masks = dict.fromkeys(mask for folder in folders for mask in list_masks(root, folder))
     found.stray_masks = [mask.relative_to(root).as_posix() for mask in masks if mask not in used]
     return found
+
+
+def _read_format(root: Path) -> PhotoSet:
+    """The photos by whichever of three formats ``root`` holds."""
+    if (root / BLENDER).is_file():
+        return read_blender(root)
+    model = None if (root / TRANSFORMS).is_file() else find_model(root)
+    return read_transforms(root) if model is None else read_colmap(root, model)
 
 
 def _why_none(root: Path) -> str:
@@ -142,6 +154,7 @@ def load_dataset(
     point_samples: int = POINT_SAMPLES,
     seed: int = 0,
     masks: str = IGNORE,
+    test_every: int = EVERY,
 ) -> Dataset:
     """The data set in the folder ``path``: Blender, transforms.json or COLMAP.
 
@@ -162,12 +175,21 @@ def load_dataset(
         point_samples: points that are drawn on surfaces, if a file of points has any.
         seed: of the points on surfaces.
         masks: "ignore": masked pixels are compared with nothing; "object": they are transparent.
+        test_every: every photo of this number is held out, by name, unless the data set itself
+            says which are; 0: none are, not even those.
 
     Raises:
         DataError: nothing usable there; one line with file, field and remedy.
+        TypeError: an argument is of another type.
     """
-    root, reduction = Path(path), Reduction(downscale, max_size)
-    photos = read_photo_set(root)
+    root, whole = as_path("path", path), {"max_size": max_size, "photo_memory": photo_memory}
+    whole |= {"point_samples": point_samples, "seed": seed, "test_every": test_every}
+    for name, value in whole.items():
+        if check_integer(name, value) < 0:
+            raise DataError(f"{name} is {value}; give at least 0")
+    points_file = None if points_file is None else as_path("points_file", points_file)
+    reduction = Reduction(downscale, max_size)
+    photos = read_photo_set(root, test_every)
     _check_photos(root, photos, reduction)
     _check_masks(root, photos, masks)
     transform, radius = _normalise(photos, preset_units, _astray(root, photos))
@@ -237,7 +259,7 @@ def _check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
     if models := photos.models_in_words():
         _log.warning("%s: %s", root, models)
     if not photos.train:
-        raise DataError(f"{root}: no photo is left to train on; hold out fewer")
+        raise DataError(f"{root}: {NONE_LEFT}")
     centres = np.array([photo.centre for photo in photos.train])
     if len(centres) > 1 and in_one_place(centres):
         problem = "all cameras are in one place, so depth cannot be seen; walk, not turn"
@@ -350,7 +372,9 @@ def _read_images(dataset: Dataset, unread: list[Photo]) -> None:
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         read = pool.map(lambda view: view.photo.keep(), dataset.train)
         checked = pool.map(lambda photo: check_image(photo.path), unread)
+        masks = [photo.mask for photo in dataset.photos + unread if photo.mask]
+        whole = pool.map(check_chunks, [photo.path for photo in dataset.photos] + masks)
         masked = pool.map(lambda view: view.used(), dataset.train + dataset.test)
-        for _ in (*read, *checked, *masked):
+        for _ in (*read, *checked, *whole, *masked):
             pass
     forget_sources()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -43,7 +44,17 @@ _ROTATIONS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-_FAILURES = (OSError, SyntaxError, ValueError, EOFError, RuntimeError)
+_FAILURES = (OSError, SyntaxError, ValueError, EOFError, RuntimeError, LookupError, zlib.error)
+
+_PNG_START = b"\x89PNG\r\n\x1a\n"
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+"""Numbers per pixel by the kind of color."""
+
+_PNG_PASSES = (
+    *((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4)),
+    *((0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)),
+)
+"""First column and row of the seven passes of an interlaced picture, and the steps of both."""
 
 
 @dataclass(frozen=True)
@@ -110,12 +121,52 @@ def check_image(path: Path) -> None:
     Raises:
         DataError: as there; wrong pixels within a whole file are not found.
     """
+    check_chunks(path)
     with open_image(path) as picture:
-        if picture.format == "PNG":
-            picture.verify()  # the checksums of all chunks
-        else:
-            picture.draft("L", (1, 1))  # decodes an eighth of the resolution
-            picture.load()
+        picture.draft("L", (1, 1))  # of a JPEG an eighth of the resolution is decoded
+        picture.load()
+
+
+def check_chunks(path: Path) -> None:
+    """Check what Pillow does not when it reads a PNG: checksums, and that no pixel is missing.
+
+    Missing ones would be black. Other formats are left alone.
+
+    Raises:
+        DataError: a checksum is wrong, or pixels are missing.
+    """
+    with open_image(path) as picture:
+        if picture.format != "PNG":
+            return
+        picture.verify()
+        width, height, depth, kind, interlaced = struct.unpack(
+            ">II2B2xB", _png_chunk(path, b"IHDR")
+        )
+        left = _png_bytes(width, height, depth * _PNG_CHANNELS[kind], bool(interlaced))
+        inflater = zlib.decompressobj()
+        data = _png_chunk(path, b"IDAT")
+        while left > 0 and (found := inflater.decompress(data, 1 << 20)):
+            left, data = left - len(found), inflater.unconsumed_tail
+        if left > 0:
+            raise OSError("pixels are missing at its end")
+
+
+def _png_chunk(path: Path, wanted: bytes) -> bytes:
+    """What all chunks of one kind hold, in a PNG file whose chunks are whole."""
+    data, place, found = path.read_bytes(), len(_PNG_START), []
+    while place < len(data):
+        size, kind = struct.unpack_from(">I4s", data, place)
+        if kind == wanted:
+            found.append(data[place + 8 : place + 8 + size])
+        place += 12 + size
+    return b"".join(found)
+
+
+def _png_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
+    """The bytes of all rows of a PNG before compression; ``bits``: of a pixel."""
+    passes = _PNG_PASSES if interlaced else ((0, 0, 1, 1),)
+    sizes = ((-(-(width - x) // dx), -(-(height - y) // dy)) for x, y, dx, dy in passes)
+    return sum(rows * (1 + -(-columns * bits // 8)) for columns, rows in sizes if columns > 0)
 
 
 def posed_size(path: Path, expected: tuple[int, int] | None) -> tuple[int, int]:

@@ -15,6 +15,10 @@ _FROM_Z_UP = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
 _FROM_Y_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
 
+EVERY = 8
+"""Every photo of this number is held out, unless something else is asked for."""
+
+
 @dataclass(frozen=True)
 class Photo:
     """One photo with its pose: x_cam = rotation @ x_world + translation, OpenCV axes.
@@ -52,7 +56,7 @@ class PhotoSet:
     points (P, 3) float64 world units and point_colors (P, 3) uint8, or None if the set has none;
     points_file: the file that the data set names for its points, not read yet; models: if there are
     several COLMAP models, their names and numbers of photos; the first was read; stray_masks:
-    names of what seem to be masks of no photo.
+    names of what seem to be masks of no photo; split: the data set itself says what is held out.
     """
 
     kind: str
@@ -64,6 +68,7 @@ class PhotoSet:
     points_file: Path | None = None
     models: dict[str, int] = field(default_factory=dict)
     stray_masks: list[str] = field(default_factory=list)
+    split: bool = False
 
     def models_in_words(self) -> str:
         """A sentence on the COLMAP models if there are several, else nothing."""
@@ -73,10 +78,12 @@ class PhotoSet:
         return f"there are {len(self.models)} COLMAP models; {read}, not {left}" if left else ""
 
 
-def hold_out(photos: list[Photo]) -> tuple[list[Photo], list[Photo]]:
-    """(train, test): sorted by name, photos 0, 8, 16 ... are the test photos."""
+def hold_out(photos: list[Photo], every: int = EVERY) -> tuple[list[Photo], list[Photo]]:
+    """(train, test): sorted by name, photos 0, ``every``, ... are the test photos; 0: none are."""
     ordered = sorted(photos, key=lambda photo: photo.name)
-    return [photo for i, photo in enumerate(ordered) if i % 8], ordered[::8]
+    if not every:
+        return ordered, []
+    return [photo for i, photo in enumerate(ordered) if i % every], ordered[::every]
 
 
 def rigid(matrix: npt.NDArray[np.float64], source: str) -> npt.NDArray[np.float64]:

@@ -67,7 +67,7 @@ def read_blender(root: Path) -> PhotoSet:
     if not (root / "transforms_test.json").is_file():
         return PhotoSet("blender", *hold_out(train), missing)
     test, more_missing = _read_photos(root, root / "transforms_test.json")
-    return PhotoSet("blender", train, test, missing + more_missing)
+    return PhotoSet("blender", train, test, missing + more_missing, split=True)
 
 
 def read_transforms(root: Path) -> PhotoSet:
@@ -84,6 +84,7 @@ def read_transforms(root: Path) -> PhotoSet:
     keys = [key for key in SPLITS if key in document]
     if not keys:
         return found
+    found.split = True
     known = {name for photo in photos for name in photo.names} | set(missing)
     known |= {str(PurePosixPath(name).with_suffix("")) for name in known}
     lists: dict[str, set[str]] = {}

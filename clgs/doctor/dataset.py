@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from clgs.data.dataset import is_posed, read_photo_set
+from clgs.data.dataset import NONE_LEFT, is_posed, read_photo_set
 from clgs.data.locate import PhotoFolder, locate
 from clgs.data.origin import read_origin
 from clgs.data.point_file import read_points
@@ -49,8 +49,7 @@ def examine(root: Path) -> Examined:
     everyone = photos.train + photos.test
     findings += _missing(root, photos)
     if len(photos.test) > 1 and not photos.train:
-        problem = "all photos are held out, none is left to train on"
-        findings.append(Finding(ERROR, "", problem, "hold out fewer"))
+        findings.append(Finding(ERROR, "", *NONE_LEFT.split("; ")))
     if everyone:
         findings += check_lenses(everyone)
         findings += check_poses(everyone)

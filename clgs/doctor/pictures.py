@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clgs.data.images import exif_turn, open_image
+from clgs.data.images import check_chunks, exif_turn, open_image
 from clgs.data.masks import read_mask
 from clgs.data.posed_photo import Photo
 from clgs.data.reduction import MAX_SIZE
@@ -92,6 +92,7 @@ def _look_at(path: Path) -> _Looked | DataError:
     try:
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "blake2b").digest()
+        check_chunks(path)
         with open_image(path) as picture:
             if picture.mode == "RGB":
                 picture.draft("RGB", (_THUMBNAIL, _THUMBNAIL))

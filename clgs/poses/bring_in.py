@@ -16,6 +16,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from clgs.data.images import (
+    check_chunks,
     check_image,
     image_size,
     is_plain,
@@ -170,8 +171,10 @@ def _fault(work: Callable[[], None]) -> str:
 
 def _write(one: Found, images: Path, masks: Path) -> None:
     mask: Mask | None = None
+    check_image(one.path)
+    if one.mask:
+        check_chunks(one.mask)
     if is_plain(one.path):
-        check_image(one.path)
         if one.mask:
             mask = read_mask(one.mask, image_size(one.path), posed=False)
         copy = images / one.name

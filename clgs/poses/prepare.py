@@ -25,6 +25,7 @@ from clgs.poses.judging.verdict import Verdict
 from clgs.poses.pycolmap_lazy import SEEDS
 from clgs.poses.reconstruct import reconstruct
 from clgs.poses.workspace import OnProgress
+from clgs.shapes import as_path
 
 REPORT = "report.json"
 CONTACT_SHEET = "contact_sheet.jpg"
@@ -84,7 +85,7 @@ def prepare(
         OutputError: ``output`` is not empty, or cannot be made.
         OSError: the disk is full, or another fault of ``output``.
     """
-    source, output = find_source(Path(photos), frames), Path(output)
+    source, output = find_source(as_path("photos", photos), frames), as_path("output", output)
     expected = source.frames or len(source.files)
     try:
         check_folder(output.parent)

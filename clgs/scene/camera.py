@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from numbers import Integral
+from numbers import Integral, Real
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FRUSTUM_MARGIN
 from clgs.errors import UsageError
+from clgs.shapes import check_type
 
 ORTHONORMAL = 1e-3
 """How far the products of a rotation's rows may be from those of unit axes."""
@@ -27,6 +28,7 @@ class Camera:
 
     Raises:
         UsageError: a field is no such number; names it.
+        TypeError: a field is of another type, such as a list; names it.
     """
 
     rotation: npt.NDArray[np.float64]
@@ -40,6 +42,13 @@ class Camera:
 
     def __post_init__(self) -> None:
         """See that a picture can be taken."""
+        for name in ("rotation", "translation"):
+            array = getattr(self, name)
+            check_type(name, array, np.ndarray, "numpy.array(rows) makes one")
+            if array.dtype.kind not in "iuf":
+                raise TypeError(f"{name}: {array.dtype} are no numbers; give float64")
+        for name in ("fx", "fy", "cx", "cy", "width", "height"):
+            check_type(name, getattr(self, name), Real, "give pixels")
         if problem := _problem(self):
             raise UsageError(f"camera: {problem}")
 
@@ -104,7 +113,7 @@ def _problem(camera: Camera) -> str:
         return f"width, height are {sizes[0]}, {sizes[1]}; give whole numbers of at least 1"
     if not (0 < camera.fx < np.inf and 0 < camera.fy < np.inf):
         return f"fx, fy are {camera.fx}, {camera.fy}; give pixels, above 0"
-    rotation, translation = np.asarray(camera.rotation), np.asarray(camera.translation)
+    rotation, translation = camera.rotation, camera.translation
     if rotation.shape != (3, 3) or translation.shape != (3,):
         found = f"{rotation.shape}, {translation.shape}"
         return f"rotation, translation have the shapes {found}; give (3, 3), (3,)"

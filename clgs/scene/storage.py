@@ -21,7 +21,7 @@ from clgs.files import atomic_write
 from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform, check_ranges
-from clgs.shapes import Shapes, check_type
+from clgs.shapes import Shapes, as_path, check_type
 
 GROUPS: dict[str, Any] = {
     "scales": QuantizationScales(),
@@ -63,7 +63,7 @@ def save_scene(path: Path | str, scene: QuantizedScene) -> None:
         TypeError: ``scene`` is no quantised scene.
         OutputError, OSError: as of :func:`clgs.files.atomic_write`.
     """
-    path = Path(path)
+    path = as_path("path", path)
     if path.suffix.lower() != SUFFIX:
         raise UsageError(f"{path}: a scene is kept as a NumPy archive; name it {SUFFIX}")
     check_type("scene", scene, QuantizedScene, "one comes from clgs.train_scene or clgs.decode")
@@ -87,7 +87,7 @@ def load_scene(path: Path | str) -> QuantizedScene:
             sense.
         MemoryError: there is no room for the scene.
     """
-    path = Path(path)
+    path = as_path("path", path)
     try:
         with path.open("rb") as file, load_archive(file) as archive:
             arrays = {name: archive[name] for name in ARRAY_NAMES if name in archive.files}

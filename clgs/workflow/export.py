@@ -36,6 +36,7 @@ from clgs.files import atomic_write, check_output
 from clgs.opencl.device import Device
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import QuantizedScene, SceneTransform, SplatScene
+from clgs.shapes import as_path
 from clgs.workflow.events import Note, OnEvent, counter, ignore
 from clgs.workflow.options import BAKE_STEPS, SH_DEGREES, ViewOptions
 from clgs.workflow.outputs import check_new
@@ -123,14 +124,14 @@ def export(
         ExistsError: ``output`` exists, and ``overwrite`` is false.
         DataError: ``source`` or the data set is missing or damaged.
     """
-    source = None if source is None else Path(source)
-    output = Path(output)
+    source = None if source is None else as_path("source", source)
+    output = as_path("output", output)
     suffix = output.suffix.lower()
     if suffix not in SUFFIXES:
         known = ", ".join(SUFFIXES)
         raise UsageError(f"{output}: nothing is written by this suffix; take one of {known}")
     check_new(output, overwrite)
-    photos = None if data is None else Path(data)
+    photos = None if data is None else as_path("data", data)
     if photos is None and source is not None:
         photos = known_data(source)
     if suffix == ".html":

@@ -36,6 +36,7 @@ class ViewOptions:
         downscale: the photos are reduced this many times.
         max_size: wider photos are reduced to this width in pixels; 0: never.
         masks: what they mean, "ignore" or "object"; see the training option.
+        test_every: every photo of this number is held out, see the training option.
         background: "black" or "white"; default: the scene's own.
         accuracy: a name of ``clgs.options.PRESETS``.
         smallest_anchor: pixels; see the training option.
@@ -48,6 +49,7 @@ class ViewOptions:
     downscale: int | None = None
     max_size: int | None = None
     masks: str | None = None
+    test_every: int | None = None
     background: str | None = None
     accuracy: str | None = None
     smallest_anchor: float | None = None

@@ -6,11 +6,13 @@ import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from clgs.errors import UsageError
 from clgs.files import check_folder, make_folder
+from clgs.shapes import as_path, check_integer, check_type
 from clgs.train.config import layered
 from clgs.train.run.run_folder import FolderLock
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
@@ -69,10 +71,11 @@ def plan_run(
         DataError: there is nothing that can be trained on.
         DeviceError: there is no such device.
     """
-    output = Path(output)
+    photos, output = as_path("photos", photos), as_path("output", output)
+    _check_numbers(seconds, steps, max_size, seed)
     check_folder(output)
     read_record(output, resume=False, overwrite=True)
-    given, allowed = _find_input(Path(photos), settings or {}), seconds or DEFAULT_SECONDS
+    given, allowed = _find_input(photos, settings or {}), seconds or DEFAULT_SECONDS
     check_settings(settings or {})
     stages = RunStages(output, _record(given, allowed), seed or 0, device, on_event)
     return _Planner(stages, allowed, steps, max_size, shown).plan(_shortened(given, allowed))
@@ -121,7 +124,8 @@ def run(
         UsageError: a resumed run has another input or other settings.
         ClgsError: a stage failed.
     """
-    output = Path(output)
+    photos, output = as_path("photos", photos), as_path("output", output)
+    _check_numbers(seconds, steps, max_size, seed)
     check_folder(output)
     check_settings(settings or {})
     lock = FolderLock(output) if output.is_dir() else None
@@ -129,7 +133,7 @@ def run(
         found = read_record(output, resume, overwrite)
         if resume and found is None:
             on_event(Note(f"{output} holds no run yet; one begins"))
-        given = _find_input(Path(photos), settings or {})
+        given = _find_input(photos, settings or {})
         if found is not None:
             chosen = {"steps": steps, "max_size": max_size, "seed": seed, **(settings or {})}
             found.check(output, given, seconds, chosen)
@@ -191,8 +195,16 @@ def _with_meaning(photos: Photos, settings: Mapping[str, Any]) -> Photos:
     return replace(photos, meaning=settings.get("masks", photos.meaning))
 
 
+def _check_numbers(seconds: float | None, *whole: int | None) -> None:
+    """Raise TypeError for what is no number."""
+    check_type("seconds", seconds or 0.0, Real, "such as 300")
+    for name, value in zip(("steps", "max_size", "seed"), whole, strict=True):
+        check_integer(name, value or 0)
+
+
 def check_settings(settings: Mapping[str, Any]) -> None:
     """Raise UsageError if ``settings`` are none, do not go together, or are those of the plan."""
+    check_type("settings", settings, Mapping, "such as {'exposure': True}")
     for name in PLANNED.keys() & settings.keys():
         raise UsageError(f"{name}: {PLANNED[name]}")
     layered({"preset": "quick", **settings})

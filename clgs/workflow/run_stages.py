@@ -139,13 +139,16 @@ class RunStages:
         """Score the file on the views that the run was scored on."""
         file, scores, device = self._out / SCENE, self._out / SCORES, self.device.name
         split = json.loads((self.run_folder / RESULTS).read_text(encoding="utf-8"))["split"]
-        size, masks = self._record.settings["max_size"], self._record.settings.get("masks")
+        settings = self._record.settings
+        size = settings["max_size"]
+        others: dict[str, Any] = {}
+        others |= {name: settings[name] for name in ("masks", "test_every") if name in settings}
         words = ["eval", file, "--data", data, "--json", scores]
         words += ["--max-size", size, "--split", split, "--device", device]
-        words += ["--masks", masks] if masks else []
+        words += setting_options(others)
 
         def work() -> Evaluation:
-            views = ViewOptions(data, split, max_size=size, masks=masks, device=device)
+            views = ViewOptions(data, split, max_size=size, device=device, **others)
             scene, nbytes = read_drawable(file)
             opened = Device(device)
             found = evaluate(opened, file, scene, nbytes, views, on_event=self._on_event)

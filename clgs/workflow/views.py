@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from clgs.data.dataset import Dataset, load_dataset
-from clgs.data.masks import IGNORE
 from clgs.data.origin import alike, read_origin, repose
 from clgs.data.reduction import MAX_SIZE
 from clgs.data.view import View
@@ -84,9 +83,14 @@ def load_views(
     else:
         on_event(Note(f"no config.toml next to the scene; --max-size {MAX_SIZE} is assumed"))
         downscale, max_size = 0, MAX_SIZE
-    masks = options.masks or (IGNORE if config is None else config.masks)
+    trained, test_every = config or TrainConfig(), options.test_every
     dataset = load_dataset(
-        data, downscale=downscale, max_size=max_size, load_images=False, masks=masks
+        data,
+        downscale=downscale,
+        max_size=max_size,
+        load_images=False,
+        masks=options.masks or trained.masks,
+        test_every=trained.test_every if test_every is None else test_every,
     )
     posed = repose(dataset, scene.transform)
     if not isinstance(scene, SplatScene):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from tests.data.folders import (
     write_colmap,
     write_transforms,
 )
+from tests.data.test_images import png
 
 
 def test_scene_units_keep_the_projection(tmp_path: Path):
@@ -78,10 +80,32 @@ def test_damaged_photos_are_found_before_training(tmp_path: Path):
     for number in (0, 1):  # held out, trained on
         path = tmp_path / "images" / f"{number:03d}.png"
         whole = path.read_bytes()
-        path.write_bytes(whole[: len(whole) // 2])
-        with pytest.raises(DataError, match=rf"{path.name}: damaged image"):
-            load_dataset(tmp_path)
+        for bad in (whole[: len(whole) // 2], png(2, (40, 30), bytes(29 * 121))):
+            path.write_bytes(bad)
+            with pytest.raises(DataError, match=rf"{path.name}: damaged image"):
+                load_dataset(tmp_path)
         path.write_bytes(whole)
+
+
+def test_every_photo_of_a_number_is_held_out_unless_the_data_set_says_which(tmp_path: Path):
+    file = tmp_path / "plain" / "transforms.json"
+
+    write_transforms(file.parent, 6)
+
+    def held_out(**options: int) -> list[str]:
+        return [view.name[7:10] for view in load_dataset(file.parent, **options).test]
+
+    assert held_out() == ["000"]
+    assert held_out(test_every=3) == ["000", "003"]
+    document = json.loads(file.read_text()) | {"test_filenames": ["images/002.png"]}
+    file.write_text(json.dumps(document))
+    assert held_out() == held_out(test_every=3) == ["002"]
+    assert held_out(test_every=0) == []
+    single = tmp_path / "single"
+    write_transforms(single, 1)
+    with pytest.raises(DataError, match="none is left to train on; --test-every 0 holds none out"):
+        load_dataset(single)
+    assert len(load_dataset(single, test_every=0).train) == 1
 
 
 def test_a_photo_that_vanished_is_not_called_damaged(tmp_path: Path):

@@ -13,6 +13,7 @@ from PIL import Image, ImageOps
 from clgs.data.images import (
     Pixels,
     box_downscale,
+    check_image,
     exif_turn,
     image_size,
     is_plain,
@@ -21,6 +22,7 @@ from clgs.data.images import (
     scales_evenly,
 )
 from clgs.data.masks import USED, read_mask
+from clgs.doctor.pictures import damaged
 from clgs.errors import DataError
 from tests.data.folders import noise_image
 
@@ -117,6 +119,36 @@ def test_truncated_image_names_the_file(tmp_path: Path):
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
         with pytest.raises(DataError, match=rf"cut\.{suffix}: damaged"):
             read_image(path)
+
+
+def png(mode: int, size: tuple[int, int], rows: bytes, interlaced: int = 0) -> bytes:
+    """A PNG whose chunks are whole, regardless of how many ``rows`` it has."""
+    header = struct.pack(">II5B", *size, 8, mode, 0, 0, interlaced)
+    whole = b"\x89PNG\r\n\x1a\n"
+    for kind, data in ((b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")):
+        checksum = zlib.crc32(kind + data)
+        whole += struct.pack(">I", len(data)) + kind + data + struct.pack(">I", checksum)
+    return whole
+
+
+@pytest.mark.parametrize(
+    ("mode", "interlaced", "rows"),
+    [
+        (0, 0, 6 * (1 + 5)),
+        (6, 0, 6 * (1 + 20)),
+        # passes of 1x1, 1x1, 2x1, 1x2, 3x1, 2x3 and 5x3 pixels
+        (0, 1, 2 + 2 + 3 + 2 * 2 + 4 + 3 * 3 + 3 * 6),
+    ],
+)
+def test_pixels_that_a_png_lacks_are_found(tmp_path: Path, mode: int, interlaced: int, rows: int):
+    """Pillow takes most of them for black."""
+    path = tmp_path / "a.png"
+    path.write_bytes(png(mode, (5, 6), bytes(rows), interlaced))
+    check_image(path)
+    path.write_bytes(png(mode, (5, 6), bytes(rows - 1), interlaced))
+    with pytest.raises(DataError, match=r"a\.png: damaged image \(pixels are missing at its end\)"):
+        check_image(path)
+    assert "pixels are missing" in str(damaged([path])[0])
 
 
 def test_other_formats_and_text_are_refused(tmp_path: Path):

@@ -22,6 +22,21 @@ def test_numbers_of_numpy_are_taken():
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
+        ("rotation", np.eye(3).tolist(), "rotation: is list, ndarray is needed"),
+        ("translation", (0, 0, 1), "translation: is tuple, ndarray is needed"),
+        ("rotation", np.array([["a"]]), "rotation: <U1 are no numbers"),
+        ("fx", "50", "fx: is str"),
+        ("cx", None, "cx: is NoneType"),
+    ],
+)
+def test_a_field_of_another_type_is_named(name, value, said):
+    with pytest.raises(TypeError, match=said):
+        Camera(**GOOD | {name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
         ("fx", 0, "fx, fy are 0, 50.0; give pixels, above 0"),
         ("fy", -5.0, "fx, fy are 50.0, -5.0"),
         ("fx", np.nan, "fx, fy are nan"),

@@ -138,7 +138,7 @@ def bomb(path, names):
 
 @pytest.mark.parametrize("read", [load_scene, load_mlps, load_subjects, load_checkpoint])
 def test_declared_sizes_are_bounded_before_anything_is_read(tmp_path, read):
-    """Of archives that users name, of those next to them, and of checkpoints."""
+    """Archives that users name, those next to them, and checkpoints are looked at first."""
     path = bomb(tmp_path / "step_00000010.npz", ["feature", "mlps", "values"])
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("metadata.json", '{"version": 1, "arrays": {"mlps": 0}, "digest": ""}')

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from clgs.cli.shared_options import (
     AS_TRAINED,
     add_masks,
+    add_test_every,
     add_view_options,
     named_path,
     view_options,
@@ -50,6 +51,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     add_view_options(parser)
     add_masks(parser, AS_TRAINED)
+    add_test_every(parser)
     parser.add_argument(
         "--json",
         type=named_path,

@@ -20,6 +20,7 @@ from clgs.data.ply.table import read_ply
 from clgs.errors import CodecError, DataError
 from clgs.scene.gaussians import DEGREES, HostGaussians, OrdinaryGaussians
 from clgs.scene.scene import SplatScene
+from clgs.shapes import as_path
 
 DC = [f"f_dc_{i}" for i in range(3)]
 REST = "f_rest_"
@@ -37,7 +38,7 @@ def load_splats(path: Path | str) -> SplatScene:
     Raises:
         DataError: no such file, or it is damaged, lacks a property or holds something else.
     """
-    path = Path(path)
+    path = as_path("path", path)
     if path.suffix.lower() != ".clgs":
         return SplatScene(read_gaussians(path))
     try:
@@ -51,12 +52,13 @@ def load_splats(path: Path | str) -> SplatScene:
 def read_gaussians(path: Path | str) -> HostGaussians:
     """The Gaussians of an ordinary 3DGS PLY file.
 
-    Those with a number that is not finite are left out, with a warning.
+    Those with a number that is not finite are left out, with a warning. There is one, too, for
+    rotations that are none.
 
     Raises:
         DataError: no such file, or it lacks a property.
     """
-    path = Path(path)
+    path = as_path("path", path)
     columns = read_ply(path).columns
     if FEATURE_OF_ANCHORS in columns:
         raise DataError(
@@ -111,6 +113,9 @@ def gaussians_of(columns: Columns, path: Path) -> HostGaussians:
         np.ascontiguousarray(np.concatenate([sh[:, None, :3], higher], axis=1)),
     )
     found = _finite(found, path)
+    if lost := int((~found.rotation.any(axis=1)).sum()):
+        text = "%s: %d of %d splats have a rotation of length 0, so that they cannot be seen"
+        _log.warning(text, path, lost, len(found))
     if not len(found):
         raise DataError(f"{path}: holds no splats that can be drawn; write it again with some")
     return found

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from clgs.constants import NEAR_PLANE
 from clgs.data.masks import IGNORE, MEANINGS
+from clgs.data.posed_photo import EVERY
 from clgs.data.reduction import LEAST_SIZE, MAX_SIZE
 from clgs.options import PRESETS
 from clgs.train.config.option import POSITIVE, WEIGHT, Range, Text, at_least, option
@@ -177,6 +178,13 @@ class PhotoSettings:
         "what is where photos are masked; ignore: anything, so that nothing is compared; object: "
         "nothing, so that renders show the background, which is random while training",
         MEANINGS,
+    )
+    test_every: int = option(
+        EVERY,
+        "hold out every photo of this number, by name, unless the data set says which; 0: none, "
+        "not even those",
+        at_least(0),
+        unit="photos",
     )
     exposure: bool = option(
         False,

@@ -17,6 +17,7 @@ from itertools import pairwise
 from typing import Any
 
 from clgs.data.masks import IGNORE, OBJECT
+from clgs.data.posed_photo import EVERY
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
 from clgs.train.config.learning_rates import LearningRates
@@ -269,7 +270,8 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         """SHA-256 of the settings that results depend on, hexadecimal; the same for equal runs."""
         free = {n: one.default for n, one in options_of(TrainConfig).items() if not one.in_digest}
         text = replace(self, **free).to_toml()
-        text = text.replace(f'masks = "{IGNORE}"\n', "")  # runs had this digest before it was one
+        for later in (f'masks = "{IGNORE}"\n', f"test_every = {EVERY}\n"):
+            text = text.replace(later, "")  # older runs, without these settings, keep their digest
         return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -46,6 +46,7 @@ def load_for(
         point_samples=config.point_samples,
         seed=config.seed,
         masks=config.masks,
+        test_every=config.test_every,
     )
     return with_points(dataset, random_start(config), cache, config.seed, on_stage)
 

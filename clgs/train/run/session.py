@@ -21,7 +21,7 @@ from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
-from clgs.shapes import check_type
+from clgs.shapes import as_path, check_type
 from clgs.signals import interruptions
 from clgs.train.config import TrainConfig
 from clgs.train.config.size_settings import MLP_BYTES
@@ -292,6 +292,9 @@ def train_scene(
     """
     check_type("dataset", dataset, Dataset, "clgs.load_dataset(folder) reads one")
     check_type("config", config or TrainConfig(), TrainConfig, "clgs.preset(name) makes one")
+    if device is not None:
+        check_type("device", device, Device, "clgs.Device() opens one")
+    as_path("folder", folder)
     if not str(folder).strip():
         raise UsageError("folder: the name is empty; name the run folder")
     check_run_folder(Path(folder), resume, overwrite)

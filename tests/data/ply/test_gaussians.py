@@ -99,3 +99,11 @@ def test_broken_splats_are_left_out_and_counted(tmp_path, rng, caplog):
     found = read_gaussians(write(tmp_path / "s.ply", columns))
     assert len(found) == 8
     assert "2 of 10 splats" in caplog.text
+
+
+def test_rotations_that_are_none_are_counted(tmp_path, rng, caplog):
+    columns = columns_of(stored(rng, 10))
+    for i in range(4):
+        columns[f"rot_{i}"] = np.where(np.arange(10) < 3, np.float32(0), columns[f"rot_{i}"])
+    assert len(read_gaussians(write(tmp_path / "s.ply", columns))) == 10
+    assert "s.ply: 3 of 10 splats have a rotation of length 0" in caplog.text

@@ -141,6 +141,20 @@ def test_arguments_of_other_classes_are_one_line(dataset, open_device, tmp_path)
         (lambda: clgs.Renderer("0", scene), r"device: is str, Device is needed"),
         (lambda: clgs.evaluate_views(device, scene, []), "scene: is Scene, QuantizedScene is"),
         (lambda: clgs.evaluate_views(device, quantized, [view.camera]), "views: is Camera, View"),
+        (lambda: clgs.render_view(scene, [view.camera], device), "camera: is list, Camera is"),
+        (lambda: clgs.train_scene(dataset, tmp_path / "x", device="0"), "device: is str, Device"),
+        (lambda: clgs.train_scene(dataset, None), "folder: None; a path is needed"),
+        (lambda: clgs.load_dataset([tmp_path]), r"path: \[.*; a path is needed"),
+        (lambda: clgs.load_dataset(tmp_path, max_size="9"), "max_size: '9'; an integer is needed"),
+        (lambda: clgs.load_dataset(tmp_path, points_file=3), "points_file: 3; a path is needed"),
+        (lambda: clgs.load_scene([]), r"path: \[\]; a path is needed"),
+        (lambda: clgs.load_splats(None), "path: None; a path is needed"),
+        (lambda: clgs.export(scene, tmp_path / "x.ply"), "source: <Scene.*; a path is needed"),
+        (lambda: clgs.prepare([tmp_path], tmp_path / "x"), r"photos: \[.*; a path is needed"),
+        (lambda: clgs.run([tmp_path], tmp_path / "x"), r"photos: \[.*; a path is needed"),
+        (lambda: clgs.run(tmp_path, tmp_path / "x", seconds="5m"), "seconds: is str"),
+        (lambda: clgs.run(tmp_path, tmp_path / "x", steps="5"), "steps: '5'; an integer is"),
+        (lambda: clgs.render_options(["exact"]), "accuracy: is list, str is needed"),
     ):
         with pytest.raises(TypeError, match=said):
             call()
