@@ -33,6 +33,12 @@ def _shared_kernels() -> Iterator[None]:
     KERNELS.give()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _own_photos(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Reduced photos are kept apart from the user's."""
+    os.environ["CLGS_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+
+
 @pytest.fixture(scope="session")
 def open_device() -> Callable[..., Any]:
     """``open_device("cpu")``: the device in one specialisation, opened once a session."""

@@ -18,6 +18,7 @@ from clgs.data.colmap.model import find_model, read_colmap
 from clgs.data.images import Pixels, box_resized, check_chunks, check_image, list_images, read_image
 from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
 from clgs.data.masks import IGNORE, MEANINGS, OBJECT, StoredMask, list_masks, read_mask
+from clgs.data.photo_cache import is_worth_keeping, kept_pixels
 from clgs.data.point_file import read_points
 from clgs.data.posed_photo import EVERY, Photo, PhotoSet, hold_out
 from clgs.data.reduction import DEFAULT, MAX_SIZE, Reduction
@@ -342,13 +343,17 @@ def _view(
         *(lens.fx, lens.fy, lens.cx, lens.cy),
         *(lens.width, lens.height),
     )
-    read = partial(_pixels, photo, size, cut_out=masks == OBJECT)
+    whole, cut_out = (photo.lens.width, photo.lens.height), masks == OBJECT
+    read = partial(_pixels, photo, size, cut_out)
+    if is_worth_keeping(whole, size):
+        files = [photo.path, *([photo.mask] if cut_out and photo.mask else [])]
+        read = partial(kept_pixels, files, (photo.lens, size, len(files)), read)
     stored = StoredPhoto(read, memory, str(photo.path))
     mask = StoredMask(partial(_mask_pixels, photo, size)) if photo.mask else None
     return View(photo.name, camera, stored, mask, masks)
 
 
-def _pixels(photo: Photo, size: tuple[int, int], cut_out: bool = False) -> Pixels:
+def _pixels(photo: Photo, size: tuple[int, int], cut_out: bool) -> Pixels:
     """The photo at ``size``; with ``cut_out`` what is masked is transparent."""
     whole = photo.lens.width, photo.lens.height
     pixels = read_image(photo.path, whole)

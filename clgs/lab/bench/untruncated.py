@@ -9,17 +9,14 @@ and the blur. References make all decisions, none is taken from a device.
 from __future__ import annotations
 
 import hashlib
-import os
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import ALPHA_MAX, TILE_SIZE
-from clgs.files import atomic_path
+from clgs.files import atomic_path, cache_folder
 from clgs.lab.selftest.reference_render import ReferenceFrame, backward_reference, wide
 from clgs.reference import blend, cull, mlp, neural, project, tiles
 from clgs.scene.scene import Scene
@@ -139,17 +136,6 @@ def cached_reference(
     with atomic_path(path) as temporary:
         np.savez(temporary, **result)  # type: ignore[arg-type]
     return result
-
-
-def cache_folder() -> Path:
-    """Where references are kept: CLGS_CACHE, else clgs in the user's cache folder."""
-    if chosen := os.environ.get("CLGS_CACHE"):
-        return Path(chosen)
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "clgs"
 
 
 def _key(
