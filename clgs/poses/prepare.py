@@ -61,6 +61,7 @@ def prepare(
     quick: bool = False,
     frames: int | None = None,
     drop_doubtful: bool = False,
+    max_size: int = 0,
 ) -> Verdict:
     """Find camera poses and points of the photos in and below ``photos``, or of a video.
 
@@ -78,6 +79,8 @@ def prepare(
         quick: half the features, one mapper, and no second reconstruction that tests the poses.
         frames: number of frames to take from a video; default 100.
         drop_doubtful: leave out the photos whose poses are in doubt.
+        max_size: photos that are wider are reduced to about this width once their poses are found;
+            0: they keep their size.
 
     Raises:
         DataError: too few or damaged photos, no reconstruction, no pycolmap; or too few photos
@@ -98,7 +101,7 @@ def prepare(
             with owned(work), removed_if_killed(target):
                 on_progress("read", 0, expected)
                 bring_in(source, work, lambda count: on_progress("read", count, expected))
-                verdict = reconstruct(target, seed % SEEDS, quick, on_progress)
+                verdict = reconstruct(target, seed % SEEDS, quick, max_size, on_progress)
                 if drop_doubtful:
                     verdict = drop_doubtful_photos(target, verdict)
                 names = [work / "images" / one.name for one in verdict.photos]

@@ -40,17 +40,20 @@ COUNT_SECONDS = 0.5
 _TASK = "structure from motion"
 
 
-def reconstruct(target: Path, seed: int, quick: bool, on_progress: OnProgress) -> Verdict:
+def reconstruct(
+    target: Path, seed: int, quick: bool, max_size: int, on_progress: OnProgress
+) -> Verdict:
     """Find poses and points of the photos in ``target``/work/images: fills images/ and sparse/0/.
 
-    ``quick``: half the features, one mapper, no second reconstruction. ``on_progress`` receives the
-    progress of each stage after "read".
+    ``quick``: half the features, one mapper, no second reconstruction. ``max_size``: photos are
+    reduced to about this width at the end; 0: never. ``on_progress`` receives the progress of each
+    stage after "read".
 
     Raises:
         DataError: no reconstruction, no pycolmap, or it crashed.
         OSError: it failed on a full disk.
     """
-    arguments = [str(target), seed, quick]
+    arguments = [str(target), seed, quick, max_size]
     try:
         return verdict_of(run_child(__name__, _TASK, arguments, lambda one: on_progress(*one)))
     except DataError as error:
@@ -61,7 +64,7 @@ def reconstruct(target: Path, seed: int, quick: bool, on_progress: OnProgress) -
 
 def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
     """Be the child: run all stages for the photos in a folder; returns a plain verdict."""
-    target, seed, quick = Path(arguments[0]), arguments[1], arguments[2]
+    target, (seed, quick, max_size) = Path(arguments[0]), arguments[1:]
     work, began = target / "work", dict[str, float]()
 
     def on_progress(stage: str, done: int, total: int) -> None:
@@ -88,7 +91,7 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
             )
         for file, name in own_names.items():
             (work / "numbered" / file).rename(work / "images" / name)
-        _write_data_set(workspace, choice.kept.reconstruction, own_names, target)
+        _write_data_set(workspace, choice.kept.reconstruction, own_names, target, max_size)
     # A stage ends as the next one begins.
     ends = [*list(began.values())[1:], time.perf_counter()]
     stages = zip(began.items(), ends, strict=True)
@@ -121,9 +124,16 @@ def _number_photos(work: Path) -> tuple[dict[str, str], list[int], int]:
 
 
 def _write_data_set(
-    workspace: Workspace, model: Any, own_names: dict[str, str], target: Path
+    workspace: Workspace, model: Any, own_names: dict[str, str], target: Path, max_size: int
 ) -> None:
-    """Write undistorted images, their masks, and the model with pinhole cameras into ``target``."""
+    """Write undistorted images, their masks, and the model with pinhole cameras into ``target``.
+
+    Photos wider than ``max_size`` pixels are reduced to about that width, unless it is 0.
+    """
+    options = workspace.pycolmap.UndistortCameraOptions()
+    if max_size:
+        upright = max(camera.height / camera.width for camera in model.cameras.values())
+        options.max_image_size = round(max_size * max(upright, 1.0))  # of the longer side
     for image in model.images.values():
         image.name = own_names[image.name]
     work = workspace.folder
@@ -132,19 +142,21 @@ def _write_data_set(
     made, total = work / "undistorted" / "images", model.num_reg_images()
     with _files_counted(made, lambda done: workspace.on_progress("undistort", done, total)):
         workspace.pycolmap.undistort_images(
-            work / "undistorted", work / "model", work / "images", jpeg_quality=JPEG_QUALITY
+            *(work / "undistorted", work / "model", work / "images"),
+            undistort_options=options,
+            jpeg_quality=JPEG_QUALITY,
         )
     made.rename(target / "images")
-    _write_masks(workspace, model, work / MASKS, target)
+    _write_masks(workspace, model, work / MASKS, target, options)
     (target / "sparse").mkdir()
     (work / "undistorted" / "sparse").rename(target / "sparse" / "0")
 
 
-def _write_masks(workspace: Workspace, model: Any, masks: Path, target: Path) -> None:
+def _write_masks(workspace: Workspace, model: Any, masks: Path, target: Path, options: Any) -> None:
     """Undistort masks as the photos of ``target``/images; photos without a black pixel get none.
 
     ``model`` has the cameras of the photos as they were taken. ``masks`` holds NAME.png for the
-    photo NAME; it may be missing.
+    photo NAME; it may be missing. ``options``: as the photos were undistorted.
     """
     pycolmap, total = workspace.pycolmap, model.num_reg_images() if masks.is_dir() else 0
     for number, image in enumerate(model.images.values(), 1):
@@ -159,7 +171,6 @@ def _write_masks(workspace: Workspace, model: Any, masks: Path, target: Path) ->
         (target / MASKS).mkdir(exist_ok=True)
         bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(level))
         camera = model.cameras[image.camera_id]
-        options = pycolmap.UndistortCameraOptions()
         undistorted, _ = pycolmap.undistort_image(options, bitmap, camera)
         used = np.asarray(undistorted.to_array()).reshape(undistorted.height, undistorted.width, -1)
         save_mask((used[..., 0] == 255).astype(np.uint8), target / MASKS / f"{image.name}.png")

@@ -32,6 +32,7 @@ def prepare_data(
     quick: bool = False,
     frames: int | None = None,
     drop_doubtful: bool = False,
+    max_size: int = 0,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
 ) -> PreparedData:
@@ -49,6 +50,7 @@ def prepare_data(
         quick=quick,
         frames=frames,
         drop_doubtful=drop_doubtful,
+        max_size=max_size,
     )
     page = output / PAGE
     write_poses_page(page, output, verdict)

@@ -156,7 +156,7 @@ def run(
             stages.begin()
         data = given.path
         if not given.posed:
-            data = stages.prepare(given, must_hurry(given.photos.count, CORES, allowed))
+            data = stages.prepare(given, must_hurry(given.photos.count, CORES, allowed), max_size)
         if training is not None:
             posed = _measured(given, data, settings or {}, on_event)
             if not given.complete:

@@ -14,6 +14,9 @@ DEFAULT_SECONDS = 600.0
 SIZES = (1600, 1280, 960, 800, 640, 480, 400, 320, 240)
 """Widths that photos are reduced to, of which the largest that leaves enough steps is taken."""
 
+SPARE = 2
+"""Photos that are given a width are prepared at this many times that, so that no detail is lost."""
+
 ENOUGH_STEPS = 1500
 """Below this, smaller pictures with more steps give the better scene (docs/guide/run.md)."""
 

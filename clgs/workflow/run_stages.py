@@ -30,7 +30,7 @@ from clgs.workflow.export import export
 from clgs.workflow.options import FPS, FRAMES, PathOptions, ViewOptions
 from clgs.workflow.pictures import render_clip
 from clgs.workflow.prepare import prepare_data
-from clgs.workflow.run_plan import Photos, Presentation, StepSpeed, TrainingPlan
+from clgs.workflow.run_plan import SIZES, SPARE, Photos, Presentation, StepSpeed, TrainingPlan
 from clgs.workflow.run_record import DATA, RUN, FinishedRun, RunInput, RunRecord, measure_data
 from clgs.workflow.scenes import read_drawable, read_scene
 from clgs.workflow.train import train
@@ -96,13 +96,19 @@ class RunStages:
         self._record.plan.update(asdict(plan), title=title)
         self._record.write(self._out)
 
-    def prepare(self, given: RunInput, quick: bool) -> Path:
-        """Find the poses; the folder of the data set."""
+    def prepare(self, given: RunInput, quick: bool, max_size: int | None) -> Path:
+        """Find the poses; the folder of the data set. ``max_size``: of training, if it is given.
+
+        Photos are written no larger than training may want them.
+        """
+        width = SIZES[0] if max_size is None else SPARE * max_size
         data = self._out / DATA
         frames = given.photos.count if given.video else None
         words = ["prepare", given.path, "-o", data, "--seed", self.seed]
         words += ["--quick"] * quick + ["--frames", frames] * given.video
+        words += ["--max-size", width]
         work = partial(prepare_data, given.path, data, seed=self.seed, quick=quick, frames=frames)
+        work = partial(work, max_size=width)
         self._stage("prepare", data, words, partial(work, on_event=self._on_event))
         return data
 

@@ -60,6 +60,27 @@ def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str
         prepare(photos, output)
 
 
+def test_photos_are_written_at_the_width_that_is_asked_for(tmp_path: Path):
+    """Poses and points stay; a lens and the pixels of a mask follow."""
+    photos = tmp_path / "photos"
+    write_room_photos(photos, 7)
+    (photos / "masks").mkdir()
+    used = np.full((240, 320), 255, np.uint8)
+    used[:80, :120] = 0
+    Image.fromarray(used).save(photos / "masks" / "3.png")
+    for name, size in (("whole", 0), ("small", 160)):
+        prepare(photos, tmp_path / name, quick=True, max_size=size)
+    whole, small = (load_dataset(tmp_path / name) for name in ("whole", "small"))
+    assert np.array_equal(whole.points, small.points)
+    for one, other in zip(whole.train, small.train, strict=True):
+        assert other.camera.width == 160 < one.camera.width
+        assert other.camera.fx == pytest.approx(one.camera.fx / 2, rel=0.01)
+        assert np.array_equal(one.camera.rotation, other.camera.rotation)
+    (mask,) = (view.used() for view in small.train + small.test if view.mask)
+    assert not mask[:38, :57].any()
+    assert mask[44:, 64:].all()
+
+
 @pytest.fixture
 def unrelated(tmp_path: Path) -> Path:
     """A folder of three photos that have nothing in common."""

@@ -5,7 +5,14 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import add_overwrite, chosen, named_path, positive_int, seed
+from clgs.cli.shared_options import (
+    add_overwrite,
+    chosen,
+    named_path,
+    photo_width,
+    positive_int,
+    seed,
+)
 
 if TYPE_CHECKING:
     from clgs.workflow.prepare import PreparedData
@@ -38,6 +45,13 @@ def register(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="leave out photos whose poses are in doubt (default: they are named, and stay)",
     )
+    add(
+        "--max-size",
+        type=photo_width,
+        default=0,
+        metavar="PIXELS",
+        help="write photos that are wider at about this width (default: as they are)",
+    )
     add_overwrite(parser, "DATA if an earlier run of this command made it (default: refuse)")
 
 
@@ -46,7 +60,8 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.display import Display
     from clgs.workflow.prepare import prepare_data
 
-    options = chosen(vars(args), "seed", "quick", "frames", "drop_doubtful", "overwrite")
+    names = "seed", "quick", "frames", "drop_doubtful", "max_size", "overwrite"
+    options = chosen(vars(args), *names)
     with Display() as display:
         made = prepare_data(args.photos, args.output, on_event=display, **options)
     show(made)
