@@ -10,8 +10,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from clgs.data.masks import MEANINGS
-from clgs.data.reduction import MAX_SIZE
+from clgs.data.reduction import MAX_SIZE, MEANINGS
 from clgs.errors import UsageError
 from clgs.options import PRESETS
 from clgs.quantities import MOST, OTHER_DIGITS, byte_count, has_other_digits, number, seconds

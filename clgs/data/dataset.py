@@ -17,11 +17,11 @@ from clgs.data.apart import ASTRAY, apart, in_one_place
 from clgs.data.colmap.model import find_model, read_colmap
 from clgs.data.images import Pixels, box_resized, check_chunks, check_image, list_images, read_image
 from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
-from clgs.data.masks import IGNORE, MEANINGS, OBJECT, StoredMask, list_masks, read_mask
+from clgs.data.masks import StoredMask, list_masks, read_mask
 from clgs.data.photo_cache import is_worth_keeping, kept_pixels
 from clgs.data.point_file import read_points
-from clgs.data.posed_photo import EVERY, Photo, PhotoSet, hold_out
-from clgs.data.reduction import DEFAULT, MAX_SIZE, Reduction
+from clgs.data.posed_photo import Photo, PhotoSet, hold_out
+from clgs.data.reduction import DEFAULT, EVERY, IGNORE, MAX_SIZE, MEANINGS, OBJECT, Reduction
 from clgs.data.stored_photo import DEFAULT_MEMORY, PhotoMemory, StoredPhoto
 from clgs.data.transforms import read_blender, read_transforms
 from clgs.data.view import View

@@ -18,6 +18,7 @@ from clgs.data.images import (
     open_image,
     read_image,
 )
+from clgs.data.reduction import IGNORE, OBJECT
 from clgs.errors import DataError
 
 USED = 128
@@ -30,9 +31,6 @@ MASK_FOLDERS = (MASKS, "mask")
 MASK_SUFFIXES = (".png", *SUFFIXES)
 MASK_MARKS = ("_mask", ".mask")
 """What the name of a mask may end in before its suffix; next to its photo it must."""
-
-IGNORE, OBJECT = MEANINGS = ("ignore", "object")
-"""What is where a photo is masked: anything, so that nothing is compared; or nothing at all."""
 
 JUDGED = 16
 """The number of masks, evenly chosen, that say what masks mean; each is reduced to SMALL."""

@@ -9,14 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.lens import Lens
+from clgs.data.reduction import EVERY
 from clgs.errors import DataError
 
 _FROM_Z_UP = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
 _FROM_Y_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
-
-
-EVERY = 8
-"""Every photo of this number is held out, unless something else is asked for."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,14 @@
-"""How large the photos are that training and scoring see."""
+"""Which photos training and scoring see: how large, held out or not, what their masks mean."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+IGNORE, OBJECT = MEANINGS = ("ignore", "object")
+"""What is where a photo is masked: anything, so that nothing is compared; or nothing at all."""
+
+EVERY = 8
+"""Every photo of this number is held out, unless something else is asked for."""
 
 MAX_SIZE = 1600
 """Pixels; wider photos are reduced to this width, as the reference code of 3DGS does."""

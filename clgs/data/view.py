@@ -7,7 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import chain
 
-from clgs.data.masks import IGNORE, OBJECT, Mask, StoredMask
+from clgs.data.masks import Mask, StoredMask
+from clgs.data.reduction import IGNORE, OBJECT
 from clgs.data.stored_photo import Color, Planes, StoredPhoto
 from clgs.scene.camera import Camera
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from clgs.data.masks import IGNORE, OBJECT
+from clgs.data.reduction import IGNORE, OBJECT
 from clgs.train.step.schedule import COARSE_STAGES
 
 DEFAULT_SECONDS = 600.0

@@ -16,8 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
-from clgs.data.masks import IGNORE, OBJECT
-from clgs.data.posed_photo import EVERY
+from clgs.data.reduction import EVERY, IGNORE, OBJECT
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
 from clgs.train.config.learning_rates import LearningRates

@@ -12,7 +12,8 @@ from PIL import Image
 from clgs.cli.main import main
 from clgs.data.dataset import load_dataset
 from clgs.data.images import Pixels
-from clgs.data.masks import IGNORE, MEANINGS, OBJECT, StoredMask, meaning_of
+from clgs.data.masks import StoredMask, meaning_of
+from clgs.data.reduction import IGNORE, MEANINGS, OBJECT
 from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
 from clgs.errors import DataError
