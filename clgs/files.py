@@ -12,10 +12,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from errno import EDQUOT, ENOSPC
 from pathlib import Path
-from types import GeneratorType
 from typing import Any
 
 from clgs.errors import ExistsError, OutputError, UsageError
+
+_TAG = os.urandom(2).hex()
+"""Tells this process from one that was killed and had the same number, as in containers."""
 
 STEM_KEPT = 48
 """Characters of a name that its temporary name keeps: it must not grow too long for a folder."""
@@ -30,6 +32,11 @@ def atomic_write(path: Path, data: bytes) -> None:
     """
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+
+
+def text_bytes(text: str) -> bytes:
+    """``text`` in UTF-8; bytes of file names that are no letters become backslashes."""
+    return text.encode(errors="backslashreplace")
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -274,25 +281,9 @@ def _take_name(folder: Path, target: Path) -> None:
     shutil.rmtree(old)
 
 
-@contextmanager
-def ffmpeg_closed(generator: GeneratorType[Any, Any, Any]) -> Iterator[None]:
-    """After the block, close a generator of imageio-ffmpeg and the pipes that it leaves open."""
-    frame = generator.gi_frame
-    try:
-        yield
-    finally:
-        generator.close()
-        found = frame.f_locals if frame else {}
-        process = found.get("process") or found.get("p")
-        for pipe in (process.stdin, process.stdout, process.stderr) if process else ():
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
-
-
 def remove_temporaries(path: Path) -> None:
     """Remove what killed processes began to write to ``path``; none may be writing to it now."""
-    for left in path.parent.glob(f".{path.stem[:STEM_KEPT]}.????????{path.suffix}"):
+    for left in path.parent.glob(f".{path.stem[:STEM_KEPT]}.{'?' * 18}{path.suffix}"):
         left.unlink(missing_ok=True)
 
 
@@ -304,13 +295,15 @@ def remove_abandoned(folder: Path, *suffixes: str) -> None:
     if os.name == "nt" or not folder.is_dir():  # Windows has no signal that only asks
         return
     for left in folder.glob(".*"):
-        found = re.fullmatch(r"\..+\.([0-9a-f]{6})[0-9a-f]{2}", left.stem)
-        if found and left.suffix in suffixes and left.is_file() and not _is_alive(found[1]):
+        found = re.fullmatch(r"\..+\.([0-9a-f]{6})([0-9a-f]{4})[0-9a-f]{8}", left.stem)
+        if found and left.suffix in suffixes and left.is_file() and not _is_alive(*found.groups()):
             left.unlink(missing_ok=True)
 
 
-def _is_alive(number: str) -> bool:
-    """Whether there is a process with this number, hexadecimal."""
+def _is_alive(number: str, tag: str) -> bool:
+    """Whether there is a process with this number, hexadecimal, and if it is this one this tag."""
+    if int(number, 16) == os.getpid() & 0xFFFFFF:
+        return tag == _TAG
     try:
         os.kill(int(number, 16), 0)
     except ProcessLookupError:
@@ -321,8 +314,8 @@ def _is_alive(number: str) -> bool:
 
 
 def _temporary(path: Path, folder: Path) -> Path:
-    """A new name, which holds the number of the process."""
-    own = f"{os.getpid() & 0xFFFFFF:06x}{os.urandom(1).hex()}"
+    """A new name, which holds the number of the process and its tag."""
+    own = f"{os.getpid() & 0xFFFFFF:06x}{_TAG}{os.urandom(4).hex()}"
     return folder / f".{path.stem[:STEM_KEPT]}.{own}{path.suffix}"
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields
 
+from clgs.arguments import check_type
 from clgs.constants import ALPHA_CUT, TRANSMITTANCE_STOP
 from clgs.errors import UsageError
 
@@ -119,8 +120,7 @@ def render_options(
         UsageError: there is no such preset, or a number is out of range.
         TypeError: ``accuracy`` is no text.
     """
-    if not isinstance(accuracy, str):
-        raise TypeError(f"accuracy: is {type(accuracy).__name__}, str is needed; such as 'parity'")
+    check_type("accuracy", accuracy, str, "such as 'parity'")
     if accuracy not in PRESETS:
         raise UsageError(f"accuracy: {accuracy!r} is not one of {', '.join(PRESETS)}")
     if not 0 <= smallest_anchor < math.inf:

@@ -344,10 +344,15 @@ with atomic_path(Path({str(tmp_path / "frame.png")!r})) as temporary:
     os.kill(os.getpid(), signal.SIGKILL)
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    with atomic_path(tmp_path / "a.png") as own:  # as of a process that had the same number
+        own.touch()
+        number, tag = own.stem[-18:-12], own.stem[-12:-8]
+    (tmp_path / f".a.{number}{'0001' if tag == '0000' else '0000'}01234567.png").touch()
+    (tmp_path / "a.png").unlink()
     kept = {".mine.png", ".a.cafe.png", "x.0badcafe.png"}
     for name in kept:
         (tmp_path / name).touch()
-    assert len(names(tmp_path)) == 4
+    assert len(names(tmp_path)) == 5
     with atomic_path(tmp_path / "other.png") as temporary:
         temporary.touch()
         check_picture_folder(tmp_path)

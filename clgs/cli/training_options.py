@@ -92,6 +92,10 @@ def make_config(words: Mapping[str, Any]) -> TrainConfig:
         except UsageError as error:
             raise UsageError(f"--set {error}") from None
     start, file = words.get("start"), words.get("config")
+    if start:
+        from clgs.train.run.run_folder import check_finished
+
+        check_finished(start)
     settings = [read_settings(path) for path in (start and start / "config.toml", file) if path]
     if start and "steps" not in given | (settings[1] if file else {}):
         given["steps"] = 2 * settings[0].get("steps", FULL_STEPS)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import numpy.typing as npt
 
+from clgs.arguments import check_choice, check_integer, check_type
 from clgs.codec import octree, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import NearRows
@@ -26,7 +27,7 @@ from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
 from clgs.scene.scene import QuantizedScene
-from clgs.shapes import Shapes, check_choice, check_integer, check_type
+from clgs.shapes import Shapes
 
 
 def encode(

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from clgs.arguments import as_path, check_integer
 from clgs.data.apart import ASTRAY, apart, in_one_place
 from clgs.data.colmap.model import find_model, read_colmap
 from clgs.data.images import Pixels, box_resized, check_chunks, check_image, list_images, read_image
@@ -28,7 +29,6 @@ from clgs.data.view import View
 from clgs.errors import DataError
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
-from clgs.shapes import as_path, check_integer
 
 Floats = npt.NDArray[np.float64]
 
@@ -377,8 +377,9 @@ def _read_images(dataset: Dataset, unread: list[Photo]) -> None:
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         read = pool.map(lambda view: view.photo.keep(), dataset.train)
         checked = pool.map(lambda photo: check_image(photo.path), unread)
-        masks = [photo.mask for photo in dataset.photos + unread if photo.mask]
-        whole = pool.map(check_chunks, [photo.path for photo in dataset.photos] + masks)
+        read_here = [photo.path for photo in dataset.photos]
+        read_here += [photo.mask for photo in dataset.photos + unread if photo.mask]
+        whole = pool.map(check_chunks, dict.fromkeys(read_here))
         masked = pool.map(lambda view: view.used(), dataset.train + dataset.test)
         for _ in (*read, *checked, *whole, *masked):
             pass

@@ -18,6 +18,7 @@ import numpy as np
 
 from clgs import constants
 from clgs.errors import ClgsError
+from clgs.files import text_bytes
 from clgs.scene.camera import Camera
 
 SCRIPTS = ("camera.js", "hands.js", "renderer.js", "main.js")
@@ -60,9 +61,8 @@ def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
         "page.css": _text("page.css"),
         "worker.js": _text("worker.js"),
     }
-    return re.sub(r"\{\{([\w.]+)\}\}", lambda match: values[match[1]], _text("page.html")).encode(
-        errors="backslashreplace"
-    )
+    page = re.sub(r"\{\{([\w.]+)\}\}", lambda match: values[match[1]], _text("page.html"))
+    return text_bytes(page)
 
 
 def start_at(first: Camera, cameras: Sequence[Camera]) -> Start:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from clgs.data.colmap.model import read_colmap
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.exports.report import cards, facts_table, html_page
-from clgs.files import atomic_write
+from clgs.files import atomic_write, text_bytes
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 from clgs.poses.prepare import CELL, COLUMNS, CONTACT_SHEET
 
@@ -54,12 +54,8 @@ def write_poses_page(path: Path, data: Path, verdict: Verdict) -> None:
         OSError: the page cannot be written.
     """
     photos = read_colmap(data, data / "sparse" / "0")
-    atomic_write(
-        path,
-        poses_html(photos, verdict, (data / CONTACT_SHEET).read_bytes()).encode(
-            errors="backslashreplace"
-        ),
-    )
+    page = poses_html(photos, verdict, (data / CONTACT_SHEET).read_bytes())
+    atomic_write(path, text_bytes(page))
 
 
 def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:

@@ -15,7 +15,7 @@ from clgs.codec.scene_decoder import describe
 from clgs.errors import DataError
 from clgs.exports.image import picture_names
 from clgs.exports.report import Report, ReportView, report_html
-from clgs.files import atomic_write
+from clgs.files import atomic_write, text_bytes
 
 REPORT = "report.html"
 
@@ -91,7 +91,7 @@ def write_run_report(
             held_out=held_out,
             links=links,
         )
-        atomic_write(path, report_html(report, views).encode(errors="backslashreplace"))
+        atomic_write(path, text_bytes(report_html(report, views)))
     except (ValueError, KeyError, TypeError, FileNotFoundError) as error:
         raise DataError(f"{folder}: is no whole run ({error}); train it again") from error
     return path

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pyopencl as cl
 import pyopencl.tools
 
+from clgs.arguments import check_type
 from clgs.errors import DeviceError, NoRoomError, UsageError
 from clgs.memory import return_unused_memory
 from clgs.opencl.array import DeviceArray
@@ -21,7 +22,6 @@ from clgs.opencl.kernel import Argument, Kernel
 from clgs.opencl.programs import Programs
 from clgs.opencl.timing import KernelTimes, Profile, Waits
 from clgs.opencl.transfer import Download, Transfers
-from clgs.shapes import check_type
 
 POOL_BITS = {"cpu": 0, "gpu": 2}
 """Leading bits of a size, after the first one, that tell apart what the memory pool reuses."""

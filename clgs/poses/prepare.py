@@ -16,6 +16,7 @@ from pathlib import Path
 
 from PIL import Image
 
+from clgs.arguments import as_path
 from clgs.data.images import read_image
 from clgs.errors import DataError, ExistsError, OutputError
 from clgs.files import STEM_KEPT, atomic_folder, check_folder, is_full
@@ -25,7 +26,6 @@ from clgs.poses.judging.verdict import Verdict
 from clgs.poses.pycolmap_lazy import SEEDS
 from clgs.poses.reconstruct import reconstruct
 from clgs.poses.workspace import OnProgress
-from clgs.shapes import as_path
 
 REPORT = "report.json"
 CONTACT_SHEET = "contact_sheet.jpg"

@@ -27,7 +27,7 @@ from clgs.data.lens import Lens
 from clgs.data.masks import read_mask, save_mask
 from clgs.data.posed_photo import Photo
 from clgs.errors import DataError
-from clgs.files import atomic_path, make_folder
+from clgs.files import atomic_path, make_folder, text_bytes
 from clgs.poses.child import OnStage, run_child
 from clgs.poses.judging.evidence import sampson_error
 from clgs.poses.pycolmap_lazy import SEEDS, quiet_pycolmap
@@ -117,7 +117,7 @@ def _key(photos: list[Photo], seed: int) -> str:
     """Make a name from everything that the points depend on."""
     digest = hashlib.blake2b(f"{_VERSION} {seed}".encode(), digest_size=10)
     for photo in photos:
-        digest.update(f"{photo.name} {photo.lens}".encode(errors="surrogateescape"))
+        digest.update(text_bytes(f"{photo.name} {photo.lens}"))
         digest.update(np.vstack([photo.rotation, photo.translation]).tobytes())
         for file in filter(None, (photo.path, photo.mask)):
             digest.update(hashlib.blake2b(file.read_bytes()).digest())

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from clgs.arguments import check_type
 from clgs.errors import BudgetError
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions, render_options
@@ -24,7 +25,6 @@ from clgs.render.frame import (
 from clgs.render.rasterise import draw_depth, largest_depth, rasterise, with_enough_room
 from clgs.scene.camera import Camera
 from clgs.scene.scene import RenderSettings, Scene, SplatScene
-from clgs.shapes import check_type
 
 CAMERA_REMEDY = "of a view give view.camera"
 MIB = 2**20

@@ -8,9 +8,9 @@ from numbers import Integral, Real
 import numpy as np
 import numpy.typing as npt
 
+from clgs.arguments import check_type
 from clgs.constants import FRUSTUM_MARGIN
 from clgs.errors import UsageError
-from clgs.shapes import check_type
 
 ORTHONORMAL = 1e-3
 """How far the products of a rotation's rows may be from those of unit axes."""

@@ -16,12 +16,13 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from clgs.arguments import as_path, check_type
 from clgs.errors import DataError, UsageError
 from clgs.files import atomic_write
 from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform, check_ranges
-from clgs.shapes import Shapes, as_path, check_type
+from clgs.shapes import Shapes
 
 GROUPS: dict[str, Any] = {
     "scales": QuantizationScales(),

@@ -81,10 +81,10 @@ def guarded(host: str, token: str) -> Iterator[None]:
 
         return plain(*args, process_request=answer, **options)
 
-    sockets.serve = serve  # type: ignore[assignment,misc]
+    sockets.serve = serve  # type: ignore[assignment,misc]  # a function for a class
     try:
         yield
     finally:
-        sockets.serve = plain  # type: ignore[misc]
+        sockets.serve = plain  # type: ignore[misc]  # the class again
     if not used:
         raise ClgsError("this version of viser opens its server in an unknown way; install 1.1")

@@ -19,11 +19,16 @@ from clgs.workflow.events import Note, OnEvent
 from clgs.workflow.options import FPS, FRAMES, PATHS, SIZE, UPS, PathOptions, ViewOptions
 
 
+def check_path_name(option: str, name: str) -> None:
+    """Raise UsageError unless ``name``, the value of ``option``, can be the path of a clip."""
+    if name not in PATHS and Path(name).suffix.lower() != ".json":
+        raise UsageError(f"{option} {name}: is not {', '.join(PATHS)} or a .json file")
+
+
 def check_clip(path: PathOptions, views: ViewOptions, save_path: Path | None) -> None:
     """Raise UsageError if options do not go together, or would have no effect."""
+    check_path_name("--path", path.name)
     named = path.name in PATHS
-    if not named and Path(path.name).suffix.lower() != ".json":
-        raise UsageError(f"--path {path.name}: is not {', '.join(PATHS)} or a .json file")
     if path.name == "interpolate" and views.data is None:
         raise UsageError("--path interpolate: goes through photos; name them with --data")
     if save_path is not None and save_path.suffix.lower() != ".json":

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from clgs.arguments import as_path
 from clgs.bake.bake import (
     BakedLoss,
     BakeSettings,
@@ -36,7 +37,6 @@ from clgs.files import atomic_write, check_output
 from clgs.opencl.device import Device
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import QuantizedScene, SceneTransform, SplatScene
-from clgs.shapes import as_path
 from clgs.workflow.events import Note, OnEvent, counter, ignore
 from clgs.workflow.options import BAKE_STEPS, SH_DEGREES, ViewOptions
 from clgs.workflow.outputs import check_new

@@ -10,12 +10,15 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
+from clgs.arguments import as_path, check_integer, check_type
 from clgs.errors import UsageError
+from clgs.exports.clip.camera_path import read_camera_path
 from clgs.files import check_folder, make_folder
-from clgs.shapes import as_path, check_integer, check_type
 from clgs.train.config import layered
 from clgs.train.run.run_folder import FolderLock
+from clgs.workflow.camera_paths import check_path_name
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
+from clgs.workflow.options import PATHS
 from clgs.workflow.run_plan import (
     DEFAULT_SECONDS,
     Photos,
@@ -41,9 +44,9 @@ from clgs.workflow.views import scene_name
 CORES = os.cpu_count() or 1
 
 PLANNED = {
-    "steps": "is an argument of its own",
-    "max_size": "is an argument of its own",
-    "seed": "is an argument of its own",
+    "steps": "the plan decides it; give --steps",
+    "max_size": "the plan decides it; give --max-size",
+    "seed": "all stages share it; give --seed",
     "preset": "the plan is that of preset quick; give its settings one by one",
     "downscale": "the plan reduces photos to a width; give max_size",
     "coarse_to_fine": "the plan decides it",
@@ -73,10 +76,11 @@ def plan_run(
     """
     photos, output = as_path("photos", photos), as_path("output", output)
     _check_numbers(seconds, steps, max_size, seed)
+    _check_settings(settings or {})
+    _check_shown(shown or Presentation())
     check_folder(output)
     read_record(output, resume=False, overwrite=True)
     given, allowed = _find_input(photos, settings or {}), seconds or DEFAULT_SECONDS
-    check_settings(settings or {})
     stages = RunStages(output, _record(given, allowed), seed or 0, device, on_event)
     return _Planner(stages, allowed, steps, max_size, shown).plan(_shortened(given, allowed))
 
@@ -126,8 +130,9 @@ def run(
     """
     photos, output = as_path("photos", photos), as_path("output", output)
     _check_numbers(seconds, steps, max_size, seed)
+    _check_settings(settings or {})
+    _check_shown(shown or Presentation())
     check_folder(output)
-    check_settings(settings or {})
     lock = FolderLock(output) if output.is_dir() else None
     try:
         found = read_record(output, resume, overwrite)
@@ -202,7 +207,17 @@ def _check_numbers(seconds: float | None, *whole: int | None) -> None:
         check_integer(name, value or 0)
 
 
-def check_settings(settings: Mapping[str, Any]) -> None:
+def _check_shown(shown: Presentation) -> None:
+    """Raise UsageError, or DataError for a file, if no clip can be made as ``shown`` asks."""
+    if shown.path not in (None, "none"):
+        check_path_name("--clip", shown.path)
+        if shown.path not in PATHS:
+            read_camera_path(Path(shown.path))
+    if shown.size is not None and (shown.size[0] % 2 or shown.size[1] % 2):
+        raise UsageError("--clip-size {}x{}: a video needs even numbers".format(*shown.size))
+
+
+def _check_settings(settings: Mapping[str, Any]) -> None:
     """Raise UsageError if ``settings`` are none, do not go together, or are those of the plan."""
     check_type("settings", settings, Mapping, "such as {'exposure': True}")
     for name in PLANNED.keys() & settings.keys():

@@ -12,7 +12,7 @@ from contextlib import redirect_stderr, redirect_stdout
 import numpy as np
 import pytest
 
-from clgs.cli.main import main
+from tests.cli.calls import exit_code
 from tests.small_scene import write_scene
 
 STEPS = 220
@@ -42,10 +42,7 @@ def clgs(*arguments):
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err), pytest.MonkeyPatch.context() as patch:
         patch.setattr("clgs.data.points.HULL_POINTS", 4000)
-        try:
-            code = main([str(one) for one in arguments])
-        except SystemExit as error:
-            code = error.code
+        code = exit_code([str(one) for one in arguments])
     command = ["clgs", *map(str, arguments)]
     return subprocess.CompletedProcess(command, code, out.getvalue(), err.getvalue())
 

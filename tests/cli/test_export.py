@@ -14,6 +14,7 @@ from clgs.lab.anchor_scene import anchor_scene
 from clgs.scene.anchors import QuantizationScales, quantize
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
+from tests.cli.calls import exit_code
 from tests.exports.splats.cases import differences, gaussians
 
 
@@ -54,11 +55,7 @@ def work(tmp_path, monkeypatch):
     ],
 )
 def test_what_cannot_be_done_is_refused_in_a_line(work, capsys, words, code, said):
-    try:
-        found = cli.main(["export", *words.split()])
-    except SystemExit as stop:  # from argparse
-        found = stop.code
-    assert found == code
+    assert exit_code(["export", *words.split()]) == code
     error = capsys.readouterr().err
     assert said in error
     assert not (work / "x.spz").exists()

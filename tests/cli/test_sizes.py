@@ -14,6 +14,7 @@ from PIL import Image
 from clgs.cli.main import build_parser, main
 from clgs.quantities import byte_count, seconds
 from clgs.train.config import from_toml
+from tests.cli.calls import exit_code
 from tests.small_scene import write_scene
 
 
@@ -140,10 +141,7 @@ def test_times_are_taken_as_people_write_them(text: str, value: float | None):
     ).split(";"),
 )
 def test_digits_of_other_scripts_are_refused_with_the_reason(words: str, capsys):
-    try:
-        assert main(words.replace("#", "\u0665").split()) == 2
-    except SystemExit as refused:
-        assert refused.code == 2  # noqa: PT017
+    assert exit_code(words.replace("#", "\u0665").split()) == 2
     assert re.search("\u0665[km]? has digits other than 0 to 9; ", capsys.readouterr().err)
 
 

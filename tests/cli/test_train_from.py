@@ -25,6 +25,7 @@ from clgs.train.config import preset
 def test_settings_are_those_of_the_run(tmp_path: Path, words, steps, lambda_, downscale):
     old = replace(preset("quick").scaled(300), size_lambda=0.7, downscale=2, seed=5)
     (tmp_path / "config.toml").write_text(old.to_toml())
+    (tmp_path / "results.json").write_text("{}")
     (tmp_path / "other.toml").write_text("steps = 900\nsize_lambda = 0.3\n")
     given = ["train", "data", "-o", "new", "--from", str(tmp_path)]
     given += words.format(config=tmp_path / "other.toml").split()

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 
 LAYERS = [  # a package may import from its own row and the rows above it
-    {"constants", "errors", "shapes", "quantities", "files", "machine", "memory", "options"}
-    | {"reference", "signals"},
+    {"arguments", "constants", "errors", "ffmpeg", "files", "machine", "memory", "options"}
+    | {"quantities", "reference", "shapes", "signals"},
     {"opencl", "scene"},
     {"ops", "codec", "data"},
     {"render", "exports", "poses"},

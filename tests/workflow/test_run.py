@@ -299,7 +299,7 @@ def test_nothing_to_train_on_is_named(tmp_path, capsys, name):
     ("more", "said"),
     [
         (["--set", "downscale=2"], "downscale: the plan reduces photos to a width"),
-        (["--set", "steps=2"], "steps: is an argument of its own"),
+        (["--set", "steps=2"], "steps: the plan decides it; give --steps"),
         (["--set", "nonsense=2"], "nonsense: no such setting"),
         (["--set", "voxel=-2"], "voxel: -2 is out of range"),
     ],

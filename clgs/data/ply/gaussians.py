@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clgs.arguments import as_path
 from clgs.codec.splat_packing import QuantizedSplats, unpack
 from clgs.data.ply.integer_splats import FEATURE_OF_ANCHORS, POSITION, ROTATION, SCALE
 from clgs.data.ply.table import read_ply
 from clgs.errors import CodecError, DataError
 from clgs.scene.gaussians import DEGREES, HostGaussians, OrdinaryGaussians
 from clgs.scene.scene import SplatScene
-from clgs.shapes import as_path
 
 DC = [f"f_dc_{i}" for i in range(3)]
 REST = "f_rest_"

@@ -11,7 +11,8 @@ import numpy as np
 
 from clgs.errors import ClgsError
 from clgs.exports.image import Picture
-from clgs.files import atomic_path, ffmpeg_closed
+from clgs.ffmpeg import ffmpeg_closed
+from clgs.files import atomic_path
 from clgs.shapes import Shapes
 
 SUFFIX = ".mp4"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clgs.arguments import check_type
 from clgs.constants import K_OFFSETS
 from clgs.data.stored_photo import Color, Planes
 from clgs.data.view import View, with_photos
@@ -20,7 +21,6 @@ from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, SplatScene, drawable
-from clgs.shapes import check_type
 from clgs.train.quality.metrics import blackened, psnr_8bit, psnr_channel_mean, ssim, to_8bit
 
 PROTOCOL = (

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from clgs.errors import DataError
-from clgs.files import append, atomic_write, is_full
+from clgs.files import append, atomic_write, is_full, text_bytes
 from clgs.train.run.trainer import StepResult
 
 COLUMNS = ("step", "seconds", "loss", "l1", "ssim", "psnr", "anchors", "estimated_bytes", "event")
@@ -33,7 +33,7 @@ class ProgressLog:
         self.events = {row["event"]: float(row["psnr"]) for row in rows if row["event"]}
         self.seconds = float(rows[-1]["seconds"]) if rows else 0.0
         self._start = time.perf_counter() - self.seconds
-        atomic_write(path, _text(rows).encode(errors="backslashreplace"))
+        atomic_write(path, text_bytes(_text(rows)))
         self._waiting: list[dict[str, Any]] = []
 
     def write(self, result: StepResult, psnr: float, estimated_bytes: int) -> None:
@@ -63,7 +63,7 @@ class ProgressLog:
         Raises:
             OSError: the disk is full, or another fault of the file; the rows go on waiting.
         """
-        append(self._path, _text(self._waiting, header=False).encode(errors="backslashreplace"))
+        append(self._path, text_bytes(_text(self._waiting, header=False)))
         self._waiting = []
 
     def _row(self, **values: Any) -> None:

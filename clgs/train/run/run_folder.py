@@ -117,14 +117,19 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
     return result
 
 
+def check_finished(folder: Path) -> None:
+    """Raise DataError unless ``folder`` holds a finished run."""
+    if not (folder / RESULTS).is_file():
+        raise DataError(f"{folder}: holds no finished run; name one, or finish it by --resume")
+
+
 def finished_settings(folder: Path) -> tuple[RunResult, TrainConfig]:
     """What the finished run in ``folder`` gave, and its settings.
 
     Raises:
         DataError: there is none, it is not finished, or its files are damaged.
     """
-    if not (folder / RESULTS).exists():
-        raise DataError(f"{folder}: holds no finished run; name one, or finish it by --resume")
+    check_finished(folder)
     try:
         text = (folder / SETTINGS).read_text(encoding="utf-8")
         return _read(folder), from_toml(text, str(folder / SETTINGS))

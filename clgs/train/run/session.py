@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clgs.arguments import as_path, check_type
 from clgs.codec.fit_size import POSITION_BITS
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
@@ -21,7 +22,6 @@ from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
-from clgs.shapes import as_path, check_type
 from clgs.signals import interruptions
 from clgs.train.config import TrainConfig
 from clgs.train.config.size_settings import MLP_BYTES

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from clgs.data.dataset import Dataset
 from clgs.data.images import MAX_PIXELS
 from clgs.errors import DataError
+from clgs.files import text_bytes
 from clgs.opencl.device import Device
 from clgs.options import PRESETS, render_options
 from clgs.render.renderer import Renderer
@@ -38,7 +39,7 @@ def run_digest(dataset: Dataset, config: TrainConfig) -> str:
     digest = hashlib.sha256(config.digest().encode())
     for view in dataset.train:
         shape = view.camera.height, view.camera.width, 3
-        digest.update(f"{view.name} {shape}".encode(errors="surrogateescape"))
+        digest.update(text_bytes(f"{view.name} {shape}"))
         digest.update(view.photo.checksum().to_bytes(4, "little"))
         if view.mask is not None:
             digest.update(view.mask.used().tobytes())
