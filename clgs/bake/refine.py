@@ -61,7 +61,7 @@ def refine(
             rate = RATES[name] * (radius if name == "mean" else 1.0) * fall
             trained = adam.Trained(array, gradients[name], moments[name])
             updates.append(adam.Update(trained, adam.factors(rate, number)))
-        adam.step_all(device, updates, stop)
+        adam.step(device, updates, stop)
         on_step()
     if device.download(stop)[0]:
         raise ClgsError("baking: a gradient is not finite; give --steps 0 to export unrefined")

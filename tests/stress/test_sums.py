@@ -93,9 +93,8 @@ def test_gradients_of_any_size(device, exponent):
     for count in range(1, 21):
         g = (rng.normal(size=33) * 10.0**exponent).astype(np.float32)
         gradient = device.upload(g)
-        adam.step(
-            device, adam.Trained(parameter, gradient, moments), adam.factors(1e-3, count), stop
-        )
+        trained = adam.Trained(parameter, gradient, moments)
+        adam.step(device, [adam.Update(trained, adam.factors(1e-3, count))], stop)
         wide, moments64 = adam_reference.step(wide, g.astype(np.float64), moments64, 1e-3, count)
     found = device.download(parameter)
     assert np.isfinite(found).all()

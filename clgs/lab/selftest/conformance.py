@@ -140,7 +140,7 @@ def _adam(device: Device, random: ExactRandom) -> npt.NDArray[Any]:
     for step in range(1, 4):
         gradient = device.upload(random.floats((COUNT,), -1.0, 1.0))
         trained = adam.Trained(parameter, gradient, moments)
-        adam.step(device, trained, adam.factors(0.01, step), stop)
+        adam.step(device, [adam.Update(trained, adam.factors(0.01, step))], stop)
     return device.download(parameter)
 
 

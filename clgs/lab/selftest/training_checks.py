@@ -110,7 +110,7 @@ def check_adam(device: Device, rng: np.random.Generator, count: int) -> Iterator
     state = np.zeros(count), np.zeros(count)
 
     def step(number: int) -> None:
-        adam.step(device, trained, adam.factors(0.01, number), stop)
+        adam.step(device, [adam.Update(trained, adam.factors(0.01, number))], stop)
 
     for number in range(1, 11):
         step(number)

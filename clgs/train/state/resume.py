@@ -16,7 +16,7 @@ from clgs.ops.rate import Rate
 from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.train.config import TrainConfig
-from clgs.train.config.option import describe, options_of
+from clgs.train.config.option import options_of
 from clgs.train.quality.importance import Sensitivity
 from clgs.train.state import checkpoint
 from clgs.train.state.checkpoint import Arrays
@@ -151,7 +151,7 @@ def changed_settings(folder: Path, config: TrainConfig) -> str:
     if "steps" in names:
         names = ["steps"]  # most others follow from it
     shown = [
-        f"{describe(options[name]).flag}: {there.get(name)} there, {here.get(name)} here"
+        f"{options[name].flag}: {there.get(name)} there, {here.get(name)} here"
         for name in names[:SHOWN]
     ]
     return f" ({'; '.join(shown)})" if shown else ""

@@ -62,4 +62,4 @@ class Optimizer:
                     self._adam.step_rows(device, trained, now, stop, marks[name])
                 else:
                     updates.append(adam.Update(trained, now, part))
-        self._adam.step_all(device, updates, stop)
+        self._adam.step(device, updates, stop)
