@@ -5,7 +5,9 @@ Exit codes: 0 success, 1 failure, 2 usage, 3 data, 4 device, 130 interrupted.
 
 from __future__ import annotations
 
+import codecs
 import importlib
+import io
 import os
 import shlex
 import sys
@@ -94,6 +96,7 @@ def build_parser(commands: Collection[str] = tuple(COMMANDS)) -> argparse.Argume
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command that ``argv`` names (default: the process's arguments); its exit code."""
+    show_all_letters()
     try:
         with Interruptions(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
@@ -110,6 +113,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         return complain(error)
     return code
+
+
+def show_all_letters() -> None:
+    """Print letters that the output's encoding lacks with backslashes: a path may hold any.
+
+    Bytes of a name that are no letters go out as they came in, if Python's locale lets them.
+    """
+    codecs.register_error("clgs", _bytes_or_backslashes)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            kept = stream.errors == "surrogateescape"
+            stream.reconfigure(errors="clgs" if kept else "backslashreplace")
+
+
+def _bytes_or_backslashes(error: UnicodeError) -> tuple[str | bytes, int]:
+    try:
+        return codecs.lookup_error("surrogateescape")(error)
+    except UnicodeEncodeError:
+        return codecs.backslashreplace_errors(error)
 
 
 def _run(argv: Sequence[str] | None) -> int:

@@ -15,8 +15,8 @@ SHELLS = ("bash", "zsh", "fish")
 RAW = ("examples:", "exit codes:")
 """The beginnings of paragraphs whose lines stay as they are."""
 
-_NUMBERS = re.compile(r"-(\d|\.\d|inf)")
-"""The start of a word that is a negative number, or a list that begins with one."""
+VALUES = re.compile(r"-(?:\d|\.\d|inf|nan|[xyz]$)", re.IGNORECASE)
+"""Words that are values although they begin with a minus: numbers, lists of them, and axes."""
 
 
 class Help(argparse.RawDescriptionHelpFormatter):
@@ -47,6 +47,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **options: Any) -> None:
         options.setdefault("formatter_class", Help)
         super().__init__(**options)
+        self._negative_number_matcher = VALUES  # the standard one knows no lists, and no 1e3
         self._words: list[str] = []
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
@@ -73,10 +74,10 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]  # one form of its four
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> tuple[Any, list[str]]:
-        """Parse, but refuse unknown words, and accept lists that begin with a minus."""
+        """Parse, but refuse unknown words."""
         words = list(sys.argv[1:] if args is None else args)
         self._words = words
-        found, unknown = super().parse_known_args(_join_numbers(words), namespace)
+        found, unknown = super().parse_known_args(words, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}{self._suggestion(unknown)}")
         return found, unknown
@@ -115,14 +116,3 @@ def _nearest(word: str, known: Iterable[str]) -> str:
 
     near = get_close_matches(word, list(known), n=1)
     return f" (did you mean {near[0]}?)" if near else ""
-
-
-def _join_numbers(words: list[str]) -> list[str]:
-    """``--option -1,2`` as ``--option=-1,2``: the base class takes lists for unknown options."""
-    joined: list[str] = []
-    for word in words:
-        if joined and re.fullmatch(r"--[\w-]+", joined[-1]) and _NUMBERS.match(word):
-            joined[-1] += f"={word}"
-        else:
-            joined.append(word)
-    return joined

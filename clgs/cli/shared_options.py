@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -12,9 +13,13 @@ from typing import Any
 from clgs.data.reduction import MAX_SIZE
 from clgs.errors import UsageError
 from clgs.options import PRESETS
+from clgs.quantities import MOST, OTHER_DIGITS, byte_count, has_other_digits, number, seconds
 from clgs.train.config import TrainConfig
 from clgs.train.config.option import Option, Range, options_of
 from clgs.workflow.options import BACKGROUNDS, ViewOptions
+
+MAX_SIDE = 16384
+"""Pixels of a side of a rendered picture, at most."""
 
 
 def add_view_options(parser: argparse.ArgumentParser, split: bool = True) -> None:
@@ -85,7 +90,9 @@ def add_level(parser: argparse.ArgumentParser) -> None:
 
 def add_threads(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--threads``."""
-    parser.add_argument("--threads", type=int, metavar="N", help="default: one per processor")
+    parser.add_argument(
+        "--threads", type=positive_int, metavar="N", help="default: one per processor"
+    )
 
 
 def add_overwrite(parser: argparse.ArgumentParser, what: str) -> None:
@@ -129,15 +136,22 @@ def photo_width(text: str) -> int:
     return int(value_of(replace(declared, allowed=allowed))(text))
 
 
-def whole_number(largest: int) -> Callable[[str], int]:
-    """The type of arguments that must be whole numbers from 1 to ``largest``."""
+def plain_digits(text: str) -> str:
+    """``text``; ArgumentTypeError if it has digits of another script."""
+    if has_other_digits(text):
+        raise argparse.ArgumentTypeError(f"{text} {OTHER_DIGITS}; write it with these")
+    return text
+
+
+def whole_number(largest: int, least: int = 1) -> Callable[[str], int]:
+    """The type of arguments that must be whole numbers from ``least`` to ``largest``."""
 
     def parse(text: str) -> int:
-        digits = text if text.isdecimal() else "0"
-        value = int(digits) if len(digits) <= len(str(largest)) else largest + 1
-        if not 1 <= value <= largest:
+        value = number(plain_digits(text))
+        if not isinstance(value, int) or not least <= value <= largest:
             named = text if len(text) <= 20 else f"{text[:17]}..."
-            raise argparse.ArgumentTypeError(f"{named} is not a whole number from 1 to {largest}")
+            limits = f"from {least} to {largest}" if largest < MOST else f"of at least {least}"
+            raise argparse.ArgumentTypeError(f"{named} is not a whole number {limits}")
         return value
 
     return parse
@@ -153,11 +167,33 @@ def named_path(text: str) -> Path:
     return Path(text)
 
 
-def seed(text: str) -> int:
-    """An argument that must be a whole number of at least 0."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number of at least 0")
-    return int(text)
+seed = whole_number(MOST, 0)
+
+
+def size(text: str) -> int:
+    """The type of an argument that is a number of bytes, as :func:`byte_count` reads it."""
+    value = byte_count(plain_digits(text))
+    if value is None:
+        raise argparse.ArgumentTypeError(f"{text} is not a size such as 800k or 1.5MB")
+    return value
+
+
+def duration(text: str) -> float:
+    """The type of an argument that is a time, as :func:`clgs.quantities.seconds` reads it."""
+    value = seconds(plain_digits(text))
+    if value is None or not 0 < value < 1e7:
+        raise argparse.ArgumentTypeError(f"{text} is not a time such as 90s, 5m or 1h30m")
+    return value
+
+
+def frame_size(text: str) -> tuple[int, int]:
+    """The type of an argument that is the width and the height of a picture in pixels."""
+    found = re.fullmatch(r"(\d+) ?[x\u00d7] ?(\d+)", plain_digits(text).strip().lower())
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text} is not WIDTHxHEIGHT, such as 800x600")
+    if not all(len(side) < 10 and 1 <= int(side) <= MAX_SIDE for side in found.groups()):
+        raise argparse.ArgumentTypeError(f"{text}: sides are 1 to {MAX_SIDE} pixels")
+    return int(found[1]), int(found[2])
 
 
 def number_within(least: float, most: float, words: str) -> Callable[[str], float]:
@@ -165,7 +201,7 @@ def number_within(least: float, most: float, words: str) -> Callable[[str], floa
 
     def parse(text: str) -> float:
         try:
-            value = float(text)
+            value = float(plain_digits(text))
         except ValueError:
             value = math.nan
         if not least <= value <= most:

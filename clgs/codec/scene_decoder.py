@@ -168,9 +168,10 @@ def _decode_rows(
 def describe(data: bytes) -> dict[str, Any]:
     """Header and size of a file: plain numbers, ready for JSON; payloads are not decoded.
 
-    Keys: version, bytes, anchors, level, origin, depth, chunks (anchors per chunk at most, count),
-    scales, transform, settings, content_hash (hex), and sections (bytes by tag, ``container`` for
-    the signature and the table).
+    Keys: version, bytes, anchors, extent (the corners of the anchors' box, in the units of the
+    input data; absent if there are none), level, origin, depth, chunks (anchors per chunk at most,
+    count), scales, transform, settings, content_hash (hex), and sections (bytes by tag,
+    ``container`` for the signature and the table).
 
     Raises:
         CodecError: as ``decode``, but for damage that only decoding can show.
@@ -179,10 +180,16 @@ def describe(data: bytes) -> dict[str, Any]:
     reader = SceneReader(BytesSource(data), table)
     meta = reader.meta
     sizes = {tag: len(section.data) for tag, section in sections.items()}
+    extent, groups = {}, reader.head.groups
+    if len(groups):
+        corners = np.stack([groups[:, 1:4].min(axis=0), groups[:, 4:7].max(axis=0)])
+        world = meta.transform.to_world(corners / np.float64(meta.scales.position))
+        extent = {"extent": dict(zip(("least", "greatest"), world.tolist(), strict=True))}
     return {
         "version": table.version,
         "bytes": len(data),
         "anchors": meta.anchors,
+        **extent,
         "level": meta.level,
         "origin": meta.origin,
         "depth": meta.depth,

@@ -123,7 +123,9 @@ def is_splats(data: bytes) -> bool:
 
 
 def describe(data: bytes) -> dict[str, object]:
-    """Header and sizes of a file of splats, ready for JSON; payloads are not decoded.
+    """Header and sizes of a file of splats, ready for JSON; of the payloads, positions are decoded.
+
+    extent: the corners of the box of all means, in the file's units.
 
     Raises:
         CodecError: as ``unpack``, but for damage that only decoding can show.
@@ -131,9 +133,17 @@ def describe(data: bytes) -> dict[str, object]:
     _, sections = section_table.read_container(data, splats=True)
     splats, voxels, content = guarded(sections[SPLT], _unpack_head)
     sizes = {tag: len(section.data) for tag, section in sections.items()}
+    extent = {}
+    if voxels:
+        if streams.declared_shape(sections[SPOS].data) != (voxels, 3):
+            raise sections[SPOS].error(f"not the {voxels} voxels that {SPLT} declares")
+        position = _decode(sections[SPOS], streams.decode_positions, None)
+        corners = np.stack([position.min(axis=0), position.max(axis=0)]) * splats.steps[:3]
+        extent = {"extent": dict(zip(("least", "greatest"), corners.tolist(), strict=True))}
     return {
         "bytes": len(data),
         "splats": len(splats),
+        **extent,
         "voxels": voxels,
         "steps": dict(zip(splats.names, splats.steps, strict=True)),
         "content_hash": f"{content:016x}",

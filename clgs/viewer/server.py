@@ -13,6 +13,7 @@ import numpy as np
 from clgs.data.view import View
 from clgs.errors import ClgsError
 from clgs.exports.clip.framing import Framing
+from clgs.viewer.guard import guarded
 from clgs.viewer.live import Eye, Follower, LiveScene, eye_of
 from clgs.viewer.photos import RENDER, SHOWN, compare, names_of, stands_at
 
@@ -56,8 +57,10 @@ def load_viser() -> Any:
     return viser
 
 
-def open_server(shown: Shown, host: str, port: int) -> Any:
+def open_server(shown: Shown, host: str, port: int, token: str) -> Any:
     """A viser server that shows a scene until :func:`close_server`; ``get_port()`` is its port.
+
+    Its page is at http://HOST:PORT/TOKEN/, see :mod:`clgs.viewer.guard`.
 
     Raises:
         ClgsError: viser is missing, or the port cannot be opened.
@@ -66,7 +69,7 @@ def open_server(shown: Shown, host: str, port: int) -> Any:
     # a picture that was drawn while its browser went away
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
     try:
-        with redirect_stdout(io.StringIO()):  # it prints its address, in a box
+        with guarded(host, token), redirect_stdout(io.StringIO()):  # it prints an address
             server = viser.ViserServer(host=host, port=port, label="clgs", verbose=False)
     except OSError as error:
         raise ClgsError(f"port {port} cannot be opened ({error}); give another --port") from error

@@ -44,7 +44,11 @@ def work(tmp_path, monkeypatch):
         ("photos -o x.html", 3, "photos: is a folder without scene.clgs; name a run folder"),
         ("splats.ply -o x.html", 3, "splats.ply: a page is made of a .clgs file; `clgs pack`"),
         ("old.ply -o x.spz", 3, "old.ply: not a PLY file"),
-        ("splats.ply -o x.ply --sh-degree 4", 2, "--sh-degree: invalid choice"),
+        (
+            "splats.ply -o x.ply --sh-degree 4",
+            2,
+            "--sh-degree: 4 is not a whole number from 0 to 3",
+        ),
         ("splats.ply -o x.ply --steps -1", 2, "--steps"),
         ("splats.ply -o no/x.spz", 2, "no/x.spz: cannot be written"),
     ],

@@ -128,7 +128,8 @@ def test_debug_shows_the_traceback(run_raising, monkeypatch, capsys):
 
 
 def test_version():
-    assert clgs("--version").stdout == f"clgs {__version__}\n"
+    done = clgs("--version")
+    assert (done.returncode, done.stdout) == (0, f"clgs {__version__}\n")
 
 
 def test_help_names_every_command():
@@ -356,8 +357,9 @@ def test_commands_of_the_codec_say_what_needs_less_memory(command, monkeypatch, 
     said = capsys.readouterr().err
     assert said.startswith("clgs: error: out of memory; --threads 1 ")
     assert said.count("\n") == 1
-    help_of_command = clgs(command, "--help").stdout
-    assert all(word in help_of_command for word in said.split() if word.startswith("--"))
+    shown = clgs(command, "--help")
+    assert shown.returncode == 0
+    assert all(word in shown.stdout for word in said.split() if word.startswith("--"))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no limits of memory")

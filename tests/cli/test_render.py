@@ -70,7 +70,7 @@ def test_a_scene_needs_no_data_for_an_orbit(here, tmp_path, scene):
     assert len(found) == 3
     assert scene == "s.clgs" or max(picture.max() for picture in found) > 20  # that one is empty
     done = clgs(*f"render {scene} --path orbit --frames 1 --up -y --size 9x9 -o {out}2".split())
-    assert "up is taken" not in done.stderr
+    assert (done.returncode, done.stderr) == (0, "rendering 1/1\n")
 
 
 def test_a_path_that_was_saved_gives_the_same_pictures(here, tmp_path):
@@ -154,6 +154,8 @@ def test_splats_are_scored_and_over_another_background_differ(here, tmp_path):
         ("render s.npz --data data --save-path p.json -o x", 2, "--save-path: belongs to a clip"),
         ("render s.npz --path orbit --size 40 -o x", 2, "40 is not WIDTHxHEIGHT"),
         ("render s.npz --path orbit --size 0x9 -o x", 2, "0x9: sides are 1 to 16384"),
+        ("render s.npz --path orbit --size 100000x100000 -o x", 2, "100000x100000: sides are 1"),
+        ("render s.npz --path orbit --up -w -o x", 2, "--up: expected one argument"),
         ("render s.npz --path orbit --fps 0 -o x", 2, "0 is not a number from 0.1"),
         ("render s.npz --path orbit -o x.webm", 2, "x.webm: a video is an .mp4 file"),
         ("render s.npz --path orbit --size 9x8 -o x.mp4", 2, "--size 9x8: a video needs even"),

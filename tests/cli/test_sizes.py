@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from clgs.cli.main import main
+from clgs.cli.main import build_parser, main
+from clgs.quantities import byte_count, seconds
 from clgs.train.config import from_toml
 from tests.small_scene import write_scene
 
@@ -82,6 +84,78 @@ def test_data_of_which_no_photo_is_known_are_used_with_a_warning(command, tmp_pa
     capsys.readouterr()
     assert command("eval", tmp_path / "run", "--json", tmp_path / "scores.json") == 0
     assert "has none of the photos that the scene was trained with; if" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        *(
+            ("800k", 800_000),
+            ("40KB", 40_000),
+            ("1.5 MB", 1_500_000),
+            ("2MiB", 2**21),
+            ("1e5", 100_000),
+        ),
+        *(("200q", None), ("0", None), ("-5", None), ("inf", None), ("\u0665k", None)),
+    ],
+)
+def test_sizes_are_taken_as_people_write_them(text: str, value: int | None):
+    assert byte_count(text) == value
+    if value:
+        words = ["train", "data", "-o", "run", "--target-size", text]
+        assert build_parser(["train"]).parse_args(words).target_size == value
+        words = ["encode", "run", "-o", "x.clgs", "--target-size", text]
+        assert build_parser(["encode"]).parse_args(words).target_size == value
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        *(("90", 90), ("90s", 90), ("5m", 300), ("5min", 300), ("5 min", 300), ("1h30m", 5400)),
+        *(("1h30", 5400), ("1h 5m 3s", 3903), ("2m30", 150), ("1.5 hours", 5400), ("1e3", 1000)),
+        *(("5x", None), ("m", None), ("", None), ("30m1h", None), ("-5m", None), ("\u0665m", None)),
+    ],
+)
+def test_times_are_taken_as_people_write_them(text: str, value: float | None):
+    assert seconds(text) == value
+
+
+@pytest.mark.parametrize(
+    "words",
+    """run p -o x --time #m; run p -o x --steps #; train p -o x --steps #; train p -o x --lambda #
+    train p -o x --target-size #k; train p -o x --set steps=#; encode r -o x --target-size #k
+    encode r -o x --chunk #; encode r -o x --q 1,1,1,#; decode s -o x --box 0,0,0,1,1,#
+    decode s -o x --threads #; export s -o x --steps #; render s -o x --fps #; view s --port #
+    prepare p -o x --seed #; pack s -o x --step scale=#; render s -o x --size 9x#""".replace(
+        "\n", ";"
+    ).split(";"),
+)
+def test_digits_of_other_scripts_are_refused_with_the_reason(words: str, capsys):
+    try:
+        assert main(words.replace("#", "\u0665").split()) == 2
+    except SystemExit as refused:
+        assert refused.code == 2  # noqa: PT017
+    assert re.search("\u0665[km]? has digits other than 0 to 9; ", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("words", "value"),
+    [
+        *(("train p -o x --steps 1e3", 1000), ("run p -o x --steps 1e3", 1000)),
+        *(("prepare p -o x --frames 1e2", 100), ("encode r -o x --chunk 1e3", 1000)),
+        *(("render s -o x --up -y", "-y"), ("render s -o x --up=-z", "-z")),
+        *(
+            ("encode r -o x --target-psnr -1e1", -10.0),
+            ("train p -o x --loss-weights 1e-1 2", None),
+        ),
+    ],
+)
+def test_values_are_taken_as_people_write_them(words: str, value: object):
+    command = words.split()[0]
+    found = build_parser([command]).parse_args(words.split())
+    name = next(word for word in words.split() if word[:2] == "--").partition("=")[0]
+    shown = getattr(found, name[2:].replace("-", "_"))
+    assert shown == ([0.1, 2.0] if value is None else value)
 
 
 def test_a_size_of_no_known_unit_is_answered_by_examples(capsys):

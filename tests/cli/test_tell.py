@@ -6,10 +6,16 @@ import os
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from clgs.cli.tell import tell
+from clgs.codec.scene_encoder import encode
+from clgs.codec.splat_packing import QuantizedSplats, pack
+from tests.codec.scenes import random_scene
+from tests.small_scene import write_scene
 
 PROGRAM = "from clgs.cli.tell import tell; tell('one'); tell('two')"
 
@@ -30,3 +36,35 @@ def test_a_closed_standard_error_is_no_error(monkeypatch: pytest.MonkeyPatch, ca
     monkeypatch.setattr(sys, "stderr", None)
     tell("nobody hears this")
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    "encoding", ["cp1252", "latin-1", "ascii", "utf-8", "ascii:surrogateescape"]
+)
+@pytest.mark.parametrize("command", ["info", "decode", "unpack", "doctor"])
+def test_a_path_of_any_letters_is_printed(command: str, encoding: str, tmp_path: Path):
+    """Letters that the encoding lacks become backslashes, also those of no encoding at all."""
+    folder = tmp_path / os.fsdecode(b"\xd0\xb6\xff\xe4\xbd\xa0")
+    folder.mkdir()
+    (folder / "s.clgs").write_bytes(encode(random_scene(np.random.default_rng(3), 40)))
+    splats = QuantizedSplats(["x", "y", "z", "a"], [1.0] * 4, np.zeros((1, 4), np.int32))
+    (folder / "p.clgs").write_bytes(pack(splats))
+    write_scene(folder, train=4, test=1, size=16)
+    words: dict[str, list[object]] = {
+        "info": [folder / "none"],
+        "decode": [folder / "s.clgs", "-o", folder / "s.npz"],
+        "unpack": [folder / "p.clgs", "-o", folder / "p.ply"],
+        "doctor": [folder],
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "clgs.cli.main", command, *map(str, words[command])],
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+        capture_output=True,
+        check=False,
+    )
+    said = done.stderr + done.stdout
+    assert done.returncode == (3 if command == "info" else 0), said
+    assert b"Traceback" not in said
+    assert b"bug" not in said
+    known = {"utf-8": "\u0436".encode()}.get(encoding, b"\\u0436")
+    assert known in said

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 
 import numpy as np
@@ -38,11 +39,17 @@ def test_the_viewer_says_where_it_is_and_ends_when_interrupted(tmp_path):
             assert "Ctrl-C" in rest, process.stderr.read() if process.poll() is not None else ""
             with urllib.request.urlopen(address, timeout=60) as answer:
                 assert b"<html" in answer.read().lower()
+            place, _, token = address.rstrip("/").rpartition("/")
+            assert len(token) == 16
+            for other, headers in ((place, {}), (address, {"Host": "evil.example"})):
+                request = urllib.request.Request(other, headers=headers)
+                with pytest.raises(urllib.error.HTTPError, match="403"):
+                    urllib.request.urlopen(request, timeout=60)
         finally:
             process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 130
     assert f"port {PORT} is taken" in said
-    assert not address.endswith(str(PORT))
+    assert f":{PORT}/" not in address
     assert "interrupted" in said
     assert "Traceback" not in said

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 
 LAYERS = [  # a package may import from its own row and the rows above it
-    {"constants", "errors", "shapes", "byte_count", "files", "machine", "memory", "options"}
+    {"constants", "errors", "shapes", "quantities", "files", "machine", "memory", "options"}
     | {"reference", "signals"},
     {"opencl", "scene"},
     {"ops", "codec", "data"},

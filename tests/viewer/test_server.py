@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import socket
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from PIL import Image
 
 from clgs.exports.clip.framing import frame_cameras, frame_scene
 from clgs.lab.anchor_scene import anchor_scene
+from clgs.viewer.guard import may_enter
 from clgs.viewer.live import LiveScene, eye_of
 from clgs.viewer.server import Shown, close_server, open_server
 from tests.codec.scenes import random_scene
@@ -17,6 +19,8 @@ from tests.exports.clip.test_paths import ring
 from tests.viewer.test_live import photo_view
 
 viser = pytest.importorskip("viser", reason="needs clgs[view]")
+
+TOKEN = "secret"
 
 PATIENCE = 120
 """Seconds after which an answer is taken for missing."""
@@ -30,18 +34,22 @@ def server(open_device, rng):
     framing = frame_cameras(cameras, frame_scene(random_scene(rng, 20), (80, 60)))
     photos = {"train": [photo_view(camera) for camera in cameras], "test": []}
     opened = open_server(
-        Shown(live, photos, framing, (0.0, 0.0, 0.0), "anchors", 1_000_000), "127.0.0.1", 18_080
+        Shown(live, photos, framing, (0.0, 0.0, 0.0), "anchors", 1_000_000),
+        "127.0.0.1",
+        18_080,
+        TOKEN,
     )
     yield opened
     close_server(opened)
 
 
-def connect(server):
+def connect(server, path=f"/{TOKEN}", **headers):
     from websockets.sync.client import connect
     from websockets.typing import Subprotocol
 
     return connect(
-        f"ws://127.0.0.1:{server.get_port()}",
+        f"ws://127.0.0.1:{server.get_port()}{path}",
+        additional_headers=headers,
         subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
         max_size=None,
         open_timeout=PATIENCE,
@@ -121,3 +129,42 @@ def test_a_photo_is_gone_to_and_shown(server):
             picture = next_picture(received)
     assert (np.abs(picture[100:150, 20:220].astype(int) - 200) < 12).all()
     assert (np.abs(picture[10:60, 20:220].astype(int) - 100) < 12).all()
+
+
+@pytest.mark.filterwarnings("ignore:Queued a")
+def test_the_web_socket_takes_its_own_page_alone(server):
+    from websockets.exceptions import InvalidStatus
+
+    own = f"http://127.0.0.1:{server.get_port()}"
+    with connect(server, Origin=own) as socket:
+        assert socket.subprotocol
+    for path, origin in (("", own), ("/wrong", own), (f"/{TOKEN}", "http://evil.example")):
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(server, path, Origin=origin)
+
+
+@pytest.mark.parametrize(
+    ("path", "host", "origin", "enters"),
+    [
+        ("/secret/", "127.0.0.1:8080", None, True),
+        ("/secret", "localhost:8080", "http://localhost:8080", True),
+        ("/secret/?websocket=x", "[::1]:8080", "http://[::1]:8080", True),
+        ("/secret/", "192.168.1.2:9", "http://192.168.1.2:9", True),  # by --host, or a tunnel
+        ("/secret/", socket.gethostname(), None, True),
+        ("/", "127.0.0.1:8080", None, False),
+        ("/secrets/", "127.0.0.1:8080", None, False),
+        ("/x/secret/", "127.0.0.1:8080", None, False),
+        ("/secret/", "evil.example:8080", "http://evil.example:8080", False),
+        ("/secret/", "127.0.0.1.evil.example", None, False),
+        ("/secret/", "127.0.0.1:8080", "http://evil.example", False),
+        ("/secret/", "127.0.0.1:8080", "http://127.0.0.1:8081", False),
+        ("/secret/", "127.0.0.1:8080", "null", False),
+        ("/secret/", "user@127.0.0.1:8080", "http://evil.example", False),
+        ("/secret/", "[", None, False),
+        ("/secret/", "", None, False),
+    ],
+)
+def test_whom_the_viewer_answers(path, host, origin, enters):
+    origins = [] if origin is None else [origin]
+    assert may_enter("127.0.0.1", TOKEN, path, [host], origins) == enters
+    assert not may_enter("127.0.0.1", TOKEN, path, [host, host], origins)

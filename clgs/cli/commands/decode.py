@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from clgs.cli.shared_options import add_files, add_threads
+from clgs.cli.shared_options import add_files, add_threads, plain_digits
 
 DESCRIPTION = """\
 Decompress a .clgs file into a NumPy archive, or into a PLY file as the reference code writes it.
@@ -15,8 +15,8 @@ float32, or float64 if float32 would not give every integer back. An X.mlps.npz 
 stays; one with others is replaced by --overwrite alone.
 
 --box: only the anchors with x0 <= x < x1, y0 <= y < y1 and z0 <= z < z1, in the units of the input
-data. Of the file, only the header, the MLPs and the chunks that the box meets are read: see
-`clgs encode --chunk`."""
+data; `clgs info` shows the extent. Of the file, only the header, the MLPs and the chunks that the
+box meets are read: see `clgs encode --chunk`."""
 
 LESS_MEMORY = "--threads 1 needs less, and --box decodes a part alone"
 
@@ -25,12 +25,25 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
     parser.description = DESCRIPTION
     add_files(parser, "scene", "FILE.clgs", "FILE.npz|FILE.ply")
-    parser.add_argument("--box", metavar="x0,y0,z0,x1,y1,z1", help="only the part in this box")
+    add = parser.add_argument
+    add("--box", type=_box, metavar="x0,y0,z0,x1,y1,z1", help="only the part in this box")
     add_threads(parser)
+
+
+def _box(text: str) -> list[float]:
+    try:
+        numbers = [float(number) for number in plain_digits(text).split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6:
+        needed = "six numbers are needed, x0,y0,z0,x1,y1,z1"
+        raise argparse.ArgumentTypeError(f"{text}: {needed}")
+    return numbers
 
 
 def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
+    from clgs.cli.tell import tell
     from clgs.codec.scene_decoder import Box
     from clgs.data.ply.anchors import save_scaffold
     from clgs.data.ply.mlps_archive import mlps_path
@@ -43,23 +56,19 @@ def run(args: argparse.Namespace) -> int:
     suffix = args.output.suffix.lower()
     if suffix not in (".npz", ".ply"):
         raise UsageError(f"{args.output}: the output must end in .npz or .ply; name it so")
-    box = None
-    if args.box is not None:
-        try:
-            x0, y0, z0, x1, y1, z1 = map(float, args.box.split(","))
-        except ValueError:
-            needed = "six numbers are needed, x0,y0,z0,x1,y1,z1"
-            raise UsageError(f"--box {args.box}: {needed}") from None
-        box = Box((x0, y0, z0), (x1, y1, z1))
     for output in [args.output] + [mlps_path(args.output)] * (suffix == ".ply"):
         check_output(output, args.scene)
     check_new(args.output, args.overwrite, args.scene)
-    if box is None:
+    read = ""
+    if args.box is None:
         scene, _ = read_bitstream(args.scene, args.threads)
-        read = ""
     else:
+        x0, y0, z0, x1, y1, z1 = args.box
+        box = Box((x0, y0, z0), (x1, y1, z1))
         scene, count, size = read_box(args.scene, box, args.threads)
         read = f" in the box, {count:,} of {size:,} bytes read"
+        if not len(scene.anchors):
+            tell(f"clgs: warning: the box holds no anchors; `clgs info {args.scene}` shows where")
     if suffix == ".ply":
         save_scaffold(args.output, scene, args.overwrite)
     else:

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.byte_count import byte_count
 from clgs.cli.shared_options import (
     add_device_name,
     add_files,
@@ -19,6 +18,9 @@ from clgs.cli.shared_options import (
     add_threads,
     in_range,
     number_within,
+    plain_digits,
+    positive_int,
+    size,
     view_options,
 )
 
@@ -62,7 +64,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     add_level(parser)
     parser.add_argument(
         "--chunk",
-        type=int,
+        type=positive_int,
         default=65_536,
         metavar="N",
         help="most anchors per chunk, 16 to 2^20 (default: 65536)",
@@ -185,15 +187,7 @@ def _in_words_of_options(path: Path) -> Iterator[None]:
 def _scales(text: str) -> tuple[float, float, float, float]:
     """The type of an argument of four positive numbers with commas between."""
     try:
-        position, offset, feature, scaling = map(in_range, text.split(","))
+        position, offset, feature, scaling = map(in_range, plain_digits(text).split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text} is not four numbers P,O,A,S") from None
     return position, offset, feature, scaling
-
-
-def size(text: str) -> int:
-    """The type of an argument of bytes: a number, and k, M or G for 10^3, 10^6 or 10^9 of them."""
-    value = byte_count(text)
-    if value is None:
-        raise argparse.ArgumentTypeError(f"{text} is not a size such as 800k or 1.5M")
-    return value

@@ -57,14 +57,14 @@ def register(parser: argparse.ArgumentParser) -> None:
     add_size_options(parser, "SCENE")
     add(
         "--sh-degree",
-        type=int,
+        type=whole_number(SH_DEGREES[-1], 0),
         choices=SH_DEGREES,
         default=SH_DEGREES[-1],
         help="degree of the colors' spherical harmonics, at most (default: %(default)s)",
     )
     add(
         "--steps",
-        type=_steps,
+        type=whole_number(MOST_STEPS, 0),
         default=BAKE_STEPS,
         metavar="N",
         help="baking: steps of refinement after the fit; 0: none (default: %(default)s)",
@@ -78,10 +78,6 @@ def register(parser: argparse.ArgumentParser) -> None:
     add_device_name(parser)
     add("--viewer", action="store_true", help=".html: a page without a scene, to drop files on")
     add_overwrite(parser, "the file if it exists (default: refuse)")
-
-
-def _steps(text: str) -> int:
-    return 0 if text == "0" else whole_number(MOST_STEPS)(text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,6 +9,7 @@ from clgs.cli.shared_options import (
     add_overwrite,
     add_view_options,
     chosen,
+    frame_size,
     named_path,
     number_within,
     positive_int,
@@ -24,8 +25,6 @@ Render the views of a data set as PNG files, or a clip along a path.
 
 SCENE is a run folder, a .clgs file of `clgs train` or `clgs pack`, or an ordinary 3DGS PLY file,
 whose coordinates are those of its data set."""
-
-MAX_SIDE = 16384
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -72,7 +71,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     clip.add_argument(
         "--size",
-        type=_size,
+        type=frame_size,
         metavar="WxH",
         help="pixels (default: of the photos with --data, of F.json, else "
         f"{SIZE[0]}x{SIZE[1]}); the vertical angle of view stays",
@@ -122,13 +121,3 @@ def show(clip: Clip) -> None:
         f"{clip.path}: {counted(clip.frames, 'frame')} of {clip.width}x{clip.height}, "
         f"{clip.frames / clip.fps:.1f} s at {clip.fps:g} per second"
     )
-
-
-def _size(text: str) -> tuple[int, int]:
-    words = text.lower().split("x")
-    if len(words) != 2 or not all(word.isdecimal() and len(word) < 6 for word in words):
-        raise argparse.ArgumentTypeError(f"{text} is not WIDTHxHEIGHT, such as 800x600")
-    width, height = map(int, words)
-    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise argparse.ArgumentTypeError(f"{text}: sides are 1 to {MAX_SIDE} pixels")
-    return width, height

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ from clgs.cli.shared_options import (
     add_device_name,
     add_overwrite,
     chosen,
+    duration,
     named_path,
     photo_width,
     positive_int,
@@ -39,7 +39,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("input", type=named_path, metavar="INPUT", help="folder of photos, video, or data set")
     add("-o", "--output", type=named_path, required=True, metavar="OUT", help="folder for all")
-    help_time = "for everything, such as 90s, 5m or 1h (default: 10m)"
+    help_time = "for everything, such as 90s, 5m or 1h30m (default: 10m); a number alone is seconds"
     add("--time", type=duration, metavar="T", help=help_time)
     add("--steps", type=positive_int, metavar="N", help="of training (default: what T allows)")
     add(
@@ -184,12 +184,3 @@ def _show_box(done: FinishedRun) -> None:
     for name, value in rows.items():
         table.add_row(Text(name, style="dim"), Text(value))
     Console().print(Panel(table, title="clgs run: done", border_style="green", expand=False))
-
-
-def duration(text: str) -> float:
-    """Seconds of an argument that is a time; without a unit it could mean two things."""
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)(s|m|h)", text.strip().lower())
-    seconds = float(found[1]) * {"s": 1.0, "m": 60.0, "h": 3600.0}[found[2]] if found else 0.0
-    if not 0 < seconds < 1e7:
-        raise argparse.ArgumentTypeError(f"{text} is not a time such as 90s, 5m or 1h")
-    return seconds

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import secrets
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +23,8 @@ Show a scene in the browser. This machine renders what the browser's camera sees
 moves, fine when it rests. With --data the photos' cameras are shown, blue for training and orange
 for held-out ones; a click on one goes there, and the photo can be laid over the render.
 
-The address is open to this machine alone unless --host says otherwise."""
+The address is open to this machine alone unless --host says otherwise, and to those alone who have
+all of it: it ends in a token that is new each time. Pages of other sites are refused."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -53,10 +55,15 @@ def run(args: argparse.Namespace) -> int:
     load_viser()
     with Display() as display:
         shown = scene_to_show(args.scene, view_options(args), display)
-    server = open_server(shown, args.host, args.port)
+    token = secrets.token_urlsafe(12)
+    server = open_server(shown, args.host, args.port, token)
     if server.get_port() != args.port:
         tell(f"clgs: port {args.port} is taken")
-    print(f"http://{args.host}:{server.get_port()}  (Ctrl-C ends it)", flush=True)
+    named = {"0.0.0.0": HOST, "::": HOST}.get(args.host, args.host)
+    if named != args.host:
+        tell(f"clgs: other machines name this one in place of {HOST}")
+    named = f"[{named}]" if ":" in named else named
+    print(f"http://{named}:{server.get_port()}/{token}/  (Ctrl-C ends it)", flush=True)
     try:
         server.sleep_forever()
     finally:

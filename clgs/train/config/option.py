@@ -7,15 +7,14 @@ of its value, its command-line option, its row in the documentation and its plac
 from __future__ import annotations
 
 import math
-import re
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from typing import Any, get_type_hints
 
-from clgs.byte_count import byte_count
 from clgs.errors import UsageError
+from clgs.quantities import OTHER_DIGITS, byte_count, has_other_digits, number
 
 METADATA = "option"
 """Key of a field's metadata under which its declaration lies."""
@@ -189,12 +188,14 @@ class Option:
         value: object = text
         if self.kind is bool:
             value = {"true": True, "false": False}.get(text, text)
+        elif isinstance(self.allowed, Range) and has_other_digits(text):
+            raise UsageError(f"{self.name}: {text} {OTHER_DIGITS}; give {self.wanted}")
         elif self.kind == Pair:
             value = tuple(map(_number, text.strip("[]").split(",")))
         elif isinstance(self.allowed, Range):
             value = _number(text)
-            if self.unit == "bytes" and isinstance(value, str):
-                value = byte_count(text) or text
+            if self.unit == "bytes" and not isinstance(value, int):
+                value = byte_count(text) or value
         elif isinstance(self.allowed, Text) and not text.strip():
             value = None  # the default, an empty name, cannot be asked for by accident
         return self.check(value)
@@ -208,12 +209,8 @@ def _is_number(value: object) -> bool:
 
 def _number(text: str) -> object:
     """``text`` as int or float if it is one, else as it is."""
-    if re.fullmatch(r"\s*[+-]?\d{1,30}\s*", text):
-        return int(text)
-    try:
-        return float(text)
-    except ValueError:
-        return text
+    found = number(text)
+    return text if found is None else found
 
 
 def option(
