@@ -32,14 +32,8 @@ def refine(
 ) -> HostGaussians:
     """One step of Adam for each of the first ``steps`` pictures, with the loss of training.
 
-    Args:
-        device: where the arrays live.
-        gaussians: in scene units.
-        pictures: at least ``steps``: views, and (3, H, W) uint8 that they are to show.
-        steps: number of steps.
-        radius: of the cameras, scene units.
-        options: of the renders.
-        on_step: called after each step.
+    ``pictures``: at least ``steps`` views, and (3, H, W) uint8 that they are to show; ``radius``:
+    of the cameras, scene units; ``on_step`` is called after each step.
 
     Raises:
         ClgsError: a gradient is not finite.

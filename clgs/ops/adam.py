@@ -208,14 +208,9 @@ def step_rows(
     stop: DeviceArray,
     marks: DeviceArray,
 ) -> None:
-    """Do :func:`step` only in the rows that are marked.
+    """Do :func:`step` for ``trained`` (rows, ...), but only in the rows that are marked.
 
-    Args:
-        device: where the arrays live.
-        trained: as for :func:`step`, of shape (rows, ...).
-        factors_now: from :func:`factors`.
-        stop: (1,) int32; unless it holds 0 nothing changes.
-        marks: (rows,) int32, from :func:`mark_rows`; rows with 0 keep parameter and moments.
+    ``marks`` (rows,) int32, from :func:`mark_rows`: rows with 0 keep parameter and moments.
 
     Raises:
         ValueError, TypeError: sizes or dtypes differ.

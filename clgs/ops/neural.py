@@ -173,13 +173,9 @@ def backward(
 ) -> NeuralGradients:
     """Scatter the gradients of N Gaussians to the anchors and the MLPs' outputs.
 
-    Args:
-        device: where the arrays live.
-        gaussians: what :func:`forward` returned.
-        activations: as given to :func:`forward`, each anchor at most once.
-        anchors: as given to :func:`forward`.
-        d_gaussians: gradients by the fields of ``gaussians``.
-        want_position: whether to compute ``d_position`` (anchors do not move while training).
+    ``gaussians`` is what :func:`forward` made of ``activations``, which has each anchor at most
+    once, and ``anchors``; ``d_gaussians`` has the gradients by its fields. ``d_position`` is
+    computed only if ``want_position``: anchors do not move while training.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

@@ -112,14 +112,8 @@ def backward(
 ) -> GaussianGradients:
     """Gradients of the Gaussians from those of their projections; zero for culled ones.
 
-    Those by color and opacity are passed through.
-
-    Args:
-        device: where the arrays live.
-        gaussians: as given to :func:`forward`.
-        camera: (26,) float32.
-        projected: what :func:`forward` returned.
-        d_projected: gradients by the fields of ``projected``.
+    ``projected`` is what :func:`forward` made of ``gaussians`` and ``camera``, ``d_projected`` has
+    the gradients by its fields. Those by color and opacity are passed through.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

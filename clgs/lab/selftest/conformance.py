@@ -126,9 +126,10 @@ def _number_tensors(device: Device) -> Iterator[Tensor]:
     order = sort.by_key(device, device.upload(keys), device.upload(values), 14)[1]
     yield "sort", "order", device.download(order)
     x = device.upload(random.floats((COUNT // 6, 6), -20.0, 20.0))
-    yield "quantize", "rounded", device.download(quantize.forward(device, x, 8.0))
+    yield "quantize", "rounded", device.download(quantize.forward(device, [(x, 8.0)])[0])
     d_x = device.zeros(x.shape)
-    rate.backward(device, rate.forward(device, x, 8.0), x, 1.0, d_x)
+    slopes = rate.slopes(device, rate.forward(device, x, 8.0), 1.0)
+    rate.backward(device, [(slopes, x, d_x)])
     yield "rate", "d_x", device.download(d_x)
     yield "adam", "parameter", _adam(device, random)
     yield from _density(device, random)

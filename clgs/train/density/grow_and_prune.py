@@ -99,12 +99,7 @@ def mask_prune(
     Offsets of slots that are not drawn are set to 0 in the visible anchors that stay. Anchors and
     statistics are changed in place.
 
-    Args:
-        device: where the arrays live.
-        parameters: A anchors.
-        visible: (V,) int32, distinct rows of the anchors visible in this step's view; -1 is none.
-        output: (at least K, Vp) float32, whose first K rows are opacities; a slot is drawn if its
-            opacity is above 0.
+    ``visible`` and ``output`` as for :func:`clgs.ops.growth.hide_undrawn`.
 
     Raises:
         ClgsError: no anchor is left.

@@ -127,17 +127,17 @@ def _read(path: Path) -> tuple[Arrays, Scalars, str]:
                 f"{path}: checkpoint format {metadata['version']}, this program reads "
                 f"{FORMAT_VERSION}; resume with the program that wrote it"
             )
-        arrays = {name: _member(archive, name) for name in metadata["arrays"]}
+        arrays = {
+            # each is read whole first, so that no declared size is trusted
+            name: np.lib.format.read_array(
+                io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False
+            )
+            for name in metadata["arrays"]
+        }
     for name, array in arrays.items():
         if _description(array) != metadata["arrays"][name]:
             raise ValueError(f"{name} differs from its checksum")
     return arrays, metadata["scalars"], metadata["digest"]
-
-
-def _member(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
-    """One array; read whole first, so that no declared size is trusted."""
-    data = io.BytesIO(archive.read(f"{name}.npy"))
-    return np.asarray(np.lib.format.read_array(data, allow_pickle=False))
 
 
 def _description(array: npt.NDArray[Any]) -> dict[str, Any]:
