@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from errno import EDQUOT, ENOSPC
 from pathlib import Path
+from types import GeneratorType
 from typing import Any
 
 from clgs.errors import ExistsError, OutputError, UsageError
@@ -106,7 +108,6 @@ def check_target(path: Path) -> Path:
 
 
 def _mode(path: Path) -> int:
-    """The mode of what ``path`` names, or would name."""
     try:
         return os.stat(path).st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -272,14 +273,56 @@ def _take_name(folder: Path, target: Path) -> None:
     shutil.rmtree(old)
 
 
+@contextmanager
+def ffmpeg_closed(generator: GeneratorType[Any, Any, Any]) -> Iterator[None]:
+    """After the block, close a generator of imageio-ffmpeg and the pipes that it leaves open."""
+    frame = generator.gi_frame
+    try:
+        yield
+    finally:
+        generator.close()
+        found = frame.f_locals if frame else {}
+        process = found.get("process") or found.get("p")
+        for pipe in (process.stdin, process.stdout, process.stderr) if process else ():
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+
+
 def remove_temporaries(path: Path) -> None:
     """Remove what killed processes began to write to ``path``; none may be writing to it now."""
     for left in path.parent.glob(f".{path.stem[:STEM_KEPT]}.????????{path.suffix}"):
         left.unlink(missing_ok=True)
 
 
+def remove_abandoned(folder: Path, *suffixes: str) -> None:
+    """Remove what processes that are gone began to write in ``folder``, by the suffix of the files.
+
+    A process on another machine that writes to the same folder counts as gone.
+    """
+    if os.name == "nt" or not folder.is_dir():  # Windows has no signal that only asks
+        return
+    for left in folder.glob(".*"):
+        found = re.fullmatch(r"\..+\.([0-9a-f]{6})[0-9a-f]{2}", left.stem)
+        if found and left.suffix in suffixes and left.is_file() and not _is_alive(found[1]):
+            left.unlink(missing_ok=True)
+
+
+def _is_alive(number: str) -> bool:
+    """Whether there is a process with this number, hexadecimal."""
+    try:
+        os.kill(int(number, 16), 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
 def _temporary(path: Path, folder: Path) -> Path:
-    return folder / f".{path.stem[:STEM_KEPT]}.{os.urandom(4).hex()}{path.suffix}"
+    """A new name, which holds the number of the process."""
+    own = f"{os.getpid() & 0xFFFFFF:06x}{os.urandom(1).hex()}"
+    return folder / f".{path.stem[:STEM_KEPT]}.{own}{path.suffix}"
 
 
 @contextmanager

@@ -22,7 +22,6 @@ def host_facts() -> dict[str, object]:
 
 
 def _processor() -> str:
-    """The processor's model, if the system knows it."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

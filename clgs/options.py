@@ -54,11 +54,7 @@ PRESETS = {
         PARITY,
         Accuracy("fast", transmittance_stop=1e-3, inclusive_stop=True, exp2_degree=4),
         Accuracy(
-            "preview",
-            transmittance_stop=1 / 255,
-            inclusive_stop=True,
-            exp2_degree=3,
-            downscale=2,
+            "preview", transmittance_stop=1 / 255, inclusive_stop=True, exp2_degree=3, downscale=2
         ),
     )
 }

@@ -1,12 +1,16 @@
-"""Check array shapes against short specifications such as ``"N 3"``, and types of arguments."""
+"""Checks of arguments: array shapes by short specifications such as ``"N 3"``, types, choices."""
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Sequence
 from functools import cache
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+from clgs.errors import UsageError
 
 
 class Shaped(Protocol):
@@ -25,6 +29,27 @@ def check_type(name: str, value: object, kind: type, remedy: str) -> None:
     """Raise TypeError, one line with ``remedy``, unless ``value`` is of the class ``kind``."""
     if not isinstance(value, kind):
         raise TypeError(f"{name}: is {type(value).__name__}, {kind.__name__} is needed; {remedy}")
+
+
+def check_integer(name: str, value: object) -> int:
+    """``value`` as an int; TypeError if it is no integer, such as 2.0."""
+    try:
+        return operator.index(value)  # type: ignore[arg-type]  # what it is for
+    except TypeError:
+        raise TypeError(f"{name}: {_shown(value)}; an integer is needed") from None
+
+
+def check_choice(name: str, value: object, known: Sequence[str]) -> None:
+    """Raise UsageError unless ``value`` is one of ``known``, TypeError unless it is a string."""
+    if not isinstance(value, str):
+        raise TypeError(f"{name}: {_shown(value)}; a string is needed")
+    if value not in known:
+        raise UsageError(f"{name}: {value!r}; known are {', '.join(known)}")
+
+
+def _shown(value: object) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 class Shapes:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import io
 import os
 import re
+import signal
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -23,6 +26,7 @@ from clgs.files import (
     make_folder,
     remove_temporaries,
 )
+from clgs.workflow.outputs import check_picture_folder
 
 
 def names(folder):
@@ -327,3 +331,24 @@ def test_a_folder_that_stays_empty_is_removed_on_a_failure(tmp_path):
     with folder_to_fill(tmp_path / "new"):
         assert names(tmp_path) == ["full", "new", "old"]
     assert names(tmp_path) == ["full", "new", "old"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows cannot tell whether a process lives")
+def test_files_of_a_killed_process_are_removed_and_no_others(tmp_path):
+    code = f"""
+import os, signal
+from pathlib import Path
+from clgs.files import atomic_path
+with atomic_path(Path({str(tmp_path / "frame.png")!r})) as temporary:
+    temporary.touch()
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    kept = {".mine.png", ".a.cafe.png", "x.0badcafe.png"}
+    for name in kept:
+        (tmp_path / name).touch()
+    assert len(names(tmp_path)) == 4
+    with atomic_path(tmp_path / "other.png") as temporary:
+        temporary.touch()
+        check_picture_folder(tmp_path)
+        assert set(names(tmp_path)) == {*kept, temporary.name}

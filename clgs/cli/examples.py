@@ -19,6 +19,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "clgs train data -o run --preset quick --downscale 4",
         "clgs train data -o run --preset quick --downscale 4 --resume",
         "clgs train data -o small --target-size 500000",
+        "clgs train data -o longer --from run --steps 6000",
     ),
     "encode": (
         "clgs encode run -o scene.clgs --level max",

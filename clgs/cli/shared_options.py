@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -105,15 +105,14 @@ def add_device_name(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", help="number or part of the name, see `clgs devices`")
 
 
-def view_options(args: argparse.Namespace) -> ViewOptions:
+def view_options(values: Mapping[str, Any]) -> ViewOptions:
     """What the options of :func:`add_view_options` say; those that a command lacks are None."""
-    given = vars(args)
-    return ViewOptions(**{one.name: given.get(one.name) for one in fields(ViewOptions)})
+    return ViewOptions(**{one.name: values.get(one.name) for one in fields(ViewOptions)})
 
 
-def chosen(args: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """The options of these names, which the function behind the command knows by the same names."""
-    return {name: getattr(args, name) for name in names}
+def chosen(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """The values of these names, which the function behind the command knows by the same names."""
+    return {name: values[name] for name in names}
 
 
 def value_of(one: Option) -> Callable[[str], Any]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Mapping
 from typing import Any
 
 from clgs.cli.shared_options import named_path, value_of
 from clgs.errors import UsageError
 from clgs.train.config import TrainConfig, layered, parse_word, read_settings
 from clgs.train.config.option import Option, Pair, Text, options_of
+from clgs.train.config.run_settings import FULL_STEPS
 
 LOSS_WEIGHTS = ("l1_weight", "ssim_weight")
 """The settings that --loss-weights sets."""
@@ -68,27 +70,36 @@ def add_option(group: argparse._ArgumentGroup, one: Option) -> None:
         group.add_argument(one.flag, type=value_of(one), metavar=metavar, **shared)
 
 
-def make_config(args: argparse.Namespace) -> TrainConfig:
+def make_config(words: Mapping[str, Any]) -> TrainConfig:
     """The configuration that the options describe, not yet resolved for a data set.
 
-    A preset counts least, then --config, then all other options; of those, --set counts most.
+    A preset counts least, then the settings of the run to go on from, then --config, then all other
+    options; of those, --set counts most.
+
+    Args:
+        words: the values of all options by their names in the parser.
 
     Raises:
         UsageError: a value has the wrong type or range, or values do not go together.
     """
     known = options_of(TrainConfig)
-    given: dict[str, Any] = dict(zip(LOSS_WEIGHTS, args.loss_weights or (), strict=False))
-    given |= {name: value for name, value in vars(args).items() if name in known}
-    for word in args.set:
+    given: dict[str, Any] = dict(zip(LOSS_WEIGHTS, words.get("loss_weights") or (), strict=False))
+    given |= {name: value for name, value in words.items() if name in known}
+    for word in words.get("set", ()):
         try:
             name, given[name] = parse_word(word)
         except UsageError as error:
             raise UsageError(f"--set {error}") from None
-    settings = read_settings(args.config) if args.config else {}
+    start, file = words.get("start"), words.get("config")
+    settings = [read_settings(path) for path in (start and start / "config.toml", file) if path]
+    if start and "steps" not in given | (settings[1] if file else {}):
+        given["steps"] = 2 * settings[0].get("steps", FULL_STEPS)
     if given.get("target_size") and given.get("size_lambda") is not None:
         raise UsageError("--lambda: follows from --target-size; give one of the two")
+    if "max_size" in given:  # a reduction in the settings would win over it
+        given.setdefault("downscale", 0)
     try:
-        return layered(settings, given)
+        return layered(*settings, given)
     except UsageError as error:
         raise UsageError(with_flags(str(error))) from None
 

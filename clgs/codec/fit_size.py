@@ -41,9 +41,7 @@ def coarsen(scene: QuantizedScene, factors: Factors) -> QuantizedScene:
     }
     scales = {name: getattr(scene.scales, name) * factor for name, factor in factors.items()}
     return replace(
-        scene,
-        anchors=replace(scene.anchors, **integers),
-        scales=replace(scene.scales, **scales),
+        scene, anchors=replace(scene.anchors, **integers), scales=replace(scene.scales, **scales)
     )
 
 
@@ -54,19 +52,12 @@ def anchor_bits(anchors: QuantizedAnchors) -> npt.NDArray[np.float64]:
         return bits
     for values in (anchors.offset, anchors.feature, anchors.scaling):
         for channel in np.ascontiguousarray(values.reshape(len(anchors), -1).T):
-            index, count = _frequencies(channel)
+            index = channel.astype(np.intp) - int(channel.min())
+            if int(index.max()) >= SPAN_LIMIT:
+                _, index = np.unique(channel, return_inverse=True)
+            count = np.bincount(index)
             bits += np.log2(len(anchors) / np.maximum(count, 1))[index]
     return bits
-
-
-def _frequencies(
-    channel: npt.NDArray[np.int32],
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """An index for each value (A,), the same for equal values, and the count of each index."""
-    index = channel.astype(np.intp) - int(channel.min())
-    if int(index.max()) >= SPAN_LIMIT:
-        _, index = np.unique(channel, return_inverse=True)
-    return index, np.bincount(index)
 
 
 def most_useful_first(
@@ -99,8 +90,13 @@ def fit_size(
             return scene, data
         whole = len(data)
     least_size(scene, target, encode)
+
+    def cut(count: int) -> tuple[QuantizedScene, bytes]:
+        trial = take(scene, order[:count])
+        return trial, encode(trial)
+
     high, high_size, low = len(order), whole, 0
-    best, data = _cut(scene, order, 0, encode)
+    best, data = cut(0)
     for _ in range(MAX_TRIALS):
         if high - low <= 1 or len(data) >= ENOUGH * target:
             break
@@ -108,7 +104,7 @@ def fit_size(
         share = (aim - len(data)) / (high_size - len(data))
         wanted = cost[low] + share * (cost[high] - cost[low])
         count = int(np.clip(np.searchsorted(cost, wanted), low + 1, high - 1))
-        trial, trial_data = _cut(scene, order, count, encode)
+        trial, trial_data = cut(count)
         if len(trial_data) <= target:
             best, data, low = trial, trial_data, count
         else:
@@ -119,11 +115,7 @@ def fit_size(
 def least_size(
     scene: QuantizedScene, target: int, encode: Callable[[QuantizedScene], bytes]
 ) -> int:
-    """Bytes of the file without anchors.
-
-    Raises:
-        UsageError: more than ``target``.
-    """
+    """Bytes of the file without anchors; UsageError if more than ``target``."""
     least = len(encode(take(scene, np.arange(0))))
     if least > target:
         raise UsageError(
@@ -131,13 +123,3 @@ def least_size(
             "ask for more"
         )
     return least
-
-
-def _cut(
-    scene: QuantizedScene,
-    order: npt.NDArray[np.intp],
-    count: int,
-    encode: Callable[[QuantizedScene], bytes],
-) -> tuple[QuantizedScene, bytes]:
-    cut = take(scene, order[:count])
-    return cut, encode(cut)

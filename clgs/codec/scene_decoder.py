@@ -120,7 +120,6 @@ def decode_box(source: RandomAccess, box: Box, threads: int | None = None) -> Qu
 def _decode_positions(
     reader: SceneReader, chunks: list[Chunk], pool: ThreadPoolExecutor
 ) -> list[Positions]:
-    """The positions (n, 3) int32 of each of some chunks in ascending order."""
 
     def decode_batch(batch: range) -> list[Positions]:
         return [reader.positions(chunks[i]) for i in batch]

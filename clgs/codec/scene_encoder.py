@@ -8,17 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec import octree, weights
-from clgs.codec.arguments import check_choice, check_integer
 from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import NearRows
 from clgs.codec.container import section_table
-from clgs.codec.container.chunks import (
-    DEFAULT_CHUNK,
-    MAX_CHUNK,
-    MIN_CHUNK,
-    TAGS,
-    pack_directory,
-)
+from clgs.codec.container.chunks import DEFAULT_CHUNK, MAX_CHUNK, MIN_CHUNK, TAGS, pack_directory
 from clgs.codec.container.meta import (
     LEVELS,
     Meta,
@@ -33,7 +26,7 @@ from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
 from clgs.scene.scene import QuantizedScene
-from clgs.shapes import Shapes, check_type
+from clgs.shapes import Shapes, check_choice, check_integer, check_type
 
 
 def encode(
@@ -89,11 +82,11 @@ def encode(
         streams = {tag: [data for task in tasks[tag] for data in task.result()] for tag in TAGS}
         headers = {ANCH: b"", **{tag: model.result().header for tag, model in models.items()}}
         content = join_hashes(list(hashes))
-    least, greatest = octree.bounds(position) if len(position) else ([0] * 3, [0] * 3)
+    least, greatest = octree.bounds(position) if len(position) else ((0, 0, 0), (0, 0, 0))
     depth = max(high - low for low, high in zip(least, greatest, strict=True)).bit_length()
     meta = Meta(
         *(len(anchors), scene.scales, scene.transform, scene.settings, content),
-        *((least[0], least[1], least[2]), depth, level),
+        *(least, depth, level),
     )
     return section_table.write_container(
         {
@@ -134,7 +127,6 @@ def check_options(level: str, chunk: int, mlp: str = "auto") -> None:
 
 
 def _check_numbers(scene: QuantizedScene) -> None:
-    """Raise CodecError if a number is one that no file may hold."""
     flat = scene.mlps.flat
     Shapes(M=MLP_SIZE).check("mlps", flat, "M", np.float32)
     bad = np.flatnonzero(~np.isfinite(flat))

@@ -7,18 +7,17 @@ an octree costs bits: q = c + (p - c) / f on each axis, with c the least p.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec import octree
-from clgs.codec.arguments import check_choice, check_integers
 from clgs.codec.attributes import row_coder
 from clgs.codec.container.meta import LEVELS
 from clgs.codec.workers import workers
 from clgs.errors import CodecError
+from clgs.shapes import check_choice
 
 POSITIONS, LATTICE, ATTRIBUTES = b"\x8bCP\x02", b"\x8bCP\x03", b"\x8bCA\x02"
 """Signatures: of positions as they are, of positions divided by their factors, of attributes."""
@@ -53,10 +52,7 @@ def encode_positions(positions: npt.ArrayLike, threads: int | None = None) -> by
         TypeError: not an array of integers.
         CodecError: wrong shape, masked, out of range, too far apart, or rows repeat (how many).
     """
-    position = check_integers("positions", positions)
-    if position.shape[1] != 3:
-        raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
-    position = octree.in_order(position)
+    position = octree.in_order(_check_positions(positions))
     plain = _encode_octrees(_POSITIONS_HEAD.pack(POSITIONS, len(position)), position, threads)
     factors = common_factors(position) if len(position) else (1, 1, 1)
     if max(factors) == 1:
@@ -92,7 +88,13 @@ def decode_positions(
     try:
         if not octree.ascends(octree.morton_codes(position)):
             raise ValueError("the chunks are not in Morton order")
-        return _multiply(position, factors) if factors else position
+        if not factors:
+            return position
+        corner = np.array(octree.bounds(position)[0])
+        grown = corner + (position - corner) * np.array(factors)
+        if grown.max() > np.iinfo(np.int32).max:
+            raise ValueError("the lattice leaves the range of int32")
+        return octree.in_order(grown.astype(np.int32))
     except octree.PositionsError as error:
         raise _damage(head.size, error.problem) from error
     except ValueError as error:
@@ -204,10 +206,41 @@ def morton_order(positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
     Raises:
         TypeError, CodecError: as of ``encode_positions``.
     """
+    return octree.morton_order(_check_positions(positions))
+
+
+def _check_positions(positions: npt.ArrayLike) -> npt.NDArray[np.int32]:
     position = check_integers("positions", positions)
     if position.shape[1] != 3:
         raise CodecError(f"positions: shape is {position.shape}, (N, 3) is needed")
-    return octree.morton_order(position)
+    return position
+
+
+def check_integers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.int32]:
+    """``values`` (N, columns) as contiguous int32.
+
+    Raises:
+        TypeError: not an array of integers.
+        CodecError: rows of several lengths, not two axes, a masked element, or out of range.
+    """
+    if np.ma.is_masked(values):
+        hidden = np.count_nonzero(np.ma.getmask(values))
+        raise CodecError(f"{name}: {hidden} elements are masked; fill them or leave out the rows")
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise CodecError(f"{name}: rows of several lengths; (N, columns) is needed") from None
+    if array.size == 0 and isinstance(values, list):
+        raise CodecError(f"{name}: an empty list has no columns; np.empty((0, 3), int) has three")
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"{name}: dtype is {array.dtype}, integers are needed; round floats first")
+    if array.ndim != 2:
+        raise CodecError(f"{name}: shape is {array.shape}, two axes are needed")
+    if array.size and not np.can_cast(array.dtype, np.int32):
+        low, high = int(array.min()), int(array.max())
+        if low < -(2**31) or high >= 2**31:
+            raise CodecError(f"{name}: {low} to {high} is outside of int32; round to larger steps")
+    return np.ascontiguousarray(array, np.int32)
 
 
 def common_factors(position: npt.NDArray[np.int32]) -> list[int]:
@@ -220,20 +253,6 @@ def common_factors(position: npt.NDArray[np.int32]) -> list[int]:
                 factor = int(np.gcd.reduce(part.astype(np.int64) - int(part[0])))
         factors.append(max(factor, 1))
     return factors
-
-
-def _multiply(position: npt.NDArray[np.int32], factors: Sequence[int]) -> npt.NDArray[np.int32]:
-    """Positions (N, 3) int32, N > 0, that were divided by their factors, in Morton order.
-
-    Raises:
-        ValueError: a coordinate would leave int32.
-        PositionsError: the extent reaches 2^21 on an axis.
-    """
-    corner = np.array(octree.bounds(position)[0])
-    grown = corner + (position - corner) * np.array(factors)
-    if grown.max() > np.iinfo(np.int32).max:
-        raise ValueError("the lattice leaves the range of int32")
-    return octree.in_order(grown.astype(np.int32))
 
 
 def _seal(head: bytes, header: bytes, streams: list[bytes]) -> bytes:

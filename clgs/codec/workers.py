@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
-from clgs.codec.arguments import check_integer
 from clgs.errors import UsageError
+from clgs.shapes import check_integer
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shlex
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,19 +14,24 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.apart import ASTRAY, apart, in_one_place
-from clgs.data.images import Pixels, box_resized, check_image, read_image
+from clgs.data.colmap.model import find_model, read_colmap
+from clgs.data.images import Pixels, box_resized, check_image, list_images, read_image
 from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
-from clgs.data.masks import StoredMask, read_mask
-from clgs.data.photo_set import read_photo_set
+from clgs.data.masks import StoredMask, list_masks, read_mask
 from clgs.data.point_file import read_points
-from clgs.data.points import keep_near
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.reduction import DEFAULT, MAX_SIZE, Reduction
 from clgs.data.stored_photo import DEFAULT_MEMORY, PhotoMemory, StoredPhoto
+from clgs.data.transforms import read_blender, read_transforms
 from clgs.data.view import View
 from clgs.errors import DataError
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
+
+Floats = npt.NDArray[np.float64]
+
+BLENDER, TRANSFORMS = "transforms_train.json", "transforms.json"
+"""The files that mark a Blender folder and one of nerfstudio or instant-ngp."""
 
 SCENE_RADIUS = 4.4
 """Camera radius that structure-from-motion scenes are scaled to; that of Synthetic-NeRF."""
@@ -38,6 +44,12 @@ LEAST_POINTS = 4
 
 POINT_SAMPLES = 100_000
 """Points that are drawn on the surfaces of a file of points."""
+
+FAR_LIMIT = 50.0
+"""Points further than this many radii (or median distances, if those are larger) are dropped."""
+
+MAX_COORDINATE = 2.0**20 / 200.0
+"""Largest |coordinate| in scene units: the codec stores 21 bits of 1/200 unit."""
 
 NAMED = 8
 """A warning names at most this many photos."""
@@ -74,6 +86,48 @@ class Dataset:
         """One line: the fields would be pages."""
         views = f"{len(self.train)} training and {len(self.test)} test views"
         return f"<Dataset {self.kind}: {views}, {len(self.points):,} points>"
+
+
+def is_posed(folder: Path) -> bool:
+    """Whether ``folder`` is a data set with poses."""
+    marked = any((folder / name).is_file() for name in (BLENDER, TRANSFORMS))
+    return marked or find_model(folder) is not None
+
+
+def read_photo_set(root: Path) -> PhotoSet:
+    """The photos with poses in ``root``; no picture is decoded.
+
+    Raises:
+        DataError: no data set, or a damaged one.
+    """
+    if not root.is_dir() or not is_posed(root):
+        raise DataError(f"{root}: {_why_none(root)}")
+    if (root / BLENDER).is_file():
+        return read_blender(root)
+    model = None if (root / TRANSFORMS).is_file() else find_model(root)
+    found = read_transforms(root) if model is None else read_colmap(root, model)
+    everyone = found.train + found.test
+    used = {photo.mask for photo in everyone} | {photo.path for photo in everyone}
+    folders = sorted({photo.path.parent for photo in everyone})
+    masks = dict.fromkeys(mask for folder in folders for mask in list_masks(root, folder))
+    found.stray_masks = [mask.relative_to(root).as_posix() for mask in masks if mask not in used]
+    return found
+
+
+def _why_none(root: Path) -> str:
+    """What ``root``, which is no data set, is instead, and what to do."""
+    if root.is_file():
+        return "is a file; name the folder of the data set"
+    if not root.is_dir():
+        return "no such folder; check the path"
+    if (root / "config.toml").is_file():
+        return "is a run, no data set; name the photos that it was trained on"
+    above = next(filter(is_posed, list(root.absolute().parents)[:2]), None)
+    if above is not None:
+        return f"is a part of a data set; name the whole of it: {above}"
+    if any(list_images(folder) for folder in (root, root / "images") if folder.is_dir()):
+        return f"photos without poses; run: clgs prepare {shlex.quote(str(root))} -o DATA"
+    return "no transforms.json, transforms_train.json, COLMAP model or photos; check the path"
 
 
 def load_dataset(
@@ -143,8 +197,22 @@ def load_dataset(
     return dataset
 
 
+def keep_near(points: Floats, centre: Floats, radius: float) -> npt.NDArray[np.bool_]:
+    """Which of the points (P, 3) in scene units are worth keeping, (P,) bool.
+
+    Dropped: not finite, beyond the range of the codec, further from the mean camera ``centre`` (3,)
+    than FAR_LIMIT times the larger of ``radius`` and the median distance.
+    """
+    usable = np.all(np.abs(points) < MAX_COORDINATE, axis=1)
+    if not usable.any():
+        return np.asarray(usable)
+    distance = np.linalg.norm(np.where(usable[:, None], points - centre, 0.0), axis=1)
+    limit = FAR_LIMIT * max(radius, float(np.median(distance[usable])))
+    return np.asarray(usable & (distance <= limit))
+
+
 def to_scene_points(
-    dataset: Dataset, world: npt.NDArray[np.float64], color: npt.NDArray[np.uint8] | None
+    dataset: Dataset, world: Floats, color: npt.NDArray[np.uint8] | None
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8] | None]:
     """Points (P, 3) in world units and their colors (P, 3) as a data set keeps them.
 
@@ -159,7 +227,6 @@ def to_scene_points(
 
 
 def _check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
-    """Raise DataError unless there is something to train on; warn of what is missing."""
     if missing := photos.missing:
         total = len(missing) + len(photos.train) + len(photos.test)
         named = _named(missing)
@@ -183,7 +250,6 @@ def _check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
 
 
 def _named(names: list[str]) -> str:
-    """The first of some names, printable."""
     shown = [name[:80] if name.isprintable() else repr(name[:80]) for name in names[:NAMED]]
     return ", ".join(shown) + ", ..." * (len(names) > NAMED)
 

@@ -242,7 +242,6 @@ def _border(lens: Lens, axis: int, side: float) -> Floats:
 
 
 def _polynomial(coefficients: tuple[float, ...], x: Floats) -> Floats:
-    """1 + c0 x + c1 x^2 + ..."""
     result = np.zeros_like(x)
     for coefficient in reversed(coefficients):
         result = (result + coefficient) * x

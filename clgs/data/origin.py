@@ -1,10 +1,10 @@
-"""The data set that a run was trained on: its folder, and a few cameras to recognise it by."""
+"""The data set that a run was trained on: its folder, a few known cameras, and the run's units."""
 
 from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,9 @@ import numpy.typing as npt
 from clgs.data.dataset import Dataset
 from clgs.data.view import View
 from clgs.errors import DataError
-from clgs.files import atomic_write
+from clgs.files import write_json
+from clgs.scene.camera import Camera
+from clgs.scene.scene import SceneTransform
 
 ORIGIN = "data.json"
 """The file of a run folder that names its data set."""
@@ -27,6 +29,9 @@ TOLERANCE = 0.05
 
 Photos that were added or removed since move the scene's units by less than this.
 """
+
+UNLIKE = 0.25
+"""Scenes whose centres or units differ by a larger share are not of one capture."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ def write_origin(run: Path, dataset: Dataset) -> None:
         "radius": dataset.radius,
         "cameras": {views[i].name: _pose(views[i]).tolist() for i in sorted(chosen)},
     }
-    atomic_write(run / ORIGIN, (json.dumps(record, indent=1) + "\n").encode())
+    write_json(run / ORIGIN, record)
 
 
 def read_origin(run: Path) -> Origin | None:
@@ -110,3 +115,38 @@ def _relative(folder: Path, run: Path) -> str:
 
 def _pose(view: View) -> npt.NDArray[np.float64]:
     return np.column_stack([view.camera.rotation, view.camera.centre])
+
+
+def repose(dataset: Dataset, transform: SceneTransform) -> Dataset:
+    """The dataset with cameras in the units of ``transform``; unchanged if it has them already.
+
+    A scene keeps the transform that it was trained with; the photos that were added or removed
+    since then would normalise to slightly different units.
+    """
+    if dataset.transform == transform:
+        return dataset
+    train, test = (
+        [replace(v, camera=move_camera(v.camera, dataset.transform, transform)) for v in views]
+        for views in (dataset.train, dataset.test)
+    )
+    return replace(dataset, train=train, test=test, transform=transform)
+
+
+def alike(one: SceneTransform, other: SceneTransform, radius: float) -> bool:
+    """Whether two transforms may be of the same photos, with a few added or removed.
+
+    Args:
+        one: world to scene.
+        other: world to another scene.
+        radius: of the cameras in the units of ``one``.
+    """
+    apart = one.scale * np.linalg.norm(np.subtract(one.centre, other.centre))
+    ratio = max(one.scale, other.scale) / min(one.scale, other.scale)
+    return bool(apart < UNLIKE * radius and ratio < 1 + UNLIKE)
+
+
+def move_camera(camera: Camera, old: SceneTransform, new: SceneTransform) -> Camera:
+    """The camera in the units of ``new``: x_cam scales with the scene, t = scale (R centre + t)."""
+    world = camera.translation / old.scale - camera.rotation @ np.array(old.centre)
+    translation = new.scale * (camera.rotation @ np.array(new.centre) + world)
+    return replace(camera, translation=translation)

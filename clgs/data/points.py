@@ -1,4 +1,4 @@
-"""Initial points: random ones for a data set without points, and the removal of useless ones."""
+"""Random initial points, for a data set without points."""
 
 from __future__ import annotations
 
@@ -30,12 +30,6 @@ room photographed from its middle, of two cameras."""
 
 MASK_MARGIN = 2
 """Pixels by which alpha masks are grown before points are carved with them."""
-
-FAR_LIMIT = 50.0
-"""Points further than this many radii (or median distances, if those are larger) are dropped."""
-
-MAX_COORDINATE = 2.0**20 / 200.0
-"""Largest |coordinate| in scene units: the codec stores 21 bits of 1/200 unit."""
 
 _BATCH = 200_000
 _MAX_BATCHES = 20
@@ -82,20 +76,6 @@ def random_points(
             draw = partial(_on_rays, rng, viewpoints, radius)
             points = _collect(draw, viewpoints, needed, count)
     return points[:count].astype(np.float32)
-
-
-def keep_near(points: Floats, centre: Floats, radius: float) -> Mask:
-    """Which of the points (P, 3) in scene units are worth keeping, (P,) bool.
-
-    Dropped: not finite, beyond the range of the codec, further from the mean camera ``centre`` (3,)
-    than FAR_LIMIT times the larger of ``radius`` and the median distance.
-    """
-    usable = np.all(np.abs(points) < MAX_COORDINATE, axis=1)
-    if not usable.any():
-        return np.asarray(usable)
-    distance = np.linalg.norm(np.where(usable[:, None], points - centre, 0.0), axis=1)
-    limit = FAR_LIMIT * max(radius, float(np.median(distance[usable])))
-    return np.asarray(usable & (distance <= limit))
 
 
 def _collect(

@@ -73,11 +73,10 @@ class PhotoSet:
         return f"there are {len(self.models)} COLMAP models; {read}, not {left}" if left else ""
 
 
-def hold_out(photos: list[Photo], interval: int = 8) -> tuple[list[Photo], list[Photo]]:
-    """(train, test): sorted by name, photos 0, interval, 2 interval ... are the test photos."""
+def hold_out(photos: list[Photo]) -> tuple[list[Photo], list[Photo]]:
+    """(train, test): sorted by name, photos 0, 8, 16 ... are the test photos."""
     ordered = sorted(photos, key=lambda photo: photo.name)
-    train = [photo for i, photo in enumerate(ordered) if i % interval]
-    return train, ordered[::interval]
+    return [photo for i, photo in enumerate(ordered) if i % 8], ordered[::8]
 
 
 def rigid(matrix: npt.NDArray[np.float64], source: str) -> npt.NDArray[np.float64]:

@@ -86,7 +86,12 @@ def read_transforms(root: Path) -> PhotoSet:
         return found
     known = {name for photo in photos for name in photo.names} | set(missing)
     known |= {str(PurePosixPath(name).with_suffix("")) for name in known}
-    lists = {key: _names(document, key, file) for key in keys}
+    lists: dict[str, set[str]] = {}
+    for key in keys:
+        given = document[key]
+        if not (isinstance(given, list) and all(isinstance(name, str) for name in given)):
+            raise DataError(f"{file}: {key} is not a list of strings; correct it")
+        lists[key] = {PurePosixPath(name.replace("\\", "/")).as_posix() for name in given}
     for key, names in lists.items():
         if strangers := sorted(names - known):
             said = ", ".join(strangers[:8])
@@ -107,7 +112,6 @@ def read_transforms(root: Path) -> PhotoSet:
 
 
 def _read_photos(root: Path, file: Path) -> tuple[list[Photo], list[str]]:
-    """Photos that exist in file order, and the names of missing ones."""
     document = read_document(file)
     listed = [read_frame(file, document, number) for number in range(count_frames(file, document))]
     return locate_all(listed, root, root, str(file))
@@ -130,11 +134,7 @@ def _points_file(root: Path, document: dict[str, Any], file: Path) -> Path | Non
 
 
 def count_frames(file: Path, document: dict[str, Any]) -> int:
-    """The number of frames.
-
-    Raises:
-        DataError: there are no frames.
-    """
+    """The number of frames; DataError if there are no frames."""
     frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise DataError(f"{file}: frames is missing or empty; list one entry for each photo")
@@ -217,7 +217,6 @@ class _Fields:
 
 
 def _read_lens(fields: _Fields, width: int, height: int) -> Lens:
-    """The lens of a frame for a raster of the given size."""
     flagged = fields.frame.get("is_fisheye", fields.shared.get("is_fisheye", False)) is True
     model = fields.text("camera_model", "OPENCV_FISHEYE" if flagged else "OPENCV")
     if model not in COEFFICIENTS:
@@ -277,13 +276,6 @@ def read_document(file: Path, lenient: bool = False) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise DataError(f"{file}: not a JSON object with frames; it is no transforms file")
     return document
-
-
-def _names(document: dict[str, Any], key: str, file: Path) -> set[str]:
-    names = document[key]
-    if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
-        raise DataError(f"{file}: {key} is not a list of strings; correct it")
-    return {PurePosixPath(name.replace("\\", "/")).as_posix() for name in names}
 
 
 def _listed(photo: Photo, names: set[str]) -> bool:

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from clgs.data.dataset import is_posed, read_photo_set
 from clgs.data.locate import PhotoFolder, locate
 from clgs.data.origin import read_origin
-from clgs.data.photo_set import is_posed, read_photo_set
 from clgs.data.point_file import read_points
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.transforms import count_frames, read_document, read_frame

@@ -60,7 +60,9 @@ def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
         "page.css": _text("page.css"),
         "worker.js": _text("worker.js"),
     }
-    return re.sub(r"\{\{([\w.]+)\}\}", lambda match: values[match[1]], _text("page.html")).encode()
+    return re.sub(r"\{\{([\w.]+)\}\}", lambda match: values[match[1]], _text("page.html")).encode(
+        errors="backslashreplace"
+    )
 
 
 def start_at(first: Camera, cameras: Sequence[Camera]) -> Start:

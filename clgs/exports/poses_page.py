@@ -54,7 +54,12 @@ def write_poses_page(path: Path, data: Path, verdict: Verdict) -> None:
         OSError: the page cannot be written.
     """
     photos = read_colmap(data, data / "sparse" / "0")
-    atomic_write(path, poses_html(photos, verdict, (data / CONTACT_SHEET).read_bytes()).encode())
+    atomic_write(
+        path,
+        poses_html(photos, verdict, (data / CONTACT_SHEET).read_bytes()).encode(
+            errors="backslashreplace"
+        ),
+    )
 
 
 def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:

@@ -38,12 +38,14 @@ def write_run_report(
     seconds: Mapping[str, float] | None = None,
     links: Sequence[tuple[str, str]] = (),
     page: Path | None = None,
+    title: str = "",
 ) -> Path:
     """Write the page about the finished run in ``folder``.
 
     The page tells the ``command`` that repeats the run, the ``seconds`` of each stage, by default
     of training alone, and ``links``: (label, file in the page's folder). ``lead`` is its first
-    sentence. Its path, by default REPORT in ``folder``, is returned.
+    sentence, ``title`` the scene's name, by default that of ``folder``. Its path, by default REPORT
+    in ``folder``, is returned.
 
     Raises:
         DataError: a file of the run is missing or damaged.
@@ -63,7 +65,7 @@ def write_run_report(
         in_training = [summary["train_psnr"]] if held_out else []
         bits = 8 * summary["bytes"] / max(anchors, 1)
         report = Report(
-            title="From photos to one compressed file and back",
+            title=title or folder.resolve().name,
             lead=lead,
             headline=[
                 ("PSNR, held out" if held_out else "PSNR in training", f"{summary['psnr']:.2f} dB"),
@@ -89,7 +91,7 @@ def write_run_report(
             held_out=held_out,
             links=links,
         )
-        atomic_write(path, report_html(report, views).encode())
+        atomic_write(path, report_html(report, views).encode(errors="backslashreplace"))
     except (ValueError, KeyError, TypeError, FileNotFoundError) as error:
         raise DataError(f"{folder}: is no whole run ({error}); train it again") from error
     return path

@@ -94,11 +94,8 @@ def forward(
 ) -> NeuralGaussians:
     """Gather the Gaussians of the visible anchors.
 
-    Args:
-        device: where the arrays live.
-        activations: from ``mlp.forward``; output and visible are read.
-        anchors: of the whole scene; all but the feature is read.
-        room: N; EXACT waits for the device to learn it.
+    ``activations`` are from ``mlp.forward``, and ``anchors`` those of the whole scene; ``room``: N,
+    and EXACT waits for the device to learn it.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

@@ -59,14 +59,10 @@ def forward(
     camera: DeviceArray,
     options: RenderOptions = DEFAULT,
 ) -> Projected:
-    """Project N Gaussians.
+    """Project N Gaussians; ``camera``: (26,) float32 from ``Camera.pack``.
 
-    Args:
-        device: where the arrays live.
-        gaussians: a Gaussian is culled if its rotation is no unit quaternion, or its opacity is
-            below the alpha cut.
-        camera: (26,) float32 from ``Camera.pack``.
-        options: accuracy, for the alpha cut and the smallest extent.
+    A Gaussian is culled if its rotation is no unit quaternion, or its opacity is below the alpha
+    cut of ``options.accuracy``.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

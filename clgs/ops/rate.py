@@ -83,11 +83,7 @@ class _ChannelSums:
 def forward(device: Device, x: DeviceArray, q: float, form: Form = "channel") -> Rate:
     """Bits per row of the symbols rint(x q).
 
-    Args:
-        device: where ``x`` lives.
-        x: (rows, ...) float32; every index after the first is a channel.
-        q: quantisation scale.
-        form: "channel" or "pooled".
+    ``x`` (rows, ...) float32: every index after the first is a channel.
 
     Raises:
         TypeError: ``x`` is not float32.

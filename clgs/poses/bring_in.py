@@ -169,7 +169,6 @@ def _fault(work: Callable[[], None]) -> str:
 
 
 def _write(one: Found, images: Path, masks: Path) -> None:
-    """Write a photo and its mask."""
     mask: Mask | None = None
     if is_plain(one.path):
         check_image(one.path)

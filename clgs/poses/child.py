@@ -69,19 +69,14 @@ def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
                 raise DataError(f"{task}: pycolmap cannot be loaded ({problem}); install it again")
             raise DataError(f"{task}: pycolmap crashed (exit code {exit_code}); try other photos")
         except BaseException:
-            _kill(child)
+            if _serving or os.name == "nt":
+                child.kill()
+            else:  # with the children that it has
+                with suppress(ProcessLookupError):
+                    os.killpg(child.pid, signal.SIGKILL)
             raise
         finally:
             _running.remove(child)
-
-
-def _kill(child: subprocess.Popen[str]) -> None:
-    """End a child, and the children that it has."""
-    if _serving or os.name == "nt":
-        child.kill()
-        return
-    with suppress(ProcessLookupError):
-        os.killpg(child.pid, signal.SIGKILL)
 
 
 def serve(work: Callable[[Any, OnStage], Any]) -> None:

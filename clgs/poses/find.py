@@ -116,29 +116,24 @@ def _is_photo(path: Path) -> bool:
 
 
 def _files(collection: Collection) -> Iterator[Path]:
-    """Files that are photos by their names; the others are noted as skipped."""
+    """Files that are photos by their names; the others, and some folders, are noted as skipped."""
     for where, folders, names in os.walk(collection.root):
         here = Path(where)
-        folders[:] = _folders(collection, here, folders)
+        searched = []
+        for name in sorted(folders):
+            path = here / name
+            if path.is_symlink() and name not in _FOREIGN_FOLDERS:
+                collection.skip(path, "links to folders; copy what they hold")
+            elif any((path / file).exists() for file in _OWN):
+                collection.skip(path, "folders that clgs made")
+            elif name not in _FOREIGN_FOLDERS and not name.startswith("."):
+                searched.append(name)
+        folders[:] = searched
         for name in sorted(names):
             if reason := _reason(here / name):
                 collection.skip(here / name, reason)
             else:
                 yield here / name
-
-
-def _folders(collection: Collection, here: Path, names: list[str]) -> list[str]:
-    """The folders in ``here`` that are searched; the others are noted as skipped."""
-    kept = []
-    for name in sorted(names):
-        path = here / name
-        if path.is_symlink() and name not in _FOREIGN_FOLDERS:
-            collection.skip(path, "links to folders; copy what they hold")
-        elif any((path / file).exists() for file in _OWN):
-            collection.skip(path, "folders that clgs made")
-        elif name not in _FOREIGN_FOLDERS and not name.startswith("."):
-            kept.append(name)
-    return kept
 
 
 def _reason(path: Path) -> str:

@@ -56,9 +56,6 @@ MAX_SECOND_LOOK = 20
 
 _TASK = "matching"
 
-NamePairs = list[tuple[str, str]]
-"""Pairs of file names."""
-
 
 def extract(workspace: Workspace, size: int, quick: bool) -> None:
     """Write cameras, images and features of all photos into a new database.

@@ -86,7 +86,6 @@ def similarity(descriptors: Sequence[Floats], seed: int) -> Floats:
 
 
 def _unit(rows: Floats) -> Floats:
-    """Scale rows to length 1."""
     length = np.linalg.norm(rows, axis=-1, keepdims=True)
     return np.asarray(rows / np.maximum(length, 1e-12))
 

@@ -9,8 +9,9 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 
 from PIL import Image
@@ -99,9 +100,10 @@ def prepare(
                 verdict = reconstruct(target, seed % SEEDS, quick, on_progress)
                 if drop_doubtful:
                     verdict = drop_doubtful_photos(target, verdict)
-                sheet = contact_sheet([work / "images" / one.name for one in verdict.photos])
+                names = [work / "images" / one.name for one in verdict.photos]
+                sheet = contact_sheet(names, lambda done: on_progress("report", done, len(names)))
                 (target / CONTACT_SHEET).write_bytes(sheet)
-                report = json.dumps(verdict.plain(), indent=1, allow_nan=False)
+                report = json.dumps(asdict(verdict), indent=1, allow_nan=False)
                 (target / REPORT).write_text(report + "\n", encoding="utf-8")
             shutil.rmtree(work)
             return verdict
@@ -129,8 +131,12 @@ def _check_replaceable(output: Path, photos: list[Path]) -> None:
         raise ExistsError(f"{output}: holds the photos that are read; choose another")
 
 
-def contact_sheet(photos: Sequence[Path]) -> bytes:
+def contact_sheet(
+    photos: Sequence[Path], on_photo: Callable[[int], None] = lambda done: None
+) -> bytes:
     """Make a JPEG file: COLUMNS photos per row, each reduced to fit into the middle of its CELL.
+
+    ``on_photo`` receives the number of photos that are done.
 
     Raises:
         DataError: a photo is damaged.
@@ -144,6 +150,7 @@ def contact_sheet(photos: Sequence[Path]) -> bytes:
         row, column = divmod(number, COLUMNS)
         left = column * width + (width - picture.width) // 2
         sheet.paste(picture, (left, row * height + (height - picture.height) // 2))
+        on_photo(number + 1)
     buffer = io.BytesIO()
     sheet.save(buffer, "JPEG", quality=QUALITY)
     return buffer.getvalue()

@@ -8,7 +8,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any
@@ -69,15 +69,13 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         on_stage([stage, done, total])
 
     with quiet_pycolmap(_TASK) as pycolmap:
-        photos = _number_photos(work)
-        own_names = {photo.file: photo.name for photo in photos}
-        cameras = [photo.camera for photo in photos]
+        own_names, cameras, size = _number_photos(work)
         masks = work / "numbered_masks" if (work / MASKS).is_dir() else None
         workspace = Workspace(
             pycolmap, work / "numbered", work, list(own_names), cameras, seed, on_progress, masks
         )
         pycolmap.set_random_seed(seed)
-        extract(workspace, max(photo.size for photo in photos), quick)
+        extract(workspace, size, quick)
         match(workspace, pairs_to_match(workspace))
         choice = map_photos(workspace, quick)
         choice = look_again(workspace, choice)
@@ -88,58 +86,38 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
                 "no photo could be placed for certain; take more, overlapping photos of a "
                 "textured, motionless scene"
             )
-        for photo in photos:
-            (work / "numbered" / photo.file).rename(work / "images" / photo.name)
+        for file, name in own_names.items():
+            (work / "numbered" / file).rename(work / "images" / name)
         _write_data_set(workspace, choice.kept.reconstruction, own_names, target)
     # A stage ends as the next one begins.
     ends = [*list(began.values())[1:], time.perf_counter()]
     stages = zip(began.items(), ends, strict=True)
     seconds = {stage: round(end - begin, 1) for (stage, begin), end in stages}
-    return replace(verdict, seconds=seconds).plain()
+    return asdict(replace(verdict, seconds=seconds))
 
 
-@dataclass(frozen=True)
-class NumberedPhoto:
-    """A photo under the name that pycolmap reads.
-
-    file: a number with a suffix; name: its own, relative, with forward slashes; camera: equal for
-    photos that share focal length and distortion; size: longer side in pixels.
-    """
-
-    file: str
-    name: str
-    camera: int
-    size: int
-
-
-def _number_photos(work: Path) -> list[NumberedPhoto]:
+def _number_photos(work: Path) -> tuple[dict[str, str], list[int], int]:
     """Move ``work``/images to ``work``/numbered under numbers: names may hold spaces and folders.
 
     Masks are copied to ``work``/numbered_masks, if there are any.
 
-    Raises:
-        DataError: a photo is damaged.
+    Returns:
+        The photos' own names by their new ones, their cameras, and their longest side in pixels.
     """
     images, masks = work / "images", work / MASKS
     paths = sorted(path for path in images.rglob("*") if path.is_file())
-    photos = [
-        NumberedPhoto(
-            f"{number:06d}{path.suffix.lower()}",
-            path.relative_to(images).as_posix(),
-            camera,
-            max(image_size(path)),
-        )
-        for number, (path, camera) in enumerate(zip(paths, camera_numbers(paths), strict=True))
-    ]
+    cameras, size = camera_numbers(paths), max(max(image_size(path)) for path in paths)
     (work / "numbered").mkdir()
-    for photo in photos:
-        (images / photo.name).rename(work / "numbered" / photo.file)
     if masks.is_dir():
         (work / "numbered_masks").mkdir()
-        for photo in photos:
-            copy = work / "numbered_masks" / f"{photo.file}.png"
-            shutil.copyfile(masks / f"{photo.name}.png", copy)
-    return photos
+    names = {}
+    for number, path in enumerate(paths):
+        file, name = f"{number:06d}{path.suffix.lower()}", path.relative_to(images).as_posix()
+        names[file] = name
+        path.rename(work / "numbered" / file)
+        if masks.is_dir():
+            shutil.copyfile(masks / f"{name}.png", work / "numbered_masks" / f"{file}.png")
+    return names, cameras, size
 
 
 def _write_data_set(
@@ -157,18 +135,21 @@ def _write_data_set(
             work / "undistorted", work / "model", work / "images", jpeg_quality=JPEG_QUALITY
         )
     made.rename(target / "images")
-    _write_masks(workspace.pycolmap, model, work / MASKS, target)
+    _write_masks(workspace, model, work / MASKS, target)
     (target / "sparse").mkdir()
     (work / "undistorted" / "sparse").rename(target / "sparse" / "0")
 
 
-def _write_masks(pycolmap: Any, model: Any, masks: Path, target: Path) -> None:
+def _write_masks(workspace: Workspace, model: Any, masks: Path, target: Path) -> None:
     """Undistort masks as the photos of ``target``/images; photos without a black pixel get none.
 
     ``model`` has the cameras of the photos as they were taken. ``masks`` holds NAME.png for the
     photo NAME; it may be missing.
     """
-    for image in model.images.values():
+    pycolmap, total = workspace.pycolmap, model.num_reg_images() if masks.is_dir() else 0
+    for number, image in enumerate(model.images.values(), 1):
+        if total:
+            workspace.on_progress("masks", number, total)
         file = masks / f"{image.name}.png"
         if not (file.is_file() and (target / "images" / image.name).is_file()):
             continue

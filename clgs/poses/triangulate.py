@@ -116,7 +116,7 @@ def _key(photos: list[Photo], seed: int) -> str:
     """Make a name from everything that the points depend on."""
     digest = hashlib.blake2b(f"{_VERSION} {seed}".encode(), digest_size=10)
     for photo in photos:
-        digest.update(f"{photo.name} {photo.lens}".encode())
+        digest.update(f"{photo.name} {photo.lens}".encode(errors="surrogateescape"))
         digest.update(np.vstack([photo.rotation, photo.translation]).tobytes())
         for file in filter(None, (photo.path, photo.mask)):
             digest.update(hashlib.blake2b(file.read_bytes()).digest())

@@ -11,7 +11,7 @@ import logging
 import math
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from PIL import Image
 
 from clgs.data.images import MAX_PIXELS
 from clgs.errors import DataError
+from clgs.files import ffmpeg_closed
 
 CANDIDATES = 8
 """Frames from which one is chosen, if the video has enough."""
@@ -149,10 +150,9 @@ def frame_size(path: Path) -> tuple[int, int]:
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    """Read what ffmpeg says about a video before its first frame."""
     reader = video_library(path).read_frames(_named(path), input_params=_ONLY_FILES)
-    facts: dict[str, Any] = next(reader)
-    reader.close()
+    with ffmpeg_closed(reader):
+        facts: dict[str, Any] = next(reader)
     return facts
 
 
@@ -162,7 +162,7 @@ def _frames(path: Path, rate: float) -> Iterator[npt.NDArray[np.uint8]]:
     reader = video_library(path).read_frames(
         _named(path), pix_fmt="rgb24", input_params=_ONLY_FILES, output_params=output
     )
-    with closing(reader), _whole(path):
+    with ffmpeg_closed(reader), _whole(path):
         width, height = next(reader)["size"]
         for data in reader:
             yield np.frombuffer(data, np.uint8).reshape(height, width, 3)

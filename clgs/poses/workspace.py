@@ -11,7 +11,7 @@ from typing import Any
 
 STAGES = (
     *("read", "features", "matches", "poses", "other poses", "second look", "more poses"),
-    *("check", "undistort"),
+    *("check", "undistort", "masks", "report"),
 )
 """The stages of ``prepare`` in order; some reconstructions skip some of them."""
 

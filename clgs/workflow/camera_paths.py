@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from clgs.data.dataset import Dataset
-from clgs.data.repose import move_camera
+from clgs.data.origin import move_camera
 from clgs.errors import UsageError
 from clgs.exports.clip.camera_path import read_camera_path
 from clgs.exports.clip.framing import frame_cameras, frame_scene

@@ -20,8 +20,8 @@ from clgs.bake.bake import (
 from clgs.bake.cameras import cameras_around
 from clgs.codec import scene_decoder, splat_packing
 from clgs.data.dataset import load_dataset
+from clgs.data.origin import repose
 from clgs.data.posed_photo import to_y_up
-from clgs.data.repose import repose
 from clgs.data.stored_photo import Planes
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
@@ -40,7 +40,7 @@ from clgs.workflow.events import Note, OnEvent, counter, ignore
 from clgs.workflow.options import BAKE_STEPS, SH_DEGREES, ViewOptions
 from clgs.workflow.outputs import check_new
 from clgs.workflow.scenes import instead, naming, read_bytes, read_drawable, run_folder
-from clgs.workflow.views import known_data, load_views
+from clgs.workflow.views import known_data, load_views, scene_name
 
 SUFFIXES = (".glb", ".html", ".ply", ".spz", ".sog")
 
@@ -92,7 +92,7 @@ def export(
     downscale: int | None = None,
     max_size: int | None = None,
     device: str | None = None,
-    viewer: bool = False,
+    name: str | None = None,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
 ) -> ExportedPage | ExportedGaussians | ExportedCameras:
@@ -103,7 +103,8 @@ def export(
     and cameras.
 
     Args:
-        source: run folder, .clgs file, 3DGS .ply file, or folder of a data set.
+        source: run folder, .clgs file, 3DGS .ply file, or folder of a data set; None for a page
+            without a scene, to drop files on.
         output: the new file.
         data: the data set of the scene; default: the one that its run folder names. Gaussians are
             fitted to its photos, and the page starts at its first held-out view.
@@ -113,7 +114,7 @@ def export(
         downscale: the photos are reduced this many times.
         max_size: wider photos are reduced to this width in pixels.
         device: number or part of the name.
-        viewer: whether to write a page without a scene, to drop files on; ``source`` is None then.
+        name: title of a page; default: that of the photos' folder, or of ``source``.
         overwrite: whether ``output`` may be replaced.
         on_event: receives progress and notes.
 
@@ -133,7 +134,7 @@ def export(
     if photos is None and source is not None:
         photos = known_data(source)
     if suffix == ".html":
-        return _page(source, output, photos, viewer)
+        return _page(source, output, photos, name)
     if suffix == ".glb" and not (
         source and (source.is_file() or (run_folder(source) / "scene.npz").exists())
     ):
@@ -210,15 +211,11 @@ def _encode(output: Path, gaussians: HostGaussians, kind: str) -> Encoded:
     return {".ply": encode_ply, ".spz": encode_spz, ".sog": encode_sog}[suffix](gaussians)
 
 
-def _page(source: Path | None, output: Path, photos: Path | None, viewer: bool) -> ExportedPage:
+def _page(source: Path | None, output: Path, photos: Path | None, name: str | None) -> ExportedPage:
     """Write the web page of a scene, or one without a scene.
 
     It starts at the first held-out view of the data set ``photos``, if there is one.
     """
-    if viewer and source is not None:
-        raise UsageError("--viewer makes a page without a scene; leave it out, or the SCENE")
-    if not viewer and source is None:
-        raise UsageError("name a SCENE, or give --viewer for a page without one")
     data, start = b"", None
     if source is not None:
         data = _scene_file(source)
@@ -230,7 +227,8 @@ def _page(source: Path | None, output: Path, photos: Path | None, viewer: bool) 
         views = repose(load_dataset(photos, load_images=False), transform)
         first = (views.test or views.train)[0]
         start = start_at(first.camera, [view.camera for view in views.train])
-    page = scene_page(data, source.stem if source else "", start)
+    named = scene_name(photos) if photos and source else source.stem if source else ""
+    page = scene_page(data, name or named, start)
     atomic_write(output, page)
     return ExportedPage(output, len(page), len(data))
 

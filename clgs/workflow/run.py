@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from clgs.errors import UsageError
 from clgs.files import check_folder, make_folder
+from clgs.train.config import layered
 from clgs.train.run.run_folder import FolderLock
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
 from clgs.workflow.run_plan import (
     DEFAULT_SECONDS,
     Photos,
+    Presentation,
     TrainingPlan,
     frames_within,
     make_plan,
@@ -30,8 +34,19 @@ from clgs.workflow.run_record import (
     read_record,
 )
 from clgs.workflow.run_stages import MADE, RunStages
+from clgs.workflow.views import scene_name
 
 CORES = os.cpu_count() or 1
+
+PLANNED = {
+    "steps": "is an argument of its own",
+    "max_size": "is an argument of its own",
+    "seed": "is an argument of its own",
+    "preset": "the plan is that of preset quick; give its settings one by one",
+    "downscale": "the plan reduces photos to a width; give max_size",
+    "coarse_to_fine": "the plan decides it",
+}
+"""Settings of training that the plan of a run decides, and what to give instead."""
 
 
 def plan_run(
@@ -42,6 +57,8 @@ def plan_run(
     steps: int | None = None,
     max_size: int | None = None,
     seed: int | None = None,
+    settings: Mapping[str, Any] | None = None,
+    shown: Presentation | None = None,
     device: str | None = None,
     on_event: OnEvent = ignore,
 ) -> RunPlan:
@@ -56,8 +73,9 @@ def plan_run(
     check_folder(output)
     read_record(output, resume=False, overwrite=True)
     given, allowed = find_input(Path(photos)), seconds or DEFAULT_SECONDS
+    check_settings(settings or {})
     stages = RunStages(output, _record(given, allowed), seed or 0, device, on_event)
-    return _Planner(stages, allowed, steps, max_size).plan(_shortened(given, allowed))
+    return _Planner(stages, allowed, steps, max_size, shown).plan(_shortened(given, allowed))
 
 
 def run(
@@ -68,6 +86,8 @@ def run(
     steps: int | None = None,
     max_size: int | None = None,
     seed: int | None = None,
+    settings: Mapping[str, Any] | None = None,
+    shown: Presentation | None = None,
     device: str | None = None,
     resume: bool = False,
     overwrite: bool = False,
@@ -84,6 +104,9 @@ def run(
         steps: of training; default: what the time allows.
         max_size: wider photos are reduced to this width; default: what the time allows.
         seed: of all random choices; default: 0.
+        settings: of training, by the names of :class:`clgs.TrainConfig`, such as ``size_lambda``,
+            ``target_size`` or ``exposure``.
+        shown: title, and path, length and size of the clip; default: what photos and time allow.
         device: number or part of the name.
         resume: go on with the run in ``output`` by its plan; begin if there is none.
         overwrite: replace the run in ``output``.
@@ -100,6 +123,7 @@ def run(
     """
     output = Path(output)
     check_folder(output)
+    check_settings(settings or {})
     lock = FolderLock(output) if output.is_dir() else None
     try:
         found = read_record(output, resume, overwrite)
@@ -107,13 +131,15 @@ def run(
             on_event(Note(f"{output} holds no run yet; one begins"))
         given = find_input(Path(photos))
         if found is not None:
-            chosen = {"steps": steps, "max_size": max_size, "seed": seed}
+            chosen = {"steps": steps, "max_size": max_size, "seed": seed, **(settings or {})}
             found.check(output, given, seconds, chosen)
         allowed = seconds or (found.time if found else DEFAULT_SECONDS)
         record = found or _record(given, allowed)
-        given = _shortened(given, allowed)
+        given, shown = _shortened(given, allowed), shown or Presentation()
+        title = shown.title or record.plan.get("title") or scene_name(given.path)
+        shown = replace(shown, title=title)
         stages = RunStages(output, record, seed or 0, device, on_event, begun=found is not None)
-        planner = _Planner(stages, allowed, steps, max_size)
+        planner = _Planner(stages, allowed, steps, max_size, shown)
         training = None
         if not record.settings:
             plan = planner.plan(given)
@@ -131,15 +157,24 @@ def run(
             if not given.complete:
                 training = planner.plan_training(measure_data(data), 0.0, data)
                 on_event(StageRecord(training))
-            stages.settle(training)
+            stages.settle(training, settings or {}, shown.title)
         stages.train(data)
         stages.encode()
         stages.evaluate(data)
-        failures = stages.export()
-        return stages.finish(given, data, failures)
+        failures = stages.export(shown)
+        return stages.finish(given, data, failures, shown)
     finally:
         if lock is not None:
             lock.release()
+
+
+def check_settings(settings: Mapping[str, Any]) -> None:
+    """Raise UsageError if ``settings`` are none, do not go together, or are those of the plan."""
+    for name in PLANNED.keys() & settings.keys():
+        raise UsageError(f"{name}: {PLANNED[name]}")
+    layered({"preset": "quick", **settings})
+    if settings.get("target_size") and settings.get("size_lambda") is not None:
+        raise UsageError("size_lambda: follows from target_size; give one of the two")
 
 
 def _record(given: RunInput, allowed: float) -> RunRecord:
@@ -169,6 +204,7 @@ class _Planner:
     allowed: float
     steps: int | None
     max_size: int | None
+    shown: Presentation | None
     start: float = field(default_factory=time.perf_counter)
 
     def plan(self, given: RunInput) -> RunPlan:
@@ -186,4 +222,4 @@ class _Planner:
         with self.stages.timed("plan"):
             speed = self.stages.measure_speed(photos, data)
         left = self.allowed - (time.perf_counter() - self.start)
-        return make_plan(photos, speed, preparing, left, self.steps, self.max_size)
+        return make_plan(photos, speed, preparing, left, self.steps, self.max_size, self.shown)

@@ -44,10 +44,19 @@ FRAMES = (100, 80, 60, 50, 40, 30)
 ROUNDS = 1.6
 """The mean step of a run takes this many times the first ones: rounds, growth, reading."""
 
-LATER_STEPS = 650
-"""Baking and the clip take as long as this many steps. What else follows takes LATER_SECONDS."""
+LATER_STEPS = 610
+"""Baking takes as long as this many steps. What else follows, but the clip, takes LATER_SECONDS."""
 
 LATER_SECONDS = 8.0
+
+CLIPS = ((10, 30, 1080), (10, 30, 720), (10, 24, 720), (10, 15, 720), (8, 12, 720), (8, 12, 480))
+"""Seconds, frames per second and pixels of the shorter side of a clip, from the best on."""
+
+CLIP_SHARE = 0.12
+"""The share of the whole time that the clip may take; the last of CLIPS is made in any case."""
+
+FRAME_STEPS = 0.7
+"""A frame of the clip takes this many times a training step on as many pixels, its coding too."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +88,59 @@ class StepSpeed:
 
 
 @dataclass(frozen=True)
+class Presentation:
+    """What the user may choose of what a run shows to others.
+
+    title: of report and page, by default the name of the photos' folder; path: of the clip, "none"
+    for no clip; seconds: of the clip; size: width and height of its frames in pixels.
+    """
+
+    title: str | None = None
+    path: str | None = None
+    seconds: float | None = None
+    size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class ClipPlan:
+    """A clip along a path, with its frames, frames per second and size, and what it takes.
+
+    path: a name of ``clgs.workflow.options.PATHS``, a .json file, "none" for no clip, or "" for the
+    one that suits the cameras.
+    """
+
+    path: str
+    frames: int
+    fps: float
+    width: int
+    height: int
+    seconds: float
+
+
+def plan_clip(photos: Photos, speed: StepSpeed, allowed: float, chosen: Presentation) -> ClipPlan:
+    """The best of CLIPS that takes at most CLIP_SHARE of ``allowed`` seconds, or as ``chosen``.
+
+    No frame is larger than the photos unless that is chosen.
+    """
+
+    def plan(length: float, fps: float, side: int) -> ClipPlan:
+        times = min(1.0, side / min(photos.width, photos.height))
+        sides = (max(2, 2 * round(times * one / 2)) for one in (photos.width, photos.height))
+        width, height = chosen.size or tuple(sides)
+        frames = 0 if chosen.path == "none" else max(1, round(fps * (chosen.seconds or length)))
+        seconds = frames * FRAME_STEPS * speed.step(width * height)
+        return ClipPlan(chosen.path or "", frames, fps, width, height, seconds)
+
+    plans = [plan(*one) for one in CLIPS]
+    return next((one for one in plans if one.seconds <= CLIP_SHARE * allowed), plans[-1])
+
+
+@dataclass(frozen=True)
 class TrainingPlan:
     """Size and length of a training, and seconds by stage; the others are all that follows it.
 
-    Wider photos are reduced to ``max_size`` pixels; ``coarse``: training begins with half of it.
+    Wider photos are reduced to ``max_size`` pixels; ``coarse``: training begins with half of it;
+    ``clip``: is among the others.
     """
 
     max_size: int
@@ -91,6 +149,7 @@ class TrainingPlan:
     prepare_seconds: float
     train_seconds: float
     other_seconds: float
+    clip: ClipPlan
 
     @property
     def seconds(self) -> float:
@@ -129,12 +188,14 @@ def make_plan(
     seconds: float,
     steps: int | None = None,
     max_size: int | None = None,
+    shown: Presentation | None = None,
 ) -> TrainingPlan:
     """The plan that fits ``seconds`` for the whole, of which the poses take ``preparing``.
 
-    It has the ``steps`` and the ``max_size`` that are given.
+    It has the ``steps``, the ``max_size`` and what of the clip are given.
     """
-    left = max(0.0, seconds - preparing)
+    drawn = plan_clip(photos, speed, seconds, shown or Presentation())
+    left = max(0.0, seconds - preparing - drawn.seconds)
     if max_size is None:
         wanted = steps if steps is not None else ENOUGH_STEPS
         paces = ((size, _Pace(photos, speed, min(size, photos.width))) for size in SIZES)
@@ -144,7 +205,8 @@ def make_plan(
     if steps is None:
         steps = min(max(pace.affordable(left), LEAST_STEPS), MOST_STEPS)
     coarse = pace.coarse(steps)
-    return TrainingPlan(max_size, steps, coarse, preparing, pace.training(steps), pace.later)
+    later = pace.later + drawn.seconds
+    return TrainingPlan(max_size, steps, coarse, preparing, pace.training(steps), later, drawn)
 
 
 class _Pace:

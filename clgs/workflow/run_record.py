@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from clgs.data.dataset import load_dataset
-from clgs.data.photo_set import TRANSFORMS, is_posed
+from clgs.data.dataset import TRANSFORMS, is_posed, load_dataset
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.files import write_json
 from clgs.poses.bring_in import find_source, readable_sizes
 from clgs.poses.video import frame_size
+from clgs.train.config.option import FLAGS
 from clgs.train.config.settings import BLENDER
 from clgs.workflow.run_plan import Photos, TrainingPlan
 from clgs.workflow.scenes import PLAN
@@ -134,9 +134,9 @@ class RunRecord:
             )
         kept = {"time": self.time, **self.settings} if self.settings else {}
         for name, value in {"time": seconds, **settings}.items():
-            if name in kept and value not in (None, kept[name]):
-                option = "--" + name.replace("_", "-")
-                shown = in_words(self.time) if name == "time" else kept[name]
+            if kept and value not in (None, kept.get(name)):
+                option = "--" + FLAGS.get(name, name).replace("_", "-")
+                shown = in_words(self.time) if name == "time" else kept.get(name, "its default")
                 raise UsageError(
                     f"{option}: the run in {out} has {shown}; leave it out, or {again}"
                 )

@@ -6,7 +6,7 @@ import json
 import shlex
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import cached_property, partial
@@ -15,30 +15,31 @@ from pathlib import Path
 from typing import Any
 
 from clgs.codec.scene_encoder import encode
+from clgs.exports.clip.framing import look_outward
 from clgs.exports.run_report import write_run_report
 from clgs.files import atomic_write, remove_temporaries, write_json
 from clgs.opencl.device import Device
 from clgs.train.config import layered
+from clgs.train.config.option import FLAGS
 from clgs.train.run.run_folder import RESULTS
 from clgs.workflow.device_speed import speed_on, synthetic_speed
 from clgs.workflow.encode import EncodedFile
 from clgs.workflow.evaluate import Evaluation, evaluate
 from clgs.workflow.events import Note, OnEvent, RunStage, StageFailure, StageRecord
 from clgs.workflow.export import export
-from clgs.workflow.options import PathOptions, ViewOptions
+from clgs.workflow.options import FPS, FRAMES, PathOptions, ViewOptions
 from clgs.workflow.pictures import render_clip
 from clgs.workflow.prepare import prepare_data
-from clgs.workflow.run_plan import Photos, StepSpeed, TrainingPlan
+from clgs.workflow.run_plan import Photos, Presentation, StepSpeed, TrainingPlan
 from clgs.workflow.run_record import DATA, RUN, FinishedRun, RunInput, RunRecord, measure_data
 from clgs.workflow.scenes import read_drawable, read_scene
 from clgs.workflow.train import train
+from clgs.workflow.views import load_views
 
 SCENE, SCORES, REPORT = "scene.clgs", "scores.json", "report.html"
 PAGE, GAUSSIANS, CLIP = "scene.html", "scene.ply", "clip.mp4"
 MADE = (DATA, RUN, SCENE, SCORES, REPORT, PAGE, GAUSSIANS, CLIP)
 """Everything in the output folder that is replaced by another run."""
-
-CLIP_FRAMES = 120
 
 NEEDED = (SCENE, "scene.npz", "hashes.json", "per_view.json", "progress.csv")
 """Files of the run folder that later stages need."""
@@ -85,11 +86,14 @@ class RunStages:
             else:
                 path.unlink(missing_ok=True)
 
-    def settle(self, plan: TrainingPlan) -> None:
-        """Keep the plan of the training, and the settings that follow from it."""
-        settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self.seed}
+    def settle(self, plan: TrainingPlan, chosen: Mapping[str, Any], title: str | None) -> None:
+        """Keep the plan of the training, the settings that follow from it or are chosen, the title.
+
+        They are written into the record.
+        """
+        settings = {"steps": plan.steps, "max_size": plan.max_size, "seed": self.seed, **chosen}
         self._record.settings.update(settings, coarse_to_fine=plan.coarse)
-        self._record.plan.update(asdict(plan))
+        self._record.plan.update(asdict(plan), title=title)
         self._record.write(self._out)
 
     def prepare(self, given: RunInput, quick: bool) -> Path:
@@ -109,7 +113,9 @@ class RunStages:
             (run / RESULTS).unlink(missing_ok=True)
         device = self.device.name
         words = ["train", data, "-o", run, "--preset", "quick", *setting_options(settings, "=")]
-        words += ["--coarse-to-fine"] * bool(settings.get("coarse_to_fine")) + ["--device", device]
+        for name in ("coarse_to_fine", "exposure"):
+            words += [f"--{name.replace('_', '-')}"] * bool(settings.get(name))
+        words += ["--device", device]
         given = {name: value for name, value in settings.items() if value is not False}
         config = layered({}, {"preset": "quick", **given})
         command = command_line(*words)
@@ -147,25 +153,35 @@ class RunStages:
 
         self._stage("eval", scores, words, work)
 
-    def export(self) -> dict[str, Exception]:
+    def export(self, shown: Presentation) -> dict[str, Exception]:
         """Write page, Gaussians and clip; the errors of those that failed."""
         page, gaussians, clip = (self._out / name for name in (PAGE, GAUSSIANS, CLIP))
         for path in (page, gaussians, clip):
             remove_temporaries(path)
         run, device, on_event = self.run_folder, self.device.name, self._on_event
         shared = ["--device", device, "--overwrite"]
-        path_words = ["--path", "interpolate", "--frames", CLIP_FRAMES]
-
-        along, views = PathOptions("interpolate", CLIP_FRAMES), ViewOptions(device=device)
+        views = ViewOptions(device=device)
+        along = self._clip_path(views, shown)
+        path_words = ["--path", along.name, "--frames", along.frames, "--fps", f"{along.fps:g}"]
+        if along.size is not None:
+            path_words += ["--size", "{}x{}".format(*along.size)]
         write = partial(export, run, device=device, overwrite=True, on_event=on_event)
         draw = partial(render_clip, run, clip, along, views, overwrite=True, on_event=on_event)
         todo: list[tuple[str, Path, list[Any], Callable[[], object]]] = [
-            ("page", page, ["export", run], partial(write, page)),
+            (
+                "page",
+                page,
+                ["export", run, "--name", shown.title],
+                partial(write, page, name=shown.title),
+            ),
             ("Gaussians", gaussians, ["export", run], partial(write, gaussians)),
             ("clip", clip, ["render", run, *path_words], draw),
         ]
         failures: dict[str, Exception] = {}
         for name, file, words, work in todo:
+            if name == "clip" and along.name == "none":
+                on_event(RunStage(name, "left out, as asked for"))
+                continue
             if name == "clip" and find_spec("imageio_ffmpeg") is None:
                 on_event(RunStage(name, "left out; it needs: pip install 'clgs[video]'"))
                 continue
@@ -176,7 +192,23 @@ class RunStages:
                 on_event(StageFailure(name, error))
         return failures
 
-    def finish(self, given: RunInput, data: Path, failures: dict[str, Exception]) -> FinishedRun:
+    def _clip_path(self, views: ViewOptions, chosen: Presentation) -> PathOptions:
+        """The path of the clip as it was planned, or as it is chosen now."""
+        plan: dict[str, Any] = self._record.plan.get("clip", {})  # older runs have none
+        name, fps = chosen.path or plan.get("path"), plan.get("fps", FPS)
+        if not name:
+            scene, _ = read_scene(self.run_folder)
+            cameras = [view.camera for view in load_views(self.run_folder, scene, views).train]
+            name = "interpolate" if look_outward(cameras) else "orbit"
+        frames = plan.get("frames", FRAMES)
+        if chosen.seconds is not None:
+            frames = max(1, round(chosen.seconds * fps))
+        size = chosen.size or ((plan["width"], plan["height"]) if plan else None)
+        return PathOptions(name, frames, fps, size)
+
+    def finish(
+        self, given: RunInput, data: Path, failures: dict[str, Exception], shown: Presentation
+    ) -> FinishedRun:
         """Write the report, with the command that repeats the run; what was made."""
         out, record = self._out, self._record
         used = f"{given.photos.count} of the data set {given.path}"
@@ -185,6 +217,7 @@ class RunStages:
         links = {"the scene as a web page": PAGE, "clip": CLIP, "the file": SCENE}
         links |= {"ordinary Gaussians": GAUSSIANS, "poses of the photos": f"{DATA}/{REPORT}"}
         words = ["run", given.path, "-o", out, *setting_options(record.settings)]
+        words += ["--exposure"] * bool(record.settings.get("exposure"))
         if self._device_name is not None:
             words += ["--device", self._device_name]
         write_run_report(
@@ -194,6 +227,7 @@ class RunStages:
             seconds=record.seconds,
             links=[(label, name) for label, name in links.items() if (out / name).exists()],
             page=out / REPORT,
+            title=shown.title or "",
         )
         scores = json.loads((out / SCORES).read_text(encoding="utf-8"))
         return FinishedRun(out, used, scores, record.seconds, failures)
@@ -248,6 +282,6 @@ def setting_options(settings: dict[str, Any], between: str | None = None) -> lis
     found: list[str] = []
     for name, value in settings.items():
         if not isinstance(value, bool):
-            option = f"--{name.replace('_', '-')}"
+            option = f"--{FLAGS.get(name, name).replace('_', '-')}"
             found += [option, str(value)] if between is None else [f"{option}{between}{value}"]
     return found

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from clgs.data.origin import repose
 from clgs.errors import UsageError
 from clgs.exports.run_report import write_run_report
 from clgs.files import check_folder, write_json
@@ -13,11 +14,18 @@ from clgs.memory import return_freed_memory
 from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
 from clgs.train.run.load import load_for
-from clgs.train.run.run_folder import RunResult, check_run_folder, check_same_data, finished_run
+from clgs.train.run.run_folder import (
+    RunResult,
+    check_run_folder,
+    check_same_data,
+    finished_run,
+    finished_settings,
+)
 from clgs.train.run.savings import Saving, savings
 from clgs.train.run.session import Progress, Session
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
+from clgs.workflow.views import scene_name
 
 
 @dataclass(frozen=True)
@@ -40,6 +48,7 @@ def train(
     folder: Path,
     config: TrainConfig,
     *,
+    start: Path | None = None,
     device: str | None = None,
     resume: bool = False,
     overwrite: bool = False,
@@ -53,6 +62,7 @@ def train(
         data: folder of the data set.
         folder: run folder, made if it is missing.
         config: settings, not yet resolved for the data set.
+        start: folder of a finished run to go on from, whose steps count.
         device: number or part of the name.
         resume: go on with the run in ``folder``; a finished one is read and not changed.
         overwrite: replace the run in ``folder``.
@@ -71,16 +81,21 @@ def train(
     if (folder / "checkpoint").is_file():
         raise UsageError(f"{folder / 'checkpoint'}: is not a folder; remove it")
     check_apart(folder, data)
+    if start is not None and folder.resolve() == start.resolve():
+        raise UsageError(f"{folder}: is the run to go on from; name another folder with -o")
     check_run_folder(folder, resume, overwrite)
     if resume:
         check_same_data(folder, data)
     opened = Device(device)
     opened.profile.enabled = profile
-    dataset = load_for(config, data, folder, lambda line: on_event(Note(line)))
+    points = folder if start is None else start  # that run has triangulated some already
+    dataset = load_for(config, data, points, lambda line: on_event(Note(line)))
+    if start is not None:
+        dataset = repose(dataset, finished_settings(start)[0].scene.transform)
     config = config.for_dataset(dataset.kind)
     if resume and (finished := finished_run(folder, dataset, config)):
         return TrainedRun(finished, config.steps, was_finished=True)
-    session = Session(dataset, folder, config, opened, resume=resume)
+    session = Session(dataset, folder, config, opened, resume, start)
 
     def report(progress: Progress) -> None:
         on_event(TrainingProgress(progress, config.steps))
@@ -97,5 +112,6 @@ def train(
             "skips": [{**asdict(saving), "share": saving.share} for saving in saved],
         }
         write_json(folder / "profile.json", record)
-    write_run_report(folder, command, lead=f"Trained on {data}.")
+    further = "" if start is None else f", from {start} on"
+    write_run_report(folder, command, lead=f"Trained on {data}{further}.", title=scene_name(data))
     return TrainedRun(result, config.steps, times=tuple(rows), saved=tuple(saved))

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from clgs.data.dataset import Dataset, load_dataset
-from clgs.data.origin import read_origin
+from clgs.data.origin import alike, read_origin, repose
 from clgs.data.reduction import MAX_SIZE
-from clgs.data.repose import alike, repose
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
 from clgs.options import RenderOptions, render_options
@@ -26,6 +25,14 @@ def known_data(scene: Path) -> Path | None:
     """The data set that the run folder of ``scene`` names; None if there is none."""
     origin = read_origin(run_folder(scene))
     return origin.folder if origin is not None and origin.folder.is_dir() else None
+
+
+def scene_name(photos: Path) -> str:
+    """What to call the scene of these photos: by their folder, or the one above a usual name."""
+    path = photos.resolve()
+    if path.name.lower() in ("images", "photos", "input", "data") and path.parent.name:
+        path = path.parent
+    return path.stem if path.is_file() else path.name
 
 
 def data_of(scene: Path) -> Path:

@@ -20,8 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from clgs.data.dataset import Dataset, load_dataset
-from clgs.data.origin import read_origin
-from clgs.data.repose import repose
+from clgs.data.origin import read_origin, repose
 from clgs.exports.page import scene_page
 from clgs.render.renderer import render_view
 from clgs.scene.camera import Camera

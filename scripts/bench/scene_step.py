@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import mean, median
 
-from clgs.data.repose import repose
+from clgs.data.origin import repose
 from clgs.lab.bench.step import STILL, WARM_UP, stream_times
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer

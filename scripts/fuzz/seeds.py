@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from clgs import _codec
 from clgs.codec import octree, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.container.reader import SceneReader
 from clgs.codec.container.section_table import BytesSource, read_container
-from clgs.codec.plain_rows import encode_paper, encode_run_lengths
 
 GOLDEN = Path(__file__).resolve().parents[2] / "tests" / "codec" / "golden"
 Seed = tuple[str, str, bytes]
@@ -49,7 +49,11 @@ def golden_seeds() -> Iterator[Seed]:
             points = reader.positions(chunk)
             yield "octree", path.stem, count(len(points) - 1, 512) + octree.encode(points)
         rows = reader.head.groups.astype(np.int32)
-        yield "runlength", path.stem, count(len(rows), 256) + b"\x0a" + encode_run_lengths(rows)
+        yield (
+            "runlength",
+            path.stem,
+            count(len(rows), 256) + b"\x0a" + _codec.runlength_encode(rows, rows.shape[1]),
+        )
 
 
 def count(number: int, usual: int) -> bytes:
@@ -80,8 +84,8 @@ def matrix_seeds() -> Iterator[Seed]:
     for name, value in matrices().items():
         rows, channels = value.shape
         wide = bytes([channels - 1])
-        yield "runlength", name, count(rows, 256) + wide + encode_run_lengths(value)
-        yield "paper", name, count(rows, 512) + wide + encode_paper(value)
+        yield "runlength", name, count(rows, 256) + wide + _codec.runlength_encode(value, channels)
+        yield "paper", name, count(rows, 512) + wide + _codec.paper_encode(value, channels)
         words = weights.encode(value.ravel().view(np.float32), "float32")
         yield "planes", name, count(value.size, 128) + words
         for coder in range(3):

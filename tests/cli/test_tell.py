@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clgs.cli.main import main
 from clgs.cli.tell import tell
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import QuantizedSplats, pack
@@ -68,3 +69,14 @@ def test_a_path_of_any_letters_is_printed(command: str, encoding: str, tmp_path:
     assert b"bug" not in said
     known = {"utf-8": "\u0436".encode()}.get(encoding, b"\\u0436")
     assert known in said
+
+
+def test_a_run_in_a_folder_of_any_name_has_its_pages(tmp_path: Path, monkeypatch, capsys):
+    """Bytes that are no letters cannot be written as UTF-8: pages show backslashes as well."""
+    monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed
+    folder = tmp_path / os.fsdecode(b"\xff<b>")
+    words = [write_scene(folder / "data", train=6, test=2), "-o", folder / "out", "--steps", 2]
+    assert main(["run", *map(str, words), "--clip", "none"]) == 0
+    for name in ("report.html", "scene.html", "run/report.html"):
+        page = (folder / "out" / name).read_text(encoding="utf-8")
+        assert "<title>\\udcff&lt;b&gt;</title>" in page

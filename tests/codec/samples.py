@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 from hypothesis import strategies as st
 
+from clgs import _codec
+from clgs.codec import morton_order
 from clgs.codec.attributes import model_search, row_coder
 from clgs.codec.octree import runs
 
@@ -19,6 +23,21 @@ def draw(rows: int, channels: int, spread: int) -> np.ndarray:
     first, second = ((state >> np.uint64(s) & np.uint64(0xFFFF)).astype(np.int64) for s in (16, 40))
     value = ((first - 32768) * second * spread >> 31) * (first % 3 > 0)
     return value.astype(np.int32).reshape(rows, channels)
+
+
+def cloud(count: int, seed: int = 0, extent: int = 2**21) -> np.ndarray:
+    """About ``count`` points, in any order."""
+    rng = np.random.default_rng(seed)
+    return rng.permutation(np.unique(rng.integers(0, extent, (count, 3)), axis=0))
+
+
+def in_order(positions: np.ndarray) -> np.ndarray:
+    return positions[morton_order(positions)]
+
+
+def sealed(body: bytes) -> bytes:
+    """A stream with its checksum."""
+    return body + struct.pack("<I", _codec.crc32c(body))
 
 
 def clouds() -> dict[str, np.ndarray]:
@@ -67,15 +86,33 @@ def matrices() -> dict[str, np.ndarray]:
     return {name: value.astype(np.int32) for name, value in found.items()}
 
 
-def tables_model(value: np.ndarray, chunk: int = row_coder.CHUNK) -> row_coder.TableModel:
+def encode_run_lengths(rows: np.ndarray) -> bytes:
+    return _codec.runlength_encode(np.ascontiguousarray(rows, np.int32), rows.shape[1])
+
+
+def decode_run_lengths(data: bytes, count: int, channels: int) -> np.ndarray:
+    rows = np.empty((count, channels), np.int32)
+    _codec.runlength_decode(data, rows, channels)
+    return rows
+
+
+def encode_paper(rows: np.ndarray) -> bytes:
+    return row_coder.RowModel(rows.shape[1], row_coder.PAPER).encode(rows)
+
+
+def decode_paper(data: bytes, count: int, channels: int) -> np.ndarray:
+    return row_coder.RowModel(channels, row_coder.PAPER).decode(data, count)
+
+
+def tables_model(value: np.ndarray, chunk: int = row_coder.CHUNK) -> row_coder.RowModel:
     """The model of level ``default`` if no other coder is shorter."""
     model, _ = model_search.fit(model_search.RowChunks(value, runs(len(value), chunk)), search=True)
-    return row_coder.make_table_model(model)
+    return row_coder.table_model(model)
 
 
-def mixed_model(value: np.ndarray) -> row_coder.TableModel:
+def mixed_model(value: np.ndarray) -> row_coder.RowModel:
     """The model of level ``max``, with every channel but the first mixed."""
-    model = tables_model(value).model.copy()
+    model = tables_model(value).tables.copy()
     mixed = model_search.mix_all(model, model_search.RowSample(value))
     mixed[:1] = model[:1]
-    return row_coder.make_table_model(mixed)
+    return row_coder.table_model(mixed)

@@ -20,16 +20,20 @@ from clgs.codec import weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.container.meta import LEVELS
 from clgs.codec.octree import runs
-from clgs.codec.plain_rows import (
-    decode_paper,
-    decode_run_lengths,
-    encode_paper,
-    encode_run_lengths,
-)
 from codec_c.reader import attributes as reader_attributes
 from codec_c.reader import files as reader_files
 from codec_c.reader import rows as reader_rows
-from tests.codec.samples import clouds, draw, matrices, mixed_model, tables_model
+from tests.codec.samples import (
+    clouds,
+    decode_paper,
+    decode_run_lengths,
+    draw,
+    encode_paper,
+    encode_run_lengths,
+    matrices,
+    mixed_model,
+    tables_model,
+)
 
 FILE = Path(__file__).with_name("conformance.txt")
 Decoder = Callable[[bytes], np.ndarray]
@@ -66,7 +70,7 @@ def model_vectors() -> Iterator[tuple[str, Vector]]:
             yield f"{name}, {kind}", one_model(model, chunk, rows)
 
 
-def one_model(model: row_coder.TableModel, chunk: int, rows: np.ndarray) -> Vector:
+def one_model(model: row_coder.RowModel, chunk: int, rows: np.ndarray) -> Vector:
     parts = runs(len(rows), chunk)
     chunks = [model.encode(rows[part]) for part in parts]
     channels = rows.shape[1]
@@ -184,13 +188,13 @@ def test_no_vector_is_left_over():
 
 def test_every_feature_of_a_model_is_used():
     """Terms, activity of the own and of other columns, spans and literals."""
-    models = [tables_model(matrices()[n]).model for n in ("triplets", "busy", "mixture")]
+    models = [tables_model(matrices()[n]).tables for n in ("triplets", "busy", "mixture")]
     assert models[0]["span"].any()
     assert models[1]["weight"][:, 0].any()
     assert models[1]["weight"][:, 1].any()
     assert models[2]["taps"].max() > 1
     assert models[2]["tap"][..., 1].min() < 0 < models[2]["tap"][..., 1].max()
-    assert tables_model(matrices()["spread 3000"]).model["frequency"][..., 128:].any()
+    assert tables_model(matrices()["spread 3000"]).tables["frequency"][..., 128:].any()
 
 
 if __name__ == "__main__":

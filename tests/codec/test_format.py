@@ -14,7 +14,6 @@ from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import find_near
 from clgs.codec.container import chunks, section_table
 from clgs.codec.container.section_table import BytesSource
-from clgs.codec.plain_rows import encode_paper, encode_run_lengths
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.scene.anchors import QuantizedAnchors
@@ -26,6 +25,7 @@ from codec_c.reader import octree as reader_octree
 from codec_c.reader.coding import ByteReader, xxh64
 from codec_c.reader.octree import decode_octree
 from codec_c.reader.rows import decode_paper_rows, decode_rows, decode_weights
+from tests.codec.samples import encode_paper, encode_run_lengths
 from tests.codec.scenes import ROOT, assert_same
 
 TEXT = (ROOT / "codec_c" / "FORMAT.md").read_text(encoding="utf-8")

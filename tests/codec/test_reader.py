@@ -15,19 +15,14 @@ from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import QuantizedSplats, is_splats, pack, unpack
 from clgs.errors import CodecError
 from clgs.scene.mlps import MLP_SIZE, Mlps
-from codec_c.reader.files import (
-    CHANNELS,
-    Scene,
-    decode_attributes,
-    decode_positions,
-    read_file,
-)
+from codec_c.reader.files import CHANNELS, Scene, decode_attributes, decode_positions, read_file
 from tests.codec.container.damage import contents, rebuilt
 from tests.codec.container.mutations import changed, damaged_file
 from tests.codec.scenes import GOLDEN, random_scene
 
 QUICK = "single"
 """The golden file of the default run: most of a file's time goes to weights that are no zeros."""
+SLOW = pytest.mark.slow
 OTHERS = sorted({path.stem for path in GOLDEN.glob("*.clgs")} - {QUICK})
 
 
@@ -44,21 +39,11 @@ def assert_scene(data: bytes) -> None:
     np.testing.assert_array_equal(found.weights.view("<u4"), scene.mlps.flat.view(np.uint32))
     assert meta.q == tuple(vars(scene.scales).values())
     assert (meta.centre, meta.scale) == (scene.transform.centre, scene.transform.scale)
-    assert (meta.background, meta.near, meta.blur) == (
-        settings.background,
-        settings.near,
-        settings.blur,
-    )
-    assert (meta.alpha_cut, meta.alpha_max) == (settings.alpha_cut, settings.alpha_max)
-    assert meta.transmittance_stop == settings.transmittance_stop
+    for name in vars(settings):
+        assert getattr(meta, name) == getattr(settings, name)
 
 
-def test_a_golden_file() -> None:
-    assert_scene((GOLDEN / f"{QUICK}.clgs").read_bytes())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("name", [QUICK, *(pytest.param(one, marks=SLOW) for one in OTHERS)])
 def test_golden_files(name: str) -> None:
     assert_scene((GOLDEN / f"{name}.clgs").read_bytes())
 
@@ -152,13 +137,8 @@ def streams() -> list[tuple]:
         (codec.decode_positions, decode_positions, codec.encode_positions(cloud))
         for cloud in clouds
     ]
-    for level, spread, rows in (
-        ("paper", 1, 20),
-        ("paper", 1e6, 9),
-        ("default", 1e9, 9),
-        ("default", 1, 100),
-        ("max", 20, 300),
-    ):
+    kinds = [("paper", 1, 20), ("paper", 1e6, 9), ("default", 1e9, 9), ("default", 1, 100)]
+    for level, spread, rows in (*kinds, ("max", 20, 300)):
         data = codec.encode_attributes(rows_of(spread, rows), level)
         found.append((codec.decode_attributes, decode_attributes, data))
     return found
@@ -188,35 +168,19 @@ def read_by_the_document(data: bytes) -> np.ndarray:
     return np.concatenate([found.positions.ravel(), *rows, found.weights.view("<i4")])
 
 
-def damaged_files(seed: int, count: int) -> None:
-    """Damaged files are refused by both decoders, or read alike."""
+@pytest.mark.parametrize(("seed", "count"), [(0, 30), pytest.param(1, 3000, marks=SLOW)])
+def test_damaged_files_are_refused_by_both_decoders_or_read_alike(seed: int, count: int) -> None:
     rng, cases = np.random.default_rng(seed), files()
     for _ in range(count):
         assert_alike(read_by_clgs, read_by_the_document, damaged_file(rng, cases))
 
 
-def damaged_streams(seed: int, count: int) -> None:
-    """Damage behind right checksums is refused by both decoders, or read alike."""
+@pytest.mark.parametrize(("seed", "count"), [(0, 60), pytest.param(1, 5000, marks=SLOW)])
+def test_damaged_streams_with_right_checksums_are_refused_or_read_alike(
+    seed: int, count: int
+) -> None:
     rng, cases = np.random.default_rng(seed), streams()
     for _ in range(count):
         ours, other, data = cases[rng.integers(len(cases))]
         body = changed(rng, data[:-4])
         assert_alike(ours, other, body + struct.pack("<I", _codec.crc32c(body)))
-
-
-def test_damaged_streams() -> None:
-    damaged_streams(0, 60)
-
-
-def test_damaged_files() -> None:
-    damaged_files(0, 30)
-
-
-@pytest.mark.slow
-def test_many_damaged_streams() -> None:
-    damaged_streams(1, 5000)
-
-
-@pytest.mark.slow
-def test_many_damaged_files() -> None:
-    damaged_files(1, 3000)

@@ -13,23 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from clgs import _codec, codec
+from clgs import codec
 from clgs.codec import octree, streams
 from clgs.codec.scene_encoder import encode
 from clgs.errors import CodecError, UsageError
+from tests.codec.samples import cloud, in_order, sealed
 from tests.codec.scenes import random_scene
 
 INTEGERS = ["i1", "u1", "<i2", ">i2", "<u2", "<i4", ">i4", "<u4", ">u4", "<i8", ">i8", "<u8", ">u8"]
 LEVELS = ("fast", "default", "max", "paper")
-
-
-def cloud(count: int, seed: int = 0, extent: int = 2**21) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    return rng.permutation(np.unique(rng.integers(0, extent, (count, 3)), axis=0))
-
-
-def in_order(positions: np.ndarray) -> np.ndarray:
-    return positions[codec.morton_order(positions)]
 
 
 @pytest.mark.parametrize("dtype", INTEGERS)
@@ -245,17 +237,12 @@ def test_damage_with_a_right_checksum_is_refused_or_decodes(decode, data, rng):
         body = bytearray(data[:-4])
         for _ in range(rng.integers(1, 5)):
             body[rng.integers(4, len(body))] = rng.integers(256)
-        file = bytes(body) + struct.pack("<I", _codec.crc32c(bytes(body)))
         try:
-            decoded = decode(file)
+            decoded = decode(sealed(bytes(body)))
         except CodecError as error:
             assert str(error).startswith("stream at byte ")  # noqa: PT017 - or no error at all
         else:
             assert decoded.dtype == np.int32
-
-
-def sealed(body: bytes) -> bytes:
-    return body + struct.pack("<I", _codec.crc32c(body))
 
 
 @pytest.mark.parametrize("count", [1, 2**20, 2**31, 2**32 - 1])

@@ -32,16 +32,6 @@ def assert_round_trip(x: np.ndarray, mode: int | None = None) -> bytes:
     return data
 
 
-@pytest.mark.parametrize("step", [2.0**-5, 2.0**-10, 2.0**-20])
-def test_multiples_of_a_step(step):
-    assert_round_trip(drawn(step), MULTIPLES)
-
-
-@pytest.mark.parametrize("step", [0, 1e-3])
-def test_other_weights_stay_floats(step):
-    assert_round_trip(drawn(step), PLANES)
-
-
 def test_every_matrix_has_a_step_of_its_own():
     x = drawn(2.0**-9)
     x[:54] = drawn(2.0**-12, count=54)
@@ -50,16 +40,8 @@ def test_every_matrix_has_a_step_of_its_own():
     assert list(data[1:5]) == [150 - 12, 150 - 9, 0, 150 - 9]
 
 
-@pytest.mark.parametrize("exponent", [-149, -140, 0, 104])
-def test_extremes_are_multiples(exponent):
-    n = np.random.default_rng(1).integers(1 - 2**24, 2**24, COUNT)
-    x = np.ldexp(n.astype(np.float64), exponent).astype(np.float32)
-    assert_round_trip(x, MULTIPLES)
-
-
 @pytest.mark.parametrize(
-    "pair",
-    [(-0.0, 1.0), (np.inf, 1.0), (np.nan, 1.0), (1.0, 2.0**-24), (2.0**127, 2.0**-149)],
+    "pair", [(-0.0, 1.0), (np.inf, 1.0), (np.nan, 1.0), (1.0, 2.0**-24), (2.0**127, 2.0**-149)]
 )
 def test_what_is_no_multiple_stays_float(pair):
     x = drawn(2.0**-6)
@@ -77,19 +59,16 @@ def test_float32_on_request():
 @settings(max_examples=30, deadline=None)
 @given(npst.arrays(np.float32, COUNT, elements=FLOATS))
 def test_any_floats_survive_bit_for_bit(x):
-    data = weights.encode(x, matrices=SHAPES)
-    np.testing.assert_array_equal(weights.decode(data, SHAPES).view(np.uint32), x.view(np.uint32))
+    assert_round_trip(x)
 
 
 @settings(max_examples=30, deadline=None)
 @given(
-    npst.arrays(np.int32, COUNT, elements=st.integers(1 - 2**24, 2**24 - 1)),
-    st.integers(-149, 104),
+    npst.arrays(np.int32, COUNT, elements=st.integers(1 - 2**24, 2**24 - 1)), st.integers(-149, 104)
 )
 def test_any_multiples_survive(n, exponent):
     x = np.ldexp(n.astype(np.float64), exponent).astype(np.float32)
-    data = weights.encode(x, matrices=SHAPES)
-    np.testing.assert_array_equal(weights.decode(data, SHAPES).view(np.uint32), x.view(np.uint32))
+    assert_round_trip(x)
 
 
 def test_after_many_zeros_the_least_is_expected():

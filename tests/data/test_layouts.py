@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from clgs.data.dataset import load_dataset
-from clgs.data.photo_set import read_photo_set
+from clgs.data.dataset import load_dataset, read_photo_set
 from clgs.doctor.dataset import examine
 from clgs.errors import DataError
 from tests.data.folders import save_json, write_colmap, write_transforms

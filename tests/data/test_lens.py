@@ -16,11 +16,7 @@ STRONG = replace(PHONE, radial=(-0.2, 0.05, 0.01))
 PINCUSHION = replace(PHONE, radial=(0.15, 0.02))
 RATIONAL = replace(PHONE, radial=(0.3, 0.1, 0.02), divisor=(0.25, 0.05, 0.01))
 FISHEYE = replace(PHONE, radial=(0.03, -0.01, 0.002, 0.0), tangential=(0.0, 0.0), fisheye=True)
-LENSES = {
-    "OPENCV": PHONE,
-    "FULL_OPENCV": RATIONAL,
-    "OPENCV_FISHEYE": FISHEYE,
-}
+LENSES = {"OPENCV": PHONE, "FULL_OPENCV": RATIONAL, "OPENCV_FISHEYE": FISHEYE}
 ALL = [PHONE, STRONG, PINCUSHION, RATIONAL, FISHEYE]
 
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from clgs.data.dataset import load_dataset
-from clgs.data.origin import ORIGIN, read_origin, write_origin
-from clgs.data.repose import alike
+from clgs.data.origin import ORIGIN, alike, read_origin, write_origin
 from clgs.errors import DataError
 from clgs.scene.scene import SceneTransform
 from tests.small_scene import write_scene

@@ -103,7 +103,7 @@ def test_every_text_is_escaped(text):
 
 def test_bars_are_shares_of_the_largest():
     page = report_html(REPORT, [])
-    assert re.findall(r'<rect width="([\d.]+)"', page) == ["50.00", "100.00", "100.00", "0.42"]
+    assert re.findall(r'<rect width="([\d.]+)"', page) == ["100.00", "0.42", "50.00", "100.00"]
 
 
 def test_curve_spans_the_chart_and_skips_what_is_no_number():

@@ -9,8 +9,6 @@ import pytest
 from tests.house import kernel_rules, rules
 
 ROOT = Path(__file__).resolve().parents[2]
-if not (ROOT / "clgs").is_dir():
-    pytest.skip("needs a checkout", allow_module_level=True)
 
 STAGES = sorted(path.stem for path in (ROOT / "clgs/ops").glob("*.py") if path.stem != "__init__")
 KERNEL_STAGES = [*STAGES, "limits"]

@@ -11,8 +11,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-if not (ROOT / "docs").is_dir():
-    pytest.skip("needs a checkout", allow_module_level=True)
 sys.path.insert(0, str(ROOT / "scripts" / "docs"))
 
 import generated  # noqa: E402 - the folder of the scripts comes first

@@ -10,13 +10,11 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-if not (ROOT / "clgs").is_dir():
-    pytest.skip("needs a checkout", allow_module_level=True)
+from clgs.cli.main import COMMANDS
+from scripts.checks import check_wheel
+from tests.house import rules
 
-from clgs.cli.main import COMMANDS  # noqa: E402 - after the check for a checkout
-from scripts.checks import check_wheel  # noqa: E402 - after the check for a checkout
-from tests.house import rules  # noqa: E402 - after the check for a checkout
+ROOT = Path(__file__).resolve().parents[2]
 
 TRACKED = [
     "clgs/__init__.py",

@@ -6,9 +6,6 @@ import pytest
 
 from tests.house import plain_english
 
-if not (plain_english.ROOT / "clgs").is_dir():
-    pytest.skip("needs a checkout", allow_module_level=True)
-
 
 def test_no_word_needs_a_second_reading():
     assert list(plain_english.found_in([])) == []

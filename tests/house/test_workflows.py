@@ -9,8 +9,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
-if not FILES:
-    pytest.skip("needs a checkout", allow_module_level=True)
 
 
 @pytest.fixture(params=FILES, ids=lambda path: path.name)

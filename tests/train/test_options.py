@@ -78,7 +78,7 @@ def test_bytes_may_have_a_suffix() -> None:
 def parse_command(*words: str) -> TrainConfig:
     parser = Parser(prog="clgs train")
     training.add_training_options(parser)
-    return training.make_config(parser.parse_args(words))
+    return training.make_config(vars(parser.parse_args(words)))
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,9 @@ import pytest
 from PIL import Image
 
 from clgs.cli import main as cli
-from clgs.cli.commands.run import duration
+from clgs.cli.shared_options import duration
 from clgs.errors import DataError
+from clgs.train.config import from_toml
 from clgs.train.run.run_folder import FolderLock
 from clgs.workflow import run_stages
 from clgs.workflow.run import run
@@ -23,6 +24,8 @@ from clgs.workflow.run_record import RunRecord, find_input
 from tests.small_scene import write_scene
 from tests.terminal import as_from_a_terminal
 
+TRAINED = ("--lambda=0.03", "--max-anchors", "9000", "--set", "log_interval=7")
+
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
@@ -30,14 +33,15 @@ def data(tmp_path_factory):
 
 
 def words(data, out, *more):
-    return ["run", str(data), "-o", str(out), "--steps", "30", *map(str, more)]
+    return ["run", str(data), "-o", str(out), "--steps", "30", *TRAINED, *map(str, more)]
 
 
 @pytest.fixture(scope="module")
 def finished(data, tmp_path_factory):
     """The output folder of a run."""
     out = tmp_path_factory.mktemp("run") / "out"
-    assert cli.main(words(data, out)) == 0
+    clip = ["--clip", "spiral", "--clip-time", "1s", "--clip-size", "48x32", "--name", "<Hut>"]
+    assert cli.main(words(data, out, *clip)) == 0
     return out
 
 
@@ -84,6 +88,16 @@ def test_everything_is_there(finished):
     assert scores["bytes"] == (finished / "scene.clgs").stat().st_size
     page = (finished / "report.html").read_text()
     assert page.count("data:image/jpeg") == 2 * 3
+    assert "<title>&lt;Hut&gt;</title>" in page
+    order = [page.index(part) for part in ("data:image", "PSNR, held out", "Bytes by section")]
+    assert order == sorted(order)
+    assert "<title>&lt;Hut&gt;</title>" in (finished / "scene.html").read_text()
+    assert "--size-lambda" not in page
+    assert "--lambda 0.03" in page
+    config = from_toml((finished / "run" / "config.toml").read_text())
+    assert (config.size_lambda, config.max_anchors, config.log_interval) == (0.03, 9000, 7)
+    clip = json.loads((finished / "plan.json").read_text())["plan"]["clip"]
+    assert (clip["path"], clip["width"], clip["frames"]) == ("spiral", 48, 30)
     for name in ("scene.html", "scene.ply", "clip.mp4"):
         assert (finished / name).exists() == (f'href="{name}"' in page)
 
@@ -172,6 +186,12 @@ def test_run_goes_on_with_its_own_input_and_options_alone(data, finished, tmp_pa
     assert f"is a run of {data}" in capsys.readouterr().err
     assert cli.main(words(data, finished, "--resume", "--steps", "31")) == 2
     assert "--steps: the run in" in capsys.readouterr().err
+    assert cli.main([*words(data, finished, "--resume"), "--target-size", "90k"]) == 2
+    assert "give one of the two" in capsys.readouterr().err
+    assert cli.main([*words(data, finished, "--resume"), "--lambda", "0.7"]) == 2
+    assert "--lambda: the run in" in capsys.readouterr().err
+    assert cli.main([*words(data, finished, "--resume"), "--background", "white"]) == 2
+    assert "has its default; leave it out" in capsys.readouterr().err
     assert cli.main(words(data, finished, "--resume", "--time", "7m")) == 2
     assert "--time: the run in" in capsys.readouterr().err
     assert "--steps 30 --max-size 40" in (finished / "report.html").read_text()
@@ -275,6 +295,21 @@ def test_nothing_to_train_on_is_named(tmp_path, capsys, name):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--set", "downscale=2"], "downscale: the plan reduces photos to a width"),
+        (["--set", "steps=2"], "steps: is an argument of its own"),
+        (["--set", "nonsense=2"], "nonsense: no such setting"),
+        (["--set", "voxel=-2"], "voxel: -2 is out of range"),
+    ],
+)
+def test_settings_of_the_plan_are_refused(data, tmp_path, more, said, capsys):
+    assert cli.main(words(data, tmp_path / "out", *more)) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_contradiction_is_refused(data, tmp_path, capsys):
     assert cli.main(words(data, tmp_path / "out", "--resume", "--overwrite")) == 2
     assert "give one" in capsys.readouterr().err
@@ -312,7 +347,7 @@ def test_a_failing_export_does_not_end_the_run(data, tmp_path, monkeypatch, caps
     }
     assert done.scores["views"] == 2
     assert (tmp_path / "out" / "report.html").is_file()
-    assert cli.main(words(data, tmp_path / "out", "--resume")) == 3
+    assert cli.main(["run", str(data), "-o", str(tmp_path / "out"), "--resume"]) == 3
     assert "clgs: error: no scene.html\n" in capsys.readouterr().err
 
 
@@ -321,13 +356,16 @@ def test_warning_and_interruption_are_shown_once(tmp_path, instant):
     data = write_scene(tmp_path / "data", train=6, test=2)
     next((data / "train").iterdir()).unlink()
     command = [sys.executable, "-m", "clgs.cli.main", "run", str(data), "-o", str(tmp_path / "out")]
-    with subprocess.Popen(
-        [*command, "--steps", "1000000"],
-        stdout=subprocess.PIPE,
-        stderr=(tmp_path / "errors").open("w"),
-        text=True,
-        preexec_fn=as_from_a_terminal,
-    ) as process:
+    with (
+        (tmp_path / "errors").open("w") as errors,
+        subprocess.Popen(
+            [*command, "--steps", "1000000"],
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            preexec_fn=as_from_a_terminal,
+        ) as process,
+    ):
         assert process.stdout is not None
         for line in process.stdout:
             if line.startswith(instant):

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clgs.cli.commands.run import duration
+from clgs.cli.shared_options import duration
 from clgs.workflow.run_plan import (
+    CLIP_SHARE,
+    CLIPS,
     ENOUGH_STEPS,
     FRAMES,
     LATER_SECONDS,
@@ -22,11 +24,13 @@ from clgs.workflow.run_plan import (
     SHORT_STEPS,
     SIZES,
     Photos,
+    Presentation,
     StepSpeed,
     fit_speed,
     frames_within,
     make_plan,
     must_hurry,
+    plan_clip,
     prepare_seconds,
 )
 from clgs.workflow.run_record import in_words
@@ -61,7 +65,7 @@ def test_largest_pictures_that_leave_enough_steps():
     plan = make_plan(PHOTOS, SPEED, 0.0, 300.0)
     larger = SIZES[SIZES.index(plan.max_size) - 1]
     assert plan.steps >= ENOUGH_STEPS
-    later = LATER_SECONDS + LATER_STEPS * SPEED.step(PHOTOS.at(larger))
+    later = LATER_SECONDS + LATER_STEPS * SPEED.step(PHOTOS.at(larger)) + plan.clip.seconds
     assert (300 - later) / step_of_short_run(larger) < ENOUGH_STEPS
 
 
@@ -122,7 +126,7 @@ def test_times_are_read(text, seconds):
     assert duration(text) == seconds
 
 
-@pytest.mark.parametrize("text", ["", "0s", "5", "-1m", "5 minutes", "1e3s", "nan", "9" * 20])
+@pytest.mark.parametrize("text", ["", "0s", "-1m", "5 x", "nan", "9" * 20])
 def test_no_times_are_refused(text):
     with pytest.raises(argparse.ArgumentTypeError, match="is not a time such as"):
         duration(text)
@@ -139,3 +143,23 @@ def test_frames_leave_time_for_the_rest(seconds, cores):
     assert count == FRAMES[-1] or prepare_seconds(count, cores, quick=True) <= share
     more = [n for n in FRAMES if n > count]
     assert all(prepare_seconds(n, cores, quick=True) > share for n in more)
+
+
+@given(st.floats(20, 1e5), st.integers(2, 8000), st.integers(2, 8000))
+def test_a_clip_is_slow_and_large_and_leaves_time_for_the_rest(seconds, width, height):
+    plan = plan_clip(Photos(9, width, height), SPEED, seconds, Presentation())
+    assert 8 <= plan.frames / plan.fps <= 12
+    assert plan.width % 2 == plan.height % 2 == 0
+    side = min(plan.width, plan.height)
+    assert side >= min(720, min(width, height) - 1) or plan.height * plan.width <= width * height
+    least = plan.fps == CLIPS[-1][1]
+    assert least or plan.seconds <= CLIP_SHARE * seconds
+    assert plan.fps == 12 or side >= min(720, min(width, height) - 1)
+
+
+def test_what_is_chosen_of_a_clip_stays():
+    chosen = Presentation(path="spiral", seconds=3, size=(64, 48))
+    plan = plan_clip(PHOTOS, SPEED, 600.0, chosen)
+    assert (plan.path, plan.frames, plan.width, plan.height) == ("spiral", 90, 64, 48)
+    assert plan_clip(PHOTOS, SPEED, 600.0, Presentation(path="none")).seconds == 0
+    assert make_plan(PHOTOS, SPEED, 0.0, 3600.0).clip.height == 1080

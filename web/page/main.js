@@ -107,7 +107,7 @@ const handlers = {
     const same = scene.hash === scene.expectedHash;
     const count = `${scene.items.toLocaleString("en")} ${scene.splats ? "splats" : "anchors"}`;
     element("status").textContent =
-      `${settings.title || viewer.name} \u00b7 ${count} \u00b7 integers ${scene.hash} ` + (same ? "as in the file" : "differ from the file's");
+      `${settings.title || viewer.name} \u00b7 ${count} \u00b7 ` + (same ? "file intact" : "file damaged");
     note("Drawing", 1);
     wake();
   },

@@ -116,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
     for option in ("--data",) * (args.data is not None) + ("--all-views",) * args.all_views:
         if not target:
             raise UsageError(f"{option} serves --target-size and --target-psnr; give one of them")
-    views = view_options(args)
+    views = view_options(vars(args))
     if target and views.data is None:
         needed = args.target_psnr is not None or args.all_views
         views = replace(views, data=data_of(path) if needed else known_data(path))

@@ -92,7 +92,15 @@ def run(args: argparse.Namespace) -> int:
     from clgs.workflow.scenes import read_drawable
     from clgs.workflow.views import trained_config
 
-    views = _checked(args)
+    given = ("lpips", "inria", "csv", "json")
+    tables = [f"--{name}" for name in given if getattr(args, name)]
+    views = view_options(vars(args))
+    views = _scored_views(args.scene, views, args.hashes is not None, tables)
+    if args.submethod is not None and not (args.csv and args.submethod.isprintable()):
+        raise UsageError("--submethod: names a row of --csv, in printable characters")
+    sources = [path for path in (args.scene, args.hashes, args.lpips) if path]
+    file = None if args.json == STDOUT else args.json
+    _check_outputs(file, args.csv, args.inria, sources, views.data)
     lpips = Lpips(read_lpips_weights(args.lpips)) if args.lpips else None
     scene, size = read_drawable(args.scene)
     if args.csv and size is None:
@@ -146,24 +154,23 @@ def show(scored: Evaluation) -> None:
         print(f"{title:<{width}}  {text}")
 
 
-def _checked(args: argparse.Namespace) -> ViewOptions:
-    """Refuse what cannot be done, before long work; what is scored, without data if nothing is."""
+def _scored_views(scene: Path, views: ViewOptions, hashes: bool, tables: list[str]) -> ViewOptions:
+    """The views that are scored, with the known data set if none is named; none for hashes alone.
+
+    ``tables``: the options that need scores; --json comes last.
+
+    Raises:
+        UsageError: scores are needed, and the photos are not known.
+    """
     from clgs.errors import UsageError
     from clgs.workflow.views import data_of, known_data
 
-    views = view_options(args)
-    named = [f"--{name}" for name in ("lpips", "inria", "csv") if getattr(args, name)]
-    if views.data is None and (args.hashes is None or named or args.json):
-        if named and known_data(args.scene) is None:
-            raise UsageError(f"{named[0]}: scores need photos; name them with --data")
-        if args.hashes is None or known_data(args.scene) is not None:
-            views = replace(views, data=data_of(args.scene))
-    if args.submethod is not None and not (args.csv and args.submethod.isprintable()):
-        raise UsageError("--submethod: names a row of --csv, in printable characters")
-    file = None if args.json == STDOUT else args.json
-    sources = [path for path in (args.scene, args.hashes, args.lpips) if path]
-    _check_outputs(file, args.csv, args.inria, sources, views.data)
-    return views
+    if views.data is not None or (hashes and not tables):
+        return views
+    known = known_data(scene)
+    if tables and tables != ["--json"] and known is None:
+        raise UsageError(f"{tables[0]}: scores need photos; name them with --data")
+    return views if hashes and known is None else replace(views, data=data_of(scene))
 
 
 def _check_outputs(

@@ -77,16 +77,22 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     add_device_name(parser)
     add("--viewer", action="store_true", help=".html: a page without a scene, to drop files on")
+    add("--name", metavar="TITLE", help=".html: title (default: the photos' folder)")
     add_overwrite(parser, "the file if it exists (default: refuse)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the file and print what it holds; exit code 0."""
     from clgs.cli.display import Display
+    from clgs.errors import UsageError
     from clgs.workflow.export import export
 
-    names = "data", "sh_degree", "steps", "units", "downscale", "max_size", "device", "viewer"
-    options = chosen(args, *names, "overwrite")
+    if args.viewer and args.source is not None:
+        raise UsageError("--viewer makes a page without a scene; leave it out, or the SCENE")
+    if not args.viewer and args.source is None and args.output.suffix.lower() == ".html":
+        raise UsageError("name a SCENE, or give --viewer for a page without one")
+    names = "data", "sh_degree", "steps", "units", "downscale", "max_size", "device", "name"
+    options = chosen(vars(args), *names, "overwrite")
     with Display() as display:
         made = export(args.source, args.output, on_event=display, **options)
     show(made)

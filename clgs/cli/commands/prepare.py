@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.display import Display
     from clgs.workflow.prepare import prepare_data
 
-    options = chosen(args, "seed", "quick", "frames", "drop_doubtful", "overwrite")
+    options = chosen(vars(args), "seed", "quick", "frames", "drop_doubtful", "overwrite")
     with Display() as display:
         made = prepare_data(args.photos, args.output, on_event=display, **options)
     show(made)

@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.errors import UsageError
     from clgs.workflow.pictures import OTHER_VIDEOS, render_clip, render_views
 
-    views, options = view_options(args), chosen(args, "kind", "overwrite")
+    views, options = view_options(vars(args)), chosen(vars(args), "kind", "overwrite")
     if args.path is not None:
         path = PathOptions(args.path, args.frames, args.fps, args.size, args.up)
         options["save_path"] = args.save_path

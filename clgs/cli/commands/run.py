@@ -11,16 +11,23 @@ from clgs.cli.shared_options import (
     add_overwrite,
     chosen,
     duration,
+    frame_size,
     named_path,
     photo_width,
     positive_int,
     seed,
 )
+from clgs.cli.training_options import add_option
 from clgs.errors import UsageError
+from clgs.train.config import TrainConfig, parse_word
+from clgs.train.config.option import options_of
 
 if TYPE_CHECKING:
     from clgs.workflow.run_plan import TrainingPlan
     from clgs.workflow.run_record import FinishedRun, RunPlan
+
+TRAINING = ("size_lambda", "target_size", "exposure", "max_anchors", "background")
+"""Settings of training that have options of their own."""
 
 DESCRIPTION = """\
 Find the poses of the photos (`prepare`), train, encode, score the held-out views from the file
@@ -49,6 +56,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         help="reduce wider photos to this width (default: what T allows)",
     )
     add("--seed", type=seed, help="random seed (default: 0)")
+    add("--name", metavar="TITLE", help="of report and page (default: the photos' folder)")
     add_device_name(parser)
     add(
         "--resume",
@@ -57,6 +65,26 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     add("--plan", action="store_true", help="only show the plan")
     add_overwrite(parser, "what an earlier run of this command left in OUT")
+    clip = parser.add_argument_group("the clip (defaults: what the photos and a part of T allow)")
+    clip.add_argument(
+        "--clip",
+        metavar="orbit|spiral|interpolate|F.json|none",
+        help="where its camera goes, as of `clgs render --path` (default: orbit, or through the "
+        "photos if they look outward)",
+    )
+    add_clip = clip.add_argument
+    add_clip("--clip-time", type=duration, metavar="T", help="such as 10s")
+    add_clip("--clip-size", type=frame_size, metavar="WxH", help="even numbers of pixels")
+    training = parser.add_argument_group("training, as of `clgs train`")
+    for name in TRAINING:
+        add_option(training, options_of(TrainConfig)[name])
+    training.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="any other setting that the plan leaves open; may be given several times",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,7 +113,16 @@ def run(args: argparse.Namespace) -> int:
             case _:
                 display(event)
 
-    options = {"seconds": args.time, **chosen(args, "steps", "max_size", "seed", "device")}
+    from clgs.workflow.run_plan import Presentation
+
+    known = options_of(TrainConfig)
+    settings = {name: value for name, value in vars(args).items() if name in known}
+    for name in ("steps", "max_size", "seed"):
+        del settings[name]
+    settings |= dict(map(parse_word, args.set))
+    options = {"seconds": args.time, "settings": settings}
+    options |= chosen(vars(args), "steps", "max_size", "seed", "device")
+    options["shown"] = Presentation(args.name, args.clip, args.clip_time, args.clip_size)
     done: RunPlan | FinishedRun
     try:
         with warnings_once(), display:
@@ -94,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
                     raise UsageError("--resume and --overwrite contradict each other; give one")
                 done = plan_run(args.input, args.output, on_event=follow, **options)
             else:
-                options |= chosen(args, "resume", "overwrite")
+                options |= chosen(vars(args), "resume", "overwrite")
                 done = run_all(args.input, args.output, on_event=follow, **options)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
@@ -144,6 +181,11 @@ def _show_plan(plan: RunPlan) -> None:
         print(f"points:   {preparing}")
     print(f"training: {_training(training)}")
     print(f"the rest: about {in_words(training.other_seconds)}: scores, page, Gaussians, clip")
+    if (clip := training.clip).frames:
+        print(
+            f"clip:     {clip.frames / clip.fps:g} s at {clip.fps:g} per second of "
+            f"{clip.width} x {clip.height} pixels, about {in_words(clip.seconds)} of these"
+        )
     too_long = training.seconds > 1.05 * plan.allowed
     late = f", more than the {in_words(plan.allowed)} of --time" if too_long else ""
     whole = f"about {in_words(training.seconds)} on {plan.device}{late}"

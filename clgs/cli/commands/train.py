@@ -34,6 +34,14 @@ def register(parser: argparse.ArgumentParser) -> None:
     add("-o", "--output", type=named_path, required=True, metavar="RUN", help="run folder")
     add_device_name(parser)
     add(
+        "--from",
+        dest="start",
+        type=named_path,
+        metavar="RUN",
+        help="go on from this finished run, with its settings unless other options are given; its "
+        "steps count (default of --steps: twice as many)",
+    )
+    add(
         "--resume",
         action="store_true",
         help="continue an interrupted run from its checkpoint, with the same options; start it if "
@@ -59,12 +67,12 @@ def run(args: argparse.Namespace) -> int:
     from clgs.workflow.events import Event, TrainingProgress
     from clgs.workflow.train import train
 
-    config = make_config(args)
+    config = make_config(vars(args))
     if args.tensorboard and find_spec("tensorboard") is None:
         raise UsageError("--tensorboard: is not installed; pip install 'clgs[tensorboard]'")
     events = EventLog(args.output / "tensorboard") if args.tensorboard else None
     display = Display()
-    options = chosen(args, "device", "resume", "overwrite", "profile")
+    options = chosen(vars(args), "start", "device", "resume", "overwrite", "profile")
     options["command"] = args.command_line.replace(" --resume", "")  # it would change nothing
 
     def follow(event: Event) -> None:

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
     load_viser()
     with Display() as display:
-        shown = scene_to_show(args.scene, view_options(args), display)
+        shown = scene_to_show(args.scene, view_options(vars(args)), display)
     token = secrets.token_urlsafe(12)
     server = open_server(shown, args.host, args.port, token)
     if server.get_port() != args.port:

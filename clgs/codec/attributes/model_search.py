@@ -7,6 +7,7 @@ machine writes the same bytes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,9 +100,11 @@ class RowChunks:
     chunks: list[slice]
     near: NearRows | None = None
 
-    def near_of(self, model: Models, index: int) -> Ints | None:
-        """Near rows of a chunk, or None if ``model`` does not look at them."""
-        return self.near.of(index) if self.near and looks_near(model) else None
+    def with_near(self, model: Models | None) -> Iterator[tuple[Ints, Ints | None]]:
+        """Each chunk, and its near rows if ``model`` looks at them."""
+        near = self.near if model is not None and looks_near(model) else None
+        for index, chunk in enumerate(self.chunks):
+            yield self.values[chunk], near.of(index) if near else None
 
     def sample(self) -> RowSample:
         """All rows, or blocks of neighbouring rows that lie evenly apart."""
@@ -116,8 +119,8 @@ class RowChunks:
     def choose(self, model: Models) -> Costs:
         """Set classes and tables of ``model`` from all rows; their cost."""
         count = np.zeros((len(model), CELLS, TABLE), np.uint32)
-        for index, chunk in enumerate(self.chunks):
-            _codec.attributes_count(model, self.values[chunk], count, self.near_of(model, index))
+        for values, near in self.with_near(model):
+            _codec.attributes_count(model, values, count, near)
         cost = np.zeros(len(model), np.uint64)
         _codec.attributes_choose(model, count, 256, cost)
         return cost
@@ -125,9 +128,8 @@ class RowChunks:
     def measure_mixed(self, model: Models) -> Costs:
         """Bytes (channels,) of the channels that are mixed."""
         size = np.zeros(len(model), np.uint64)
-        for index, chunk in enumerate(self.chunks):
-            near = self.near_of(model, index)
-            _codec.attributes_measure(model, self.values[chunk], size, near)
+        for values, near in self.with_near(model):
+            _codec.attributes_measure(model, values, size, near)
         return size
 
 

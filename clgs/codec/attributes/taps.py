@@ -10,15 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.attributes.model import (
-    MAX_FACTOR,
-    NEAR,
-    NEAR_COUNT,
-    TAP_CLAMP,
-    TAPS,
-    Ints,
-    Models,
-)
+from clgs.codec.attributes.model import MAX_FACTOR, NEAR, NEAR_COUNT, TAP_CLAMP, TAPS, Ints, Models
 
 Floats = npt.NDArray[np.float64]
 

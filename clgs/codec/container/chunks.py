@@ -15,7 +15,6 @@ import numpy.typing as npt
 from clgs import _codec
 from clgs.codec.container.meta import Meta
 from clgs.codec.container.section_table import ANCH, FEAT, OFFS, SCAL
-from clgs.codec.plain_rows import decode_run_lengths, encode_run_lengths
 
 TAGS = (ANCH, OFFS, FEAT, SCAL)
 """The sections in chunks, in the order of the columns."""
@@ -126,11 +125,10 @@ def pack_rows(chunk: int, shared: list[int], crcs: list[int], rows: Rows) -> byt
         part = rows[own]
         total = _join(part)
         both = [*crcs[: len(rows)][own], *crcs[len(rows) :][own]]
-        coded = encode_run_lengths(_relative(part, total).astype(np.int32))
-        groups.append(struct.pack(f"<{2 * len(part)}I", *both) + coded)
+        groups.append(struct.pack(f"<{2 * len(part)}I", *both) + _encode_rows(part, total))
         sums = np.concatenate([sums, total[None]])
     places = [number for group in groups for number in _length_and_crc(group)]
-    coded = encode_run_lengths(_relative(sums, np.zeros(COLUMNS, np.int64)).astype(np.int32))
+    coded = _encode_rows(sums, np.zeros(COLUMNS, np.int64))
     start_of_head = _HEAD.pack(chunk, len(rows), *shared, len(coded))
     rest_of_head = struct.pack(f"<{len(places)}I", *places) + coded
     crc = struct.pack("<I", _codec.crc32c(start_of_head + rest_of_head))
@@ -138,28 +136,30 @@ def pack_rows(chunk: int, shared: list[int], crcs: list[int], rows: Rows) -> byt
 
 
 def _join(rows: Rows) -> Rows:
-    """The row of a group with the chunks ``rows``."""
     total: Rows = rows.sum(axis=0)
     total[1:4], total[4:7] = rows[:, 1:4].min(axis=0), rows[:, 4:7].max(axis=0)
     return total
 
 
-def _relative(rows: Rows, total: Rows) -> Rows:
-    """Rows as they are coded.
+def _encode_rows(rows: Rows, total: Rows) -> bytes:
+    """The run-length stream of rows.
 
-    Least corners minus those before, greatest minus least, bytes minus the share of ``total``.
+    Coded are least corners minus those before, greatest minus least, and bytes minus the share of
+    ``total``.
     """
     relative = rows.copy()
     relative[1:, 1:4] -= rows[:-1, 1:4]
     relative[:1, 1:4] -= total[1:4]
     relative[:, 4:7] -= rows[:, 1:4]
     relative[:, 7:] -= _shares(rows[:, 0], total)
-    return relative
+    return _codec.runlength_encode(relative.astype(np.int32), COLUMNS)
 
 
-def _absolute(relative: Rows, total: Rows) -> Rows:
-    """The rows that ``_relative`` was given."""
-    rows = relative.copy()
+def _decode_rows(data: bytes | memoryview, count: int, total: Rows) -> Rows:
+    """The ``count`` rows that ``_encode_rows`` was given; ValueError if ``data`` is damaged."""
+    relative = np.empty((count, COLUMNS), np.int32)
+    _codec.runlength_decode(data, relative, COLUMNS)
+    rows = relative.astype(np.int64)
     rows[:1, 1:4] += total[1:4]
     rows[:, 1:4] = np.cumsum(rows[:, 1:4], axis=0)
     rows[:, 4:7] += rows[:, 1:4]
@@ -179,11 +179,7 @@ def _starts(rows: Rows, first: Rows) -> Rows:
 
 
 def head_size(data: bytes | memoryview) -> int:
-    """Bytes of the whole head, from its first HEAD_SIZE ones.
-
-    Raises:
-        ValueError: they are fewer.
-    """
+    """Bytes of the whole head, from its first HEAD_SIZE ones; ValueError if they are fewer."""
     if len(data) < HEAD_SIZE:
         raise ValueError(f"{len(data)} bytes, at least {HEAD_SIZE} are needed")
     _, count, *_, rows = _HEAD.unpack_from(data)
@@ -191,18 +187,14 @@ def head_size(data: bytes | memoryview) -> int:
 
 
 def unpack_head(data: bytes | memoryview) -> DirectoryHead:
-    """The head, of ``head_size`` bytes.
-
-    Raises:
-        ValueError: it is damaged.
-    """
+    """The head, of ``head_size`` bytes; ValueError if it is damaged."""
     chunk, count, *shared, _ = _HEAD.unpack_from(data)
     groups = -(-count // GROUP)
     crc = int.from_bytes(data[_HEAD.size : HEAD_SIZE], "little")
     if _codec.crc32c(b"".join([data[: _HEAD.size], data[HEAD_SIZE:]])) != crc:
         raise ValueError("checksum of the head differs")
     numbers = struct.unpack_from(f"<{2 * groups}I", data, HEAD_SIZE)
-    coded = decode_run_lengths(data[HEAD_SIZE + 8 * groups :], groups, COLUMNS).astype(np.int64)
+    rows = _decode_rows(data[HEAD_SIZE + 8 * groups :], groups, np.zeros(COLUMNS, np.int64))
     offsets = len(data) + np.cumsum([0, *numbers[::2]])
     places = [
         (ByteRange(int(at), length), crc)
@@ -212,7 +204,6 @@ def unpack_head(data: bytes | memoryview) -> DirectoryHead:
         tag: (ByteRange(0, length), crc)
         for tag, length, crc in zip(TAGS, shared[::2], shared[1::2], strict=True)
     }
-    rows = _absolute(coded, np.zeros(COLUMNS, np.int64))
     return DirectoryHead(chunk, count, headers, rows, places, int(offsets[-1]))
 
 
@@ -241,18 +232,14 @@ def check_head(head: DirectoryHead, meta: Meta) -> None:
 
 
 def unpack_group(data: bytes | memoryview, head: DirectoryHead, index: int) -> list[Chunk]:
-    """The chunks of group ``index``.
-
-    Raises:
-        ValueError: they are damaged, or do not fit the head.
-    """
+    """The chunks of group ``index``; ValueError if they are damaged, or do not fit the head."""
     first_chunk = GROUP * index
     count = min(GROUP, head.count - first_chunk)
     if len(data) < 8 * count:
         raise ValueError(f"{len(data)} bytes cannot hold {count} chunks")
     crcs = struct.unpack_from(f"<{2 * count}I", data)
     total = head.groups[index]
-    rows = _absolute(decode_run_lengths(data[8 * count :], count, COLUMNS).astype(np.int64), total)
+    rows = _decode_rows(data[8 * count :], count, total)
     if (rows[:, 0] < 1).any() or (rows[:, 0] > head.chunk).any():
         raise ValueError(f"numbers of anchors per chunk are not in [1, {head.chunk}]")
     if (rows[:, 7:] < 0).any():

@@ -90,11 +90,7 @@ class SceneReader:
         return listed
 
     def positions(self, chunk: Chunk) -> npt.NDArray[np.int32]:
-        """Positions (n, 3) int32 of a chunk.
-
-        Raises:
-            CodecError: the chunk is damaged.
-        """
+        """Positions (n, 3) int32 of a chunk; CodecError if the chunk is damaged."""
         name = f"chunk {chunk.number}"
         place, crc = chunk.places[ANCH], chunk.position_crc
         part = self._verified(ANCH, place, crc, f"{name}: checksum differs")
@@ -104,18 +100,14 @@ class SceneReader:
         except ValueError as error:
             raise part.error(f"{name}: {error}") from error
         low, high = octree.bounds(position)
-        if tuple(low) != chunk.least:
-            raise part.error(f"{name}: least position is {low}")
-        if tuple(high) != chunk.greatest:
-            raise part.error(f"{name}: greatest position is {high}")
+        if low != chunk.least:
+            raise part.error(f"{name}: least position is {list(low)}")
+        if high != chunk.greatest:
+            raise part.error(f"{name}: greatest position is {list(high)}")
         return position
 
     def streams(self, chunk: Chunk) -> dict[str, Section]:
-        """The bytes of the attributes of a chunk, by section.
-
-        Raises:
-            CodecError: they are damaged.
-        """
+        """The bytes of the attributes of a chunk, by section; CodecError if they are damaged."""
         parts = {tag: self._read(tag, chunk.places[tag]) for tag in CHANNELS}
         joined = b"".join(part.data for part in parts.values())
         if _codec.crc32c(joined) != chunk.rows_crc:
@@ -134,11 +126,7 @@ class SceneReader:
         return guarded(part, row_coder.read, CHANNELS[tag])
 
     def weights(self) -> npt.NDArray[np.float32]:
-        """The weights of the MLPs (13710,) float32.
-
-        Raises:
-            CodecError: the section is damaged.
-        """
+        """The weights of the MLPs (13710,) float32; CodecError if the section is damaged."""
         return decode_weights(section_table.read_section(self._source, self._entries[MLPS]))
 
     def scene(self, anchors: QuantizedAnchors, weights: npt.NDArray[np.float32]) -> QuantizedScene:
@@ -166,11 +154,7 @@ class SceneReader:
 
 
 def decode_weights(section: Section) -> npt.NDArray[np.float32]:
-    """The weights (13710,) float32 of section MLPS.
-
-    Raises:
-        CodecError: the section is damaged.
-    """
+    """The weights (13710,) float32 of section MLPS; CodecError if the section is damaged."""
     decoded = guarded(section, weights.decode)
     if not np.isfinite(decoded).all():
         raise section.error("a weight is not finite")

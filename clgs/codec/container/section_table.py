@@ -155,11 +155,7 @@ def read_container(data: bytes, splats: bool = False) -> tuple[SectionTable, dic
 
 
 def read_section(source: RandomAccess, entry: SectionEntry) -> Section:
-    """The content of one section, its checksum verified.
-
-    Raises:
-        CodecError: the section is damaged.
-    """
+    """The content of one section, its checksum verified; CodecError if the section is damaged."""
     section = Section(entry.tag, entry.offset, source.read(entry.offset, entry.length))
     if _codec.crc32c(section.data) != entry.crc:
         raise section.error("checksum differs")
@@ -194,7 +190,10 @@ def read_table(source: RandomAccess, splats: bool = False) -> SectionTable:
         end += entry.length
     if end != source.size:
         raise damage(f"file at byte {end}", f"{source.size - end} bytes follow the last section")
-    _check_order(list(entries), known)
+    if missing := [tag for tag in known if tag not in entries]:
+        raise damage("section table at byte 16", f"section {missing[0]} is missing")
+    if [tag for tag in entries if tag in known] != list(known):
+        raise damage("section table at byte 16", f"order is {' '.join(entries)}")
     return SectionTable(f"{MAJOR}.{minor}", entries)
 
 
@@ -214,14 +213,6 @@ def _add_entry(
         raise CodecError(f"section {tag} at byte {offset}: unknown; update clgs")
     entries[tag] = SectionEntry(tag, offset, length, crc)
     return entries[tag]
-
-
-def _check_order(tags: list[str], known: tuple[str, ...]) -> None:
-    for tag in known:
-        if tag not in tags:
-            raise damage("section table at byte 16", f"section {tag} is missing")
-    if [tag for tag in tags if tag in known] != list(known):
-        raise damage("section table at byte 16", f"order is {' '.join(tags)}")
 
 
 def _check_head(head: bytes, size: int) -> tuple[int, int]:

@@ -25,18 +25,16 @@ from clgs.data.colmap.records import (
 )
 from clgs.errors import DataError
 
+_POSE = ("QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
 _CAMERA = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT")
-_IMAGE = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
+_IMAGE = ("IMAGE_ID", *_POSE, "CAMERA_ID", "NAME")
 _POINT = ("POINT3D_ID", "X", "Y", "Z", "R", "G", "B", "ERROR")
-_FRAME = ("FRAME_ID", "RIG_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
-_RIG = ("RIG_ID", "NUM_SENSORS", "REF_SENSOR_TYPE", "REF_SENSOR_ID")
-_SENSOR = ("SENSOR_TYPE", "SENSOR_ID", "HAS_POSE", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
 
-_UNPOSED = 3
-"""Fields of a sensor without a pose."""
+_BEFORE_SENSORS, _UNPOSED = 4, 3
+"""Fields of a rig before its sensors, and those of a sensor without a pose."""
 
 _WHOLE = {"CAMERA_ID", "IMAGE_ID", "POINT3D_ID", "WIDTH", "HEIGHT", "R", "G", "B"}
-_TEXT = {"MODEL", "NAME", "REF_SENSOR_TYPE", "SENSOR_TYPE"}
+_TEXT = {"MODEL", "NAME"}
 
 
 def read_text(folder: Path) -> ColmapModel:
@@ -48,7 +46,7 @@ def read_text(folder: Path) -> ColmapModel:
     cameras = _read_cameras(folder / "cameras.txt")
     images, observations = _read_images(folder / "images.txt", cameras)
     for line in _lines(folder / "frames.txt"):
-        line.pose(_FRAME)
+        line.pose(2)
     for line in _lines(folder / "rigs.txt"):
         _check_rig(line)
     position, color = _read_points(folder / "points3D.txt", observations)
@@ -71,13 +69,16 @@ class _Line:
         """Whether it is neither empty nor a comment."""
         return bool(self.words) and not self.words[0].startswith("#")
 
-    def check(self, names: tuple[str, ...]) -> list[str]:
-        """The words after the fields ``names``, each of which is there and of its kind."""
-        for index, name in enumerate(names):
+    def check(self, names: tuple[str, ...], first: int = 0) -> list[str]:
+        """The words after the fields ``names``, each of which is there and of its kind.
+
+        The first field is word ``first``.
+        """
+        for index, name in enumerate(names, first):
             if index >= len(self.words):
                 self.fail(f"{name} is missing")
             self.check_word(name, self.words[index])
-        return self.words[len(names) :]
+        return self.words[first + len(names) :]
 
     def check_word(self, name: str, word: str) -> None:
         """Refuse a ``word`` that cannot be the field ``name``."""
@@ -89,14 +90,10 @@ class _Line:
         elif name not in _TEXT and not _is_finite(word):
             self.fail(f"{name} is {word[:40]!r}, not a finite number")
 
-    def pose(self, names: tuple[str, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """The fields QW to QZ and TX to TZ of ``names``."""
-        first = names.index("QW")
-        for index in range(first, first + 7):
-            if index >= len(self.words):
-                self.fail(f"{names[index]} is missing")
-            self.check_word(names[index], self.words[index])
-        values = tuple(map(float, self.words[first : first + 7]))
+    def pose(self, first: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """The quaternion and the translation from word ``first`` on."""
+        self.check(_POSE, first)
+        values = tuple(map(float, self.words[first : first + len(_POSE)]))
         check_pose(values[:4], values[4:], self.fail)
         return values[:4], values[4:]
 
@@ -154,7 +151,7 @@ def _read_images(
     for line in lines:
         if not line.counts:
             continue
-        quaternion, translation = line.pose(_IMAGE)
+        quaternion, translation = line.pose(1)
         if more := line.check(_IMAGE):
             name = " ".join([line.words[len(_IMAGE) - 1], *more])[:80]
             remedy = "export the model as .bin, or rename the photo"
@@ -173,12 +170,12 @@ def _read_images(
 
 def _check_rig(line: _Line) -> None:
     """Check the poses of the rig's sensors; the first sensor has none."""
-    sensors = line.words[len(_RIG) :]
-    while sensors:
-        posed = sensors[_UNPOSED - 1 : _UNPOSED] == ["1"]
-        if posed:
-            _Line(line.path, line.number, sensors).pose(_SENSOR)
-        sensors = sensors[len(_SENSOR) if posed else _UNPOSED :]
+    at = _BEFORE_SENSORS
+    while at < len(line.words):
+        at += _UNPOSED
+        if line.words[at - 1 : at] == ["1"]:
+            line.pose(at)
+            at += len(_POSE)
 
 
 def _read_points(

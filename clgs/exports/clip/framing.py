@@ -36,6 +36,9 @@ OPEN_ARC = np.radians(120.0)
 PARALLEL = 0.02
 """Optical axes whose matrix has a smaller eigenvalue do not meet in a point."""
 
+OUTWARD = 0.5
+"""Length of the mean direction below which cameras do not look the same way."""
+
 
 @dataclass(frozen=True)
 class Framing:
@@ -141,6 +144,14 @@ def frame_cameras(cameras: Sequence[Camera], fallback: Framing) -> Framing:
         fov=middle,
         size=(first.width, first.height),
     )
+
+
+def look_outward(cameras: Sequence[Camera]) -> bool:
+    """Whether cameras stand in a place and look around, so that no orbit shows what they saw."""
+    centres = np.array([camera.centre for camera in cameras])
+    forward = np.array([camera.rotation[2] for camera in cameras])
+    apart = bool(np.linalg.norm(forward.mean(axis=0)) < OUTWARD)
+    return apart and _meeting_point(centres, forward) is None
 
 
 def fov_y(camera: Camera) -> float:

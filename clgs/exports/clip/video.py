@@ -11,7 +11,7 @@ import numpy as np
 
 from clgs.errors import ClgsError
 from clgs.exports.image import Picture
-from clgs.files import atomic_path
+from clgs.files import atomic_path, ffmpeg_closed
 from clgs.shapes import Shapes
 
 SUFFIX = ".mp4"
@@ -45,7 +45,7 @@ def mp4_writer(
             macro_block_size=1, ffmpeg_log_level="error",
             output_params=["-crf", str(QUALITY), "-movflags", "+faststart"],
         )  # fmt: skip
-        try:
+        with ffmpeg_closed(sink), _ffmpeg_named(path):
             sink.send(None)
 
             def add(picture: Picture) -> None:
@@ -53,11 +53,16 @@ def mp4_writer(
                 sink.send(np.ascontiguousarray(picture))
 
             yield add
-        except OSError as error:
-            first = (str(error).strip().splitlines() or [type(error).__name__])[0]
-            raise ClgsError(f"{path}: ffmpeg failed: {first}") from error
-        finally:
-            sink.close()
+
+
+@contextmanager
+def _ffmpeg_named(path: Path) -> Iterator[None]:
+    """Let an OSError be the ClgsError that says that ffmpeg failed at ``path``."""
+    try:
+        yield
+    except OSError as error:
+        first = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        raise ClgsError(f"{path}: ffmpeg failed: {first}") from error
 
 
 def load_writer() -> Any:

@@ -87,7 +87,7 @@ def subjects_of(args: argparse.Namespace) -> list[ViewedScene]:
     subjects = synthetic_subjects(list(args.scenes), args.seed)
     if args.scene is not None:
         quantized, _ = read_scene(args.scene)
-        views = select_views(args.scene, quantized, view_options(args))
+        views = select_views(args.scene, quantized, view_options(vars(args)))
         if not 0 <= args.view < len(views):
             raise UsageError(f"--view {args.view}: there are {len(views)}, from 0")
         name = args.data.resolve().name

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec import morton_order
-from clgs.codec.arguments import check_integers
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import flatten
+from clgs.codec.streams import check_integers
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.errors import CodecError, DataError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from tempfile import TemporaryDirectory
 
-    from clgs.data.photo_set import read_photo_set
+    from clgs.data.dataset import read_photo_set
     from clgs.lab.accept.photos import write_photos
     from clgs.lab.accept.trial import chosen_device, run_trials
     from clgs.lab.accept.trials import QUICK, WHOLE, trials

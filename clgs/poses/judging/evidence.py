@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,13 +59,12 @@ class Evidence:
     def strongest(self, most: int) -> list[MatchedPair]:
         """Choose the pairs that are among the ``most`` best matched ones of one of their photos."""
         order = sorted(self.pairs, key=lambda pair: -len(pair.matches))
-        used: dict[int, int] = {}
+        used: Counter[int] = Counter()
         found = []
         for pair in order:
-            counts = [used.get(number, 0) for number in (pair.first, pair.second)]
-            if min(counts) < most:
+            if min(used[pair.first], used[pair.second]) < most:
                 found.append(pair)
-            used |= {pair.first: counts[0] + 1, pair.second: counts[1] + 1}
+            used.update((pair.first, pair.second))
         return found
 
     @property
@@ -113,14 +113,14 @@ class Explained:
 
     def inlier_ratios(self) -> dict[int, float]:
         """Compute the share of each photo's matches in links that the poses explain, by number."""
-        total: dict[int, int] = {}
-        good: dict[int, int] = {}
+        total: Counter[int] = Counter()
+        good: Counter[int] = Counter()
         counts = zip(self.links, self.matches.tolist(), self.explained.tolist(), strict=True)
         for pair, matches, count in counts:
             if count >= 0:
                 for number in (pair.first, pair.second):
-                    total[number] = total.get(number, 0) + matches
-                    good[number] = good.get(number, 0) + count
+                    total[number] += matches
+                    good[number] += count
         return {number: good[number] / total[number] for number in total}
 
 

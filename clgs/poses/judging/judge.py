@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,21 +55,6 @@ CONNECT = "take photos that connect both parts, or prepare each by itself"
 Differences = Mapping[str, PoseDifference]
 """The differences from another reconstruction by name; without the photos that it does not place.
 """
-
-
-@dataclass(frozen=True)
-class PhotoFigures:
-    """Figures of a photo with a pose, as in :class:`clgs.poses.judging.verdict.PhotoVerdict`.
-
-    steps: degrees from the neighbours by name, one or two of them.
-    """
-
-    observations: int
-    inlier_ratio: float
-    track_length: float
-    error: float
-    tilt: float
-    steps: tuple[float, ...]
 
 
 def judge(
@@ -139,8 +124,11 @@ def _differences_from_rival(choice: ModelChoice, poses: Poses) -> Differences:
     return {}
 
 
-def photo_figures(model: Any, poses: Poses, explained: Explained) -> dict[str, PhotoFigures]:
-    """Compute the figures of each photo with a pose in a pycolmap reconstruction, by name."""
+def photo_figures(model: Any, poses: Poses, explained: Explained) -> dict[str, PhotoVerdict]:
+    """Compute the figures of each photo with a pose in a pycolmap reconstruction, by name.
+
+    Their status is GOOD.
+    """
     ratio = explained.inlier_ratios()
     up = -poses.rotation[:, 1]
     # The direction with the least sum of angles to the others is nearly their median.
@@ -161,53 +149,51 @@ def photo_figures(model: Any, poses: Poses, explained: Explained) -> dict[str, P
             projected = np.asarray(image.camera.img_from_cam(local, check_cheirality=False))
             off = np.linalg.norm(projected - np.array([xy for _, xy in seen]), axis=1)
             error = float(off.mean())
-        found[name] = PhotoFigures(
+        found[name] = PhotoVerdict(
+            name,
+            GOOD,
             len(points),
             ratio.get(image.image_id, 0.0),
             length,
             error,
             float(tilt[place]),
-            tuple(step[max(place - 1, 0) : place + 1]),
+            min(step[max(place - 1, 0) : place + 1], default=None),
         )
     return found
 
 
 def judge_photos(
-    figures: Mapping[str, PhotoFigures], again: Differences | None, rival: Differences
+    figures: Mapping[str, PhotoVerdict], again: Differences | None, rival: Differences
 ) -> dict[str, PhotoVerdict]:
     """Judge every photo with a pose by itself, in the order of names.
 
-    ``again``: differences from the second reconstruction, None if it was not to be made; ``rival``:
-    from the other mapper's model.
+    ``figures``: of :func:`photo_figures`; ``again``: differences from the second reconstruction,
+    None if it was not to be made; ``rival``: from the other mapper's model.
     """
-    steps = [min(one.steps) for one in figures.values() if one.steps]
+    steps = [one.step for one in figures.values() if one.step is not None]
     usual = float(np.median(steps)) if steps else 0.0
+    ends = {*list(figures)[:1], *list(figures)[-1:]}
     judged = {}
     for name, one in figures.items():
         second = again.get(name) if again else None
-        doubts = _own_doubts(one, usual)
+        doubts = _own_doubts(one, 0.0 if name in ends else one.step or 0.0, usual)
         doubts += _second_doubts(second) if again is not None else []
         if name in rival and rival[name].turn > FAR:
             turn = rival[name].turn
             text = f"the incremental and the global mapper turn it {turn:.0f} degrees apart"
             doubts.append((text, SIDES if turn > OTHER_SIDE else MORE))
         # A pose that is clearly wrong goes: most matches contradict it, or it rests on little.
-        weak = one.observations < 2 * FEW or one.inlier_ratio < LOW_RATIO
+        ratio = one.inlier_ratio or 0.0
+        weak = one.observations < 2 * FEW or ratio < LOW_RATIO
         far = second is not None and second.turn > FAR
-        wrong = one.inlier_ratio < WRONG_RATIO or (far and weak)
-        judged[name] = PhotoVerdict(
-            name,
-            LEFT_OUT if wrong else DOUBTFUL if doubts else GOOD,
-            one.observations,
-            one.inlier_ratio,
-            one.track_length,
-            one.error,
-            one.tilt,
-            min(one.steps) if one.steps else None,
-            second.turn if second else None,
-            second.shift if second else None,
-            tuple(reason for reason, _ in doubts),
-            doubts[0][1] if doubts else "",
+        wrong = ratio < WRONG_RATIO or (far and weak)
+        judged[name] = replace(
+            one,
+            status=LEFT_OUT if wrong else DOUBTFUL if doubts else GOOD,
+            turn=second.turn if second else None,
+            shift=second.shift if second else None,
+            reasons=tuple(reason for reason, _ in doubts),
+            remedy=doubts[0][1] if doubts else "",
         )
     if sum(one.status == LEFT_OUT for one in judged.values()) > MAX_DROPPED * len(judged):
         for name, verdict in judged.items():
@@ -216,17 +202,16 @@ def judge_photos(
     return judged
 
 
-def _own_doubts(one: PhotoFigures, usual: float) -> list[tuple[str, str]]:
+def _own_doubts(one: PhotoVerdict, step: float, usual: float) -> list[tuple[str, str]]:
     """List reasons and remedies from a photo's own figures; usual: the median step, degrees."""
     doubts = []
-    if one.inlier_ratio < LOW_RATIO:
-        share = f"only {100 * one.inlier_ratio:.0f} % of its matches agree with its pose"
-        doubts.append((share, SHARPER))
+    ratio = one.inlier_ratio or 0.0
+    if ratio < LOW_RATIO:
+        doubts.append((f"only {100 * ratio:.0f} % of its matches agree with its pose", SHARPER))
     if one.observations < FEW:
         doubts.append((f"it sees only {one.observations} points", SHARPER))
-    if len(one.steps) == 2 and min(one.steps) > max(APART, APART_TIMES * usual):
-        text = f"it is turned by {min(one.steps):.0f} degrees from its neighbours by name"
-        doubts.append((text, MORE))
+    if step > max(APART, APART_TIMES * usual):
+        doubts.append((f"it is turned by {step:.0f} degrees from its neighbours by name", MORE))
     return doubts
 
 
@@ -276,7 +261,6 @@ def _part_reason(part: Sequence[str]) -> str:
 
 
 def _without_pose(name: str, own: str, choice: ModelChoice) -> PhotoVerdict:
-    """Say why a photo has no pose; own: the photo's own name."""
     part = next((names for names in choice.apart if name in names), [])
     if len(part) > 1:
         return PhotoVerdict(own, LEFT_OUT, reasons=(_part_reason(part),), remedy=CONNECT)
@@ -310,7 +294,6 @@ def doubt_all(judged: Mapping[str, PhotoVerdict], contradicted: float) -> dict[s
 
 
 def _sure(photos: Sequence[PhotoVerdict], checked: bool, ambiguous: bool) -> str:
-    """Say in one sentence how sure the poses are."""
     good, doubtful = (sum(one.status == status for one in photos) for status in (GOOD, DOUBTFUL))
     if ambiguous:
         return (

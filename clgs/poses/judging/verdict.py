@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 GOOD, DOUBTFUL, LEFT_OUT = "good", "doubtful", "left out"
@@ -67,13 +67,9 @@ class Verdict:
         """Select the photos of this status."""
         return [photo for photo in self.photos if photo.status == status]
 
-    def plain(self) -> dict[str, Any]:
-        """Convert the verdict to what JSON can hold."""
-        return asdict(self)
-
 
 def verdict_of(plain: Mapping[str, Any]) -> Verdict:
-    """Make a verdict of what :meth:`Verdict.plain` returned."""
+    """Make a verdict of what ``dataclasses.asdict`` made of one, perhaps with lists for tuples."""
     photos = tuple(
         PhotoVerdict(**{**one, "reasons": tuple(one["reasons"])}) for one in plain["photos"]
     )

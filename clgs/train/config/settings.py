@@ -208,8 +208,7 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
     def for_dataset(self, kind: str) -> TrainConfig:
         """Values left open (voxel, position_q, volume_weight, lambda) for a kind of data set.
 
-        Args:
-            kind: "blender" for synthetic scenes; anything else is photos.
+        "blender" is a synthetic scene; any other ``kind`` is photos.
         """
         synthetic = kind == BLENDER
         voxel = self.voxel or (0.001 if synthetic else 0.005)

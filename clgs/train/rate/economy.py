@@ -204,6 +204,7 @@ class Economy:
         if step == config.switch_step:
             free = (name for name in ANCHOR_GROUPS if getattr(config, f"{name}_q") == 0)
             now = replace(now, free=frozenset(free))
+        if step == config.switch_step or not state.rate.price:
             state.rate.price = self._price(judged, len(anchors))
         if config.target_size:
             return priced_for_size(int(SPARE * config.target_size), now, size)

@@ -27,11 +27,8 @@ def load_for(
 ) -> Dataset:
     """The data set in the folder ``data`` for a run with these settings, with points.
 
-    Args:
-        config: of the run, need not be resolved for the data set.
-        data: as of :func:`clgs.load_dataset`.
-        cache: the run folder, which keeps triangulated points.
-        on_stage: called with a line before work that takes minutes.
+    ``config`` need not be resolved for the data set; ``cache`` and ``on_stage`` as for
+    :func:`with_points`.
 
     Raises:
         DataError: as of :func:`clgs.load_dataset` and :func:`with_points`.

@@ -33,7 +33,7 @@ class ProgressLog:
         self.events = {row["event"]: float(row["psnr"]) for row in rows if row["event"]}
         self.seconds = float(rows[-1]["seconds"]) if rows else 0.0
         self._start = time.perf_counter() - self.seconds
-        atomic_write(path, _text(rows).encode())
+        atomic_write(path, _text(rows).encode(errors="backslashreplace"))
         self._waiting: list[dict[str, Any]] = []
 
     def write(self, result: StepResult, psnr: float, estimated_bytes: int) -> None:
@@ -63,7 +63,7 @@ class ProgressLog:
         Raises:
             OSError: the disk is full, or another fault of the file; the rows go on waiting.
         """
-        append(self._path, _text(self._waiting, header=False).encode())
+        append(self._path, _text(self._waiting, header=False).encode(errors="backslashreplace"))
         self._waiting = []
 
     def _row(self, **values: Any) -> None:

@@ -16,7 +16,7 @@ from clgs.data.origin import ORIGIN, read_origin
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
-from clgs.train.config import TrainConfig
+from clgs.train.config import TrainConfig, from_toml
 from clgs.train.state.checkpoint import checkpoints
 from clgs.train.state.hashes import read_fingerprint, run_digest, scene_hash
 from clgs.train.state.resume import SETTINGS, changed_settings
@@ -87,10 +87,7 @@ class RunResult:
 def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResult | None:
     """What the run in ``folder`` gave; None if there is none, or it is not finished.
 
-    Args:
-        folder: run folder, may be missing.
-        dataset: what the run must have been trained on.
-        config: the settings that it must have had, resolved for ``dataset``.
+    It must have been trained on ``dataset`` with the settings ``config``, resolved for that.
 
     Raises:
         DataError: its files are damaged.
@@ -111,9 +108,25 @@ def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResu
         changed = changed_settings(folder, config)
         raise ExistsError(
             f"{folder}: holds a finished run with other settings or photos{changed}; give the same "
-            "options (config.toml lists them) or choose another run folder"
+            "options (config.toml lists them) or choose another run folder, in which --from "
+            f"{folder} trains this one further"
         )
     return result
+
+
+def finished_settings(folder: Path) -> tuple[RunResult, TrainConfig]:
+    """What the finished run in ``folder`` gave, and its settings.
+
+    Raises:
+        DataError: there is none, it is not finished, or its files are damaged.
+    """
+    if not (folder / RESULTS).exists():
+        raise DataError(f"{folder}: holds no finished run; name one, or finish it by --resume")
+    try:
+        text = (folder / SETTINGS).read_text(encoding="utf-8")
+        return _read(folder), from_toml(text, str(folder / SETTINGS))
+    except (ValueError, TypeError, KeyError, RecursionError, FileNotFoundError) as error:
+        raise DataError(f"{folder}: a finished run, but damaged ({error})") from error
 
 
 def check_run_folder(folder: Path, resume: bool, overwrite: bool) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
-from clgs.data.origin import write_origin
+from clgs.data.origin import repose, write_origin
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
 from clgs.exports.image import PictureFolder
@@ -35,9 +35,11 @@ from clgs.train.run.run_folder import (
     RunResult,
     check_run_folder,
     finished_run,
+    finished_settings,
     remove_run,
     settings_for,
 )
+from clgs.train.run.start import state_of_run
 from clgs.train.run.trainer import StepResult, Trainer
 from clgs.train.state.checkpoint import checkpoints
 from clgs.train.state.hashes import fingerprint, run_digest
@@ -60,9 +62,18 @@ class Session:
     """Trains in ``folder``; call :meth:`run` once."""
 
     def __init__(
-        self, dataset: Dataset, folder: Path, config: TrainConfig, device: Device, resume: bool
+        self,
+        dataset: Dataset,
+        folder: Path,
+        config: TrainConfig,
+        device: Device,
+        resume: bool,
+        start: Path | None = None,
     ) -> None:
         """Prepare a new run, in place of one in ``folder``, or the continuation of one.
+
+        ``start``: the folder of the finished run that a new one goes on from, see
+        :func:`clgs.train.run.start.state_of_run`.
 
         Raises:
             DataError: there is nothing to train on, the checkpoints are of another run, or another
@@ -75,8 +86,12 @@ class Session:
         self.folder, self.config, self.device = folder, config, device
         self.dataset = dataset
         lock = FolderLock(folder) if folder.is_dir() else None
-        self.trainer = Trainer(device, dataset, config)
-        if resume and checkpoints(folder / "checkpoint"):
+        goes_on = resume and bool(checkpoints(folder / "checkpoint"))
+        state = None
+        if start is not None and not goes_on:
+            state = state_of_run(device, dataset, config, start)
+        self.trainer = Trainer(device, dataset, config, state=state)
+        if goes_on:
             self.trainer.resume(folder / "checkpoint")
         self.keeper = Keeper(folder, self.trainer)
         self.trainer.check_budget()
@@ -229,6 +244,7 @@ def train_scene(
     config: TrainConfig | None = None,
     *,
     device: Device | None = None,
+    start: str | Path | None = None,
     resume: bool = False,
     overwrite: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
@@ -241,6 +257,7 @@ def train_scene(
         folder: run folder, made if it is missing.
         config: default ``TrainConfig()`` resolved for the dataset.
         device: default: chosen as ``clgs devices`` shows.
+        start: folder of a finished run to go on from, whose steps count.
         resume: continue from the folder's checkpoint if it has one; a run that is finished is
             read, and nothing is changed.
         overwrite: replace a run that the folder holds.
@@ -261,8 +278,11 @@ def train_scene(
     check_run_folder(Path(folder), resume, overwrite)
     resolved = (config or TrainConfig()).for_dataset(dataset.kind)
     dataset = with_points(dataset, resolved, Path(folder))
+    origin = None if start is None else Path(start)
+    if origin is not None:
+        dataset = repose(dataset, finished_settings(origin)[0].scene.transform)
     finished = finished_run(Path(folder), dataset, resolved) if resume else None
     if finished is not None:
         return finished
-    session = Session(dataset, Path(folder), resolved, device or Device(), resume)
+    session = Session(dataset, Path(folder), resolved, device or Device(), resume, origin)
     return session.run(on_progress)

@@ -1,4 +1,4 @@
-"""What training starts from: the data set's points and some MLPs, or a trained scene.
+"""What training starts from: the data set's points and some MLPs, a trained scene, or a run.
 
 The MLPs are those trained on other scenes, random ones, or those of a scene. What the networks make
 of features hardly differs between scenes, so that a run that starts from trained ones has only the
@@ -15,7 +15,7 @@ import numpy as np
 
 from clgs.codec.scene_decoder import decode
 from clgs.data.dataset import Dataset
-from clgs.errors import DataError
+from clgs.errors import DataError, UsageError
 from clgs.opencl.device import Device
 from clgs.scene.mlps import MLP_SIZE, Mlps, init_mlps
 from clgs.scene.scene import Scene
@@ -24,7 +24,11 @@ from clgs.train.config import TrainConfig
 from clgs.train.config.run_settings import LEAST_ANCHORS
 from clgs.train.config.settings import BLENDER
 from clgs.train.density.voxel_grid import initial_anchors
-from clgs.train.state.run_state import RunState, new_state
+from clgs.train.run.run_folder import finished_settings, settings_for
+from clgs.train.state.checkpoint import checkpoints
+from clgs.train.state.hashes import run_digest
+from clgs.train.state.resume import load_state
+from clgs.train.state.run_state import RunState, new_exposures, new_state
 
 TRAINED = "trained"
 
@@ -61,6 +65,48 @@ def state_of_scene(
     rng = np.random.default_rng(config.seed)
     state = new_state(device, config, len(dataset.train), scene.anchors, scene.mlps, rng)
     state.step = step
+    return state
+
+
+def state_of_run(device: Device, dataset: Dataset, config: TrainConfig, folder: Path) -> RunState:
+    """The state of a run that goes on from the finished run in ``folder``.
+
+    That is the last checkpoint if it is of the last step and of the same data set at the same
+    size; else the scene, so that moments and statistics begin at zero. The next round sets the
+    price of a bit if lambda or the size differ.
+
+    Args:
+        device: where to train.
+        dataset: in the units of the run's scene; it need not be the one of ``folder``.
+        config: resolved for the dataset.
+        folder: of a finished run.
+
+    Raises:
+        DataError: ``folder`` holds no finished run, or a damaged one.
+        UsageError: the run has done ``config.steps`` already, or has positions on another grid.
+    """
+    found, old = finished_settings(folder)
+    steps, scales = int(found.summary["steps"]), found.scene.scales
+    if config.steps <= steps:
+        raise UsageError(
+            f"steps: {folder} has done {steps}, which count; give more than that, or leave it out"
+        )
+    if steps > config.switch_step and config.position_q != scales.position:
+        raise UsageError(
+            f"position_q: positions of {folder} are multiples of 1 / {scales.position:g} already; "
+            "leave it and voxel out, or give a later switch_step"
+        )
+    saved = checkpoints(folder / "checkpoint")[-1:]
+    same = found.summary["digest"] == run_digest(dataset, settings_for(dataset, old))
+    if same and saved and int(saved[0].stem.removeprefix("step_")) == steps:
+        state = load_state(folder / "checkpoint", device, found.summary["digest"])
+    else:
+        state = state_of_scene(device, dataset, config, found.scene.dequantize(), steps)
+        state.rate.scales = scales
+    if (state.exposures is None) == config.exposure:
+        state.exposures = new_exposures(device, config, len(dataset.train))
+    if (config.size_lambda, config.target_size) != (old.size_lambda, old.target_size):
+        state.rate.price = 0.0
     return state
 
 

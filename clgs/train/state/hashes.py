@@ -38,7 +38,7 @@ def run_digest(dataset: Dataset, config: TrainConfig) -> str:
     digest = hashlib.sha256(config.digest().encode())
     for view in dataset.train:
         shape = view.camera.height, view.camera.width, 3
-        digest.update(f"{view.name} {shape}".encode())
+        digest.update(f"{view.name} {shape}".encode(errors="surrogateescape"))
         digest.update(view.photo.checksum().to_bytes(4, "little"))
         if (used := view.used()) is not None:
             digest.update(used.tobytes())

@@ -136,17 +136,21 @@ def new_state(
     """The state before the first step, for ``photos`` training views, on ``device``."""
     q = {name: getattr(config, name) or paper for name, paper in PAPER_Q.items()}
     scales = QuantizationScales(config.position_q, q["offset_q"], q["feature_q"], q["scaling_q"])
-    exposures = None
-    if config.exposure:
-        maps = exposure.identity(device, photos)
-        exposures = ExposureMaps(maps, adam.zero_moments(device, maps))
     return RunState(
         parameters=new_parameters(device, anchors, mlps),
         rate=RateState(scales),
-        exposures=exposures,
+        exposures=new_exposures(device, config, photos),
         rng=rng,
         views=ViewOrder(photos, config.seed),
     )
+
+
+def new_exposures(device: Device, config: TrainConfig, photos: int) -> ExposureMaps | None:
+    """Maps of ``photos`` photos that change nothing yet; None if ``config`` asks for none."""
+    if not config.exposure:
+        return None
+    maps = exposure.identity(device, photos)
+    return ExposureMaps(maps, adam.zero_moments(device, maps))
 
 
 def render_settings(config: TrainConfig) -> RenderSettings:

@@ -41,8 +41,6 @@ def test_positions_that_span_too_much_are_refused() -> None:
 
 
 def test_near_rows_of_another_number_are_refused() -> None:
-    model = row_coder.fit(np.zeros((9, 1), np.int32), "fast")
-    assert isinstance(model, row_coder.TableModel | row_coder.PaperModel)
     table = np.zeros(1, row_coder.CHANNEL)
     table["classes"], table["frequency"][:, 0, 0] = 1, 4096
     near = np.zeros((8, NEAR_COUNT), np.int32)

@@ -12,15 +12,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from clgs.codec.attributes import row_coder
-from clgs.codec.plain_rows import (
-    decode_paper,
-    decode_run_lengths,
-    encode_paper,
-    encode_run_lengths,
-)
 from clgs.lab.bench.codec_subjects import PUBLISHED_ATTRIBUTES as ATTRIBUTES
 from codec_c.reader.rows import decode_paper_rows, decode_rows
-from tests.codec.samples import INT32, draw, matrices
+from tests.codec.samples import (
+    INT32,
+    decode_paper,
+    decode_run_lengths,
+    draw,
+    encode_paper,
+    encode_run_lengths,
+    matrices,
+)
 
 CODERS = {
     "run lengths": (encode_run_lengths, decode_run_lengths),
@@ -85,24 +87,6 @@ def test_runs_of_every_kind(run):
 
 def test_zero_rows_cost_next_to_nothing():
     assert len(encode_run_lengths(np.zeros((1_000_000, 30), np.int32))) <= 40
-
-
-@MANY
-def test_noise_is_never_longer_than_raw(encode, decode):
-    value = np.random.default_rng(3).integers(-(2**31), 2**31, (300, 6), dtype=np.int64)
-    value = value.astype(np.int32)
-    data = encode(value)
-    assert len(data) <= 1 + 4 * value.size
-    np.testing.assert_array_equal(decode(data, 300, 6), value)
-
-
-@MANY
-def test_read_only_and_strided_arrays_are_taken_as_they_are(encode, decode):
-    value = draw(40, 8, 6)
-    wide = np.repeat(value, 2, axis=1)[:, ::2]
-    wide.setflags(write=False)
-    assert encode(wide) == encode(value)
-    assert encode(np.asfortranarray(value)) == encode(value)
 
 
 @MANY

@@ -73,11 +73,7 @@ def _in_box(data: bytes) -> object:
     return decode_box(BytesSource(data), Box((-1e9,) * 3, (0.0, 1e9, 1e9)), 1)
 
 
-_READERS: list[Callable[[bytes], object]] = [
-    partial(decode, threads=1),
-    _in_box,
-    describe,
-]
+_READERS: list[Callable[[bytes], object]] = [partial(decode, threads=1), _in_box, describe]
 _unpack: Callable[[bytes], object] = partial(unpack, threads=1)
 
 

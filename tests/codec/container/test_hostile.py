@@ -10,13 +10,13 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from clgs import _codec
 from clgs.codec import decode_attributes, decode_positions, encode_attributes, encode_positions
 from clgs.codec.scene_decoder import decode
 from clgs.errors import CodecError
 from tests.codec.container import damage
 from tests.codec.container.allocations import MOST, calls
 from tests.codec.container.mutations import ROOM, attempt, cases
+from tests.codec.samples import sealed
 from tests.codec.scenes import GOLDEN, ROOT
 
 
@@ -35,10 +35,6 @@ def test_much_seeded_damage_takes_little_time_and_memory():
     done = subprocess.run(command, capture_output=True, text=True, timeout=3600, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("20000 inputs of seed 77")
-
-
-def sealed(body: bytes) -> bytes:
-    return body + struct.pack("<I", _codec.crc32c(body))
 
 
 def hostile_inputs() -> dict[str, tuple]:
@@ -62,16 +58,24 @@ def hostile_inputs() -> dict[str, tuple]:
     return found
 
 
+def peak_memory(decode, data):
+    tracemalloc.start()
+    try:
+        decode(data, 1)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
 @pytest.mark.parametrize("name", hostile_inputs())
 def test_declared_counts_take_no_memory(name):
     function, data = hostile_inputs()[name]
-    tracemalloc.start()
-    try:
+
+    def refused(data, threads):
         with pytest.raises(CodecError):
             function(data)
-        assert tracemalloc.get_traced_memory()[1] <= ROOM
-    finally:
-        tracemalloc.stop()
+
+    assert peak_memory(refused, data) <= ROOM
 
 
 @pytest.mark.parametrize("level", ["fast", "default", "max", "paper"])
@@ -79,22 +83,13 @@ def test_memory_of_decoding_is_bounded_by_the_output(level):
     """Also of what is coded in next to no bytes: 200,000 equal rows."""
     rng = np.random.default_rng(1)
     for value in (np.zeros((200_000, 30), np.int32), rng.integers(-9, 9, (20_000, 50))):
-        data = encode_attributes(value, level)
-        tracemalloc.start()
-        decode_attributes(data, 1)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
+        peak = peak_memory(decode_attributes, encode_attributes(value, level))
         assert peak <= ROOM + 2 * 4 * value.size
 
 
 def test_memory_of_decoding_positions_is_bounded_by_the_output():
     cloud = np.argwhere(np.ones((70, 70, 70), bool))
-    data = encode_positions(cloud)
-    tracemalloc.start()
-    decode_positions(data, 1)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak <= ROOM + 2 * 12 * len(cloud)
+    assert peak_memory(decode_positions, encode_positions(cloud)) <= ROOM + 2 * 12 * len(cloud)
 
 
 @pytest.mark.parametrize("name", calls())

@@ -9,20 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clgs import _codec, codec
+from clgs import codec
 from clgs.codec import streams
 from clgs.errors import CodecError
+from tests.codec.samples import cloud, in_order, sealed
 
 HEAD = struct.Struct("<4sIIII")
-
-
-def cloud(seed, count, extent):
-    points = np.random.default_rng(seed).integers(0, extent, (count, 3))
-    return np.unique(points, axis=0).astype(np.int64)
-
-
-def in_order(position):
-    return position[codec.morton_order(position)]
 
 
 @settings(max_examples=40, deadline=None)
@@ -34,7 +26,7 @@ def in_order(position):
     corner=st.tuples(*[st.integers(-(2**31), 2**31 - 1 - 499 * 4096)] * 3),
 )
 def test_every_lattice_comes_back(seed, count, extent, factors, corner):
-    position = cloud(seed, count, extent) * factors + corner
+    position = cloud(count, seed, extent) * factors + corner
     data = codec.encode_positions(position)
     assert np.array_equal(codec.decode_positions(data), in_order(position))
 
@@ -43,7 +35,7 @@ def test_every_lattice_comes_back(seed, count, extent, factors, corner):
     "factors", [(2, 2, 2), (3, 3, 3), (1, 5, 64), (1000, 1000, 1), (7, 11, 13)]
 )
 def test_a_lattice_costs_its_head(factors):
-    position = cloud(0, 3000, 300)
+    position = cloud(3000, 0, 300)
     plain = codec.encode_positions(position)
     data = codec.encode_positions(position * factors - 10**6)
     assert data[:4] == streams.LATTICE
@@ -53,7 +45,7 @@ def test_a_lattice_costs_its_head(factors):
 
 def test_one_factor_in_many_chunks(monkeypatch):
     monkeypatch.setattr(streams, "POINTS", 1000)
-    position = cloud(1, 3000, 100) * (6, 6, 6)
+    position = cloud(3000, 1, 100) * (6, 6, 6)
     assert len(position) > 2 * streams.POINTS
     one, two = (codec.encode_positions(position, threads) for threads in (1, 2))
     assert one == two
@@ -62,12 +54,12 @@ def test_one_factor_in_many_chunks(monkeypatch):
 
 
 def test_without_a_factor_or_a_gain_no_factors_are_written():
-    for position in (cloud(2, 500, 64), [[5, 5, 5]], [[0, 0, 0], [2, 0, 0]], np.empty((0, 3), int)):
+    for position in (cloud(500, 2, 64), [[5, 5, 5]], [[0, 0, 0], [2, 0, 0]], np.empty((0, 3), int)):
         assert codec.encode_positions(np.array(position))[:4] == streams.POSITIONS
 
 
 def test_points_on_a_lattice_may_be_written_without_factors(monkeypatch):
-    position = cloud(6, 2000, 200) * (3, 1, 8)
+    position = cloud(2000, 6, 200) * (3, 1, 8)
     monkeypatch.setattr(streams, "common_factors", lambda position: [1, 1, 1])
     data = codec.encode_positions(position)
     assert data[:4] == streams.POSITIONS
@@ -75,8 +67,7 @@ def test_points_on_a_lattice_may_be_written_without_factors(monkeypatch):
 
 
 def resealed(data, count, factors):
-    body = HEAD.pack(streams.LATTICE, count, *factors) + data[HEAD.size : -4]
-    return body + struct.pack("<I", _codec.crc32c(body))
+    return sealed(HEAD.pack(streams.LATTICE, count, *factors) + data[HEAD.size : -4])
 
 
 @pytest.mark.parametrize(
@@ -89,27 +80,26 @@ def resealed(data, count, factors):
     ],
 )
 def test_impossible_factors_are_refused(factors, said):
-    position = cloud(3, 2000, 200) * 2
+    position = cloud(2000, 3, 200) * 2
     data = codec.encode_positions(position)
     with pytest.raises(CodecError, match=rf"^stream at byte \d+: {said}"):
         codec.decode_positions(resealed(data, len(position), factors))
 
 
 def test_a_lattice_beyond_int32_is_refused():
-    position = cloud(4, 2000, 200) * 2 + (2**31 - 1000)
+    position = cloud(2000, 4, 200) * 2 + (2**31 - 1000)
     data = codec.encode_positions(position)
     with pytest.raises(CodecError, match="leaves the range of int32"):
         codec.decode_positions(resealed(data, len(position), (2, 2, 50)))
 
 
 def test_a_lattice_of_no_points_is_refused():
-    body = HEAD.pack(streams.LATTICE, 0, 2, 2, 2)
     with pytest.raises(CodecError, match="of 0 points"):
-        codec.decode_positions(body + struct.pack("<I", _codec.crc32c(body)))
+        codec.decode_positions(sealed(HEAD.pack(streams.LATTICE, 0, 2, 2, 2)))
 
 
 def test_every_flip_and_every_cut_is_an_error():
-    data = codec.encode_positions(cloud(5, 60, 40) * (3, 4, 5))
+    data = codec.encode_positions(cloud(60, 5, 40) * (3, 4, 5))
     assert data[:4] == streams.LATTICE
     for bit in (*range(8 * HEAD.size), *range(8 * HEAD.size, 8 * len(data), 9)):
         flipped = bytearray(data)

@@ -62,4 +62,6 @@ def test_scattered_points_cost_their_entropy():
     position = position[octree.morton_order(position)]
     count = len(position)
     bits = count * (30 + np.log2(np.e)) - count * np.log2(count)
-    assert 8 * len(octree.encode(position)) <= 1.03 * bits
+    data = octree.encode(position)
+    assert 8 * len(data) <= 1.03 * bits
+    np.testing.assert_array_equal(octree.decode(data, count), position)

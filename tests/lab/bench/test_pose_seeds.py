@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def prepared(folder, wrong=False):
         8, 8, 90, 400, 0.5, 4.0, "incremental", counts, (), tuple(photos), True, False, 0.0,
         "mostly sure", {"features": 3.0, "pairs": 2.0},
     )  # fmt: skip
-    (folder / "report.json").write_text(json.dumps(verdict.plain()))
+    (folder / "report.json").write_text(json.dumps(asdict(verdict)))
     return folder
 
 

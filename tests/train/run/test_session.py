@@ -61,6 +61,53 @@ def test_interrupted_runs_end_alike(dataset, open_device, tmp_path):
         train_scene(other, tmp_path / "legs", config(), device=device, resume=True)
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_finished_run_is_trained_on(dataset, open_device, tmp_path, kept):
+    """It goes on from the checkpoint or the scene, with other settings, and after a break."""
+    device, first, more = open_device("cpu"), tmp_path / "first", tmp_path / "more"
+    short = train_scene(dataset, first, config(), device=device)
+    if not kept:
+        (first / "checkpoint" / f"step_{STEPS:08}.npz").unlink()
+    before = {path: path.read_bytes() for path in first.rglob("*") if path.is_file()}
+    longer = replace(config().scaled(STEPS * 3 // 2), size_lambda=0.5, exposure=kept)
+    options = {"start": first, "device": device, "resume": True}
+    psnrs = []
+
+    def look(progress):
+        psnrs.append(progress.psnr)
+        interrupt_at(STEPS + 20)(progress)
+
+    with pytest.raises(KeyboardInterrupt):
+        train_scene(dataset, more, longer, on_progress=look, **options)
+    assert 20 <= len(psnrs) <= 21  # the device is a step ahead
+    assert len(list((more / "checkpoint").iterdir())) == 1
+    run = train_scene(dataset, more, longer, **options)
+    assert run.summary["steps"] == STEPS * 3 // 2
+    assert run.summary["psnr"] > short.summary["psnr"] - 0.5
+    assert train_scene(dataset, more, longer, **options).bitstream == run.bitstream
+    assert {path: path.read_bytes() for path in first.rglob("*") if path.is_file()} == before
+    with pytest.raises(ExistsError, match=f"in which --from {first} trains"):
+        train_scene(dataset, first, longer, device=device, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({}, "steps: .*first has done 40, which count; give more"),
+        ({"steps": 41, "position_q": 7.0, "switch_step": 30}, "position_q: positions of .*first"),
+    ],
+)
+def test_what_cannot_be_trained_on_is_said(dataset, open_device, tmp_path, changed, said):
+    device, first = open_device("cpu"), tmp_path / "first"
+    train_scene(dataset, first, config().scaled(40), device=device)
+    longer = replace(config().scaled(40), **changed)
+    with pytest.raises(UsageError, match=said):
+        train_scene(dataset, tmp_path / "new", longer, device=device, start=first)
+    with pytest.raises(DataError, match="holds no finished run"):
+        train_scene(dataset, tmp_path / "new", config(), device=device, start=tmp_path)
+    assert not (tmp_path / "new").exists()
+
+
 def test_a_run_is_replaced_only_if_asked_for_and_leaves_no_mixture(dataset, open_device, tmp_path):
     folder, device = tmp_path / "run", open_device("cpu")
     train_scene(dataset, folder, config().scaled(6), device=device)
