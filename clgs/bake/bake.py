@@ -67,15 +67,7 @@ def bake(
 
     First, ordinary Gaussians are fitted to what the neural ones show to the views, weighted by what
     they contribute. Then all numbers are refined against the photos, or against renders of the
-    scene.
-
-    Args:
-        device: where the arrays live.
-        scene: what to bake.
-        views: cameras; what none of them sees is left out.
-        settings: degree and steps.
-        options: of the renders.
-        on_step: called ``count_steps`` times.
+    scene. What no view sees is left out. ``on_step`` is called ``count_steps`` times.
 
     Raises:
         DataError: no view sees anything of the scene.

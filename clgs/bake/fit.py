@@ -96,12 +96,10 @@ def observe(
 def fit(
     observations: Callable[[], Iterable[Observation]], slots: int, degree: int
 ) -> HostGaussians:
-    """Gaussians in scene units for those of ``slots`` slots that matter.
+    """Gaussians in scene units for those of ``slots`` slots, anchors times K, that matter.
 
-    Args:
-        observations: gives the observations of all views, each time it is called.
-        slots: anchors times K.
-        degree: of the spherical harmonics, 0 to 3.
+    ``observations`` gives the observations of all views, each time it is called; ``degree``: of the
+    spherical harmonics, 0 to 3.
     """
     most, weights = np.zeros(slots, np.float32), np.zeros(slots)
     reach, covariance = np.zeros(slots), np.zeros((slots, 6))

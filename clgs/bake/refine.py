@@ -46,14 +46,8 @@ def refine(
 ) -> HostGaussians:
     """One step of Adam for each of the first ``steps`` targets, with the loss of training.
 
-    Args:
-        device: where the arrays live.
-        gaussians: in scene units.
-        targets: at least ``steps``.
-        steps: number of steps.
-        radius: of the cameras, scene units.
-        options: of the renders.
-        on_step: called after each step.
+    ``targets``: at least ``steps``; ``radius``: of the cameras, scene units; ``on_step`` is called
+    after each step.
 
     Raises:
         ClgsError: a gradient is not finite.
@@ -78,7 +72,7 @@ def refine(
             rate = RATES[name] * (radius if name == "mean" else 1.0) * fall
             trained = adam.Trained(array, gradients[name], moments[name])
             updates.append(adam.Update(trained, adam.factors(rate, number)))
-        adam.step_all(device, updates, stop)
+        adam.step(device, updates, stop)
         on_step()
     if device.download(stop)[0]:
         raise ClgsError("baking: a gradient is not finite; give --steps 0 to export unrefined")

@@ -10,7 +10,7 @@ from typing import Any
 from clgs.cli.shared_options import named_path, value_of
 from clgs.errors import UsageError
 from clgs.train.config import TrainConfig, layered, parse_word, read_settings
-from clgs.train.config.option import Option, Pair, Text, describe, options_of
+from clgs.train.config.option import Option, Pair, Text, options_of
 from clgs.train.config.run_settings import FULL_STEPS
 
 LOSS_WEIGHTS = ("l1_weight", "ssim_weight")
@@ -50,25 +50,24 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
 
 def add_option(group: argparse._ArgumentGroup, one: Option) -> None:
     """Add the command-line option of a declared one; it is absent from the result unless given."""
-    row = describe(one)
     choices = one.allowed if isinstance(one.allowed, tuple) else ()
-    unit = "" if row.unit == "none" else row.unit
-    limits = "" if choices or one.kind is bool else row.range
-    remarks = filter(None, (unit, limits, f"default: {row.default or 'none'}"))
+    unit = "" if one.unit == "none" else one.unit
+    limits = "" if choices or one.kind is bool else one.range
+    remarks = filter(None, (unit, limits, f"default: {one.default_text or 'none'}"))
     shared: dict[str, Any] = {
         "dest": one.name,
         "default": argparse.SUPPRESS,
-        "help": f"{row.help} ({'; '.join(remarks)})".replace("%", "%%"),
+        "help": f"{one.help} ({'; '.join(remarks)})".replace("%", "%%"),
     }
     if one.kind is bool:
-        group.add_argument(row.flag, action=argparse.BooleanOptionalAction, **shared)
+        group.add_argument(one.flag, action=argparse.BooleanOptionalAction, **shared)
     elif choices:
-        group.add_argument(row.flag, choices=choices, **shared)
+        group.add_argument(one.flag, choices=choices, **shared)
     else:
         metavar = {int: "N", Pair: "FIRST,LAST"}.get(one.kind, "X")
         if isinstance(one.allowed, Text):
             metavar = "FILE"
-        group.add_argument(row.flag, type=value_of(one), metavar=metavar, **shared)
+        group.add_argument(one.flag, type=value_of(one), metavar=metavar, **shared)
 
 
 def make_config(words: Mapping[str, Any]) -> TrainConfig:
@@ -112,7 +111,7 @@ def make_config(words: Mapping[str, Any]) -> TrainConfig:
 def with_flags(message: str) -> str:
     """``message`` with the settings that it names as the command line has them."""
     for one in options_of(TrainConfig).values():
-        name, flag = re.escape(one.name), describe(one).flag
+        name, flag = re.escape(one.name), one.flag
         place = rf"\b{name}\b" if "_" in one.name else rf"^{name}(?=:)"
         message = re.sub(place, flag, message)
     return message

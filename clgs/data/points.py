@@ -52,31 +52,21 @@ def viewpoint(camera: Camera, alpha: npt.NDArray[np.uint8] | None) -> Viewpoint:
     return Viewpoint(camera, maximum_filter(alpha, size=2 * MASK_MARGIN + 1) > 0)
 
 
-@dataclass(frozen=True)
-class RandomStart:
-    """How many random points a data set without points starts from, and whether they are carved.
-
-    count 0: HULL_POINTS in Blender scenes, RAY_POINTS among photos. Not carved, those of a Blender
-    scene fill its cube, background or not (Voxel-GS).
-    """
-
-    count: int = 0
-    carved: bool = True
-
-
 def random_points(
-    viewpoints: list[Viewpoint], radius: float, blender: bool, seed: int, start: RandomStart
+    viewpoints: list[Viewpoint], radius: float, blender: bool, seed: int, count: int, carved: bool
 ) -> npt.NDArray[np.float32]:
-    """About as many points as ``start`` says (P, 3) float32 in the volume that the cameras share.
+    """About ``count`` points (P, 3) float32 in the volume that the cameras share.
 
     A point is kept if at least SEEN_SHARE of the cameras, or else two of them, have it in their
     image and none of those shows background there; P is 0 if there is none. ``blender``: drawn
     in the cube of Synthetic-NeRF, unless no camera sees it; else along random viewing rays at
-    depths of 0.2 to 5 times ``radius``. Scene units.
+    depths of 0.2 to 5 times ``radius``. Scene units. ``count`` 0: HULL_POINTS in Blender scenes,
+    RAY_POINTS among photos. Not ``carved``, the points of a Blender scene fill its cube,
+    background or not (Voxel-GS).
     """
     rng = np.random.default_rng(seed)
-    count = start.count or (HULL_POINTS if blender else RAY_POINTS)
-    if blender and not start.carved:
+    count = count or (HULL_POINTS if blender else RAY_POINTS)
+    if blender and not carved:
         edge = BLENDER_HALF_EDGE
         return rng.uniform(-edge, edge, (count, 3)).astype(np.float32)
     most = math.ceil(SEEN_SHARE * len(viewpoints))

@@ -189,7 +189,7 @@ def device_errors(device: Device) -> Iterator[tuple[str, float, float]]:
     yield "sort", float(wrong), 0.0
     x = rng.laplace(0.3, np.arange(1, 7), (COUNT // 6, 6)).astype(np.float32)
     uploaded = device.upload(x)
-    rounded = device.download(quantize.forward(device, uploaded, 8.0))
+    rounded = device.download(quantize.forward(device, [(uploaded, 8.0)])[0])
     yield "quantize", float(np.abs(rounded - quantize_reference.forward(x, 8.0)).max()), 0.0
     bits = rate_reference.forward(rate_reference.symbols(x, 1.0), "pooled")
     error = abs(rate.forward(device, uploaded, 1.0, "pooled").bits - bits) / bits

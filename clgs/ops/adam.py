@@ -150,39 +150,22 @@ def mark_rows(device: Device, gradient: DeviceArray, stop: DeviceArray) -> Devic
     return marks
 
 
-def step(
-    device: Device,
-    trained: Trained,
-    factors_now: StepFactors,
-    stop: DeviceArray,
-    part: slice | None = None,
-) -> None:
-    """Update the parameter and the moments of ``trained`` in place.
-
-    Args:
-        device: where the arrays live.
-        trained: what to update, and its gradient.
-        factors_now: from :func:`factors`.
-        stop: (1,) int32; unless it holds 0 nothing changes.
-        part: elements to update, counted through; default: all.
-
-    Raises:
-        ValueError: sizes or dtypes differ.
-    """
-    step_all(device, [Update(trained, factors_now, part)], stop)
-
-
 @dataclass(frozen=True)
 class Update:
-    """The arguments of one :func:`step`."""
+    """One step of ``trained``, with the factors of :func:`factors`; only of ``part`` if given.
+
+    The elements of the part are counted through.
+    """
 
     trained: Trained
     now: StepFactors
     part: slice | None = None
 
 
-def step_all(device: Device, updates: Sequence[Update], stop: DeviceArray) -> None:
-    """Do :func:`step` for each of ``updates``, which share no element, in fewer, longer launches.
+def step(device: Device, updates: Sequence[Update], stop: DeviceArray) -> None:
+    """Update the parameters and moments of all ``updates``, which share no element, in place.
+
+    ``stop`` (1,) int32: unless it holds 0 nothing changes.
 
     Raises:
         ValueError: sizes or dtypes differ.
@@ -225,14 +208,9 @@ def step_rows(
     stop: DeviceArray,
     marks: DeviceArray,
 ) -> None:
-    """Do :func:`step` only in the rows that are marked.
+    """Do :func:`step` for ``trained`` (rows, ...), but only in the rows that are marked.
 
-    Args:
-        device: where the arrays live.
-        trained: as for :func:`step`, of shape (rows, ...).
-        factors_now: from :func:`factors`.
-        stop: (1,) int32; unless it holds 0 nothing changes.
-        marks: (rows,) int32, from :func:`mark_rows`; rows with 0 keep parameter and moments.
+    ``marks`` (rows,) int32, from :func:`mark_rows`: rows with 0 keep parameter and moments.
 
     Raises:
         ValueError, TypeError: sizes or dtypes differ.

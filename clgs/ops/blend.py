@@ -63,15 +63,10 @@ def forward(
     background: DeviceArray,
     options: RenderOptions = DEFAULT,
 ) -> Blended:
-    """Render an image.
+    """Render the Gaussians ``projected`` by their lists, which know the size of the image.
 
-    Args:
-        device: where the arrays live.
-        projected: N Gaussians on the screen; colors are clamped to +-1000, and a Gaussian with a
-            NaN is not drawn.
-        tiles: lists of these Gaussians, which know the size of the image.
-        background: (3,) float32.
-        options: accuracy and skips.
+    Colors are clamped to +-1000, and a Gaussian with a NaN is not drawn. ``background``: (3,)
+    float32.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

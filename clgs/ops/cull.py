@@ -48,12 +48,8 @@ def forward(
     With ``options.skips.anchors`` off, V is A, and anchors that are not visible are entries -1: the
     MLPs then have the work of all anchors, and nothing else changes.
 
-    Args:
-        device: where the arrays live.
-        anchors: of the whole scene; position and scaling are read.
-        camera: (26,) float32 from ``Camera.pack``.
-        options: ``smallest_anchor`` and the skip of anchors.
-        room: V; EXACT waits for the device to learn it.
+    ``anchors``: of the whole scene; ``camera``: (26,) float32 from ``Camera.pack``; ``room``: V,
+    and EXACT waits for the device to learn it.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

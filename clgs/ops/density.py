@@ -91,13 +91,9 @@ def accumulate(
     seen: SeenView,
     stop: DeviceArray | None = None,
 ) -> None:
-    """Add one view to ``statistics`` in place.
+    """Add the view ``seen`` to the ``statistics`` of all anchors, in place.
 
-    Args:
-        device: where the arrays live.
-        statistics: of all anchors.
-        seen: the view.
-        stop: (1,) int32; unless it holds 0 nothing changes. Default: 0.
+    ``stop``: (1,) int32; unless it holds 0 nothing changes. Default: 0.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -156,12 +152,8 @@ def add_importance(
 ) -> None:
     """Add (sum over its Gaussians of opacity d_opacity)^2 to every visible anchor, in place.
 
-    Args:
-        device: where the arrays live.
-        importance: of all anchors.
-        visible: (V,) int32, anchors, each at most once; -1 is none.
-        gaussians: N of them; opacity and first are read.
-        d_opacity: (N,) float32.
+    ``visible`` (V,) int32: anchors, each at most once, -1 for none; ``d_opacity`` (N,) float32: by
+    the N ``gaussians``, of which opacity and first are read.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -189,12 +181,7 @@ def add_importance(
 
 
 def add_curvature(device: Device, curvature: DeviceArray, derivative: DeviceArray) -> None:
-    """Add the square of every element of ``derivative`` to ``curvature``, in place.
-
-    Args:
-        device: where the arrays live.
-        curvature: float32, any shape.
-        derivative: float32, of the same shape.
+    """Add the square of every element of ``derivative`` to ``curvature``, both float32, in place.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

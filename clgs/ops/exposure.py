@@ -29,13 +29,7 @@ def identity(device: Device, photos: int) -> DeviceArray:
 
 
 def forward(device: Device, image: DeviceArray, maps: DeviceArray, photo: int) -> DeviceArray:
-    """The image as photo number ``photo`` exposes it, (3, H, W) float32.
-
-    Args:
-        device: where the arrays live.
-        image: (3, H, W) float32.
-        maps: (P, 3, 4) float32.
-        photo: below P.
+    """The image (3, H, W) float32 as row ``photo`` of ``maps`` (P, 3, 4) float32 exposes it.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype, or there is no such photo.
@@ -65,14 +59,9 @@ def backward(
 ) -> DeviceArray:
     """d_image (3, H, W) float32; the gradient of one photo's map goes into ``d_maps``.
 
-    Args:
-        device: where the arrays live.
-        image: as given to :func:`forward`.
-        d_picture: (3, H, W) float32, gradient by what :func:`forward` returned.
-        maps: as given to :func:`forward`.
-        photo: as given to :func:`forward`.
-        weight: of the penalty.
-        d_maps: (P, 3, 4) float32; row ``photo`` is overwritten, the others stay.
+    ``image``, ``maps`` and ``photo`` as for :func:`forward`; ``d_picture`` (3, H, W) float32: the
+    gradient by what it returned; ``weight``: of the penalty. Row ``photo`` of ``d_maps`` (P, 3, 4)
+    float32 is overwritten, the others stay.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype, or there is no such photo.

@@ -55,13 +55,8 @@ def hide_undrawn(
 
     Offsets of slots that are not drawn become 0 in the visible anchors that stay.
 
-    Args:
-        device: where the arrays live.
-        anchors: A of them, float32.
-        statistics: of the same anchors.
-        visible: (V,) int32, anchors, each at most once; -1 is none.
-        output: (at least K, Vp) float32, Vp >= V; the first K rows are opacities, and a slot is
-            drawn if its is above 0.
+    ``visible`` (V,) int32: anchors, each at most once, -1 for none; ``output`` (at least K, Vp)
+    float32, Vp >= V: its first K rows are opacities, and a slot is drawn if its is above 0.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

@@ -92,13 +92,9 @@ class LaterValue:
 def forward(
     device: Device, image: DeviceArray, target: DeviceArray, weights: Weights | None = None
 ) -> Loss:
-    """Compare an image with a photo.
+    """Compare an image (3, H, W) float32 with a photo (3, H, W) uint8, of which 255 is 1.0.
 
-    Args:
-        device: where the arrays live.
-        image: (3, H, W) float32, planar.
-        target: (3, H, W) uint8, planar; 255 is 1.0.
-        weights: of the two terms; default 0.8 and 0.2.
+    ``weights``: of the two terms; default 0.8 and 0.2.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -127,13 +123,9 @@ def forward(
 
 
 def backward(device: Device, image: DeviceArray, target: DeviceArray, loss: Loss) -> DeviceArray:
-    """d_image (3, H, W) float32, the gradient of ``loss.value(device).value``.
+    """d_image (3, H, W) float32, the gradient of the value of ``loss``.
 
-    Args:
-        device: where the arrays live.
-        image: as given to :func:`forward`.
-        target: as given to :func:`forward`.
-        loss: what :func:`forward` returned.
+    ``image`` and ``target`` are those that :func:`forward` made ``loss`` of.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

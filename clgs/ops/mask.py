@@ -16,12 +16,7 @@ from clgs.shapes import Shapes
 
 
 def forward(device: Device, image: DeviceArray, used: DeviceArray) -> DeviceArray:
-    """The image with zeros where it is not used, (3, H, W) float32.
-
-    Args:
-        device: where the arrays live.
-        image: (3, H, W) float32.
-        used: (H, W) uint8, 0 or 1.
+    """The image (3, H, W) float32 with zeros where ``used`` (H, W) uint8 is 0 instead of 1.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -42,12 +37,7 @@ def forward(device: Device, image: DeviceArray, used: DeviceArray) -> DeviceArra
 
 
 def backward(device: Device, d_masked: DeviceArray, used: DeviceArray) -> DeviceArray:
-    """d_image (3, H, W) float32, from the gradient by what :func:`forward` returned.
-
-    Args:
-        device: where the arrays live.
-        d_masked: (3, H, W) float32.
-        used: as given to :func:`forward`.
+    """d_image (3, H, W) float32, from the gradient by what :func:`forward` returned, of its shape.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

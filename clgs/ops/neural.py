@@ -94,11 +94,8 @@ def forward(
 ) -> NeuralGaussians:
     """Gather the Gaussians of the visible anchors.
 
-    Args:
-        device: where the arrays live.
-        activations: from ``mlp.forward``; output and visible are read.
-        anchors: of the whole scene; all but the feature is read.
-        room: N; EXACT waits for the device to learn it.
+    ``activations`` are from ``mlp.forward``, and ``anchors`` those of the whole scene; ``room``: N,
+    and EXACT waits for the device to learn it.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -173,13 +170,9 @@ def backward(
 ) -> NeuralGradients:
     """Scatter the gradients of N Gaussians to the anchors and the MLPs' outputs.
 
-    Args:
-        device: where the arrays live.
-        gaussians: what :func:`forward` returned.
-        activations: as given to :func:`forward`, each anchor at most once.
-        anchors: as given to :func:`forward`.
-        d_gaussians: gradients by the fields of ``gaussians``.
-        want_position: whether to compute ``d_position`` (anchors do not move while training).
+    ``gaussians`` is what :func:`forward` made of ``activations``, which has each anchor at most
+    once, and ``anchors``; ``d_gaussians`` has the gradients by its fields. ``d_position`` is
+    computed only if ``want_position``: anchors do not move while training.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

@@ -59,14 +59,10 @@ def forward(
     camera: DeviceArray,
     options: RenderOptions = DEFAULT,
 ) -> Projected:
-    """Project N Gaussians.
+    """Project N Gaussians; ``camera``: (26,) float32 from ``Camera.pack``.
 
-    Args:
-        device: where the arrays live.
-        gaussians: a Gaussian is culled if its rotation is no unit quaternion, or its opacity is
-            below the alpha cut.
-        camera: (26,) float32 from ``Camera.pack``.
-        options: accuracy, for the alpha cut and the smallest extent.
+    A Gaussian is culled if its rotation is no unit quaternion, or its opacity is below the alpha
+    cut of ``options.accuracy``.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -112,14 +108,8 @@ def backward(
 ) -> GaussianGradients:
     """Gradients of the Gaussians from those of their projections; zero for culled ones.
 
-    Those by color and opacity are passed through.
-
-    Args:
-        device: where the arrays live.
-        gaussians: as given to :func:`forward`.
-        camera: (26,) float32.
-        projected: what :func:`forward` returned.
-        d_projected: gradients by the fields of ``projected``.
+    ``projected`` is what :func:`forward` made of ``gaussians`` and ``camera``, ``d_projected`` has
+    the gradients by its fields. Those by color and opacity are passed through.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

@@ -17,25 +17,13 @@ from clgs.opencl.device import Device
 from clgs.opencl.grid import by_items, by_parts, filled
 
 MOST_ARRAYS = 3
-"""Arrays that a launch of :func:`forward_all` rounds, at most."""
+"""Arrays that a launch of :func:`forward` rounds, at most."""
 
 
-def forward(device: Device, x: DeviceArray, q: float) -> DeviceArray:
-    """rint(x q) / q in a new float32 array of the shape of ``x``.
+def forward(device: Device, arrays: Sequence[tuple[DeviceArray, float]]) -> list[DeviceArray]:
+    """rint(x q) / q in a new array for each (x, q), three at most, in one launch.
 
-    Args:
-        device: where ``x`` lives.
-        x: float32, any shape.
-        q: quantisation scale, positive.
-
-    Raises:
-        TypeError: ``x`` is not float32.
-    """
-    return forward_all(device, [(x, q)])[0]
-
-
-def forward_all(device: Device, arrays: Sequence[tuple[DeviceArray, float]]) -> list[DeviceArray]:
-    """Do :func:`forward` for each (x, q), in fewer, longer launches.
+    x: float32, any shape; q: quantisation scale, positive.
 
     Raises:
         TypeError: an ``x`` is not float32.
@@ -43,29 +31,20 @@ def forward_all(device: Device, arrays: Sequence[tuple[DeviceArray, float]]) -> 
     for x, _ in arrays:
         _check(x)
     results = [device.empty(x.shape, np.float32) for x, _ in arrays]
+    sizes, scales = np.zeros(4, np.uint32), np.ones(4, np.float32)
+    for i, (x, q) in enumerate(arrays):
+        sizes[i], scales[i] = x.size, q
+    named: dict[str, DeviceArray] = {}
+    pairs = [(x, rounded) for (x, _), rounded in zip(arrays, results, strict=True)]
+    for i, (x, rounded) in enumerate(filled(pairs, MOST_ARRAYS)):
+        named |= {f"x{i}": x, f"rounded{i}": rounded}
     kernel = device.kernel("anchors/quantize", "quantize_forward")
-    for i in range(0, len(arrays), MOST_ARRAYS):
-        some, into = arrays[i : i + MOST_ARRAYS], results[i : i + MOST_ARRAYS]
-        sizes, scales = np.zeros(4, np.uint32), np.ones(4, np.float32)
-        sizes[: len(some)] = [x.size for x, _ in some]
-        scales[: len(some)] = [q for _, q in some]
-        arrays_now: dict[str, DeviceArray] = {}
-        for n, ((x, _), rounded) in enumerate(
-            filled(list(zip(some, into, strict=True)), MOST_ARRAYS)
-        ):
-            arrays_now |= {f"x{n}": x, f"rounded{n}": rounded}
-        grid = by_parts(sizes.tolist(), device.vec)
-        device.run(kernel, *grid, **arrays_now, sizes=sizes, scales=scales)
+    device.run(kernel, *by_parts(sizes.tolist(), device.vec), **named, sizes=sizes, scales=scales)
     return results
 
 
 def elements(device: Device, x: DeviceArray, q: DeviceArray) -> DeviceArray:
-    """rint(x q) / q in a new float32 array, without -0.
-
-    Args:
-        device: where the arrays live.
-        x: float32, any shape.
-        q: float32 of the same shape, positive.
+    """rint(x q) / q in a new float32 array, without -0; x and q > 0: float32, of one shape.
 
     Raises:
         TypeError, ValueError: a dtype is not float32, or the shapes differ.
@@ -86,7 +65,7 @@ def elements(device: Device, x: DeviceArray, q: DeviceArray) -> DeviceArray:
 
 
 def integers(device: Device, x: DeviceArray, q: float) -> DeviceArray:
-    """rint(x q) in a new int32 array; arguments as for :func:`forward`."""
+    """rint(x q) in a new int32 array of the shape of ``x``, float32."""
     _check(x)
     result = device.empty(x.shape, np.int32)
     device.run(

@@ -36,7 +36,7 @@ VECTORS_PER_BLOCK = 256
 """Vectors of a column that a work-item sums."""
 
 MOST_ATTRIBUTES = 3
-"""Attributes of a launch of :func:`backward_all`."""
+"""Attributes of a launch of :func:`backward`."""
 
 POOLED_CLAMP = 3.0
 POOLED_MIN_SCALE = 0.01
@@ -83,11 +83,7 @@ class _ChannelSums:
 def forward(device: Device, x: DeviceArray, q: float, form: Form = "channel") -> Rate:
     """Bits per row of the symbols rint(x q).
 
-    Args:
-        device: where ``x`` lives.
-        x: (rows, ...) float32; every index after the first is a channel.
-        q: quantisation scale.
-        form: "channel" or "pooled".
+    ``x`` (rows, ...) float32: every index after the first is a channel.
 
     Raises:
         TypeError: ``x`` is not float32.
@@ -113,22 +109,6 @@ def forward(device: Device, x: DeviceArray, q: float, form: Form = "channel") ->
     return Rate(float(nats.sum() * scale), q, table)
 
 
-def backward(device: Device, rate: Rate, x: DeviceArray, weight: float, d_x: DeviceArray) -> None:
-    """Add the gradient of ``weight * rate.bits`` to ``d_x`` in place, rounding passed through.
-
-    Args:
-        device: where the arrays live.
-        rate: what :func:`forward` returned for ``x``.
-        x: (rows, ...) float32.
-        weight: factor of the bits per row in the loss.
-        d_x: float32, as many elements as ``x``.
-
-    Raises:
-        ValueError, TypeError: ``d_x`` does not fit.
-    """
-    backward_all(device, [(slopes(device, rate, weight), x, d_x)])
-
-
 @dataclass(frozen=True)
 class Slopes:
     """A :class:`Rate` times its weight in the loss, on the device; the table's last rows differ."""
@@ -139,16 +119,17 @@ class Slopes:
 
 
 def slopes(device: Device, rate: Rate, weight: float) -> Slopes:
-    """What :func:`backward_all` needs; arguments as for :func:`backward`."""
+    """What :func:`backward` needs for ``weight * rate.bits`` in the loss."""
     table = rate.table.copy()
     table[3:] *= weight * rate.q
     return Slopes(rate.q, table.shape[1], _upload(device, table))
 
 
-def backward_all(
-    device: Device, attributes: Sequence[tuple[Slopes, DeviceArray, DeviceArray]]
-) -> None:
-    """Do :func:`backward` for each (slopes, x, d_x), three at most, in one launch.
+def backward(device: Device, attributes: Sequence[tuple[Slopes, DeviceArray, DeviceArray]]) -> None:
+    """Add gradients for each (slopes, x, d_x), three at most, in one launch.
+
+    x: what :func:`forward` had, float32; d_x: float32, as many elements, changed in place. The
+    gradient of rounding is passed through.
 
     Raises:
         ValueError, TypeError: a ``d_x`` does not fit.

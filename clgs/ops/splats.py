@@ -24,12 +24,9 @@ from clgs.shapes import Shapes
 
 
 def forward(device: Device, stored: DeviceGaussians, camera: DeviceArray) -> Gaussians:
-    """The N Gaussians of ``stored`` with the colors that a camera sees.
+    """The N Gaussians of ``stored``, float32, with the colors that a camera sees.
 
-    Args:
-        device: where the arrays live.
-        stored: float32.
-        camera: (26,) float32 from ``Camera.pack``.
+    ``camera``: (26,) float32 from ``Camera.pack``.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -69,12 +66,8 @@ def backward(
 ) -> DeviceGaussians:
     """Gradients by the arrays of ``stored``, in the same record.
 
-    Args:
-        device: where the arrays live.
-        stored: as given to :func:`forward`.
-        camera: (26,) float32.
-        seen: what :func:`forward` returned.
-        d_seen: gradients by its fields; ``d_mean`` is overwritten and becomes part of the result.
+    ``seen`` is what :func:`forward` made of ``stored`` and ``camera``, ``d_seen`` has the gradients
+    by its fields; ``d_mean`` is overwritten and becomes part of the result.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

@@ -168,12 +168,8 @@ def rasterise_backward(
 ) -> SceneGradients | SplatGradients:
     """Gradients of ``sum(d_image * image) + volume_weight * mean(prod(scale))``.
 
-    Args:
-        device: where the arrays live.
-        scene: what the frame was drawn from.
-        frame: from :func:`rasterise`.
-        d_image: (3, H, W) float32.
-        volume_weight: weight of the volume term over all Gaussians of the frame.
+    ``frame`` is what :func:`rasterise` made of ``scene``; ``d_image``: (3, H, W) float32. The mean
+    is over all Gaussians of the frame.
 
     Raises:
         ValueError: the frame does not keep what this needs, or is not of ``scene``.

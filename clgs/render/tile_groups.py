@@ -51,10 +51,8 @@ def within_budget(
 def split(by_row: npt.NDArray[np.int64], entry_bytes: int, max_memory: int) -> TileGroups:
     """The fewest groups of neighbouring rows of tiles of at most ``max_memory`` bytes each.
 
-    Args:
-        by_row: (rows,) entries of every row of tiles.
-        entry_bytes: bytes that an entry takes.
-        max_memory: bytes; lists are at most 2^31 - 1 entries long in any case.
+    ``by_row`` (rows,): entries of every row of tiles, which take ``entry_bytes`` each. Lists are at
+    most 2^31 - 1 entries long in any case.
 
     Raises:
         BudgetError: a single row of tiles needs more.
@@ -87,15 +85,9 @@ def draw(
     groups: TileGroups,
     draw_rows: Callable[[int, tuple[int, int]], blend.Blended],
 ) -> blend.Blended:
-    """The picture of several groups, whose lists and records hold no entries.
+    """The picture of ``count`` Gaussians in groups; its lists and records hold no entries.
 
-    Args:
-        device: where the arrays live.
-        count: N, how many Gaussians are on the screen.
-        view: the whole picture's.
-        options: with which the groups are drawn.
-        groups: rows of tiles.
-        draw_rows: draws the rows from the first to the end, with lists of the length given.
+    ``draw_rows`` draws rows of tiles, from the first to the end, with lists of the length given.
     """
     width, height = view.size
     lists = tiles.TileLists(

@@ -121,7 +121,8 @@ def rate_of_rounded(trainer: Trainer) -> float:
     for name in ANCHOR_GROUPS:
         x = getattr(rounded, name)
         result = rate.forward(trainer.device, x, getattr(scales, name))
-        rate.backward(trainer.device, result, x, 1.0, trainer.device.zeros(x.shape))
+        slopes = rate.slopes(trainer.device, result, 1.0)
+        rate.backward(trainer.device, [(slopes, x, trainer.device.zeros(x.shape))])
         bits += result.bits
     return bits
 

@@ -74,14 +74,14 @@ def _names(action: argparse.Action) -> str:
 
 def training_options() -> str:
     """Every setting of a training run, a table under the heading of each group, as Markdown."""
-    from clgs.train.config import describe_options
+    from clgs.train.config import TrainConfig, options_of
 
     parts = []
-    for group, rows in groupby(describe_options(), lambda row: row.group):
+    for group, rows in groupby(options_of(TrainConfig).values(), lambda row: row.group):
         cells = []
         for row in rows:
             unit = "" if row.unit == "none" else row.unit
-            default = f"`{row.default}`" if row.default else "none"
+            default = f"`{row.default_text}`" if row.default_text else "none"
             cells.append((f"`{row.name}`", default, unit, _escape(row.range), _escape(row.help)))
         parts.append(f"## {group.capitalize()}")
         parts.append(_table(("setting", "default", "unit", "range", "meaning"), cells))

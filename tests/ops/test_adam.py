@@ -29,7 +29,9 @@ def test_equals_numpy_to_the_bit(device, rng):
         rate = 0.01 * 0.99**count
         now = adam.factors(rate, count)
         update(state, g, now)
-        adam.step(device, adam.Trained(on_device, device.upload(g), moments), now, stop)
+        adam.step(
+            device, [adam.Update(adam.Trained(on_device, device.upload(g), moments), now)], stop
+        )
     assert np.array_equal(device.download(on_device), parameter)
     assert np.array_equal(device.download(moments.first), state.first)
     assert np.array_equal(device.download(moments.second), state.second)
@@ -47,7 +49,9 @@ def test_follows_float64(device, rng):
         g = (rng.normal(size=500) * size).astype(np.float32)
         wide, moments64 = reference.step(wide, g.astype(np.float64), moments64, 1e-3, count)
         now = adam.factors(1e-3, count)
-        adam.step(device, adam.Trained(on_device, device.upload(g), moments), now, stop)
+        adam.step(
+            device, [adam.Update(adam.Trained(on_device, device.upload(g), moments), now)], stop
+        )
     # 300 roundings of the parameter itself, random in sign, and of steps of 1e-3
     assert_close(device.download(on_device), wide, 1e-5 * np.maximum(np.abs(wide), 1), "parameter")
     second = device.download(moments.second)
@@ -60,7 +64,7 @@ def test_tiny_gradients_still_move(device):
     moments = adam.zero_moments(device, on_device)
     gradient = device.upload(np.float32([1e-14]))
     trained = adam.Trained(on_device, gradient, moments)
-    adam.step(device, trained, adam.factors(0.1, 1), stop)
+    adam.step(device, [adam.Update(trained, adam.factors(0.1, 1))], stop)
     expected = reference.step(np.zeros(1), np.array([1e-14]), (np.zeros(1), np.zeros(1)), 0.1, 1)[0]
     assert_close(device.download(on_device), expected, 1e-6, "parameter")
 
@@ -70,7 +74,7 @@ def test_moments_decay_to_zero_not_to_subnormals(device):
     moments = adam.Moments(*(device.upload(np.full(40, x, np.float32)) for x in (1e-29, 1e-35)))
     trained = adam.Trained(on_device, device.zeros((40,)), moments)
     for count in range(1, 40):
-        adam.step(device, trained, adam.factors(0.1, count), stop)
+        adam.step(device, [adam.Update(trained, adam.factors(0.1, count))], stop)
     assert not device.download(moments.first).any()
     second = device.download(moments.second)
     assert ((second == 0) | (second >= adam.MIN_SECOND_MOMENT)).all()
@@ -93,7 +97,7 @@ def test_bad_gradients_change_nothing(device, rng, poison, place):
     adam.check_finite(device, [fine], stop)
     assert device.download(stop)[0] == adam.NOT_FINITE, "it stays set"
     now = adam.factors(0.1, 1)
-    adam.step(device, adam.Trained(on_device, bad, moments), now, stop)
+    adam.step(device, [adam.Update(adam.Trained(on_device, bad, moments), now)], stop)
     marks = adam.mark_rows(device, fine, device.zeros((1,), np.int32))
     adam.step_rows(device, adam.Trained(on_device, fine, moments), now, stop, marks)
     assert np.array_equal(device.download(on_device), parameter)
@@ -110,7 +114,7 @@ def test_any_value_of_the_flag_stops(device, value):
     adam.check_finite(device, [ones], stop)
     marks = adam.mark_rows(device, ones, stop)
     trained = adam.Trained(on_device, ones, moments)
-    adam.step(device, trained, adam.factors(0.1, 1), stop)
+    adam.step(device, [adam.Update(trained, adam.factors(0.1, 1))], stop)
     adam.step_rows(device, trained, adam.factors(0.1, 1), stop, marks)
     assert device.download(stop).tolist() == [value]
     assert not device.download(on_device).any()
@@ -177,7 +181,7 @@ def test_wrong_sizes_are_refused(device):
     moments = adam.zero_moments(device, parameter)
     wrong = adam.Trained(parameter, device.zeros((3, 5)), moments)
     with pytest.raises(ValueError, match="gradient"):
-        adam.step(device, wrong, adam.factors(1.0, 1), stop)
+        adam.step(device, [adam.Update(wrong, adam.factors(1.0, 1))], stop)
     marks, trained = device.zeros((4,), np.int32), adam.Trained(parameter, parameter, moments)
     with pytest.raises(ValueError, match="marks"):
         adam.step_rows(device, trained, adam.factors(1.0, 1), stop, marks)
@@ -191,7 +195,7 @@ def test_many_parts_as_one_after_the_other(device, rng):
     together, apart = ([device.upload(one) for one in values] for _ in range(2))
     now = [adam.factors(0.01 * (i + 1), i + 1) for i in range(9)]
     stop, parts = adam.stop_flag(device), [slice(0, 100), slice(100, 100), slice(131, 1003)]
-    for tensors, launch in ((together, adam.step_all), (apart, None)):
+    for tensors in (together, apart):
         moments = [adam.zero_moments(device, one) for one in tensors]
         trained = [adam.Trained(*each) for each in zip(tensors, gradients, moments, strict=True)]
         chosen = [(trained[0], part) for part in parts] + [(one, None) for one in trained[1:]]
@@ -199,11 +203,8 @@ def test_many_parts_as_one_after_the_other(device, rng):
             adam.Update(one, factors, part)
             for (one, part), factors in zip(chosen, now, strict=True)
         ]
-        if launch:
-            launch(device, updates, stop)
-        else:
-            for one in updates:
-                adam.step(device, one.trained, one.now, stop, one.part)
+        for some in [updates] if tensors is together else [[one] for one in updates]:
+            adam.step(device, some, stop)
     for mine, theirs, before in zip(together, apart, values, strict=True):
         assert np.array_equal(device.download(mine), device.download(theirs))
         assert not before.size or not np.array_equal(device.download(mine), before)

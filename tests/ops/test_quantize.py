@@ -16,7 +16,7 @@ SCALES = [1.0, 200.0, 1024.0]
 def rounded(device, x, q):
     array = device.upload(x)
     return (
-        device.download(quantize.forward(device, array, q)),
+        device.download(quantize.forward(device, [(array, q)])[0]),
         device.download(quantize.integers(device, array, q)),
     )
 
@@ -81,7 +81,7 @@ def test_a_device_whose_division_is_inexact_rounds_like_others(device, rng, monk
     inexact = Device(specialisation=device.specialisation)
     for q in (3.0, *SCALES):
         x = (rng.choice([-1, 1], 10_003) * np.exp(rng.uniform(0, 8, 10_003))).astype(np.float32)
-        values = inexact.download(quantize.forward(inexact, inexact.upload(x), q))
+        values = inexact.download(quantize.forward(inexact, [(inexact.upload(x), q)])[0])
         assert np.array_equal(values, reference.forward(x, q))
         scale = np.full(x.shape, q, np.float32)
         array = quantize.elements(inexact, inexact.upload(x), inexact.upload(scale))
@@ -123,7 +123,7 @@ def test_gradient_passes_straight_through(rng):
 
 def test_wrong_dtype_is_refused(device):
     with pytest.raises(TypeError, match="int32"):
-        quantize.forward(device, device.zeros((3,), np.int32), 1.0)
+        quantize.forward(device, [(device.zeros((3,), np.int32), 1.0)])
     with pytest.raises(TypeError, match="int32"):
         quantize.elements(device, device.zeros((3,), np.int32), device.zeros((3,)))
     for q in (device.zeros((4,)), device.zeros((3,), np.int32)):

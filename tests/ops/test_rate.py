@@ -26,7 +26,7 @@ def run(device, x, q, form, weight=1.0):
     array = device.upload(x)
     result = rate.forward(device, array, q, form)
     d_x = device.zeros(x.shape)
-    rate.backward(device, result, array, weight, d_x)
+    rate.backward(device, [(rate.slopes(device, result, weight), array, d_x)])
     return result.bits, device.download(d_x)
 
 
@@ -90,7 +90,7 @@ def test_backward_adds_and_weighs(device, rng):
     x = rng.normal(0, 2, (100, 6)).astype(np.float32)
     array, start = device.upload(x), rng.normal(size=x.shape).astype(np.float32)
     result, d_x = rate.forward(device, array, 8.0), device.upload(start)
-    rate.backward(device, result, array, 0.5, d_x)
+    rate.backward(device, [(rate.slopes(device, result, 0.5), array, d_x)])
     gradient = expected_of(x, 8.0, "channel")[1] * 0.5
     assert_close(device.download(d_x), start + gradient, 4 * 2.0**-24 * np.abs(start).max(), "d_x")
 
@@ -123,5 +123,6 @@ def test_wrong_arguments_are_refused(device):
         rate.forward(device, x, 1.0, "tiled")
     with pytest.raises(TypeError, match="float32"):
         rate.forward(device, device.zeros((4, 6), np.int32), 1.0)
+    slopes = rate.slopes(device, rate.forward(device, x, 1.0), 1.0)
     with pytest.raises(ValueError, match="d_x"):
-        rate.backward(device, rate.forward(device, x, 1.0), x, 1.0, device.zeros((3, 6)))
+        rate.backward(device, [(slopes, x, device.zeros((3, 6)))])

@@ -61,7 +61,7 @@ def test_symbols_far_from_their_mean(device, b, distance, form):
     x[17, 0] += np.rint(distance * b)
     uploaded, d_x = device.upload(x), device.zeros(x.shape)
     result = rate.forward(device, uploaded, 1.0, form)
-    rate.backward(device, result, uploaded, 1.0, d_x)
+    rate.backward(device, [(rate.slopes(device, result, 1.0), uploaded, d_x)])
     symbols = rate_reference.symbols(x, 1.0)
     bits, gradient = (f(symbols, form) for f in (rate_reference.forward, rate_reference.backward))
     assert_close(result.bits, bits, 1e-6 * bits + 1e-15, "bits")
@@ -76,7 +76,7 @@ def test_symbols_far_from_their_mean(device, b, distance, form):
 def test_equal_symbols_are_free(device, rows, value):
     uploaded, d_x = device.upload(np.full((rows, 3), value, np.float32)), device.zeros((rows, 3))
     result = rate.forward(device, uploaded, 1.0)
-    rate.backward(device, result, uploaded, 1.0, d_x)
+    rate.backward(device, [(rate.slopes(device, result, 1.0), uploaded, d_x)])
     assert result.bits == 0
     assert not device.download(d_x).any()
 
@@ -93,9 +93,8 @@ def test_gradients_of_any_size(device, exponent):
     for count in range(1, 21):
         g = (rng.normal(size=33) * 10.0**exponent).astype(np.float32)
         gradient = device.upload(g)
-        adam.step(
-            device, adam.Trained(parameter, gradient, moments), adam.factors(1e-3, count), stop
-        )
+        trained = adam.Trained(parameter, gradient, moments)
+        adam.step(device, [adam.Update(trained, adam.factors(1e-3, count))], stop)
         wide, moments64 = adam_reference.step(wide, g.astype(np.float64), moments64, 1e-3, count)
     found = device.download(parameter)
     assert np.isfinite(found).all()

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from clgs.data.dataset import Dataset, load_dataset
-from clgs.data.points import RandomStart
+from clgs.train.config import TrainConfig
 from clgs.train.run.load import with_points
 from tests.small_scene import write_scene
 
@@ -17,7 +17,7 @@ from tests.small_scene import write_scene
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Twelve photos and three held-out ones of 40 x 40 pixels, 4,000 points."""
     whole = load_dataset(write_scene(tmp_path_factory.mktemp("balls")))
-    return with_points(whole, RandomStart(count=4000))
+    return with_points(whole, TrainConfig(start_points=4000))
 
 
 @pytest.fixture

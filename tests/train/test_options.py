@@ -16,7 +16,6 @@ from clgs.cli.parser import Parser
 from clgs.errors import UsageError
 from clgs.train.config import (
     TrainConfig,
-    describe_options,
     from_toml,
     layered,
     parse_word,
@@ -29,7 +28,6 @@ from clgs.train.config.option import (
     Range,
     Text,
     at_least,
-    describe,
     option,
     options_of,
 )
@@ -130,7 +128,7 @@ def test_every_option_has_help_range_and_unit(one: Option) -> None:
 @pytest.mark.parametrize("one", OPTIONS, ids=by_name)
 def test_option_file_and_set_give_the_same(one: Option, tmp_path: Path) -> None:
     value = other_value(one)
-    flag = describe(one).flag
+    flag = one.flag
     word = as_text(value)
     given = (
         [flag, word]
@@ -150,34 +148,31 @@ def test_option_file_and_set_give_the_same(one: Option, tmp_path: Path) -> None:
 
 
 def test_the_table_lists_the_fields_in_order() -> None:
-    rows = describe_options()
-    assert [row.name for row in rows] == [one.name for one in OPTIONS]
-    assert len({row.flag for row in rows}) == len(rows)
-    by = {row.name: row for row in rows}
-    assert (by["near"].default, by["near"].unit, by["near"].range) == (
+    assert len({one.flag for one in OPTIONS}) == len(OPTIONS)
+    by = {one.name: one for one in OPTIONS}
+    assert (by["near"].default_text, by["near"].unit, by["near"].range) == (
         "0.2",
         "scene units",
         "above 0",
     )
     assert by["adam"].range == "dense or visible"
-    assert by["volume_weight"].default == "0.01 on photos, 0 on Blender scenes"
-    assert by["learning_rates.offset"].default == "0.01,0.0001"
+    assert by["volume_weight"].default_text == "0.01 on photos, 0 on Blender scenes"
+    assert by["learning_rates.offset"].default_text == "0.01,0.0001"
     assert by["switch_step"].help.endswith("moves with steps")
-    assert by["normalize"].default == "true"
-    assert [row.group for row in rows] == sorted(
-        (row.group for row in rows), key=list(dict.fromkeys(row.group for row in rows)).index
-    ), "a group is not interrupted"
+    assert by["normalize"].default_text == "true"
+    groups = [one.group for one in OPTIONS]
+    assert groups == sorted(groups, key=list(dict.fromkeys(groups)).index), "one is interrupted"
 
 
 def test_the_help_of_the_command_holds_the_table() -> None:
     parser = Parser(prog="clgs train")
     training.add_training_options(parser)
     by_flag = {flag: action for action in parser._actions for flag in action.option_strings}
-    for row in describe_options():
+    for row in OPTIONS:
         said = (by_flag[row.flag].help or "") % {}
         assert row.help in said
-        assert f"default: {row.default or 'none'}" in said
-    known = {row.flag for row in describe_options()}
+        assert f"default: {row.default_text or 'none'}" in said
+    known = {row.flag for row in OPTIONS}
     extra = {"-h", "--help", "--config", "--set", "--loss-weights"}
     assert set(by_flag) - known - extra == {
         "--no-normalize",

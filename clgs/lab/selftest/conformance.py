@@ -126,9 +126,10 @@ def _number_tensors(device: Device) -> Iterator[Tensor]:
     order = sort.by_key(device, device.upload(keys), device.upload(values), 14)[1]
     yield "sort", "order", device.download(order)
     x = device.upload(random.floats((COUNT // 6, 6), -20.0, 20.0))
-    yield "quantize", "rounded", device.download(quantize.forward(device, x, 8.0))
+    yield "quantize", "rounded", device.download(quantize.forward(device, [(x, 8.0)])[0])
     d_x = device.zeros(x.shape)
-    rate.backward(device, rate.forward(device, x, 8.0), x, 1.0, d_x)
+    slopes = rate.slopes(device, rate.forward(device, x, 8.0), 1.0)
+    rate.backward(device, [(slopes, x, d_x)])
     yield "rate", "d_x", device.download(d_x)
     yield "adam", "parameter", _adam(device, random)
     yield from _density(device, random)
@@ -140,7 +141,7 @@ def _adam(device: Device, random: ExactRandom) -> npt.NDArray[Any]:
     for step in range(1, 4):
         gradient = device.upload(random.floats((COUNT,), -1.0, 1.0))
         trained = adam.Trained(parameter, gradient, moments)
-        adam.step(device, trained, adam.factors(0.01, step), stop)
+        adam.step(device, [adam.Update(trained, adam.factors(0.01, step))], stop)
     return device.download(parameter)
 
 

@@ -74,8 +74,8 @@ def check_quantize(device: Device, rng: np.random.Generator, count: int) -> Iter
     """Rounded values, integers, and a Q per element."""
     x = (rng.normal(0, 4, count)).astype(np.float32)
     uploaded = device.upload(x)
-    forward = partial(quantize.forward, device, uploaded, 8.0)
-    error = largest(device.download(forward()), quantize_reference.forward(x, 8.0))
+    forward = partial(quantize.forward, device, [(uploaded, 8.0)])
+    error = largest(device.download(forward()[0]), quantize_reference.forward(x, 8.0))
     integers = device.download(quantize.integers(device, uploaded, 8.0))
     error += largest(integers, quantize_reference.integers(x, 8.0))
     q = (2.0 ** rng.integers(0, 12, count)).astype(np.float32)
@@ -93,7 +93,7 @@ def check_rate(device: Device, rng: np.random.Generator, count: int) -> Iterator
     for form in forms:
         forward = partial(rate.forward, device, uploaded, 1.0, form)
         result, d_x = forward(), device.zeros(x.shape)
-        rate.backward(device, result, uploaded, 1.0, d_x)
+        rate.backward(device, [(rate.slopes(device, result, 1.0), uploaded, d_x)])
         bits = np.array([rate_reference.forward(symbols, form)])
         gradient = rate_reference.backward(symbols, form)
         yield "rate", f"bits ({form})", relative_l2(np.array([result.bits]), bits), 1e-6, forward
@@ -110,7 +110,7 @@ def check_adam(device: Device, rng: np.random.Generator, count: int) -> Iterator
     state = np.zeros(count), np.zeros(count)
 
     def step(number: int) -> None:
-        adam.step(device, trained, adam.factors(0.01, number), stop)
+        adam.step(device, [adam.Update(trained, adam.factors(0.01, number))], stop)
 
     for number in range(1, 11):
         step(number)

@@ -22,6 +22,9 @@ METADATA = "option"
 LARGEST_INTEGER = 2**63 - 1
 """The largest whole number of a TOML file."""
 
+FLAGS = {"size_lambda": "lambda"}
+"""Names on the command line that differ from those in a file: Python keeps the word lambda."""
+
 SHOWN = 40
 """Characters of a refused value that its message shows."""
 
@@ -98,9 +101,14 @@ class Option:
     kind: Any = None
 
     @property
-    def may_be_open(self) -> bool:
-        """Whether None is a value: it is chosen later."""
-        return bool(self.kind == float | None)
+    def flag(self) -> str:
+        """The option of ``clgs train``, with its hyphens."""
+        return f"--{FLAGS.get(self.name, self.name).replace('_', '-')}"
+
+    @property
+    def default_text(self) -> str:
+        """The default in words, or as one would type it; empty if it is no value."""
+        return self.open_default or _text(self.default)
 
     @property
     def least(self) -> int:
@@ -146,7 +154,7 @@ class Option:
 
     def _judge(self, value: object) -> tuple[str, Any]:
         """What is wrong with ``value``, or nothing, and the value to keep."""
-        if value is None and self.may_be_open:
+        if value is None and self.kind == float | None:  # it is chosen later
             return "", None
         if isinstance(self.allowed, Range):
             return self._judge_numbers(value, self.allowed)
@@ -229,6 +237,7 @@ def option(
         in_digest: whether a run may be resumed only with the same value; False if the result does
             not depend on it.
     """
+    help += "; moves with steps" if scaled else ""
     declared = Option(default, help, allowed, unit, group, open_default, scaled, in_digest)
     return field(default=default, metadata={METADATA: declared})
 
@@ -255,42 +264,6 @@ def _declared(settings: type, prefix: str) -> Iterator[Option]:
             yield from _declared(kind, f"{name}.")
         else:
             raise TypeError(f"{settings.__name__}.{one.name}: declare it by option(...)")
-
-
-FLAGS = {"size_lambda": "lambda"}
-"""Names on the command line that differ from those in a file: Python keeps the word lambda."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One option in words.
-
-    name: in a TOML file and for ``--set``, dotted in a table; flag: of ``clgs train``; group: its
-    heading; default, unit ("none" for a number without), range, help: texts for people, empty if
-    there is nothing to say.
-    """
-
-    name: str
-    flag: str
-    group: str
-    default: str
-    unit: str
-    range: str
-    help: str
-
-
-def describe(one: Option) -> Row:
-    """The row of an option."""
-    remark = "; moves with steps" if one.scaled else ""
-    return Row(
-        name=one.name,
-        flag=f"--{FLAGS.get(one.name, one.name).replace('_', '-')}",
-        group=one.group,
-        default=one.open_default or _text(one.default),
-        unit=one.unit,
-        range=one.range,
-        help=one.help + remark,
-    )
 
 
 def _text(value: object) -> str:

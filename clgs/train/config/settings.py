@@ -20,7 +20,7 @@ from clgs.data.reduction import EVERY, IGNORE, OBJECT
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
 from clgs.train.config.learning_rates import LearningRates
-from clgs.train.config.option import WEIGHT, Row, at_least, describe, option, options_of
+from clgs.train.config.option import WEIGHT, at_least, option, options_of
 from clgs.train.config.run_settings import FULL_STEPS, LEAST_ANCHORS, PhotoSettings, RunSettings
 from clgs.train.config.size_settings import (
     AMPLE,
@@ -214,8 +214,7 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
     def for_dataset(self, kind: str) -> TrainConfig:
         """Values left open (voxel, position_q, volume_weight, lambda) for a kind of data set.
 
-        Args:
-            kind: "blender" for synthetic scenes; anything else is photos.
+        "blender" is a synthetic scene; any other ``kind`` is photos.
         """
         synthetic = kind == BLENDER
         voxel = self.voxel or (0.001 if synthetic else 0.005)
@@ -277,8 +276,3 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
 def _shortness(steps: int) -> float:
     """How many times shorter a run is than a whole one: 1 to MOST_SHORTENED."""
     return min(max(FULL_STEPS / steps, 1.0), MOST_SHORTENED)
-
-
-def describe_options() -> list[Row]:
-    """Every option of training, in the order of the help."""
-    return [describe(one) for one in options_of(TrainConfig).values()]

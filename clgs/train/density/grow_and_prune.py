@@ -20,9 +20,12 @@ from clgs.opencl.device import Device
 from clgs.ops import density, growth
 from clgs.render.frame import Frame, SceneGradients
 from clgs.train.config import TrainConfig
-from clgs.train.density.ask import nearly, strong_slots, wanted_anchors
+from clgs.train.density.ask import wanted_anchors
 from clgs.train.density.voxel_grid import VoxelWindow, voxels_of
 from clgs.train.state.parameters import ANCHOR_GROUPS, NOTHING_LEFT, HostRows, Parameters
+
+NEARLY = 1.0 - 1e-5
+"""A slightly lower threshold, so that a comparison in float32 misses no slot that asks."""
 
 Positions = npt.NDArray[np.float32]
 """A copy of the positions (A, 3) on the host, NaN for hidden anchors."""
@@ -96,12 +99,7 @@ def mask_prune(
     Offsets of slots that are not drawn are set to 0 in the visible anchors that stay. Anchors and
     statistics are changed in place.
 
-    Args:
-        device: where the arrays live.
-        parameters: A anchors.
-        visible: (V,) int32, distinct rows of the anchors visible in this step's view; -1 is none.
-        output: (at least K, Vp) float32, whose first K rows are opacities; a slot is drawn if its
-            opacity is above 0.
+    ``visible`` and ``output`` as for :func:`clgs.ops.growth.hide_undrawn`.
 
     Raises:
         ClgsError: no anchor is left.
@@ -126,12 +124,12 @@ def grow(
     Sums of slots seen more than ``slot_seen`` times are then zeroed.
     """
     statistics, anchors = parameters.statistics, parameters.scene.anchors
-    slots = growth.asking(device, statistics, config.slot_seen, nearly(config.growth_threshold))
+    slots = growth.asking(device, statistics, config.slot_seen, NEARLY * config.growth_threshold)
     with device.mapped(statistics.gradient_sum, statistics.gradient_count) as sums:
-        strong = strong_slots(slots, sums[0].ravel()[slots], sums[1].ravel()[slots], config)
+        mean = sums[0].ravel()[slots] / sums[1].ravel()[slots]
     growth.restart(device, statistics, config.slot_seen)
     places = partial(growth.places, device, anchors)
-    new = wanted_anchors(position, strong, places, config, rng)
+    new = wanted_anchors(position, slots, mean, places, config, rng)
     if not len(new):
         return parameters, position
     zeros = partial(growth.with_zeros, device, rows=len(new))

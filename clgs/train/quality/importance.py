@@ -74,14 +74,7 @@ def sensitivity(
     the same random signs: the mean of <signs, d image / d x>^2 is the squared length of
     d image / d x. Without ``curved`` it is left out, which is faster.
 
-    Args:
-        device: where ``scene`` lies.
-        scene: A anchors and the weights of the MLPs.
-        settings: of the renders.
-        cameras: which see the scene.
-        options: of the renders.
-        curved: whether the matrix is computed.
-        on_render: called after each camera.
+    ``on_render`` is called after each camera.
     """
     found = density.no_importance(device, len(scene.anchors))
     sizes = {n: array.shape for n, array in scene.anchors.items() if n != "position"}

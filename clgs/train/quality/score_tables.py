@@ -39,13 +39,8 @@ def write_inria(
 
     The first holds {method: {metric: mean}}, the second {method: {metric: {picture: score}}}, with
     the pictures under the names that ``clgs render`` gives them. A metric that was not measured is
-    left out.
-
-    Args:
-        folder: made if it is missing.
-        method: for example "ours_30000".
-        summary: from ``summarize``.
-        scores: from ``evaluate_views``.
+    left out. ``method``: for example "ours_30000"; ``summary`` is from ``summarize``, ``scores``
+    from ``evaluate_views``.
     """
     measured = {theirs: ours for theirs, ours in METRICS.items() if ours in summary}
     names = picture_names([score.name for score in scores])
@@ -81,12 +76,9 @@ def check_survey(path: Path) -> None:
 def append_survey(path: Path, submethod: str, summary: dict[str, Any]) -> None:
     """Add a row to the table ``path``, all of it or nothing; a new table gets its header too.
 
-    Numbers are written in full; LPIPS is empty if it was not measured.
-
-    Args:
-        path: the .csv file.
-        submethod: what the survey appends to a method's name; "Baseline" for nothing.
-        summary: from ``summarize``, with "bytes" and "gaussians".
+    Numbers are written in full; LPIPS is empty if it was not measured. ``submethod``: what the
+    survey appends to a method's name, "Baseline" for nothing; ``summary``: from ``summarize``, with
+    "bytes" and "gaussians".
 
     Raises:
         UsageError: as :func:`check_survey`.

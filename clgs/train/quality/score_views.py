@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from clgs.arguments import check_type
 from clgs.constants import K_OFFSETS
-from clgs.data.stored_photo import Color, Planes
+from clgs.data.stored_photo import Color
 from clgs.data.view import View, with_photos
 from clgs.opencl.device import Device
 from clgs.ops import cull, mlp, neural
@@ -30,7 +30,9 @@ PROTOCOL = (
 )
 LPIPS_PROTOCOL = "; lpips: VGG, version 0.1, pictures in [0, 1] not rescaled to [-1, 1]"
 
-Measure = Callable[[npt.NDArray[np.uint8], npt.NDArray[np.uint8]], float]
+Picture = npt.NDArray[np.uint8]
+
+Measure = Callable[[Picture, Picture], float]
 """A score of a render and a photo, both (H, W, 3) uint8."""
 
 
@@ -50,19 +52,11 @@ class ViewScore:
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
-@dataclass(frozen=True)
-class Pictures:
-    """What was compared: render and photo, (H, W, 3) uint8, black where the photo is masked."""
-
-    render: npt.NDArray[np.uint8]
-    photo: npt.NDArray[np.uint8]
-
-
 def evaluate_views(
     device: Device,
     scene: QuantizedScene | SplatScene,
     views: list[View],
-    on_view: Callable[[ViewScore, Pictures], None] | None = None,
+    on_view: Callable[[str, Picture, Picture], None] = lambda name, render, photo: None,
     options: RenderOptions = DEFAULT,
     lpips: Measure | None = None,
 ) -> list[ViewScore]:
@@ -72,7 +66,8 @@ def evaluate_views(
         device: where to render.
         scene: what to score.
         views: with their photos, of which no more than two are in memory at a time.
-        on_view: called after each view; nothing else keeps its pictures.
+        on_view: called after each view with its name, render and photo, (H, W, 3) uint8, black
+            where the photo is masked.
         options: of the renders.
         lpips: measured too if it is given, such as a :class:`clgs.train.quality.lpips.Lpips`.
 
@@ -90,10 +85,21 @@ def evaluate_views(
     renderer.check_budget((view.name, view.camera) for view in views)
     scores = []
     for view, planes in with_photos(views, scene.settings.background):
-        score, pictures = _score(renderer, view, planes, lpips)
+        start = time.perf_counter()
+        image = renderer.render(view.camera)
+        seconds = time.perf_counter() - start
+        photo, used = np.ascontiguousarray(planes.transpose(1, 2, 0)), view.used()
+        shown = blackened(to_8bit(image), used), blackened(photo, used)
+        score = ViewScore(
+            view.name,
+            psnr_8bit(*shown, used),
+            psnr_channel_mean(image, photo, used),
+            ssim(*shown, used),
+            seconds,
+            lpips(*shown) if lpips else None,
+        )
         scores.append(score)
-        if on_view is not None:
-            on_view(score, pictures)
+        on_view(view.name, *shown)
     return scores
 
 
@@ -116,25 +122,6 @@ def mean_psnr(
         found.append(psnr_8bit(to_8bit(renderer.render(view.camera)), photo, view.used()))
         on_view()
     return float(np.mean(found))
-
-
-def _score(
-    renderer: Renderer, view: View, planes: Planes, lpips: Measure | None
-) -> tuple[ViewScore, Pictures]:
-    start = time.perf_counter()
-    image = renderer.render(view.camera)
-    seconds = time.perf_counter() - start
-    photo, used = np.ascontiguousarray(planes.transpose(1, 2, 0)), view.used()
-    shown = Pictures(blackened(to_8bit(image), used), blackened(photo, used))
-    score = ViewScore(
-        view.name,
-        psnr_8bit(shown.render, shown.photo, used),
-        psnr_channel_mean(image, photo, used),
-        ssim(shown.render, shown.photo, used),
-        seconds,
-        lpips(shown.render, shown.photo) if lpips else None,
-    )
-    return score, shown
 
 
 def summarize(

@@ -159,7 +159,10 @@ class Economy:
             price, state.rate.price, state.rate.scales = offer.price, offer.price, offer.scales
             rows = state.parameters.download(device)
             before = len(rows.anchors)
-            changed, kept = offer.apply(rows, self._most(step))
+            most = MOST if step <= config.prune_end else 0.0
+            if step > config.prune_end and step == self.steps[-1] and config.target_size:
+                most = 1.0  # the size must be met
+            changed, kept = offer.apply(rows, most)
             state.known = found.rows(kept)
         done = Round(step, before, len(rows.anchors), changed, price)
         _log.info("%s, %s, loss %.5f", done, state.rate.scales, mean_loss)
@@ -224,9 +227,3 @@ class Economy:
         loss_per_decibel = judged.loss * math.log(10.0) / 20.0
         bits = ANCHOR_BITS * anchors * math.log(2.0)
         return self._lambda * loss_per_decibel / bits
-
-    def _most(self, step: int) -> float:
-        """The largest share of the anchors that goes after ``step``, from the switch on."""
-        if step <= self._config.prune_end:
-            return MOST
-        return 1.0 if step == self.steps[-1] and self._config.target_size else 0.0

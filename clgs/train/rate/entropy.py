@@ -78,18 +78,13 @@ def entropy_bits(integers: npt.NDArray[np.integer]) -> float:
     bits = 0.0
     channels = math.prod(integers.shape[1:])
     for channel in np.ascontiguousarray(integers.reshape(len(integers), channels).T):
-        counts = _frequencies(channel)
+        if not len(channel):
+            continue
+        first = int(channel.min())
+        if int(channel.max()) - first > MOST_VALUES:
+            counts = np.unique(channel, return_counts=True)[1]
+        else:
+            counts = np.bincount(channel.astype(np.int64) - first)
+            counts = counts[counts > 0]
         bits += float((counts * np.log2(len(channel) / counts)).sum())
     return bits
-
-
-def _frequencies(channel: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
-    """How often each of the values occurs."""
-    if not len(channel):
-        return np.zeros(0, np.int64)
-    first = int(channel.min())
-    if int(channel.max()) - first > MOST_VALUES:
-        counts = np.unique(channel, return_counts=True)[1]
-        return np.asarray(counts, np.int64)
-    table = np.bincount(channel.astype(np.int64) - first)
-    return np.asarray(table[table > 0], np.int64)

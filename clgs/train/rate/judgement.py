@@ -6,7 +6,7 @@ adds e to E adds e / (2 E) of the loss. ``clgs.train.quality.importance`` estima
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -36,39 +36,15 @@ PIXELS = 2.0
 class Judgement:
     """What the loss gains by changes of the anchors.
 
-    loss: the mean over views; importance (A,): what leaving an anchor out adds; curvature: of
-    offset (A, K, 3), feature (A, F) and scaling (A, 6), what a change of one element by d adds,
-    divided by d squared. Float64, at least 0. If anchors that no view showed must stay, their
-    importance is infinite, and their curvature the mean of the others.
+    loss: the mean over views; importance (A,): what leaving an anchor out adds; curvature: makes,
+    by name, that of offset (A, K, 3), feature (A, F) and scaling (A, 6): what a change of one
+    element by d adds, divided by d squared. Float64, at least 0. If anchors that no view showed
+    must stay, their importance is infinite, and their curvature the mean of the others.
     """
 
     loss: float
     importance: Floats
-    curvature: Mapping[str, Floats]
-
-
-@dataclass(frozen=True)
-class _Curvature(Mapping[str, Floats]):
-    """The curvature of each attribute, made when it is asked for: 700 bytes per anchor in all.
-
-    seen (A,): the anchors that keep theirs, None for all; the others get the mean of these.
-    """
-
-    found: Mapping[str, npt.NDArray[np.float32]]
-    worth: float
-    seen: npt.NDArray[np.bool_] | None
-
-    def __getitem__(self, name: str) -> Floats:
-        array = self.found[name].astype(np.float64) * self.worth
-        if self.seen is not None:
-            array[~self.seen] = array[self.seen].mean(axis=0)
-        return array
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.found)
-
-    def __len__(self) -> int:
-        return len(self.found)
+    curvature: Callable[[str], Floats]
 
 
 def look(
@@ -125,5 +101,11 @@ def judge(
     unseen = unseen_stay and bool(found.seen.any())
     if unseen:
         importance[~found.seen] = np.inf
-    curvature = _Curvature(found.curvature, worth, found.seen if unseen else None)
+
+    def curvature(name: str) -> Floats:
+        array = found.curvature[name].astype(np.float64) * worth
+        if unseen:
+            array[~found.seen] = array[found.seen].mean(axis=0)
+        return array
+
     return Judgement(mean_loss, importance, curvature)

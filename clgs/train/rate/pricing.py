@@ -19,7 +19,7 @@ from clgs.scene.anchors import (
 from clgs.train.density.voxel_grid import position_integers
 from clgs.train.rate.cheaper_integers import best_scale, cheaper_integers
 from clgs.train.rate.judgement import Judgement
-from clgs.train.state.parameters import HostRows
+from clgs.train.state.parameters import ANCHOR_GROUPS, HostRows
 
 MOST = 0.2
 """The largest share of the anchors that goes in one round."""
@@ -109,8 +109,8 @@ class PricedAnchors:
 def priced(price: float, now: Situation) -> PricedAnchors:
     """What ``price``, in units of the loss, leaves; ``now`` is not changed."""
     integers, scales, anchors = {}, now.scales, now.anchors
-    for name, curvature in now.judged.curvature.items():
-        values = getattr(anchors, name)
+    for name in ANCHOR_GROUPS:
+        values, curvature = getattr(anchors, name), now.judged.curvature(name)
         if name in now.free:
             scales = replace(scales, **{name: best_scale(values, curvature, COARSE * price)})
         cheap = cheaper_integers(values, curvature, getattr(scales, name), price)

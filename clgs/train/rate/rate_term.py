@@ -6,11 +6,13 @@ and kept in between. The gradient of an integer follows from its own value and t
 
 from __future__ import annotations
 
+from clgs.codec.fit_size import POSITION_BITS
 from clgs.opencl.device import Device
 from clgs.ops import rate
 from clgs.render.frame import SceneGradients
 from clgs.scene.anchors import QuantizationScales, rounded
 from clgs.train.config import TrainConfig
+from clgs.train.config.size_settings import MLP_BYTES
 from clgs.train.rate.entropy import coded_bits
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 from clgs.train.state.run_state import RateState, RateTables
@@ -50,21 +52,17 @@ class RateTerm:
             if due:
                 weight += config.rate_weight
             if weight:
+                if self._slopes is None or self._slopes[:2] != (tables, weight):
+                    made = {
+                        n: rate.slopes(self._device, r, weight) for n, r in tables.rates.items()
+                    }
+                    self._slopes = tables, weight, made
                 arrays = [
                     (one, getattr(parameters.scene.anchors, name), getattr(gradients, f"d_{name}"))
-                    for name, one in self._slopes_of(tables, weight).items()
+                    for name, one in self._slopes[2].items()
                 ]
-                rate.backward_all(self._device, arrays)
+                rate.backward(self._device, arrays)
         return tables.bits if due else None
-
-    def _slopes_of(self, tables: RateTables, weight: float) -> dict[str, rate.Slopes]:
-        """The slopes of every attribute, made when the tables or their weight change."""
-        if self._slopes is None or self._slopes[:2] != (tables, weight):
-            made = {
-                name: rate.slopes(self._device, one, weight) for name, one in tables.rates.items()
-            }
-            self._slopes = tables, weight, made
-        return self._slopes[2]
 
     def measure(self, scales: QuantizationScales, parameters: Parameters, step: int) -> RateTables:
         """Make the tables of the anchors as they are."""
@@ -77,10 +75,13 @@ class RateTerm:
         return RateTables(step, rates, parameters.count)
 
 
-def estimated_bits(device: Device, parameters: Parameters, scales: QuantizationScales) -> float:
-    """Bits per anchor of the rounded attributes, about as many as the file will have."""
+def estimated_bytes(
+    device: Device, config: TrainConfig, parameters: Parameters, scales: QuantizationScales
+) -> int:
+    """About the bytes that the file of the rounded parameters has."""
     anchors = parameters.download_anchors(device)
     integers = {
         name: rounded(getattr(anchors, name), getattr(scales, name)) for name in ANCHOR_GROUPS
     }
-    return sum(coded_bits(integers).values()) / parameters.count
+    bits = sum(coded_bits(integers).values()) / parameters.count + POSITION_BITS
+    return int(parameters.count * bits / 8) + MLP_BYTES[config.mlp]

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset, to_scene_points
-from clgs.data.points import RandomStart, random_points, viewpoint
+from clgs.data.points import random_points, viewpoint
 from clgs.errors import DataError
 from clgs.poses.triangulate import triangulate
 from clgs.train.config import TrainConfig
@@ -27,11 +27,8 @@ def load_for(
 ) -> Dataset:
     """The data set in the folder ``data`` for a run with these settings, with points.
 
-    Args:
-        config: of the run, need not be resolved for the data set.
-        data: as of :func:`clgs.load_dataset`.
-        cache: the run folder, which keeps triangulated points.
-        on_stage: called with a line before work that takes minutes.
+    ``config`` need not be resolved for the data set; ``cache`` and ``on_stage`` as for
+    :func:`with_points`.
 
     Raises:
         DataError: as of :func:`clgs.load_dataset` and :func:`with_points`.
@@ -48,19 +45,13 @@ def load_for(
         masks=config.masks,
         test_every=config.test_every,
     )
-    return with_points(dataset, random_start(config), cache, config.seed, on_stage)
-
-
-def random_start(config: TrainConfig) -> RandomStart:
-    """The random points that a run with these settings starts from if it has no others."""
-    return RandomStart(config.start_points, config.start_volume == "hull")
+    return with_points(dataset, config, cache, on_stage)
 
 
 def with_points(
     dataset: Dataset,
-    start: RandomStart | None = None,
+    config: TrainConfig | None = None,
     cache: Path | None = None,
-    seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Dataset:
     """The data set with points to start training from, which it may have already.
@@ -70,25 +61,25 @@ def with_points(
 
     Args:
         dataset: its folder still holds the photos.
-        start: the random points to draw; by default as ``RandomStart()``.
+        config: of the run, for the seed and the random points; default: ``TrainConfig()``.
         cache: folder that keeps triangulated points; never the data folder.
-        seed: of triangulated and random points.
         on_stage: called with a line before work that takes minutes.
 
     Raises:
         DataError: no two photos look at the same place.
     """
+    config = config or TrainConfig()
     if len(dataset.points) >= LEAST_POINTS or not dataset.train:
         return dataset
     if dataset.kind == "transforms":
-        dataset = _triangulated(dataset, cache, seed, on_stage)
+        dataset = _triangulated(dataset, cache, config.seed, on_stage)
         if len(dataset.points) >= LEAST_POINTS:
             return dataset
     elif dataset.kind == "colmap":
         _log.warning(_TOO_FEW, dataset.folder, len(dataset.points))
     viewpoints = [viewpoint(view.camera, view.photo.pixels().alpha) for view in dataset.train]
-    blender = dataset.kind == "blender"
-    points = random_points(viewpoints, dataset.radius, blender, seed, start or RandomStart())
+    start = config.seed, config.start_points, config.start_volume == "hull"
+    points = random_points(viewpoints, dataset.radius, dataset.kind == "blender", *start)
     if len(points) < LEAST_POINTS:
         raise DataError(
             f"{dataset.folder}: no two photos look at the same place; check the poses and their "

@@ -87,10 +87,7 @@ class RunResult:
 def finished_run(folder: Path, dataset: Dataset, config: TrainConfig) -> RunResult | None:
     """What the run in ``folder`` gave; None if there is none, or it is not finished.
 
-    Args:
-        folder: run folder, may be missing.
-        dataset: what the run must have been trained on.
-        config: the settings that it must have had, resolved for ``dataset``.
+    It must have been trained on ``dataset`` with the settings ``config``, resolved for that.
 
     Raises:
         DataError: its files are damaged.

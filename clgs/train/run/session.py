@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from clgs.arguments import as_path, check_type
-from clgs.codec.fit_size import POSITION_BITS
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
 from clgs.data.origin import repose, write_origin
@@ -24,17 +23,11 @@ from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
 from clgs.signals import interruptions
 from clgs.train.config import TrainConfig
-from clgs.train.config.size_settings import MLP_BYTES
 from clgs.train.quality.rate_control import MAX_CAMERAS, SceneJudge, reduce_to_size, spread
-from clgs.train.quality.score_views import (
-    Pictures,
-    ViewScore,
-    evaluate_views,
-    mean_psnr,
-    summarize,
-)
+from clgs.train.quality.score_views import evaluate_views, mean_psnr, summarize
+from clgs.train.rate.rate_term import estimated_bytes
 from clgs.train.run.full_disk import Keeper
-from clgs.train.run.load import random_start, with_points
+from clgs.train.run.load import with_points
 from clgs.train.run.progress_log import ProgressLog
 from clgs.train.run.run_folder import (
     RESULTS,
@@ -151,18 +144,13 @@ class Session:
         trainer, done = self.trainer, self.trainer.steps_done
         if done == self.config.switch_step:
             self._log_psnr("before quantisation")
-        pause = self._next_pause(done)
+        config = self.config
+        switch, intervals = config.switch_step, (config.log_interval, self.keeper.interval)
+        moments = [switch, switch + 1, switch + 500, config.steps]
+        moments += [(done // interval + 1) * interval for interval in intervals if interval]
+        pause = min(moment for moment in moments if moment > done)
         for result in trainer.steps(pause - done, stop):
             yield self._look(result) if result.step == pause else Progress(result)
-
-    def _next_pause(self, done: int) -> int:
-        """The first step after ``done`` at which something is logged or saved."""
-        config = self.config
-        switch = config.switch_step
-        intervals = [config.log_interval, self.keeper.interval or config.steps]
-        moments = [switch, switch + 1, switch + 500, config.steps]
-        moments += [(done // interval + 1) * interval for interval in intervals]
-        return min(moment for moment in moments if moment > done)
 
     def _look(self, result: StepResult) -> Progress:
         """Log and save what is due after a step; no later step is under way."""
@@ -172,17 +160,17 @@ class Session:
         if result.step in marks and result.step > config.switch_step:
             progress.psnr = self._log_psnr(f"{marks[result.step]} the switch")
         if result.step % config.log_interval == 0 or result.step == config.steps:
-            progress.psnr = self.fixed_view_psnr()
-            bits = self.trainer.estimated_bits() + POSITION_BITS
-            anchors = int(self.trainer.parameters.count * bits / 8)
-            progress.estimated_bytes = anchors + MLP_BYTES[config.mlp]
+            progress.psnr, state = self.trainer.psnr(self.fixed_views()), self.trainer.state
+            progress.estimated_bytes = estimated_bytes(
+                self.device, config, state.parameters, state.rate.scales
+            )
             self.log.write(result, progress.psnr, progress.estimated_bytes)
         if self.keeper.interval and result.step % self.keeper.interval == 0:
             self.keeper.try_save()
         return progress
 
     def _log_psnr(self, moment: str) -> float:
-        psnr = self.fixed_view_psnr()
+        psnr = self.trainer.psnr(self.fixed_views())
         self.log.event(self.trainer.steps_done, f"psnr {moment}", psnr)
         return psnr
 
@@ -191,10 +179,6 @@ class Session:
         views = self.dataset.train
         count = min(self.config.fixed_views, len(views))
         return [views[int(i)] for i in np.linspace(0, len(views) - 1, count).round()]
-
-    def fixed_view_psnr(self) -> float:
-        """PSNR on the fixed training views, of the rounded scene while quantising."""
-        return self.trainer.psnr(self.fixed_views())
 
     def _finish(self) -> RunResult:
         """Write the scene and everything that is known of it."""
@@ -212,10 +196,7 @@ class Session:
         atomic_write(self.folder / "scene.clgs", bitstream)
         pictures = PictureFolder(self.folder, config.steps, [view.name for view in views])
 
-        def keep(score: ViewScore, seen: Pictures) -> None:
-            pictures.add(score.name, seen.render, seen.photo)
-
-        scores = evaluate_views(device, scene, views, keep, options)
+        scores = evaluate_views(device, scene, views, pictures.add, options)
         summary = summarize(scene, scores, len(bitstream))
         if dataset.test:  # some training views, to compare with the held-out ones
             train = dataset.train
@@ -299,7 +280,7 @@ def train_scene(
         raise UsageError("folder: the name is empty; name the run folder")
     check_run_folder(Path(folder), resume, overwrite)
     resolved = (config or TrainConfig()).for_dataset(dataset.kind)
-    dataset = with_points(dataset, random_start(resolved), Path(folder), resolved.seed)
+    dataset = with_points(dataset, resolved, Path(folder))
     origin = None if start is None else Path(start)
     if origin is not None:
         dataset = repose(dataset, finished_settings(origin)[0].scene.transform)

@@ -38,12 +38,7 @@ SHIPPED = "trained_mlps.npy"
 
 
 def first_state(device: Device, dataset: Dataset, config: TrainConfig) -> RunState:
-    """The state of a run before its first step.
-
-    Args:
-        device: where to train.
-        dataset: views and points in scene units.
-        config: resolved for the dataset.
+    """The state of a run before its first step; ``config`` is resolved for ``dataset``.
 
     Raises:
         DataError: the points, or the file of ``config.start_mlps``, cannot be used.
@@ -64,14 +59,8 @@ def state_of_scene(
 ) -> RunState:
     """The state of a run that goes on with a trained scene after step number ``step``.
 
-    The moments and statistics are zero, and bits have no price.
-
-    Args:
-        device: where to train.
-        dataset: views in the scene's units.
-        config: resolved for the dataset.
-        scene: anchors and MLPs, as floats.
-        step: the number of the last step done.
+    The moments and statistics are zero, and bits have no price. ``dataset``: views in the scene's
+    units; ``config`` is resolved for it.
     """
     rng = np.random.default_rng(config.seed)
     state = new_state(device, config, len(dataset.train), scene.anchors, scene.mlps, rng)
@@ -128,7 +117,11 @@ def start_mlps(name: str, rng: np.random.Generator) -> Mlps:
         DataError: the file cannot be read, or is no scene.
     """
     if name == TRAINED:
-        return trained_mlps()
+        with resources.files(__package__).joinpath(SHIPPED).open("rb") as file:
+            flat = np.load(file, allow_pickle=False)
+        if flat.shape != (MLP_SIZE,) or flat.dtype != np.float32:
+            raise DataError(f"{SHIPPED}: not {MLP_SIZE} float32 weights; install clgs again")
+        return Mlps(flat)
     if name == RANDOM:
         return init_mlps(rng)
     path = Path(name)
@@ -142,12 +135,3 @@ def start_mlps(name: str, rng: np.random.Generator) -> Mlps:
         return decode(path.read_bytes()).mlps
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}; start_mlps names a scene's file") from error
-
-
-def trained_mlps() -> Mlps:
-    """The MLPs that ship with clgs."""
-    with resources.files(__package__).joinpath(SHIPPED).open("rb") as file:
-        flat = np.load(file, allow_pickle=False)
-    if flat.shape != (MLP_SIZE,) or flat.dtype != np.float32:
-        raise DataError(f"{SHIPPED}: not {MLP_SIZE} float32 weights; install clgs again")
-    return Mlps(flat)

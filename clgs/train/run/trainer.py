@@ -31,7 +31,6 @@ from clgs.train.density.grow_and_prune import (
 )
 from clgs.train.quality.score_views import mean_psnr
 from clgs.train.rate.economy import Economy, Round
-from clgs.train.rate.rate_term import estimated_bits
 from clgs.train.run.start import first_state
 from clgs.train.state.hashes import run_digest
 from clgs.train.state.parameters import Parameters
@@ -203,7 +202,10 @@ class Trainer:
         while not self._under_way[0].done:
             if not self._under_way[0].lacked_room():
                 self._give_up()
-            self._repeat()
+            failed = self._under_way  # again, in order, with more room for the first of them
+            self.queue.room = failed[0].room.grown(failed[0].needed())
+            self.queue.clear()
+            self._under_way = [self.queue.enqueue(one.given, self.state) for one in failed]
         settled = self._under_way.pop(0)
         self._warn_if_undrawn(settled)
         state = self.state
@@ -239,13 +241,6 @@ class Trainer:
             )
             self._undrawn = None
 
-    def _repeat(self) -> None:
-        """Do the steps under way again, in order, with more room for the first of them."""
-        failed = self._under_way
-        self.queue.room = failed[0].room.grown(failed[0].needed())
-        self.queue.clear()
-        self._under_way = [self.queue.enqueue(one.given, self.state) for one in failed]
-
     def _give_up(self) -> NoReturn:
         """Drop the steps under way, which changed nothing, and say why."""
         failed = self._under_way[0]
@@ -273,10 +268,6 @@ class Trainer:
             rows = state.parameters.download(self.device)
             state.merged = merge_cells(rows, config.position_q)
             state.parameters = state.parameters.with_rows(self.device, rows)
-
-    def estimated_bits(self) -> float:
-        """Bits per anchor of the rounded attributes, about as many as the file will have."""
-        return estimated_bits(self.device, self.state.parameters, self.state.rate.scales)
 
     def render_next(self) -> Frame:
         """What the next step would compare if it saw the first view on black."""

@@ -16,7 +16,7 @@ from clgs.ops.rate import Rate
 from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.train.config import TrainConfig
-from clgs.train.config.option import describe, options_of
+from clgs.train.config.option import options_of
 from clgs.train.quality.importance import Sensitivity
 from clgs.train.state import checkpoint
 from clgs.train.state.checkpoint import Arrays
@@ -53,17 +53,23 @@ def save_state(folder: Path, device: Device, state: RunState, digest: str) -> No
         "sampler": state.views.record(),
     }
     host: Arrays = {name: device.download(array) for name, array in arrays.items()}
-    checkpoint.save(folder, host | _rate_arrays(state.rate) | _known(state.known), scalars, digest)
+    rate, known = state.rate, state.known
+    host["rate.scales"], host["rate.price"] = np.array(astuple(rate.scales)), np.array(rate.price)
+    if rate.tables:
+        newest = rate.tables[-1]
+        host |= {f"rate.{name}": one.table for name, one in newest.rates.items()}
+        bits = (one.bits for one in newest.rates.values())
+        host["rate.kept"] = np.array([newest.step, newest.anchors, *bits], np.float64)
+    if known is not None:
+        host |= {"known.importance": known.importance, "known.seen": known.seen}
+        host |= {f"known.{name}": array for name, array in known.curvature.items()}
+    checkpoint.save(folder, host, scalars, digest)
 
 
 def load_state(folder: Path, device: Device, digest: str, changed: str = "") -> RunState:
-    """The state in the newest usable checkpoint.
+    """The state in the newest usable checkpoint, on ``device``.
 
-    Args:
-        folder: of the checkpoints.
-        device: where the arrays of the state will lie.
-        digest: of the run, see :func:`clgs.train.state.hashes.run_digest`.
-        changed: what a message adds if the checkpoint is of another run.
+    ``digest`` and ``changed`` as for :func:`clgs.train.state.checkpoint.load`.
 
     Raises:
         DataError: all checkpoints are damaged, or belong to a run with other settings or photos.
@@ -81,6 +87,15 @@ def load_state(folder: Path, device: Device, digest: str, changed: str = "") -> 
         exposures = ExposureMaps(arrays["exposure"], moments.pop("exposure"))
     scene = DeviceScene(Anchors(*(arrays[name] for name in FIELDS)), arrays["weights"])
     statistics = Statistics(*(arrays[f"statistics.{one.name}"] for one in fields(Statistics)))
+    scales = QuantizationScales(*map(float, host["rate.scales"]))
+    rate = RateState(scales, float(host["rate.price"]))
+    if "rate.kept" in host:
+        step, anchors, *bits = host["rate.kept"]
+        rates = {
+            name: Rate(float(each), getattr(scales, name), host[f"rate.{name}"])
+            for name, each in zip(ANCHOR_GROUPS, bits, strict=True)
+        }
+        rate.tables = [RateTables(int(step), rates, int(anchors))]
     known = None
     if "known.seen" in host:
         curvature = {name: host[f"known.{name}"] for name in ANCHOR_GROUPS}
@@ -89,7 +104,7 @@ def load_state(folder: Path, device: Device, digest: str, changed: str = "") -> 
     rng.bit_generator.state = scalars["rng"]
     return RunState(
         parameters=Parameters(scene, moments, statistics),
-        rate=_rate_state(host),
+        rate=rate,
         exposures=exposures,
         rng=rng,
         views=ViewOrder.restore(scalars["sampler"]),
@@ -97,42 +112,6 @@ def load_state(folder: Path, device: Device, digest: str, changed: str = "") -> 
         merged=int(scalars["merged"]),
         step=int(scalars["step"]),
     )
-
-
-def _rate_arrays(rate: RateState) -> Arrays:
-    """Scales, price and the newest tables by name, all float64."""
-    found: Arrays = {
-        "rate.scales": np.array(astuple(rate.scales)),
-        "rate.price": np.array(rate.price),
-    }
-    if rate.tables:
-        newest = rate.tables[-1]
-        found |= {f"rate.{name}": one.table for name, one in newest.rates.items()}
-        bits = (one.bits for one in newest.rates.values())
-        found["rate.kept"] = np.array([newest.step, newest.anchors, *bits], np.float64)
-    return found
-
-
-def _rate_state(arrays: Arrays) -> RateState:
-    """What :func:`_rate_arrays` was given; other arrays are ignored."""
-    scales = QuantizationScales(*map(float, arrays["rate.scales"]))
-    rate = RateState(scales, float(arrays["rate.price"]))
-    if "rate.kept" in arrays:
-        step, anchors, *bits = arrays["rate.kept"]
-        rates = {
-            name: Rate(float(each), getattr(scales, name), arrays[f"rate.{name}"])
-            for name, each in zip(ANCHOR_GROUPS, bits, strict=True)
-        }
-        rate.tables = [RateTables(int(step), rates, int(anchors))]
-    return rate
-
-
-def _known(known: Sensitivity | None) -> Arrays:
-    """What rounds have found out about the anchors, by name; nothing before they have."""
-    if known is None:
-        return {}
-    arrays = {"importance": known.importance, "seen": known.seen, **known.curvature}
-    return {f"known.{name}": array for name, array in arrays.items()}
 
 
 def changed_settings(folder: Path, config: TrainConfig) -> str:
@@ -151,7 +130,7 @@ def changed_settings(folder: Path, config: TrainConfig) -> str:
     if "steps" in names:
         names = ["steps"]  # most others follow from it
     shown = [
-        f"{describe(options[name]).flag}: {there.get(name)} there, {here.get(name)} here"
+        f"{options[name].flag}: {there.get(name)} there, {here.get(name)} here"
         for name in names[:SHOWN]
     ]
     return f" ({'; '.join(shown)})" if shown else ""

@@ -59,7 +59,7 @@ def rounded_anchors(
 ) -> DeviceAnchors:
     """Anchors rounded to multiples of 1/Q; positions lie on their grid already."""
     arrays = [(getattr(anchors, name), getattr(scales, name)) for name in ANCHOR_GROUPS]
-    return DeviceAnchors(anchors.position, *quantize.forward_all(device, arrays))
+    return DeviceAnchors(anchors.position, *quantize.forward(device, arrays))
 
 
 def weight_scales() -> npt.NDArray[np.float32]:

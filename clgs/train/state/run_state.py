@@ -133,16 +133,7 @@ def new_state(
     mlps: Mlps,
     rng: np.random.Generator,
 ) -> RunState:
-    """The state before the first step, from ``anchors`` and ``mlps``.
-
-    Args:
-        device: where the arrays of the state lie.
-        config: resolved for the data set.
-        photos: the number of training views.
-        anchors: in scene units.
-        mlps: the networks to start from.
-        rng: what growing and random backgrounds draw from.
-    """
+    """The state before the first step, for ``photos`` training views, on ``device``."""
     q = {name: getattr(config, name) or paper for name, paper in PAPER_Q.items()}
     scales = QuantizationScales(config.position_q, q["offset_q"], q["feature_q"], q["scaling_q"])
     return RunState(

@@ -55,5 +55,5 @@ class ExposureTerm:
         rate = learning_rates(self._config, step, 1.0)["exposure"]
         trained = adam.Trained(maps, self._gradient, exposures.moments)
         part = slice(exposure.MAP_SIZE * photo, exposure.MAP_SIZE * (photo + 1))
-        self._adam.step(self._device, trained, adam.factors(rate, count), stop, part)
+        self._adam.step(self._device, [adam.Update(trained, adam.factors(rate, count), part)], stop)
         exposure.centre(self._device, maps, stop)

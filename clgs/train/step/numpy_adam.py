@@ -1,6 +1,6 @@
 """Adam in float32 NumPy on the host: the same numbers as the fused kernel of ``clgs.ops.adam``.
 
-:func:`step`, :func:`step_all` and :func:`step_rows` take what those of ``clgs.ops.adam`` take, and
+:func:`step` and :func:`step_rows` take what those of ``clgs.ops.adam`` take, and
 leave the same bits if the device rounds division and roots correctly. They wait for the device.
 """
 
@@ -36,36 +36,20 @@ class HostTensors(NamedTuple):
     second: Array
 
 
-def step(
-    device: Device,
-    trained: Trained,
-    factors_now: StepFactors,
-    stop: DeviceArray,
-    part: slice | None = None,
-) -> None:
-    """Do what :func:`clgs.ops.adam.step` does: update the parameter and its moments in place.
+def step(device: Device, updates: Sequence[Update], stop: DeviceArray) -> None:
+    """Do what :func:`clgs.ops.adam.step` does.
 
     Raises:
         ValueError: sizes or dtypes differ.
     """
     if device.download(stop)[0]:
         return
-    chosen = part or slice(None)
-    trained.check()
-    state = _download(device, trained)
-    views = HostTensors._make(array.reshape(-1)[chosen] for array in state)
-    update(views, device.download(trained.gradient).reshape(-1)[chosen], factors_now)
-    _write(device, trained, state)
-
-
-def step_all(device: Device, updates: Sequence[Update], stop: DeviceArray) -> None:
-    """Do what :func:`clgs.ops.adam.step_all` does, one :func:`step` after the other.
-
-    Raises:
-        ValueError: sizes or dtypes differ.
-    """
     for one in updates:
-        step(device, one.trained, one.now, stop, one.part)
+        one.trained.check()
+        state, chosen = _download(device, one.trained), one.part or slice(None)
+        views = HostTensors._make(array.reshape(-1)[chosen] for array in state)
+        update(views, device.download(one.trained.gradient).reshape(-1)[chosen], one.now)
+        _write(device, one.trained, state)
 
 
 def step_rows(

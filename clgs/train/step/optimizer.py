@@ -31,16 +31,11 @@ class Optimizer:
         step: int,
         stop: DeviceArray,
     ) -> None:
-        """Do Adam's step number ``step`` (from 1).
+        """Do Adam's step number ``step`` (from 1) on ``parameters``, in place.
 
-        Args:
-            parameters: changed in place, unless ``stop`` holds another number than 0.
-            gradients: of the loss by them.
-            loss: float32 of any shape, finite if the loss is.
-            anchors_learn: False for steps that replace the anchors, and if these rest: only the
-                MLPs learn then.
-            step: its number.
-            stop: (1,) int32, set if a gradient or the loss is not finite.
+        ``stop`` (1,) int32 is set if a gradient or ``loss``, float32 of any shape, is not finite;
+        unless it holds 0 nothing changes. Without ``anchors_learn`` only the MLPs learn: in steps
+        that replace the anchors, and if these rest.
         """
         device = self._device
         rates = learning_rates(self._config, step, self._radius)
@@ -62,4 +57,4 @@ class Optimizer:
                     self._adam.step_rows(device, trained, now, stop, marks[name])
                 else:
                     updates.append(adam.Update(trained, now, part))
-        self._adam.step_all(device, updates, stop)
+        self._adam.step(device, updates, stop)

@@ -62,33 +62,29 @@ class TrainingPhotos:
     def get(self, index: int, background: Color, factor: int = 1) -> TrainingPhoto:
         """View ``index`` reduced ``factor`` times, composited on ``background``.
 
+        Cameras stay on the device from their first use on.
+
         Raises:
             DataError: the photo can no longer be read.
         """
-        seen = self._view(index, background, factor)
-        planes = self._planes(index, background, factor)
-        used = self._views[index].used(factor)
-        if used is None:
-            return TrainingPhoto(seen, self._device.upload_constant(planes), None)
-        photo, mask = map(self._device.upload_constant, (planes * used, used))
-        return TrainingPhoto(seen, photo, mask)
-
-    def _view(self, index: int, background: Color, factor: int) -> DeviceView:
-        """The camera with its background; cameras stay on the device from their first use on."""
-        camera = self._views[index].camera.reduced(factor)
+        camera, photo = self._views[index].camera.reduced(factor), self._views[index].photo
         if (index, factor) not in self._cameras:
             self._cameras[index, factor] = self._device.upload(camera.pack(self._near))
         if self._background is None or self._background[0] != background:
             self._background = background, self._device.upload(np.array(background, np.float32))
         packed, size = self._cameras[index, factor], (camera.width, camera.height)
-        return DeviceView(packed, size, self._background[1])
-
-    def _planes(self, index: int, background: Color, factor: int) -> Planes:
+        seen = DeviceView(packed, size, self._background[1])
         if self._fixed not in (None, background):
-            return self._views[index].photo.planes(background, factor)
-        coming = self._coming.pop((index, factor), None)
-        found = self._read(index, factor) if coming is None else coming.result()
-        return composite(found, background) if isinstance(found, Pixels) else found
+            planes = photo.planes(background, factor)
+        else:
+            coming = self._coming.pop((index, factor), None)
+            found = self._read(index, factor) if coming is None else coming.result()
+            planes = composite(found, background) if isinstance(found, Pixels) else found
+        used = self._views[index].used(factor)
+        if used is None:
+            return TrainingPhoto(seen, self._device.upload_constant(planes), None)
+        masked, mask = map(self._device.upload_constant, (planes * used, used))
+        return TrainingPhoto(seen, masked, mask)
 
     def _read(self, index: int, factor: int) -> Pixels | Planes:
         """A photo as far as it can be made without knowing a random background."""

@@ -19,13 +19,8 @@ def learning_rates(config: TrainConfig, step: int, scene_radius: float) -> dict[
     """Learning rate of every group of :class:`clgs.train.config.LearningRates` at a step.
 
     Log-linear from first to last over ``config.learning_rate_steps``, constant afterwards
-    (Scaffold-GS).
-
-    Args:
-        config: gives the ends and the horizon.
-        step: from 1.
-        scene_radius: 1.1 times the largest camera distance from the mean camera centre, scene
-            units; multiplies the groups of TIMES_RADIUS.
+    (Scaffold-GS). ``step``: from 1; ``scene_radius``: 1.1 times the largest camera distance from
+    the mean camera centre, scene units, which multiplies the groups of TIMES_RADIUS.
     """
     progress = min(max(step / config.learning_rate_steps, 0.0), 1.0)
     rates = {}

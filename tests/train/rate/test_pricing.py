@@ -42,7 +42,7 @@ def now(state: HostRows, rng: np.random.Generator) -> Situation:
         name: 10.0 ** rng.uniform(-9, -5, (COUNT, *shape)) for name, shape in shapes.items()
     }
     importance = 10.0 ** rng.uniform(-9, -3, COUNT)
-    return Situation(state.anchors, Judgement(0.1, importance, curvature), SCALES)
+    return Situation(state.anchors, Judgement(0.1, importance, curvature.__getitem__), SCALES)
 
 
 def measure(anchors: QuantizedAnchors, scales: QuantizationScales) -> int:

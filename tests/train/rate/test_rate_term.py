@@ -11,8 +11,9 @@ from clgs.render.frame import SceneGradients
 from clgs.scene.anchors import AnchorSet, QuantizationScales, quantize
 from clgs.scene.mlps import init_mlps
 from clgs.train.config import TrainConfig
+from clgs.train.config.size_settings import MLP_BYTES
 from clgs.train.rate.entropy import coded_bits
-from clgs.train.rate.rate_term import PUSH, RateTerm, estimated_bits
+from clgs.train.rate.rate_term import PUSH, RateTerm, estimated_bytes
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters, new_parameters
 from clgs.train.state.run_state import RateState
 
@@ -113,5 +114,6 @@ def test_a_step_done_again_gets_the_table_of_before(device: Device, parameters: 
 def test_size_that_is_shown_is_that_of_the_integers(device: Device, parameters: Parameters) -> None:
     anchors = quantize(parameters.scene.anchors.map(device.download), SCALES)
     integers = {name: getattr(anchors, name) for name in ANCHOR_GROUPS}
-    wanted = sum(coded_bits(integers).values()) / COUNT
-    assert estimated_bits(device, parameters, SCALES) == pytest.approx(wanted)
+    wanted = MLP_BYTES["float32"] + (sum(coded_bits(integers).values()) + COUNT * 12.0) / 8
+    found = estimated_bytes(device, TrainConfig(mlp="float32"), parameters, SCALES)
+    assert found == pytest.approx(wanted, abs=1)

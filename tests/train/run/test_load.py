@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from clgs.data.dataset import load_dataset
-from clgs.data.points import RandomStart
 from clgs.errors import DataError
 from clgs.train.config import TrainConfig
 from clgs.train.run import load
@@ -47,8 +46,8 @@ def test_points_are_triangulated_once(tmp_path: Path):
 def test_a_start_has_the_number_of_points_that_is_asked_for(tmp_path: Path):
     write_blender(tmp_path)
     data = load_dataset(tmp_path)
-    assert len(with_points(data, RandomStart(count=500)).points) == 500
-    cube = with_points(data, RandomStart(count=5000, carved=False)).points
+    assert len(with_points(data, TrainConfig(start_points=500)).points) == 500
+    cube = with_points(data, TrainConfig(start_points=5000, start_volume="cube")).points
     assert len(cube) == 5000
     assert np.abs(cube).max() <= 1.3
     assert (np.abs(cube) > 1.2).any()  # where photos show background, too
@@ -69,7 +68,7 @@ def test_blender_points_are_carved_and_seeded(tmp_path: Path):
     assert np.hypot(*data.points[:, :2].T).max() <= 0.8
     assert distance.max() <= 1.3
     assert np.array_equal(with_points(read).points, data.points)
-    assert not np.array_equal(with_points(read, seed=1).points, data.points)
+    assert not np.array_equal(with_points(read, TrainConfig(seed=1)).points, data.points)
 
 
 def test_photos_that_do_not_match_start_from_random_points(tmp_path: Path):

@@ -40,8 +40,8 @@ def test_steps_that_lack_room_are_repeated(dataset, open_device, specialisation)
         count, dataset = 30, replace(dataset, points=dataset.points[::8])
     waiting, ahead = (trainer(device, dataset, mode) for mode in (False, True))
     wanted = list(waiting.steps(count))
-    repeats, repeat = [], ahead._repeat
-    ahead._repeat = lambda: (repeats.append(ahead.steps_done), repeat())
+    repeats, clear = [], ahead.queue.clear
+    ahead.queue.clear = lambda: (repeats.append(ahead.steps_done), clear())  # before a repeat
     results = []
     for result in ahead.steps(count):
         results.append(result)

@@ -76,11 +76,11 @@ def test_a_set_stop_flag_changes_nothing(cpu):
     moments, ones = adam.zero_moments(cpu, parameter), cpu.upload(np.ones((4, 3), np.float32))
     now = adam.factors(0.1, 1)
     trained = adam.Trained(parameter, ones, moments)
-    numpy_adam.step(cpu, trained, now, stop)
+    numpy_adam.step(cpu, [adam.Update(trained, now)], stop)
     numpy_adam.step_rows(cpu, trained, now, stop, cpu.upload(np.ones(4, np.int32)))
     assert not cpu.download(parameter).any()
     cpu.fill_zero(stop)
-    numpy_adam.step(cpu, trained, now, stop, slice(3, 6))
+    numpy_adam.step(cpu, [adam.Update(trained, now, slice(3, 6))], stop)
     assert cpu.download(parameter).any(axis=1).tolist() == [False, True, False, False]
     assert cpu.download(moments.second).any(axis=1).tolist() == [False, True, False, False]
 
@@ -91,7 +91,7 @@ def rounds_correctly(device, rng):
     parameter, gradient = device.zeros((4096,)), device.upload(g)
     moments, now = adam.zero_moments(device, parameter), adam.factors(0.01, 3)
     trained = adam.Trained(parameter, gradient, moments)
-    adam.step(device, trained, now, adam.stop_flag(device))
+    adam.step(device, [adam.Update(trained, now)], adam.stop_flag(device))
     first, second = (device.download(one) for one in (moments.first, moments.second))
     root = np.sqrt(second) * np.float32(now.correction) + np.float32(adam.EPSILON)
     return np.array_equal(device.download(parameter), -(first / root * np.float32(now.step)))
