@@ -84,15 +84,15 @@ def test_scores_do_not_see_what_is_hidden(dataset, cpu, half):
         [
             replace(score, seconds=0.0)
             for score in evaluate_views(
-                cpu, scene, masked(dataset, half, hidden).test, lambda _, seen: shown.append(seen)
+                cpu, scene, masked(dataset, half, hidden).test, lambda _, *both: shown.append(both)
             )
         ]
         for hidden in (0, 255)
     ]
-    for seen in shown:  # reports show what was compared
-        assert not seen.render[:, :12].any()
-        assert not seen.photo[:, :12].any()
-        assert seen.render[:, 12:].any()
+    for render, photo in shown:  # reports show what was compared
+        assert not render[:, :12].any()
+        assert not photo[:, :12].any()
+        assert render[:, 12:].any()
     assert scores[0] == scores[1]
     plain = [replace(score, seconds=0.0) for score in evaluate_views(cpu, scene, dataset.test)]
     assert plain != scores[0]
