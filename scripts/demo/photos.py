@@ -11,7 +11,6 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 from raytrace import RayScene, View
 from scene import build
@@ -37,16 +36,6 @@ JITTER_DEGREES, JITTER_METRES = 1.2, 0.12
 QUALITY = 95
 
 
-def look_at(centre: npt.NDArray[np.float64], target: npt.NDArray[np.float64], width: int) -> View:
-    """The upright view, ``width`` pixels wide, of ``target`` (3,) from ``centre`` (3,)."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    height = width * HEIGHT // WIDTH
-    return View(rotation, -rotation @ centre, FOCAL_PER_WIDTH * width, width, height)
-
-
 def views(seed: int, width: int = WIDTH) -> Iterator[View]:
     """Where the photos are taken: arc after arc, there and back, held by a mildly shaky hand."""
     rng = np.random.default_rng(seed)
@@ -58,7 +47,9 @@ def views(seed: int, width: int = WIDTH) -> Iterator[View]:
             offset, *aim = rng.uniform(-1, 1, 4) * JITTER_METRES
             direction = np.array([cos_a * cos_e, sin_a * cos_e, sin_e])
             target = np.array(TARGET)
-            yield look_at(target + (DISTANCE + offset) * direction, target + aim, width)
+            place = target + (DISTANCE + offset) * direction
+            height = width * HEIGHT // WIDTH
+            yield View.looking(place, target + aim, FOCAL_PER_WIDTH * width, width, height)
 
 
 def require_tracer() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -23,30 +22,22 @@ SMALL = 0.01
 PAPER, INK, SOFT, MARK = (255, 255, 255), (28, 36, 48), (92, 102, 118), (47, 111, 176)
 
 
-@dataclass(frozen=True)
-class Showcase:
-    """What the picture shows.
+def draw_showcase(
+    photo: Picture, render: Picture, psnr: float, sections: Mapping[str, int]
+) -> Picture:
+    """Three panels side by side, each with a line of text below it, (H, 3 WIDTH + 2 GAP, 3).
 
     photo and render: (H, W, 3) uint8 of one held-out view; psnr: of that view, dB; sections: bytes
     of the file by what they hold.
     """
-
-    photo: Picture
-    render: Picture
-    psnr: float
-    sections: Mapping[str, int]
-
-
-def draw_showcase(show: Showcase) -> Picture:
-    """Three panels side by side, each with a line of text below it, (H, 3 WIDTH + 2 GAP, 3)."""
-    height = max(MIN_HEIGHT, round(WIDTH * show.photo.shape[0] / show.photo.shape[1]))
+    height = max(MIN_HEIGHT, round(WIDTH * photo.shape[0] / photo.shape[1]))
     page = Image.new("RGB", (3 * WIDTH + 2 * GAP, height + CAPTION), PAPER)
     captions = (
         "photo, held out of training",
-        f"rendered from the file, {show.psnr:.1f} dB",
-        f"the file: {sum(show.sections.values()):,} bytes",
+        f"rendered from the file, {psnr:.1f} dB",
+        f"the file: {sum(sections.values()):,} bytes",
     )
-    panels = (_fitted(show.photo, height), _fitted(show.render, height), _bytes(show, height))
+    panels = (_fitted(photo, height), _fitted(render, height), _bytes(sections, height))
     draw = ImageDraw.Draw(page)
     for index, (panel, caption) in enumerate(zip(panels, captions, strict=True)):
         left = index * (WIDTH + GAP)
@@ -63,11 +54,15 @@ def _fitted(picture: Picture, height: int) -> Image.Image:
     return panel
 
 
-def _bytes(show: Showcase, height: int) -> Image.Image:
-    """Bytes by section, largest first, each as a bar; the small ones are one."""
+def _bytes(sections: Mapping[str, int], height: int) -> Image.Image:
+    """Bytes by section, largest first, each as a bar; sections below SMALL are the last one."""
+    total = sum(sections.values())
+    large = {name: size for name, size in sections.items() if size >= SMALL * total}
+    rows = sorted(large.items(), key=lambda row: -row[1])
+    if rest := total - sum(large.values()):
+        rows.append(("all else", rest))
     panel = Image.new("RGB", (WIDTH, height), (246, 247, 249))
     draw = ImageDraw.Draw(panel)
-    rows = _rows(show.sections)
     pitch = (height - 24) // len(rows)
     for index, (name, size) in enumerate(rows):
         top = 12 + index * pitch
@@ -77,15 +72,6 @@ def _bytes(show: Showcase, height: int) -> Image.Image:
         bar = (16, top + 22, 16 + length, top + 22 + min(18, pitch - 28))
         draw.rectangle(bar, MARK)
     return panel
-
-
-def _rows(sections: Mapping[str, int]) -> list[tuple[str, int]]:
-    """Names and bytes, largest first; sections below SMALL are the last row together."""
-    total = sum(sections.values())
-    large = {name: size for name, size in sections.items() if size >= SMALL * total}
-    rest = total - sum(large.values())
-    rows = sorted(large.items(), key=lambda row: -row[1])
-    return [*rows, ("all else", rest)] if rest else rows
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:

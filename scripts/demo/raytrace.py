@@ -69,6 +69,22 @@ class View:
     width: int
     height: int
 
+    @classmethod
+    def looking(
+        cls,
+        place: npt.NDArray[np.float64],
+        target: npt.NDArray[np.float64],
+        focal: float,
+        width: int,
+        height: int,
+    ) -> View:
+        """The upright view from ``place`` (3,) to ``target`` (3,)."""
+        forward = (target - place) / np.linalg.norm(target - place)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        return cls(rotation, -rotation @ place, focal, width, height)
+
     @property
     def centre(self) -> npt.NDArray[np.float64]:
         """Where the camera is, (3,)."""

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from outcome import Outcome, draw_comparison
-from picture import CAPTION, GAP, MIN_HEIGHT, WIDTH, Showcase, draw_showcase
+from picture import CAPTION, GAP, MIN_HEIGHT, WIDTH, draw_showcase
 from PIL import Image
+from run import draw_comparison
 
 from clgs.codec.scene_encoder import encode
 from clgs.errors import DataError
@@ -20,9 +20,7 @@ def flat(color, width=200, height=150):
 
 @pytest.mark.parametrize(("width", "height"), [(200, 150), (300, 40), (90, 160)])
 def test_panels_show_photo_and_render_whatever_their_shape(width, height):
-    page = draw_showcase(
-        Showcase(flat(RED, width, height), flat(BLUE, width, height), 30, {"a": 1})
-    )
+    page = draw_showcase(flat(RED, width, height), flat(BLUE, width, height), 30, {"a": 1})
     high = round(WIDTH * height / width)
     assert page.shape == (max(MIN_HEIGHT, high) + CAPTION, 3 * WIDTH + 2 * GAP, 3)
     assert (page[:high, :WIDTH] == RED).all()
@@ -32,7 +30,7 @@ def test_panels_show_photo_and_render_whatever_their_shape(width, height):
 
 def test_captions_stay_below_their_panels():
     most = dict.fromkeys(("one", "two"), 10**11)
-    page = draw_showcase(Showcase(flat(RED), flat(BLUE), -100.0, most))
+    page = draw_showcase(flat(RED), flat(BLUE), -100.0, most)
     inked = (page[-CAPTION:] < 128).any(axis=(0, 2))
     for panel in range(3):
         left = panel * (WIDTH + GAP)
@@ -41,7 +39,7 @@ def test_captions_stay_below_their_panels():
 
 
 def test_bars_are_as_long_as_the_bytes():
-    page = draw_showcase(Showcase(flat(RED), flat(BLUE), 30, SECTIONS))
+    page = draw_showcase(flat(RED), flat(BLUE), 30, SECTIONS)
     blue = (page[..., 0] < 80) & (page[..., 2] > 150)
     lengths = blue[:-CAPTION, 2 * (WIDTH + GAP) :].sum(axis=1)
     assert sorted(set(lengths[lengths > 0])) == [4, 185, 369]  # 5 and 300 of 600, both ends drawn
@@ -53,19 +51,17 @@ def test_view_of_median_score_is_shown(tmp_path):
     for index, color in enumerate(colors):
         name = f"photo_{index}.png"
         for kind in ("gt", "renders"):
-            folder = tmp_path / "run" / "test" / "ours_1" / kind
+            folder = tmp_path / "test" / "ours_1" / kind
             folder.mkdir(parents=True, exist_ok=True)
             Image.fromarray(flat(color)).save(folder / name)
         per_view.append({"name": name, "psnr": [31.0, 25.0, 28.0][index], "ssim": 0.9})
     scene = random_scene(np.random.default_rng(0), 20)
-    (tmp_path / "run" / "scene.clgs").write_bytes(encode(scene))
-    draw_comparison(tmp_path / "out.png", Outcome(tmp_path, 3, 3, {"per_view": per_view}))
+    (tmp_path / "scene.clgs").write_bytes(encode(scene))
+    draw_comparison(tmp_path / "out.png", tmp_path, per_view)
     page = np.array(Image.open(tmp_path / "out.png"))
     assert tuple(page[100, 100]) == colors[2]
 
 
 def test_lost_picture_is_named(tmp_path):
-    (tmp_path / "run").mkdir()
-    outcome = Outcome(tmp_path, 1, 1, {"per_view": [{"name": "a.png", "psnr": 1.0}]})
     with pytest.raises(DataError, match=r"no picture a\.png; run the demo again"):
-        draw_comparison(tmp_path / "out.png", outcome)
+        draw_comparison(tmp_path / "out.png", tmp_path, [{"name": "a.png", "psnr": 1.0}])

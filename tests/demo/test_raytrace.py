@@ -4,12 +4,17 @@ import numpy as np
 import pytest
 import raytrace
 import scene
-from photos import look_at
 
 pytest.importorskip("embreex")
 
 SUN = np.array([0.6, 0.0, 0.8])
 DARK = raytrace.Light(SUN, np.float32([2, 3, 4]), np.zeros(3), np.zeros(3), 0.01)
+
+
+def look_at(place, target, width):
+    return raytrace.View.looking(place, target, width, width, width * 3 // 4)
+
+
 VIEW = look_at(np.array([3.0, -4.0, 2.0]), np.array([0.1, 0.2, 0.4]), 40)
 
 

@@ -25,9 +25,9 @@ def test_poses_of_the_room_are_right_or_doubted(tmp_path: Path):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
-    import room_capture
+    import made_captures
 
-    taken = room_capture.photograph(tmp_path / "room")
+    taken = made_captures.photograph("room", tmp_path / "room")
     # Of this seed the model of all pairs lays one side of the room onto another on some machines.
     verdict = prepare(tmp_path / "room", tmp_path / "data", seed=4)
     photos = read_colmap(tmp_path / "data", tmp_path / "data" / "sparse" / "0")
@@ -47,9 +47,9 @@ def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path: Path):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
-    import alike_captures
+    import made_captures
 
-    taken = alike_captures.photograph("tower", tmp_path / "tower")
+    taken = made_captures.photograph("tower", tmp_path / "tower")
     verdict = prepare(tmp_path / "tower", tmp_path / "data")
     photos = read_colmap(tmp_path / "data", tmp_path / "data" / "sparse" / "0")
     found = [(one.name, one.rotation, one.centre) for one in [*photos.train, *photos.test]]
@@ -64,11 +64,11 @@ def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path: Path):
 def test_the_true_poses_are_written(tmp_path: Path):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
-    import room_capture
+    import made_captures
 
     from clgs.data.transforms import read_transforms
 
-    taken = room_capture.photograph(tmp_path, stops=3, width=64)
+    taken = made_captures.photograph("room", tmp_path, stops=3, width=64)
     photos = read_transforms(tmp_path)
     for photo in [*photos.train, *photos.test]:
         view = taken[Path(photo.name).name]

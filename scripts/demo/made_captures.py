@@ -1,0 +1,164 @@
+"""Photograph scenes whose parts look alike: ``python made_captures.py room|tower FOLDER``.
+
+FOLDER/images is for structure from motion. FOLDER/transforms.json holds the true poses.
+
+room: panels of one wallpaper cover all four walls, and four equal crates stand in the corners. A
+photo of little else fits in several places. Pictures, boxes and balls tell the sides apart.
+tower: four equal sides, photographed from all around. Only the ground tells them apart.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from raytrace import Light, RayScene, Surface, View
+from scene import ball, box, drum, framed, panel
+
+from clgs.files import atomic_path
+
+HALF, HEIGHT = 3.0, 2.8
+"""Size of the room, metres: walls are HALF away from its middle."""
+
+PANELS = 4
+"""Equal pieces of wallpaper a wall."""
+
+WIDTH, LOW = 640, 480
+"""Size of a photo, pixels."""
+
+FOCAL = 0.8
+"""Focal length in widths of a photo: a field of view of 64 degrees."""
+
+STOPS = {"room": 40, "tower": 36}
+"""Photos of each scene."""
+
+QUALITY = 95
+
+LIGHT = Light(
+    towards_sun=np.array([0.3, -0.2, 0.93]),
+    sun=np.float32([0.0, 0.0, 0.0]),
+    sky=np.float32([1.1, 1.1, 1.1]),
+    ground=np.float32([0.8, 0.8, 0.8]),
+    sun_radius=0.02,
+)
+"""A cloudy day through an open roof: no shadows that would tell the sides apart."""
+
+
+def room_walls() -> list[Surface]:
+    """Floor, and the same wallpaper again and again."""
+    floor = panel(
+        "gravel", (-HALF, HALF, 0), (2 * HALF, 0, 0), (0, -2 * HALF, 0), contrast=0.6, gain=1.5
+    )
+    found, width = [floor], 2 * HALF / PANELS
+    for turn in range(4):
+        angle = np.radians(90 * turn)
+        right = np.array([np.cos(angle), np.sin(angle), 0.0])
+        inward = np.array([np.sin(angle), -np.cos(angle), 0.0])
+        for number in range(PANELS):
+            corner = -HALF * inward + (number * width - HALF) * right + [0, 0, HEIGHT]
+            found.append(panel("brick", corner, width * right, (0, 0, -HEIGHT), gain=1.5))
+    return found
+
+
+def room_clutter() -> list[Surface]:
+    """Four equal crates, and things of which there is one each."""
+    crates = [
+        box(["coffee"], (x, y, 0), (0.7, 0.7, 0.7), 0) for x in (-2.4, 2.4) for y in (-2.4, 2.4)
+    ]
+    return [
+        *(surface for crate in crates for surface in crate),
+        *framed("motorcycle", (-1.0, HALF, 1.6), (1.5, 0, 0), 1.0),
+        *framed("astronaut", (HALF, 0.6, 1.6), (0, -1.0, 0), 1.0),
+        *framed("chelsea", (0.9, -HALF, 1.5), (-1.4, 0, 0), 0.9),
+        *framed("rocket", (-HALF, -0.8, 1.6), (0, 1.3, 0), 0.9),
+        *box(["chelsea", "astronaut", "rocket"], (0.3, 0.5, 0), (0.7, 0.5, 0.9), 30),
+        *box(["immunohistochemistry", "coins"], (-0.6, -0.4, 0), (0.6, 0.6, 0.4), 70),
+        ball("retina", (-0.6, -0.4, 0.68), 0.28),
+        *drum("motorcycle", "coins", (0.6, -0.7, 0), 0.25, 0.5, 135),
+    ]
+
+
+def tower() -> list[Surface]:
+    """A picture on each of four walls of brick, on gravel, and two small things next to it."""
+    ground = panel("gravel", (-4, 4, 0), (8, 0, 0), (0, -8, 0), contrast=0.6, gain=1.5)
+    found = [ground, *box(["brick"], (0, 0, 0), (1.2, 1.2, 2.0), 0)]
+    for turn in range(4):
+        angle = np.radians(90 * turn)
+        right = np.array([np.cos(angle), np.sin(angle), 0.0])
+        outward = np.array([np.sin(angle), -np.cos(angle), 0.0])
+        corner = 0.62 * outward - 0.4 * right + [0, 0, 1.6]
+        found += framed("astronaut", tuple(corner), tuple(0.8 * right), 0.8)
+    small = drum("coins", "coins", (-0.4, 1.6, 0), 0.2, 0.4, 0)
+    return [*found, ball("retina", (1.5, 0.4, 0.2), 0.2), *small]
+
+
+Places = Iterator[tuple[np.ndarray, np.ndarray]]
+"""Where the camera is, and what it looks at, (3,) each."""
+
+
+def places_in_room(stops: int) -> Places:
+    """A walk around the middle of the room, looking across it."""
+    rng = np.random.default_rng(0)
+    for azimuth in np.linspace(0, 2 * np.pi, stops, endpoint=False):
+        place = np.array([2.0 * np.cos(azimuth), 2.0 * np.sin(azimuth), 1.5])
+        place += rng.uniform(-0.1, 0.1, 3)
+        yield place, np.array([0.0, 0.0, 0.8]) + rng.uniform(-0.2, 0.2, 3)
+
+
+def places_around_tower(stops: int) -> Places:
+    """At arm's length around the tower."""
+    rng = np.random.default_rng(1)
+    for azimuth in np.linspace(0, 2 * np.pi, stops, endpoint=False):
+        place = np.array([2.6 * np.cos(azimuth), 2.6 * np.sin(azimuth), 1.3])
+        target = np.array([0.0, 0.0, 0.8]) + rng.uniform(-0.1, 0.1, 3)
+        yield place + rng.uniform(-0.1, 0.1, 3), target
+
+
+SCENES: dict[str, tuple[Callable[[], list[Surface]], Callable[[int], Places]]] = {
+    "room": (lambda: [*room_walls(), *room_clutter()], places_in_room),
+    "tower": (tower, places_around_tower),
+}
+
+
+def photograph(
+    name: str, folder: Path, stops: int | None = None, width: int = WIDTH
+) -> dict[str, View]:
+    """Write images/ and transforms.json of a scene; the true cameras by the photos' names."""
+    surfaces, places = SCENES[name]
+    height, focal = width * LOW // WIDTH, FOCAL * width
+    taken = {
+        f"{name}_{number:03d}.jpg": View.looking(place, target, focal, width, height)
+        for number, (place, target) in enumerate(places(stops or STOPS[name]))
+    }
+    scene, frames = RayScene(surfaces(), LIGHT), []
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    for photo, view in taken.items():
+        with atomic_path(folder / "images" / photo) as temporary:
+            Image.fromarray(scene.render(view)).save(temporary, quality=QUALITY, subsampling=0)
+        matrix = np.eye(4)  # camera to world with y up and z backward, as transforms.json has it
+        matrix[:3, :3] = view.rotation.T * [1.0, -1.0, -1.0]
+        matrix[:3, 3] = view.centre
+        frames.append({"file_path": f"images/{photo}", "transform_matrix": matrix.tolist()})
+    lens = {"fl_x": focal, "fl_y": focal, "cx": width / 2, "cy": height / 2}
+    document = {**lens, "w": width, "h": height, "frames": frames}
+    with atomic_path(folder / "transforms.json") as temporary:
+        temporary.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    return taken
+
+
+def main() -> None:
+    """The command."""
+    if len(sys.argv) != 3 or sys.argv[1] not in SCENES:
+        raise SystemExit(f"usage: python made_captures.py {'|'.join(SCENES)} FOLDER")
+    try:
+        photograph(sys.argv[1], Path(sys.argv[2]))
+    except OSError as error:
+        raise SystemExit(f"{sys.argv[2]}: {error.strerror}; name another folder") from None
+
+
+if __name__ == "__main__":
+    main()
