@@ -73,13 +73,13 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         "--report",
         type=Path,
         metavar="FOLDER",
-        help="receives results.md, results.csv, results.json and results/ (default: OUTPUT)",
+        help="receives results.md, results.json and results/ (default: OUTPUT)",
     )
     add(
         "--baseline",
         type=Path,
         metavar="FILE",
-        help="results.json or results.csv of another state, for BD-rates",
+        help="results.json of another state, for BD-rates",
     )
     add("--note", default="", metavar="TEXT", help="a sentence for the head of the page")
     where = parser.add_mutually_exclusive_group()

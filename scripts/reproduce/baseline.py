@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import tomllib
@@ -16,7 +15,7 @@ PUBLISHED = Path(__file__).with_name("published.toml")
 MAX_BYTES = 64 << 20
 """A larger file holds no results."""
 
-REMEDY = "give the results.json or results.csv of another state"
+REMEDY = "give the results.json of another state"
 
 
 @dataclass(frozen=True)
@@ -31,9 +30,7 @@ class Point:
 
 
 def read_baseline(path: Path) -> list[Point]:
-    """The points in a ``results.json`` or ``results.csv``, or in any CSV with their columns.
-
-    A CSV needs the columns scene, bytes and psnr; it may have experiment and steps.
+    """The points in a ``results.json``: a row has scene, bytes, psnr, perhaps experiment and steps.
 
     Raises:
         DataError: the file is missing, or no such file; names the row and the field.
@@ -46,28 +43,16 @@ def read_baseline(path: Path) -> list[Point]:
         raise DataError(f"{path}: {error.strerror}; {REMEDY}") from None
     except UnicodeDecodeError:
         raise DataError(f"{path}: is not UTF-8 text; {REMEDY}") from None
-    rows = _json_rows(path, text) if path.suffix == ".json" else _csv_rows(path, text)
-    found = [_point(f"{path}: row {number}", row) for number, row in enumerate(rows, 1)]
-    if not found:
-        raise DataError(f"{path}: has no rows; {REMEDY}")
-    return found
-
-
-def _json_rows(path: Path, text: str) -> list[Any]:
     try:
         rows = json.loads(text)["rows"]
     except (ValueError, RecursionError, KeyError, TypeError):
         raise DataError(f"{path}: is no JSON object with a field 'rows'; {REMEDY}") from None
     if not isinstance(rows, list):
         raise DataError(f"{path}: rows: is not a list; {REMEDY}")
-    return rows
-
-
-def _csv_rows(path: Path, text: str) -> list[Any]:
-    try:
-        return list(csv.DictReader(text.splitlines(), strict=True))
-    except csv.Error as error:
-        raise DataError(f"{path}: is not a CSV file ({error}); {REMEDY}") from None
+    found = [_point(f"{path}: row {number}", row) for number, row in enumerate(rows, 1)]
+    if not found:
+        raise DataError(f"{path}: has no rows; {REMEDY}")
+    return found
 
 
 def _point(where: str, row: Any) -> Point:

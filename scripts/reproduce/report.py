@@ -1,14 +1,11 @@
-"""The report: results.md with its plots, results.csv, results.json and the files of main rows."""
+"""The report: results.md with its plots, results.json and the files of main rows."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from clgs.files import atomic_write
 from reproduce import tables
@@ -23,14 +20,6 @@ NAME = "results"
 KEPT_BYTES = 1_000_000
 """Scenes of main rows up to this size are copied for others to score; of all there is a hash."""
 
-COLUMNS = (
-    "experiment", "scene", "label", "seed", "steps", "psnr", "psnr_channel_mean", "ssim", "bytes",
-    "anchors", "views", "split", "seconds", "load_seconds", "train_seconds", "encode_seconds",
-    "decode_seconds", "pictures_per_second", "peak_memory_bytes", "workers", "device", "state",
-    "run", "sha256", "scene_hash",
-)  # fmt: skip
-SECTIONS = ("ANCH", "OFFS", "FEAT", "SCAL", "MLPS", "META", "CHNK", "container")
-
 
 def write_report(
     folder: Path,
@@ -43,7 +32,7 @@ def write_report(
     """Write the report of what is finished; returns its files.
 
     Args:
-        folder: receives results.md, results.csv, results.json and the folder results.
+        folder: receives results.md, results.json and the folder results.
         results: as read from the runs.
         output: the folder of the runs.
         command: what makes the report again.
@@ -57,16 +46,14 @@ def write_report(
     kept = _keep_scenes(inner, results, output)
     compared = compare(results, baseline) if baseline else []
     text = tables.page(results, command, plots, kept, compared, published, note)
-    rows = [{**cell.row, **asdict(cell.entry)} for cell in results.cells]
     whole = {
         "command": command,
-        "rows": rows,
+        "rows": [{**cell.row, **asdict(cell.entry)} for cell in results.cells],
         "missing": sorted({one.run for one in results.missing}),
         "baseline": [asdict(one) for one in compared],
     }
     contents = {
         folder / f"{NAME}.md": text,
-        folder / f"{NAME}.csv": _csv(rows),
         folder / f"{NAME}.json": json.dumps(whole, indent=1) + "\n",
     }
     for path, content in contents.items():
@@ -86,16 +73,3 @@ def _keep_scenes(folder: Path, results: Results, output: Path) -> dict[str, str]
                 atomic_write(folder / name, data)
                 found[entry.run] = name
     return found
-
-
-def _csv(rows: list[dict[str, Any]]) -> str:
-    """A line per entry; sections are in bytes."""
-    text = io.StringIO(newline="")
-    columns = [*COLUMNS, *(f"bytes_{name}" for name in SECTIONS)]
-    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        sections = {f"bytes_{name}": row["sections"].get(name, 0) for name in SECTIONS}
-        device = row["machine"]["device"]["name"]
-        writer.writerow({**row, **sections, "device": device})
-    return text.getvalue()

@@ -20,7 +20,7 @@ SECTIONS = {
 NOTES = {
     "head": (
         "Made by `{command}`. Scores are of the decoded `.clgs` file alone. All figures, and more "
-        "of them, are in `results.csv` and `results.json` next to this page."
+        "of them, are in `results.json` next to this page."
     ),
     "main": (
         "Means over seeds, in brackets the least and the largest. `PSNR` is one MSE over all "

@@ -43,7 +43,7 @@ def call(script, table_file, data, tmp_path, capsys):
         (["--table", "absent.toml"], 2, "absent.toml: No such file or directory; name a table"),
         (["--only", "x"], 2, "--only x: no such experiment or scene; the table has main"),
         (["--data", "absent"], 3, "absent: no such folder; name that of the scenes by --data"),
-        (["--baseline", "absent.csv"], 3, "absent.csv: No such file or directory; give the"),
+        (["--baseline", "absent.json"], 3, "absent.json: No such file or directory; give the"),
     ],
 )
 def test_what_cannot_be_is_one_line(call, words, code, message):
