@@ -110,7 +110,7 @@ def places_in_room(stops: int) -> Places:
 
 
 def places_around_tower(stops: int) -> Places:
-    """At arm's length around the tower."""
+    """A walk around the tower at arm's length."""
     rng = np.random.default_rng(1)
     for azimuth in np.linspace(0, 2 * np.pi, stops, endpoint=False):
         place = np.array([2.6 * np.cos(azimuth), 2.6 * np.sin(azimuth), 1.3])
