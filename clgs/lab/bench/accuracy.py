@@ -8,23 +8,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 from clgs.cli.shared_options import view_options
-from clgs.cli.tell import tell
 from clgs.errors import UsageError
-from clgs.files import write_json
 from clgs.lab.bench.accuracy_points import (
+    PRESET_SWEEP,
     Point,
     SceneFigures,
     ViewedScene,
+    accuracy_settings,
     against_parity,
     bench_accuracy,
-    fastest_within,
     synthetic_subjects,
 )
-from clgs.lab.bench.accuracy_settings import PRESET_SWEEP, accuracy_settings
 from clgs.lab.bench.plots import (
     MARKERS,
     PANEL,
@@ -33,7 +28,7 @@ from clgs.lab.bench.plots import (
     require_pyplot,
     save,
 )
-from clgs.lab.facts import command_line, machine_facts
+from clgs.lab.facts import show_table, write_figures
 from clgs.opencl.device import Device
 from clgs.workflow.scenes import read_scene
 from clgs.workflow.views import select_views
@@ -56,21 +51,12 @@ def run(args: argparse.Namespace) -> int:
     check_figure_files(args.output, args.plot)
     subjects = subjects_of(args)
     device = Device(args.device)
-
-    def say(line: str) -> None:
-        tell(f"clgs: {line}")
-
     found = []
     for subject in subjects:
-        found.append(bench_accuracy(device, subject, settings, args.repeats, say))
+        found.append(bench_accuracy(device, subject, settings, args.repeats))
         show(found[-1])
-    if args.output:
-        scenes = [
-            asdict(one) | {"fastest": fastest_within(one), "against_parity": against_parity(one)}
-            for one in found
-        ]
-        record = {"command": command_line(), **machine_facts(device), "scenes": scenes}
-        write_json(args.output, record)
+    scenes = [asdict(one) | {"against_parity": against_parity(one)} for one in found]
+    write_figures(args.output, {"scenes": scenes}, device)
     if args.plot:
         plot_accuracy(args.plot, found, f"{device.name}, {device.specialisation} form")
     return 0
@@ -98,20 +84,13 @@ def subjects_of(args: argparse.Namespace) -> list[ViewedScene]:
 
 
 def show(figures: SceneFigures) -> None:
-    """Print a row per setting, then the fastest settings."""
-    width, height = figures.size
-    table = Table(
-        "setting",
-        title=f"{figures.name}: {figures.gaussians:,} Gaussians, "
-        f"{figures.intersections:,} intersections, {width} x {height}",
-    )
-    for column in ("forward", "5-95 %", "both", "p99.9", "max", "dB", "stop", "d L2", "d p99"):
-        table.add_column(column, justify="right", no_wrap=True)
+    """Print a row per setting, then the presets compared with "parity"."""
+    rows = []
     for point in figures.points:
         forward, image, gradient = point.forward, point.image, point.gradient
         worst = [gradient.relative_l2, gradient.p99] if gradient else []
         errors = [f"{max(by_tensor.values()):.1e}" for by_tensor in worst]
-        table.add_row(
+        row = (
             f"{point.sweep} {point.label}",
             f"{forward.median:.2f}",
             f"{forward.low:.1f}-{forward.high:.1f}",
@@ -120,14 +99,15 @@ def show(figures: SceneFigures) -> None:
             f"{image.largest:.2g}",
             f"{image.psnr:.1f}",
             f"{point.stopped.largest:.2g}" if point.stopped else "",
-            *errors,
         )
-    console = Console(width=max(Console().width, 110))
-    console.print(table)
-    for goal, best in fastest_within(figures).items():
-        time = best["milliseconds"]
-        text = "none" if time is None else f"{time:.2f} ms ({best['setting']})"
-        print(f"  {goal}: {text}")
+        rows.append((*row, *errors))
+    width, height = figures.size
+    title = (
+        f"{figures.name}: {figures.gaussians:,} Gaussians, "
+        f"{figures.intersections:,} intersections, {width} x {height}"
+    )
+    columns = ("forward", "5-95 %", "both", "p99.9", "max", "dB", "stop", "d L2", "d p99")
+    show_table(title, ("setting", *columns), rows)
     for preset, ratio in against_parity(figures).items():
         both = "" if ratio["both"] is None else f", {ratio['both']:.2f}x with gradients"
         print(f"  {preset} against parity: {ratio['forward']:.2f}x{both}")

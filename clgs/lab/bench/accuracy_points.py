@@ -3,27 +3,36 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
+from clgs.cli.tell import tell
+from clgs.errors import UsageError
 from clgs.lab.anchor_scene import anchor_scene
-from clgs.lab.bench.accuracy_settings import PRESET_SWEEP, Setting, without_stop
 from clgs.lab.bench.untruncated import cached_reference
 from clgs.lab.selftest.reference_render import relative_l2
-from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.options import Accuracy, RenderOptions
-from clgs.render.frame import DeviceScene, DeviceView, SceneGradients, upload_scene, upload_view
+from clgs.options import PRESETS, Accuracy, RenderOptions
+from clgs.render.frame import SceneGradients, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
 
 Array = npt.NDArray[np.float64]
+
+PRESET_SWEEP = "preset"
+FINE = Accuracy("", alpha_cut=2.0**-16, transmittance_stop=1e-6, inclusive_stop=True)
+"""Around which sweeps turn one knob: its error must not drown in those of the others."""
+
+CUTS = (255, 512, 1024, 4096, 16384, 65536)
+STOPS = (("1e-6", 1e-6), ("1e-4", 1e-4), ("1e-3", 1e-3), ("1/512", 1 / 512), ("1/255", 1 / 255))
+DEGREES = (3, 4, 5, 6)
+EXTENTS = (0.0, 1.0, 2.0, 3.0)
 
 SYNTHETIC = {
     "small": (100_000, 400, 0.0),
@@ -33,10 +42,16 @@ SYNTHETIC = {
 }
 """Gaussians, pixels of the edge, and what is added to the log scales, by name."""
 
-GOALS = (0.01, 0.1, 1.0)
-"""Errors in levels for which the fastest setting is named."""
-
 WARM_UP = 2
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One point of the plot: the sweep that it belongs to, its name there, what is truncated."""
+
+    sweep: str
+    label: str
+    accuracy: Accuracy
 
 
 @dataclass(frozen=True)
@@ -103,7 +118,40 @@ class SceneFigures:
     points: list[Point]
 
 
-def synthetic_subjects(names: list[str], seed: int) -> list[ViewedScene]:
+def accuracy_settings(sweeps: Sequence[str] = ()) -> list[Setting]:
+    """List every preset, and sweeps of one knob, with the others as in FINE.
+
+    Args:
+        sweeps: names of the sweeps to list, in addition to the presets; empty: all.
+
+    Raises:
+        UsageError: there is no such sweep.
+    """
+    settings = [Setting(PRESET_SWEEP, name, accuracy) for name, accuracy in PRESETS.items()]
+
+    def add(sweep: str, label: str, **knobs: float | bool) -> None:
+        settings.append(Setting(sweep, label, replace(FINE, **knobs)))  # type: ignore[arg-type]
+
+    for share in CUTS:
+        add("alpha cut", f"1/{share}", alpha_cut=1 / share)
+    for inclusive in (False, True):
+        for label, stop in STOPS:
+            sweep = f"{'inclusive' if inclusive else 'exclusive'} stop"
+            add(sweep, label, transmittance_stop=stop, inclusive_stop=inclusive)
+    for degree in DEGREES:
+        add("exp2 degree", str(degree), exp2_degree=degree)
+    for extent in EXTENTS:
+        add("least extent", f"{extent:g} px", min_extent=extent)
+    add("resolution", "full", downscale=1)
+    add("resolution", "1/2", downscale=2)
+    names = list(dict.fromkeys(one.sweep for one in settings))
+    for sweep in sweeps:
+        if sweep not in names:
+            raise UsageError(f"no sweep {sweep!r}; there are {', '.join(names)}")
+    return [one for one in settings if not sweeps or one.sweep in (PRESET_SWEEP, *sweeps)]
+
+
+def synthetic_subjects(names: Sequence[str], seed: int) -> list[ViewedScene]:
     """The seeded scenes of the given names."""
     subjects = []
     for name in names:
@@ -117,85 +165,77 @@ def synthetic_subjects(names: list[str], seed: int) -> list[ViewedScene]:
 def bench_accuracy(
     device: Device,
     subject: ViewedScene,
-    settings: list[Setting],
+    settings: Sequence[Setting],
     repeats: int,
-    report: Callable[[str], None],
 ) -> SceneFigures:
-    """Errors of every setting, then times, the settings taking turns ``repeats`` times."""
-    bench = _Bench(device, subject)
-    reference = bench.reference(report)
-    report(f"{subject.name}: errors of {len(settings)} settings")
-    different = list(dict.fromkeys(replace(one.accuracy, name="") for one in settings))
-    errors = {accuracy: bench.errors(accuracy, reference) for accuracy in different}
-    report(f"{subject.name}: times of {len(different)} different ones, {repeats} rounds")
-    times = _take_turns(bench, different, repeats)
-    points = []
-    for setting in settings:
-        accuracy = replace(setting.accuracy, name="")
-        forward, both = times[accuracy]
-        image, stopped, gradient = errors[accuracy]
-        points.append(Point(setting.sweep, setting.label, forward, image, stopped, both, gradient))
-    frame = rasterise(device, bench.scene, bench.view)
-    counts = len(subject.scene.anchors), len(frame.gaussians), len(frame.tiles.gaussian)
-    return SceneFigures(subject.name, *counts, frame.view.size, points)
+    """Errors of every setting, then times, the settings taking turns ``repeats`` times.
 
+    Gradients are those of the sum of the picture times a random array.
+    """
+    camera, render_settings = subject.camera, subject.scene.settings
+    scene, view = upload_scene(device, subject.scene), upload_view(device, camera, render_settings)
+    size = (camera.width, camera.height)
+    d_host = np.random.default_rng(1).normal(size=(3, *size[::-1])).astype(np.float32)
+    d_image = device.upload(d_host)
+    background = np.array(render_settings.background, np.float32)
+    reference = cached_reference(
+        subject.scene, camera.pack(render_settings.near), size, background, d_host
+    )
+    renderers: dict[Accuracy, Renderer] = {}
 
-class _Bench:
-    """A subject on the device, with a random gradient of its picture."""
-
-    def __init__(self, device: Device, subject: ViewedScene) -> None:
-        self.device, self.subject = device, subject
-        self.scene: DeviceScene = upload_scene(device, subject.scene)
-        self.settings = subject.scene.settings
-        self.view: DeviceView = upload_view(device, subject.camera, self.settings)
-        shape = (3, subject.camera.height, subject.camera.width)
-        self.d_host = np.random.default_rng(1).normal(size=shape).astype(np.float32)
-        self.d_image: DeviceArray = device.upload(self.d_host)
-        self.renderers: dict[Accuracy, Renderer] = {}
-
-    def reference(self, report: Callable[[str], None]) -> dict[str, Array]:
-        """Image and gradients without truncation."""
-        return cached_reference(
-            self.subject.scene,
-            self.subject.camera.pack(self.settings.near),
-            (self.subject.camera.width, self.subject.camera.height),
-            np.array(self.settings.background, np.float32),
-            self.d_host,
-            report,
-        )
-
-    def picture(self, accuracy: Accuracy) -> npt.NDArray[np.float32]:
+    def picture(accuracy: Accuracy) -> npt.NDArray[np.float32]:
         """Render on the host, like `clgs render`."""
-        if accuracy not in self.renderers:
-            self.renderers[accuracy] = Renderer.of_device_scene(
-                self.device, self.scene, self.settings, RenderOptions(accuracy)
-            )
-        return self.renderers[accuracy].render(self.subject.camera)
+        if accuracy not in renderers:
+            options = RenderOptions(accuracy)
+            renderers[accuracy] = Renderer.of_device_scene(device, scene, render_settings, options)
+        return renderers[accuracy].render(camera)
 
-    def gradients(self, accuracy: Accuracy) -> SceneGradients:
+    def gradients(accuracy: Accuracy) -> SceneGradients:
         """Compute gradients on the device, like a training step."""
-        frame = rasterise(self.device, self.scene, self.view, RenderOptions(accuracy))
-        return rasterise_backward(self.device, self.scene, frame, self.d_image)
+        frame = rasterise(device, scene, view, RenderOptions(accuracy))
+        return rasterise_backward(device, scene, frame, d_image)
 
-    def errors(
-        self, accuracy: Accuracy, reference: dict[str, Array]
-    ) -> tuple[ImageError, ImageError | None, GradientError | None]:
+    def errors(accuracy: Accuracy) -> tuple[ImageError, ImageError | None, GradientError | None]:
         """Distances of picture and gradients from the reference; see :class:`Point`."""
-        picture = self.picture(accuracy)
-        image = image_error(picture, reference["image"])
+        drawn = picture(accuracy)
+        image = image_error(drawn, reference["image"])
         if accuracy.downscale > 1:
             return image, None, None
-        stopped = image_error(picture, self.picture(without_stop(accuracy)).astype(np.float64))
-        found = self.gradients(accuracy)
-        names = [name for name in reference if name != "image"]
+        without_stop = replace(
+            accuracy, transmittance_stop=1e-9, inclusive_stop=True, exp2_degree=max(DEGREES)
+        )
+        stopped = image_error(drawn, picture(without_stop).astype(np.float64))
+        found = gradients(accuracy)
         pairs = {
-            name: (self.device.download(getattr(found, name)), reference[name]) for name in names
+            name: (device.download(getattr(found, name)), wanted)
+            for name, wanted in reference.items()
+            if name != "image"
         }
         gradient = GradientError(
             {name: relative_l2(*pair) for name, pair in pairs.items()},
             {name: element_error(*pair) for name, pair in pairs.items()},
         )
         return image, stopped, gradient
+
+    tell(f"clgs: {subject.name}: errors of {len(settings)} settings")
+    different = list(dict.fromkeys(replace(one.accuracy, name="") for one in settings))
+    errors_of = {accuracy: errors(accuracy) for accuracy in different}
+    tell(f"clgs: {subject.name}: times of {len(different)} different ones, {repeats} rounds")
+    tasks: dict[tuple[Accuracy, bool], Callable[[], object]] = {}
+    for one in different:
+        tasks[one, False] = partial(picture, one)
+        if one.downscale == 1:
+            tasks[one, True] = partial(gradients, one)
+    times = _take_turns(device, tasks, repeats)
+    points = []
+    for setting in settings:
+        accuracy = replace(setting.accuracy, name="")
+        image, stopped, gradient = errors_of[accuracy]
+        forward, both = times[accuracy, False], times.get((accuracy, True))
+        points.append(Point(setting.sweep, setting.label, forward, image, stopped, both, gradient))
+    frame = rasterise(device, scene, view)
+    counts = len(subject.scene.anchors), len(frame.gaussians), len(frame.tiles.gaussian)
+    return SceneFigures(subject.name, *counts, size, points)
 
 
 def image_error(image: npt.NDArray[np.float32], reference: Array) -> ImageError:
@@ -218,44 +258,20 @@ def element_error(actual: npt.NDArray[np.float32], expected: Array) -> float:
 
 
 def _take_turns(
-    bench: _Bench, accuracies: list[Accuracy], repeats: int
-) -> dict[Accuracy, tuple[Times, Times | None]]:
-    """Times of forward, and of forward and backward; only the former if renders are small."""
-    forward: dict[Accuracy, list[float]] = {one: [] for one in accuracies}
-    both: dict[Accuracy, list[float]] = {one: [] for one in accuracies}
-    for turn in range(WARM_UP + repeats):
-        for one in accuracies:
-            ahead = _milliseconds(bench.device, partial(bench.picture, one))
-            forward[one] += [ahead] if turn >= WARM_UP else []
-            if one.downscale == 1:
-                whole = _milliseconds(bench.device, partial(bench.gradients, one))
-                both[one] += [whole] if turn >= WARM_UP else []
-    return {one: (_times(forward[one]), _times(both[one]) if both[one] else None) for one in both}
-
-
-def _milliseconds(device: Device, work: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    work()
-    device.finish()
-    return 1e3 * (time.perf_counter() - start)
-
-
-def _times(milliseconds: list[float]) -> Times:
-    low, median, high = np.quantile(milliseconds, [0.05, 0.5, 0.95])
-    return Times(float(median), float(low), float(high))
-
-
-def fastest_within(figures: SceneFigures) -> dict[str, dict[str, object]]:
-    """Find the fastest forward pass within every goal, by p99.9 and by the largest error."""
-    found: dict[str, dict[str, object]] = {}
-    for measure in ("p999", "largest"):
-        for goal in GOALS:
-            within = [one for one in figures.points if getattr(one.image, measure) <= goal]
-            best = min(within, key=lambda one: one.forward.median, default=None)
-            found[f"{measure} <= {goal:g} level"] = {
-                "milliseconds": best.forward.median if best else None,
-                "setting": f"{best.sweep} {best.label}" if best else None,
-            }
+    device: Device, tasks: dict[tuple[Accuracy, bool], Callable[[], object]], repeats: int
+) -> dict[tuple[Accuracy, bool], Times]:
+    """Times of every task, after WARM_UP rounds that do not count."""
+    milliseconds: dict[tuple[Accuracy, bool], list[float]] = {key: [] for key in tasks}
+    for _ in range(WARM_UP + repeats):
+        for key, task in tasks.items():
+            start = time.perf_counter()
+            task()
+            device.finish()
+            milliseconds[key].append(1e3 * (time.perf_counter() - start))
+    found = {}
+    for key, values in milliseconds.items():
+        low, median, high = np.quantile(values[WARM_UP:], [0.05, 0.5, 0.95])
+        found[key] = Times(float(median), float(low), float(high))
     return found
 
 

@@ -16,15 +16,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rich.console import Console
-from rich.table import Table
 
 from clgs.constants import TILE_SIZE
 from clgs.errors import UsageError
-from clgs.files import check_target, write_json
+from clgs.files import check_target
 from clgs.lab.bench.handover import Handover, hand_over
 from clgs.lab.bench.step import WARM_UP, synthetic_trainer, time_steps
-from clgs.lab.facts import command_line, machine_facts
+from clgs.lab.facts import show_table, write_figures
 from clgs.opencl.device import Device
 
 ROWS = {
@@ -71,23 +69,22 @@ def run(args: argparse.Namespace) -> int:
     trainer = synthetic_trainer(device, args.gaussians, args.size, args.seed)
     view = hand_over(device, trainer.render_next(), trainer.dataset.train[0].camera)
     ours, theirs = time_steps(trainer, args.repeats), time_gsplat(view, args.repeats, args.seed)
+    pairs = {row: (ours.stages[name], getattr(theirs, time)) for row, (name, time) in ROWS.items()}
+    pairs["whole step"] = ours.step, theirs.step
+    rows = (
+        (row, f"{own:.3f}", f"{other:.3f}", f"{own / other:.2f}")
+        for row, (own, other) in pairs.items()
+    )
+    title = f"{device.name}; gsplat on {theirs.card}; {ours.gaussians:,} Gaussians"
+    show_table(title, ("median ms", "clgs", "gsplat", "ratio"), rows)
+    print(f"loss of gsplat's step: {theirs.loss}; pictures differ by {theirs.difference:.1e}")
+    stages = {name: ours.stages[name] for name, _ in ROWS.values()}
     record = {
-        "clgs": {"step": ours.step, **{name: ours.stages[name] for name, _ in ROWS.values()}},
+        "clgs": {"step": ours.step, **stages},
         "gsplat": asdict(theirs),
         "gaussians": ours.gaussians,
     }
-    title = f"{device.name}; gsplat on {theirs.card}; {ours.gaussians:,} Gaussians"
-    table = Table("median ms", title=title)
-    for column in ("clgs", "gsplat", "ratio"):
-        table.add_column(column, justify="right")
-    pairs = {row: (ours.stages[name], getattr(theirs, time)) for row, (name, time) in ROWS.items()}
-    pairs["whole step"] = ours.step, theirs.step
-    for row, (own, other) in pairs.items():
-        table.add_row(row, f"{own:.3f}", f"{other:.3f}", f"{own / other:.2f}")
-    Console().print(table)
-    print(f"loss of gsplat's step: {theirs.loss}; pictures differ by {theirs.difference:.1e}")
-    if args.json:
-        write_json(args.json, {"command": command_line(), **machine_facts(device)} | record)
+    write_figures(args.json, record, device)
     return 0
 
 

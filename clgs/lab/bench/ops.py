@@ -5,10 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict, dataclass, fields, replace
 
-from rich.console import Console
-from rich.table import Table
-
-from clgs.files import check_target, write_json
+from clgs.files import check_target
 from clgs.lab.bench.stage_limits import (
     FORMULAS,
     Counts,
@@ -20,7 +17,7 @@ from clgs.lab.bench.stage_limits import (
 )
 from clgs.lab.bench.step import synthetic_trainer, time_steps
 from clgs.lab.devices import open_devices
-from clgs.lab.facts import command_line, machine_facts
+from clgs.lab.facts import machine_facts, show_table, write_figures
 from clgs.lab.selftest.reference_render import Check
 from clgs.lab.selftest.render_checks import selftest
 from clgs.lab.selftest.training_checks import training_checks
@@ -86,9 +83,8 @@ def run(args: argparse.Namespace) -> int:
         passed &= figures.passed
         records.append(machine_facts(device) | {"workload": asdict(load), **asdict(figures)})
         show(device, figures)
-    if args.json:
-        formulas = {name: formula.text() for name, formula in FORMULAS.items()}
-        write_json(args.json, {"command": command_line(), "formulas": formulas, "devices": records})
+    formulas = {name: formula.text() for name, formula in FORMULAS.items()}
+    write_figures(args.json, {"formulas": formulas, "devices": records})
     return 0 if passed else 1
 
 
@@ -132,9 +128,7 @@ def show(device: Device, figures: OpsFigures) -> None:
         f" {limits.flops_per_second / 1e9:.0f} GFLOP/s; {counts.A:,} anchors, {counts.N:,} "
         f"Gaussians, {counts.I:,} intersections, {counts.B:,} blended pairs, {counts.P:,} pixels"
     )
-    table = Table("stage", title=title)
-    for column in ("ms", "error", "limit", "GB/s", "GFLOP/s", "of limit"):
-        table.add_column(column, justify="right")
+    rows = []
     for stage in figures.stages:
         error, rates = ["", ""], ["", "", ""]
         if check := stage.check:
@@ -145,5 +139,6 @@ def show(device: Device, figures: OpsFigures) -> None:
                 f"{share.gigaflops:.1f}",
                 f"{100 * share.of_limit:.0f} % {share.bound}",
             ]
-        table.add_row(stage.stage, f"{stage.milliseconds:.2f}", *error, *rates)
-    Console().print(table)
+        rows.append((stage.stage, f"{stage.milliseconds:.2f}", *error, *rates))
+    head = ("stage", "ms", "error", "limit", "GB/s", "GFLOP/s", "of limit")
+    show_table(title, head, rows)

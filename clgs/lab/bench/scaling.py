@@ -10,15 +10,12 @@ from statistics import median
 
 import numpy as np
 import numpy.typing as npt
-from rich.console import Console
-from rich.table import Table
 
 from clgs.cli.tell import tell
-from clgs.files import write_json
 from clgs.lab.anchor_scene import anchor_scene, square_camera
 from clgs.lab.bench.plots import PANEL, STYLE, check_figure_files, require_pyplot, save
 from clgs.lab.bench.step import count_frame, stream_times, trainer_of
-from clgs.lab.facts import command_line, machine_facts
+from clgs.lab.facts import show_table, write_figures
 from clgs.opencl.device import Device
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
@@ -91,9 +88,7 @@ def run(args: argparse.Namespace) -> int:
         lambda line: tell(f"clgs: {line}"),
     )
     show(found)
-    if args.output:
-        record = {"command": command_line(), **machine_facts(device), **asdict(found)}
-        write_json(args.output, record)
+    write_figures(args.output, asdict(found), device)
     if args.plot:
         plot_scaling(args.plot, found, f"{device.name}, {device.specialisation} form")
     return 0
@@ -178,14 +173,12 @@ def show(found: Scaling) -> None:
         ("by Gaussians", found.by_gaussians, found.time_by_gaussians),
         ("by pixels", found.by_pixels, found.time_by_pixels),
     ):
-        table = Table(
-            title=f"{name}: time ~ count^{shown(exponent.exponent, 2)} "
+        title = (
+            f"{name}: time ~ count^{shown(exponent.exponent, 2)} "
             f"(^{shown(exponent.exponent_of_larger_half, 2)} in the larger half)"
         )
-        for column in ("Gaussians", "intersections", "pixels", "step ms", "ns a Gaussian", "MiB"):
-            table.add_column(column, justify="right")
-        for one in runs:
-            table.add_row(
+        rows = (
+            (
                 f"{one.gaussians:,}",
                 f"{one.intersections:,}",
                 f"{one.pixels:,}",
@@ -193,7 +186,10 @@ def show(found: Scaling) -> None:
                 f"{1e6 * one.milliseconds / max(one.gaussians, 1):.0f}",
                 f"{one.peak_bytes / 2**20:.0f}",
             )
-        Console().print(table)
+            for one in runs
+        )
+        head = ("Gaussians", "intersections", "pixels", "step ms", "ns per Gaussian", "MiB")
+        show_table(title, head, rows)
     memory = found.memory
     print(
         f"device memory: {shown(memory.per_gaussian, 0)} bytes per Gaussian and "

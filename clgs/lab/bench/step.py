@@ -8,12 +8,10 @@ from dataclasses import asdict, dataclass, replace
 from statistics import median
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from clgs.files import check_target, write_json
+from clgs.files import check_target
 from clgs.lab.anchor_scene import anchor_scene, photo_dataset
-from clgs.lab.facts import command_line, machine_facts
+from clgs.lab.facts import show_table, write_figures
 from clgs.opencl.device import Device
 from clgs.render.frame import Frame
 from clgs.render.renderer import Renderer
@@ -71,22 +69,19 @@ def run(args: argparse.Namespace) -> int:
         f"{times.gaussians:,} Gaussians, {times.intersections:,} intersections, "
         f"{args.size[0]}x{args.size[1]} px"
     )
-    table = Table("stage", title=title)
-    table.add_column("median ms", justify="right")
-    for name, milliseconds in times.stages.items():
-        table.add_row(name, f"{milliseconds:.2f}")
-    table.add_section()
-    table.add_row("whole step", f"{times.step:.2f}")
-    table.add_row("render only", f"{times.render:.2f}")
-    table.add_section()
-    table.add_row("kernels of a step, by the device's clock", f"{sum(times.kernels.values()):.2f}")
-    table.add_row("host in a step, without waits", f"{times.host:.2f}")
-    table.add_row("waits in a step", f"{times.waits:.1f}")
-    table.add_row("launches of a step", str(times.launches))
-    Console().print(table)
-    if args.json:
-        facts = {"command": command_line(), **machine_facts(device)}
-        write_json(args.json, facts | asdict(times))
+    rows = [
+        *((name, f"{milliseconds:.2f}") for name, milliseconds in times.stages.items()),
+        (),
+        ("whole step", f"{times.step:.2f}"),
+        ("render only", f"{times.render:.2f}"),
+        (),
+        ("kernels of a step, by the device's clock", f"{sum(times.kernels.values()):.2f}"),
+        ("host in a step, without waits", f"{times.host:.2f}"),
+        ("waits in a step", f"{times.waits:.1f}"),
+        ("launches of a step", str(times.launches)),
+    ]
+    show_table(title, ("stage", "median ms"), rows)
+    write_figures(args.json, asdict(times), device)
     return 0
 
 

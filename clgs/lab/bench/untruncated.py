@@ -9,12 +9,12 @@ and the blur. References make all decisions, none is taken from a device.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from clgs.cli.tell import tell
 from clgs.constants import ALPHA_MAX, TILE_SIZE
 from clgs.files import atomic_path, cache_folder
 from clgs.lab.selftest.reference_render import ReferenceFrame, backward_reference, wide
@@ -119,36 +119,24 @@ def cached_reference(
     size: tuple[int, int],
     background: Packed,
     d_image: npt.NDArray[np.float32],
-    report: Callable[[str], None],
 ) -> dict[str, Array]:
     """The image (3, H, W) and the gradients of sum(d_image * image) by name, float64.
 
-    They are kept by content in the user's cache folder; ``report`` is called before long work.
+    They are kept in the user's cache folder, by a hash of all that they depend on.
     """
-    path = cache_folder() / f"{_key(scene, camera, size, background, d_image)}.npz"
+    arrays: list[npt.NDArray[Any]] = [*wide(scene).values(), camera, background, d_image]
+    digest = hashlib.sha256(VERSION)
+    for array in [*arrays, np.array(size)]:
+        digest.update(repr((array.shape, array.dtype.str)).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    path = cache_folder() / f"{digest.hexdigest()}.npz"
     if path.exists():
         with np.load(path) as stored:
             return {name: np.asarray(stored[name], np.float64) for name in stored.files}
-    report("float64 reference without truncation: computed once, then kept in " + str(path.parent))
+    tell(f"clgs: float64 reference without truncation: computed once, then kept in {path.parent}")
     frame = render_untruncated(scene, camera, size, background)
     result = {"image": frame.image, **backward_reference(frame, d_image.astype(np.float64), 0.0)}
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_path(path) as temporary:
         np.savez(temporary, **result)  # type: ignore[arg-type]
     return result
-
-
-def _key(
-    scene: Scene,
-    camera: Packed,
-    size: tuple[int, int],
-    background: Packed,
-    d_image: npt.NDArray[np.float32],
-) -> str:
-    """SHA-256 of all that the reference depends on."""
-    digest = hashlib.sha256(VERSION)
-    arrays: list[npt.NDArray[Any]] = [*wide(scene).values(), camera, background, d_image]
-    for array in [*arrays, np.array(size)]:
-        digest.update(repr((array.shape, array.dtype.str)).encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
