@@ -15,8 +15,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from statistics import median
@@ -27,21 +25,15 @@ os.environ["OMP_WAIT_POLICY"] = "passive"  # threads that spin after the C loop 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.constants import BLUR, TILE_SIZE
+from clgs.constants import TILE_SIZE
 from clgs.lab.selftest.reference_render import relative_l2
+from clgs.lab.turns import take_turns
 from clgs.opencl.device import Device
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from tests.gaussians import (
-    SIGMA_SPREAD,
-    ProjectedScene,
-    covariance2d,
-    extent,
-    projected_scene,
-    whitening,
-)
+from tests.gaussians import ProjectedScene, projected_scene
 
 COMPILER = ("gcc", "-O3", "-march=native", "-fopenmp", "-shared", "-fPIC")
 BACKGROUND = np.array([0.2, 0.5, 0.9], np.float32)
@@ -54,40 +46,8 @@ ROW = 9
 Array = npt.NDArray[Any]
 
 
-def lognormal_scene(
-    rng: np.random.Generator, count: int, size: tuple[int, int], sigma_median: float
-) -> ProjectedScene:
-    """Gaussians whose two axes are log-normal, blurred as by the projection.
-
-    Args:
-        rng: source of all randomness.
-        count: N.
-        size: width and height, pixels; centres are spread evenly over them.
-        sigma_median: median standard deviation along an axis, pixels.
-    """
-    axes = sigma_median * np.exp(SIGMA_SPREAD * rng.normal(size=(2, count)))
-    xx, xy, yy = covariance2d(axes[0], axes[1], rng.uniform(0, np.pi, count))
-    opacity = rng.uniform(0.02, 0.9, count)
-    return ProjectedScene(
-        mean2d=rng.uniform(0, size, (count, 2)).astype(np.float32),
-        whitening=whitening(xx + BLUR, xy, yy + BLUR),
-        depth=rng.uniform(1, 10, count).astype(np.float32),
-        extent=extent(xx + BLUR, yy + BLUR, opacity),
-        color=rng.uniform(0, 1, (count, 3)).astype(np.float32),
-        opacity=opacity.astype(np.float32),
-    )
-
-
-BLEND_SCENES: dict[str, tuple[tuple[int, int], Callable[[np.random.Generator], ProjectedScene]]] = {
-    "small 200k": ((400, 400), lambda rng: projected_scene(rng, 200_000, 400, 400, 1.2)),
-    "medium 50k": ((800, 800), lambda rng: projected_scene(rng, 50_000, 800, 800, 5.2)),
-    "lognormal 10k": ((400, 400), lambda rng: lognormal_scene(rng, 10_000, (400, 400), 3.5)),
-    "lognormal 50k": ((400, 400), lambda rng: lognormal_scene(rng, 50_000, (400, 400), 1.55)),
-    "lognormal 100k": ((400, 400), lambda rng: lognormal_scene(rng, 100_000, (400, 400), 1.1)),
-    "dense 40k": ((400, 400), lambda rng: lognormal_scene(rng, 40_000, (400, 400), 3.5)),
-    "needles 20k": ((400, 400), lambda rng: projected_scene(rng, 20_000, 400, 400, 12.0, 400.0)),
-}
-"""The scenes that blending is measured on: size of the image and generator, by name."""
+BLEND_SCENES = {"small 200k": (200_000, 400, 1.2), "medium 50k": (50_000, 800, 5.2)}
+"""Gaussians, pixels of the image's edge, and median size in pixels, by name."""
 
 
 class SceneOfC(ctypes.Structure):
@@ -168,21 +128,11 @@ def box_lists(scene: ProjectedScene, size: tuple[int, int]) -> dict[str, Array]:
     }
 
 
-def interleaved(runs: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median milliseconds of each, taking turns."""
-    times: dict[str, list[float]] = {name: [] for name in runs}
-    for _ in range(1 + repeats):
-        for name, run in runs.items():
-            start = time.perf_counter()
-            run()
-            times[name].append(1e3 * (time.perf_counter() - start))
-    return {name: median(found[1:]) for name, found in times.items()}
-
-
-def measure(device: Device, name: str, repeats: int, seed: int) -> dict[str, float]:
+def measure(device: Device, name: str, repeats: int) -> dict[str, float]:
     """All figures of one scene; the errors show that both do the same work."""
-    size, generate = BLEND_SCENES[name]
-    scene = generate(np.random.default_rng(seed))
+    count, edge, sigma = BLEND_SCENES[name]
+    size = (edge, edge)
+    scene = projected_scene(np.random.default_rng(0), count, *size, sigma)
     d_host = np.random.default_rng(1).normal(size=(3, size[1], size[0])).astype(np.float32)
     naive = NaiveBlend(scene, size, d_host)
     projected = Projected(**{field: device.upload(x) for field, x in vars(scene).items()})
@@ -200,7 +150,7 @@ def measure(device: Device, name: str, repeats: int, seed: int) -> dict[str, flo
 
     runs = {"forward": forward, "backward": backward}
     runs |= {"naive forward": naive.forward, "naive backward": naive.backward}
-    times = interleaved(runs, repeats)
+    times = {run: median(each) for run, each in take_turns(runs, repeats).items()}
     gradients = blend.backward(device, projected, blended, d_image)
     error = np.abs(device.download(blended.image) - naive.image)
     return {
@@ -221,14 +171,13 @@ def main() -> None:
     add = parser.add_argument
     add("scenes", nargs="*", metavar="SCENE", help=f"of {', '.join(BLEND_SCENES)}; default all")
     add("--repeats", type=int, default=5, help="runs to take the median of")
-    add("--seed", type=int, default=0, help="of the scenes")
     add("--device", help="number or part of the name, see `clgs devices`")
     args = parser.parse_args()
     device = Device(args.device)
     print(f"{device.name} ({device.specialisation})")
     for name in args.scenes or list(BLEND_SCENES):
         print(f"{name}:")
-        for what, value in measure(device, name, args.repeats, args.seed).items():
+        for what, value in measure(device, name, args.repeats).items():
             print(f"  {what}: {value:.6g}")
 
 

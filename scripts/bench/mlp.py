@@ -11,7 +11,6 @@ sample forward, four backward (what a pass computes again is not counted).
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +22,7 @@ import numpy.typing as npt
 from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, K_OFFSETS, OUTPUT_DIM
 from clgs.lab.anchor_scene import square_camera
 from clgs.lab.bench.stage_limits import measure_limits
+from clgs.lab.turns import take_turns
 from clgs.opencl.device import Device
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
@@ -32,7 +32,6 @@ from clgs.scene.mlps import init_mlps, unpack_head
 
 Array = npt.NDArray[np.float32]
 FORWARD_FLOP = 2 * (len(HEAD_DIMS) * INPUT_DIM * HIDDEN_DIM + OUTPUT_DIM * HIDDEN_DIM)
-BACKWARD_FLOP = 2 * FORWARD_FLOP
 
 ALL = RenderOptions(skips=Skips(opacity_first=False, slots=False))
 MINE = "kernels, all outputs"
@@ -57,9 +56,9 @@ class Case:
     camera: Camera
 
 
-def make_case(count: int, seed: int) -> Case:
+def make_case(count: int) -> Case:
     """``count`` seeded anchors before a camera."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     return Case(
         rng.normal(size=(count, FEATURE_DIM)).astype(np.float32),
         rng.uniform(-1, 1, (count, 3)).astype(np.float32),
@@ -133,50 +132,6 @@ class NumpyHeads:
         return d_inner, d_outer, self.d_feature
 
 
-class DeviceHeads:
-    """The kernels on one device."""
-
-    def __init__(self, device: Device, case: Case) -> None:
-        """Upload the case."""
-        self.device = device
-        count = len(case.feature)
-        anchors = DeviceAnchors(
-            position=device.upload(case.position),
-            offset=device.zeros((count, K_OFFSETS, 3)),
-            feature=device.upload(case.feature),
-            scaling=device.zeros((count, 6)),
-        )
-        camera = device.upload(case.camera.pack(0.2))
-        self.inputs = mlp.Inputs(anchors, device.upload(case.weights), camera)
-        self.visible = device.upload(case.visible)
-
-    def forward(self, options: RenderOptions = DEFAULT) -> mlp.Activations:
-        """Run and wait."""
-        result = mlp.forward(self.device, self.inputs, self.visible, options)
-        self.device.finish()
-        return result
-
-    def backward(self, activations: mlp.Activations, d_output: object) -> mlp.MlpGradients:
-        """Run and wait."""
-        result = mlp.backward(self.device, self.inputs, activations, d_output)
-        self.device.finish()
-        return result
-
-
-def interleaved(tasks: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median milliseconds of each task, called in turn."""
-    seconds: dict[str, list[float]] = {name: [] for name in tasks}
-    for _ in range(repeats):
-        for name, task in tasks.items():
-            until = time.perf_counter() + WARM_UP
-            while time.perf_counter() < until:
-                task()
-            start = time.perf_counter()
-            task()
-            seconds[name].append(time.perf_counter() - start)
-    return {name: 1e3 * median(values) for name, values in seconds.items()}
-
-
 def main() -> int:
     """Print tables: what, milliseconds, GFLOP/s; the ratio is that of the same outputs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -184,10 +139,30 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=21)
     parser.add_argument("--device")
     args = parser.parse_args()
-    device, case = Device(args.device), make_case(args.anchors, 0)
-    heads = DeviceHeads(device, case)
+    device, case = Device(args.device), make_case(args.anchors)
+    anchors = DeviceAnchors(
+        position=device.upload(case.position),
+        offset=device.zeros((args.anchors, K_OFFSETS, 3)),
+        feature=device.upload(case.feature),
+        scaling=device.zeros((args.anchors, 6)),
+    )
+    camera = device.upload(case.camera.pack(0.2))
+    inputs = mlp.Inputs(anchors, device.upload(case.weights), camera)
+    visible = device.upload(case.visible)
+
+    def forward(options: RenderOptions) -> mlp.Activations:
+        """Run the kernels and wait."""
+        result = mlp.forward(device, inputs, visible, options)
+        device.finish()
+        return result
+
+    def backward(activations: mlp.Activations) -> None:
+        """Run the kernels and wait."""
+        mlp.backward(device, inputs, activations, d_output)
+        device.finish()
+
     numpy_heads = {f"NumPy, blocks of {n}": NumpyHeads(case, n) for n in (args.anchors, *BLOCKS)}
-    full, drawn = heads.forward(ALL), heads.forward()
+    full, drawn = forward(ALL), forward(DEFAULT)
     columns = device.download(full.visible)
     for one in numpy_heads.values():
         expected = np.concatenate(one.forward(), axis=1)[columns].T
@@ -199,21 +174,22 @@ def main() -> int:
     d_heads = [np.ascontiguousarray(d.T) for d in np.split(d_host[:, : args.anchors], splits)]
     peak = measure_limits(device).flops_per_second / 1e9
     print(f"{device.name}, {args.anchors} visible anchors; peak {peak:.0f} GFLOP/s")
-    forward: dict[str, Callable[[], object]] = {
-        MINE: lambda: heads.forward(ALL),
-        "kernels, drawn slots": heads.forward,
+    forwards: dict[str, Callable[[], object]] = {
+        MINE: partial(forward, ALL),
+        "kernels, drawn slots": partial(forward, DEFAULT),
         **{name: one.forward for name, one in numpy_heads.items()},
     }
-    backward: dict[str, Callable[[], object]] = {
-        MINE: lambda: heads.backward(full, d_output),
-        "kernels, drawn slots": lambda: heads.backward(drawn, d_output),
+    backwards: dict[str, Callable[[], object]] = {
+        MINE: partial(backward, full),
+        "kernels, drawn slots": partial(backward, drawn),
         **{name: partial(one.backward, d_heads) for name, one in numpy_heads.items()},
     }
     for title, tasks, flop in (
-        ("forward", forward, FORWARD_FLOP),
-        ("backward", backward, BACKWARD_FLOP),
+        ("forward", forwards, FORWARD_FLOP),
+        ("backward", backwards, 2 * FORWARD_FLOP),
     ):
-        times = interleaved(tasks, args.repeats)
+        found = take_turns(tasks, args.repeats, 0, WARM_UP)
+        times = {name: median(each) for name, each in found.items()}
         print(f"{title:36}{'ms':>8}{'GFLOP/s':>9}")
         for name, milliseconds in times.items():
             rate = flop * args.anchors / milliseconds / 1e6

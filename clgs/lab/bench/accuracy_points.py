@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +14,7 @@ from clgs.errors import UsageError
 from clgs.lab.anchor_scene import anchor_scene
 from clgs.lab.bench.untruncated import cached_reference
 from clgs.lab.selftest.reference_render import relative_l2
+from clgs.lab.turns import take_turns
 from clgs.opencl.device import Device
 from clgs.options import PRESETS, Accuracy, RenderOptions
 from clgs.render.frame import SceneGradients, upload_scene, upload_view
@@ -181,41 +181,32 @@ def bench_accuracy(
     reference = cached_reference(
         subject.scene, camera.pack(render_settings.near), size, background, d_host
     )
-    renderers: dict[Accuracy, Renderer] = {}
 
-    def picture(accuracy: Accuracy) -> npt.NDArray[np.float32]:
+    @cache
+    def picture_of(accuracy: Accuracy) -> Callable[[], npt.NDArray[np.float32]]:
         """Render on the host, like `clgs render`."""
-        if accuracy not in renderers:
-            options = RenderOptions(accuracy)
-            renderers[accuracy] = Renderer.of_device_scene(device, scene, render_settings, options)
-        return renderers[accuracy].render(camera)
+        options = RenderOptions(accuracy)
+        renderer = Renderer.of_device_scene(device, scene, render_settings, options)
+        return partial(renderer.render, camera)
 
     def gradients(accuracy: Accuracy) -> SceneGradients:
         """Compute gradients on the device, like a training step."""
         frame = rasterise(device, scene, view, RenderOptions(accuracy))
-        return rasterise_backward(device, scene, frame, d_image)
+        found = rasterise_backward(device, scene, frame, d_image)
+        device.finish()
+        return found
 
     def errors(accuracy: Accuracy) -> tuple[ImageError, ImageError | None, GradientError | None]:
         """Distances of picture and gradients from the reference; see :class:`Point`."""
-        drawn = picture(accuracy)
+        drawn = picture_of(accuracy)()
         image = image_error(drawn, reference["image"])
         if accuracy.downscale > 1:
             return image, None, None
         without_stop = replace(
             accuracy, transmittance_stop=1e-9, inclusive_stop=True, exp2_degree=max(DEGREES)
         )
-        stopped = image_error(drawn, picture(without_stop).astype(np.float64))
-        found = gradients(accuracy)
-        pairs = {
-            name: (device.download(getattr(found, name)), wanted)
-            for name, wanted in reference.items()
-            if name != "image"
-        }
-        gradient = GradientError(
-            {name: relative_l2(*pair) for name, pair in pairs.items()},
-            {name: element_error(*pair) for name, pair in pairs.items()},
-        )
-        return image, stopped, gradient
+        stopped = image_error(drawn, picture_of(without_stop)().astype(np.float64))
+        return image, stopped, gradient_error(device, gradients(accuracy), reference)
 
     tell(f"clgs: {subject.name}: errors of {len(settings)} settings")
     different = list(dict.fromkeys(replace(one.accuracy, name="") for one in settings))
@@ -223,10 +214,13 @@ def bench_accuracy(
     tell(f"clgs: {subject.name}: times of {len(different)} different ones, {repeats} rounds")
     tasks: dict[tuple[Accuracy, bool], Callable[[], object]] = {}
     for one in different:
-        tasks[one, False] = partial(picture, one)
+        tasks[one, False] = picture_of(one)
         if one.downscale == 1:
             tasks[one, True] = partial(gradients, one)
-    times = _take_turns(device, tasks, repeats)
+    times = {}
+    for key, milliseconds in take_turns(tasks, repeats, WARM_UP).items():
+        low, median, high = np.quantile(milliseconds, [0.05, 0.5, 0.95])
+        times[key] = Times(float(median), float(low), float(high))
     points = []
     for setting in settings:
         accuracy = replace(setting.accuracy, name="")
@@ -246,6 +240,21 @@ def image_error(image: npt.NDArray[np.float32], reference: Array) -> ImageError:
     return ImageError(255 * float(np.quantile(error, 0.999)), 255 * float(error.max()), float(psnr))
 
 
+def gradient_error(
+    device: Device, found: SceneGradients, reference: dict[str, Array]
+) -> GradientError:
+    """Errors of the gradients that ``reference`` names."""
+    pairs = {
+        name: (device.download(getattr(found, name)), wanted)
+        for name, wanted in reference.items()
+        if name != "image"
+    }
+    return GradientError(
+        {name: relative_l2(*pair) for name, pair in pairs.items()},
+        {name: element_error(*pair) for name, pair in pairs.items()},
+    )
+
+
 def element_error(actual: npt.NDArray[np.float32], expected: Array) -> float:
     """99th percentile of |error| / max(|expected|, rms / 1000) if either is not zero."""
     rms = float(np.sqrt(np.mean(expected**2)))
@@ -255,24 +264,6 @@ def element_error(actual: npt.NDArray[np.float32], expected: Array) -> float:
     wanted = expected[touched]
     error = np.abs(actual[touched].astype(np.float64) - wanted)
     return float(np.quantile(error / np.maximum(np.abs(wanted), rms / 1000), 0.99))
-
-
-def _take_turns(
-    device: Device, tasks: dict[tuple[Accuracy, bool], Callable[[], object]], repeats: int
-) -> dict[tuple[Accuracy, bool], Times]:
-    """Times of every task, after WARM_UP rounds that do not count."""
-    milliseconds: dict[tuple[Accuracy, bool], list[float]] = {key: [] for key in tasks}
-    for _ in range(WARM_UP + repeats):
-        for key, task in tasks.items():
-            start = time.perf_counter()
-            task()
-            device.finish()
-            milliseconds[key].append(1e3 * (time.perf_counter() - start))
-    found = {}
-    for key, values in milliseconds.items():
-        low, median, high = np.quantile(values[WARM_UP:], [0.05, 0.5, 0.95])
-        found[key] = Times(float(median), float(low), float(high))
-    return found
 
 
 def against_parity(figures: SceneFigures) -> dict[str, dict[str, float | None]]:

@@ -119,16 +119,14 @@ def time_gsplat(view: Handover, repeats: int, seed: int) -> PeerTimes:
     import gsplat
     import torch
 
-    raster = _Raster(torch, gsplat, view)
-    forward = _milliseconds(torch, raster.forward, repeats)
-    _, backward = zip(*_split(torch, raster.forward, raster.backward, repeats), strict=True)
-    whole = _Step(torch, gsplat, view, seed)
+    raster, (step, loss) = _Raster(view), _training_step(view, seed)
+    forward, backward = _milliseconds(raster.forward, raster.backward, repeats)
     return PeerTimes(
-        tiles=_milliseconds(torch, raster.lists, repeats),
+        tiles=_milliseconds(raster.lists, lambda lists: None, repeats)[0],
         forward=forward,
-        backward=median(backward),
-        step=_milliseconds(torch, whole.run, repeats),
-        loss=whole.loss,
+        backward=backward,
+        step=_milliseconds(step, lambda result: None, repeats)[0],
+        loss=loss,
         difference=difference(raster.forward().detach().cpu().numpy(), view.image),
         card=torch.cuda.get_device_name(),
         versions={"torch": torch.__version__, "gsplat": gsplat.__version__},
@@ -138,29 +136,32 @@ def time_gsplat(view: Handover, repeats: int, seed: int) -> PeerTimes:
 class _Raster:
     """gsplat's rasteriser on projected Gaussians."""
 
-    def __init__(self, torch: Any, gsplat: Any, view: Handover) -> None:
+    def __init__(self, view: Handover) -> None:
         screen = view.screen
-        self._gsplat, self._size = gsplat, view.size
+        self._size = view.size
         self._tiles = tuple(-(-edge // TILE_SIZE) for edge in view.size)
-        load = _loader(torch)
-        self._radii, self._depth = load(screen.radii), load(screen.depth)
+        self._radii, self._depth = _on_card(screen.radii), _on_card(screen.depth)
         drawn = (screen.mean, screen.conic, screen.color, screen.opacity)
-        self._drawn = [load(each).requires_grad_() for each in drawn]
-        self._background = load(view.background)
-        self._upstream = load(np.ones((*view.image.shape,), np.float32))
+        self._drawn = [_on_card(each).requires_grad_() for each in drawn]
+        self._background = _on_card(view.background)
+        self._upstream = _on_card(np.ones(view.image.shape, np.float32))
         self._offsets, self._order = self.lists()
 
     def lists(self) -> tuple[Any, Any]:
         """Offsets of the tiles, and the Gaussians of all tiles."""
+        import gsplat
+
         mean = self._drawn[0].detach()[None]
-        _, keys, order = self._gsplat.isect_tiles(
+        _, keys, order = gsplat.isect_tiles(
             mean, self._radii[None], self._depth[None], TILE_SIZE, *self._tiles
         )
-        return self._gsplat.isect_offset_encode(keys, 1, *self._tiles), order
+        return gsplat.isect_offset_encode(keys, 1, *self._tiles), order
 
     def forward(self) -> Any:
         """The picture (H, W, 3)."""
-        picture, _ = self._gsplat.rasterize_to_pixels(
+        import gsplat
+
+        picture, _ = gsplat.rasterize_to_pixels(
             *(each[None] for each in self._drawn),
             *self._size,
             TILE_SIZE,
@@ -177,74 +178,62 @@ class _Raster:
             each.grad = None
 
 
-class _Step:
-    """A training step of gsplat on Gaussians in space."""
+def _training_step(view: Handover, seed: int) -> tuple[Callable[[], None], str]:
+    """A training step of gsplat on Gaussians in space, and what its loss is."""
+    import gsplat
+    import torch
 
-    def __init__(self, torch: Any, gsplat: Any, view: Handover, seed: int) -> None:
-        load, space = _loader(torch), view.space
-        self._gsplat, self._size = gsplat, view.size
-        opacity = np.clip(space.opacity, 1e-4, 1 - 1e-4)
-        start = (
-            space.mean,
-            space.rotation,
-            np.log(space.scale),
-            np.log(opacity / (1 - opacity)),
-            space.color,
-        )
-        self._parameters = [load(each).requires_grad_() for each in start]
-        self._adam = torch.optim.Adam(self._parameters, lr=STILL, fused=True)
-        camera = (view.viewmat, view.intrinsics, view.background)
-        self._viewmat, self._intrinsics, self._background = map(load, camera)
-        self._photo = load(np.random.default_rng(seed).random(view.image.shape, np.float32))
-        self._ssim = _fused_ssim()
-        self.loss = "L1 and SSIM (fused_ssim)" if self._ssim else "L1 alone: fused_ssim is missing"
+    try:
+        ssim = import_module("fused_ssim").fused_ssim  # which PyPI does not have
+    except ImportError:
+        ssim = None
+    space = view.space
+    opacity = np.clip(space.opacity, 1e-4, 1 - 1e-4)
+    logit = np.log(opacity / (1 - opacity))
+    start = (space.mean, space.rotation, np.log(space.scale), logit, space.color)
+    parameters = [_on_card(each).requires_grad_() for each in start]
+    adam = torch.optim.Adam(parameters, lr=STILL, fused=True)
+    viewmat, intrinsics, background = map(
+        _on_card, (view.viewmat, view.intrinsics, view.background)
+    )
+    photo = _on_card(np.random.default_rng(seed).random(view.image.shape, np.float32))
 
-    def run(self) -> None:
-        """One step."""
-        mean, rotation, log_scale, logit, color = self._parameters
-        picture, _, _ = self._gsplat.rasterization(
+    def step() -> None:
+        mean, rotation, log_scale, logit, color = parameters
+        picture = gsplat.rasterization(
             mean,
             rotation,
             log_scale.exp(),
             logit.sigmoid(),
             color,
-            self._viewmat[None],
-            self._intrinsics[None],
-            *self._size,
-            backgrounds=self._background[None],
-        )
-        self._loss_of(picture[0]).backward()
-        self._adam.step()
-        self._adam.zero_grad(set_to_none=True)
+            viewmat[None],
+            intrinsics[None],
+            *view.size,
+            backgrounds=background[None],
+        )[0][0]
+        loss = (picture - photo).abs().mean()
+        if ssim is not None:
+            pair = (each.permute(2, 0, 1)[None] for each in (picture, photo))
+            loss = (1 - SSIM_SHARE) * loss + SSIM_SHARE * (1 - ssim(*pair))
+        loss.backward()
+        adam.step()
+        adam.zero_grad(set_to_none=True)
 
-    def _loss_of(self, picture: Any) -> Any:
-        difference = (picture - self._photo).abs().mean()
-        if self._ssim is None:
-            return difference
-        pair = (each.permute(2, 0, 1)[None] for each in (picture, self._photo))
-        return (1 - SSIM_SHARE) * difference + SSIM_SHARE * (1 - self._ssim(*pair))
-
-
-def _fused_ssim() -> Any:
-    """The function of fused-ssim, which PyPI does not have; None if it is not installed."""
-    try:
-        return import_module("fused_ssim").fused_ssim
-    except ImportError:
-        return None
+    return step, "L1 and SSIM (fused_ssim)" if ssim else "L1 alone: fused_ssim is missing"
 
 
-def _loader(torch: Any) -> Callable[[npt.NDArray[Any]], Any]:
-    return lambda array: torch.from_numpy(np.ascontiguousarray(array)).cuda()
+def _on_card(array: npt.NDArray[Any]) -> Any:
+    import torch
+
+    return torch.from_numpy(np.ascontiguousarray(array)).cuda()
 
 
-def _milliseconds(torch: Any, work: Callable[[], Any], repeats: int) -> float:
-    return median(first for first, _ in _split(torch, work, lambda _: None, repeats))
+def _milliseconds(
+    first: Callable[[], Any], second: Callable[[Any], None], repeats: int
+) -> tuple[float, float]:
+    """Medians of both parts of work that is done again and again, by the card's clock."""
+    import torch
 
-
-def _split(
-    torch: Any, first: Callable[[], Any], second: Callable[[Any], Any], repeats: int
-) -> list[tuple[float, float]]:
-    """Milliseconds of both parts of work that is done again and again, by the card's clock."""
     times = []
     for _ in range(WARM_UP + repeats):
         marks = [torch.cuda.Event(enable_timing=True) for _ in range(3)]
@@ -255,7 +244,8 @@ def _split(
         marks[2].record()
         torch.cuda.synchronize()
         times.append((marks[0].elapsed_time(marks[1]), marks[1].elapsed_time(marks[2])))
-    return times[WARM_UP:]
+    once, twice = zip(*times[WARM_UP:], strict=True)
+    return median(once), median(twice)
 
 
 def difference(one: npt.NDArray[np.floating], other: npt.NDArray[np.floating]) -> float:

@@ -1,4 +1,4 @@
-"""Poses by two seeds against each other: good photos count, those in doubt are shown apart."""
+"""Verdicts on poses: good photos count, those in doubt are shown apart; photos and truth agree."""
 
 from __future__ import annotations
 
@@ -7,11 +7,22 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from clgs.errors import DataError
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, PhotoVerdict, Verdict
-from scripts.bench.pose_seeds import apart, good_names, read_poses, read_verdict, summary
+from scripts.bench.poses import (
+    QUARTER,
+    apart,
+    changed,
+    copy_photos,
+    read_poses,
+    read_verdict,
+    summary,
+)
 from tests.small_scene import write_scene
 
+WIDTH, HEIGHT = 8, 4
 TURNED = 20.0
 """Degrees of the one photo that is wrong."""
 
@@ -45,7 +56,8 @@ def prepared(folder, wrong=False):
 def test_only_photos_that_are_good_in_both_count(tmp_path):
     first, second = prepared(tmp_path / "a"), prepared(tmp_path / "b", wrong=True)
     verdicts = read_verdict(first), read_verdict(second)
-    good = good_names(verdicts[0]) & good_names(verdicts[1])
+    names = [{photo.name.removesuffix(".jpg") for photo in one.of(GOOD)} for one in verdicts]
+    good = names[0] & names[1]
     assert len(good) == 7
     said = apart(read_poses(first), read_poses(second), good)
     assert said.startswith("7 good ones of ")
@@ -68,5 +80,28 @@ def test_a_verdict_is_one_line(tmp_path):
 def test_a_folder_that_prepare_did_not_make_is_named(tmp_path):
     with pytest.raises(SystemExit, match=r"report.json: no report of `clgs prepare`"):
         read_verdict(tmp_path)
-    with pytest.raises(SystemExit, match=str(tmp_path)):
+    with pytest.raises(DataError, match=str(tmp_path)):
         read_poses(tmp_path)
+
+
+def test_a_photo_and_its_camera_are_turned_alike():
+    pixels = np.zeros((HEIGHT, WIDTH), np.uint8)
+    pixels[1, 6] = 255
+    turned = np.asarray(changed(Image.fromarray(pixels), "turn", 1))
+    (row,), (column,) = np.nonzero(turned)
+    ray = np.array([6.5 - WIDTH / 2, 1.5 - HEIGHT / 2, 1.0])  # from the middle of the photo
+    x, y, _ = QUARTER @ ray
+    assert (column + 0.5, row + 0.5) == (x + HEIGHT / 2, y + WIDTH / 2)
+
+
+def test_poses_are_those_of_the_photos_that_were_copied(tmp_path):
+    data = write_scene(tmp_path / "data", train=6, test=2)
+    (tmp_path / "chosen").mkdir()
+    turned = copy_photos(data / "train", 2, "turn", tmp_path / "chosen")
+    assert sorted(turned) == sorted(path.stem for path in (tmp_path / "chosen").iterdir())
+    assert list(turned.values()) == [False, True, False]
+    poses = read_poses(data, "train", turned)
+    plain = read_poses(data, "train", dict.fromkeys(turned, False))
+    assert poses.names == plain.names == sorted(turned)
+    for name, rotation, before in zip(poses.names, poses.rotation, plain.rotation, strict=True):
+        np.testing.assert_array_equal(rotation, (QUARTER if turned[name] else np.eye(3)) @ before)
