@@ -120,7 +120,7 @@ def bits(part: str) -> Column:
 
 
 def most_memory(one: Group) -> str:
-    """The largest peak of the seeds, megabytes; nothing where no system told it."""
+    """The largest peak of the seeds, megabytes; nothing where the system does not count it."""
     known = [row["peak_memory_bytes"] for row in one.rows if row["peak_memory_bytes"]]
     return f"{max(known) / MEGABYTE:,.0f}" if known else ""
 
