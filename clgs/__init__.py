@@ -37,7 +37,7 @@ _HOMES = {
     "export": "clgs.workflow.export",
     "load_dataset": "clgs.data.dataset",
     "load_scene": "clgs.scene.storage",
-    "load_splats": "clgs.data.ply.gaussians",
+    "load_splats": "clgs.data.splats.gaussians",
     "prepare": "clgs.poses.prepare",
     "preset": "clgs.train.config",
     "render_options": "clgs.options",

@@ -23,6 +23,16 @@ STEM_KEPT = 48
 """Characters of a name that its temporary name keeps: it must not grow too long for a folder."""
 
 
+LIKELY_FOR_A_BYTE, SMALL = 64, 1 << 24
+"""Numbers that mean something expand less. This many bytes are read in any case."""
+
+
+def check_declared(declared: int, size: int) -> None:
+    """Raise ValueError if ``size`` bytes declare more than they are likely to hold."""
+    if declared > max(LIKELY_FOR_A_BYTE * size, SMALL):
+        raise ValueError(f"{size:,} bytes that declare arrays of {declared:,} bytes")
+
+
 def atomic_write(path: Path, data: bytes) -> None:
     """Write ``data`` to ``path``: readers see the old file or the whole new one.
 

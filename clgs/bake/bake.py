@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.gaussians import HostGaussians
-from clgs.scene.scene import Scene, SceneTransform, SplatScene
+from clgs.scene.scene import Scene, SplatScene
 from clgs.train.quality.metrics import psnr_8bit, to_8bit
 
 FIT_VIEWS = 64
@@ -142,20 +142,6 @@ def in_order(gaussians: HostGaussians) -> HostGaussians:
             code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
     order = np.argsort(code, kind="stable")
     return gaussians.map(lambda array: np.ascontiguousarray(array[order]))
-
-
-def to_world(gaussians: HostGaussians, transform: SceneTransform) -> HostGaussians:
-    """The Gaussians in units of the data set instead of scene units; directions and colors stay."""
-    mean = transform.to_world(gaussians.mean.astype(np.float64)).astype(np.float32)
-    log_scale = gaussians.log_scale + np.float32(np.log(1.0 / transform.scale))
-    return replace(gaussians, mean=mean, log_scale=log_scale)
-
-
-def to_scene(gaussians: HostGaussians, transform: SceneTransform) -> HostGaussians:
-    """The inverse of :func:`to_world`."""
-    mean = transform.to_scene(gaussians.mean.astype(np.float64)).astype(np.float32)
-    log_scale = gaussians.log_scale + np.float32(np.log(transform.scale))
-    return replace(gaussians, mean=mean, log_scale=log_scale)
 
 
 @dataclass(frozen=True)

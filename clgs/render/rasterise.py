@@ -14,7 +14,19 @@ import numpy as np
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import blend, cull, loss, mlp, neural, project, project_anchors, scan, splats, tiles
+from clgs.ops import (
+    antialias,
+    blend,
+    cull,
+    loss,
+    mlp,
+    neural,
+    project,
+    project_anchors,
+    scan,
+    splats,
+    tiles,
+)
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import tile_groups
 from clgs.render.frame import (
@@ -111,6 +123,9 @@ def rasterise(
     else:
         with device.stage("splats forward"):
             gaussians = splats.forward(device, scene, camera)
+        if scene.antialiased:
+            with device.stage("antialias"):
+                gaussians = antialias.forward(device, gaussians, camera)
         total = device.upload(np.array([len(scene)], np.int64))
         totals = total, total
     if gaussians is not None:
@@ -177,6 +192,8 @@ def rasterise_backward(
     camera, gaussians = frame.view.camera, frame.gaussians
     if gaussians is None:
         raise ValueError("frame: it was drawn without `keep`")
+    if isinstance(scene, OrdinaryGaussians) and scene.antialiased:
+        raise ValueError("scene: it is antialiased, which has no gradient yet")
     d_projected = blend_backward(device, frame, d_image)
     with device.stage("project backward"):
         d_gaussians = project.backward(device, gaussians, camera, frame.projected, d_projected)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -29,6 +29,8 @@ class OrdinaryGaussians(Generic[Array]):
     mean (N, 3) scene units; log_scale (N, 3) log of scene units; rotation (N, 4) quaternion
     w x y z of any length but 0; opacity (N,) logit; sh (N, C, 3) coefficients of the color, C =
     (degree + 1)^2 in the order of 3DGS. A color is max(0, 1/2 + sum over c of sh[c] * basis[c]).
+    antialiased: whether opacities are meant to shrink as the blur of the screen widens a Gaussian
+    (Mip-Splatting), so that small ones grow no brighter.
 
     Raises:
         ValueError: an array has the wrong shape.
@@ -39,6 +41,7 @@ class OrdinaryGaussians(Generic[Array]):
     rotation: Array
     opacity: Array
     sh: Array
+    antialiased: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         shapes = Shapes()
@@ -57,11 +60,12 @@ class OrdinaryGaussians(Generic[Array]):
 
     def items(self) -> Iterator[tuple[str, Array]]:
         """(name, array) in the order of SPECS."""
-        return ((one.name, getattr(self, one.name)) for one in fields(self))
+        return ((name, getattr(self, name)) for name in SPECS)
 
     def map(self, change: Callable[[Array], Other]) -> OrdinaryGaussians[Other]:
         """The Gaussians whose arrays ``change`` makes, for example ``device.upload``."""
-        return OrdinaryGaussians(*(change(array) for _, array in self.items()))
+        changed = (change(array) for _, array in self.items())
+        return OrdinaryGaussians(*changed, antialiased=self.antialiased)
 
     def check(self, dtype: npt.DTypeLike) -> None:
         """Raise TypeError if an array has another dtype; shapes are always right."""

@@ -33,6 +33,10 @@ class SceneTransform:
         return np.asarray(points / self.scale + np.array(self.centre))
 
 
+IDENTITY = SceneTransform()
+"""Scene units are the world's."""
+
+
 @dataclass(frozen=True)
 class RenderSettings:
     """What a render depends on, except anchors, MLPs and camera; stored in the file header.

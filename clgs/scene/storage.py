@@ -18,7 +18,7 @@ import numpy as np
 
 from clgs.arguments import as_path, check_type
 from clgs.errors import DataError, UsageError
-from clgs.files import atomic_write
+from clgs.files import atomic_write, check_declared
 from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform, check_ranges
@@ -48,9 +48,6 @@ SUFFIX = ".npz"
 
 MOST_FOR_A_BYTE = 1032
 """Bytes that one byte of an archive expands to, at most, in the usual compression (deflate)."""
-
-LIKELY_FOR_A_BYTE, SMALL_ARRAYS = 64, 1 << 24
-"""Numbers that mean something expand less. Arrays of this many bytes are read in any case."""
 
 
 def save_scene(path: Path | str, scene: QuantizedScene) -> None:
@@ -118,8 +115,7 @@ def load_archive(file: BinaryIO) -> Any:
         size = file.seek(0, os.SEEK_END)
         with zipfile.ZipFile(file) as archive:
             declared = sum(member.file_size for member in archive.infolist())
-        if declared > max(LIKELY_FOR_A_BYTE * size, SMALL_ARRAYS):
-            raise ValueError(f"{size:,} bytes that declare arrays of {declared:,} bytes")
+        check_declared(declared, size)
     file.seek(0)
     return np.load(file, allow_pickle=False)
 

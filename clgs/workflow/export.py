@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from clgs.arguments import as_path
 from clgs.bake.bake import (
@@ -15,20 +18,19 @@ from clgs.bake.bake import (
     baked_loss,
     count_steps,
     evenly,
-    to_scene,
-    to_world,
 )
 from clgs.bake.cameras import cameras_around
 from clgs.codec import scene_decoder, splat_packing
 from clgs.data.dataset import load_dataset
 from clgs.data.origin import repose
 from clgs.data.posed_photo import to_y_up
+from clgs.data.splats.integer_splats import read_splats
 from clgs.data.stored_photo import Planes
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
 from clgs.exports.cameras import cameras_glb
 from clgs.exports.page import scene_page, start_at
-from clgs.exports.splats.encoded import Encoded
+from clgs.exports.splats.encoded import Encoded, file_units
 from clgs.exports.splats.glb import encode_glb
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog
@@ -36,14 +38,24 @@ from clgs.exports.splats.spz import encode_spz
 from clgs.files import atomic_write, check_output
 from clgs.opencl.device import Device
 from clgs.scene.gaussians import HostGaussians
-from clgs.scene.scene import QuantizedScene, SceneTransform, SplatScene
+from clgs.scene.scene import IDENTITY, QuantizedScene, SceneTransform, SplatScene
 from clgs.workflow.events import Note, OnEvent, counter, ignore
 from clgs.workflow.options import BAKE_STEPS, SH_DEGREES, ViewOptions
 from clgs.workflow.outputs import check_new
-from clgs.workflow.scenes import instead, naming, read_bytes, read_drawable, run_folder
+from clgs.workflow.scenes import (
+    SPLAT_SUFFIXES,
+    instead,
+    naming,
+    read_bytes,
+    read_drawable,
+    run_folder,
+)
 from clgs.workflow.views import known_data, load_views, scene_name
 
 SUFFIXES = (".glb", ".html", ".ply", ".spz", ".sog")
+
+LOSSY = 0.25
+"""Splats that move by this share of their size are worth a note."""
 
 SCORED_VIEWS = 32
 """The most views, evenly chosen, that measure what baking costs."""
@@ -87,9 +99,9 @@ def export(
     output: Path | str,
     *,
     data: Path | str | None = None,
-    sh_degree: int = SH_DEGREES[-1],
-    steps: int = BAKE_STEPS,
-    units: str = "data",
+    sh_degree: int | None = None,
+    steps: int | None = None,
+    units: str | None = None,
     downscale: int | None = None,
     max_size: int | None = None,
     device: str | None = None,
@@ -101,17 +113,18 @@ def export(
 
     ``.html`` is a web page that draws the scene. ``.ply``, ``.spz``, ``.sog`` and ``.glb`` are
     ordinary Gaussians, to which a trained scene is baked. ``.glb`` of a data set holds its points
-    and cameras.
+    and cameras. An argument that the file does not depend on is refused.
 
     Args:
-        source: run folder, .clgs file, 3DGS .ply file, or folder of a data set; None for a page
-            without a scene, to drop files on.
+        source: run folder, .clgs file, file of splats (.ply, .spz, .sog), or folder of a data set;
+            None for a page without a scene, to drop files on.
         output: the new file.
         data: the data set of the scene; default: the one that its run folder names. Gaussians are
-            fitted to its photos, and the page starts at its first held-out view.
-        sh_degree: highest degree of the colors' spherical harmonics, 0 to 3.
-        steps: of refinement after the fit.
-        units: of the Gaussians, "data" (the data set's coordinates) or "scene".
+            fitted to its photos, the page starts at its first held-out view, and the y axis of a
+            .glb is its up.
+        sh_degree: highest degree of the colors' spherical harmonics, 0 to 3; default: 3.
+        steps: of refinement after the fit; default: BAKE_STEPS.
+        units: of the Gaussians, "data" (the data set's coordinates, the default) or "scene".
         downscale: the photos are reduced this many times.
         max_size: wider photos are reduced to this width in pixels.
         device: number or part of the name.
@@ -120,7 +133,8 @@ def export(
         on_event: receives progress and notes.
 
     Raises:
-        UsageError: the suffix is unknown, or ``source`` is not what it needs.
+        UsageError: the suffix is unknown, ``source`` is not what it needs, or an argument has no
+            use.
         ExistsError: ``output`` exists, and ``overwrite`` is false.
         DataError: ``source`` or the data set is missing or damaged.
     """
@@ -132,15 +146,20 @@ def export(
         raise UsageError(f"{output}: nothing is written by this suffix; take one of {known}")
     check_new(output, overwrite)
     photos = None if data is None else as_path("data", data)
-    if photos is None and source is not None:
-        photos = known_data(source)
+    baking: dict[str, Any] = {"steps": steps, "downscale": downscale, "max_size": max_size}
+    baking["device"] = device
+    drawn = {"sh_degree": sh_degree, "units": units}
+    if suffix != ".html":
+        _refuse({"name": name}, "only a page has a title")
     if suffix == ".html":
-        return _page(source, output, photos, name)
+        _refuse(drawn | baking, "a page holds the scene as it is")
+        return _page(source, output, photos or _known(source), name)
     if suffix == ".glb" and not (
         source and (source.is_file() or (run_folder(source) / "scene.npz").exists())
     ):
         if source is None:
             raise UsageError("a data set is needed: `clgs export DATA -o cameras.glb`")
+        _refuse(drawn | baking | {"data": data}, f"{source} is a data set")
         dataset = load_dataset(source, load_images=False)
         glb = cameras_glb(dataset)
         atomic_write(output, glb)
@@ -150,18 +169,39 @@ def export(
         raise UsageError(f"a scene is needed: `clgs export SCENE -o {output.name}`")
     check_output(output, source)
     scene, _ = read_drawable(source)
-    loss = None
+    transform = scene.transform if units != "scene" else IDENTITY
+    degree = SH_DEGREES[-1] if sh_degree is None else sh_degree
+    kind, loss = "", None
     if isinstance(scene, SplatScene):
-        gaussians = scene.gaussians
-        kept = replace(gaussians, sh=gaussians.sh[:, : (sh_degree + 1) ** 2])
-        encoded = _encode(output, kept, "")
+        _refuse(baking, "splats are converted, not baked")
+        if suffix != ".glb":
+            _refuse({"data": data}, "only .glb has an up, which a data set tells")
+        if photos is not None:
+            kind = load_dataset(photos, load_images=False).kind
+        sh = scene.gaussians.sh[:, : (degree + 1) ** 2]
+        gaussians = replace(scene.gaussians, sh=np.ascontiguousarray(sh))
+        encoded = _encode(output, gaussians, transform, kind, on_event)
     else:
-        views = ViewOptions(photos, downscale=downscale, max_size=max_size, device=device)
-        settings = BakeSettings(sh_degree, steps)
-        encoded, loss = _bake(source, output, scene, views, settings, units == "data", on_event)
+        views = ViewOptions(
+            photos or _known(source), downscale=downscale, max_size=max_size, device=device
+        )
+        settings = BakeSettings(degree, BAKE_STEPS if steps is None else steps)
+        encoded, loss = _bake(source, output, scene, views, settings, transform, on_event)
     atomic_write(output, encoded.data)
     made = encoded.gaussians
     return ExportedGaussians(output, len(encoded.data), len(made), made.degree, loss)
+
+
+def _known(source: Path | None) -> Path | None:
+    """The data set that the run folder of ``source`` names, if there is one."""
+    return None if source is None else known_data(source)
+
+
+def _refuse(options: dict[str, Any], why: str) -> None:
+    """Raise UsageError if one of ``options`` is given."""
+    for name, value in options.items():
+        if value is not None:
+            raise UsageError(f"--{name.replace('_', '-')}: {why}; leave it out")
 
 
 def _bake(
@@ -170,7 +210,7 @@ def _bake(
     quantized: QuantizedScene,
     views: ViewOptions,
     settings: BakeSettings,
-    in_data_units: bool,
+    transform: SceneTransform,
     on_event: OnEvent,
 ) -> tuple[Encoded, BakedLoss]:
     """The file of the baked Gaussians, and what baking costs."""
@@ -195,21 +235,42 @@ def _bake(
     device = Device(views.device)
     advance = counter("baking", count_steps(len(seen), settings), on_event)
     gaussians = bake(device, scene, seen, settings, on_step=advance)
-    if in_data_units:
-        gaussians = to_world(gaussians, scene.transform)
-    encoded = _encode(output, gaussians, kind)
-    stored = encoded.gaussians
-    if in_data_units:
-        stored = to_scene(stored, scene.transform)
-    return encoded, baked_loss(device, scene, stored, scored)
+    encoded = _encode(output, gaussians, transform, kind, on_event)
+    return encoded, baked_loss(device, scene, encoded.gaussians, scored)
 
 
-def _encode(output: Path, gaussians: HostGaussians, kind: str) -> Encoded:
-    """The file that ``output`` names by its suffix; ``kind`` of the data set, "" if not known."""
+def _encode(
+    output: Path,
+    gaussians: HostGaussians,
+    transform: SceneTransform,
+    kind: str,
+    on_event: OnEvent,
+) -> Encoded:
+    """The file that ``output`` names by its suffix; ``kind`` of the data set, "" if not known.
+
+    A :class:`Note` tells what the format, or programs that read it, cannot hold.
+    """
     suffix = output.suffix.lower()
     if suffix == ".glb":
-        return encode_glb(gaussians, to_y_up(kind) if kind else None)
-    return {".ply": encode_ply, ".spz": encode_spz, ".sog": encode_sog}[suffix](gaussians)
+        encoded = encode_glb(gaussians, transform, to_y_up(kind) if kind else None)
+        if gaussians.antialiased:
+            text = (
+                "has no mark for antialiased splats, other programs draw them too bright from afar"
+            )
+            on_event(Note(f"{output}: .glb {text}; .ply, .spz and .sog have one"))
+        return encoded
+    encode = {".ply": encode_ply, ".spz": encode_spz, ".sog": encode_sog}[suffix]
+    encoded = encode(gaussians, transform)
+    apart = np.abs(encoded.gaussians.mean - gaussians.mean).max(axis=1)
+    moved, size = float(np.median(apart)), float(np.exp(np.median(gaussians.log_scale)))
+    remedy = "--units scene puts their middle at the origin, and .glb keeps both"
+    if moved > LOSSY * size:
+        times = f"{moved / size:.1f} times the size of a splat"
+        on_event(Note(f"{output}: splats are moved by {times}, half of them further; {remedy}"))
+    elif file_units(gaussians, transform)[2].any():
+        text = "many programs compute in float32, too coarse so far from the origin"
+        on_event(Note(f"{output}: {text}; {remedy}"))
+    return encoded
 
 
 def _page(source: Path | None, output: Path, photos: Path | None, name: str | None) -> ExportedPage:
@@ -222,7 +283,7 @@ def _page(source: Path | None, output: Path, photos: Path | None, name: str | No
         data = _scene_file(source)
         check_output(output, source)
     if photos is not None and source is not None:
-        transform = SceneTransform()  # splats keep the data set's units
+        transform = IDENTITY  # splats keep the data set's units
         if not splat_packing.is_splats(data):
             transform = SceneTransform(**scene_decoder.describe(data)["transform"])
         views = repose(load_dataset(photos, load_images=False), transform)
@@ -245,8 +306,8 @@ def _scene_file(path: Path) -> bytes:
         if not file.exists():
             raise DataError(f"{path}: is a folder without scene.clgs; {instead(path)}")
         path = file
-    elif path.suffix.lower() == ".ply":
-        raise DataError(f"{path}: a page is made of a .clgs file; `clgs pack` makes one of splats")
+    elif path.suffix.lower() in SPLAT_SUFFIXES:
+        return splat_packing.pack(read_splats(path, {})[0])
     data = read_bytes(path)
     with naming(path):
         (splat_packing if splat_packing.is_splats(data) else scene_decoder).describe(data)

@@ -169,13 +169,13 @@ class RunStages:
         for path in (page, gaussians, clip):
             remove_temporaries(path)
         run, device, on_event = self.run_folder, self.device.name, self._on_event
-        shared = ["--device", device, "--overwrite"]
+        device_words = ["--device", device]
         views = ViewOptions(device=device)
         along = self._clip_path(views, shown)
         path_words = ["--path", along.name, "--frames", along.frames, "--fps", f"{along.fps:g}"]
         if along.size is not None:
             path_words += ["--size", "{}x{}".format(*along.size)]
-        write = partial(export, run, device=device, overwrite=True, on_event=on_event)
+        write = partial(export, run, overwrite=True, on_event=on_event)
         draw = partial(render_clip, run, clip, along, views, overwrite=True, on_event=on_event)
         todo: list[tuple[str, Path, list[Any], Callable[[], object]]] = [
             (
@@ -184,8 +184,13 @@ class RunStages:
                 ["export", run, "--name", shown.title],
                 partial(write, page, name=shown.title),
             ),
-            ("Gaussians", gaussians, ["export", run], partial(write, gaussians)),
-            ("clip", clip, ["render", run, *path_words], draw),
+            (
+                "Gaussians",
+                gaussians,
+                ["export", run, *device_words],
+                partial(write, gaussians, device=device),
+            ),
+            ("clip", clip, ["render", run, *path_words, *device_words], draw),
         ]
         failures: dict[str, Exception] = {}
         for name, file, words, work in todo:
@@ -196,7 +201,7 @@ class RunStages:
                 on_event(RunStage(name, "left out; it needs: pip install 'clgs[video]'"))
                 continue
             try:
-                self._stage(name, file, [*words, "-o", file, *shared], work, needed=False)
+                self._stage(name, file, [*words, "-o", file, "--overwrite"], work, needed=False)
             except Exception as error:
                 failures[name] = error
                 on_event(StageFailure(name, error))

@@ -18,7 +18,10 @@ from clgs.workflow.outputs import holds_run
 PLAN = "plan.json"
 """The file by which the output folder of `clgs run` is recognised: the plan of that run."""
 
-WRITTEN_ONLY = (".spz", ".sog", ".glb", ".html")
+SPLAT_SUFFIXES = (".ply", ".spz", ".sog")
+"""Suffixes of files of ordinary splats."""
+
+WRITTEN_ONLY = (".glb", ".html")
 """Suffixes of what `clgs export` writes and clgs does not read."""
 
 
@@ -53,18 +56,17 @@ def check_there(path: Path) -> None:
 
 
 def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
-    """The scene, ordinary splats in a PLY file or packed ones included, and its size in bytes.
+    """The scene, which may be one of ordinary splats, and its size in bytes.
 
     The scene of a run is read from its .clgs file, if there is one: it is what is shown and scored.
 
     Raises:
         DataError: there is no scene at ``path``, or it is damaged.
     """
-    from clgs.data.ply.gaussians import gaussians_of_splats, read_gaussians
+    from clgs.data.splats.gaussians import load_splats, scene_of_packed
 
-    if path.suffix.lower() == ".ply" and not path.is_dir():
-        gaussians = read_gaussians(path)
-        return SplatScene(gaussians), path.stat().st_size
+    if path.suffix.lower() in SPLAT_SUFFIXES and not path.is_dir():
+        return load_splats(path), path.stat().st_size
     bitstream = run_folder(path) / "scene.clgs"
     if path.is_dir() and bitstream.is_file():
         return read_bitstream(bitstream)
@@ -75,7 +77,7 @@ def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
     data = read_bytes(path)
     with naming(path):
         if is_splats(data):
-            return SplatScene(gaussians_of_splats(unpack(data), path)), len(data)
+            return scene_of_packed(unpack(data), path), len(data)
         return decode(data), len(data)
 
 

@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
 """What a GPU with warps of 32 lanes would have to do for a training step, counted without a GPU.
 
-    scripts/gpu_counts/counts.py {record,table,kernels} FILE
+    scripts/gpu_counts/counts.py {record,table,kernels,scaling} FILE
     scripts/gpu_counts/counts.py lines
 
 ``record`` runs a step of small synthetic scenes in the kernels' form for GPUs under Oclgrind, with
 a plugin that counts, and the scenes of ``clgs bench`` on the usual device for their sizes. Then
 ``table`` has a line for each stage, with counts scaled to these sizes and an estimate of the time
-on a card, and ``kernels`` one for each kernel. ``lines`` shows the lines of the source that cost
-most.
+on a card, and ``kernels`` one for each kernel. ``scaling`` shows how well counts scale between
+scenes, ``lines`` the lines of the source that cost most.
 
 Estimates are lower bounds that no card has confirmed.
 """
@@ -21,9 +21,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import estimate
 import measure
 import oclgrind
+import table
 
 
 def main() -> int:
@@ -32,7 +32,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     actions = parser.add_subparsers(dest="action", required=True)
-    for name in ("record", "table", "kernels", "lines"):
+    for name in ("record", "table", "kernels", "scaling", "lines"):
         action = actions.add_parser(name)
         if name != "lines":
             action.add_argument("file", type=Path)
@@ -60,7 +60,10 @@ def run(args: argparse.Namespace) -> int:
         print("\n".join(measure.worst_lines()))
         return 0
     state = dict(json.loads(args.file.read_text(encoding="utf-8")))
-    shown = estimate.by_stage if args.action == "table" else estimate.by_kernel
+    if args.action == "scaling":
+        print("\n".join(table.scaling(state)))
+        return 0
+    shown = table.by_stage if args.action == "table" else table.by_kernel
     for bench in measure.BENCHES:
         print(f"{bench}:\n\n" + "\n".join(shown(state, bench)) + "\n")
     return 0

@@ -13,6 +13,11 @@ from clgs.errors import UsageError
 from clgs.train.config import TrainConfig, layered
 from clgs.train.config.sources import find
 
+KINDS = ("main", "curve", "ablation")
+"""main: rows to compare with the published ones; curve: one setting takes several values;
+ablation: variants of the experiment's own settings.
+"""
+
 BASE = "as it is"
 """The label of an ablation's own settings."""
 
@@ -41,11 +46,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Runs that belong together; ``variants``: settings by label, in the order of the table.
-
-    kind: main, rows to compare with the published ones; curve, ``setting`` takes several values;
-    ablation, variants of the experiment's own settings.
-    """
+    """Runs that belong together; ``variants``: settings by label, in the order of the table."""
 
     name: str
     kind: str
@@ -83,22 +84,16 @@ def read_table(path: Path) -> Table:
     """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
-        _only(table, "the table", ("scene", "experiment"))
-        scenes = {name: _scene(name, one) for name, one in _named(table, "scene")}
-        experiments = {
-            name: _experiment(name, one, scenes) for name, one in _named(table, "experiment")
-        }
-        if both := set(scenes) & set(experiments):
-            raise UsageError(f"{min(both)}: names a scene and an experiment; rename one")
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}; name a table of runs") from None
     except UnicodeDecodeError:
         raise UsageError(f"{path}: is not UTF-8 text; name a table of runs") from None
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise UsageError(f"{path}: not a TOML file: {error}; correct it") from None
+    try:
+        return _table(table)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
-    return Table(scenes, experiments)
 
 
 def entries(table: Table, steps: int | None = None) -> list[Entry]:
@@ -113,16 +108,26 @@ def entries(table: Table, steps: int | None = None) -> list[Entry]:
         for label, settings in one.variants.items():
             for scene in one.scenes:
                 whole = {**table.scenes[scene].settings, **settings}
-                if steps is not None:  # moments that the settings name move in proportion
-                    moved = layered(whole).scaled(steps)
-                    named = {name: getattr(moved, name) for name in whole if find(name).scaled}
-                    whole = {**whole, **named, "steps": steps}
-                whole["checkpoint_interval"] = max(1, layered(whole).steps // CHECKPOINTS)
+                if steps is not None:
+                    whole = _in_steps(whole, steps)
                 for seed in one.seeds:
-                    full = {**whole, "seed": seed}
+                    full = _complete(whole, seed)
                     run = f"{scene}-{layered(full).digest()[:DIGITS]}"
                     found.append(Entry(one.name, scene, label, seed, full, run))
     return found
+
+
+def _complete(settings: Settings, seed: int) -> Settings:
+    """Add what the table leaves to the experiment."""
+    interval = max(1, layered(settings).steps // CHECKPOINTS)
+    return {**settings, "seed": seed, "checkpoint_interval": interval}
+
+
+def _in_steps(settings: Settings, steps: int) -> Settings:
+    """``settings`` for a run of ``steps`` steps; moments that they name move in proportion."""
+    moved = layered(settings).scaled(steps)
+    named = {name: getattr(moved, name) for name in settings if find(name).scaled}
+    return {**settings, **named, "steps": steps}
 
 
 def chosen(table: Table, words: list[str], all_entries: list[Entry]) -> list[Entry]:
@@ -171,6 +176,17 @@ def run_folder(output: Path, run: str) -> Path:
     return output / "runs" / run
 
 
+def _table(table: Mapping[str, Any]) -> Table:
+    _only(table, "the table", ("scene", "experiment"))
+    scenes = {name: _scene(name, one) for name, one in _named(table, "scene")}
+    experiments = {
+        name: _experiment(name, one, scenes) for name, one in _named(table, "experiment")
+    }
+    if both := set(scenes) & set(experiments):
+        raise UsageError(f"{min(both)}: names a scene and an experiment; rename one")
+    return Table(scenes, experiments)
+
+
 def _named(table: Mapping[str, Any], kind: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """(name, table) of every ``[kind.name]``."""
     found = table.get(kind)
@@ -199,61 +215,53 @@ def _scene(name: str, one: Mapping[str, Any]) -> Scene:
 
 def _experiment(name: str, one: Mapping[str, Any], scenes: Mapping[str, Scene]) -> Experiment:
     where = f"experiment.{name}"
-    needed = {"main": (), "curve": ("setting", "values"), "ablation": ("variants",)}
-    own = ("setting", "values", "variants")
-    _only(one, where, ("kind", "scenes", "seeds", "settings", *own))
-    kind, setting, seeds = one.get("kind"), one.get("setting", ""), one.get("seeds", [0])
-    if kind not in needed:
-        raise UsageError(f"{where}.kind: {kind!r}; give {', '.join(needed)}")
-    for field_name in own:
-        if (field_name in one) != (field_name in needed[kind]):
-            problem = "is missing" if field_name in needed[kind] else "has no meaning here"
-            raise UsageError(f"{where}.{field_name}: {problem}; the kind is {kind}")
-    variants = _variants(one, where, _settings(one.get("settings", {}), f"{where}.settings"))
-    wanted = one.get("scenes")
-    if not isinstance(wanted, list) or not wanted:
-        raise UsageError(f"{where}.scenes: is not a list of scenes")
-    for scene in wanted:
-        if scene not in scenes:
-            raise UsageError(f"{where}.scenes: no scene {scene!r}; there are {', '.join(scenes)}")
-        for label, values in variants.items():
+    _only(one, where, ("kind", "scenes", "seeds", "settings", "setting", "values", "variants"))
+    kind = one.get("kind")
+    if kind not in KINDS:
+        raise UsageError(f"{where}.kind: {kind!r}; give {', '.join(KINDS)}")
+    settings = _settings(one.get("settings", {}), f"{where}.settings")
+    setting, variants = _variants(one, where, settings)
+    wanted = _scenes(one.get("scenes"), where, scenes)
+    for label, values in variants.items():
+        for scene in wanted:
             try:
                 layered({**scenes[scene].settings, **values})
             except UsageError as error:
                 raise UsageError(f"{where}: {label}, {scene}: {error}") from None
-    if not isinstance(seeds, list) or not seeds or not all(map(_is_seed, seeds)):
-        raise UsageError(f"{where}.seeds: {seeds!r}; give whole numbers, such as [0, 1, 2]")
-    unique = list(dict.fromkeys(wanted)), list(dict.fromkeys(seeds))
-    return Experiment(name, kind, *unique, setting, variants)
+    return Experiment(name, kind, wanted, _seeds(one, where), setting, variants)
 
 
-def _is_seed(value: object) -> bool:
-    return type(value) is int and 0 <= value < MAX_SEED
-
-
-def _variants(one: Mapping[str, Any], where: str, settings: Settings) -> dict[str, Settings]:
-    """The settings of every label."""
+def _variants(
+    one: Mapping[str, Any], where: str, settings: Settings
+) -> tuple[str, dict[str, Settings]]:
+    """The setting of a curve, else "", and the settings of every label."""
+    needed = {"main": (), "curve": ("setting", "values"), "ablation": ("variants",)}[one["kind"]]
+    for name in ("setting", "values", "variants"):
+        if (name in one) != (name in needed):
+            problem = "is missing" if name in needed else "has no meaning here"
+            raise UsageError(f"{where}.{name}: {problem}; the kind is {one['kind']}")
     if one["kind"] == "main":
-        return {"": settings}
+        return "", {"": settings}
     if one["kind"] == "ablation":
-        variants, where = one["variants"], f"{where}.variants"
-        if not isinstance(variants, dict):
-            problem = "is not a table; write a line LABEL = { NAME = VALUE } each"
-            raise UsageError(f"{where}: {problem}")
-        if BASE in variants:
-            raise UsageError(f"{where}: {BASE!r} is what the experiment's own settings are called")
-        own = {label: _settings(each, f"{where}.{label!r}") for label, each in variants.items()}
-    else:
-        own, setting, values = {}, one["setting"], one["values"]
-        if not isinstance(values, list) or not values:
-            raise UsageError(f"{where}.values: is not a list of values")
-        if not isinstance(setting, str):
-            raise UsageError(f"{where}.setting: is not the name of a setting")
-        for value in values:
-            label = f"{value:g}" if isinstance(value, float) else str(value)
-            own[label] = _settings({setting: value}, f"{where}.values")
-    base = {BASE: settings} if one["kind"] == "ablation" else {}
-    return {**base, **{label: settings | each for label, each in own.items()}}
+        return "", {BASE: settings, **_ablation(one["variants"], f"{where}.variants", settings)}
+    setting, values = one["setting"], one["values"]
+    if not isinstance(values, list) or not values:
+        raise UsageError(f"{where}.values: is not a list of values")
+    if not isinstance(setting, str):
+        raise UsageError(f"{where}.setting: is not the name of a setting")
+    swept = [_settings({setting: value}, f"{where}.values") for value in values]
+    labels = [f"{value:g}" if isinstance(value, float) else str(value) for value in values]
+    return setting, {label: settings | own for label, own in zip(labels, swept, strict=True)}
+
+
+def _ablation(variants: Any, where: str, settings: Settings) -> dict[str, Settings]:
+    if not isinstance(variants, dict):
+        raise UsageError(f"{where}: is not a table; write a line LABEL = {{ NAME = VALUE }} each")
+    if BASE in variants:
+        raise UsageError(f"{where}: {BASE!r} is what the experiment's own settings are called")
+    return {
+        label: settings | _settings(own, f"{where}.{label!r}") for label, own in variants.items()
+    }
 
 
 def _settings(values: Any, where: str) -> Settings:
@@ -266,6 +274,25 @@ def _settings(values: Any, where: str) -> Settings:
         return {name: find(name).check(value) for name, value in values.items()}
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from None
+
+
+def _scenes(wanted: Any, where: str, scenes: Mapping[str, Scene]) -> list[str]:
+    if not isinstance(wanted, list) or not wanted:
+        raise UsageError(f"{where}.scenes: is not a list of scenes")
+    for name in wanted:
+        if name not in scenes:
+            raise UsageError(f"{where}.scenes: no scene {name!r}; there are {', '.join(scenes)}")
+    return list(dict.fromkeys(wanted))
+
+
+def _seeds(one: Mapping[str, Any], where: str) -> list[int]:
+    seeds = one.get("seeds", [0])
+    usable = isinstance(seeds, list) and all(
+        type(seed) is int and 0 <= seed < MAX_SEED for seed in seeds
+    )
+    if not usable or not seeds:
+        raise UsageError(f"{where}.seeds: {seeds!r}; give whole numbers, such as [0, 1, 2]")
+    return list(dict.fromkeys(seeds))
 
 
 def _only(table: Mapping[str, Any], where: str, known: tuple[str, ...]) -> None:

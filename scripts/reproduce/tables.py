@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from statistics import mean
 from typing import Any
 
@@ -45,7 +45,6 @@ NOTES = {
 """Text of the page between its figures."""
 
 Rows = Iterable[Sequence[str]]
-Column = Callable[[Group], str]
 
 
 def page(
@@ -64,11 +63,11 @@ def page(
     main = [group for one in results.experiments("main") for group in results.groups(one.name)]
     parts = ["# Results", NOTES["head"].format(command=command), _state(results), note]
     if main:
-        parts += ["## Main rows", NOTES["main"], by_group(main, MAIN)]
+        parts += ["## Main rows", NOTES["main"], _main(main)]
         parts += ["### Compared with published figures", _compared(main, published)]
         parts += [_protocol(results, main, published)]
-        parts += ["### Bits by section", NOTES["bits"], by_group(main, BITS)]
-        parts += ["### Time and memory", NOTES["time"], by_group(main, TIME)]
+        parts += ["### Bits by section", NOTES["bits"], _bits(main)]
+        parts += ["### Time and memory", NOTES["time"], _time(main)]
         parts += ["### Files", _files(main, kept)]
     parts += _curves(results, plots, compared)
     parts += _ablations(results)
@@ -88,77 +87,43 @@ def _state(results: Results) -> str:
     return f"{len(rows)} runs, of the states {states}, on {' and '.join(machines)}."
 
 
-def by_group(groups: list[Group], columns: Mapping[str, Column]) -> str:
-    """A line for each group, with some columns."""
-    return table(tuple(columns), ([cell(one) for cell in columns.values()] for one in groups))
+def _main(groups: list[Group]) -> str:
+    head = ("scene", "experiment", "steps", "seeds", "PSNR", "PSNR of channels", "SSIM", "bytes",
+            "anchors")  # fmt: skip
+    return table(
+        head,
+        (
+            (
+                *_names(one),
+                str(len(one.rows)),
+                spread(one, "psnr", "{:.2f}"),
+                spread(one, "psnr_channel_mean", "{:.2f}"),
+                spread(one, "ssim", "{:.4f}"),
+                spread(one, "bytes", "{:,.0f}"),
+                spread(one, "anchors", "{:,.0f}"),
+            )
+            for one in groups
+        ),
+    )
 
 
-def spread(name: str, form: str) -> Column:
-    """A column: the mean over seeds, and the least and the largest value if there are several."""
-
-    def cell(one: Group) -> str:
-        text = form.format(one.mean(name))
-        low, high = (form.format(value) for value in one.range(name))
-        return text if len(one.rows) == 1 else f"{text} ({low} to {high})"
-
-    return cell
+def _names(one: Group) -> tuple[str, str, str]:
+    return one.entry.scene, one.entry.experiment, f"{one.rows[0]['steps']:,}"
 
 
-def bits(part: str) -> Column:
-    """A column: bits per anchor of a section, of the ``rest`` or the ``whole``, and the share."""
-
-    def cell(one: Group) -> str:
-        sizes = {
-            name: mean(row["sections"].get(tag, 0) for row in one.rows)
-            for name, tag in SECTIONS.items()
-        }
-        whole = one.mean("bytes")
-        size = {**sizes, "rest": whole - sum(sizes.values()), "whole": whole}[part]
-        return f"{8 * size / (one.mean('anchors') or 1.0):.1f} ({100 * size / whole:.1f} %)"
-
-    return cell
-
-
-def most_memory(one: Group) -> str:
-    """The largest peak of the seeds, megabytes; nothing where the system does not count it."""
-    known = [row["peak_memory_bytes"] for row in one.rows if row["peak_memory_bytes"]]
-    return f"{max(known) / MEGABYTE:,.0f}" if known else ""
-
-
-NAMES: dict[str, Column] = {
-    "scene": lambda one: one.entry.scene,
-    "experiment": lambda one: one.entry.experiment,
-    "steps": lambda one: f"{one.rows[0]['steps']:,}",
-}
-MAIN: dict[str, Column] = {
-    **NAMES,
-    "seeds": lambda one: str(len(one.rows)),
-    "PSNR": spread("psnr", "{:.2f}"),
-    "PSNR of channels": spread("psnr_channel_mean", "{:.2f}"),
-    "SSIM": spread("ssim", "{:.4f}"),
-    "bytes": spread("bytes", "{:,.0f}"),
-    "anchors": spread("anchors", "{:,.0f}"),
-}
-BITS: dict[str, Column] = {**NAMES, **{part: bits(part) for part in (*SECTIONS, "rest", "whole")}}
-TIME: dict[str, Column] = {
-    **NAMES,
-    "training, s": spread("seconds", "{:,.0f}"),
-    "encode, s": spread("encode_seconds", "{:.2f}"),
-    "decode, s": spread("decode_seconds", "{:.2f}"),
-    "pictures/s": spread("pictures_per_second", "{:.1f}"),
-    "peak memory, MB": most_memory,
-    "at once": lambda one: ", ".join(sorted({str(row["workers"]) for row in one.rows})),
-    "device": lambda one: ", ".join(sorted({row["machine"]["device"]["name"] for row in one.rows})),
-}
+def spread(one: Group, name: str, form: str) -> str:
+    """The mean over seeds, and the least and the largest value if there are several."""
+    text = form.format(one.mean(name))
+    low, high = (form.format(value) for value in one.range(name))
+    return text if len(one.rows) == 1 else f"{text} ({low} to {high})"
 
 
 def _compared(groups: list[Group], published: dict[str, Any]) -> str:
-    """The main rows of each scene, and below them the published ones."""
     rows = []
-    for scene in dict.fromkeys(one.entry.scene for one in groups):
-        rows += [
+    for one in groups:
+        rows.append(
             (
-                scene,
+                one.entry.scene,
                 f"here, {one.entry.experiment}",
                 f"{one.rows[0]['steps']:,}",
                 f"{one.mean('psnr'):.2f}",
@@ -167,22 +132,33 @@ def _compared(groups: list[Group], published: dict[str, Any]) -> str:
                 f"{one.mean('bytes') / MEGABYTE:.3f}",
                 f"{one.mean('anchors'):,.0f}",
             )
-            for one in groups
-            if one.entry.scene == scene
-        ]
+        )
+    for scene in dict.fromkeys(one.entry.scene for one in groups):
         for method, figures in published["methods"].items():
-            found = figures["scenes"].get(scene)
-            if not found:
-                continue
-            psnr = (f"{found['psnr']:.2f}", "")
-            if method == "Voxel-GS":  # whose code states the mean over channels, see `protocol`
-                psnr = psnr[::-1]
-            ssim = f"{found['ssim']:.3f}" if "ssim" in found else ""
-            megabytes = f"{found['megabytes'] * figures['megabyte'] / MEGABYTE:.3f}"
-            anchors = f"{found['anchors']:,}" if "anchors" in found else ""
-            rows.append((scene, method, "30,000", *psnr, ssim, megabytes, anchors))
+            if found := figures["scenes"].get(scene):
+                rows.append(_published_row(scene, method, figures["megabyte"], found))
+    order = list(dict.fromkeys(one.entry.scene for one in groups))
+    rows.sort(key=lambda row: order.index(row[0]))
     head = ("scene", "method", "steps", "PSNR", "PSNR of channels", "SSIM", "MB of 2^20", "anchors")
     return table(head, rows)
+
+
+def _published_row(
+    scene: str, method: str, megabyte: int, found: dict[str, Any]
+) -> tuple[str, ...]:
+    # the code of Voxel-GS states the mean over channels, see `protocol`
+    channels = method == "Voxel-GS"
+    psnr = f"{found['psnr']:.2f}"
+    return (
+        scene,
+        method,
+        "30,000",
+        "" if channels else psnr,
+        psnr if channels else "",
+        f"{found['ssim']:.3f}" if "ssim" in found else "",
+        f"{found['megabytes'] * megabyte / MEGABYTE:.3f}",
+        f"{found['anchors']:,}" if "anchors" in found else "",
+    )
 
 
 def _protocol(results: Results, groups: list[Group], published: dict[str, Any]) -> str:
@@ -196,6 +172,46 @@ def _protocol(results: Results, groups: list[Group], published: dict[str, Any]) 
     return "What differs:\n\n" + "\n".join(f"- {line}" for line in lines)
 
 
+def _bits(groups: list[Group]) -> str:
+    head = ("scene", "experiment", "steps", *SECTIONS, "rest", "whole")
+    rows = []
+    for one in groups:
+        anchors = one.mean("anchors") or 1.0
+        sizes = {
+            name: mean(row["sections"].get(tag, 0) for row in one.rows)
+            for name, tag in SECTIONS.items()
+        }
+        sizes["rest"] = one.mean("bytes") - sum(sizes.values())
+        sizes["whole"] = one.mean("bytes")
+        cells = (
+            f"{8 * size / anchors:.1f} ({100 * size / sizes['whole']:.1f} %)"
+            for size in sizes.values()
+        )
+        rows.append((*_names(one), *cells))
+    return table(head, rows)
+
+
+def _time(groups: list[Group]) -> str:
+    head = ("scene", "experiment", "steps", "training, s", "encode, s", "decode, s", "pictures/s",
+            "peak memory, MB", "at once", "device")  # fmt: skip
+    rows = []
+    for one in groups:
+        memory = [row["peak_memory_bytes"] for row in one.rows if row["peak_memory_bytes"]]
+        rows.append(
+            (
+                *_names(one),
+                spread(one, "seconds", "{:,.0f}"),
+                spread(one, "encode_seconds", "{:.2f}"),
+                spread(one, "decode_seconds", "{:.2f}"),
+                spread(one, "pictures_per_second", "{:.1f}"),
+                f"{max(memory) / MEGABYTE:,.0f}" if memory else "",
+                ", ".join(sorted({str(row["workers"]) for row in one.rows})),
+                ", ".join(sorted({row["machine"]["device"]["name"] for row in one.rows})),
+            )
+        )
+    return table(head, rows)
+
+
 def _files(groups: list[Group], kept: dict[str, str]) -> str:
     head = ("scene", "experiment", "steps", "seed", "bytes", "SHA-256", "file")
     rows = []
@@ -203,8 +219,7 @@ def _files(groups: list[Group], kept: dict[str, str]) -> str:
         for row in one.rows:
             seed, name = str(row["settings"]["seed"]), kept.get(row["run"])
             file = f"`results/{name}`" if name else "not kept"
-            names = one.entry.scene, one.entry.experiment, f"{row['steps']:,}"
-            rows.append((*names, seed, f"{row['bytes']:,}", f"`{row['sha256']}`", file))
+            rows.append((*_names(one), seed, f"{row['bytes']:,}", f"`{row['sha256']}`", file))
     return table(head, rows)
 
 
@@ -213,13 +228,19 @@ def _curves(results: Results, plots: dict[str, str], compared: list[Comparison])
     parts: list[str] = []
     for one in results.experiments("curve"):
         groups = results.groups(one.name)
+        rows = (
+            (
+                group.entry.scene,
+                group.entry.label,
+                spread(group, "psnr", "{:.2f}"),
+                spread(group, "bytes", "{:,.0f}"),
+                spread(group, "anchors", "{:,.0f}"),
+            )
+            for group in groups
+        )
         image = f"![PSNR against bytes over {one.setting}](results/{plots[one.name]})"
-        columns: dict[str, Column] = {
-            "scene": NAMES["scene"],
-            f"`{one.setting}`": lambda group: group.entry.label,
-            **{name: MAIN[name] for name in ("PSNR", "bytes", "anchors")},
-        }
-        parts += [f"## Curve {one.name}: `{one.setting}`", image, by_group(groups, columns)]
+        points = table(("scene", f"`{one.setting}`", "PSNR", "bytes", "anchors"), rows)
+        parts += [f"## Curve {one.name}: `{one.setting}`", image, points]
     if compared:
         rows = (
             (
@@ -254,9 +275,9 @@ def _ablation_row(group: Group, base: Group | None) -> tuple[str, ...]:
     return (
         group.entry.scene,
         group.entry.label,
-        MAIN["PSNR"](group),
+        spread(group, "psnr", "{:.2f}"),
         decibel,
-        MAIN["bytes"](group),
+        spread(group, "bytes", "{:,.0f}"),
         share,
         f"{group.mean('anchors'):,.0f}",
         f"{group.mean('seconds'):,.0f}",

@@ -15,8 +15,6 @@ from clgs.bake.bake import (
     count_steps,
     evenly,
     in_order,
-    to_scene,
-    to_world,
     without_faint,
 )
 from clgs.bake.cameras import VIEWS, cameras_around
@@ -28,7 +26,7 @@ from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import SceneTransform, SplatScene
 from clgs.train.quality.metrics import to_8bit
-from tests.exports.splats.cases import differences, gaussians
+from tests.exports.splats.cases import gaussians
 
 SIZE = 64
 
@@ -129,15 +127,6 @@ def test_views_that_see_nothing_are_refused(device, views):
     away = BakeView(replace(view.camera, translation=np.array([0.0, 0.0, -50.0])))
     with pytest.raises(DataError, match=r"no view sees anything of the scene; is --data"):
         bake(device, scene, [away], BakeSettings(0, 0))
-
-
-def test_units_go_there_and_back():
-    before = gaussians()
-    transform = SceneTransform((3.0, -1.0, 0.5), 0.25)
-    world = to_world(before, transform)
-    assert np.allclose(world.mean, before.mean / 0.25 + transform.centre, rtol=1e-6)
-    assert np.allclose(np.exp(world.log_scale), np.exp(before.log_scale) * 4, rtol=1e-5)
-    assert max(differences(to_scene(world, transform), before).values()) < 1e-5
 
 
 def test_order_keeps_near_ones_together_and_loses_none():

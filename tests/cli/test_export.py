@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from clgs.cli import main as cli
-from clgs.data.ply.gaussians import read_gaussians
+from clgs.data.splats.gaussians import load_splats
 from clgs.exports.splats.ply import encode_ply
 from clgs.lab.anchor_scene import anchor_scene
 from clgs.scene.anchors import QuantizationScales, quantize
-from clgs.scene.scene import QuantizedScene
+from clgs.scene.scene import QuantizedScene, SceneTransform
 from clgs.scene.storage import save_scene
 from tests.cli.calls import exit_code
 from tests.exports.splats.cases import differences, gaussians
+from tests.small_scene import write_scene
 
 
 @pytest.fixture
@@ -24,6 +27,7 @@ def work(tmp_path, monkeypatch):
     (tmp_path / "splats.ply").write_bytes(encode_ply(gaussians()).data)
     (tmp_path / "old.ply").write_bytes(b"old")
     (tmp_path / "old.spz").write_bytes(b"old")
+    (tmp_path / "old.glb").write_bytes(b"old")
     (tmp_path / "photos").mkdir()
     return tmp_path
 
@@ -36,14 +40,14 @@ def work(tmp_path, monkeypatch):
             2,
             "x.obj: nothing is written by this suffix; take one of .glb, .html, .ply, .spz, .sog",
         ),
-        ("old.spz -o x.ply", 3, "old.spz: such files are written, not read; name a .clgs or .ply"),
+        ("old.glb -o x.ply", 3, "old.glb: such files are written, not read; name a .clgs or .ply"),
+        ("old.spz -o x.ply", 3, "old.spz: not a PLY file; name one"),
         ("-o x.ply", 2, "a scene is needed: `clgs export SCENE -o x.ply`"),
         ("splats.ply -o old.ply", 2, "old.ply: exists already; add --overwrite"),
         ("splats.ply -o splats.ply --overwrite", 2, "splats.ply: "),
         ("none.clgs -o x.spz", 3, "none.clgs: no such file or folder"),
         ("photos -o x.spz", 3, "photos: holds no scene.npz; name a run folder; a data set is"),
         ("photos -o x.html", 3, "photos: is a folder without scene.clgs; name a run folder"),
-        ("splats.ply -o x.html", 3, "splats.ply: a page is made of a .clgs file; `clgs pack`"),
         ("old.ply -o x.spz", 3, "old.ply: not a PLY file"),
         (
             "splats.ply -o x.ply --sh-degree 4",
@@ -51,6 +55,14 @@ def work(tmp_path, monkeypatch):
             "--sh-degree: 4 is not a whole number from 0 to 3",
         ),
         ("splats.ply -o x.ply --steps -1", 2, "--steps"),
+        ("splats.ply -o x.ply --steps 9", 2, "--steps: splats are converted, not baked; leave it"),
+        ("splats.ply -o x.spz --max-size 90", 2, "--max-size: splats are converted, not baked"),
+        ("splats.ply -o x.glb --device 0", 2, "--device: splats are converted, not baked"),
+        ("splats.ply -o x.spz --data photos", 2, "--data: only .glb has an up, which a data set"),
+        ("splats.ply -o x.glb --data none", 3, "none: no such folder"),
+        ("splats.ply -o x.ply --name me", 2, "--name: only a page has a title; leave it out"),
+        ("splats.ply -o x.html --units scene", 2, "--units: a page holds the scene as it is"),
+        ("photos -o x.glb --sh-degree 1", 2, "--sh-degree: photos is a data set; leave it out"),
         ("splats.ply -o no/x.spz", 2, "no/x.spz: cannot be written"),
     ],
 )
@@ -65,7 +77,7 @@ def test_what_cannot_be_done_is_refused_in_a_line(work, capsys, words, code, sai
 def test_splats_of_a_lower_degree(work, capsys):
     assert cli.main(["export", "splats.ply", "-o", "x.ply", "--sh-degree", "0"]) == 0
     assert "degree 0" in capsys.readouterr().out
-    found, whole = read_gaussians(work / "x.ply"), gaussians()
+    found, whole = load_splats(work / "x.ply").gaussians, gaussians()
     assert (found.degree, whole.degree) == (0, 3)
     assert np.array_equal(found.sh, whole.sh[:, :1])
 
@@ -77,7 +89,7 @@ def test_splats_are_converted(work, capsys, suffix):
     assert lines[0] == f"x.{suffix}: 500 Gaussians, degree 3"
     assert re.fullmatch(r"converted: 0\.\d MB", lines[1])
     if suffix == "ply":
-        assert max(differences(read_gaussians(work / "x.ply"), gaussians()).values()) < 1e-6
+        assert max(differences(load_splats(work / "x.ply").gaussians, gaussians()).values()) < 1e-6
 
 
 def test_a_scene_without_data_is_baked_and_says_so(work, capsys):
@@ -94,4 +106,49 @@ def test_a_scene_without_data_is_baked_and_says_so(work, capsys):
         r"baked: \d+\.\d\d dB against renders of the scene, \d\.\d MB\n",
         said.out,
     )
-    assert read_gaussians(work / "x.ply").degree == 1
+    assert load_splats(work / "x.ply").gaussians.degree == 1
+
+
+def test_a_data_set_turns_the_axes_of_splats(work, tmp_path):
+    photos = write_scene(tmp_path / "set", train=3, test=1)
+    assert cli.main(["export", "splats.ply", "-o", "x.glb", "--data", str(photos)]) == 0
+    data = (work / "x.glb").read_bytes()
+    document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    assert document["nodes"][0]["matrix"] == [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]
+
+
+@pytest.mark.parametrize("suffix", ["ply", "spz", "sog", "glb"])
+def test_splats_far_from_the_origin_are_told(work, capsys, suffix):
+    encoded = encode_ply(gaussians(), SceneTransform((5e5, 5.4e5, 120.0)))
+    (work / "far.ply").write_bytes(encoded.data)
+    assert cli.main(["export", "far.ply", "-o", f"x.{suffix}"]) == 0
+    said = capsys.readouterr().err
+    assert ("--units scene puts their middle at the origin" in said) == (suffix != "glb")
+    assert cli.main(["export", "far.ply", "-o", f"y.{suffix}", "--units", "scene"]) == 0
+    assert capsys.readouterr().err == ""
+    if suffix != "glb":
+        assert load_splats(work / f"y.{suffix}").transform == SceneTransform()
+        assert load_splats(work / f"x.{suffix}").transform.centre[1] == pytest.approx(5.4e5, abs=9)
+
+
+def test_marks_of_antialiased_splats_are_kept(work, capsys):
+    marked = encode_ply(replace(gaussians(), antialiased=True)).data
+    (work / "aa.ply").write_bytes(marked)
+    assert cli.main(["pack", "aa.ply", "-o", "aa.clgs"]) == 0
+    for source in ("aa.ply", "aa.clgs"):
+        for suffix in ("ply", "spz", "sog"):
+            words = ["export", source, "-o", f"x.{suffix}", "--overwrite"]
+            assert cli.main(words) == 0
+            assert load_splats(work / f"x.{suffix}").gaussians.antialiased
+    capsys.readouterr()
+    assert cli.main(["export", "aa.ply", "-o", "x.glb"]) == 0
+    assert ".glb has no mark for antialiased splats" in capsys.readouterr().err
+
+
+def test_a_page_of_splats_is_that_of_their_packed_file(work, capsys):
+    assert cli.main(["export", "splats.ply", "-o", "x.html"]) == 0
+    assert cli.main(["export", "splats.ply", "-o", "x.spz"]) == 0
+    assert cli.main(["pack", "splats.ply", "-o", "splats.clgs"]) == 0
+    assert cli.main(["export", "splats.clgs", "-o", "y.html"]) == 0
+    assert cli.main(["pack", "x.spz", "-o", "z.clgs"]) == 0
+    assert (work / "x.html").read_bytes() == (work / "y.html").read_bytes()

@@ -11,7 +11,7 @@ import pytest
 
 from clgs.cli import main as cli
 from clgs.codec.scene_encoder import encode
-from clgs.data.ply.anchors import save_scaffold
+from clgs.data.splats.anchors import save_scaffold
 from clgs.errors import DataError
 from clgs.scene.storage import load_scene, save_scene
 from clgs.train.state.hashes import read_fingerprint

@@ -10,12 +10,12 @@ from PIL import Image
 
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import pack
-from clgs.data.ply.integer_splats import read_splats
+from clgs.data.splats.integer_splats import read_splats
 from clgs.exports.clip.camera_path import read_camera_path
 from clgs.scene.storage import save_scene
 from tests.cli.test_commands import clgs
 from tests.codec.scenes import random_scene
-from tests.data.ply.test_gaussians import columns_of, write
+from tests.data.splats.test_gaussians import columns_of, write
 from tests.ops.cases.splats import stored
 from tests.small_scene import write_scene
 

@@ -10,7 +10,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from clgs.data.ply.mlps_archive import load_mlps
+from clgs.data.splats.mlps_archive import load_mlps
 from clgs.errors import DataError, UsageError
 from clgs.lab.bench.codec_subjects import file_subjects
 from clgs.scene.storage import ARRAY_NAMES, load_scene, save_scene

@@ -5,17 +5,27 @@ from __future__ import annotations
 import base64
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from clgs.cli import main as cli
 from clgs.codec.scene_encoder import encode
-from clgs.codec.splat_packing import pack
+from clgs.codec.splat_packing import pack, unpack
+from clgs.data.origin import move_camera
+from clgs.data.splats.gaussians import scene_of_packed
+from clgs.data.splats.integer_splats import read_splats
+from clgs.data.splats.table import PlyTable, pack_ply
 from clgs.errors import ClgsError
 from clgs.exports import page
 from clgs.lab.anchor_scene import square_camera
 from clgs.render.renderer import render_view
+from clgs.scene.scene import IDENTITY
 from clgs.train.quality.metrics import to_8bit
+from tests.data.splats.test_gaussians import columns_of
+from tests.ops.cases.project import camera_at
+from tests.ops.cases.splats import stored
 from tests.web.browser import Browser, find_browser
 from tests.web.scenes import grey_wall, quantized_scene
 
@@ -161,4 +171,34 @@ def test_colors_are_shown_as_they_are(browser, tmp_path):
     browser.wait("window.clgs && clgs.state().ready")
     # 0.5 - 0.2821 = 0.2179; twice alpha 0.99 leaves 1/10,000 of the black behind
     assert (show(browser, square_camera(SIZE))[40:56, 40:56] == 56).all()
+    assert browser.errors == []
+
+
+@pytest.mark.parametrize(
+    ("times", "place", "marked"),
+    [(1.0, (0, 0, 0), True), (0.01, (0, 0, 0), False), (1.0, (5e5, 5.4e6, 1e2), False)],
+)
+def test_splats_of_other_programs_are_shown_as_we_draw_them(
+    browser, tmp_path, rng, times, place, marked
+):
+    """Antialiased ones, small scenes, and scenes far from the origin, with their cameras."""
+    gaussians = stored(rng, 600)
+    gaussians.log_scale[:] -= 1.0
+    columns = columns_of(gaussians)
+    for i, (name, middle) in enumerate(zip("xyz", place, strict=True)):
+        columns[name] = columns[name].astype(np.float64) * times + middle
+        columns[f"scale_{i}"] = columns[f"scale_{i}"] + np.float32(np.log(times))
+    path, file = tmp_path / "s.ply", tmp_path / "s.html"
+    path.write_bytes(pack_ply(PlyTable(columns, ["antialiased 1"] * marked)))
+    assert cli.main(["export", str(path), "-o", str(file)]) == 0
+    data = pack(read_splats(path, {})[0])
+    scene = scene_of_packed(unpack(data), path)
+    near = camera_at(80.0, SIZE, SIZE)
+    camera = replace(near, translation=times * near.translation - near.rotation @ np.array(place))
+    shown = render_view(scene, move_camera(camera, IDENTITY, scene.transform))
+    browser.open(file, SIZE, SIZE)
+    browser.wait("window.clgs && clgs.state().ready")
+    found, wanted = show(browser, camera), to_8bit(shown).astype(np.float64)
+    assert wanted.std() > 8
+    assert 10 * np.log10(255**2 / np.mean((found - wanted) ** 2)) >= 40
     assert browser.errors == []

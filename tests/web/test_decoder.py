@@ -14,9 +14,14 @@ from clgs import constants
 from clgs.codec import splat_packing
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
+from clgs.data.splats.gaussians import USUAL_SPREAD, scene_of_packed
+from clgs.data.splats.integer_splats import read_splats
+from clgs.data.splats.table import PlyTable, pack_ply
 from clgs.reference import mlp, neural
 from clgs.reference.project import rotation_matrix
 from tests.codec.scenes import random_scene
+from tests.data.splats.test_gaussians import columns_of
+from tests.ops.cases.splats import stored
 from tests.web import native
 from tests.web.scenes import quantized_scene, random_splats
 
@@ -111,6 +116,30 @@ def test_splats_are_those_of_the_file(library, count, rest, lattice):
             np.testing.assert_allclose(found["color"][:, channel], np.maximum(color, 0), atol=2e-3)
 
 
+@pytest.mark.parametrize(
+    ("times", "place", "marked"),
+    [(1.0, (0, 0, 0), False), (0.01, (0, 0, 0), True), (300.0, (5e5, 5.4e6, 1e2), False)],
+)
+def test_the_page_places_splats_as_the_reader_does(library, tmp_path, times, place, marked):
+    gaussians = stored(np.random.default_rng(4), 1500)
+    columns = columns_of(gaussians)
+    for name, middle in zip("xyz", place, strict=True):
+        columns[name] = columns[name].astype(np.float64) * times + middle
+    path = tmp_path / "s.ply"
+    path.write_bytes(pack_ply(PlyTable(columns, ["antialiased 1"] * marked)))
+    data = splat_packing.pack(read_splats(path, {})[0])
+    scene = scene_of_packed(splat_packing.unpack(data), path)
+    page = native.Page(library, data)
+    _, near, *_, antialiased, x, y, z = page.array("numbers", ctypes.c_double, 13)
+    assert near == pytest.approx(scene.settings.near, rel=0.01)
+    assert antialiased == scene.gaussians.antialiased == marked
+    assert np.abs(np.array([x, y, z]) - scene.transform.centre).max() < 0.1 * times
+    assert np.array([x, y, z]).any() == np.any(place)
+    position = page.array("positions", ctypes.c_float, 4500).reshape(-1, 3)
+    wanted = scene.gaussians.mean + scene.transform.centre - np.array([x, y, z])
+    np.testing.assert_allclose(position, wanted, atol=1e-6 * times)
+
+
 def test_harmonics_are_orthonormal(library, tmp_path):
     source = tmp_path / "harmonics.c"
     source.write_text(
@@ -170,7 +199,12 @@ def test_it_has_the_constants_of_the_method():
         assert int(numbers[own]) == getattr(constants, name)
     limit = re.search(r"LOG_SCALE_LIMIT ([\d.]+)f", text)
     assert float(limit[1]) == constants.LOG_SCALE_LIMIT
-    source = (native.ROOT / "web/wasm/page.c").read_text()
+    paths = "web/wasm/page.c", "web/wasm/file/splats.c"
+    source = "".join((native.ROOT / path).read_text() for path in paths)
+    spread = [
+        float(re.search(rf"{end}_SPREAD ([\d.]+)", source)[1]) for end in ("LEAST", "GREATEST")
+    ]
+    assert tuple(spread) == USUAL_SPREAD
     for name in ("NEAR_PLANE", "ALPHA_MAX", "BLUR"):
         found = re.search(rf"#define {name}(?:_OF_SPLATS)? ([\d.]+)", source)
         assert float(found[1]) == getattr(constants, name)

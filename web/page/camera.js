@@ -104,6 +104,13 @@ function centreOf({rotation, translation}) {
     + rotation[6 + i] * translation[2]));
 }
 
+// The same camera among positions that are relative to `origin`.
+function movedBy(view, origin) {
+  const {rotation, translation} = view;
+  return {...view, translation: [0, 1, 2].map((row) => translation[row]
+    + dot(rotation.slice(3 * row, 3 * row + 3), origin))};
+}
+
 // A first view of a scene whose cameras are not known: of the middle of its anchors. In scenes made
 // of photos the origin is the middle of the cameras, at most 4 units away: if the anchors lie around
 // it, the cameras went around an object, otherwise they looked away from it.

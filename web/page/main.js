@@ -44,7 +44,7 @@ function wake() {
 }
 
 function present(moves) {
-  if (viewer.fixed) return viewer.fixed;
+  if (viewer.fixed) return movedBy(viewer.fixed, viewer.scene.origin);
   const ratio = Math.min(window.devicePixelRatio || 1, 2) * (moves ? viewer.sharpness : 1);
   return viewer.camera.pinhole(Math.max(1, Math.round(canvas.clientWidth * ratio)),
     Math.max(1, Math.round(canvas.clientHeight * ratio)));
@@ -101,7 +101,11 @@ const handlers = {
   failed: ({reason}) => fail(reason),
   scene(message) {
     const scene = viewer.scene = {...message, margin: settings.margin};
-    const start = settings.start && viewer.own ? settings.start : guessStart(scene.positions);
+    const start = settings.start && viewer.own ? {...settings.start} : guessStart(scene.positions);
+    if (settings.start && viewer.own) {
+      start.eye = add(start.eye, scene.origin, -1);
+      start.target = add(start.target, scene.origin, -1);
+    }
     delete scene.positions;
     viewer.camera = viewer.hands.camera = new Camera(start);
     const same = scene.hash === scene.expectedHash;

@@ -4,7 +4,7 @@
 const TEXELS = 3; // of a Gaussian's record: 12 words
 const COLUMNS = 512; // Gaussians per row of the textures
 
-// Projects as clgs/reference/stages/project.py does: the covariance with the Jacobian at slopes
+// Projects as clgs/reference/project.py does: the covariance with the Jacobian at slopes
 // within limits, blurred; whitened offsets y with alpha = opacity exp(-|y|^2 / 2).
 const VERTEX = `#version 300 es
 precision highp float;
@@ -14,7 +14,7 @@ uniform mat3 rotation;
 uniform vec3 translation;
 uniform vec2 focal, principal, size;
 uniform vec4 limits;
-uniform float blur, alphaCut, near;
+uniform float blur, alphaCut, near, antialiased;
 out vec2 y;
 flat out vec4 color;
 void main() {
@@ -29,7 +29,6 @@ void main() {
   vec4 c = uintBitsToFloat(second);
   vec2 d = uintBitsToFloat(third.xy);
   mat3 covariance = mat3(c.x, c.y, c.z, c.y, c.w, d.x, c.z, d.x, d.y);
-  color = vec4(unpackHalf2x16(third.z), uintBitsToFloat(third.w), opacity);
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
   if (p.z <= near) return;
   vec2 slope = p.xy / p.z, inside = clamp(slope, limits.xz, limits.yw);
@@ -42,6 +41,9 @@ void main() {
   xx += blur;
   yy += blur;
   float determinant = max(xx * yy - xy * xy, least);
+  if (antialiased > 0.0) opacity *= sqrt(max(determinant - least, 0.0) / determinant);
+  if (!(opacity >= alphaCut)) return;
+  color = vec4(unpackHalf2x16(third.z), uintBitsToFloat(third.w), opacity);
   float reach = sqrt(2.0 * log(opacity / alphaCut));
   y = reach * (2.0 * vec2(gl_VertexID & 1, gl_VertexID >> 1 & 1) - 1.0);
   float dx = y.x * sqrt(xx);
@@ -217,7 +219,7 @@ class Renderer {
     gl.uniform4f(uniforms.limits, (-marginX - view.cx) / view.fx,
       (view.width + marginX - view.cx) / view.fx, (-marginY - view.cy) / view.fy,
       (view.height + marginY - view.cy) / view.fy);
-    for (const name of ["blur", "near", "alphaCut", "alphaMax"]) {
+    for (const name of ["blur", "near", "alphaCut", "alphaMax", "antialiased"]) {
       gl.uniform1f(uniforms[name], scene[name]);
     }
     gl.uniform1i(uniforms.order, 1);

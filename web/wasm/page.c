@@ -18,10 +18,20 @@
 #define PREPARED 4096 /* anchors per step */
 
 /* Where the numbers of page_numbers lie. */
-enum { ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND, SPLATS = 8, NUMBERS };
+enum {
+    ITEMS,
+    NEAR,
+    ALPHA_CUT,
+    ALPHA_MAX,
+    BLUR,
+    BACKGROUND,
+    SPLATS = 8,
+    ANTIALIASED,
+    ORIGIN,
+    NUMBERS = ORIGIN + 3
+};
 
 /* Of splats, whose files do not say them: the constants of the method, clgs/constants.py. */
-#define NEAR_PLANE 0.2
 #define ALPHA_CUT_OF_SPLATS (1.0 / 255.0)
 #define ALPHA_MAX_OF_SPLATS 0.99
 #define BLUR_OF_SPLATS 0.3
@@ -99,7 +109,6 @@ static problem open_splats(void)
 {
     problem wrong = splats_open(&page.sections, &page.splat, &page.decoding);
     page.number[SPLATS] = 1;
-    page.number[NEAR] = NEAR_PLANE;
     page.number[ALPHA_CUT] = ALPHA_CUT_OF_SPLATS;
     page.number[ALPHA_MAX] = ALPHA_MAX_OF_SPLATS;
     page.number[BLUR] = BLUR_OF_SPLATS;
@@ -129,6 +138,11 @@ int EXPORT(page_step)(void)
             return fail(wrong);
         if (step + 1 == page.decoding && !of_splats)
             neural_weights(&page.neural);
+        if (step + 1 == page.decoding && of_splats) {
+            page.number[NEAR] = page.splat.near;
+            page.number[ANTIALIASED] = page.splat.keeps_light;
+            memcpy(page.number + ORIGIN, page.splat.origin, sizeof page.splat.origin);
+        }
     } else if (step < page.steps) {
         size_t first = PREPARED * (step - page.decoding), rest = page.items - first;
         neural_prepare(&page.neural, first, rest < PREPARED ? rest : PREPARED);
@@ -136,7 +150,8 @@ int EXPORT(page_step)(void)
     return (int)(page.steps - step) - 1;
 }
 
-/* ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND (3), SPLATS: whether it is made of them. */
+/* ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND (3), SPLATS: whether it is made of them,
+ * ANTIALIASED, ORIGIN (3): what positions are relative to. */
 const double *EXPORT(page_numbers)(void)
 {
     return page.number;

@@ -45,8 +45,8 @@ def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
     from clgs.cli.tell import tell
     from clgs.codec.scene_decoder import Box
-    from clgs.data.ply.anchors import save_scaffold
-    from clgs.data.ply.mlps_archive import mlps_path
+    from clgs.data.splats.anchors import save_scaffold
+    from clgs.data.splats.mlps_archive import mlps_path
     from clgs.errors import UsageError
     from clgs.files import check_output
     from clgs.scene.storage import save_scene

@@ -97,8 +97,8 @@ def run(args: argparse.Namespace) -> int:
     """Encode; exit code 0."""
     from clgs.cli.display import Display
     from clgs.codec.scene_encoder import check_options, encode
-    from clgs.data.ply.anchors import load_scaffold
-    from clgs.data.ply.mlps_archive import mlps_path
+    from clgs.data.splats.anchors import load_scaffold
+    from clgs.data.splats.mlps_archive import mlps_path
     from clgs.errors import UsageError
     from clgs.files import atomic_write
     from clgs.scene.anchors import QuantizationScales
@@ -170,7 +170,7 @@ def _show_fitted(fitted: FittedScene, anchors: int) -> None:
 def _in_words_of_options(path: Path) -> Iterator[None]:
     """Let a CodecError name the scene, and say which option helps."""
     from clgs.codec.octree import PositionsError
-    from clgs.data.ply.anchors import is_quantized
+    from clgs.data.splats.anchors import is_quantized
     from clgs.errors import CodecError
 
     try:

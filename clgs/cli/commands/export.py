@@ -31,8 +31,8 @@ Write what other programs open; the suffix of FILE says what:
          with --viewer and no SCENE: a page to drop .clgs files on.
   .ply .spz .sog from SCENE: baked to ordinary 3D Gaussians, for 3DGS viewers.
          With --data they are fitted to its photos; without, to renders from
-         cameras around the scene, which is worse. A PLY of splats is
-         converted. Coordinates are those of the data set."""
+         cameras around the scene, which is worse. Splats (.ply, .spz, .sog)
+         are converted. Coordinates are those of the data set."""
 
 MOST_STEPS = 100_000
 
@@ -59,21 +59,18 @@ def register(parser: argparse.ArgumentParser) -> None:
         "--sh-degree",
         type=whole_number(SH_DEGREES[-1], 0),
         choices=SH_DEGREES,
-        default=SH_DEGREES[-1],
-        help="degree of the colors' spherical harmonics, at most (default: %(default)s)",
+        help=f"degree of the colors' spherical harmonics, at most (default: {SH_DEGREES[-1]})",
     )
     add(
         "--steps",
         type=whole_number(MOST_STEPS, 0),
-        default=BAKE_STEPS,
         metavar="N",
-        help="baking: steps of refinement after the fit; 0: none (default: %(default)s)",
+        help=f"baking: steps of refinement after the fit; 0: none (default: {BAKE_STEPS})",
     )
     add(
         "--units",
         choices=("data", "scene"),
-        default="data",
-        help="baking: coordinates of the data set, or the scene's own (default: %(default)s)",
+        help="coordinates of the data set, or the scene's own (default: data)",
     )
     add_device_name(parser)
     add("--viewer", action="store_true", help=".html: a page without a scene, to drop files on")

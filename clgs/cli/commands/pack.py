@@ -51,8 +51,8 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.tell import tell
     from clgs.codec.octree import PositionsError
     from clgs.codec.splat_packing import pack
-    from clgs.data.ply.gaussians import lacking
-    from clgs.data.ply.integer_splats import group_of, read_splats
+    from clgs.data.splats.gaussians import lacking
+    from clgs.data.splats.integer_splats import group_of, read_splats
     from clgs.errors import CodecError, UsageError
     from clgs.files import atomic_write
     from clgs.workflow.outputs import check_new, check_suffix

@@ -23,7 +23,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Unpack; exit code 0."""
     from clgs.codec.splat_packing import unpack
-    from clgs.data.ply.integer_splats import write_splats
+    from clgs.data.splats.integer_splats import write_splats
     from clgs.files import atomic_write
     from clgs.workflow.outputs import check_new, check_suffix
     from clgs.workflow.scenes import naming, read_bytes

@@ -87,7 +87,7 @@ def frame_scene(
     held = _quantile(distance, weight, HELD) or 1.0
     narrow = np.radians(DEFAULT_FOV) * min(1.0, size[0] / size[1])
     far = held / np.sin(narrow / 2)
-    if scene.transform != SceneTransform():
+    if isinstance(scene, QuantizedScene) and scene.transform != SceneTransform():
         far = min(far, REACH)
     chosen = guess_up(position - centre, scene) if up is None else up
     tilt = np.radians(ELEVATION)

@@ -2,60 +2,54 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from clgs.data.splats.gaussians import is_far, scene_of
+from clgs.data.splats.table import PlyTable
 from clgs.scene.gaussians import HostGaussians
+from clgs.scene.scene import SceneTransform
 
 Floats = npt.NDArray[np.float64]
-
-MAX_OPACITY = 1.0 - 1e-6
-"""Opacities of 0 and 1 have no logit; readers come this close to them."""
 
 
 @dataclass(frozen=True)
 class Encoded:
-    """The bytes of a file, and the Gaussians that it holds after rounding."""
+    """The bytes of a file, and the Gaussians that it holds after rounding, in scene units."""
 
     data: bytes
     gaussians: HostGaussians
 
 
-def sigmoid(logit: npt.NDArray[np.float32]) -> Floats:
-    """Opacities in (0, 1) of logits."""
-    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit.astype(np.float64), -80.0, 80.0))))
+def file_units(
+    gaussians: HostGaussians, transform: SceneTransform
+) -> tuple[Floats, npt.NDArray[np.float32], Floats]:
+    """Positions (N, 3) and log scales (N, 3) in the world's units, and an origin (3,).
 
-
-def logit(opacity: Floats) -> npt.NDArray[np.float32]:
-    """The inverse of :func:`sigmoid`."""
-    inside = np.clip(opacity, 1.0 - MAX_OPACITY, MAX_OPACITY)
-    return np.log(inside / (1.0 - inside)).astype(np.float32)
-
-
-def smallest_three(unit: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
-    """Index (N,) of the largest component of unit quaternions (N, 4), and the others (N, 3).
-
-    Their signs are those that make the largest positive.
+    The origin is 0, or the middle of splats that are too far from 0 for positions in float32.
     """
-    largest = np.argmax(np.abs(unit), axis=1)
-    signed = unit * np.where(unit[np.arange(len(unit)), largest] < 0, -1.0, 1.0)[:, None]
-    return largest, signed[np.arange(4) != largest[:, None]].reshape(-1, 3)
+    position = transform.to_world(gaussians.mean.astype(np.float64))
+    log_scale = gaussians.log_scale + np.float32(np.log(1.0 / transform.scale))
+    middle = np.median(position, axis=0)
+    return position, log_scale, middle if is_far(middle, log_scale) else np.zeros(3)
 
 
-def from_smallest_three(largest: npt.NDArray[np.int64], small: Floats) -> Floats:
-    """The quaternions (N, 4) of which :func:`smallest_three` gives these, as readers make them."""
-    whole = np.zeros((len(largest), 4))
-    whole[np.arange(4) != largest[:, None]] = small.ravel()
-    rest = np.sqrt(np.maximum(0.0, 1.0 - np.square(whole).sum(axis=1)))
-    whole[np.arange(len(whole)), largest] = rest
-    return whole
+def scene_units(
+    gaussians: HostGaussians,
+    position: npt.NDArray[np.floating],
+    log_scale: npt.NDArray[np.float32],
+    transform: SceneTransform,
+) -> HostGaussians:
+    """Gaussians with these positions and log scales, which are in the world's units."""
+    mean = transform.to_scene(position.astype(np.float64)).astype(np.float32)
+    return replace(gaussians, mean=mean, log_scale=log_scale + np.float32(np.log(transform.scale)))
 
 
-def unit_rotation(rotation: npt.NDArray[np.float32]) -> Floats:
-    """Quaternions (N, 4) of length 1; one without direction becomes that of no rotation."""
-    wide = rotation.astype(np.float64)
-    length = np.linalg.norm(wide, axis=1, keepdims=True)
-    wide = np.where(length > 0, wide, [1.0, 0.0, 0.0, 0.0])
-    return np.asarray(wide / np.where(length > 0, length, 1.0))
+def as_read(table: PlyTable, transform: SceneTransform) -> HostGaussians:
+    """The Gaussians of a table as a reader finds it in a file, in scene units."""
+    scene = scene_of(table.columns, Path("the new file"))
+    position = scene.transform.to_world(scene.gaussians.mean.astype(np.float64))
+    return scene_units(scene.gaussians, position, scene.gaussians.log_scale, transform)

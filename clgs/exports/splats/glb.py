@@ -3,7 +3,7 @@
 One primitive of points with float32 attributes: positions, rotations (x y z w), scales (not their
 logarithms), opacities in [0, 1], and every coefficient of the color as a vector of three; COLOR_0
 is for viewers that show plain points. glTF has y up: the node turns the data set's axes to that,
-the attributes stay in them.
+the attributes stay in them. It also moves splats that lie far from the origin to their place.
 
 Source: the specification of the extension at Khronos (github.com/KhronosGroup/glTF).
 """
@@ -12,13 +12,16 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.exports.splats.encoded import Encoded, sigmoid, unit_rotation
+from clgs.data.splats.numbers import SH_0, sigmoid, unit_rotation
+from clgs.exports.splats.encoded import Encoded, file_units, scene_units
 from clgs.scene.gaussians import HostGaussians
+from clgs.scene.scene import IDENTITY, SceneTransform
 
 EXTENSION = "KHR_gaussian_splatting"
 SPACE = {
@@ -27,19 +30,25 @@ SPACE = {
     "projection": "perspective",
     "sortingMethod": "cameraDistance",
 }
-SH_0 = 0.28209479177387814
 TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 FLOAT, UNSIGNED_BYTE, ARRAY_BUFFER, POINTS = 5126, 5121, 34962, 0
 
 
-def encode_glb(gaussians: HostGaussians, turn: npt.NDArray[np.float64] | None = None) -> Encoded:
+def encode_glb(
+    gaussians: HostGaussians,
+    transform: SceneTransform = IDENTITY,
+    turn: npt.NDArray[np.float64] | None = None,
+) -> Encoded:
     """The file of N Gaussians.
 
     Args:
-        gaussians: in any units.
+        gaussians: in scene units.
+        transform: the world's units, which the file has.
         turn: rotation (3, 3) from their axes to glTF's; default: none.
     """
-    attributes = _attributes(gaussians)
+    position, log_scale, origin = file_units(gaussians, transform)
+    near = (position - origin).astype(np.float32)
+    attributes = _attributes(replace(gaussians, mean=near, log_scale=log_scale))
     binary = b"".join(values.tobytes() for values in attributes.values())
     binary += b"\0" * (-len(binary) % 4)
     offset = 0
@@ -55,19 +64,22 @@ def encode_glb(gaussians: HostGaussians, turn: npt.NDArray[np.float64] | None = 
             accessor["normalized"] = True
         accessors.append(accessor)
         offset += values.nbytes
-    position = accessors[list(attributes).index("POSITION")]
-    position["min"] = [float(x) for x in gaussians.mean.min(axis=0)]
-    position["max"] = [float(x) for x in gaussians.mean.max(axis=0)]
+    accessor = accessors[list(attributes).index("POSITION")]
+    accessor["min"] = [float(x) for x in near.min(axis=0)]
+    accessor["max"] = [float(x) for x in near.max(axis=0)]
     node: dict[str, Any] = {"mesh": 0}
-    if turn is not None:
+    if turn is not None or origin.any():
         matrix = np.eye(4)
-        matrix[:3, :3] = turn
+        matrix[:3, :3] = np.eye(3) if turn is None else turn
+        matrix[:3, 3] = matrix[:3, :3] @ origin
         node["matrix"] = [float(x) + 0.0 for x in matrix.T.ravel()]  # no negative zeros
-    primitive = {
+    primitive: dict[str, Any] = {
         "attributes": {name: i for i, name in enumerate(attributes)},
         "mode": POINTS,
         "extensions": {EXTENSION: SPACE},
     }
+    if gaussians.antialiased:  # the extension has no word for it
+        primitive["extras"] = {"antialiased": True}
     document = {
         "asset": {"version": "2.0", "generator": "clgs"},
         "extensionsUsed": [EXTENSION],
@@ -85,7 +97,8 @@ def encode_glb(gaussians: HostGaussians, turn: npt.NDArray[np.float64] | None = 
         struct.pack("<I4s", len(chunk), kind) + chunk
         for kind, chunk in ((b"JSON", text), (b"BIN\0", binary))
     )
-    return Encoded(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks, gaussians)
+    data = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    return Encoded(data, scene_units(gaussians, near + origin, log_scale, transform))
 
 
 def _attributes(gaussians: HostGaussians) -> dict[str, npt.NDArray[Any]]:

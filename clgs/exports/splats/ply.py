@@ -1,5 +1,7 @@
 """Ordinary Gaussians as the PLY file of 3DGS: float32, nothing is rounded.
 
+Positions that are too far from the origin for that are float64.
+
 Properties: x y z, nx ny nz (0), f_dc_0 to 2, f_rest (all coefficients of red, then of green, then
 of blue), opacity (logit), scale (log), rot (w x y z).
 """
@@ -8,28 +10,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.data.ply.table import PlyTable, pack_ply
-from clgs.exports.splats.encoded import Encoded
+from clgs.data.splats.read import DC, MARK, POSITION, REST, ROTATION, SCALE
+from clgs.data.splats.table import PlyTable, pack_ply
+from clgs.exports.splats.encoded import Encoded, file_units, scene_units
 from clgs.scene.gaussians import HostGaussians
+from clgs.scene.scene import IDENTITY, SceneTransform
 
 
-def encode_ply(gaussians: HostGaussians) -> Encoded:
-    """The file of N Gaussians."""
+def encode_ply(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -> Encoded:
+    """The file of N Gaussians, in the world's units of ``transform``."""
     count = len(gaussians)
+    position, log_scale, origin = file_units(gaussians, transform)
+    written = position if origin.any() else position.astype(np.float32)
     rest = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(count, -1)
-    zero = np.zeros((count, 3), np.float32)
     parts = (
-        (["x", "y", "z"], gaussians.mean),
-        (["nx", "ny", "nz"], zero),
-        ([f"f_dc_{i}" for i in range(3)], gaussians.sh[:, 0]),
-        ([f"f_rest_{i}" for i in range(rest.shape[1])], rest),
+        (POSITION, written),
+        (["nx", "ny", "nz"], np.zeros((count, 3), np.float32)),
+        (DC, gaussians.sh[:, 0]),
+        ([f"{REST}{i}" for i in range(rest.shape[1])], rest),
         (["opacity"], gaussians.opacity[:, None]),
-        ([f"scale_{i}" for i in range(3)], gaussians.log_scale),
-        ([f"rot_{i}" for i in range(4)], gaussians.rotation),
+        (SCALE, log_scale),
+        (ROTATION, gaussians.rotation),
     )
     columns = {
         name: np.ascontiguousarray(values[:, i])
         for names, values in parts
         for i, name in enumerate(names)
     }
-    return Encoded(pack_ply(PlyTable(columns, ["baked by clgs"])), gaussians)
+    table = PlyTable(columns, ["baked by clgs", *[MARK] * gaussians.antialiased])
+    return Encoded(pack_ply(table), scene_units(gaussians, written, log_scale, transform))

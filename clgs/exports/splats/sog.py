@@ -1,12 +1,4 @@
-"""Ordinary Gaussians as a SOG file, version 2: a zip archive of lossless WebP images.
-
-A pixel holds a Gaussian. Positions: 16 bits of sign(x) log(1 + |x|) between its extremes; scales
-and base colors: a byte that points into a table of 256 numbers; rotations: the three smallest
-components; opacity: a byte; the other coefficients of the color: two bytes that point into a
-palette of sets of them, each coefficient a byte that points into a third table.
-
-Source of the format: PlayCanvas' specification (developer.playcanvas.com, "The SOG format").
-"""
+"""Ordinary Gaussians as a SOG file, version 2; ``clgs.data.splats.sog`` says what it holds."""
 
 from __future__ import annotations
 
@@ -19,24 +11,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.exports.splats.encoded import (
-    Encoded,
-    from_smallest_three,
-    logit,
-    sigmoid,
-    smallest_three,
-    unit_rotation,
+from clgs.data.splats.numbers import sigmoid, smallest_three, unit_rotation
+from clgs.data.splats.sog import (
+    COORDINATE_STEPS,
+    META,
+    MODEL,
+    PALETTE_COLUMNS,
+    ROTATION_TAG,
+    VERSION,
+    decode_sog,
 )
-from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
+from clgs.exports.splats.encoded import Encoded, as_read, file_units
+from clgs.scene.gaussians import HostGaussians
+from clgs.scene.scene import IDENTITY, SceneTransform
 
 Bytes = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]
 
-COORDINATE_STEPS = 65535
-ROTATION_TAG = 252
-"""The tag of rotations whose w is largest; those of x, y and z follow."""
-PALETTE_COLUMNS = 64
-"""Sets of coefficients in a row of the palette's image."""
 EARLIEST = (1980, 1, 1, 0, 0, 0)
 """The date of all files in the archive, so that equal scenes give equal bytes."""
 TABLE_SIZE = 256
@@ -66,34 +57,40 @@ class Palette:
         return np.asarray(self.table[self.entries[self.label]])
 
 
-def encode_sog(gaussians: HostGaussians) -> Encoded:
-    """The file of N Gaussians, at least one."""
-    coordinates, means, mean = _positions(gaussians.mean)
-    scale_table, color_table = make_table(gaussians.log_scale), make_table(gaussians.sh[:, 0])
-    scale = nearest(scale_table, gaussians.log_scale)
-    color = nearest(color_table, gaussians.sh[:, 0])
+def encode_sog(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -> Encoded:
+    """The file of N Gaussians, at least one, in the world's units of ``transform``."""
+    position, log_scale, _ = file_units(gaussians, transform)
+    logs = np.sign(position) * np.log1p(np.abs(position))
+    least, most = logs.min(axis=0), logs.max(axis=0)
+    span = np.where(most > least, most - least, 1.0)
+    coordinates = np.rint((logs - least) / span * COORDINATE_STEPS).astype(np.int64)
+    scale_table, color_table = make_table(log_scale), make_table(gaussians.sh[:, 0])
     opacity = np.rint(255 * sigmoid(gaussians.opacity)).astype(np.uint8)
     largest, others = smallest_three(unit_rotation(gaussians.rotation))
     small = np.rint(255 * (others / np.sqrt(2) + 0.5)).astype(np.uint8)
-    rotation = from_smallest_three(largest, (small / 255.0 - 0.5) * np.sqrt(2)).astype(np.float32)
     images = {
         "means_l": (coordinates & 255).astype(np.uint8),
         "means_u": (coordinates >> 8).astype(np.uint8),
-        "scales": scale,
+        "scales": nearest(scale_table, log_scale),
         "quats": np.column_stack([small, (ROTATION_TAG + largest).astype(np.uint8)]),
-        "sh0": np.column_stack([color, opacity]),
+        "sh0": np.column_stack([nearest(color_table, gaussians.sh[:, 0]), opacity]),
     }
     files = {f"{name}.webp": _webp(_square(image)) for name, image in images.items()}
     meta: dict[str, Any] = {
-        "version": 2,
+        "version": VERSION,
         "asset": {"generator": "clgs"},
         "count": len(gaussians),
-        "means": {**means, "files": ["means_l.webp", "means_u.webp"]},
+        "means": {
+            "mins": least.tolist(),
+            "maxs": most.tolist(),
+            "files": ["means_l.webp", "means_u.webp"],
+        },
         "scales": {"codebook": scale_table.tolist(), "files": ["scales.webp"]},
         "quats": {"files": ["quats.webp"]},
         "sh0": {"codebook": color_table.tolist(), "files": ["sh0.webp"]},
     }
-    sh = color_table[color][:, None]
+    if gaussians.antialiased:
+        meta |= {"model": MODEL, "antialias": True}
     if gaussians.degree:
         palette = make_palette(gaussians.sh[:, 1:])
         meta["shN"] = {
@@ -103,30 +100,12 @@ def encode_sog(gaussians: HostGaussians) -> Encoded:
             "files": ["shN_centroids.webp", "shN_labels.webp"],
         }
         files |= _palette_files(palette)
-        sh = np.concatenate([sh, palette.values()], axis=1)
-    stored = OrdinaryGaussians(
-        mean, scale_table[scale], rotation, logit(opacity / 255.0), np.ascontiguousarray(sh)
-    )
-    files = {"meta.json": json.dumps(meta, separators=(",", ":")).encode(), **files}
+    files = {META: json.dumps(meta, separators=(",", ":")).encode(), **files}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, data in files.items():
             archive.writestr(zipfile.ZipInfo(name, EARLIEST), data)
-    return Encoded(buffer.getvalue(), stored)
-
-
-def _positions(
-    mean: npt.NDArray[np.float32],
-) -> tuple[npt.NDArray[np.int64], dict[str, list[float]], npt.NDArray[np.float32]]:
-    """Integers (N, 3) of 16 bits, the extremes, and the positions that they stand for."""
-    wide = mean.astype(np.float64)
-    logs = np.sign(wide) * np.log1p(np.abs(wide))
-    least, most = logs.min(axis=0), logs.max(axis=0)
-    span = np.where(most > least, most - least, 1.0)
-    integers = np.rint((logs - least) / span * COORDINATE_STEPS).astype(np.int64)
-    back = least + span * (integers / COORDINATE_STEPS)
-    stored = np.sign(back) * np.expm1(np.abs(back))
-    return integers, {"mins": least.tolist(), "maxs": most.tolist()}, stored.astype(np.float32)
+    return Encoded(buffer.getvalue(), as_read(decode_sog(buffer.getvalue()), transform))
 
 
 def _palette_files(palette: Palette) -> dict[str, bytes]:

@@ -1,61 +1,51 @@
-"""Ordinary Gaussians as an SPZ file, version 3: quantised and compressed by gzip.
-
-A header of 16 bytes, then by attribute: positions (24-bit fixed point), opacities, base colors,
-log scales (bytes), rotations (the three smallest components of the quaternion, 10 bits each), and
-the other coefficients of the color (bytes, coefficient by coefficient, channels within). The axes
-stay as they are: splat-transform and gsply turn none either between PLY and SPZ.
-
-Source of the format: Niantic's description (github.com/nianticlabs/spz, README).
-"""
+"""Ordinary Gaussians as an SPZ file, version 3; ``clgs.data.splats.spz`` says what it holds."""
 
 from __future__ import annotations
 
 import gzip
 import logging
-import struct
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.errors import DataError
-from clgs.exports.splats.encoded import (
-    Encoded,
-    from_smallest_three,
-    logit,
-    sigmoid,
-    smallest_three,
-    unit_rotation,
+from clgs.data.splats.numbers import sigmoid, smallest_three, unit_rotation
+from clgs.data.splats.spz import (
+    ANTIALIASED_FLAG,
+    COLOR_SCALE,
+    HEAD,
+    MAGIC,
+    ROTATION_STEPS,
+    SCALE_LEAST,
+    SCALE_STEPS,
+    SH_STEPS,
+    decode_spz,
 )
-from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
+from clgs.errors import DataError
+from clgs.exports.splats.encoded import Encoded, as_read, file_units
+from clgs.scene.gaussians import HostGaussians
+from clgs.scene.scene import IDENTITY, SceneTransform
 
 _log = logging.getLogger(__name__)
 
-MAGIC, VERSION = 0x5053474E, 3
+VERSION = 3
 FIXED_BITS = 23
 """The bits of a coordinate without its sign."""
 MAX_FRACTION = 20
-COLOR_SCALE = 0.15 * 255
-SCALE_STEPS, SCALE_LEAST = 16.0, -10.0
-"""The steps per unit of a log scale, and the least log scale."""
-SH_STEPS = 128.0
-ROTATION_STEPS = 511
 LEVEL = 9
 """The level of gzip."""
 
 
-def encode_spz(gaussians: HostGaussians) -> Encoded:
-    """The file of N Gaussians.
+def encode_spz(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -> Encoded:
+    """The file of N Gaussians, in the world's units of ``transform``.
 
     Raises:
         DataError: a coordinate is too large.
     """
-    fraction = _fraction_bits(gaussians)
-    position = np.rint(gaussians.mean * 2.0**fraction).astype(np.int32)
-    opacity = _bytes(sigmoid(gaussians.opacity) * 255)
-    color = _bytes(gaussians.sh[:, 0] * COLOR_SCALE + 127.5)
-    scale = _bytes((gaussians.log_scale - SCALE_LEAST) * SCALE_STEPS)
+    position, log_scale, _ = file_units(gaussians, transform)
+    fraction = _fraction_bits(position)
+    fixed = np.rint(position * 2.0**fraction).astype("<i4")
     most = SCALE_LEAST + 255 / SCALE_STEPS
-    if count := int((gaussians.log_scale > most + 0.5 / SCALE_STEPS).any(axis=1).sum()):
+    if count := int((log_scale > most + 0.5 / SCALE_STEPS).any(axis=1).sum()):
         # tiny ones are drawn as points in any case
         _log.warning(
             "%d Gaussians are larger than the %.0f units that .spz can hold, and are made smaller; "
@@ -67,35 +57,28 @@ def encode_spz(gaussians: HostGaussians) -> Encoded:
     words = largest  # two bits, then sign and size of each of the others, 10 bits
     for i in range(3):
         words = words << 10 | (small[:, i] < 0) << 9 | np.abs(small[:, i])
-    rotation = from_smallest_three(largest, small / (ROTATION_STEPS * np.sqrt(2)))
-    rest = _bytes(gaussians.sh[:, 1:] * SH_STEPS + SH_STEPS)
-    head = struct.pack("<IIIBBBB", MAGIC, VERSION, len(gaussians), gaussians.degree, fraction, 0, 0)
+    flags = ANTIALIASED_FLAG if gaussians.antialiased else 0
+    count, degree = len(gaussians), gaussians.degree
     parts = (
-        position.astype("<i4").view(np.uint8).reshape(len(gaussians), 3, 4)[..., :3],
-        *(opacity, color, scale),
+        fixed.view(np.uint8).reshape(count, 3, 4)[..., :3],
+        _bytes(sigmoid(gaussians.opacity) * 255),
+        _bytes(gaussians.sh[:, 0] * COLOR_SCALE + 127.5),
+        _bytes((log_scale - SCALE_LEAST) * SCALE_STEPS),
         words.astype("<u4"),
-        rest,
+        _bytes(gaussians.sh[:, 1:] * SH_STEPS + SH_STEPS),
     )
+    head = HEAD.pack(MAGIC, VERSION, count, degree, fraction, flags, 0)
     data = head + b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
-    stored = OrdinaryGaussians(
-        mean=(position / 2.0**fraction).astype(np.float32),
-        log_scale=(scale / SCALE_STEPS + SCALE_LEAST).astype(np.float32),
-        rotation=rotation[:, [3, 0, 1, 2]].astype(np.float32),
-        opacity=logit(opacity / 255.0),
-        sh=np.concatenate(
-            [(color[:, None] - 127.5) / COLOR_SCALE, (rest - SH_STEPS) / SH_STEPS], axis=1
-        ).astype(np.float32),
-    )
-    return Encoded(gzip.compress(data, LEVEL, mtime=0), stored)
+    packed = gzip.compress(data, LEVEL, mtime=0)
+    return Encoded(packed, as_read(decode_spz(packed), transform))
 
 
-def _fraction_bits(gaussians: HostGaussians) -> int:
+def _fraction_bits(position: npt.NDArray[np.float64]) -> int:
     """How many bits after the point the largest coordinate leaves."""
-    largest = float(np.abs(gaussians.mean).max(initial=0.0))
+    largest = float(np.abs(position).max(initial=0.0))
     if not largest < 2.0 ** (FIXED_BITS - 1):
         raise DataError(
-            f"a coordinate is {largest:.3g}: too large for .spz; write .ply, or give "
-            "--units scene if the scene was trained"
+            f"a coordinate is {largest:.3g}: too large for .spz; write .ply, or give --units scene"
         )
     return min(MAX_FRACTION, FIXED_BITS - 1 - int(np.floor(np.log2(max(largest, 0.5)))))
 

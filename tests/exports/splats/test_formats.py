@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.data.ply.gaussians import read_gaussians
+from clgs.data.splats.gaussians import load_splats
 from clgs.errors import DataError
 from clgs.exports.splats import sog
 from clgs.exports.splats.glb import EXTENSION, encode_glb
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog
 from clgs.exports.splats.spz import encode_spz
+from clgs.scene.scene import SceneTransform
 from tests.exports.splats.cases import differences, gaussians
 
 ENCODERS = (encode_ply, encode_spz, encode_sog, encode_glb)
@@ -35,7 +36,7 @@ def test_ply_is_read_again_bit_for_bit(tmp_path, degree):
     before = gaussians(degree)
     path = tmp_path / "x.ply"
     path.write_bytes(encode_ply(before).data)
-    after = read_gaussians(path)
+    after = load_splats(path).gaussians
     assert after.degree == degree
     for name, array in before.items():
         assert np.array_equal(getattr(after, name), array), name
@@ -149,7 +150,7 @@ def test_palettes_hold_repeated_sets_exactly():
 def test_glb_is_what_its_specification_says():
     before = gaussians()
     turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    data = encode_glb(before, turn).data
+    data = encode_glb(before, turn=turn).data
     magic, version, length = struct.unpack("<4sII", data[:12])
     assert (magic, version, length) == (b"glTF", 2, len(data))
     size = struct.unpack("<I", data[12:16])[0]
@@ -175,3 +176,38 @@ def test_glb_is_what_its_specification_says():
     for degree, number, place in ((0, 0, 0), (1, 2, 3), (2, 0, 4), (3, 6, 15)):
         name = f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}"
         assert np.array_equal(attribute(name), before.sh[:, place])
+
+
+@pytest.mark.parametrize("encode", ENCODERS)
+@pytest.mark.parametrize("place", [(3.0, -1.0, 0.5), (5e5, 5.4e5, 120.0)])
+def test_units_of_the_world(tmp_path, encode, place):
+    """Positions that are far away keep what the format can hold."""
+    before = gaussians()
+    transform = SceneTransform(place, 0.25)
+    encoded = encode(before, transform)
+    apart = differences(encoded.gaussians, before)
+    far = place[0] > 100
+    limits = {encode_spz: 0.3 if far else 1e-4, encode_sog: 0.01}
+    assert apart["mean"] <= limits.get(encode, 2e-6)
+    if encode is encode_glb:
+        return
+    path = tmp_path / "x.bin"
+    path.write_bytes(encoded.data)
+    scene = load_splats(path)
+    world = scene.transform.to_world(scene.gaussians.mean.astype(np.float64))
+    assert np.abs(transform.to_scene(world) - encoded.gaussians.mean).max() <= 2e-6
+    size = np.exp(scene.gaussians.log_scale - encoded.gaussians.log_scale)
+    assert np.allclose(size, 1 / 0.25, rtol=1e-5)
+    assert (max(scene.transform.centre) > 100) == far
+
+
+def test_glb_puts_far_splats_in_their_place():
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    data = encode_glb(gaussians(), SceneTransform((5e5, 5.4e5, 120.0)), turn).data
+    size = struct.unpack("<I", data[12:16])[0]
+    document = json.loads(data[20 : 20 + size])
+    matrix = np.reshape(document["nodes"][0]["matrix"], (4, 4)).T
+    assert np.array_equal(matrix[:3, :3], turn)
+    assert np.allclose(turn.T @ matrix[:3, 3], [5e5, 5.4e5, 120.0], atol=1)
+    accessor = document["accessors"][0]
+    assert np.abs([accessor["min"], accessor["max"]]).max() < 20

@@ -78,7 +78,7 @@ def test_three_draws_what_the_renderer_draws(page, tmp_path, open_device):
     camera = camera_at()
     scene = gaussians(count=3000)
     scene = replace(scene, mean=scene.mean / 3, log_scale=np.minimum(scene.log_scale - 1, -2.5))
-    (tmp_path / "scene.glb").write_bytes(encode_glb(scene, TURN).data)
+    (tmp_path / "scene.glb").write_bytes(encode_glb(scene, turn=TURN).data)
     browser = Browser(PROGRAM, tmp_path / "profile")
     try:
         size = {"width": camera.width, "height": camera.height}

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.data.ply.gaussians import read_gaussians
+from clgs.data.splats.gaussians import load_splats
 from clgs.exports.splats.glb import EXTENSION, encode_glb
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog
@@ -82,7 +82,7 @@ def test_splat_transform_reads_the_same_and_it_is_drawn_alike(exported, tmp_path
     program = installed("node_modules/@playcanvas/splat-transform/bin/cli.mjs")
     path, stored = exported
     run("node", program, path, tmp_path / "again.ply")
-    found = read_gaussians(tmp_path / "again.ply")
+    found = load_splats(tmp_path / "again.ply").gaussians
     assert max(differences(found, stored).values()) <= TOLERANCE
     camera = camera_at()
     ours, theirs = (Renderer(device, SplatScene(one)).render(camera) for one in (stored, found))
@@ -95,7 +95,7 @@ def test_three_and_the_validator_open_glb(tmp_path):
     before = gaussians()
     turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     path = tmp_path / "scene.glb"
-    path.write_bytes(encode_glb(before, turn).data)
+    path.write_bytes(encode_glb(before, turn=turn).data)
     found = json.loads(run("node", Path(__file__).with_name("open_glb.mjs"), PROGRAMS, path))
     three = found["three"]
     assert np.allclose(np.reshape(three["matrix"], (4, 4)).T[:3, :3], turn)

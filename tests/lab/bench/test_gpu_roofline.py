@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,13 @@ if not FOLDER.is_dir():
 sys.path.insert(0, str(FOLDER))
 try:
     import estimate
+    import roofline
+    import table
     import units
 finally:
     sys.path.remove(str(FOLDER))
 
-CARD = estimate.Card("round numbers", 100, 4, 128, 16, 1e9, 1e12, 4e12, 2e-6)
+CARD = roofline.Card("round numbers", 100, 4, 128, 16, 1e9, 1e12, 4e12, 2e-6)
 NOTHING = {
     "warp_instructions": 0.0,
     "warp_special": 0.0,
@@ -43,31 +46,29 @@ NOTHING = {
     ],
 )
 def test_each_limit_by_hand(sums, binds, microseconds):
-    found = estimate.limits({**NOTHING, **sums}, groups=1000, group=256, card=CARD)
-    assert max(found, key=found.get) == binds
-    assert found[binds] == pytest.approx(microseconds)
+    found = roofline.bound({**NOTHING, **sums}, 3, groups=1000, group=256, card=CARD)
+    assert found.binds == binds
+    assert found.limits[binds] == pytest.approx(microseconds)
+    assert found.time == pytest.approx(microseconds + 3 * 2)
 
 
 def test_few_work_groups_leave_processors_idle():
     sums = {**NOTHING, "warp_instructions": 4e6, "local_wavefronts": 1e6}
-    many, few, one = (
-        estimate.limits(sums, groups, group, CARD)
-        for groups, group in ((1000, 256), (10, 256), (1, 32))
-    )
-    assert few["issue"] == pytest.approx(10 * many["issue"])
-    assert few["shared memory and L1"] == pytest.approx(100)
-    assert one["issue"] == pytest.approx(4e6 / 1e9 * 1e6)
+    many = roofline.bound(sums, 1, groups=1000, group=256, card=CARD)
+    few = roofline.bound(sums, 1, groups=10, group=256, card=CARD)
+    one = roofline.bound(sums, 1, groups=1, group=32, card=CARD)
+    assert few.limits["issue"] == pytest.approx(10 * many.limits["issue"])
+    assert few.limits["shared memory and L1"] == pytest.approx(100)
+    assert one.limits["issue"] == pytest.approx(4e6 / 1e9 * 1e6)
 
 
 def test_kernels_one_after_the_other_add_their_largest_limits():
-    sums = dict.fromkeys(estimate.NAMES, 1.0)
-    first = estimate.Estimate(1, sums, {"issue": 5.0, "launches": 2.0})
-    second = estimate.Estimate(2, sums, {"L2": 7.0, "launches": 2.0})
-    all_three = estimate.total([first, second, first])
-    assert all_three.microseconds == {"issue": 10.0, "L2": 7.0, "launches": 6.0}
-    assert all_three.time == 23
-    assert all_three.launches == 4
-    assert set(all_three.sums.values()) == {3.0}
+    first = roofline.Bound({"issue": 5.0, "L2": 1.0}, 2.0)
+    second = roofline.Bound({"issue": 1.0, "L2": 7.0}, 2.0)
+    both = roofline.total([first, second, replace(first, launches=4.0)])
+    assert both.limits == {"issue": 10.0, "L2": 7.0}
+    assert both.time == 17 + 8
+    assert both.binds == "issue"
 
 
 def work(count, groups, gaussians):
@@ -93,7 +94,7 @@ def test_the_longest_name_tells_the_unit():
     assert units.units_of("new_kernel") == ("launches",)
 
 
-def state():
+def state(factor):
     """A step of one kernel in two sizes, and a bench ten times as large as the larger one."""
 
     def scene(gaussians, pixels):
@@ -101,8 +102,8 @@ def state():
         sums = {
             **NOTHING,
             "work_items": 256 * gaussians,
-            "warp_instructions": 1000 * gaussians,
-            "lane_instructions": 16_000 * gaussians,
+            "warp_instructions": 1000 * gaussians * factor,
+            "lane_instructions": 16_000 * gaussians * factor,
             "global_used_read": 320 * gaussians,
             "global_sectors_read": 40 * gaussians,
             "local_wavefronts": 30 * gaussians,
@@ -119,6 +120,12 @@ def state():
 
 
 def test_a_row_shows_a_stage():
-    row = list(estimate.by_stage(state(), "bench"))[2]
+    row = list(table.by_stage(state(1), "bench"))[2]
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     assert cells == ["project forward", "1", "1.00", "50%", "25%", "1.50", "4", "launches"]
+
+
+def test_scaling_is_checked_by_the_largest_scene():
+    assert estimate.scaling_errors(state(1)) == {
+        "project forward: project_forward": (100_000.0, 100_000.0)
+    }

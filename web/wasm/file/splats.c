@@ -10,7 +10,14 @@
 
 #define WRONG "the file's splats are damaged; copy the file again"
 #define HEAD 20
-#define NONE ((size_t)-1)
+#define NONE SIZE_MAX
+#define SAMPLE 2048 /* splats that tell where all lie, and how large they are */
+
+/* As clgs/data/splats/gaussians.py decides. */
+#define NEAR_PLANE 0.2
+#define LEAST_SPREAD 2.0
+#define GREATEST_SPREAD 40.0
+#define FINE 0x1p14 /* a position may be off by 2^-10 of a splat, and float has 24 bits */
 
 static const char *const NAMES[NEEDED] = {"f_dc_0",  "f_dc_1",  "f_dc_2",  "opacity",
                                           "scale_0", "scale_1", "scale_2", "rot_0",
@@ -44,6 +51,8 @@ static void note_name(splats *s, size_t p, const uint8_t *at, size_t length)
     for (size_t i = 0; i < NEEDED; i++)
         if (is_name(at, length, NAMES[i]))
             s->column[i] = p;
+    if (is_name(at, length, "antialiased"))
+        s->antialiased = p;
     size_t rest = rest_number(at, length);
     if (rest != NONE)
         s->column[REST + rest] = p;
@@ -54,6 +63,7 @@ static problem read_names(splats *s)
 {
     span head = s->file->section[SPLT];
     size_t at = HEAD, known = 0;
+    s->antialiased = NONE;
     for (size_t i = 0; i < REST + MAX_REST; i++)
         s->column[i] = NONE;
     for (size_t p = 0; p < s->properties; p++) {
@@ -137,23 +147,89 @@ static problem read_rows(splats *s)
     return wrong;
 }
 
+static double median(double *value, size_t count)
+{
+    for (size_t gap = count / 2; gap > 0; gap /= 2)
+        for (size_t i = gap; i < count; i++) {
+            double moved = value[i];
+            size_t to = i;
+            for (; to >= gap && value[to - gap] > moved; to -= gap)
+                value[to] = value[to - gap];
+            value[to] = moved;
+        }
+    return value[count / 2];
+}
+
+/* The steps of all properties, to `step`. */
+static void read_steps(const splats *s, double *step)
+{
+    const uint8_t *at = s->file->section[SPLT].data + HEAD;
+    for (size_t p = 0; p < s->properties; p++, at += 9 + at[8])
+        step[p] = load_double(at);
+}
+
+/* Choose origin and near plane by some of the splats, evenly chosen. */
+static void place(splats *s, const double *step)
+{
+    static double value[SAMPLE], middle[3];
+    const size_t every = (s->count + SAMPLE - 1) / SAMPLE, count = s->count / every;
+    double furthest = 0, *end = value + count;
+    for (size_t axis = 0; axis < 3; axis++) {
+        for (size_t i = 0; i < count; i++)
+            value[i] = s->all.integer[s->properties * every * i + axis] * step[axis];
+        middle[axis] = median(value, count);
+        double away = middle[axis] < 0 ? -middle[axis] : middle[axis];
+        furthest = away > furthest ? away : furthest;
+    }
+    for (size_t i = 0; i < count; i++) {
+        const int32_t *row = s->all.integer + s->properties * every * i;
+        value[i] = 0;
+        for (size_t axis = 0; axis < 3; axis++) {
+            double apart = row[axis] * step[axis] - middle[axis];
+            value[i] += apart * apart;
+        }
+    }
+    double spread = __builtin_sqrt(median(value, count));
+    double usual = spread < LEAST_SPREAD ? LEAST_SPREAD : spread;
+    usual = usual > GREATEST_SPREAD ? GREATEST_SPREAD : usual;
+    s->near = (float)(spread > 0 ? NEAR_PLANE * spread / usual : NEAR_PLANE);
+    for (double *to = value; to < end; to++) {
+        const int32_t *row = s->all.integer + s->properties * every * (size_t)(to - value);
+        *to = row[s->column[SIZE]] * step[s->column[SIZE]];
+        for (size_t k = 1; k < 3; k++) {
+            double size = row[s->column[SIZE + k]] * step[s->column[SIZE + k]];
+            *to = size > *to ? size : *to;
+        }
+    }
+    const float log_size = (float)median(value, count);
+    float size[4] = {log_size < LOG_SCALE_LIMIT ? log_size : LOG_SCALE_LIMIT};
+    store4(size, exp4(load4(size)));
+    for (size_t axis = 0; axis < 3; axis++)
+        s->origin[axis] = furthest > FINE * size[0] ? middle[axis] : 0;
+}
+
 /* Compare the hash, then integers times steps in place. */
 static problem finish(splats *s)
 {
-    const uint8_t *at = s->file->section[SPLT].data + HEAD;
+    static double steps[CLGS_MAX_CHANNELS + 3];
     s->hash = clgs_xxh64((const uint8_t *)s->all.integer, 4 * s->properties * s->count);
     if (s->hash != s->expected_hash)
         return "the decoded integers do not match their hash; copy the file again";
+    read_steps(s, steps);
+    s->near = (float)NEAR_PLANE;
+    if (s->count > 0)
+        place(s, steps);
     for (size_t p = 0; p < s->properties; p++) {
-        double step = load_double(at);
+        const double origin = p < 3 ? s->origin[p] : 0;
         for (size_t i = 0; i < s->count; i++) {
-            int32_t *place = s->all.integer + s->properties * i + p;
-            float value = (float)(*place * step);
-            memcpy(place, &value, sizeof value);
+            int32_t *at = s->all.integer + s->properties * i + p;
+            if (p == s->antialiased && *at != 0)
+                s->keeps_light = 1;
+            float value = (float)(*at * steps[p] - origin);
+            memcpy(at, &value, sizeof value);
             if (p < 3)
                 s->position[3 * i + p] = value;
         }
-        at += 9 + at[8];
     }
     return NULL;
 }

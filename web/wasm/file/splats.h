@@ -17,6 +17,10 @@ typedef struct splats {
         float *value;
     } all;                          /* (count, properties), integers and then floats */
     size_t column[REST + MAX_REST]; /* of f_dc, opacity, scale, rot, f_rest */
+    size_t antialiased;             /* the column that says so, SIZE_MAX without one */
+    double origin[3];               /* positions are relative to it: 0, or their middle if far */
+    float near;                     /* the near plane */
+    int keeps_light;                /* whether opacities are meant for antialiased drawing */
     size_t rest;                    /* coefficients of each color beyond the first: 0, 3, 8 or 15 */
     rows attribute;
     size_t step, row;

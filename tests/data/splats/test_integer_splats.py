@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 from clgs.cli.main import main
 from clgs.codec.splat_packing import QuantizedSplats, pack, sort_splats, unpack
-from clgs.data.ply.integer_splats import (
+from clgs.data.splats.integer_splats import (
     group_of,
     read_splats,
     resolution,
     usual_extent,
     write_splats,
 )
-from clgs.data.ply.table import PlyTable, pack_ply, parse_ply, read_ply
+from clgs.data.splats.table import PlyTable, pack_ply, parse_ply, read_ply
 from clgs.errors import UsageError
 
 UTM = (4.5e6, 4e5, 100.0)

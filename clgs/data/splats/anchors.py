@@ -19,8 +19,8 @@ import numpy.typing as npt
 
 from clgs.codec.octree import MAX_EXTENT
 from clgs.constants import FEATURE_DIM, K_OFFSETS
-from clgs.data.ply.mlps_archive import holds, load_mlps, mlps_path, pack_mlps
-from clgs.data.ply.table import PlyTable, narrowest, pack_ply, read_ply
+from clgs.data.splats.mlps_archive import holds, load_mlps, mlps_path, pack_mlps
+from clgs.data.splats.table import PlyTable, narrowest, pack_ply, read_ply
 from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors

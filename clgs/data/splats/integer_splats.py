@@ -1,4 +1,4 @@
-"""Ordinary 3DGS PLY files to integers in stated steps, and back.
+"""Ordinary Gaussians of any file to integers in stated steps, and back to a PLY file.
 
 Quaternions (rot_0 to rot_3) are scaled to length 1 with rot_0 >= 0 first: the same rotation, in
 numbers that one step suits.
@@ -15,15 +15,17 @@ import numpy.typing as npt
 
 from clgs.codec.octree import MAX_EXTENT
 from clgs.codec.splat_packing import MAX_STEP, QuantizedSplats, quantize
-from clgs.data.ply.table import PlyTable, narrowest, pack_ply, read_ply
+from clgs.data.splats.read import (
+    ANTIALIASED,
+    FEATURE_OF_ANCHORS,
+    MARK,
+    POSITION,
+    ROTATION,
+    SCALE,
+    read_splat_table,
+)
+from clgs.data.splats.table import PlyTable, narrowest, pack_ply
 from clgs.errors import ClgsError, DataError, UsageError
-
-FEATURE_OF_ANCHORS = "f_anchor_feat_0"
-"""A property that files of anchors have and files of splats do not."""
-
-ROTATION = [f"rot_{i}" for i in range(4)]
-POSITION = ["x", "y", "z"]
-SCALE = [f"scale_{i}" for i in range(3)]
 
 STEPS = {
     "f_dc": 1 / 64,
@@ -45,17 +47,21 @@ _log = logging.getLogger(__name__)
 
 
 def read_splats(path: Path, steps: dict[str, float]) -> tuple[QuantizedSplats, dict[str, float]]:
-    """The splats of a PLY file, and the largest rounding error of each group.
+    """The splats of a file, and the largest rounding error of each group.
+
+    Splats that are meant for antialiased drawing get the property ANTIALIASED, 1 in each row.
 
     Args:
-        path: PLY file with x, y, z and at least one more property.
+        path: PLY file with x, y, z and at least one more property, or an SPZ or SOG file.
         steps: by group or by name of a property, before the defaults.
 
     Raises:
         DataError: no such file, or a property that is needed is missing or not finite.
         UsageError: a property without a step, or a step for none.
     """
-    table = read_ply(path)
+    table = read_splat_table(path)
+    if table.comments:
+        table.columns[ANTIALIASED] = np.ones(len(table), np.int32)
     if FEATURE_OF_ANCHORS in table.columns:
         raise DataError(f"{path}: holds anchors, no splats; `clgs encode` takes it")
     missing = [name for name in POSITION if name not in table.columns]
@@ -94,7 +100,8 @@ def write_splats(splats: QuantizedSplats) -> bytes:
 
     steps = zip(splats.names, splats.steps, strict=True)
     columns = {name: column(splats.values[:, i], step) for i, (name, step) in enumerate(steps)}
-    return pack_ply(PlyTable(columns, ["unpacked by clgs"]))
+    antialiased = bool(np.any(columns.pop(ANTIALIASED, 0)))
+    return pack_ply(PlyTable(columns, ["unpacked by clgs", *[MARK] * antialiased]))
 
 
 def group_of(name: str) -> str:

@@ -1,0 +1,154 @@
+"""The splats of any file that is read, as columns by the names of 3DGS's properties.
+
+PLY files of 3DGS, Scaffold's anchors included, PLY files of SuperSplat with chunks, SPZ and SOG.
+The first bytes of a file say which it is.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.constants import LOG_SCALE_LIMIT
+from clgs.data.splats import compressed_ply, sog, spz
+from clgs.data.splats.numbers import SH_0, logit, sigmoid
+from clgs.data.splats.table import PlyTable, element_names, parse_ply, reading
+from clgs.scene.gaussians import MAX_DEGREE
+
+DC = [f"f_dc_{i}" for i in range(3)]
+POSITION = ["x", "y", "z"]
+ROTATION = [f"rot_{i}" for i in range(4)]
+SCALE = [f"scale_{i}" for i in range(3)]
+REST = "f_rest_"
+FEATURE_OF_ANCHORS = "f_anchor_feat_0"
+"""A property that files of anchors have and files of splats do not."""
+
+FILTER = "filter_3D"
+"""Mip-Splatting's width of the 3-D filter, scene units; its scales are without the filter."""
+
+ANTIALIASED = "antialiased"
+"""A property of packed splats: 1 if their opacities are meant for antialiased drawing."""
+
+MARK = "SplatRenderMode: mip"
+"""The comment in a PLY file that says so, as Brush writes it and splat-transform reads it."""
+
+OPAQUE = 20.0
+"""A logit whose opacity is 1 in float32."""
+
+MOST_REST = 3 * ((MAX_DEGREE + 1) ** 2 - 1)
+
+_MODE = re.compile(r"(?:splat)?_?(?:render|rasteri[sz]e?r?)_?mode\s*[:=\s]\s*(\w+)", re.ASCII)
+_SWITCH = re.compile(r"(?:\w+[.])?anti_?alias(?:ed|ing)?(?:\s*[:=\s]\s*(\w+))?", re.ASCII)
+_log = logging.getLogger(__name__)
+
+Columns = dict[str, npt.NDArray[Any]]
+
+
+def read_splat_table(path: Path) -> PlyTable:
+    """The splats of a file; the only comment is MARK, if they must be drawn antialiased.
+
+    Infinite opacities and infinitely thin splats become finite, colors of 8 bits become f_dc,
+    2-D splats get a third scale, a filter is made part of the splats, and coefficients of a degree
+    above 3 are left out with a line in the log.
+
+    Raises:
+        DataError: no such file, or it is damaged.
+    """
+    with reading(path):
+        data = path.read_bytes()
+        if data[:2] == spz.GZIP or data[:4] == spz.MAGIC:
+            table = spz.decode_spz(data)
+        elif data[:4] == sog.ZIP:
+            table = sog.decode_sog(data)
+        elif "chunk" in element_names(data):
+            table = compressed_ply.decode_chunks(data)
+        else:
+            table = parse_ply(data)
+        columns = dict(table.columns)
+        antialiased = is_antialiased(table.comments) or bool(
+            ANTIALIASED in columns and np.any(columns.pop(ANTIALIASED))
+        )
+        if "opacity" in columns and FEATURE_OF_ANCHORS not in columns:
+            antialiased |= _as_3dgs(columns, path)
+    return PlyTable(columns, [MARK] * antialiased)
+
+
+def is_antialiased(comments: list[str]) -> bool:
+    """Whether comments of a PLY file say that the splats were trained with antialiasing.
+
+    Brush, gsplat and splat-transform write a mode, Postshot and others a switch; the last counts.
+    """
+    found = False
+    for comment in comments:
+        words = comment.strip().lower()
+        if mode := _MODE.fullmatch(words):
+            found = mode[1] in ("mip", "antialiased")
+        elif switch := _SWITCH.fullmatch(words):
+            found = switch[1] in (None, "1", "true", "yes", "on")
+    return found
+
+
+def _as_3dgs(columns: Columns, path: Path) -> bool:
+    """Change ``columns`` to what 3DGS means by them; whether they must be drawn antialiased."""
+    if "scale_0" in columns and "scale_1" in columns and "scale_2" not in columns:
+        columns["scale_2"] = np.full_like(columns["scale_1"], -LOG_SCALE_LIMIT)
+    opacity = columns["opacity"]
+    columns["opacity"] = np.where(opacity == np.inf, opacity.dtype.type(OPAQUE), opacity)
+    for name in SCALE:
+        if name in columns:
+            size = columns[name]
+            thin = size.dtype.type(-LOG_SCALE_LIMIT)
+            columns[name] = np.where(size == -np.inf, thin, size)
+    primaries = [name for name in ("red", "green", "blue") if name in columns]
+    if len(primaries) == 3 and not any(name in columns for name in DC):
+        for name, primary in zip(DC, primaries, strict=True):
+            color = columns.pop(primary)
+            whole = float(np.iinfo(color.dtype).max) if color.dtype.kind in "iu" else 1.0
+            columns[name] = ((color / whole - 0.5) / SH_0).astype(np.float32)
+    _cut_degree(columns, path)
+    if FILTER not in columns or any(name not in columns for name in SCALE):
+        return False
+    _apply_filter(columns)
+    return True
+
+
+def _cut_degree(columns: Columns, path: Path) -> None:
+    """Leave out the coefficients of degrees that are not drawn, 4 and more."""
+    count = sum(name.startswith(REST) for name in columns)
+    degree = int(np.sqrt(1 + count // 3)) - 1
+    rest = [f"{REST}{i}" for i in range(count)]
+    if (
+        degree <= MAX_DEGREE
+        or count != 3 * ((degree + 1) ** 2 - 1)
+        or not columns.keys() >= {*rest}
+    ):
+        return
+    text = "%s: colors of degree %d are cut to %d; the rest is not drawn"
+    _log.warning(text, path, degree, MAX_DEGREE)
+    kept, every = MOST_REST // 3, count // 3
+    values = [columns.pop(name) for name in rest]
+    for channel in range(3):
+        for i in range(kept):
+            columns[f"{REST}{kept * channel + i}"] = values[every * channel + i]
+
+
+def _apply_filter(columns: Columns) -> None:
+    """Make Mip-Splatting's 3-D filter part of scales and opacities (Yu et al. 2024, section 4.1).
+
+    Variances grow by the filter's, and opacities shrink as the volume grows.
+    """
+    variance = columns.pop(FILTER).astype(np.float64) ** 2
+    limit = LOG_SCALE_LIMIT
+    shrunk = np.zeros(len(variance))
+    for name in SCALE:
+        before = np.exp(2 * np.clip(columns[name].astype(np.float64), -limit, limit))
+        after = 0.5 * np.log(before + variance)
+        shrunk += 0.5 * np.log(before) - after
+        columns[name] = after.astype(columns[name].dtype)
+    opacity = sigmoid(columns["opacity"]) * np.exp(shrunk)
+    columns["opacity"] = logit(opacity).astype(columns["opacity"].dtype)

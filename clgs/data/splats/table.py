@@ -1,0 +1,303 @@
+"""PLY files: elements that are tables of numbers, above all the element "vertex".
+
+Little-endian, big-endian and ASCII are read, little-endian is written. The header is believed only
+if the size of the file agrees with it. Source of the format: Turk, "The PLY Polygon File Format".
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.errors import DataError
+
+TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
+    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
+}
+"""NumPy's names of the types of properties."""
+
+NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"} | {
+    "f4": "float",
+    "f8": "double",
+}
+
+FORMATS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+
+NOT_PLY = "not a PLY file"
+MAX_HEADER = 1 << 16
+MAX_PROPERTIES = 1024
+
+
+@dataclass(frozen=True)
+class PlyTable:
+    """Columns by name, all (N,), in file order; and the lines of comment."""
+
+    columns: dict[str, npt.NDArray[Any]]
+    comments: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+
+@dataclass
+class _Element:
+    """What the header says of an element; a list has its two types as its kind, "u1 i4"."""
+
+    name: str
+    rows: int
+    properties: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether rows may differ in length."""
+        return any(" " in kind for _, kind in self.properties)
+
+    def dtype(self, order: str) -> np.dtype[Any]:
+        """The type of a row without lists."""
+        return np.dtype([(name, order + kind) for name, kind in self.properties])
+
+
+@dataclass
+class _Header:
+    order: str | None = None
+    elements: list[_Element] = field(default_factory=list)
+    comments: list[str] = field(default_factory=list)
+
+
+def read_ply(path: Path) -> PlyTable:
+    """The element "vertex" of a PLY file; the others are skipped.
+
+    Raises:
+        DataError: missing, no PLY file, cut, damaged, or with lists in the table.
+    """
+    with reading(path):
+        return parse_ply(path.read_bytes())
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Let what goes wrong with a file of splats be a DataError that names it."""
+    if path.exists() and not path.is_dir() and not path.is_file():
+        raise DataError(f"{path}: not a regular file; name a PLY file")
+    try:
+        yield
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file; name a .ply file") from None
+    except IsADirectoryError:
+        raise DataError(f"{path}: is a folder; name a PLY file") from None
+    except ValueError as error:
+        text = str(error)
+        remedy = "name one" if text == NOT_PLY else "write the file again"
+        raise DataError(f"{path}: {text}; {remedy}") from None
+
+
+def parse_ply(data: bytes) -> PlyTable:
+    """The element "vertex" of the bytes of a PLY file.
+
+    Raises:
+        ValueError: cut, damaged, or with lists in the table.
+    """
+    return parse_elements(data, ("vertex",))["vertex"]
+
+
+def element_names(data: bytes) -> list[str]:
+    """The elements of a PLY file by its header; none if that cannot be read."""
+    try:
+        return [element.name for element in _read_header(data)[0].elements]
+    except ValueError:
+        return []
+
+
+def parse_elements(data: bytes, names: Sequence[str]) -> dict[str, PlyTable]:
+    """Elements of the bytes of a PLY file by name, each with the comments of the file.
+
+    Raises:
+        ValueError: cut, damaged, an element is missing, or there are lists in one of them.
+    """
+    header, start = _read_header(data)
+    order, body = header.order, memoryview(data)[start:]
+    if order is None:
+        raise ValueError("the header names no format")
+    words = bytes(body).split() if order == "" else []
+    found: dict[str, PlyTable] = {}
+    at = 0
+    for element in header.elements:
+        if len(found) == len(names):
+            return found
+        wanted = element.name in names
+        if wanted and (element.has_lists or not element.properties):
+            lack = "no properties" if not element.properties else "lists among its properties"
+            raise ValueError(f"the header has element {element.name} with {lack}")
+        if element.has_lists:
+            at = _skip_lists(words or body, at, element, order)
+            continue
+        columns, at = _read_rows(words, body, at, element, order, wanted)
+        if wanted:
+            found[element.name] = PlyTable(columns, header.comments)
+    if missing := [name for name in names if name not in found]:
+        raise ValueError(f"the header has no element {missing[0]} with properties")
+    if at < (length := len(words) if order == "" else len(body)):
+        what = "numbers" if order == "" else "bytes"
+        raise ValueError(f"{length} {what} follow the header, which promises {at}")
+    return found
+
+
+def _read_rows(
+    words: list[bytes], body: memoryview, at: int, element: _Element, order: str, wanted: bool
+) -> tuple[dict[str, npt.NDArray[Any]], int]:
+    """The columns of an element that begins at a word or byte, and where it ends."""
+    if order != "":
+        dtype = element.dtype(order)
+        end = at + element.rows * dtype.itemsize
+        if end > len(body):
+            raise ValueError(f"{len(body)} bytes follow the header, which promises {end}")
+        rows = np.frombuffer(body, dtype, element.rows, at) if end > at else np.empty(0, dtype)
+        properties = element.properties if wanted else []
+        return {name: np.ascontiguousarray(rows[name], kind) for name, kind in properties}, end
+    end = at + element.rows * len(element.properties)
+    if end > len(words):
+        raise ValueError(f"{len(words)} numbers follow the header, which promises {end}")
+    if not wanted:
+        return {}, end
+    numbers = np.array([float(word) for word in words[at:end]])
+    values = numbers.reshape(element.rows, len(element.properties))
+    pairs = enumerate(element.properties)
+    return {name: _column(values[:, i], name, kind) for i, (name, kind) in pairs}, end
+
+
+def _skip_lists(data: list[bytes] | memoryview, at: int, element: _Element, order: str) -> int:
+    """Where an element with lists ends that begins at a word or byte of ``data``."""
+    for _ in range(element.rows):
+        for _, kind in element.properties:
+            count_kind, _, item_kind = kind.rpartition(" ")
+            count = 1
+            if count_kind and at < len(data):
+                if isinstance(data, list):
+                    count, at = int(data[at]), at + 1
+                else:
+                    size = np.dtype(count_kind).itemsize
+                    sign = count_kind[0] == "i"
+                    byte_order: Literal["big", "little"] = "big" if order == ">" else "little"
+                    count = int.from_bytes(data[at : at + size], byte_order, signed=sign)
+                    at += size
+            at += count if isinstance(data, list) else count * np.dtype(item_kind).itemsize
+            if count < 0 or at > len(data):
+                raise ValueError(f"element {element.name} is longer than the file")
+    return at
+
+
+def _column(values: npt.NDArray[np.float64], name: str, kind: str) -> npt.NDArray[Any]:
+    """Numbers of an ASCII file as their property's type, which must hold them."""
+    if kind[0] == "f":
+        with np.errstate(over="ignore"):
+            return values.astype(kind)
+    limits = np.iinfo(kind)
+    if not ((values >= limits.min) & (values <= limits.max) & (np.rint(values) == values)).all():
+        raise ValueError(f"property {name} is of type {NAMES[kind]}, which cannot hold its values")
+    return values.astype(kind)
+
+
+def _read_header(data: bytes) -> tuple[_Header, int]:
+    """The header, and the byte at which the elements begin."""
+    if data[: data.find(b"\n", 0, 8) + 1].split() != [b"ply"]:
+        raise ValueError(NOT_PLY)
+    header = _Header()
+    for number, (line, end) in enumerate(_header_lines(data), 1):
+        if line.split() == ["end_header"]:
+            return header, end
+        try:
+            _read_line(header, line.split() if number > 1 else [])
+        except (ValueError, IndexError, KeyError) as error:
+            shown, why = line.strip()[:60], ""
+            if isinstance(error, ValueError) and str(error):
+                why = f": {error}"
+            raise ValueError(f"line {number} of the header, {shown!r}, is not read{why}") from None
+    raise ValueError(f"no end of the header in the first {MAX_HEADER} bytes")
+
+
+def _header_lines(data: bytes) -> Iterator[tuple[str, int]]:
+    """The lines that end in the first MAX_HEADER bytes, each with the position after it.
+
+    They are UTF-8, as far as they are text; other bytes of comments do no harm.
+    """
+    start = 0
+    while stop := data.find(b"\n", start, MAX_HEADER) + 1:
+        yield data[start:stop].decode("utf-8", "replace"), stop
+        start = stop
+
+
+def _read_line(header: _Header, words: list[str]) -> None:
+    """Take a line of the header; IndexError, KeyError or ValueError if it makes no sense."""
+    match words:
+        case [] | ["obj_info", *_]:
+            return
+        case ["comment", *rest]:
+            header.comments.append(" ".join(rest))
+        case ["format", name, "1.0"] if header.order is None:
+            header.order = FORMATS[name]
+        case ["element", name, count]:
+            if not (count.isascii() and count.isdecimal() and len(count) < 19):
+                raise ValueError("the number of rows is no whole number")
+            if name in (element.name for element in header.elements):
+                raise ValueError(f"there are two elements {name}")
+            header.elements.append(_Element(name, int(count)))
+        case ["property", "list", count_kind, kind, name]:
+            if TYPES[count_kind][0] == "f":
+                raise ValueError("a list has a whole number of items")
+            _add_property(header.elements[-1], name, f"{TYPES[count_kind]} {TYPES[kind]}")
+        case ["property", kind, name]:
+            _add_property(header.elements[-1], name, TYPES[kind])
+        case _:
+            raise ValueError
+
+
+def _add_property(element: _Element, name: str, kind: str) -> None:
+    if name in dict(element.properties):
+        raise ValueError(f"there are two properties {name}")
+    if len(element.properties) == MAX_PROPERTIES:
+        raise ValueError(f"there are more than {MAX_PROPERTIES} properties")
+    element.properties.append((name, kind))
+
+
+def pack_ply(table: PlyTable) -> bytes:
+    """The little-endian file of a table."""
+    kinds = {name: column.dtype.str[1:] for name, column in table.columns.items()}
+    lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [f"comment {comment}" for comment in table.comments]
+    lines += [f"element vertex {len(table)}"]
+    lines += [f"property {NAMES[kind]} {name}" for name, kind in kinds.items()]
+    rows = np.empty(len(table), [(name, f"<{kind}") for name, kind in kinds.items()])
+    for name, column in table.columns.items():
+        rows[name] = column
+    out = io.BytesIO()
+    out.write("\n".join([*lines, "end_header\n"]).encode())
+    out.write(rows.tobytes())
+    return out.getvalue()
+
+
+def narrowest(
+    integers: npt.NDArray[np.int32],
+    decode: Callable[[npt.NDArray[np.int32]], npt.NDArray[np.float64]],
+    encode: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]],
+) -> npt.NDArray[np.float32] | npt.NDArray[np.float64]:
+    """The column ``decode(integers)`` as float32, or float64 if float32 would lose an integer.
+
+    Args:
+        integers: (N,).
+        decode: the numbers that the integers stand for.
+        encode: its inverse but for rounding; a reader rounds the result.
+    """
+    values = decode(integers)
+    with np.errstate(over="ignore"):
+        single = values.astype(np.float32)
+        same = np.rint(encode(single.astype(np.float64))) == integers
+    return single if same.all() else values

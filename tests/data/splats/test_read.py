@@ -1,0 +1,211 @@
+"""SPZ, SOG and compressed PLY files, read by what their descriptions say."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import struct
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import zstandard
+
+from clgs.data.splats.gaussians import load_splats
+from clgs.data.splats.read import read_splat_table
+from clgs.data.splats.table import PlyTable, pack_ply
+from clgs.errors import DataError
+from clgs.exports.splats.ply import encode_ply
+from clgs.exports.splats.sog import encode_sog
+from clgs.exports.splats.spz import encode_spz
+from tests.exports.splats.cases import differences, gaussians
+
+HEAD = struct.Struct("<4sIIBBBB")
+
+
+def parts_of(data, degree):
+    """Header and bytes by attribute of an .spz file of version 3."""
+    data = gzip.decompress(data)
+    head, at, parts = HEAD.unpack_from(data), HEAD.size, []
+    for width in (9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1)):
+        parts.append(data[at : at + width * head[2]])
+        at += width * head[2]
+    return head, [part for part in parts if part]
+
+
+def as_version_4(data, degree, extra=b""):
+    """The same file in version 4, with something between header and table."""
+    head, parts = parts_of(data, degree)
+    packed = [zstandard.compress(part) for part in parts]
+    start = HEAD.pack(head[0], 4, *head[2:6], len(parts))
+    table = b"".join(struct.pack("<QQ", len(a), len(b)) for a, b in zip(packed, parts, strict=True))
+    return start + struct.pack("<I12x", 32 + len(extra)) + extra + table + b"".join(packed)
+
+
+def as_version_2(data, degree):
+    """The same file in version 2: x, y and z of the quaternion are a byte each."""
+    head, parts = parts_of(data, degree)
+    turned = gaussians(degree).rotation.astype(np.float64)
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    turned *= np.where(turned[:, :1] < 0, -1, 1)
+    parts[4] = np.rint((turned[:, 1:] + 1) * 127.5).astype(np.uint8).tobytes()
+    return gzip.compress(HEAD.pack(head[0], 2, *head[2:]) + b"".join(parts))
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("form", ["2", "3", "4", "4 and more", "sog"])
+def test_what_was_written_is_read(tmp_path, degree, form):
+    path = tmp_path / "s.bin"
+    encoded = (encode_sog if form == "sog" else encode_spz)(gaussians(degree))
+    data = encoded.data
+    if form[0] == "4":
+        data = as_version_4(data, degree, b"extension" if "more" in form else b"")
+    path.write_bytes(as_version_2(data, degree) if form == "2" else data)
+    found = load_splats(path).gaussians
+    assert found.degree == degree
+    apart = differences(found, encoded.gaussians)
+    assert apart.pop("rotation") <= (0.01 if form == "2" else 1e-6)
+    assert max(apart.values()) <= 1e-6
+    assert not found.antialiased
+
+
+def refusal(path, data):
+    """What is said of a file of these bytes: one line."""
+    path.write_bytes(data)
+    with pytest.raises(DataError, match=r"^[^\n]*s\.spz: [^\n]*$") as caught:
+        load_splats(path)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda inside: inside[:8] + b"\xff" * 4 + inside[12:], "that declare arrays of"),
+        (lambda inside: inside[:4] + b"\x09" + inside[5:], "version 9; 2, 3 and 4 are read"),
+        (lambda inside: b"something else, and no splats", "but no .spz file"),
+        (lambda inside: inside[:10], "ends in its header"),
+        (lambda inside: inside[:-5], "lacks the last of its 500 splats"),
+        (lambda inside: inside + b"more", "does not end with its splats"),
+    ],
+)
+def test_damaged_spz_is_one_line(tmp_path, change, said):
+    inside = gzip.decompress(encode_spz(gaussians(1)).data)
+    assert said in refusal(tmp_path / "s.spz", gzip.compress(change(inside)))
+
+
+@pytest.mark.parametrize(
+    ("version", "change", "said"),
+    [
+        (3, lambda data: data[:-8] + bytes(4) + data[-4:], "gzip cannot read"),
+        (3, lambda data: data[:-6], "does not end with its splats"),
+        (4, lambda data: data[:-5], "stream 6 is not as long as it must be"),
+        (4, lambda data: data[:30], "ends in its header"),
+        (4, lambda data: data[:16] + b"\xff" * 4 + data[20:], "table of streams is damaged"),
+        (4, lambda data: data[:15] + b"\x05" + data[16:], "table of streams is damaged"),
+        (4, lambda data: data[:128] + bytes(4) + data[132:], "zstd cannot read"),
+    ],
+)
+def test_damaged_bytes_of_spz_are_one_line(tmp_path, version, change, said):
+    data = encode_spz(gaussians(1)).data
+    whole = data if version == 3 else as_version_4(data, 1)
+    assert said in refusal(tmp_path / "s.spz", change(whole))
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [
+        ("scales", {"files": ["scales.webp"]}, "meta.json is damaged: 'codebook'"),
+        ("scales", {"files": ["scales.webp"], "codebook": []}, "without a codebook of scales"),
+        ("version", 3, "of version 3; version 2 is read"),
+        ("count", 10**12, "splats, of which means holds"),
+        ("quats", {"files": ["meta.json"]}, "meta.json in a .sog file is damaged"),
+        ("quats", {"files": ["none.webp"]}, "meta.json is damaged"),
+        ("means", None, "meta.json is damaged"),
+    ],
+)
+def test_damaged_sog_is_one_line(tmp_path, place, value, said):
+    archive, changed = zipfile.ZipFile(io.BytesIO(encode_sog(gaussians(1)).data)), io.BytesIO()
+    with zipfile.ZipFile(changed, "w") as out:
+        for name in archive.namelist():
+            content = archive.read(name)
+            if name == "meta.json":
+                content = json.dumps(json.loads(content) | {place: value}).encode()
+            out.writestr(name, content)
+    assert said in refusal(tmp_path / "s.spz", changed.getvalue())
+    assert "a .sog file that is damaged" in refusal(tmp_path / "s.spz", changed.getvalue()[:900])
+
+
+def chunked(degree, colors, count=300):
+    """A compressed PLY file of two chunks, and the columns that it stands for."""
+    rng, chunks = np.random.default_rng(5), -(-count // 256)
+    limits, lines = {}, ["ply", "format binary_little_endian 1.0", "comment SplatRenderMode: mip"]
+    names = [*"xyz", *(f"scale_{axis}" for axis in "xyz"), *("rgb" if colors else "")]
+    for name in names:
+        least = rng.uniform(-3, 0, chunks).astype(np.float32)
+        limits |= {f"min_{name}": least, f"max_{name}": least + np.float32(2)}
+    lines += [f"element chunk {chunks}", *(f"property float {name}" for name in limits)]
+    words = rng.integers(0, 2**32, (count, 4), dtype=np.uint32)
+    packed = [f"packed_{part}" for part in ("position", "rotation", "scale", "color")]
+    lines += [f"element vertex {count}", *(f"property uint {name}" for name in packed)]
+    rest = rng.integers(0, 256, (count, 3 * ((degree + 1) ** 2 - 1)), dtype=np.uint8)
+    if degree:
+        lines += [f"element sh {count}"]
+        lines += [f"property uchar f_rest_{i}" for i in range(rest.shape[1])]
+    body = np.stack([*limits.values()], 1).tobytes() + words.tobytes() + rest.tobytes()
+    chunk = np.arange(count) // 256
+
+    def share(column, shift, bits):
+        return (words[:, column] >> np.uint32(shift) & np.uint32(2**bits - 1)) / (2**bits - 1)
+
+    def between(name, part):
+        return limits[f"min_{name}"][chunk] + 2 * part
+
+    wanted = {name: between(name, share(0, *field)) for name, field in
+              zip("xyz", ((21, 11), (11, 10), (0, 11)), strict=True)}  # fmt: skip
+    wanted["scale_1"] = between("scale_y", share(2, 11, 10))
+    red = between("r", share(3, 24, 8)) if colors else share(3, 24, 8)
+    wanted["f_dc_0"] = (red - 0.5) / 0.28209479177387814
+    return ("\n".join([*lines, "end_header\n"])).encode() + body, wanted
+
+
+@pytest.mark.parametrize(("degree", "colors"), [(0, False), (0, True), (3, True)])
+def test_chunks_of_splats_are_read(tmp_path, degree, colors):
+    path = tmp_path / "s.compressed.ply"
+    data, wanted = chunked(degree, colors)
+    path.write_bytes(data)
+    found = load_splats(path).gaussians
+    assert (len(found), found.degree, found.antialiased) == (300, degree, True)
+    assert np.allclose(found.mean, np.stack([wanted[name] for name in "xyz"], 1), atol=1e-5)
+    assert np.allclose(found.log_scale[:, 1], wanted["scale_1"], atol=1e-5)
+    assert np.allclose(found.sh[:, 0, 0], wanted["f_dc_0"], atol=1e-4)
+    assert np.allclose(np.linalg.norm(found.rotation, axis=1), 1, atol=0.6)
+    for old, new in ((b"chunk 2", b"chunk 1"), (b"uint packed_scale", b"int packed_scale")):
+        path.write_bytes(data.replace(old, new))
+        with pytest.raises(DataError, match=r"^[^\n]*compressed\.ply: [^\n]*$"):
+            load_splats(path)
+
+
+@pytest.mark.parametrize("encode", [encode_ply, encode_spz, encode_sog])
+def test_marks_are_kept_by_every_format(tmp_path, encode):
+    path = tmp_path / "s.bin"
+    path.write_bytes(encode(replace(gaussians(), antialiased=True)).data)
+    assert load_splats(path).gaussians.antialiased
+
+
+def test_an_element_before_the_splats_is_skipped(tmp_path):
+    data = encode_ply(gaussians()).data
+    before = b"element camera 1\nproperty list uchar float pose\nelement vertex"
+    head, end, body = data.replace(b"element vertex", before, 1).partition(b"end_header\n")
+    path = tmp_path / "s.ply"
+    path.write_bytes(head + end + b"\x02" + bytes(8) + body)
+    assert max(differences(load_splats(path).gaussians, gaussians()).values()) < 1e-6
+
+
+def test_points_keep_their_colors(tmp_path):
+    """Points without opacity are no splats: nothing of them is changed."""
+    columns = {name: np.arange(4, dtype=np.float32) for name in "xyz"}
+    columns |= {name: np.arange(4, dtype=np.uint8) for name in ("red", "green", "blue")}
+    (tmp_path / "p.ply").write_bytes(pack_ply(PlyTable(columns)))
+    assert list(read_splat_table(tmp_path / "p.ply").columns) == list(columns)
