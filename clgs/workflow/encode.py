@@ -9,7 +9,7 @@ from pathlib import Path
 from clgs.opencl.device import Device
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.rate_control import (
-    MAX_CAMERAS,
+    MAX_VIEWS,
     MEASURED,
     Reduced,
     SceneJudge,
@@ -74,7 +74,7 @@ def encode_within(
         view.photo.keep()  # they are read once, the others never
     judge = SceneJudge(
         Device(views.device),
-        [cameras[i] for i in spread(cameras, MAX_CAMERAS)],
+        [every[i] for i in spread(cameras, MAX_VIEWS)],
         chosen,
         drawing_options(path, views),
         counter("looking at views", 0, on_event),

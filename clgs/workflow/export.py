@@ -34,7 +34,7 @@ from clgs.exports.splats.encoded import Encoded, file_units
 from clgs.exports.splats.glb import encode_glb
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog
-from clgs.exports.splats.spz import encode_spz
+from clgs.exports.splats.spz import encode_spz, fraction_bits
 from clgs.files import atomic_write, check_output
 from clgs.opencl.device import Device
 from clgs.scene.gaussians import HostGaussians
@@ -104,6 +104,7 @@ def export(
     units: str | None = None,
     downscale: int | None = None,
     max_size: int | None = None,
+    masks: str | None = None,
     device: str | None = None,
     name: str | None = None,
     overwrite: bool = False,
@@ -127,6 +128,7 @@ def export(
         units: of the Gaussians, "data" (the data set's coordinates, the default) or "scene".
         downscale: the photos are reduced this many times.
         max_size: wider photos are reduced to this width in pixels.
+        masks: what they mean, "ignore" or "object"; default: as in training.
         device: number or part of the name.
         name: title of a page; default: that of the photos' folder, or of ``source``.
         overwrite: whether ``output`` may be replaced.
@@ -147,7 +149,7 @@ def export(
     check_new(output, overwrite)
     photos = None if data is None else as_path("data", data)
     baking: dict[str, Any] = {"steps": steps, "downscale": downscale, "max_size": max_size}
-    baking["device"] = device
+    baking |= {"masks": masks, "device": device}
     drawn = {"sh_degree": sh_degree, "units": units}
     if suffix != ".html":
         _refuse({"name": name}, "only a page has a title")
@@ -183,7 +185,11 @@ def export(
         encoded = _encode(output, gaussians, transform, kind, on_event)
     else:
         views = ViewOptions(
-            photos or _known(source), downscale=downscale, max_size=max_size, device=device
+            photos or _known(source),
+            downscale=downscale,
+            max_size=max_size,
+            masks=masks,
+            device=device,
         )
         settings = BakeSettings(degree, BAKE_STEPS if steps is None else steps)
         encoded, loss = _bake(source, output, scene, views, settings, transform, on_event)
@@ -215,6 +221,8 @@ def _bake(
 ) -> tuple[Encoded, BakedLoss]:
     """The file of the baked Gaussians, and what baking costs."""
     scene, kind = quantized.dequantize(), ""
+    if output.suffix.lower() == ".spz":  # it holds no large coordinates: say so before baking
+        fraction_bits(transform.to_world(scene.anchors.position.astype(np.float64)))
 
     def photo(view: View) -> Planes:
         view.photo.keep()

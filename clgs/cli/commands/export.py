@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.shared_options import (
+    AS_TRAINED,
     add_device_name,
+    add_masks,
     add_overwrite,
     add_size_options,
     chosen,
@@ -72,6 +74,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         choices=("data", "scene"),
         help="coordinates of the data set, or the scene's own (default: data)",
     )
+    add_masks(parser, AS_TRAINED)
     add_device_name(parser)
     add("--viewer", action="store_true", help=".html: a page without a scene, to drop files on")
     add("--name", metavar="TITLE", help=".html: title (default: the photos' folder)")
@@ -89,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.viewer and args.source is None and args.output.suffix.lower() == ".html":
         raise UsageError("name a SCENE, or give --viewer for a page without one")
     names = "data", "sh_degree", "steps", "units", "downscale", "max_size", "device", "name"
-    options = chosen(vars(args), *names, "overwrite")
+    options = chosen({"masks": None} | vars(args), *names, "masks", "overwrite")
     with Display() as display:
         made = export(args.source, args.output, on_event=display, **options)
     show(made)

@@ -31,6 +31,9 @@ VERSION = 3
 FIXED_BITS = 23
 """The bits of a coordinate without its sign."""
 MAX_FRACTION = 20
+MANY_SMALL = 0.01
+"""In usual units, fewer are too small for the format, and they are drawn as points in any case."""
+
 LEVEL = 9
 """The level of gzip."""
 
@@ -42,15 +45,21 @@ def encode_spz(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -
         DataError: a coordinate is too large.
     """
     position, log_scale, _ = file_units(gaussians, transform)
-    fraction = _fraction_bits(position)
+    fraction = fraction_bits(position)
     fixed = np.rint(position * 2.0**fraction).astype("<i4")
     most = SCALE_LEAST + 255 / SCALE_STEPS
     if count := int((log_scale > most + 0.5 / SCALE_STEPS).any(axis=1).sum()):
-        # tiny ones are drawn as points in any case
         _log.warning(
             "%d Gaussians are larger than the %.0f units that .spz can hold, and are made smaller; "
             "write .ply to keep them",
             *(count, np.exp(most)),
+        )
+    small = float((log_scale.max(axis=1) < SCALE_LEAST).mean())
+    if small > MANY_SMALL:
+        _log.warning(
+            "%.0f %% of the Gaussians are smaller than the %.1g units that .spz can hold, and are "
+            "made larger; write .ply, or give --units scene",
+            *(100 * small, np.exp(SCALE_LEAST)),
         )
     largest, others = smallest_three(unit_rotation(gaussians.rotation)[:, [1, 2, 3, 0]])  # x y z w
     small = np.rint(others * np.sqrt(2) * ROTATION_STEPS).astype(np.int64)
@@ -73,8 +82,12 @@ def encode_spz(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -
     return Encoded(packed, as_read(decode_spz(packed), transform))
 
 
-def _fraction_bits(position: npt.NDArray[np.float64]) -> int:
-    """How many bits after the point the largest coordinate leaves."""
+def fraction_bits(position: npt.NDArray[np.float64]) -> int:
+    """How many bits after the point the largest coordinate of (N, 3) leaves.
+
+    Raises:
+        DataError: none.
+    """
     largest = float(np.abs(position).max(initial=0.0))
     if not largest < 2.0 ** (FIXED_BITS - 1):
         raise DataError(

@@ -13,10 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import zip_longest
 
 import numpy as np
 import numpy.typing as npt
 
+from clgs.data.masks import Mask
 from clgs.opencl.device import Device
 from clgs.ops import density
 from clgs.options import DEFAULT, RenderOptions
@@ -67,6 +69,7 @@ def sensitivity(
     options: RenderOptions = DEFAULT,
     curved: bool = True,
     on_render: Callable[[], None] = lambda: None,
+    used: Sequence[Mask | None] = (),
 ) -> Sensitivity:
     """The importance of every anchor, and the diagonal of the Gauss-Newton matrix.
 
@@ -74,18 +77,19 @@ def sensitivity(
     the same random signs: the mean of <signs, d image / d x>^2 is the squared length of
     d image / d x. Without ``curved`` it is left out, which is faster.
 
-    ``on_render`` is called after each camera.
+    ``on_render`` is called after each camera. ``used``: the pixels (H, W) uint8 of 0 and 1 that
+    count, per camera; None, or without masks: all.
     """
     found = density.no_importance(device, len(scene.anchors))
     sizes = {n: array.shape for n, array in scene.anchors.items() if n != "position"}
     curvature = {name: device.zeros(size) for name, size in sizes.items() if curved}
     rng, room = np.random.default_rng(SEED), EXACT_ROOM
-    for camera in cameras:
+    for camera, mask in zip_longest(cameras, used):
         view = upload_view(device, camera, settings)
         draw = partial(rasterise, device, scene, view, options)
         frame, room = with_enough_room(device, room, draw)
         random = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
-        signs = device.upload(random)
+        signs = device.upload(random if mask is None else random * mask)
         if curved:
             gradients = rasterise_backward(device, scene, frame, signs)
             for name, total in curvature.items():

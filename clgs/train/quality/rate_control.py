@@ -42,7 +42,7 @@ STEP = 0.75
 SPARE = 1.1
 """A coarser Q is tried if all anchors would still take this many times the room."""
 
-MAX_CAMERAS = 48
+MAX_VIEWS = 48
 """The most views that say what is useful; each shows anchors that few others do."""
 
 MEASURED, COMPARED = 12, 6
@@ -59,13 +59,13 @@ PSNR_STEPS = 6
 
 @dataclass(frozen=True)
 class SceneJudge:
-    """The cameras that say what is useful, and the photos that PSNR is measured on.
+    """The views that say what is useful, and those that PSNR is measured on.
 
     on_render: called after each picture.
     """
 
     device: Device
-    cameras: Sequence[Camera]
+    seen: Sequence[View]
     views: Sequence[View]
     options: RenderOptions = DEFAULT
     on_render: Callable[[], None] = lambda: None
@@ -79,14 +79,15 @@ class SceneJudge:
     def importance(self, scene: QuantizedScene) -> npt.NDArray[np.float64]:
         """The squared error of the pictures that each anchor saves, (A,)."""
         room = PIXELS * len(scene.anchors)
-        cameras = [
-            camera.reduced(2 if camera.width * camera.height >= 4 * room else 1)
-            for camera in self.cameras
+        factors = [
+            2 if view.camera.width * view.camera.height >= 4 * room else 1 for view in self.seen
         ]
+        pairs = list(zip(self.seen, factors, strict=True))
+        cameras = [view.camera.reduced(factor) for view, factor in pairs]
+        used = [view.used(factor) for view, factor in pairs]
         uploaded = upload_scene(self.device, scene.dequantize())
-        found = sensitivity(
-            self.device, uploaded, scene.settings, cameras, self.options, False, self.on_render
-        )
+        shared = scene.settings, cameras, self.options, False, self.on_render, used
+        found = sensitivity(self.device, uploaded, *shared)
         return found.importance.astype(np.float64)
 
 

@@ -171,12 +171,12 @@ class Economy:
 
     def _look(self, known: Sensitivity | None, scene: DeviceScene, step: int) -> Sensitivity:
         """What is known of the anchors of ``scene`` in the round after ``step``."""
-        config, cameras = self._config, [view.camera for view in self.views]
-        half = cameras[self.steps.index(step) % 2 :: 2] or cameras  # one view has no second half
+        config, views = self._config, self.views
+        half = views[self.steps.index(step) % 2 :: 2] or views  # one view has no second half
         if step < config.switch_step:
             return look(self._device, config, scene, half, curved=False)
         if known is None:
-            return look(self._device, config, scene, cameras)
+            return look(self._device, config, scene, views)
         if step > config.prune_end:
             return known
         return known.mean(look(self._device, config, scene, half))

@@ -18,7 +18,6 @@ from clgs.opencl.device import Device
 from clgs.ops import loss, mask
 from clgs.render.frame import EXACT_ROOM, DeviceScene, upload_view
 from clgs.render.rasterise import rasterise, with_enough_room
-from clgs.scene.camera import Camera
 from clgs.train.config import TrainConfig
 from clgs.train.quality.importance import Sensitivity, sensitivity
 from clgs.train.state.run_state import render_settings
@@ -51,19 +50,20 @@ def look(
     device: Device,
     config: TrainConfig,
     scene: DeviceScene,
-    cameras: Sequence[Camera],
+    views: Sequence[View],
     curved: bool = True,
 ) -> Sensitivity:
-    """How the squared error of a picture depends on the anchors, the mean over ``cameras``.
+    """How the squared error of a picture depends on the anchors, the mean over ``views``.
 
     ``curved``: whether changes of the attributes are looked at, too.
     """
-    least = min(camera.width * camera.height for camera in cameras)
+    least = min(view.camera.width * view.camera.height for view in views)
     factor = 2 if least >= 4 * PIXELS * len(scene.anchors) else 1
-    reduced = [camera.reduced(factor) for camera in cameras]
-    options = config.render_options()
-    found = sensitivity(device, scene, render_settings(config), reduced, options, curved)
-    return found.times(factor**2 / len(cameras))
+    reduced = [view.camera.reduced(factor) for view in views]
+    used = [view.used(factor) for view in views]
+    settings, options = render_settings(config), config.render_options()
+    found = sensitivity(device, scene, settings, reduced, options, curved, used=used)
+    return found.times(factor**2 / len(views))
 
 
 def compare(

@@ -23,7 +23,7 @@ from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
 from clgs.signals import interruptions
 from clgs.train.config import TrainConfig
-from clgs.train.quality.rate_control import MAX_CAMERAS, SceneJudge, reduce_to_size, spread
+from clgs.train.quality.rate_control import MAX_VIEWS, SceneJudge, reduce_to_size, spread
 from clgs.train.quality.score_views import evaluate_views, mean_psnr, summarize
 from clgs.train.rate.rate_term import estimated_bytes
 from clgs.train.run.full_disk import Keeper
@@ -232,8 +232,8 @@ class Session:
         target = self.config.target_size
         if not target or len(encode(scene)) <= target:
             return scene
-        cameras = [view.camera for view in self.dataset.train]
-        chosen = [cameras[i] for i in spread(cameras, MAX_CAMERAS)]
+        views = self.dataset.train
+        chosen = [views[i] for i in spread([view.camera for view in views], MAX_VIEWS)]
         judge = SceneJudge(self.device, chosen, self.fixed_views(), self.trainer.options)
         return reduce_to_size(scene, target, encode, judge).scene
 

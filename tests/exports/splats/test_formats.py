@@ -79,6 +79,8 @@ def test_spz_tells_of_sizes_that_it_cannot_hold(caplog):
     stored = encode_spz(replace(whole, log_scale=sizes)).gaussians
     assert stored.log_scale[1] == pytest.approx(5.94, abs=0.01)
     assert "1 Gaussians are larger than the 379 units that .spz can hold" in caplog.text
+    encode_spz(replace(whole, log_scale=whole.log_scale - 6))
+    assert "% of the Gaussians are smaller than the 5e-05 units that .spz can hold" in caplog.text
 
 
 def test_spz_keeps_the_largest_coordinate():

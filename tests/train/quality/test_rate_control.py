@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -14,6 +16,7 @@ from clgs.data.view import View
 from clgs.errors import UsageError
 from clgs.lab.anchor_scene import anchor_scene
 from clgs.opencl.device import Device
+from clgs.options import DEFAULT
 from clgs.render.frame import upload_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
@@ -97,7 +100,7 @@ def test_a_size_is_met_and_the_useful_kept(
     device: Device, seen: tuple[QuantizedScene, View], share: float
 ) -> None:
     scene, view = seen
-    judge = SceneJudge(device, [view.camera] * 4, [view])
+    judge = SceneJudge(device, [view] * 4, [view])
     target = int(share * len(fast(scene)))
     found = reduce_to_size(scene, target, fast, judge)
     assert 0.98 * target <= len(found.data) <= target
@@ -113,7 +116,7 @@ def test_a_size_is_met_and_the_useful_kept(
 
 def test_a_scene_that_fits_is_left_alone(device: Device, seen: tuple[QuantizedScene, View]) -> None:
     scene, view = seen
-    found = reduce_to_size(scene, len(fast(scene)), fast, SceneJudge(device, [view.camera], [view]))
+    found = reduce_to_size(scene, len(fast(scene)), fast, SceneJudge(device, [view], [view]))
     assert found.scene is scene
     assert found.psnr is not None
     assert found.psnr[0] == found.psnr[1]
@@ -123,7 +126,7 @@ def test_a_psnr_is_kept_with_fewer_anchors(
     device: Device, seen: tuple[QuantizedScene, View]
 ) -> None:
     scene, view = seen
-    judge = SceneJudge(device, [view.camera], [view])
+    judge = SceneJudge(device, [view], [view])
     whole = judge.psnr(scene)
     found = reduce_to_psnr(scene, whole - 6.0, fast, judge)
     assert found.psnr == (whole, judge.psnr(found.scene))
@@ -138,7 +141,7 @@ def test_a_psnr_is_kept_with_fewer_anchors(
 def test_the_same_bytes_every_time(device: Device, seen: tuple[QuantizedScene, View]) -> None:
     scene, view = seen
     target = int(0.8 * len(fast(scene)))
-    judge = SceneJudge(device, [view.camera] * 2, [view])
+    judge = SceneJudge(device, [view] * 2, [view])
     first, second = (reduce_to_size(scene, target, fast, judge) for _ in range(2))
     assert first.data == second.data
     assert first.psnr == second.psnr
@@ -150,7 +153,7 @@ def test_nearly_the_whole_file_is_met(
 ) -> None:
     scene, view = seen
     target = len(fast(scene)) - tight
-    found = reduce_to_size(scene, target, fast, SceneJudge(device, [view.camera], [view]))
+    found = reduce_to_size(scene, target, fast, SceneJudge(device, [view], [view]))
     assert 0.98 * target <= len(found.data) <= target
 
 
@@ -159,7 +162,7 @@ def test_what_cannot_be_reached_is_refused_before_rendering(
 ) -> None:
     scene, view = seen
     renders: list[None] = []
-    judge = SceneJudge(device, [view.camera], [view], on_render=lambda: renders.append(None))
+    judge = SceneJudge(device, [view], [view], on_render=lambda: renders.append(None))
     with pytest.raises(UsageError, match="a file of 100 bytes is too small"):
         reduce_to_size(scene, 100, fast, judge)
     assert not renders
@@ -182,9 +185,26 @@ def test_pictures_with_room_are_judged_at_half_the_resolution(
     monkeypatch.setattr("clgs.train.quality.rate_control.sensitivity", note)
     # Two pixels an anchor remain of the larger one.
     side = int(np.ceil(np.sqrt(8 * len(scene.anchors))))
-    cameras = [view.camera.resized(size, size) for size in (side - 1, side)]
-    SceneJudge(device, cameras, [view]).importance(scene)
+    views = [replace(view, camera=view.camera.resized(size, size)) for size in (side - 1, side)]
+    SceneJudge(device, views, [view]).importance(scene)
     assert widths == [side - 1, round(side / 2)]
+
+
+def test_masked_pixels_make_nothing_important(
+    device: Device, seen: tuple[QuantizedScene, View]
+) -> None:
+    """A masked half of the picture: what it alone shows is the first to go."""
+    scene, view = seen
+    mask = np.ones((64, 64), np.uint8)
+    mask[:, 32:] = 0
+    uploaded = upload_scene(device, scene.dequantize())
+    shared = device, uploaded, scene.settings, [view.camera] * 8, DEFAULT, True
+    whole, half = (sensitivity(*shared, used=used) for used in ((), [mask] * 8))
+    x = view.camera.rotation[0] @ (scene.dequantize().anchors.position - view.camera.centre).T
+    right, left = x > 0.5, x < -0.5
+    assert half.importance[right].sum() < 0.05 * whole.importance[right].sum()
+    assert half.importance[left].sum() > 0.9 * whole.importance[left].sum()
+    assert half.curvature["feature"][right].sum() < 0.05 * whole.curvature["feature"][right].sum()
 
 
 def test_without_views_large_anchors_come_first(seen: tuple[QuantizedScene, View]) -> None:
@@ -217,7 +237,7 @@ def test_a_psnr_that_needs_no_anchor_is_refused(
 ) -> None:
     """A size that no file meets is refused likewise; both say what a file without anchors has."""
     scene, view = seen
-    judge = SceneJudge(device, [view.camera], [view])
+    judge = SceneJudge(device, [view], [view])
     least = judge.psnr(take(scene, np.arange(0)))
     said = rf"^1 dB is too little: {least:.2f} dB remain without anchors; ask for more$"
     with pytest.raises(UsageError, match=said):

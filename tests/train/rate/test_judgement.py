@@ -102,7 +102,7 @@ def test_the_room_that_earlier_views_left_changes_nothing(
 
 
 def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene, unseen_stay: bool = False):
-    found = look(device, CONFIG, scene, [seen[1].camera] * VIEWS)
+    found = look(device, CONFIG, scene, [seen[1]] * VIEWS)
     return judge(found, *compare(device, CONFIG, scene, [seen[1]] * VIEWS), unseen_stay)
 
 
@@ -110,7 +110,7 @@ def test_looks_are_means_over_the_views_asked(device: Device, seen: tuple[Scene,
     scene, view = seen
     uploaded = upload_scene(device, scene)
     other = replace(view, camera=replace(view.camera, cx=view.camera.cx + 5.0))
-    firsts, seconds = (look(device, CONFIG, uploaded, [one.camera] * 2) for one in (view, other))
+    firsts, seconds = (look(device, CONFIG, uploaded, [one] * 2) for one in (view, other))
     for found, camera in ((firsts, view.camera), (seconds, other.camera)):
         halved = camera.reduced(2)  # there are many pixels for so few anchors
         sums = sensitivity(device, uploaded, RenderSettings(), [halved] * 2)
