@@ -32,7 +32,7 @@ FIXED_BITS = 23
 """The bits of a coordinate without its sign."""
 MAX_FRACTION = 20
 MANY_SMALL = 0.01
-"""In usual units, fewer are too small for the format, and they are drawn as points in any case."""
+"""A smaller share is usual: splats that are drawn as points in any case."""
 
 LEVEL = 9
 """The level of gzip."""
