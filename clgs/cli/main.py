@@ -100,6 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with Interruptions(), warnings.catch_warnings():
             warnings.showwarning = _show_warning
+            warnings.filterwarnings("ignore", module=r"PIL\.")  # EXIF of cameras is often odd
             code = _run(argv)
         if sys.stdout is not None:  # closed by the caller: `clgs info scene.clgs >&-`
             sys.stdout.flush()

@@ -14,6 +14,7 @@ from clgs.data.splats.table import PlyTable, pack_ply, read_ply
 from clgs.reference import project
 from clgs.reference.splats import basis
 from clgs.render.renderer import Renderer
+from clgs.scene.camera import Camera
 from clgs.scene.scene import IDENTITY, SceneTransform
 from tests.data.splats.test_gaussians import columns_of
 from tests.ops.cases.project import camera_at
@@ -156,3 +157,18 @@ def test_filtered_splats_look_as_mip_splatting_draws_them(device, tmp_path, smal
     meant, classic = picture(fused, CAMERA, True, blur=0.1), picture(fused, CAMERA)
     errors = [np.sqrt(np.mean((one - meant) ** 2)) for one in (found, classic)]
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_two_formats_of_a_real_scene_look_the_same(device, shared_data):
+    """Niantic's programs turn a PLY file's axes (y down) for SPZ (y up); a reader turns none."""
+    chunks, spz = (
+        load_splats(shared_data / "splats" / f"biker{suffix}")
+        for suffix in (".compressed.ply", ".spz")
+    )
+    turn = np.diag([1.0, -1.0, -1.0])
+    assert np.abs(chunks.gaussians.mean @ turn - spz.gaussians.mean).max() < 1e-3
+    camera = Camera(np.eye(3), np.array([0.0, 1.6, 4.0]), 150.0, 150.0, 80.0, 60.0, 160, 120)
+    turned = replace(camera, rotation=camera.rotation @ turn)
+    pictures = Renderer(device, chunks).render(camera), Renderer(device, spz).render(turned)
+    assert pictures[0].std() > 0.05
+    assert np.sqrt(np.mean((pictures[0] - pictures[1]) ** 2)) < 0.01
