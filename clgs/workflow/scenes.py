@@ -6,6 +6,9 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from clgs.codec.container.section_table import BytesSource, FileSource
 from clgs.codec.scene_decoder import Box, decode, decode_box
@@ -79,6 +82,30 @@ def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
         if is_splats(data):
             return scene_of_packed(unpack(data), path), len(data)
         return decode(data), len(data)
+
+
+def describe_splats(path: Path) -> dict[str, Any]:
+    """What a file of ordinary splats holds, ready for JSON.
+
+    extent: the corners of the box of all means, in the file's units; origin: what float32 positions
+    are relative to while the splats are drawn.
+
+    Raises:
+        DataError: no such file, or it is damaged.
+    """
+    from clgs.data.splats.gaussians import load_splats
+
+    scene = load_splats(path)
+    mean = scene.transform.to_world(scene.gaussians.mean.astype(np.float64))
+    return {
+        "bytes": path.stat().st_size,
+        "splats": len(mean),
+        "degree": scene.gaussians.degree,
+        "antialiased": scene.gaussians.antialiased,
+        "extent": {"least": mean.min(axis=0).tolist(), "greatest": mean.max(axis=0).tolist()},
+        "origin": list(scene.transform.centre),
+        "near": scene.settings.near,
+    }
 
 
 def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from clgs.cli.commands.info import flatten
 from clgs.cli.main import main
+from clgs.exports.splats.spz import encode_spz
+from tests.exports.splats.cases import gaussians
 
 
 def test_a_missing_file_exits_3(tmp_path, capsys):
@@ -18,6 +24,16 @@ def test_another_file_exits_3(tmp_path, capsys, data):
     (tmp_path / "x.clgs").write_bytes(data)
     assert main(["info", str(tmp_path / "x.clgs")]) == 3
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_splats_of_any_format_are_described(tmp_path, capsys):
+    (tmp_path / "s.spz").write_bytes(encode_spz(replace(gaussians(1), antialiased=True)).data)
+    assert main(["info", str(tmp_path / "s.spz"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["splats"], found["degree"], found["antialiased"]) == (500, 1, True)
+    least, greatest = found["extent"]["least"], found["extent"]["greatest"]
+    np.testing.assert_allclose(least, gaussians(1).mean.min(axis=0), atol=1e-4)
+    np.testing.assert_allclose(greatest, gaussians(1).mean.max(axis=0), atol=1e-4)
 
 
 def test_a_nested_description_becomes_rows():

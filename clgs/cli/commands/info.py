@@ -13,8 +13,11 @@ LESS_MEMORY = "end other programs, or use a machine that has more"
 
 def register(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.description = "Show the header and the sections of a .clgs file, with their bytes."
-    parser.add_argument("scene", type=named_path, metavar="scene.clgs", help="the file")
+    parser.description = (
+        "Show the header and the sections of a .clgs file, with their bytes, or what a file of "
+        "splats (.ply, .spz, .sog) holds."
+    )
+    parser.add_argument("scene", type=named_path, metavar="FILE", help="the file")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
@@ -23,12 +26,16 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from clgs.codec import scene_decoder, splat_packing
-    from clgs.workflow.scenes import naming, read_bytes
+    from clgs.workflow.scenes import SPLAT_SUFFIXES, describe_splats, naming, read_bytes
 
-    data = read_bytes(args.scene)
-    with naming(args.scene):
-        reader = splat_packing if splat_packing.is_splats(data) else scene_decoder
-        description: dict[str, Any] = reader.describe(data)
+    description: dict[str, Any]
+    if args.scene.suffix.lower() in SPLAT_SUFFIXES:
+        description = describe_splats(args.scene)
+    else:
+        data = read_bytes(args.scene)
+        with naming(args.scene):
+            reader = splat_packing if splat_packing.is_splats(data) else scene_decoder
+            description = reader.describe(data)
     if args.json:
         print(json.dumps(description, indent=2))
         return 0
@@ -50,4 +57,4 @@ def flatten(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
     elif isinstance(value, list | tuple):
         yield name, " ".join(map(str, value))
     else:
-        yield name, f"{value:,}" if isinstance(value, int) else str(value)
+        yield name, f"{value:,}" if type(value) is int else str(value)
