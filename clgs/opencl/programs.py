@@ -62,15 +62,7 @@ class Programs:
             prefetch: whether the driver knows the compiler's builtin; see common/prefetch.h.
         """
         self._context, self._device_name, self._form = context, device_name, form
-        self._defines = {
-            **constants.defines(),
-            "PARTS_GROUP_SIZE": PARTS_GROUP_SIZE,
-            "SCAN_GROUP_SIZE": SCAN_GROUP_SIZE,
-            "USE_LOCAL": int(form == "gpu"),
-            "USE_PREFETCH": int(prefetch),
-            "VEC": lanes,
-        }
-        self._options = [*BUILD_OPTIONS, *([EXACT_DIVISION] if exact else [])]
+        self._lanes, self._exact, self._prefetch = lanes, exact, prefetch
         self._kernels: dict[tuple[object, ...], Kernel] = {}
         self._programs: dict[tuple[object, ...], Built] = {}
         self._told = False
@@ -86,14 +78,13 @@ class Programs:
     def _program(self, program: str, defines: Defines) -> Built:
         key = (program, *sorted(defines.items()))
         if key not in self._programs:
-            macros = {name: literal(value) for name, value in (self._defines | defines).items()}
-            options = [f"-D{name}={value}" for name, value in sorted(macros.items())]
+            macros = _macros(self._form, self._lanes, self._prefetch, defines)
             file = program_file(program, self._form)
             source, start = read_program(file), time.thread_time()
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    built = cl.Program(self._context, source).build([*self._options, *options])
+                    built = cl.Program(self._context, source).build(_options(macros, self._exact))
             except cl.RuntimeError as error:
                 raise DeviceError(
                     f"kernels_cl/{file} does not build on {self._device_name}: "
@@ -104,6 +95,30 @@ class Programs:
                 logging.getLogger(NOTES).info("compiling kernels for %s (once)", self._device_name)
             self._programs[key] = built, signatures(source, macros)
         return self._programs[key]
+
+
+def build_options(form: str, exact: bool) -> list[str]:
+    """Options of programs without defines of their own: of scalars, without prefetch."""
+    return _options(_macros(form, 1, False, {}), exact)
+
+
+def _macros(form: str, lanes: int, prefetch: bool, own: Defines) -> dict[str, str]:
+    """The values of all macros; ``own``: of one program, come before the device's."""
+    defines = {
+        **constants.defines(),
+        "PARTS_GROUP_SIZE": PARTS_GROUP_SIZE,
+        "SCAN_GROUP_SIZE": SCAN_GROUP_SIZE,
+        "USE_LOCAL": int(form == "gpu"),
+        "USE_PREFETCH": int(prefetch),
+        "VEC": lanes,
+        **own,
+    }
+    return {name: literal(value) for name, value in defines.items()}
+
+
+def _options(macros: dict[str, str], exact: bool) -> list[str]:
+    values = [f"-D{name}={value}" for name, value in sorted(macros.items())]
+    return [*BUILD_OPTIONS, *([EXACT_DIVISION] if exact else []), *values]
 
 
 def _first_complaint(log: str) -> str:
