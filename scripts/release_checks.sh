@@ -40,6 +40,7 @@ check "other examples" "$python" -m pytest -q -m hypothesis --hypothesis-profile
 check "seeded bugs" "$python" scripts/checks/mutation_check.py
 check "race check" scripts/checks/race_check.sh "$python"
 check "bytes across compilers" scripts/checks/cross_check.sh
+check "compilers of vendors" env PYTHON="$python" scripts/checks/vendor_compilers.sh
 check "damage" "$python" -m tests.codec.container.mutations "${DAMAGE:-1000000}"
 check "intel runtime" intel_runtime
 check "wheel for another processor" scripts/release/wheels.sh aarch64

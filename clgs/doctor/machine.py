@@ -60,7 +60,7 @@ class ExaminedMachine:
 
 
 def examine_machine() -> ExaminedMachine:
-    """Everything that clgs needs of this machine, with a second of checks per device."""
+    """Everything that clgs needs of this machine; builds all programs for each device."""
     findings = [*_memory_and_disk(), *_packages()]
     devices: list[Tried] = []
     try:
@@ -142,13 +142,16 @@ def _devices() -> Iterator[Tried | Finding]:
 
 
 def _try(index: int) -> Tried | Finding:
-    """The device after its checks, or what is wrong with it."""
+    """The device after its checks, once all programs are built, or what is wrong with it."""
     from clgs.opencl.device import Device
 
     start, name, found = time.perf_counter(), str(index), []
     try:
         device = Device(str(index))
         name = f"{index}: {device.name}"
+        for _, _, problem in device.build_all():
+            if problem:
+                return Finding(ERROR, name, problem, "update its driver, or use another --device")
         for stage, error, limit in device_errors(device):
             found.append(error / limit if limit else error)
             if not error <= limit:

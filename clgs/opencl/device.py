@@ -253,6 +253,10 @@ class Device:
         """
         return self._programs.kernel(program, name, defines)
 
+    def build_all(self) -> Iterator[tuple[str, list[Kernel], str]]:
+        """Build all programs; yields each one's file, its kernels, and its problem or ""."""
+        return self._programs.build_all()
+
     def run(
         self,
         kernel: Kernel,

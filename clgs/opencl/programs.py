@@ -6,15 +6,17 @@ import logging
 import re
 import time
 import warnings
+from collections.abc import Iterator
 
 import numpy as np
 import pyopencl as cl
 
 from clgs import constants
 from clgs.errors import DeviceError
+from clgs.opencl.first_build import FirstBuilds
 from clgs.opencl.kernel import Kernel
 from clgs.opencl.signature import Parameter, signatures
-from clgs.opencl.source import program_file, read_program
+from clgs.opencl.source import program_file, programs_of_form, read_program
 
 BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-denorms-are-zero", "-w")
 """Subnormals cost CPUs dearly; warnings are the lint's (scripts/checks/lint_kernels.sh)."""
@@ -62,18 +64,11 @@ class Programs:
             prefetch: whether the driver knows the compiler's builtin; see common/prefetch.h.
         """
         self._context, self._device_name, self._form = context, device_name, form
-        self._defines = {
-            **constants.defines(),
-            "PARTS_GROUP_SIZE": PARTS_GROUP_SIZE,
-            "SCAN_GROUP_SIZE": SCAN_GROUP_SIZE,
-            "USE_LOCAL": int(form == "gpu"),
-            "USE_PREFETCH": int(prefetch),
-            "VEC": lanes,
-        }
-        self._options = [*BUILD_OPTIONS, *([EXACT_DIVISION] if exact else [])]
+        self._lanes, self._exact, self._prefetch = lanes, exact, prefetch
         self._kernels: dict[tuple[object, ...], Kernel] = {}
         self._programs: dict[tuple[object, ...], Built] = {}
         self._told = False
+        self._first_builds = FirstBuilds(context.devices[0])
 
     def kernel(self, program: str, name: str, defines: Defines) -> Kernel:
         """What :meth:`clgs.opencl.device.Device.kernel` returns."""
@@ -86,24 +81,63 @@ class Programs:
     def _program(self, program: str, defines: Defines) -> Built:
         key = (program, *sorted(defines.items()))
         if key not in self._programs:
-            macros = {name: literal(value) for name, value in (self._defines | defines).items()}
-            options = [f"-D{name}={value}" for name, value in sorted(macros.items())]
-            file = program_file(program, self._form)
-            source, start = read_program(file), time.thread_time()
+            macros = _macros(self._form, self._lanes, self._prefetch, defines)
+            options, file = _options(macros, self._exact), program_file(program, self._form)
+            source = read_program(file)
+            tried = self._first_builds.try_build(file, source, options)
+            start = time.thread_time()
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    built = cl.Program(self._context, source).build([*self._options, *options])
+                    built = cl.Program(self._context, source).build(options)
             except cl.RuntimeError as error:
                 raise DeviceError(
                     f"kernels_cl/{file} does not build on {self._device_name}: "
                     f"{_first_complaint(str(error))}"
                 ) from error
-            if time.thread_time() - start > COMPILED_SECONDS and not self._told:
+            seconds = tried + time.thread_time() - start
+            if seconds > COMPILED_SECONDS and not self._told:
                 self._told = True  # the next start of the process need not compile
                 logging.getLogger(NOTES).info("compiling kernels for %s (once)", self._device_name)
             self._programs[key] = built, signatures(source, macros)
         return self._programs[key]
+
+    def build_all(self) -> Iterator[tuple[str, list[Kernel], str]]:
+        """Build every program of the form, with the usual sizes.
+
+        Yields:
+            The program's file, its kernels, and what is wrong if it does not build.
+        """
+        for program, file in programs_of_form(self._form).items():
+            try:
+                _, parameters = self._program(program, {})
+                yield file, [self.kernel(program, name, {}) for name in parameters], ""
+            except (DeviceError, cl.Error) as error:
+                yield file, [], str(error)
+
+
+def build_options(form: str, exact: bool) -> list[str]:
+    """Options of programs without defines of their own: of scalars, without prefetch."""
+    return _options(_macros(form, 1, False, {}), exact)
+
+
+def _macros(form: str, lanes: int, prefetch: bool, own: Defines) -> dict[str, str]:
+    """The values of all macros; ``own``: of one program, come before the device's."""
+    defines = {
+        **constants.defines(),
+        "PARTS_GROUP_SIZE": PARTS_GROUP_SIZE,
+        "SCAN_GROUP_SIZE": SCAN_GROUP_SIZE,
+        "USE_LOCAL": int(form == "gpu"),
+        "USE_PREFETCH": int(prefetch),
+        "VEC": lanes,
+        **own,
+    }
+    return {name: literal(value) for name, value in defines.items()}
+
+
+def _options(macros: dict[str, str], exact: bool) -> list[str]:
+    values = [f"-D{name}={value}" for name, value in sorted(macros.items())]
+    return [*BUILD_OPTIONS, *([EXACT_DIVISION] if exact else []), *values]
 
 
 def _first_complaint(log: str) -> str:

@@ -21,6 +21,13 @@ def program_files() -> list[str]:
     return sorted(name for name in files if name.endswith(".cl"))
 
 
+def programs_of_form(form: str) -> dict[str, str]:
+    """The names of all programs of a form ("cpu", "gpu"), each with its file."""
+    other = "_gpu" if form == "cpu" else "_cpu"
+    files = [name for name in program_files() if not name.endswith(f"{other}.cl")]
+    return {name.removesuffix(".cl").removesuffix(f"_{form}"): name for name in files}
+
+
 def program_file(program: str, form: str) -> str:
     """File of a program such as "blend/forward", relative to the root.
 

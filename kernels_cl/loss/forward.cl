@@ -188,10 +188,14 @@ GROUP_SIZED __kernel void loss_forward(__global const float *image, __global con
             continue;
         const fv covered = coverage(py, height) * column_coverage(px, width);
         SPACE const float *top = blurred + row * PATCH_COLUMNS + column;
-        fv moments[4] = {(fv)(0.0f), (fv)(0.0f), (fv)(0.0f), (fv)(0.0f)};
-        for (int plane = 0; plane < 4 && !flat; ++plane)
-            moments[plane] = blur(top + plane * BLURRED_SIZE, PATCH_COLUMNS);
-        const Ssim s = ssim_terms(moments[0], moments[1], moments[2], moments[3], covered, shift);
+        fv x = (fv)(0.0f), y = x, square = x, product = x;
+        if (!flat) { /* no array: with a computed index it would lie in memory */
+            x = blur(top, PATCH_COLUMNS);
+            y = blur(top + BLURRED_SIZE, PATCH_COLUMNS);
+            square = blur(top + 2 * BLURRED_SIZE, PATCH_COLUMNS);
+            product = blur(top + 3 * BLURRED_SIZE, PATCH_COLUMNS);
+        }
+        const Ssim s = ssim_terms(x, y, square, product, covered, shift);
         store_pixels(patch, s.r, r_map, px, py);
         store_pixels(patch, s.v, v_map, px, py);
         store_pixels(patch, s.w, w_map, px, py);

@@ -119,3 +119,15 @@ def test_memory_is_known_on_linux():
         assert available_memory() is None
     else:
         assert (available_memory() or 0) > 0
+
+
+def test_a_program_that_does_not_build_is_named(monkeypatch):
+    from clgs.opencl import programs
+
+    read = programs.read_program
+    text = "__kernel void mask_apply( {}"
+    monkeypatch.setattr(
+        programs, "read_program", lambda name: text if name == "loss/mask.cl" else read(name)
+    )
+    found = [one for one in machine.examine_machine().findings if one.level == machine.ERROR]
+    assert any("kernels_cl/loss/mask.cl does not build on" in one.problem for one in found)

@@ -10,7 +10,7 @@ import pytest
 from clgs.cli.main import main
 from clgs.lab import facts
 from clgs.lab.commands import selftest as command
-from clgs.lab.selftest import render_checks
+from clgs.lab.selftest import render_checks, training_checks
 from clgs.lab.selftest.reference_render import Check
 from clgs.opencl import choose
 
@@ -62,6 +62,25 @@ def test_a_failure_is_named_and_others_go_on(devices, capsys, tmp_path, bad):
     first, second = json.loads((tmp_path / "f.json").read_text())["devices"]
     assert first["error"] or not all(one["passed"] for one in first["checks"])
     assert [one["passed"] for one in second["checks"]] == [True]
+
+
+def test_checks_go_on_after_one_that_raises(open_device, monkeypatch):
+    def check_mask(device, rng, count):
+        raise RuntimeError("CL_OUT_OF_RESOURCES:\n no more")
+        yield
+
+    def no_render(device, case):
+        raise ValueError("of no use")
+
+    monkeypatch.setattr(training_checks, "check_mask", check_mask)
+    monkeypatch.setattr(render_checks, "_run", no_render)
+    found = list(render_checks.selftest(open_device("cpu"), render_checks.TINY))
+    wrong = [(one.stage, one.quantity) for one in found if not one.passed]
+    assert wrong == [
+        ("render", "ValueError: of no use"),
+        ("mask", "RuntimeError: CL_OUT_OF_RESOURCES: no more"),
+    ]
+    assert {"scan", "sort", "splats"} <= {one.stage for one in found}
 
 
 def test_emulators_and_unusable_platforms_are_left_out_aloud(monkeypatch, capsys):

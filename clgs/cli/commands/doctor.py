@@ -14,9 +14,9 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.description = (
         "Check a data set (Blender, transforms.json, COLMAP): paths, poses, lenses, photos, "
-        "masks. Without DATA, this machine: devices, with a second of checks of each, "
-        "drivers, memory, disk. Each finding has a remedy. Exit code 3 if the data have an "
-        "error, 4 if no device can be used, 0 otherwise, with warnings too."
+        "masks. Without DATA, this machine: devices, on which all programs are built and some "
+        "are checked, drivers, memory, disk. Each finding has a remedy. Exit code 3 if the data "
+        "have an error, 4 if no device can be used, 0 otherwise, with warnings too."
     )
     parser.add_argument("data", nargs="?", type=Path, metavar="DATA", help="folder of a data set")
     parser.add_argument("--json", action="store_true", help="print JSON")

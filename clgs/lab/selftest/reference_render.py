@@ -146,6 +146,12 @@ class Check:
         return self.error / self.limit if self.limit else self.error * np.inf if self.error else 0.0
 
 
+def failed(stage: str, error: Exception) -> Check:
+    """A check that an exception ended; its quantity says what happened."""
+    said = " ".join(str(error).split())[:200]
+    return Check(stage, f"{type(error).__name__}: {said}", float("nan"), 0.0, 0.0)
+
+
 def relative_errors(
     device: Device, found: object, wanted: object, names: Iterable[str]
 ) -> dict[str, float]:

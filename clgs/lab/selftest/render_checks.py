@@ -14,6 +14,7 @@ from clgs.lab.selftest.reference_render import (
     Check,
     ReferenceFrame,
     backward_reference,
+    failed,
     largest,
     relative_errors,
     relative_l2,
@@ -66,8 +67,21 @@ class _Run:
 
 
 def selftest(device: Device, case: Case | None = None) -> Iterator[Check]:
-    """Checks of all stages, in the order of the pipeline; by default, tiny ones on an emulator."""
+    """Checks of all stages, in the order of the pipeline; by default, tiny ones on an emulator.
+
+    A stage that raises is a failed check, and the others follow.
+    """
     case = case or (TINY if device.is_emulator else Case())
+    try:
+        yield from _checks_of_render(device, case)
+    except Exception as error:  # a driver may raise anything
+        device.profile.enabled = False
+        yield failed("render", error)
+    yield from training_checks(device, case.count)
+
+
+def _checks_of_render(device: Device, case: Case) -> Iterator[Check]:
+    """The stages of a render, which need each other, and all gradients."""
     run = _run(device, case)
     times = {name: milliseconds for name, _, milliseconds, _ in device.profile.rows()}
     for stage, check in FORWARD_CHECKS.items():
@@ -80,7 +94,6 @@ def selftest(device: Device, case: Case | None = None) -> Iterator[Check]:
     for name, expected in wanted.items():
         error = relative_l2(device.download(getattr(run.gradients, name)), expected)
         yield Check("backward", name, error, 1e-5, milliseconds)
-    yield from training_checks(device, case.count)
 
 
 def _run(device: Device, case: Case) -> _Run:

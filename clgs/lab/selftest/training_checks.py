@@ -11,7 +11,13 @@ import numpy as np
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
 from clgs.lab.anchor_scene import square_camera
-from clgs.lab.selftest.reference_render import Check, largest, relative_errors, relative_l2
+from clgs.lab.selftest.reference_render import (
+    Check,
+    failed,
+    largest,
+    relative_errors,
+    relative_l2,
+)
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import adam, density, exposure, growth, mask, quantize, rate, scan, sort, splats
@@ -36,18 +42,21 @@ Found = tuple[str, str, float, float, Callable[[], object]]
 
 
 def training_checks(device: Device, count: int = COUNT) -> Iterator[Check]:
-    """Every check, on ``count`` numbers."""
+    """Every check, on ``count`` numbers; one that raises has failed."""
     rng = np.random.default_rng(SEED)
     numbers = check_scan, check_sort, check_quantize, check_rate, check_adam
     for check in (*numbers, check_density, check_growth, check_exposure, check_mask, check_splats):
-        for stage, quantity, error, limit, work in check(device, rng, count):
-            times = []
-            for _ in range(REPEATS + 1):
-                start = time.perf_counter()
-                work()
-                device.finish()
-                times.append(1e3 * (time.perf_counter() - start))
-            yield Check(stage, quantity, error, limit, median(times[1:]))
+        try:
+            for stage, quantity, error, limit, work in check(device, rng, count):
+                times = []
+                for _ in range(REPEATS + 1):
+                    start = time.perf_counter()
+                    work()
+                    device.finish()
+                    times.append(1e3 * (time.perf_counter() - start))
+                yield Check(stage, quantity, error, limit, median(times[1:]))
+        except Exception as problem:  # a driver may raise anything
+            yield failed(check.__name__.removeprefix("check_"), problem)
 
 
 def check_scan(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:

@@ -140,7 +140,7 @@ def test_haze_around_the_object_goes(dataset, cpu):
             for view in dataset.test
         ]
         opacities[meaning] = float(np.concatenate(outside).mean())
-    assert opacities[OBJECT] < 0.02 < 0.1 < opacities[IGNORE], opacities
+    assert opacities[OBJECT] < 0.02 < 0.05 < opacities[IGNORE], opacities
 
 
 def test_the_meaning_is_part_of_what_a_run_is(dataset):

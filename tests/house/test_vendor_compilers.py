@@ -1,0 +1,93 @@
+"""What the kernels' form for GPUs takes of registers and memory, against the recorded table."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from clgs.opencl.source import programs_of_form, read_program
+from tests.house.rules import kernels_in
+
+ROOT = Path(__file__).resolve().parents[2]
+TABLE = ROOT / "docs" / "benchmarks" / "registers.json"
+PVC = {
+    **dict.fromkeys(("mlp_backward_layers", "mlp_backward_weights", "mlp_heads"), 16384),
+    **{"mlp_opacity": 2048, "neural_backward": 8192, "splats_backward": 16384},
+}
+KNOWN_PRIVATE = {
+    "amd": {},
+    "amd gfx1100": {"mlp_backward_layers": 124},
+    "nvidia": {},
+    "intel": {"mlp_backward_layers": 16384},
+    "intel pvc": PVC,
+}
+"""Bytes of private memory, per vendor or target; all other kernels need none."""
+
+LOCAL_MEMORY = 32 * 1024
+"""Bytes that every device of OpenCL 1.2 has for a work-group."""
+
+
+@pytest.fixture(scope="module")
+def script() -> Any:
+    path = ROOT / "scripts" / "checks" / "vendor_compilers.py"
+    spec = importlib.util.spec_from_file_location("vendor_compilers", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def table() -> Any:
+    if not TABLE.exists():
+        pytest.skip("documentation is not part of this tree")
+    return json.loads(TABLE.read_text(encoding="utf-8"))
+
+
+def test_the_table_has_every_kernel_and_every_vendor(table):
+    programs = programs_of_form("gpu").values()
+    kernels = {kernel for name in programs for kernel in kernels_in(read_program(name))}
+    assert {target.split()[0] for target in table} == {"intel", "amd", "nvidia"}
+    for target, values in table.items():
+        assert not values["fails"], target
+        assert values["kernels"].keys() == kernels, target
+
+
+def test_no_kernel_needs_more_than_is_known(table):
+    for target, values in table.items():
+        for name, taken in values["kernels"].items():
+            assert taken["local"] <= LOCAL_MEMORY, (target, name)
+            known = KNOWN_PRIVATE.get(target, KNOWN_PRIVATE[target.split()[0]]).get(name, 0)
+            assert taken["private"] <= known, (target, name)
+            assert known or taken.get("spilled", 0) == 0, (target, name)
+
+
+@pytest.mark.parametrize("target", ["amd gfx1030", "nvidia sm_86", "intel dg2"])
+def test_kernels_take_what_is_recorded(script, table, target):
+    compilers = script.Compilers(ROOT / "build" / "vendor_compilers")
+    version = compilers.versions().get(target)
+    if version != table[target]["compiler"]:
+        pytest.skip(f"{target}: needs {table[target]['compiler']}: vendor_compilers.sh fetches it")
+    assert not list(script.compare(script.measure(compilers, {target: version}), table))
+
+
+def test_a_difference_is_named(script, table):
+    (target, *_), kernels = table, dict(next(iter(table.values()))["kernels"])
+    kernels["mlp_heads"] = {**kernels["mlp_heads"], "private": 1296}
+    (line,) = script.compare({target: {"kernels": kernels}}, table)
+    assert "mlp_heads" in line
+    assert "1296" in line
+
+
+@pytest.mark.parametrize("text", [None, "", '{"amd gfx900": {', "[]", "{}", '{"amd gfx900": {}}'])
+def test_another_file_is_one_line(script, tmp_path, text):
+    file = tmp_path / "table.json"
+    if text is not None:
+        file.write_text(text, encoding="utf-8")
+    with pytest.raises(SystemExit, match=r"table.json: no table of registers .*record it again$"):
+        script.read_table(file)
