@@ -93,6 +93,12 @@ class Device:
         return is_emulator(self.cl_device)
 
     @property
+    def has_few_registers(self) -> bool:
+        """Whether this is a GPU of Intel: a work-item has half the registers that others have."""
+        is_gpu = bool(self.cl_device.type & cl.device_type.GPU)
+        return is_gpu and "intel" in self.cl_device.vendor.lower()
+
+    @property
     def name(self) -> str:
         """Device name, without surrounding blanks."""
         return str(self.cl_device.name).strip()

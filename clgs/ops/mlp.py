@@ -58,11 +58,20 @@ VECTORS = {"cpu": 2, "gpu": 1}
 
 SAMPLES = 64
 LAYER_ITEMS = 128
-"""Samples that a group computes on a GPU, and its work-items."""
+SLICE = 8
+"""Samples that a group computes on a GPU, its work-items, and inputs whose weights it holds."""
+
+HEADS_PER_GROUP = len(HEAD_DIMS)
+"""Heads whose backward pass a group computes on a GPU, one after the other."""
 
 WEIGHT_ROWS = {"cpu": 4, "gpu": 10}
 COLUMNS = {"cpu": 3, "gpu": 7}
 """Register tile of the weight gradient: rows, and inputs."""
+
+
+FEW_REGISTERS = {"SAMPLES": 32, "SLICE": 4, "HEADS_PER_GROUP": 1, "COLUMNS": 3}
+"""What is smaller on Intel's GPUs. With more sums per work-item their compiler runs 8 work-items at
+a time instead of 16, or keeps sums in memory (docs/benchmarks/devices.md)."""
 
 
 @dataclass(frozen=True)
@@ -236,6 +245,8 @@ def backward(
         "output": activations.output,
         "d_output": d_output,
         "active": activations.active,
+    }
+    written: dict[str, Argument] = {
         "d_feature": result.d_feature,
         "d_position": result.d_position or result.d_feature,  # not written if not wanted
     }
@@ -247,12 +258,13 @@ def backward(
             device.kernel("mlp/backward", "mlp_backward", **macros),
             *((workers,), (1,)),
             **layers,
+            **written,
             next=device.zeros((1,), np.int32),
             values=device.empty((workers, _batch_size(device))),
             partial=partial,
         )
     else:
-        _backward_in_groups(device, activations.output.shape[1], layers, partial, macros)
+        _backward_in_groups(device, activations.output.shape[1], layers, written, partial, macros)
     form = device.specialisation  # a work-item per sum, on a CPU per register tile
     each = 1 if form == "gpu" else WEIGHT_ROWS[form] * COLUMNS[form]
     device.run(
@@ -276,13 +288,13 @@ def _batch_size(device: Device) -> int:
 
 def _row_tiles(device: Device) -> int:
     """Register tiles of rows in both layers of all heads."""
-    rows = WEIGHT_ROWS[device.specialisation]
+    rows = sizes(device)["WEIGHT_ROWS"]
     return sum(-(-HIDDEN_DIM // rows) + -(-outputs // rows) for outputs in HEAD_DIMS.values())
 
 
 def _part_size(device: Device) -> int:
     """Floats of a part of the weight gradient: weights and padding."""
-    rows, columns = WEIGHT_ROWS[device.specialisation], COLUMNS[device.specialisation]
+    rows, columns = sizes(device)["WEIGHT_ROWS"], sizes(device)["COLUMNS"]
     return _row_tiles(device) * rows * -(-(INPUT_DIM + 1) // columns) * columns
 
 
@@ -290,20 +302,33 @@ def _backward_in_groups(
     device: Device,
     padded: int,
     layers: dict[str, Argument],
+    written: dict[str, Argument],
     partial: DeviceArray,
     macros: dict[str, int | float],
 ) -> None:
-    """Fill ``partial`` and the gradients among ``layers``, SLAB batches at a time."""
+    """Fill ``written`` and ``partial``, SLAB batches at a time."""
     batches = -(-padded // BATCH)
     values = device.empty((min(SLAB, batches), _batch_size(device)))
+    not_read = "feature", "output", "d_output"
+    inputs = {name: value for name, value in layers.items() if name not in not_read}
     for first in range(0, batches, SLAB):
         size = min(SLAB, batches - first)
+        items, group = _layer_sizes(device, size * BATCH)
         batch: dict[str, Argument] = {"first_batch": np.int32(first), "values": values}
         device.run(
             device.kernel("mlp/backward", "mlp_backward_layers", **macros),
-            *_layer_sizes(device, size * BATCH),
+            (*items, len(HEAD_DIMS) // sizes(device)["HEADS_PER_GROUP"]),
+            (LAYER_ITEMS, 1),
             **layers,
             **batch,
+        )
+        device.run(
+            device.kernel("mlp/backward", "mlp_backward_inputs", **macros),
+            items,
+            group,
+            **inputs,
+            **batch,
+            **written,
         )
         device.run(
             device.kernel("mlp/backward", "mlp_backward_weights", **macros),
@@ -321,21 +346,31 @@ def defines(device: Device, options: RenderOptions) -> dict[str, int | float]:
 
     Lanes fill one register of a CPU: ten accumulators of wider vectors would spill.
     """
-    form = device.specialisation
     return {
         "CHUNK": CHUNK,
         "BATCH": BATCH,
         "PARTS": PARTS,
         "GROUP_SIZE": GROUP_SIZE,
+        **sizes(device),
+        "VEC": device.register_lanes,
+        **options.skips.defines("opacity_first", "slots"),
+    }
+
+
+def sizes(device: Device) -> dict[str, int]:
+    """What a work-item and a group compute, by the names of the build options; no bit depends."""
+    form = device.specialisation
+    usual = {
         "TILE": TILE[form],
         "VECTORS": VECTORS[form],
         "SAMPLES": SAMPLES,
         "LAYER_ITEMS": LAYER_ITEMS,
+        "SLICE": SLICE,
+        "HEADS_PER_GROUP": HEADS_PER_GROUP,
         "WEIGHT_ROWS": WEIGHT_ROWS[form],
         "COLUMNS": COLUMNS[form],
-        "VEC": device.register_lanes,
-        **options.skips.defines("opacity_first", "slots"),
     }
+    return usual | FEW_REGISTERS if device.has_few_registers else usual
 
 
 def blocks(device: Device, samples: int) -> LaunchSizes:
@@ -346,7 +381,7 @@ def blocks(device: Device, samples: int) -> LaunchSizes:
 
 
 def _layer_sizes(device: Device, samples: int) -> LaunchSizes:
-    """Launch sizes of a kernel that computes layers: on a GPU a group per SAMPLES samples."""
+    """Launch sizes of a kernel that computes layers: on a GPU whole groups."""
     if device.specialisation == "gpu":
-        return (-(-samples // SAMPLES) * LAYER_ITEMS,), (LAYER_ITEMS,)
+        return (-(-samples // sizes(device)["SAMPLES"]) * LAYER_ITEMS,), (LAYER_ITEMS,)
     return blocks(device, samples)

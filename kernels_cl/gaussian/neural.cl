@@ -255,7 +255,6 @@ __kernel void neural_backward(__global const float *output, __global const int *
     prefetch_gradients(&anchors, v + VEC, d_offset, d_scaling);
     if (coming.left == 0)
         return;
-    const AnchorLanes a = load_anchors(visible, scaling, v, (size_t)count);
     DECLARE_OUTPUT_ROWS(rows, output, stride, v, coming.left, COVARIANCE_ROW);
     float sum[6][VEC];
     for (int i = 0; i < 6; ++i)
@@ -264,6 +263,8 @@ __kernel void neural_backward(__global const float *output, __global const int *
     Shapes shapes;
     DrawnSlots drawn;
     while (next_slots(&coming, &drawn)) {
+        /* once per slot: to keep them through the loop takes more registers than some GPUs have */
+        const AnchorLanes a = load_anchors(visible, scaling, v, (size_t)count);
         if (drawn.count != 0) {
             gather_shapes(&a, &drawn, &rows, &shapes);
             shapes_backward(&drawn, d_scale, d_rotation, &shapes);
@@ -271,8 +272,10 @@ __kernel void neural_backward(__global const float *output, __global const int *
         }
         write_output(&drawn, &shapes, d_color, d_opacity, stride, d_output + v);
     }
-    if (within)
+    if (within) {
+        const AnchorLanes a = load_anchors(visible, scaling, v, (size_t)count);
         write_scaling(&a, sum, d_scaling);
+    }
 }
 
 /* dL/d(position) of a visible anchor: the sum over its Gaussians. */

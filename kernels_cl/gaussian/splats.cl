@@ -142,28 +142,33 @@ __kernel void splats_backward(__global const float *mean, __global const float *
     if (first >= (size_t)count)
         return;
     const size_t used = min((size_t)VEC, (size_t)count - first);
-    fv position[3], size[3], log_size[3], quaternion[4], opaque, direction[3];
-    fv d_position[3], d_size[3], d_quaternion[4], d_opaque;
+    fv position[3], direction[3], d_position[3];
     fv basis[MAX_COEFFICIENTS], weight[MAX_COEFFICIENTS];
     load_rows3(mean, first, used, position);
-    load_rows3(scale, first, used, size);
-    load_rows3(log_scale, first, used, log_size);
-    load_rows4(rotation, first, used, quaternion);
-    load_rows1(opacity, first, used, &opaque);
-    load_rows3(d_mean, first, used, d_position);
-    load_rows3(d_scale, first, used, d_size);
-    load_rows4(d_unit, first, used, d_quaternion);
-    load_rows1(d_opacity, first, used, &d_opaque);
-    for (int i = 0; i < 3; ++i)
-        d_size[i] = fabs(log_size[i]) <= (fv)(LOG_SCALE_LIMIT) ? d_size[i] * size[i] : (fv)(0.0f);
-    d_opaque *= opaque * (1.0f - opaque);
-    unit_gradient(quaternion, d_quaternion);
     const fv on_length = look_at(position, camera, direction);
     harmonics(direction, basis);
     color_gradient(sh, color, d_color, basis, first, used, weight, d_sh);
+    load_rows3(d_mean, first, used, d_position);
     direction_gradient(direction, on_length, weight, d_position);
     store_rows3(d_position, d_mean, first, used);
+
+    fv size[3], log_size[3], d_size[3];
+    load_rows3(scale, first, used, size);
+    load_rows3(log_scale, first, used, log_size);
+    load_rows3(d_scale, first, used, d_size);
+    for (int i = 0; i < 3; ++i)
+        d_size[i] = fabs(log_size[i]) <= (fv)(LOG_SCALE_LIMIT) ? d_size[i] * size[i] : (fv)(0.0f);
     store_rows3(d_size, d_log_scale, first, used);
+
+    fv quaternion[4], d_quaternion[4];
+    load_rows4(rotation, first, used, quaternion);
+    load_rows4(d_unit, first, used, d_quaternion);
+    unit_gradient(quaternion, d_quaternion);
     store_rows4(d_quaternion, d_rotation, first, used);
+
+    fv opaque, d_opaque;
+    load_rows1(opacity, first, used, &opaque);
+    load_rows1(d_opacity, first, used, &d_opaque);
+    d_opaque *= opaque * (1.0f - opaque);
     store_rows1(&d_opaque, d_logit, first, used);
 }

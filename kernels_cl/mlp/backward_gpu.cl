@@ -1,12 +1,15 @@
 /* The backward pass of the MLPs: GPU form. Hidden values are computed again. For the batches from
- * first_batch on, at most PARTS of them, the first kernel fills the rows of the batches, and the
- * second makes the weight gradient of them.
+ * first_batch on, at most PARTS of them, the first kernel fills the rows of the batches, the second
+ * makes the gradients by the inputs of them, and the third the weight gradient.
  *
- * mlp_backward_layers
- *     Work-item: some units of each layer for a quad of samples, see group/layer.h.
+ * mlp_backward_layers, mlp_backward_inputs
+ *     Work-item: some units of each layer for a quad of samples, see group/layer.h. It keeps the
+ *         sums of one layer at a time: one kernel for both would need more registers than the GPUs
+ *         of AMD and Intel have.
  *     Work-group: SAMPLES samples, LAYER_ITEMS work-items; inputs, gradients by hidden values and a
  *         slice of the weights lie in local memory.
- *     Launch: a work-group per SAMPLES samples.
+ *     Launch: a work-group per SAMPLES samples (dimension 0); of the first kernel also per
+ *         HEADS_PER_GROUP heads (dimension 1).
  * mlp_backward_weights
  *     Work-item: every SUM_LANES-th sample of a batch, for WEIGHT_ROWS rows of a layer's gradient
  *         by every STEPS-th COLUMNS of the inputs.
@@ -26,6 +29,11 @@
 #include "mlp/layout.h"
 #include "mlp/weight_tile.h"
 
+/* Heads that a work-group of the first kernel computes, one after the other: 1 or HEADS. */
+#ifndef HEADS_PER_GROUP
+#define HEADS_PER_GROUP 3
+#endif
+
 /* Column tiles that a work-group sums at the same time. */
 #define STEPS (GROUP_SIZE / SUM_LANES)
 #define WEIGHT_GROUP GROUP_OF(GROUP_SIZE)
@@ -36,7 +44,7 @@ typedef struct {
     int samples; /* that may have gradients other than zero; they are its first ones */
     int slots;   /* that they draw, one per bit */
     __local float *x;
-    __local float *d_hidden;
+    __local float *d_sums;
     __local float *slice;
     __local int *rows;
 } Group;
@@ -81,78 +89,50 @@ static inline void clear_gradients(const int head, const int slots, __global flo
     }
 }
 
-/* Both layers of one head: adds to d_x, the work-item's quads of dL/d(input), and writes the rows
- * of the batch that the weight gradient needs. */
+/* Both layers of one head: writes the rows of the batch. */
 static inline CONSTANT_UNITS void head_backward(__global const float *weight,
                                                 const Outputs *outputs, const int head,
-                                                const Group *group, float d_x[UNITS(INPUT_DIM)][4],
-                                                __global float *columns)
+                                                const Group *group, __global float *columns)
 {
-    float hidden[UNITS(HIDDEN_DIM)][4], sum[UNITS(HIDDEN_DIM)][4];
-    hidden_quads(weight, group->x, group->slice, hidden);
-    store_columns(hidden, UNITS(HIDDEN_DIM), HIDDEN_DIM, columns + HIDDEN_ROW(head) * BATCH_STRIDE);
+    float sum[UNITS(HIDDEN_DIM)][4];
+    hidden_quads(weight, group->x, group->slice, sum);
+    store_columns(sum, UNITS(HIDDEN_DIM), HIDDEN_DIM, columns + HIDDEN_ROW(head) * BATCH_STRIDE);
+#pragma unroll
+    for (int u = 0; u < UNITS(HIDDEN_DIM); ++u) {
+        fill_quad(sum[u], 0.0f);
+    }
     const int count = list_rows(group->slots, head, group->rows);
     clear_gradients(head, group->slots, columns);
-#pragma unroll
-    for (int u = 0; u < UNITS(HIDDEN_DIM); ++u)
-        fill_quad(sum[u], 0.0f);
-    /* the gradients by the outputs lie where those by the hidden values will */
     for (int begin = 0; begin < count; begin += HIDDEN_DIM) {
         const int some = min(HIDDEN_DIM, count - begin);
         const LayerWeights back = {weight + HIDDEN_SIZE, HIDDEN_DIM, 1,
                                    HIDDEN_DIM,           0,          group->rows + begin};
         barrier(CLK_LOCAL_MEM_FENCE);
-        load_gradients(outputs, head, group, begin, some, group->d_hidden, columns);
-        add_layer(sum, UNITS(HIDDEN_DIM), &back, group->d_hidden, some, group->slice);
+        load_gradients(outputs, head, group, begin, some, group->d_sums, columns);
+        add_layer(sum, UNITS(HIDDEN_DIM), &back, group->d_sums, some, group->slice);
     }
 #pragma unroll
-    for (int u = 0; u < UNITS(HIDDEN_DIM); ++u)
+    for (int u = 0; u < UNITS(HIDDEN_DIM); ++u) { /* registers are too few to keep hidden values */
+        const int row = HIDDEN_ROW(head) + min(unit_of(UNITS(HIDDEN_DIM), u), HIDDEN_DIM - 1);
+        const float4 hidden =
+            *(__global const float4 *)(columns + row * BATCH_STRIDE + 4 * own_quad());
 #pragma unroll
         for (int i = 0; i < 4; ++i)
-            sum[u][i] = hidden[u][i] > 0.0f ? sum[u][i] : 0.0f;
+            sum[u][i] = NUMBER(hidden, i) > 0.0f ? sum[u][i] : 0.0f;
+    }
     store_columns(sum, UNITS(HIDDEN_DIM), HIDDEN_DIM, columns + D_HIDDEN_ROW(head) * BATCH_STRIDE);
-    barrier(CLK_LOCAL_MEM_FENCE);
-    store_quads(sum, UNITS(HIDDEN_DIM), HIDDEN_DIM, group->d_hidden);
-    const LayerWeights back = {weight, INPUT_DIM, 1, INPUT_DIM, 0, 0};
-    add_layer(d_x, UNITS(INPUT_DIM), &back, group->d_hidden, HIDDEN_DIM, group->slice);
-}
-
-/* Writes the gradients by the group's anchors, from the work-items' quads. */
-static inline void write_gradients(const Inputs *inputs, const Group *group,
-                                   float d_x[UNITS(INPUT_DIM)][4], const AnchorGradients *d)
-{
-    barrier(CLK_LOCAL_MEM_FENCE);
-    store_quads(d_x, UNITS(INPUT_DIM), INPUT_DIM, group->x);
-    barrier(CLK_LOCAL_MEM_FENCE);
-    const int item = (int)get_local_id(0);
-    for (int i = item; i < group->samples * FEATURE_DIM; i += LAYER_ITEMS) {
-        const int sample = i / FEATURE_DIM, k = i % FEATURE_DIM;
-        const int anchor = anchor_of(inputs, group->first + (size_t)sample);
-        if (anchor >= 0)
-            d->d_feature[(size_t)anchor * FEATURE_DIM + (size_t)k] =
-                group->x[k * ROW_PITCH + sample];
-    }
-#if WANT_POSITION
-    if (item < group->samples) {
-        float by_direction[3];
-        for (int i = 0; i < 3; ++i)
-            by_direction[i] = group->x[(FEATURE_DIM + i) * ROW_PITCH + item];
-        position_backward(inputs, group->first + (size_t)item, by_direction, d->d_position);
-    }
-#endif
 }
 
 /* values: (batches, BATCH_SIZE). */
 LAYER_GROUP __kernel void
 mlp_backward_layers(__global const float *feature, __global const float *position,
                     __global const int *visible, const int count, __global const float *weights,
-                    __global const float *camera, const int padded, __global const float *output,
+                    __global const float *camera, const int padded, __global float *output,
                     __global const float *d_output, __global const int *active,
-                    const int first_batch, __global float *values, __global float *d_feature,
-                    __global float *d_position)
+                    const int first_batch, __global float *values)
 {
     __local float x[(INPUT_DIM + 1) * ROW_PITCH] __attribute__((aligned(16)));
-    __local float d_hidden[HIDDEN_DIM * ROW_PITCH] __attribute__((aligned(16)));
+    __local float d_sums[HIDDEN_DIM * ROW_PITCH] __attribute__((aligned(16)));
     __local float slice[SLICE_SIZE] __attribute__((aligned(16)));
     __local int rows[7 * K_OFFSETS], shared;
     const int sample = (int)get_group_id(0) * SAMPLES, batch = first_batch + sample / BATCH;
@@ -162,22 +142,69 @@ mlp_backward_layers(__global const float *feature, __global const float *positio
         return;
     const Inputs inputs = {feature, position, visible, (size_t)count, camera};
     const Outputs outputs = {output, d_output, (size_t)padded};
-    const AnchorGradients d = {d_feature, d_position};
     const int slots = group_slots(output, first, first + (size_t)samples, outputs.stride, &shared);
-    const Group group = {first, samples, slots, x, d_hidden, slice, rows};
+    const Group group = {first, samples, slots, x, d_sums, slice, rows};
     __global float *columns = values + (size_t)(sample / BATCH) * BATCH_SIZE + sample % BATCH;
     gather_rows(&inputs, first, x);
-    for (int i = (int)get_local_id(0); i < (INPUT_DIM + 1) * SAMPLES; i += LAYER_ITEMS) {
+    for (int i = (int)get_local_id(0); get_group_id(1) == 0 && i < (INPUT_DIM + 1) * SAMPLES;
+         i += LAYER_ITEMS) {
         const float value = x[i / SAMPLES * ROW_PITCH + i % SAMPLES];
         const bool counts = i / SAMPLES < INPUT_DIM || value == 1.0f;
         columns[i / SAMPLES * BATCH_STRIDE + i % SAMPLES] = counts ? value : 0.0f;
     }
-    float d_x[UNITS(INPUT_DIM)][4];
+#if HEADS_PER_GROUP == 1 /* no loop: Intel's compiler would keep more in registers */
+    const int head = (int)get_group_id(1);
+#else
+    for (int head = 0; head < HEADS; ++head)
+#endif
+    head_backward(weights + head_start(head), &outputs, head, &group, columns);
+}
+
+/* Gradients by the anchors, from the gradients by hidden values in `values`. */
+LAYER_GROUP __kernel void
+mlp_backward_inputs(__global const float *position, __global const int *visible, const int count,
+                    __global const float *weights, __global const float *camera, const int padded,
+                    __global const int *active, const int first_batch, __global const float *values,
+                    __global float *d_feature, __global float *d_position)
+{
+    __local float d_rows[(INPUT_DIM + 1) * ROW_PITCH] __attribute__((aligned(16)));
+    __local float slice[SLICE_SIZE] __attribute__((aligned(16)));
+    const int sample = (int)get_group_id(0) * SAMPLES, batch = first_batch + sample / BATCH;
+    const size_t first = (size_t)first_batch * BATCH + (size_t)sample;
+    const int samples = min(active_samples(batch, padded, active) - sample % BATCH, SAMPLES);
+    if (samples <= 0)
+        return;
+    const int item = (int)get_local_id(0);
+    __global const float *columns = values + (size_t)(sample / BATCH) * BATCH_SIZE + sample % BATCH;
+    float d_x[UNITS(INPUT_DIM)][4]; /* unrolled by a pragma, PoCL's kernel takes twice as long */
     for (int u = 0; u < UNITS(INPUT_DIM); ++u)
         fill_quad(d_x[u], 0.0f);
-    for (int head = 0; head < HEADS; ++head)
-        head_backward(weights + head_start(head), &outputs, head, &group, d_x, columns);
-    write_gradients(&inputs, &group, d_x, &d);
+    for (int head = 0; head < HEADS; ++head) {
+        const LayerWeights back = {weights + head_start(head), INPUT_DIM, 1, INPUT_DIM, 0, 0};
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (int i = item; i < HIDDEN_DIM * SAMPLES; i += LAYER_ITEMS)
+            d_rows[i / SAMPLES * ROW_PITCH + i % SAMPLES] =
+                columns[(D_HIDDEN_ROW(head) + i / SAMPLES) * BATCH_STRIDE + i % SAMPLES];
+        add_layer(d_x, UNITS(INPUT_DIM), &back, d_rows, HIDDEN_DIM, slice);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    store_quads(d_x, UNITS(INPUT_DIM), INPUT_DIM, d_rows);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    const Inputs inputs = {0, position, visible, (size_t)count, camera};
+    for (int i = item; i < samples * FEATURE_DIM; i += LAYER_ITEMS) {
+        const int anchor = anchor_of(&inputs, first + (size_t)(i / FEATURE_DIM));
+        if (anchor >= 0)
+            d_feature[(size_t)anchor * FEATURE_DIM + (size_t)(i % FEATURE_DIM)] =
+                d_rows[i % FEATURE_DIM * ROW_PITCH + i / FEATURE_DIM];
+    }
+#if WANT_POSITION
+    if (item < samples) {
+        float by_direction[3];
+        for (int i = 0; i < 3; ++i)
+            by_direction[i] = d_rows[(FEATURE_DIM + i) * ROW_PITCH + item];
+        position_backward(&inputs, first + (size_t)item, by_direction, d_position);
+    }
+#endif
 }
 
 /* Adds the gradient of a batch to its part of partial (parts, part_size()). */

@@ -35,6 +35,7 @@ from typing import Any
 
 from clgs.opencl.programs import build_options
 from clgs.opencl.source import programs_of_form, read_program
+from clgs.ops.mlp import FEW_REGISTERS
 
 INTEL = ("skl", "icllp", "tgllp", "dg1", "dg2", "pvc")
 NO_EXACT_DIVISION = ("tgllp", "dg1")
@@ -107,7 +108,8 @@ class Compilers:
                 return None
 
     def _intel(self, chip: str, source: Path, folder: Path) -> dict[str, Resources]:
-        options = " ".join(build_options("gpu", exact=chip not in NO_EXACT_DIVISION))
+        own = [f"-D{name}={value}" for name, value in FEW_REGISTERS.items()]
+        options = " ".join([*build_options("gpu", exact=chip not in NO_EXACT_DIVISION), *own])
         command = [str(self.ocloc), "compile", "-file", str(source), "-device", chip]
         command += ["-options", options, "-internal_options", "-cl-intel-allow-zebin"]
         _run([*command, "-out_dir", str(folder)], {"LD_LIBRARY_PATH": str(self.libraries)})

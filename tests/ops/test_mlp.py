@@ -368,8 +368,23 @@ def test_wrong_shapes_are_refused(device, rng):
         run_forward(device, values, visible.astype(np.int64))
 
 
-def test_the_kernels_lay_out_what_python_allocates(device):
+@pytest.mark.parametrize("count", [33, 1025])
+def test_sizes_for_few_registers_make_the_same_bits(open_device, rng, monkeypatch, count):
+    device, values, visible = open_device("gpu"), anchors(rng, count), np.arange(count)
+    d, visible = random_gradients(rng, count), visible.astype(np.int32)
+    usual = run_backward(device, values, visible, d)
+    monkeypatch.setattr(type(device), "has_few_registers", property(lambda self: True))
+    assert mlp.sizes(device).items() >= mlp.FEW_REGISTERS.items()
+    for name, found in run_backward(device, values, visible, d).items():
+        assert found.tobytes() == usual[name].tobytes(), name
+
+
+@pytest.mark.parametrize("few", [False, True])
+def test_the_kernels_lay_out_what_python_allocates(device, monkeypatch, few):
     """The rows of a batch, and a part of the weight gradient, have the sizes of their buffers."""
+    if few and device.specialisation == "cpu":
+        pytest.skip("a CPU has no work-groups")
+    monkeypatch.setattr(type(device), "has_few_registers", property(lambda self: few))
     file = source.program_file("mlp/backward", device.specialisation)
     text = source.read_program(file) + (
         "\n__kernel void sizes(__global int *out) {"

@@ -101,7 +101,7 @@ def mlp_work(device: Device, activations: mlp.Activations) -> MlpWork:
     drawn = device.download(activations.output)[:K_OFFSETS] > 0
     macros = mlp.defines(device, activations.options)
     block = int(macros["VECTORS"] * macros["VEC"])
-    size = mlp.SAMPLES if device.specialisation == "gpu" else block
+    size = int(macros["SAMPLES"]) if device.specialisation == "gpu" else block
     drawn = np.pad(drawn, ((0, 0), (0, -drawn.shape[1] % size)))
     slots = np.any(drawn.reshape(K_OFFSETS, -1, size), axis=2)
     used = np.any(slots, axis=0)

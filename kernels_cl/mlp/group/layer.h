@@ -20,6 +20,11 @@
 #endif
 #define LAYER_GROUP GROUP_OF(LAYER_ITEMS)
 
+/* Inputs whose weights are in local memory at a time. */
+#ifndef SLICE
+#define SLICE 8
+#endif
+
 /* Quads of samples, and how many work-items share one. */
 #define QUADS (SAMPLES / 4)
 #define SHARES (LAYER_ITEMS / QUADS)
@@ -32,7 +37,6 @@
  * weights so do the units of a work-item. */
 #define ROW_PITCH (SAMPLES + 4)
 #define WHOLE_QUADS(units) (((units) + 3) / 4 * 4)
-#define SLICE 8
 #define SLICE_PITCH (SHARES * WHOLE_QUADS(MOST_UNITS) + 4)
 #define SLICE_SIZE (SLICE * SLICE_PITCH)
 
