@@ -31,6 +31,15 @@ intel_runtime() {
     return "$status"
 }
 
+# And on Mesa's rusticl: 20 minutes, since its device is slow.
+rusticl() {
+    local folder=$root/build/rusticl
+    scripts/checks/rusticl.sh "$folder" >/dev/null || return 1
+    OCL_ICD_VENDORS=$folder/vendors RUSTICL_ENABLE=llvmpipe \
+        LD_LIBRARY_PATH=$folder/usr/lib/x86_64-linux-gnu "$venv/bin/clgs" accept --quick \
+        --device rusticl --overwrite -o "$folder/accept.json"
+}
+
 try_wheel() {
     scripts/release/wheels.sh x86_64 && scripts/release/try_wheel.sh dist/clgs-*x86_64.whl "$python"
 }
@@ -43,6 +52,7 @@ check "bytes across compilers" scripts/checks/cross_check.sh
 check "compilers of vendors" env PYTHON="$python" scripts/checks/vendor_compilers.sh
 check "damage" "$python" -m tests.codec.container.mutations "${DAMAGE:-1000000}"
 check "intel runtime" intel_runtime
+check "rusticl" rusticl
 check "wheel for another processor" scripts/release/wheels.sh aarch64
 check "wheel without compiler" try_wheel
 check "fuzz" env PYTHON="$python" RUNS=1000000 scripts/fuzz/fuzz.sh "${FUZZ_SECONDS:-36000}"

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
 import pyopencl as cl
 import pytest
 
+from clgs.opencl.choose import LEAST_LOCAL_MEMORY, LEAST_WORK_GROUP
 from clgs.opencl.signature import DTYPES, signatures
 from clgs.opencl.source import kernel_root, program_files, read_program
 from tests.house.rules import kernels_in, plain_c
 
 PROGRAMS = program_files()
 NOT_PORTABLE = re.compile(
-    r"\b(?:native_\w+|half_(?:cos|divide|exp\w*|log\w*|powr|recip|rsqrt|sin|sqrt|tan)\b"
+    r"//|\bbarrier\((?!CLK_LOCAL_MEM_FENCE\))"
+    r"|\b(?:atomic_(?:cmp)?xchg\b|native_\w+"
+    r"|half_(?:cos|divide|exp\w*|log\w*|powr|recip|rsqrt|sin|sqrt|tan)\b"
     r"|(?:half|double)\d*\b|atom_\w+|sub_group_\w+|work_group_\w+"
     r"|(?:mad|exp|exp2|log|log2|pow|rsqrt|sin|cos)\s*\()"
 )
@@ -75,11 +79,14 @@ def test_builds_in_its_specialisations(device, name):
         pytest.skip("the file of the other specialisation")
     kernels = kernels_in(read_program(name))
     assert kernels
+    asked = cl.kernel_work_group_info
     for kernel in kernels:
-        limit = device.kernel(program, kernel).built.get_work_group_info(
-            cl.kernel_work_group_info.LOCAL_MEM_SIZE, device.cl_device
-        )
-        assert limit <= 32 * 1024, f"{kernel} uses {limit} bytes of local memory"
+        built = device.kernel(program, kernel)
+        taken = built.built.get_work_group_info(asked.LOCAL_MEM_SIZE, device.cl_device)
+        assert taken <= LEAST_LOCAL_MEMORY, f"{kernel} uses {taken} bytes of local memory"
+        items = built.built.get_work_group_info(asked.COMPILE_WORK_GROUP_SIZE, device.cl_device)
+        assert math.prod(items) <= LEAST_WORK_GROUP, f"{kernel} has work-groups of {items}"
+        assert all(one.lanes != 3 for one in built.parameters), "vectors of 3 take room for 4"
 
 
 @pytest.mark.parametrize("name", PROGRAMS[::5])
