@@ -21,7 +21,7 @@ from clgs.opencl.choose import choose_device, is_emulator, serves_cpu_form, too_
 from clgs.opencl.kernel import Argument, Kernel
 from clgs.opencl.programs import Programs
 from clgs.opencl.timing import KernelTimes, Profile, Waits
-from clgs.opencl.transfer import Download, Transfers
+from clgs.opencl.transfer import Download, PinnedMemory, Transfers
 
 POOL_BITS = {"cpu": 0, "gpu": 2}
 """Leading bits of a size, after the first one, that tell apart what the memory pool reuses."""
@@ -68,7 +68,8 @@ class Device:
         self.profile = Profile()
         self.waits = Waits()
         """How often and how long downloads waited."""
-        self._transfers = Transfers(self.queue, self.waits)
+        self._pinned = None if is_cpu else PinnedMemory(self.queue)
+        self._transfers = Transfers(self.queue, self.waits, self._pinned)
         allocator = cl.tools.ImmediateAllocator(self.queue)
         # Sizes are rounded up, so that more arrays share memory: on a CPU, where memory that
         # nobody touches takes no room, to powers of two.
@@ -157,8 +158,10 @@ class Device:
     def fill_zero(self, array: DeviceArray, first: int = 0) -> None:
         """Overwrite an array with zero bytes, from element ``first`` on, counted flat."""
         start = first * array.dtype.itemsize
-        if array.nbytes > start:
-            zero, rest = np.zeros(1, np.uint8), array.nbytes - start
+        rest = array.nbytes - start
+        if rest > 0:  # some drivers fill byte by byte if the pattern is a byte
+            pattern = next(size for size in (16, 4, 1) if start % size == rest % size == 0)
+            zero = np.zeros(pattern, np.uint8)
             cl.enqueue_fill_buffer(self.queue, array.buffer, zero, start, rest)
 
     def extended(self, array: DeviceArray, rows: int) -> DeviceArray:
@@ -298,7 +301,7 @@ class Device:
         self.finish()
         properties = cl.command_queue_properties.PROFILING_ENABLE
         self.queue = cl.CommandQueue(self.context, properties=properties)
-        self._transfers = Transfers(self.queue, self.waits)
+        self._transfers = Transfers(self.queue, self.waits, self._pinned)
         self._kernel_times = KernelTimes()
         try:
             yield self._kernel_times

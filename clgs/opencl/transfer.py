@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections import deque
 from typing import Any
 
@@ -22,18 +23,56 @@ WAITING_SIZE = 1 << 22
 """Larger arrays are written at once: a private copy of them would cost more than the wait."""
 
 
+PINNED_SIZE = 1 << 10
+PINNED_PLACES = 64
+"""Bytes of the largest array that is read into pinned memory, and how many such have room."""
+
+
 class Download:
     """A pending copy to the host."""
 
-    def __init__(self, host: npt.NDArray[Any], event: Any, waits: Waits) -> None:
-        """``event`` is None if there is nothing to copy."""
-        self._host, self._event, self._waits = host, event, waits
+    def __init__(self, host: npt.NDArray[Any], event: Any, waits: Waits, lent: bool) -> None:
+        """``event`` is None if there is nothing to copy; ``lent``: ``host`` will be used again."""
+        self._host, self._event, self._waits, self._lent = host, event, waits, lent
 
     def get(self) -> npt.NDArray[Any]:
         """The array; waits for the copy."""
         if self._event is not None:
             self._waits.wait(self._event)
+        if self._lent:
+            self._host, self._lent = self._host.copy(), False
         return self._host
+
+
+class PinnedMemory:
+    """Memory of the host that a card writes to by itself, in places for small arrays.
+
+    Drivers wait for the work before a read into other memory, even if they were asked not to.
+    """
+
+    def __init__(self, queue: Any) -> None:
+        """Allocate it."""
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR
+        self._buffer = cl.Buffer(queue.context, flags, PINNED_PLACES * PINNED_SIZE)
+        mapped: Any = cl.map_flags.READ | cl.map_flags.WRITE
+        shape = PINNED_PLACES, PINNED_SIZE
+        self._places, _ = cl.enqueue_map_buffer(
+            queue, self._buffer, mapped, 0, shape, np.dtype(np.uint8)
+        )
+        self._users: list[Any] = [lambda: None] * PINNED_PLACES
+        self._next = 0
+
+    def read(self, queue: Any, array: DeviceArray, waits: Waits) -> Download:
+        """Copy ``array``, of PINNED_SIZE bytes at most, to the next place."""
+        number, self._next = self._next, (self._next + 1) % PINNED_PLACES
+        last = self._users[number]()
+        if last is not None:
+            last.get()
+        place = self._places[number, : array.nbytes]
+        event = cl.enqueue_copy(queue, place, array.buffer, is_blocking=False)
+        download = Download(place.view(array.dtype).reshape(array.shape), event, waits, lent=True)
+        self._users[number] = weakref.ref(download)
+        return download
 
 
 class MappedView:
@@ -70,9 +109,9 @@ class _Mapped:
 class Transfers:
     """Writes and reads of one queue; keeps host arrays alive until commands are complete."""
 
-    def __init__(self, queue: Any, waits: Waits) -> None:
-        """``queue`` executes in order; ``waits`` counts those for it."""
-        self._queue, self._waits = queue, waits
+    def __init__(self, queue: Any, waits: Waits, pinned: PinnedMemory | None) -> None:
+        """``queue`` executes in order; ``waits`` counts those for it; ``pinned``: for reads."""
+        self._queue, self._waits, self._pinned = queue, waits, pinned
         self._under_way: deque[Any] = deque()
 
     def write(self, buffer: Any, host: npt.NDArray[Any]) -> None:
@@ -91,11 +130,13 @@ class Transfers:
 
     def read(self, array: DeviceArray) -> Download:
         """Copy ``array`` to the host when the commands before are through."""
+        if self._pinned and 0 < array.nbytes <= PINNED_SIZE:
+            return self._pinned.read(self._queue, array, self._waits)
         host = np.empty(array.shape, array.dtype)
         if not array.nbytes:
-            return Download(host, None, self._waits)
+            return Download(host, None, self._waits, lent=False)
         event = cl.enqueue_copy(self._queue, host, array.buffer, is_blocking=False)
-        return Download(host, event, self._waits)
+        return Download(host, event, self._waits, lent=False)
 
     def map(self, array: DeviceArray) -> MappedView:
         """``array``, which is not empty, for the host to read where it is."""

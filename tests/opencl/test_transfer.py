@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.opencl.transfer import FILLED_SIZE, WAITING_SIZE
+from clgs.opencl.transfer import (
+    FILLED_SIZE,
+    PINNED_PLACES,
+    PINNED_SIZE,
+    WAITING_SIZE,
+    PinnedMemory,
+    Transfers,
+)
 
 
 @pytest.mark.parametrize("count", [1, 3, 104, 128, 255, FILLED_SIZE, FILLED_SIZE + 1, 5000])
@@ -37,6 +44,30 @@ def test_later_downloads_hold_the_state_at_their_call(device):
     assert np.array_equal(first.get(), np.arange(1000))
     assert not second.get().any()
     assert device.download_later(device.empty((0, 3))).get().shape == (0, 3)
+
+
+@pytest.mark.parametrize("nbytes", [4, 24, PINNED_SIZE, PINNED_SIZE + 4])
+def test_pinned_memory_holds_any_number_of_reads(device, nbytes):
+    """Some are dropped, most outlive the places, and what was got stays as it is."""
+    transfers = Transfers(device.queue, device.waits, PinnedMemory(device.queue))
+    count = 3 * PINNED_PLACES
+    arrays = [device.upload(np.full(nbytes // 4, number, np.int32)) for number in range(count)]
+    reads = [transfers.read(array) for array in arrays]
+    del reads[5::7]
+    wanted = [number for number in range(count) if number % 7 != 5]
+    found = [read.get() for read in reads]
+    again = [transfers.read(array) for array in arrays[::-1]]
+    assert [set(values.tolist()) for values in found] == [{number} for number in wanted]
+    assert again[0].get()[0] == count - 1
+    assert reads[0].get() is found[0]
+
+
+@pytest.mark.parametrize("first", [0, 1, 4, 16])
+@pytest.mark.parametrize("count", [3, 20, 64])
+def test_fills_begin_where_they_are_told(device, first, count):
+    array = device.upload(np.full(count, 7, np.uint8))
+    device.fill_zero(array, first)
+    assert device.download(array).tolist() == [7] * min(first, count) + [0] * max(count - first, 0)
 
 
 def test_handed_over_memory_is_kept_while_any_view_of_it_lives(device, rng):
