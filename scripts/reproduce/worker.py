@@ -55,7 +55,7 @@ def run_on_worker(job: Job) -> Row:
     from distributed import get_worker
 
     worker = get_worker()
-    kernels = Path(job["kernels"]) / _plain(f"{platform.node()}-{worker.name}")
+    kernels = Path(job["kernels"]) / re.sub(r"[^\w.-]", "_", f"{platform.node()}-{worker.name}")
     try:
         with _alone:
             return run_job(job, kernels, lambda message: worker.log_event(TOPIC, message))
@@ -184,7 +184,3 @@ def forget_peak_memory() -> None:
     """Let the peak of this process's memory be that of now, where the system can (Linux)."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[^\w.-]", "_", name)

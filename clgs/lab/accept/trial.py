@@ -132,37 +132,25 @@ def chosen_device(name: str | None, folder: Path) -> dict[str, Any]:
 def run_trials(
     todo: list[Trial], folder: Path, device: dict[str, Any], output: Path
 ) -> list[Outcome]:
-    """Run all trials and name each; ``output`` always holds every trial that has ended."""
+    """Run all trials and name each; ``output`` always holds every trial that has ended.
+
+    Names of the user's own folders may be in what trials printed. ``complete`` in the file says
+    whether it has all trials; it has not after an interruption.
+    """
     outcomes: list[Outcome] = []
+    parts = []
     for number, trial in enumerate(todo, 1):
         tell(f"[{number}/{len(todo)}] {trial.name} ...")
         outcome = run_trial(trial, folder)
         outcomes.append(outcome)
-        found = record(outcomes, folder, device, complete=number == len(todo))
-        write_json(output, found)
+        part = asdict(outcome)
+        part["words"] = [word.replace(str(folder), "FOLDER") for word in outcome.words]
+        part["printed"] = outcome.printed.replace(str(folder), "FOLDER")
+        figures = folder / f"{outcome.name}.json"
+        if outcome.name in KEPT and figures.exists():
+            part["figures"] = json.loads(figures.read_text())
+        parts.append(part)
+        complete = number == len(todo)
+        head = {"format": FORMAT, "complete": complete, **host_facts(), "device": device}
+        write_json(output, head | {"parts": parts})
     return outcomes
-
-
-def record(
-    outcomes: list[Outcome], folder: Path, device: dict[str, Any], complete: bool
-) -> dict[str, Any]:
-    """Everything, ready for JSON. Names of the user's own folders may be in what trials printed.
-
-    complete: whether these are all trials; they are not after an interruption.
-    """
-    parts = []
-    for outcome in outcomes:
-        plain = asdict(outcome)
-        plain["words"] = [word.replace(str(folder), "FOLDER") for word in outcome.words]
-        plain["printed"] = outcome.printed.replace(str(folder), "FOLDER")
-        path = folder / f"{outcome.name}.json"
-        if outcome.name in KEPT and path.exists():
-            plain["figures"] = json.loads(path.read_text())
-        parts.append(plain)
-    return {
-        "format": FORMAT,
-        "complete": complete,
-        **host_facts(),
-        "device": device,
-        "parts": parts,
-    }

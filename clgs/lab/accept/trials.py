@@ -71,6 +71,7 @@ def trials(device: str, folder: Path, size: Size, data: list[str]) -> list[Trial
         words = ("train", str(folder / "photos"), "-o", str(folder / name), "--steps", str(STEPS))
         return Trial(name, (*words, *on), partial(show_hash, name))
 
+    usual = size.gaussians, size.edge
     ops = ("--gaussians", size.gaussians, "--size", size.edge, "--elements", size.elements)
     hashes = file("conformance")
     found = [
@@ -79,25 +80,23 @@ def trials(device: str, folder: Path, size: Size, data: list[str]) -> list[Trial
         start("second start", "kernels compiled before"),
         Trial("selftest", ("selftest", *on, "--json", file("selftest")), show_selftest),
         Trial("conformance", ("conformance", *on, "-o", hashes), show_conformance),
-        Trial("conformance again", ("conformance", *on, "--check", hashes), show_same),
+        Trial(
+            "conformance again",
+            ("conformance", *on, "--check", hashes),
+            lambda folder: "the same bits",
+        ),
         training("training"),
         training("training again"),
         Trial(
-            "stages",
-            ("bench", "ops", *on, *map(str, ops), "--json", file("stages")),
-            show_stages,
+            "stages", ("bench", "ops", *on, *map(str, ops), "--json", file("stages")), show_stages
         ),
-        step("step", (size.gaussians, size.edge), size.repeats),
+        step("step", usual, size.repeats),
         step("large step", size.large, size.repeats),
     ]
     if has_gsplat():
-        found += [
-            replace(step(name, work, size.repeats, "gsplat"), summary=partial(show_gsplat, name))
-            for name, work in (
-                ("gsplat", (size.gaussians, size.edge)),
-                ("gsplat large", size.large),
-            )
-        ]
+        for name, work in (("gsplat", usual), ("gsplat large", size.large)):
+            timed = step(name, work, size.repeats, "gsplat")
+            found.append(replace(timed, summary=partial(show_gsplat, name)))
     if data:
         words = ("train", *data, "-o", str(folder / "data"), *on)
         found.append(Trial("data", words, show_data))
@@ -148,11 +147,6 @@ def show_conformance(folder: Path) -> str:
     different = differences(found, from_record(json.loads(SHIPPED.read_text())))
     first = f", first {different[0].place}" if different else ""
     return f"{len(found) - len(different)} of {len(found)} tensors as on PoCL{first}"
-
-
-def show_same(folder: Path) -> str:
-    """What a second conformance run shows if it succeeds."""
-    return "the same bits"
 
 
 def show_hash(name: str, folder: Path) -> str:

@@ -6,9 +6,15 @@ import argparse
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple
 
-from clgs.cli.shared_options import add_size_options, positive_int, seed, whole_number
+from clgs.cli.shared_options import (
+    add_device_name,
+    add_size_options,
+    positive_int,
+    seed,
+    whole_number,
+)
 from clgs.lab.devices import add_device_option
 
 SYNTHETIC_SCENES = ("small", "dense", "large", "tiny")
@@ -33,8 +39,8 @@ def picture_size(text: str) -> tuple[int, int]:
 def register(parser: argparse.ArgumentParser) -> None:
     """Add the benchmarks and their options."""
     kinds = parser.add_subparsers(dest="kind", metavar="WHAT", required=True)
-    for kind, add in KINDS.items():
-        add(kind, kinds)
+    for name, kind in KINDS.items():
+        kind.add(kinds.add_parser(name, help=kind.measures))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from clgs.errors import ClgsError, DeviceError, NoRoomError
 
-    remedy = f"{SMALLER[args.kind]} less"
+    remedy = f"{KINDS[args.kind].smaller} less"
     try:
         code: int = importlib.import_module(f"clgs.lab.bench.{args.kind}").run(args)
     except NoRoomError as error:
@@ -55,27 +61,7 @@ def run(args: argparse.Namespace) -> int:
     return code
 
 
-Kinds: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-
-
-def add_step(kind: str, kinds: Kinds) -> None:
-    """Add `clgs bench step`."""
-    _add_step_options(kinds.add_parser(kind, help="one training step on a seeded synthetic scene"))
-
-
-def add_gsplat(kind: str, kinds: Kinds) -> None:
-    """Add `clgs bench gsplat`."""
-    parser = kinds.add_parser(
-        kind,
-        help="rasteriser and step compared with gsplat's (needs torch with CUDA, and gsplat)",
-        description="Times of this device and of gsplat on the same Gaussians of a seeded "
-        "synthetic scene. Both run on the same card if --device names it. The step of clgs has "
-        "MLPs, that of gsplat has none.",
-    )
-    _add_step_options(parser)
-
-
-def _add_step_options(parser: argparse.ArgumentParser) -> None:
+def add_step(parser: argparse.ArgumentParser) -> None:
     """Add the scene, the picture, the device and the JSON file of a timed training step."""
     add = parser.add_argument
     add(
@@ -95,20 +81,28 @@ def _add_step_options(parser: argparse.ArgumentParser) -> None:
         "--repeats", type=positive_int, default=15, help="steps to take the median of (default: 15)"
     )
     add("--seed", type=seed, default=0, help="of the scene (default: 0)")
-    add("--device", help="number or part of the name, see `clgs devices`")
+    add_device_name(parser)
     add("--json", type=Path, metavar="F", help="write the times to F")
 
 
-def add_ops(kind: str, kinds: Kinds) -> None:
-    """Add `clgs bench ops`."""
-    parser = kinds.add_parser(
-        kind,
-        help="every stage: time, error, share of the device's limits",
-        description="Time of every stage (median) and its largest error against float64, on every "
-        "device. GB/s and GFLOP/s count what a stage must move and compute at least "
+def add_gsplat(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a step that gsplat makes, too."""
+    parser.description = (
+        "Times of this device and of gsplat on the same Gaussians of a seeded synthetic scene. "
+        "Both run on the same card if --device names it. The step of clgs has MLPs, that of "
+        "gsplat has none."
+    )
+    add_step(parser)
+
+
+def add_ops(parser: argparse.ArgumentParser) -> None:
+    """Add sizes of all stages, and a device that is by default each."""
+    parser.description = (
+        "Time of every stage (median) and its largest error against float64, on every device. GB/s "
+        "and GFLOP/s count what a stage must move and compute at least "
         "(clgs/lab/bench/stage_limits.py states the formulas). The last column is the stage's "
         "share of the copy bandwidth or of the FMA rate that the device reaches, whichever is "
-        "larger. Exit code 1 if an error exceeds its limit.",
+        "larger. Exit code 1 if an error exceeds its limit."
     )
     add = parser.add_argument
     add(
@@ -122,20 +116,18 @@ def add_ops(kind: str, kinds: Kinds) -> None:
     add("--json", type=Path, metavar="F", help="write all figures to F")
 
 
-def add_accuracy(kind: str, kinds: Kinds) -> None:
-    """Add `clgs bench accuracy`."""
-    parser = kinds.add_parser(
-        kind,
-        help="run time against error, every preset and knob",
-        description="Time of a render and of a render with gradients against the error of picture "
-        "and gradients, for every preset of --accuracy and for sweeps of one knob at a time. The "
+def add_accuracy(parser: argparse.ArgumentParser) -> None:
+    """Add the scenes, the sweeps and the figure's files."""
+    parser.description = (
+        "Time of a render and of a render with gradients against the error of picture and "
+        "gradients, for every preset of --accuracy and for sweeps of one knob at a time. The "
         "reference is a render in float64 without truncation (no alpha cut, no stop, no tiles). It "
         "is computed once and kept in the user's cache folder (CLGS_CACHE names another). Settings "
         "take turns, so that none has the better minute. A sweep turns one knob and leaves the "
         "others fine: alpha cut 2^-16, inclusive stop 1e-6, exp2 of degree 6. Columns: "
         "milliseconds (median and 5-95 % of forward; both: with gradients); error of the picture "
         "in levels (1/255) at p99.9 and at most, and PSNR; stop: largest error by stop and exp2 "
-        "alone; worst tensor's gradient error, relative L2 and p99 by element.",
+        "alone; worst tensor's gradient error, relative L2 and p99 by element."
     )
     add = parser.add_argument
     add(
@@ -153,46 +145,40 @@ def add_accuracy(kind: str, kinds: Kinds) -> None:
     add_size_options(parser, "SCENE")
     add("--repeats", type=positive_int, default=20, help="rounds of times (default: 20)")
     add("--seed", type=seed, default=0, help="of the synthetic scenes (default: 0)")
-    add("--device", help="number or part of the name, see `clgs devices`")
     _add_figure_options(parser)
 
 
-def add_scaling(kind: str, kinds: Kinds) -> None:
-    """Add `clgs bench scaling`."""
-    parser = kinds.add_parser(
-        kind,
-        help="growth of time and memory with Gaussians and pixels",
-        description="Time of a training step against the number of Gaussians (at 400 x 400 "
-        "pixels, 10,000 to 2 million) and of pixels (of 100,000 Gaussians, 0.04 to 8 megapixels), "
-        "with the exponent of growth by least squares on logarithms; device memory per Gaussian, "
-        "per intersection and per pixel.",
+def add_scaling(parser: argparse.ArgumentParser) -> None:
+    """Add the sizes and the figure's files."""
+    parser.description = (
+        "Time of a training step against the number of Gaussians (at 400 x 400 pixels, 10,000 to "
+        "2 million) and of pixels (of 100,000 Gaussians, 0.04 to 8 megapixels), with the exponent "
+        "of growth by least squares on logarithms; device memory per Gaussian, per intersection "
+        "and per pixel."
     )
     add = parser.add_argument
     add("--gaussians", type=gaussian_count, nargs="+", help="other numbers; two give an exponent")
     add("--sizes", type=edge_length, nargs="+", help="other edges of the picture, pixels; as above")
     add("--repeats", type=positive_int, default=15, help="most steps per size (default: 15)")
-    add("--device", help="number or part of the name, see `clgs devices`")
     _add_figure_options(parser)
 
 
 def _add_figure_options(parser: argparse.ArgumentParser) -> None:
-    """Add --output and --plot."""
+    """Add --device, --output and --plot."""
+    add_device_name(parser)
     add = parser.add_argument
     add("-o", "--output", type=Path, metavar="F", help="write all figures to F (JSON)")
     add("--plot", type=Path, metavar="F.svg", help="draw them to F.svg (needs matplotlib)")
 
 
-def add_codec(kind: str, kinds: Kinds) -> None:
-    """Add `clgs bench codec`."""
-    parser = kinds.add_parser(
-        kind,
-        help="the codec's levels: bytes, and times to encode and decode",
-        description="Bytes and times of every level (medians of alternating runs, one thread), "
-        "compared with zstd -19, xz -9 and brotli 11 on the same integers in their narrowest type. "
-        "DATA: .npz files with `values` (rows in Morton order) or `positions`, .clgs files, or "
-        "folders of them; without DATA seeded random numbers with the published bits per number. "
-        "The ratio is to the bytes of the published coder if they are known, otherwise to the "
-        "level paper.",
+def add_codec(parser: argparse.ArgumentParser) -> None:
+    """Add the files that are coded, or how much is drawn."""
+    parser.description = (
+        "Bytes and times of every level (medians of alternating runs, one thread), compared with "
+        "zstd -19, xz -9 and brotli 11 on the same integers in their narrowest type. DATA: .npz "
+        "files with `values` (rows in Morton order) or `positions`, .clgs files, or folders of "
+        "them; without DATA seeded random numbers with the published bits per number. The ratio is "
+        "to the bytes of the published coder if they are known, otherwise to the level paper."
     )
     add = parser.add_argument
     add("data", type=Path, nargs="*", metavar="DATA", help="files or folders")
@@ -208,22 +194,46 @@ def add_codec(kind: str, kinds: Kinds) -> None:
     add("--json", type=Path, metavar="F", help="write all figures to F")
 
 
-KINDS: dict[str, Callable[[str, Kinds], None]] = {
-    "step": add_step,
-    "ops": add_ops,
-    "accuracy": add_accuracy,
-    "scaling": add_scaling,
-    "codec": add_codec,
-    "gsplat": add_gsplat,
-}
-"""What adds the options of each benchmark; ``run(args)`` of ``clgs.lab.bench.KIND`` measures."""
+class Kind(NamedTuple):
+    """A benchmark: ``run(args)`` of the module of its name in ``clgs.lab.bench`` measures.
 
-SMALLER = {
-    "step": "a smaller --size or fewer --gaussians need",
-    "ops": "a smaller --size, fewer --gaussians or --elements need",
-    "accuracy": "fewer or smaller --scenes, or a larger --downscale of --scene, need",
-    "codec": "fewer --anchors, or smaller DATA with --levels-only, need",
-    "gsplat": "a smaller --size or fewer --gaussians need",
-    "scaling": "smaller --sizes or fewer --gaussians need",
+    add: adds its options; measures: one line of help; smaller: what to change if memory is short.
+    """
+
+    add: Callable[[argparse.ArgumentParser], None]
+    measures: str
+    smaller: str
+
+
+KINDS = {
+    "step": Kind(
+        add_step,
+        "one training step on a seeded synthetic scene",
+        "a smaller --size or fewer --gaussians need",
+    ),
+    "ops": Kind(
+        add_ops,
+        "every stage: time, error, share of the device's limits",
+        "a smaller --size, fewer --gaussians or --elements need",
+    ),
+    "accuracy": Kind(
+        add_accuracy,
+        "run time against error, every preset and knob",
+        "fewer or smaller --scenes, or a larger --downscale of --scene, need",
+    ),
+    "scaling": Kind(
+        add_scaling,
+        "growth of time and memory with Gaussians and pixels",
+        "smaller --sizes or fewer --gaussians need",
+    ),
+    "codec": Kind(
+        add_codec,
+        "the codec's levels: bytes, and times to encode and decode",
+        "fewer --anchors, or smaller DATA with --levels-only, need",
+    ),
+    "gsplat": Kind(
+        add_gsplat,
+        "rasteriser and step compared with gsplat's (needs torch with CUDA, and gsplat)",
+        "a smaller --size or fewer --gaussians need",
+    ),
 }
-"""What to change if memory is short."""
