@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from errno import EDQUOT, ENOSPC
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -202,6 +203,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """
     path = Path(path)
     target = check_target(path)
+    remove_abandoned(target.parent, path.suffix)
     temporary = _temporary(path, target.parent)
     try:
         with _blamed_on(path, temporary):
@@ -297,16 +299,18 @@ def remove_temporaries(path: Path) -> None:
         left.unlink(missing_ok=True)
 
 
-def remove_abandoned(folder: Path, *suffixes: str) -> None:
-    """Remove what processes that are gone began to write in ``folder``, by the suffix of the files.
+@cache
+def remove_abandoned(folder: Path, suffix: str) -> None:
+    """Remove files of ``suffix`` that processes which are gone began to write in ``folder``.
 
-    A process on another machine that writes to the same folder counts as gone.
+    Looks once per process: a folder may hold many files. A process on another machine that writes
+    to the same folder counts as gone.
     """
     if os.name == "nt" or not folder.is_dir():  # Windows has no signal that only asks
         return
     for left in folder.glob(".*"):
         found = re.fullmatch(r"\..+\.([0-9a-f]{6})([0-9a-f]{4})[0-9a-f]{8}", left.stem)
-        if found and left.suffix in suffixes and left.is_file() and not _is_alive(*found.groups()):
+        if found and left.suffix == suffix and left.is_file() and not _is_alive(*found.groups()):
             left.unlink(missing_ok=True)
 
 

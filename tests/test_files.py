@@ -24,9 +24,9 @@ from clgs.files import (
     check_output,
     folder_to_fill,
     make_folder,
+    remove_abandoned,
     remove_temporaries,
 )
-from clgs.workflow.outputs import check_picture_folder
 
 
 def names(folder):
@@ -344,16 +344,17 @@ with atomic_path(Path({str(tmp_path / "frame.png")!r})) as temporary:
     os.kill(os.getpid(), signal.SIGKILL)
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
-    with atomic_path(tmp_path / "a.png") as own:  # as of a process that had the same number
+    (left,) = tmp_path.iterdir()
+    with atomic_path(tmp_path / "own.json") as own:
         own.touch()
         number, tag = own.stem[-18:-12], own.stem[-12:-8]
-    (tmp_path / f".a.{number}{'0001' if tag == '0000' else '0000'}01234567.png").touch()
-    (tmp_path / "a.png").unlink()
-    kept = {".mine.png", ".a.cafe.png", "x.0badcafe.png"}
+    other = "0001" if tag == "0000" else "0000"  # as of a process that had the same number
+    (tmp_path / f".a.{number}{other}01234567.png").touch()
+    kept = {".mine.png", ".a.cafe.png", "x.0badcafe.png", left.with_suffix(".json").name}
     for name in kept:
         (tmp_path / name).touch()
-    assert len(names(tmp_path)) == 5
     with atomic_path(tmp_path / "other.png") as temporary:
         temporary.touch()
-        check_picture_folder(tmp_path)
-        assert set(names(tmp_path)) == {*kept, temporary.name}
+        remove_abandoned.cache_clear()
+        remove_abandoned(tmp_path, ".png")
+        assert set(names(tmp_path)) == {*kept, temporary.name, "own.json"}

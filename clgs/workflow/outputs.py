@@ -6,7 +6,7 @@ from pathlib import Path
 
 from clgs.data.images import SUFFIXES, list_images
 from clgs.errors import ExistsError, UsageError
-from clgs.files import check_folder, check_output, remove_abandoned
+from clgs.files import check_folder, check_output
 
 RUN_FILES = ("config.toml", "plan.json")
 """Files by which the folders that `clgs train` and `clgs run` make are recognised."""
@@ -21,7 +21,6 @@ def check_new(path: Path, overwrite: bool, *sources: Path) -> None:
         OutputError: :func:`clgs.files.check_target` refuses it.
     """
     check_output(path, *sources)
-    remove_abandoned(path.parent, path.suffix)
     if path.exists() and not overwrite:
         raise ExistsError(f"{path}: exists already; add --overwrite or choose another name")
 
@@ -38,7 +37,7 @@ def holds_run(folder: Path) -> bool:
 
 
 def check_picture_folder(output: Path) -> None:
-    """Refuse a folder that cannot receive pictures, or should not; remove those of killed runs.
+    """Refuse a folder that cannot receive pictures, or should not.
 
     Raises:
         UsageError: it is named like a picture, or holds a run.
@@ -49,7 +48,6 @@ def check_picture_folder(output: Path) -> None:
         raise UsageError(f"{output}: pictures go into a folder; name one, such as {output.stem}")
     if holds_run(output):
         raise UsageError(f"{output}: holds a run; name another folder, such as {output / 'views'}")
-    remove_abandoned(output, ".png", ".npy")
 
 
 def check_apart(output: Path, data: Path) -> None:

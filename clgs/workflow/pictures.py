@@ -15,7 +15,7 @@ from clgs.errors import UsageError
 from clgs.exports.clip.camera_path import write_camera_path
 from clgs.exports.clip.video import SUFFIX, load_writer, mp4_writer
 from clgs.exports.image import Picture, heat, picture_names, save_png
-from clgs.files import atomic_write, check_output, folder_to_fill
+from clgs.files import atomic_write, folder_to_fill
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
@@ -133,10 +133,8 @@ def render_views(
     chosen = select_views(scene, found, replace(views, data=data), on_event)
     names = picture_names([view.name for view in chosen])
     if output.exists():
-        for name in names:  # the folder is clean: check_new would look for leftovers each time
-            check_output(output / name)
-            if (output / name).exists() and not overwrite:
-                check_new(output / name, overwrite)
+        for name in names:
+            check_new(output / name, overwrite)
     shown = drawable(over_background(found, views.background))
     renderer = Renderer(Device(views.device), shown, drawing_options(scene, views))
     renderer.check_budget((view.name, view.camera) for view in chosen)
