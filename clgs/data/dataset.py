@@ -44,6 +44,10 @@ RADIUS_MARGIN = 1.1
 LEAST_POINTS = 4
 """Training cannot start from fewer."""
 
+BLENDER_DISTANCE, BLENDER_TOLERANCE = 4.0, 1.5
+"""How far the cameras of Synthetic-NeRF are from the origin. Scenes that are smaller or larger by
+more than the tolerance are scaled to that."""
+
 POINT_SAMPLES = 100_000
 """Points that are drawn on the surfaces of a file of points."""
 
@@ -167,7 +171,8 @@ def load_dataset(
             undistortion; 0: see ``max_size``.
         max_size: images that are wider are reduced to this width, pixels, if ``downscale`` is 0;
             0: all keep their size.
-        preset_units: keep the given units instead of scaling to SCENE_RADIUS.
+        preset_units: keep the given units instead of scaling to SCENE_RADIUS; Blender scenes keep
+            them unless they are very small or large.
         load_images: read the training photos now, and check the others. If it is False, photos are
             read when their pixels are asked for, and so is no file of points that the data set
             names.
@@ -276,7 +281,7 @@ def _check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
 
 
 def _check_masks(root: Path, photos: PhotoSet, masks: str) -> None:
-    """Raise DataError unless ``masks`` is known; warn of photos that lack what it asks for."""
+    """Raise DataError unless ``masks`` is known; warn of photos without mask and masks without."""
     if masks not in MEANINGS:
         raise DataError(f"masks is {masks!r}; give {' or '.join(MEANINGS)}")
     without = [photo.name for photo in photos.train + photos.test if photo.mask is None]
@@ -284,6 +289,12 @@ def _check_masks(root: Path, photos: PhotoSet, masks: str) -> None:
         _log.warning(
             "%s: %d photos have no mask, so that all that they show is the object: %s",
             *(root, len(without), _named(without)),
+        )
+    if photos.stray_masks:
+        _log.warning(
+            "%s: %d files look like masks, but are those of no photo and are not used: %s; call "
+            "them NAME.png as the photos are, in the folder masks",
+            *(root, len(photos.stray_masks), _named(photos.stray_masks)),
         )
 
 
@@ -319,8 +330,13 @@ def _normalise(
     if not radius > 1e-9 * (1.0 + float(np.abs(centres).max())):
         # Cameras in one place (or a single one) say nothing about the size of the scene.
         radius = SCENE_RADIUS
-    if keep_units or photos.kind == "blender":
+    if keep_units:
         return SceneTransform(), radius
+    if photos.kind == "blender":
+        distance = float(np.median(np.linalg.norm(centres, axis=1)))
+        usual = 1 / BLENDER_TOLERANCE <= distance / BLENDER_DISTANCE <= BLENDER_TOLERANCE
+        scale = 1.0 if usual or not distance > 0 else BLENDER_DISTANCE / distance
+        return SceneTransform(scale=scale), scale * radius
     x, y, z = map(float, middle)
     return SceneTransform((x, y, z), SCENE_RADIUS / radius), SCENE_RADIUS
 

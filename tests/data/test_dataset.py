@@ -22,6 +22,36 @@ from tests.data.folders import (
     write_transforms,
 )
 from tests.data.test_images import png
+from tests.small_scene import write_scene
+
+
+@pytest.mark.parametrize("times", [0.001, 0.1, 0.8, 1.2, 3.0, 1e4])
+def test_blender_scenes_of_any_size_become_as_large_as_synthetic_ones(tmp_path, times):
+    folder = write_scene(tmp_path / "data", train=6, test=1)
+    usual = load_dataset(folder)
+    for file in folder.glob("transforms_*.json"):
+        document = json.loads(file.read_text())
+        for frame in document["frames"]:
+            for row in frame["transform_matrix"][:3]:
+                row[3] *= times
+        file.write_text(json.dumps(document))
+    found, given = load_dataset(folder), load_dataset(folder, preset_units=True)
+    assert usual.transform.scale == given.transform.scale == 1.0
+    near = 2 / 3 < times < 1.5
+    assert (found.transform.scale == 1.0) == near
+    for view, other in zip(found.train, usual.train, strict=True):
+        ratio = times if near else found.transform.scale * times
+        assert ratio == pytest.approx(times if near else 1.0, rel=0.25)
+        assert view.camera.centre == pytest.approx(ratio * other.camera.centre, rel=1e-6)
+
+
+def test_files_that_look_like_masks_and_are_none_are_named(tmp_path, caplog):
+    folder = write_scene(tmp_path / "data", train=3, test=1)
+    (folder / "masks").mkdir()
+    (folder / "masks" / "mask_of_something.png").write_bytes(b"")
+    load_dataset(folder)
+    assert "1 files look like masks, but are those of no photo and are not used" in caplog.text
+    assert "masks/mask_of_something.png" in caplog.text
 
 
 def test_scene_units_keep_the_projection(tmp_path: Path):
