@@ -46,10 +46,10 @@ def test_blender_scenes_of_any_size_become_as_large_as_synthetic_ones(tmp_path, 
 
 
 def test_files_that_look_like_masks_and_are_none_are_named(tmp_path, caplog):
-    folder = write_scene(tmp_path / "data", train=3, test=1)
-    (folder / "masks").mkdir()
-    (folder / "masks" / "mask_of_something.png").write_bytes(b"")
-    load_dataset(folder)
+    write_transforms(tmp_path)
+    (tmp_path / "masks").mkdir()
+    (tmp_path / "masks" / "mask_of_something.png").write_bytes(b"")
+    load_dataset(tmp_path)
     assert "1 files look like masks, but are those of no photo and are not used" in caplog.text
     assert "masks/mask_of_something.png" in caplog.text
 
