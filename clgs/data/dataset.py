@@ -21,6 +21,7 @@ from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
 from clgs.data.masks import StoredMask, list_masks, read_mask
 from clgs.data.photo_cache import is_worth_keeping, kept_pixels
 from clgs.data.point_file import read_points
+from clgs.data.points import BLENDER_DISTANCE, BLENDER_TOLERANCE
 from clgs.data.posed_photo import Photo, PhotoSet, hold_out
 from clgs.data.reduction import DEFAULT, EVERY, IGNORE, MAX_SIZE, MEANINGS, OBJECT, Reduction
 from clgs.data.stored_photo import DEFAULT_MEMORY, PhotoMemory, StoredPhoto
@@ -43,10 +44,6 @@ RADIUS_MARGIN = 1.1
 
 LEAST_POINTS = 4
 """Training cannot start from fewer."""
-
-BLENDER_DISTANCE, BLENDER_TOLERANCE = 4.0, 1.5
-"""How far the cameras of Synthetic-NeRF are from the origin. Scenes that are smaller or larger by
-more than the tolerance are scaled to that."""
 
 POINT_SAMPLES = 100_000
 """Points that are drawn on the surfaces of a file of points."""

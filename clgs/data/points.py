@@ -18,6 +18,10 @@ Mask = npt.NDArray[np.bool_]
 BLENDER_HALF_EDGE = 1.3
 """Half the edge of the cube around the origin that holds every Synthetic-NeRF object."""
 
+BLENDER_DISTANCE, BLENDER_TOLERANCE = 4.0, 1.5
+"""How far the cameras of Synthetic-NeRF are from the origin. Scenes that are smaller or larger by
+more than the tolerance are scaled to that."""
+
 HULL_POINTS = 10_000
 """Random points in the visual hull of a Blender scene; anchors grow from there."""
 
