@@ -43,12 +43,15 @@ AMD = ("gfx803", "gfx906", "gfx90a", "gfx942", "gfx1010", "gfx1030", "gfx1100", 
 NVIDIA = ("sm_61", "sm_75", "sm_86", "sm_89", "sm_90", "sm_120")
 CLANGS = ("clang-15", "clang-19", "clang-18", "clang-17", "clang-16", "clang")
 NEO = ("skl", "tgllp", "dg2")
-GFX1100 = (
-    "@__oclc_ISA_version = linkonce_odr protected local_unnamed_addr addrspace(4) "
-    "constant i32 11000\n"
+ISA_VERSIONS = {"gfx942": 9402, "gfx1100": 11000, "gfx1201": 12001}
+"""Chips that are newer than ROCm's libraries of Debian 12. A number is all that these must know of
+a chip. Newer libraries are bitcode that clang 15 cannot read."""
+
+ISA_VERSION = (
+    "@__oclc_ISA_version = linkonce_odr protected local_unnamed_addr addrspace(4) constant i32 {}\n"
 )
-"""What ROCm's libraries of Debian 12 lack of gfx1100: they are older than the chip, of which a
-number is all that they must know. Newer libraries are bitcode that clang 15 cannot read."""
+
+NEWER_THAN_CLANG_15 = ("gfx942", "gfx1201")
 LIBCLC = tuple(map(Path, ("/usr/lib/clc", "/usr/share/clc", "/usr/local/share/clc")))
 
 Resources = dict[str, int]
@@ -68,6 +71,7 @@ class Compilers:
         inside = Path(sysconfig.get_path("purelib")) / "nvidia" / "cuda_nvcc" / "bin" / "ptxas"
         places = (str(inside), *map(str, folder.glob("python/nvidia/cuda_nvcc/bin/ptxas")), "ptxas")
         self.ptxas = next(filter(None, map(shutil.which, places)), None)
+        self.newer_libraries = {"LD_LIBRARY_PATH": str(self.libraries)}
 
     def versions(self) -> dict[str, str]:
         """Targets that can be compiled for, and the versions of what compiles."""
@@ -79,19 +83,31 @@ class Compilers:
             return found
         version = "clang " + _run([self.clang, "-dumpversion"]).strip()
         bitcode = self.libraries / "amdgcn" / "bitcode"
-        added = bitcode / "oclc_isa_version_1100.bc"
-        if bitcode.is_dir() and not added.exists():
-            command = [self.clang, "-target", "amdgcn-amd-amdhsa", "-nogpulib", "-w", "-emit-llvm"]
-            _run([*command, "-x", "ir", "-c", "-", "-o", str(added)], given=GFX1100)
-        for target in AMD:
-            if (bitcode / f"oclc_isa_version_{target[3:]}.bc").exists():
-                libraries = f"device libraries {self._package('rocm-device-libs')}"
-                found[f"amd {target}"] = f"{version}, {libraries}"
+        for target in AMD if bitcode.is_dir() else ():
+            command = self._clang_for(target)
+            if command is None:
+                continue
+            library = bitcode / f"oclc_isa_version_{target[3:]}.bc"
+            if not library.exists():
+                flags = ["-target", "amdgcn-amd-amdhsa", "-nogpulib", "-w", "-emit-llvm"]
+                text = ISA_VERSION.format(ISA_VERSIONS[target])
+                given = [*command, *flags, "-x", "ir", "-c", "-", "-o", str(library)]
+                _run(given, self.newer_libraries, given=text)
+            compiler = "clang " + _run([*command, "-dumpversion"], self.newer_libraries).strip()
+            libraries = f"device libraries {self._package('rocm-device-libs')}"
+            found[f"amd {target}"] = f"{compiler}, {libraries}"
         if self.ptxas and self.libclc:
             release = re.search(r"V([\d.]+)", _run([self.ptxas, "--version"]))
             assert release is not None
             found |= {f"nvidia {t}": f"{version}, ptxas {release[1]}" for t in NVIDIA}
         return found
+
+    def _clang_for(self, chip: str) -> list[str] | None:
+        """The clang that knows an AMD chip, if it is here."""
+        if chip not in NEWER_THAN_CLANG_15:
+            return [str(self.clang)]
+        newer = self.folder / "usr" / "lib" / "llvm-19" / "bin" / "clang"
+        return [str(newer)] if newer.exists() else None
 
     def _package(self, name: str) -> str:
         """The version of a Debian package, from the name of its file."""
@@ -131,7 +147,8 @@ class Compilers:
     def _amd(self, chip: str, source: Path, folder: Path) -> dict[str, Resources]:
         libraries = self.libraries / "amdgcn" / "bitcode"
         flags = ["-target", "amdgcn-amd-amdhsa", f"-mcpu={chip}"]
-        text = self._clang([*flags, f"--rocm-device-lib-path={libraries}"], source, folder)
+        flags.append(f"--rocm-device-lib-path={libraries}")
+        text = self._clang(self._clang_for(chip) or [], flags, source, folder)
         fields = {
             "registers": "vgpr_count",
             "spilled": "vgpr_spill_count",
@@ -152,7 +169,7 @@ class Compilers:
         library.append(f"{self.libclc}/nvptx64--nvidiacl.bc")
         march = min(chip, "sm_75", key=lambda name: int(name[3:]))
         flags = ["-target", "nvptx64--nvidiacl", f"-march={march}"]
-        self._clang([*flags, *library], source, folder)
+        self._clang([str(self.clang)], [*flags, *library], source, folder)
         code = str(folder / "code.cubin")
         said = _run([str(self.ptxas), "-v", f"-arch={chip}", "-o", code, str(folder / "code.s")])
         return {
@@ -165,12 +182,12 @@ class Compilers:
             for part in said.split("Compiling entry function '")[1:]
         }
 
-    def _clang(self, flags: list[str], source: Path, folder: Path) -> str:
+    def _clang(self, clang: list[str], flags: list[str], source: Path, folder: Path) -> str:
         """The assembly of one program, which also lies in ``code.s``."""
         code = folder / "code.s"
-        command = [str(self.clang), "-x", "cl", "-O3", "-S", "-Wno-linker-warnings", *flags]
+        command = [*clang, "-x", "cl", "-O3", "-S", "-Wno-linker-warnings", *flags]
         options = build_options("gpu", exact=True)
-        _run([*command, *options, "-o", str(code), str(source)])
+        _run([*command, *options, "-o", str(code), str(source)], self.newer_libraries)
         return code.read_text(encoding="utf-8")
 
 

@@ -12,7 +12,7 @@ folder=${2:-build/vendor_compilers}
 python=${PYTHON:-.venv/bin/python}
 [ -x "$python" ] || python=python3
 packages=(intel-opencl-icd libigc1 libigdfcl1 libigdgmm12 libopencl-clang14 libllvmspirvlib14
-    rocm-device-libs)
+    rocm-device-libs clang-19 libclang-cpp19 libllvm19 libclang-common-19-dev)
 
 # Each half is marked as whole by a file of its own, so that the next call fetches what failed.
 fetch_packages() {
