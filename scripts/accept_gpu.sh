@@ -85,7 +85,7 @@ add_driver() { # file, text
     local code=0
     printf '%s\n' "$2" >"$work/vendors/$1"
     # in a shell of its own, which keeps what is said of a crash to itself
-    (OCL_ICD_VENDORS=$work/vendors "$python" -m clgs.cli.main devices || exit) >/dev/null 2>&1 ||
+    (OCL_ICD_VENDORS=$work/vendors "$python" -m clgs devices || exit) >/dev/null 2>&1 ||
         code=$?
     if [ "$code" -gt 128 ]; then
         say "left out: $2: crashes (signal $((code - 128))); install that driver again"
@@ -198,5 +198,5 @@ choose_python "$wheels"
 extend_library_path
 write_vendors
 say "OCL_ICD_VENDORS=$OCL_ICD_VENDORS"
-"$python" -m clgs.cli.main devices
-[ "${1:-}" = --devices ] || exec "$python" -m clgs.cli.main accept "$@"
+"$python" -m clgs devices
+[ "${1:-}" = --devices ] || exec "$python" -m clgs accept "$@"

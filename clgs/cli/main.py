@@ -233,7 +233,3 @@ def _explain_import(error: ImportError) -> tuple[str, int]:
         remedy = "install it: pip install pyopencl"
         return f"pyopencl cannot be loaded ({error}); {remedy}", DeviceError.exit_code
     return f"{name} cannot be loaded ({error}); install clgs again", ClgsError.exit_code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -47,7 +47,7 @@ for form in cpu gpu; do
     [ -z "$step" ] || continue
     # the errors of a third implementation, and the stages that a step has only in part
     CLGS_SPECIALISATION=$form watched "selftest.$form" \
-        "$python" -m clgs.cli.main selftest --device oclgrind >"$work/selftest.$form" ||
+        "$python" -m clgs selftest --device oclgrind >"$work/selftest.$form" ||
         { cat "$work/selftest.$form"; exit 1; }
     head -n 1 "$work/selftest.$form"
 done

@@ -45,7 +45,7 @@ def sha256(data: bytes) -> str:
 
 def run_clgs(*arguments: object, **environment: str) -> None:
     """Run a command of clgs; it prints to standard error."""
-    command = [sys.executable, "-m", "clgs.cli.main", *map(str, arguments)]
+    command = [sys.executable, "-m", "clgs", *map(str, arguments)]
     subprocess.run(command, env={**os.environ, **environment}, check=True, stdout=sys.stderr)
 
 

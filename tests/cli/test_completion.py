@@ -47,6 +47,6 @@ def test_commands_options_and_values_are_completed(typed, offered, tmp_path):
         "COMP_LINE": typed,
         "COMP_POINT": str(len(typed)),
     }
-    command = [sys.executable, "-m", "clgs.cli.main"]
+    command = [sys.executable, "-m", "clgs"]
     subprocess.run(command, env=asked, cwd=tmp_path, check=True, stderr=subprocess.DEVNULL)
     assert answer.read_text().split() == offered

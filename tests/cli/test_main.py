@@ -21,7 +21,7 @@ from clgs.errors import ClgsError, CodecError, DataError, DeviceError
 
 
 def clgs(*arguments, **options):
-    command = [sys.executable, "-m", "clgs.cli.main", *arguments]
+    command = [sys.executable, "-m", "clgs", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False, **options)
 
 
@@ -294,7 +294,7 @@ def test_a_closed_output_is_no_error():
     """The case of ``clgs info scene.clgs >&-``."""
     code = "import os, sys; os.close(1); os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
     scene = next((Path(__file__).parents[1] / "codec" / "golden").glob("*.clgs"))
-    command = [sys.executable, "-c", code, "-m", "clgs.cli.main", "info", str(scene)]
+    command = [sys.executable, "-c", code, "-m", "clgs", "info", str(scene)]
     bare = [sys.executable, "-c", code, "-c", "import sys; assert sys.stdout is None"]
     assert subprocess.run(bare, check=False).returncode == 0
     found = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)
@@ -330,7 +330,7 @@ def test_no_device_is_one_line_and_exit_code_4(tmp_path):
 def test_a_reader_that_leaves_is_no_error():
     reading, writing = os.pipe()
     os.close(reading)
-    command = [sys.executable, "-m", "clgs.cli.main", "devices"]
+    command = [sys.executable, "-m", "clgs", "devices"]
     result = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, check=False)
     os.close(writing)
     assert (result.returncode, result.stderr) == (0, b"")

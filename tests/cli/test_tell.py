@@ -58,7 +58,7 @@ def test_a_path_of_any_letters_is_printed(command: str, encoding: str, tmp_path:
         "doctor": [folder],
     }
     done = subprocess.run(
-        [sys.executable, "-m", "clgs.cli.main", command, *map(str, words[command])],
+        [sys.executable, "-m", "clgs", command, *map(str, words[command])],
         env={**os.environ, "PYTHONIOENCODING": encoding},
         capture_output=True,
         check=False,

@@ -27,7 +27,7 @@ def test_the_viewer_says_where_it_is_and_ends_when_interrupted(tmp_path):
     save_scene(tmp_path / "s.npz", random_scene(np.random.default_rng(3), 40))
     write_scene(tmp_path / "data", train=4, test=1, size=16)
     words = [tmp_path / "s.npz", "--data", tmp_path / "data", "--port", str(PORT)]
-    command = [sys.executable, "-m", "clgs.cli.main", "view", *map(str, words)]
+    command = [sys.executable, "-m", "clgs", "view", *map(str, words)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with (
         socket.create_server(("127.0.0.1", PORT)),

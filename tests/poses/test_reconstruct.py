@@ -58,7 +58,7 @@ def start(tmp_path):
 
     def start_with(act):
         (tmp_path / "pycolmap.py").write_text(PYCOLMAP.format(act=act.strip()))
-        module = ["-m", "clgs.cli.main", "prepare", "photos", "-o", "data/new"]
+        module = ["-m", "clgs", "prepare", "photos", "-o", "data/new"]
         process = subprocess.Popen(
             [sys.executable, *module],
             cwd=tmp_path,

@@ -355,7 +355,7 @@ def test_a_failing_export_does_not_end_the_run(data, tmp_path, monkeypatch, caps
 def test_warning_and_interruption_are_shown_once(tmp_path, instant):
     data = write_scene(tmp_path / "data", train=6, test=2)
     next((data / "train").iterdir()).unlink()
-    command = [sys.executable, "-m", "clgs.cli.main", "run", str(data), "-o", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "clgs", "run", str(data), "-o", str(tmp_path / "out")]
     with (
         (tmp_path / "errors").open("w") as errors,
         subprocess.Popen(
