@@ -383,3 +383,18 @@ sys.exit(cli.main(["info", sys.argv[1]]))
         == "clgs: error: out of memory; end other programs, or use a machine that has more\n"
     )
     assert result.returncode == 1
+
+
+@pytest.mark.parametrize("command", ["info", "decode", "encode"])
+def test_files_are_coded_without_what_only_training_needs(command, tmp_path):
+    """Loading SciPy or an OpenCL driver would take longer than the work."""
+    code = f"""
+import sys
+from clgs.cli.main import main
+main([{command!r}, "missing.npz", *([] if {command!r} == "info" else ["-o", "out.clgs"])])
+print([name for name in ("scipy", "pyopencl") if name in sys.modules])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert done.stdout.splitlines()[-1] == "[]", done

@@ -26,7 +26,7 @@ from clgs.cli.shared_options import (
 
 if TYPE_CHECKING:
     from clgs.scene.scene import QuantizedScene
-    from clgs.workflow.encode import EncodedFile, FittedScene
+    from clgs.workflow.encode import FittedScene
 
 DESCRIPTION = """\
 Compress a trained scene into one .clgs file.
@@ -102,10 +102,8 @@ def run(args: argparse.Namespace) -> int:
     from clgs.errors import UsageError
     from clgs.files import atomic_write
     from clgs.scene.anchors import QuantizationScales
-    from clgs.workflow.encode import EncodedFile, encode_within
     from clgs.workflow.outputs import check_new, check_suffix
     from clgs.workflow.scenes import read_scene, run_folder
-    from clgs.workflow.views import data_of, known_data
 
     path, is_ply = args.scene, args.scene.suffix.lower() == ".ply"
     check_options(args.level, args.chunk, args.mlp)
@@ -117,6 +115,9 @@ def run(args: argparse.Namespace) -> int:
         if not target:
             raise UsageError(f"{option} serves --target-size and --target-psnr; give one of them")
     views = view_options(vars(args))
+    if target:  # imports much that a plain encode does not need
+        from clgs.workflow.encode import encode_within
+        from clgs.workflow.views import data_of, known_data
     if target and views.data is None:
         needed = args.target_psnr is not None or args.all_views
         views = replace(views, data=data_of(path) if needed else known_data(path))
@@ -140,14 +141,14 @@ def run(args: argparse.Namespace) -> int:
     else:
         data = pack(scene)
     atomic_write(args.output, data)
-    show(EncodedFile(args.output, len(data), len(scene.anchors)))
+    show(args.output, len(data), len(scene.anchors))
     return 0
 
 
-def show(made: EncodedFile) -> None:
-    """Print what was written."""
-    per_anchor = f", {8 * made.size / made.anchors:.1f} bits per anchor" if made.anchors else ""
-    print(f"{made.path}: {made.size:,} bytes, {made.anchors:,} anchors{per_anchor}")
+def show(path: Path, size: int, anchors: int) -> None:
+    """Print what was written: its bytes and anchors."""
+    per_anchor = f", {8 * size / anchors:.1f} bits per anchor" if anchors else ""
+    print(f"{path}: {size:,} bytes, {anchors:,} anchors{per_anchor}")
 
 
 def _show_fitted(fitted: FittedScene, anchors: int) -> None:

@@ -157,7 +157,7 @@ def _show(record: object) -> None:
         TrainingPlan: lambda plan: print(f"training: {_training(plan)}"),
         PreparedData: prepare.show,
         TrainedRun: train.show,
-        EncodedFile: encode.show,
+        EncodedFile: lambda made: encode.show(made.path, made.size, made.anchors),
         Evaluation: eval.show,
         Clip: render.show,
         FinishedRun: _show_box,
