@@ -237,7 +237,8 @@ def open_image(path: Path) -> Iterator[Image.Image]:
     except UnidentifiedImageError:
         raise DataError(f"{path}: not a JPEG, PNG or WebP image; convert or remove it") from None
     except _FAILURES as error:
-        raise DataError(f"{path}: damaged image ({_one_line(error)}); replace it") from error
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        raise DataError(f"{path}: damaged image ({said}); replace it") from error
 
 
 def _formats(path: Path) -> tuple[str, ...]:
@@ -252,10 +253,6 @@ def _formats(path: Path) -> tuple[str, ...]:
         ) from error
     register_heif_opener()
     return (*FORMATS, "HEIF")
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def read_exif(picture: Image.Image) -> Image.Exif:

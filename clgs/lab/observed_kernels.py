@@ -21,13 +21,10 @@ def blend_decisions(
     for kernel, arguments in blend.observed_passes(device, blended, d_image, EXPORT_DECISIONS=1):
         bits = {name: device.zeros(words, np.uint32) for name in ("blended", "clamped")}
         device.run(kernel, *blend.tile_grid(device, blended.tiles), **arguments, **bits)
-        found.append(Decisions(*(_unpack(device.download(one)) for one in bits.values())))
+        words_of = (device.download(one)[:, :, None] for one in bits.values())
+        taken = (one >> np.arange(32, dtype=np.uint32) & np.uint32(1) for one in words_of)
+        found.append(Decisions(*(one.reshape(len(one), -1).astype(bool) for one in taken)))
     return found[0], found[1]
-
-
-def _unpack(words: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
-    bits = words[:, :, None] >> np.arange(32, dtype=np.uint32) & np.uint32(1)
-    return bits.reshape(len(words), TILE_SIZE**2).astype(bool)
 
 
 def drawn_rows(output: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
