@@ -23,7 +23,7 @@ def blend_decisions(
         device.run(kernel, *blend.tile_grid(device, blended.tiles), **arguments, **bits)
         words_of = (device.download(one)[:, :, None] for one in bits.values())
         taken = (one >> np.arange(32, dtype=np.uint32) & np.uint32(1) for one in words_of)
-        found.append(Decisions(*(one.reshape(len(one), -1).astype(bool) for one in taken)))
+        found.append(Decisions(*(one.reshape(-1, TILE_SIZE**2).astype(bool) for one in taken)))
     return found[0], found[1]
 
 
