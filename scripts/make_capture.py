@@ -21,7 +21,7 @@ VIEWS = {"train": 12, "test": 3}
 
 def main(arguments: list[str]) -> int:
     """Write the capture; exit code 2 for wrong usage."""
-    if len(arguments) != 1:
+    if len(arguments) != 1 or arguments[0].startswith("-"):
         print("usage: make_capture.py FOLDER", file=sys.stderr)
         return 2
     folder = Path(arguments[0])

@@ -22,10 +22,10 @@ A stream of plain Morton codes begins with 0.
 """
 
 COMPACT = 16_384
-"""Smaller chunks follow the cells: they serve to be read alone, not to keep threads busy."""
+"""Smaller chunks are cut at cells, so that each can be read alone. Larger ones are for threads."""
 
 MAX_POINTS_PER_BYTE = 1 << 15
-"""No octree holds more: every point takes a decision, and a decision at least 1/22,711 byte."""
+"""An octree has at most this many points per byte, since a point takes at least 1/22,711 byte."""
 
 Corner: TypeAlias = tuple[int, int, int]
 

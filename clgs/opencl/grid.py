@@ -28,7 +28,7 @@ CHUNKS_PER_UNIT, MOST_CHUNKS = 2, 32
 def by_items(count: int, group: int | None = None) -> LaunchSizes:
     """Global and local size of ``count`` work-items, rounded up to whole groups.
 
-    ``group``: work-items of a group, ANY_GROUP if they share nothing.
+    ``group``: work-items per group; by default ANY_GROUP, for kernels without local memory.
     """
     size = ANY_GROUP if group is None else group
     return (round_up(count, size),), (size,)

@@ -1,6 +1,7 @@
 """Blend the Gaussians of every tile, front to back.
 
-With the whitened offsets of ``clgs.ops.project`` and the list of the pixel's tile in order i:
+With the whitened offsets of ``clgs.ops.project``, of dx, dy from the Gaussian's centre to the
+pixel's, and the list of the pixel's tile in order i:
     alpha_i = min(ALPHA_MAX, opacity_i exp(-(y1^2 + y2^2) / 2)), skipped if < ALPHA_CUT,
     image = sum_i color_i alpha_i T_i + T background,   T_{i+1} = T_i (1 - alpha_i);
 a pixel is finished at the first i that brings T below TRANSMITTANCE_STOP, which is left out or,
@@ -8,7 +9,8 @@ with the inclusive stop of the accuracy presets, still blended.
 Backward, with B_i the colour behind Gaussian i, relative to T_{i+1}, and both dotted with d_image:
     dL/d(alpha_i) = T_i (color_i - B_i),   B_{i-1} = B_i + alpha_i (color_i - B_i).
 The geometric gradients are gathered as moments of v = alpha dL/d(alpha) in whitened coordinates:
-one row per entry, summed for each Gaussian in a fixed order, so that runs agree bit for bit.
+one row per entry, summed for each Gaussian in a fixed order, so that runs agree bit for bit. An
+alpha of ALPHA_MAX passes no gradient on to opacity or geometry.
 
 Sources: 3DGS (Kerbl et al. 2023); the whitened moments are our own.
 """

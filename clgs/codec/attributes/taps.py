@@ -1,8 +1,9 @@
 """Linear predictions of attribute channels from earlier rows and earlier channels.
 
-Terms are chosen one by one: each time the one that explains most of what is left (orthogonal
-matching pursuit). Sums of products are integers below 2^53 and so exact in any order; all other
-arithmetic is a fixed sequence of IEEE 754 operations, so every machine finds the same terms.
+A tap is a term: the offset of a row, a channel, a factor. Terms are chosen one by one: each time
+the one that explains most of what is left (orthogonal matching pursuit). Sums of products are
+integers below 2^53 and so exact in any order; all other arithmetic is a fixed sequence of IEEE 754
+operations, so every machine finds the same terms.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from clgs.codec.attributes.model import MAX_FACTOR, NEAR, NEAR_COUNT, TAP_CLAMP,
 Floats = npt.NDArray[np.float64]
 
 ROWS = (0, -1, 1, -2)
-"""The rows of earlier channels that are tried, and, if negative, of the channel itself."""
+"""Offsets of rows that are tried in earlier channels; negative ones in the channel itself, too."""
 
 NEAR_ROWS = (0, NEAR)
 """The rows that are tried if rows have positions."""

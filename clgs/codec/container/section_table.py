@@ -220,7 +220,9 @@ def _check_head(head: bytes, size: int) -> tuple[int, int]:
     if not head:
         raise CodecError("header at byte 0: the file is empty; encode the scene again")
     if head[:5] != MAGIC[:5]:
-        raise CodecError("header at byte 0: not a .clgs file; make one with `clgs encode`")
+        raise CodecError(
+            "header at byte 0: not a .clgs file; make one with `clgs train` or `clgs pack`"
+        )
     if head[: len(MAGIC)] != MAGIC:
         raise CodecError(
             "header at byte 5: line ends were changed or the file is cut; transfer it as binary"

@@ -17,7 +17,7 @@ powers.
 class LearningRates:
     """(first, last) of each group, log-linear in between; equal ends stay constant.
 
-    Positions have learning rate 0: no group.
+    Positions of anchors are not trained, so there is no group for them.
     """
 
     offset: Pair = option(

@@ -44,8 +44,8 @@ LAMBDA = {True: 0.33, False: 0.9}
 LAMBDA_STEPS = 3000
 
 LAMBDA_POWERS = {False: 0.55, True: 0.7}
-"""Powers of the steps in runs up to LAMBDA_STEPS and in longer ones. What is not learned yet cannot
-show its worth, and longer runs would spend all of theirs on better pictures, none on smaller files.
+"""Powers of the steps in runs up to LAMBDA_STEPS and in longer ones. In short runs a high
+price would remove what is not learned yet. In long ones a low price would make no file smaller.
 """
 PAPER_Q: Mapping[str, Any] = {"offset_q": 1.0, "feature_q": 1.0, "scaling_q": 8.0}
 """Integers per unit of the paper; other runs choose their own."""
@@ -55,10 +55,10 @@ FINE_Q: Mapping[str, Any] = {"offset_q": 16.0, "feature_q": 16.0, "scaling_q": 6
 
 
 MOST_SHORTENED = 100.0
-"""Learning rates change no more in runs that are shorter still."""
+"""A run that is shorter yet has the learning rates of one that is this many times shorter."""
 
 ORDER = ("statistics_start", "growth_start", "growth_end", "switch_step", "freeze_step", "steps")
-"""Anchors must be there before the switch, and learn after it."""
+"""These steps come in this order."""
 
 
 def default_lambda(kind: str, steps: int) -> float:

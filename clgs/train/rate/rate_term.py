@@ -1,4 +1,4 @@
-"""The part of the loss that counts bytes: the rate proxy's gradient, added at every step.
+"""The gradient of the price of the file, added from the switch step on until anchors rest.
 
 The proxy knows the anchors by a table per attribute, which is made every ``rate_interval`` steps
 and kept in between. The gradient of an integer follows from its own value and the kept table.
@@ -18,11 +18,11 @@ from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
 from clgs.train.state.run_state import RateState, RateTables
 
 PUSH = 4.0
-"""A bit counts this many times its price in the gradient: Adam takes small steps towards few bits.
+"""The gradient of the price is multiplied by this: Adam's steps towards fewer bits would be small.
 """
 
 KEPT = 2
-"""Tables kept: a step that is done again may need those of before its successors began."""
+"""Tables kept: a repeated step may need an older table than the newest."""
 
 
 class RateTerm:

@@ -1,5 +1,5 @@
-/* The levels of an octree as one stream of decisions: short for nodes of one child, shorter for
- * those that stand alone. */
+/* The levels of an octree as one stream of decisions. Nodes with one child cost few bits, and a
+ * subtree with a single point is stored whole. */
 #ifndef CLGS_OCTREE_TREE_H
 #define CLGS_OCTREE_TREE_H
 
