@@ -182,7 +182,7 @@ def _layers(
     y1, y2 = dx * r1, (dy - l_factor * dx) * r2
     unclamped = opacity[tile.gaussian, None] * np.exp(-0.5 * (y1**2 + y2**2))
     if decisions is None:
-        contributed, saturated = unclamped >= truncation.alpha_cut, unclamped > ALPHA_MAX
+        contributed, saturated = unclamped >= truncation.alpha_cut, unclamped >= ALPHA_MAX
         alpha = np.where(contributed, np.minimum(unclamped, ALPHA_MAX), 0)
         after = np.cumprod(1 - alpha, axis=0)
         # T never grows: once below the stop, it stays there
