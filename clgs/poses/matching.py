@@ -1,192 +1,182 @@
-"""SIFT features of photos, and matches between them, verified by a two-view geometry.
+"""Matches between photos, found on the OpenCL device and verified by two-view geometries.
 
-On several threads pycolmap 4.2.1 now and then loses most matches of a pair: of 719 in photos of a
-can 42 were left. It seems that threads in OpenBLAS spoil each other's products. So several child
-processes match, each on one thread and in its own copy of the database.
+Two features match if each one's descriptor is the nearest to the other's, and much nearer than the
+second nearest: Lowe's ratio test and a cross check, with COLMAP's limits.
 """
 
 from __future__ import annotations
 
-import shutil
-import threading
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
 
 import numpy as np
+import numpy.typing as npt
 
-from clgs.poses.child import OnStage, run_child
+from clgs.opencl.device import Device
+from clgs.ops import match as nearest_descriptors
+from clgs.ops.match import Descriptors, Nearest
 from clgs.poses.judging.evidence import MIN_MATCHES, Evidence, MatchedPair
 from clgs.poses.pairs import all_pairs
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
-from clgs.poses.workspace import THREADS, Workspace
+from clgs.poses.verify import verify
+from clgs.poses.workspace import Workspace
 
-MAX_FEATURES = 8192
-"""The most features of a photo; COLMAP's default. pycolmap prefers large ones."""
+TILE = 12
+"""Pairs are matched by two runs of TILE photos, so that few photos are uploaded twice."""
 
-QUICK_FEATURES = 4096
+BATCH = 16
+"""Pairs of a launch."""
 
-FINEST_SIZE = 3200
-"""Larger photos are reduced to this longer side before the search, pixels; COLMAP's default."""
+MAX_ANGLE = 0.7
+"""Largest angle between descriptors that match, radians; COLMAP's default."""
 
-DOUBLED_SIZE = 1600
-"""Photos up to this size are searched at twice their resolution, too, as COLMAP does by default.
-
-Doubled images beyond FINEST_SIZE would take gigabytes of memory.
-"""
-
-PEAK_THRESHOLD = 0.004
-"""The least contrast of a feature; COLMAP's 0.0067 finds too few in small photos."""
-
-BATCH = 4 * THREADS
-"""Photos between two reports of progress."""
-
-TILE, GROUP = 12, 144
-"""GROUP pairs are matched at a time, of two runs of TILE photos, so that few are indexed twice."""
-
-MOST_PROCESSES = 8
-"""Each process has a copy of the database, 1 MB or more per photo."""
-
-LOOSE_RATIO = 0.9
-"""Largest distance over the second best one, at the second look; COLMAP's default is 0.8."""
+MAX_RATIO, LOOSE_RATIO = 0.8, 0.9
+"""Largest angle over that to the second nearest; the first is COLMAP's default, the other one is
+for the second look."""
 
 MAX_SECOND_LOOK = 20
 """The most photos that are matched again with all others."""
 
-_TASK = "matching"
+LOOK_FEATURES = 1024
+"""The largest features of a photo, by which a cheap look tells whether two photos share anything.
+
+Wu, Towards Linear-time Incremental Structure from Motion, 2013: preemptive matching.
+"""
+
+MIN_ALIKE = 2
+"""Matches of the cheap look that must agree on a turn and a change of scale."""
+
+SAME_TURN, SAME_SCALE = np.radians(20.0), 0.6
+"""What two matches agree within: radians, and the logarithm to base 2 of a scale."""
+
+LOOK_BATCH = 500
+
+Bytes = npt.NDArray[np.uint8]
+Pair = tuple[int, int]
+Matches = npt.NDArray[np.uint32]
+
+# Of a product of descriptors, whose length is 512, the angle between them.
+_ANGLE = np.arccos(np.minimum(np.arange(nearest_descriptors.MAX_PRODUCT) / 512**2, 1.0))
 
 
-def extract(workspace: Workspace, size: int, quick: bool) -> None:
-    """Write cameras, images and features of all photos into a new database.
+def match(workspace: Workspace, pairs: Sequence[Pair]) -> None:
+    """Match those pairs of photos that share something at a cheap look, and verify the matches.
 
-    All images are numbered before the search begins, so that results do not depend on threads.
-
-    ``size``: longer side of the largest photo, pixels; ``quick``: find fewer features.
-    """
-    pycolmap = workspace.pycolmap
-    workspace.open().close()  # pycolmap imports into a database that exists
-    for camera in sorted(set(workspace.cameras)):
-        # The photos of one camera share its focal length and distortion.
-        importing = pycolmap.ImageReaderOptions()
-        importing.camera_model = "SIMPLE_RADIAL"
-        cameras = zip(workspace.names, workspace.cameras, strict=True)
-        workspace.call(
-            pycolmap.import_images,
-            workspace.database,
-            workspace.images,
-            camera_mode=pycolmap.CameraMode.SINGLE,
-            image_names=[name for name, own in cameras if own == camera],
-            options=importing,
-        )
-    options = pycolmap.FeatureExtractionOptions()
-    options.use_gpu = False
-    options.num_threads = THREADS
-    options.max_image_size = FINEST_SIZE
-    options.sift.max_num_features = QUICK_FEATURES if quick else MAX_FEATURES
-    options.sift.first_octave = -1 if size <= DOUBLED_SIZE else 0
-    options.sift.peak_threshold = PEAK_THRESHOLD
-    reader = pycolmap.ImageReaderOptions()
-    if workspace.masks is not None:
-        reader.mask_path = workspace.masks
-    total = len(workspace.names)
-    for start in range(0, total, BATCH):
-        workspace.on_progress("features", start, total)
-        workspace.call(
-            pycolmap.extract_features,
-            workspace.database,
-            workspace.images,
-            image_names=workspace.names[start : start + BATCH],
-            reader_options=reader,
-            extraction_options=options,
-            device=pycolmap.Device.cpu,
-        )
-    workspace.on_progress("features", total, total)
-
-
-def match(
-    workspace: Workspace,
-    pairs: list[tuple[int, int]],
-    stage: str = "matches",
-    ratio: float | None = None,
-) -> None:
-    """Match and verify pairs of photos, in several processes, and write the results.
-
-    The result does not depend on the number of processes.
-
-    ``pairs`` are places in ``workspace.names``; ``ratio`` is the largest distance of a match over
-    the second best one, by default COLMAP's.
+    ``pairs`` are places in ``workspace.names``. The results are the same on every device.
 
     Raises:
         DataError: pycolmap fails.
+        DeviceError: the device does.
     """
-    ordered = sorted(pairs, key=lambda pair: (pair[0] // TILE, pair[1] // TILE, pair))
-    named = [(workspace.names[i], workspace.names[j]) for i, j in ordered]
-    processes = min(THREADS, MOST_PROCESSES)
-    size = max(1, min(GROUP, -(-len(named) // processes)))
-    groups = [named[start : start + size] for start in range(0, len(named), size)]
-    shares = [share for k in range(processes) if (share := groups[k::processes])]
-    matched, one_at_a_time = 0, threading.Lock()
+    workspace.on_progress("matches", 0, len(pairs))
+    alike = pairs_alike(workspace, pairs)
+    skipped = len(pairs) - len(alike)
 
-    def count(more: int) -> None:
-        nonlocal matched
-        with one_at_a_time:
-            matched += more
-            workspace.on_progress(stage, matched, len(pairs))
+    def count(done: int) -> None:
+        workspace.on_progress("matches", skipped + done, len(pairs))
 
-    count(0)
-    copies = [
-        replace(workspace, folder=workspace.folder / f"matching_{number}")
-        for number in range(len(shares))
-    ]
-    with ThreadPoolExecutor(max(1, len(shares))) as pool:
-        for copy in copies:
-            copy.folder.mkdir()
-            shutil.copyfile(workspace.database, copy.database)
-        running = [
-            pool.submit(
-                run_child, __name__, _TASK, [str(copy.folder), share, ratio, copy.seed], count
+    verify(workspace, _match(workspace, alike, MAX_RATIO, count), "geometry")
+
+
+def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
+    """Select the pairs whose largest features agree on a turn and a change of scale."""
+    device, chosen, shapes = workspace.device, list[Bytes](), list[npt.NDArray[np.float64]]()
+    with workspace.open() as database:
+        for number in workspace.ids(database):
+            keypoints = np.asarray(database.read_keypoints(number), np.float64)
+            # The first column of a feature's affine shape: its scale, turned by its orientation.
+            first = keypoints[:, [2, 4]]
+            scale = np.linalg.norm(first, axis=1)
+            largest = np.argsort(-scale, kind="stable")[:LOOK_FEATURES]
+            chosen.append(database.read_descriptors(number).data[largest])
+            shapes.append(
+                np.stack([np.arctan2(first[:, 1], first[:, 0]), np.log2(scale)], 1)[largest]
             )
-            for copy, share in zip(copies, shares, strict=True)
-        ]
-        for future in running:
-            future.result()
-    for copy, share in zip(copies, shares, strict=True):
-        with workspace.open() as whole, copy.open() as found:
-            ids = dict(zip(workspace.names, workspace.ids(whole), strict=True))
-            for first, second in ((ids[a], ids[b]) for group in share for a, b in group):
-                whole.write_matches(first, second, found.read_matches(first, second))
-                geometry = found.read_two_view_geometry(first, second)
-                whole.write_two_view_geometry(first, second, geometry)
-        shutil.rmtree(copy.folder)
+    uploaded = nearest_descriptors.upload(device, chosen)
+    alike = []
+    for start in range(0, len(pairs), LOOK_BATCH):
+        some = pairs[start : start + LOOK_BATCH]
+        found = mutual_matches(device, uploaded, chosen, some, MAX_RATIO)
+        for (a, b), matches in zip(some, found, strict=True):
+            if _most_alike(shapes[a][matches[:, 0]] - shapes[b][matches[:, 1]]) >= MIN_ALIKE:
+                alike.append((a, b))
+    return alike
 
 
-def work(arguments: Any, on_stage: OnStage) -> None:
-    """Be the child: match groups of pairs of names, one after the other, in a folder's database."""
-    folder, groups, ratio, seed = arguments
-    with quiet_pycolmap(_TASK) as pycolmap:
-        workspace = Workspace(pycolmap, Path(folder), Path(folder), [], [], seed, lambda *_: None)
-        pairing = pycolmap.ImportedPairingOptions()
-        pairing.match_list_path = workspace.folder / "pairs.txt"
-        options = pycolmap.FeatureMatchingOptions()
-        options.use_gpu = False
-        options.num_threads = 1
-        if ratio is not None:
-            options.sift.max_ratio = ratio
-        verification = pycolmap.TwoViewGeometryOptions()
-        verification.ransac.random_seed = seed
-        for group in groups:
-            lines = (f"{first} {second}\n" for first, second in group)
-            pairing.match_list_path.write_text("".join(lines))
-            workspace.call(
-                pycolmap.match_image_pairs,
-                workspace.database,
-                matching_options=options,
-                pairing_options=pairing,
-                verification_options=verification,
-                device=pycolmap.Device.cpu,
-            )
-            on_stage(len(group))
+def _most_alike(change: npt.NDArray[np.float64]) -> int:
+    """Count the largest number of changes (M, 2) of turn and scale that agree with one of them."""
+    between = change[:, None] - change
+    turn = np.abs((between[..., 0] + np.pi) % (2 * np.pi) - np.pi)
+    near = (turn <= SAME_TURN) & (np.abs(between[..., 1]) <= SAME_SCALE)
+    return int(near.sum(1).max(initial=0))
+
+
+def mutual_matches(
+    device: Device,
+    uploaded: Descriptors,
+    photos: Sequence[Bytes],
+    pairs: Sequence[Pair],
+    ratio: float,
+) -> list[Matches]:
+    """Find the matches (M, 2) of each pair (a, b) of places in ``photos``, ascending by a's.
+
+    photos: descriptors (N, 128) of each; uploaded: the same on the device; ratio: largest angle
+    over that to the second nearest.
+    """
+    forth = nearest_descriptors.nearest(device, uploaded, uploaded, pairs)
+    own = [np.flatnonzero(_distinct(one, ratio)) for one in forth]
+    # Only what is matched one way is matched the other way.
+    others = [np.unique(one.index[rows]) for one, rows in zip(forth, own, strict=True)]
+    asked = [photos[b][rows] for (_, b), rows in zip(pairs, others, strict=True)]
+    back = nearest_descriptors.nearest(
+        device,
+        nearest_descriptors.upload(device, asked),
+        uploaded,
+        [(place, a) for place, (a, _) in enumerate(pairs)],
+    )
+    found = []
+    for one, rows, asked_rows, other in zip(forth, own, others, back, strict=True):
+        columns = one.index[rows]
+        place = np.searchsorted(asked_rows, columns)
+        same = (other.index[place] == rows) & _distinct(other, ratio)[place]
+        found.append(np.stack([rows[same], columns[same]], 1).astype(np.uint32))
+    return found
+
+
+def _distinct(found: Nearest, ratio: float) -> npt.NDArray[np.bool_]:
+    nearest = _ANGLE[found.product]
+    return np.asarray((nearest <= MAX_ANGLE) & (nearest < ratio * _ANGLE[found.second]))
+
+
+def _match(
+    workspace: Workspace, pairs: Sequence[Pair], ratio: float, on_matched: Callable[[int], None]
+) -> list[Pair]:
+    """Match pairs by all features; returns the images' numbers of the pairs that it writes."""
+    done, strong = 0, []
+    with workspace.open() as database:
+        numbers = workspace.ids(database)
+        for some in _by_tiles(pairs):
+            used = sorted({place for pair in some for place in pair})
+            photos = [database.read_descriptors(numbers[place]).data for place in used]
+            uploaded = nearest_descriptors.upload(workspace.device, photos)
+            local = [(used.index(a), used.index(b)) for a, b in some]
+            for start in range(0, len(some), BATCH):
+                batch = local[start : start + BATCH]
+                found = mutual_matches(workspace.device, uploaded, photos, batch, ratio)
+                for (a, b), matches in zip(some[start:], found, strict=False):
+                    if len(matches) >= MIN_MATCHES:
+                        database.write_matches(numbers[a], numbers[b], matches)
+                        strong.append((numbers[a], numbers[b]))
+                done += len(batch)
+                on_matched(done)
+    return strong
+
+
+def _by_tiles(pairs: Sequence[Pair]) -> Iterator[list[Pair]]:
+    def tiles(pair: Pair) -> Pair:
+        return pair[0] // TILE, pair[1] // TILE
+
+    for _, some in groupby(sorted(pairs, key=lambda pair: (tiles(pair), pair)), tiles):
+        yield list(some)
 
 
 def match_again(workspace: Workspace, left_out: list[int]) -> None:
@@ -201,7 +191,13 @@ def match_again(workspace: Workspace, left_out: list[int]) -> None:
                 database.delete_matches(first, second)
             if database.exists_two_view_geometry(first, second):
                 database.delete_two_view_geometry(first, second)
-    match(workspace, pairs, "second look", LOOSE_RATIO)
+    stage = "second look"
+
+    def count(done: int) -> None:
+        workspace.on_progress(stage, done, len(pairs))
+
+    count(0)
+    verify(workspace, _match(workspace, pairs, LOOSE_RATIO, count), stage)
 
 
 def read_evidence(workspace: Workspace) -> Evidence:

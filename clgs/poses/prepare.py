@@ -62,6 +62,7 @@ def prepare(
     frames: int | None = None,
     drop_doubtful: bool = False,
     max_size: int = 0,
+    device: str | None = None,
 ) -> Verdict:
     """Find camera poses and points of the photos in and below ``photos``, or of a video.
 
@@ -81,10 +82,12 @@ def prepare(
         drop_doubtful: leave out the photos whose poses are in doubt.
         max_size: photos that are wider are reduced to about this width once their poses are found;
             0: they keep their size.
+        device: which compares features; number or part of the name.
 
     Raises:
         DataError: too few or damaged photos, no reconstruction, no pycolmap; or too few photos
             would be left without those in doubt.
+        DeviceError: there is no such device.
         OutputError: ``output`` is not empty, or cannot be made.
         OSError: the disk is full, or another fault of ``output``.
     """
@@ -101,7 +104,7 @@ def prepare(
             with owned(work), removed_if_killed(target):
                 on_progress("read", 0, expected)
                 bring_in(source, work, lambda count: on_progress("read", count, expected))
-                verdict = reconstruct(target, seed % SEEDS, quick, max_size, on_progress)
+                verdict = reconstruct(target, seed % SEEDS, quick, max_size, device, on_progress)
                 if drop_doubtful:
                     verdict = drop_doubtful_photos(target, verdict)
                 names = [work / "images" / one.name for one in verdict.photos]

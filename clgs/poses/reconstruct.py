@@ -19,12 +19,14 @@ from PIL import Image
 from clgs.data.images import image_size
 from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
+from clgs.opencl.device import Device
 from clgs.poses.bring_in import camera_numbers
 from clgs.poses.child import OnStage, run_child
+from clgs.poses.features import extract
 from clgs.poses.judging.judge import judge
 from clgs.poses.judging.verdict import Verdict, verdict_of
 from clgs.poses.mapping import look_again, map_half, map_photos
-from clgs.poses.matching import extract, match
+from clgs.poses.matching import match
 from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import OnProgress, Workspace
@@ -41,19 +43,25 @@ _TASK = "structure from motion"
 
 
 def reconstruct(
-    target: Path, seed: int, quick: bool, max_size: int, on_progress: OnProgress
+    target: Path,
+    seed: int,
+    quick: bool,
+    max_size: int,
+    device: str | None,
+    on_progress: OnProgress,
 ) -> Verdict:
     """Find poses and points of the photos in ``target``/work/images: fills images/ and sparse/0/.
 
     ``quick``: half the features, one mapper, no second reconstruction. ``max_size``: photos are
-    reduced to about this width at the end; 0: never. ``on_progress`` receives the progress of each
-    stage after "read".
+    reduced to about this width at the end; 0: never. ``device``: matches features, as for Device.
+    ``on_progress`` receives the progress of each stage after "read".
 
     Raises:
         DataError: no reconstruction, no pycolmap, or it crashed.
+        DeviceError: there is no such device.
         OSError: it failed on a full disk.
     """
-    arguments = [str(target), seed, quick, max_size]
+    arguments = [str(target), seed, quick, max_size, device]
     try:
         return verdict_of(run_child(__name__, _TASK, arguments, lambda one: on_progress(*one)))
     except DataError as error:
@@ -64,7 +72,7 @@ def reconstruct(
 
 def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
     """Be the child: run all stages for the photos in a folder; returns a plain verdict."""
-    target, (seed, quick, max_size) = Path(arguments[0]), arguments[1:]
+    target, (seed, quick, max_size, device) = Path(arguments[0]), arguments[1:]
     work, began = target / "work", dict[str, float]()
 
     def on_progress(stage: str, done: int, total: int) -> None:
@@ -75,7 +83,15 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         own_names, cameras, size = _number_photos(work)
         masks = work / "numbered_masks" if (work / MASKS).is_dir() else None
         workspace = Workspace(
-            pycolmap, work / "numbered", work, list(own_names), cameras, seed, on_progress, masks
+            pycolmap,
+            Device(device),
+            work / "numbered",
+            work,
+            list(own_names),
+            cameras,
+            seed,
+            on_progress,
+            masks,
         )
         pycolmap.set_random_seed(seed)
         extract(workspace, size, quick)

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from clgs.opencl.device import Device
+
 STAGES = (
-    *("read", "features", "matches", "poses", "other poses", "second look", "more poses"),
-    *("check", "undistort", "masks", "report"),
+    *("read", "features", "matches", "geometry", "poses", "other poses", "second look"),
+    *("more poses", "check", "undistort", "masks", "report"),
 )
 """The stages of ``prepare`` in order; some reconstructions skip some of them."""
 
@@ -32,12 +34,14 @@ WAITS = (0.1, 0.3, 1.0, 3.0)
 class Workspace:
     """The inputs of one reconstruction, and the folder of its files.
 
-    pycolmap: the module; images: folder of the photos; folder: for all files that are made; names:
-    the photos' file names, in order; cameras: the camera's number of each photo; seed: of all
-    random choices; masks: folder of a mask per photo, None without masks.
+    pycolmap: the module; device: which matches features; images: folder of the photos; folder: for
+    all files that are made; names: the photos' file names, in order; cameras: the camera's number
+    of each photo; seed: of all random choices; masks: folder of a mask per photo, None without
+    masks.
     """
 
     pycolmap: Any
+    device: Device
     images: Path
     folder: Path
     names: list[str]

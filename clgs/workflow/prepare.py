@@ -33,6 +33,7 @@ def prepare_data(
     frames: int | None = None,
     drop_doubtful: bool = False,
     max_size: int = 0,
+    device: str | None = None,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
 ) -> PreparedData:
@@ -51,6 +52,7 @@ def prepare_data(
         frames=frames,
         drop_doubtful=drop_doubtful,
         max_size=max_size,
+        device=device,
     )
     page = output / PAGE
     write_poses_page(page, output, verdict)

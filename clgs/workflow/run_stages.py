@@ -106,9 +106,9 @@ class RunStages:
         frames = given.photos.count if given.video else None
         words = ["prepare", given.path, "-o", data, "--seed", self.seed]
         words += ["--quick"] * quick + ["--frames", frames] * given.video
-        words += ["--max-size", width]
+        words += ["--max-size", width, "--device", self.device.name]
         work = partial(prepare_data, given.path, data, seed=self.seed, quick=quick, frames=frames)
-        work = partial(work, max_size=width)
+        work = partial(work, max_size=width, device=self.device.name)
         self._stage("prepare", data, words, partial(work, on_event=self._on_event))
         return data
 

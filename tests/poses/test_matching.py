@@ -1,4 +1,4 @@
-"""Pairs are matched in several processes, and none of what they find depends on how many."""
+"""Photos are matched alike on every device, and verified alike by any number of processes."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import pytest
 from PIL import Image
 
 from clgs.errors import DataError
-from clgs.poses import matching
-from clgs.poses.matching import extract
+from clgs.opencl.device import Device
+from clgs.ops import match as nearest_descriptors
+from clgs.poses import matching, verify
+from clgs.poses.features import extract
 from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import Workspace
@@ -33,7 +35,7 @@ def workspace(tmp_path: Path):
         Image.fromarray(room_image(pose, (200, 150), 200.0)).save(images / name)
     with quiet_pycolmap("a test") as pycolmap:
         cameras, ignore = [0] * PHOTOS, lambda *_: None
-        workspace = Workspace(pycolmap, images, tmp_path, names, cameras, 0, ignore)
+        workspace = Workspace(pycolmap, Device(), images, tmp_path, names, cameras, 0, ignore)
         extract(workspace, 200, quick=True)
         yield workspace
 
@@ -51,26 +53,66 @@ def found(workspace: Workspace):
     }
 
 
-def test_any_number_of_processes_finds_the_same(workspace, monkeypatch):
+def test_any_device_and_number_of_processes_finds_the_same(workspace, monkeypatch):
     results, progress = [], []
-    workspace = replace(workspace, on_progress=lambda *one: progress.append(one))
     pairs = pairs_to_match(workspace)
-    for processes in (1, 3):
-        monkeypatch.setattr(matching, "THREADS", processes)
-        matching.match(workspace, pairs)
+    for form, processes in (("cpu", 1), ("cpu", 3), ("gpu", 3)):
+        monkeypatch.setattr(verify, "THREADS", processes)
+        device = Device(specialisation=form)
+        matching.match(
+            replace(workspace, device=device, on_progress=lambda *one: progress.append(one)), pairs
+        )
         results.append(found(workspace))
-        assert not list(workspace.folder.glob("matching_*"))
-    one, three = results
-    assert len(one) == len(three) == len(pairs) == PAIRS
-    assert sum(len(matches) for matches, _ in one.values()) > 500
-    for number, arrays in one.items():
-        assert all(map(np.array_equal, arrays, three[number]))
-    assert progress[:3] == [("matches", done, PAIRS) for done in (0, PAIRS, 0)]
-    assert progress[3:] == sorted(progress[3:])  # the order of the processes does not matter
-    assert progress[-1] == ("matches", PAIRS, PAIRS)
+        assert not list(workspace.folder.glob("verifying_*"))
+    assert len(results[0]) == len(pairs) == PAIRS
+    assert sum(len(matches) for matches, _ in results[0].values()) > 500
+    for other in results[1:]:
+        assert other.keys() == results[0].keys()
+        for number, arrays in results[0].items():
+            assert all(map(np.array_equal, arrays, other[number]))
+    own = len(progress) // 3
+    assert progress[0] == ("matches", 0, PAIRS)
+    assert ("matches", PAIRS, PAIRS) in progress[:own]
+    assert progress[-1] == ("geometry", PAIRS, PAIRS)
 
 
 def test_a_failure_of_one_process_is_an_error(workspace, monkeypatch):
-    monkeypatch.setattr(matching, "THREADS", 2)
-    with pytest.raises(DataError, match="matching: "):
+    monkeypatch.setattr(verify, "THREADS", 2)
+    with pytest.raises(DataError, match="two-view geometry: "):
         matching.match(replace(workspace, seed="no number"), pairs_to_match(workspace))
+
+
+def test_matches_are_those_of_all_products(device, rng):
+    """The ratio test and the cross check, from the angles between all descriptors."""
+    photos = []
+    for count in (300, 260):
+        x = np.abs(rng.standard_normal((count, 128))) ** 1.5
+        photos.append(512 * x / np.linalg.norm(x, axis=1, keepdims=True))
+    photos[1][:120] = photos[0][40:160] + rng.normal(0, 12, (120, 128))
+    first, second = (np.clip(np.rint(photo), 0, 255).astype(np.uint8) for photo in photos)
+    angle = np.arccos(np.minimum(first.astype(float) @ second.astype(float).T / 2**18, 1.0))
+
+    def chosen(angle):
+        near = np.sort(angle, axis=1)[:, :2]
+        good = (near[:, 0] <= 0.7) & (near[:, 0] < 0.8 * near[:, 1])
+        return {(i, angle[i].argmin()) for i in np.flatnonzero(good)}
+
+    wanted = chosen(angle) & {(i, j) for j, i in chosen(angle.T)}
+    assert len(wanted) > 50
+    uploaded = nearest_descriptors.upload(device, [first, second])
+    (found,) = matching.mutual_matches(device, uploaded, [first, second], [(0, 1)], 0.8)
+    assert {tuple(one) for one in found.tolist()} == wanted
+
+
+def test_a_cheap_look_finds_the_pairs_that_share_something(workspace):
+    blank = Image.fromarray(np.full((150, 200, 3), 99, np.uint8))
+    blank.save(workspace.images / "blank.png")
+    noise = np.random.default_rng(1).integers(0, 255, (15, 20, 3), np.uint8)
+    Image.fromarray(noise).resize((200, 150)).save(workspace.images / "other.png")
+    workspace.database.unlink()
+    names = [*workspace.names, "blank.png", "other.png"]
+    workspace = replace(workspace, names=names, cameras=[0] * len(names))
+    extract(workspace, 200, quick=True)
+    every = [(i, j) for j in range(len(names)) for i in range(j)]
+    alike = matching.pairs_alike(workspace, every)
+    assert alike == [pair for pair in every if max(pair) < PHOTOS]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from clgs.opencl.device import Device
 from clgs.poses import workspace as module
 from clgs.poses.workspace import WAITS, Workspace
 
@@ -26,7 +27,7 @@ print("free", flush=True)
 
 @pytest.fixture
 def workspace(tmp_path: Path):
-    workspace = Workspace(pycolmap, tmp_path, tmp_path, [], [], 0, lambda *_: None)
+    workspace = Workspace(pycolmap, Device(), tmp_path, tmp_path, [], [], 0, lambda *_: None)
     before, pycolmap.logging.minloglevel = pycolmap.logging.minloglevel, 3
     workspace.open().close()
     yield workspace

@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from clgs.cli.shared_options import (
+    add_device_name,
     add_overwrite,
     chosen,
     named_path,
@@ -52,6 +53,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         metavar="PIXELS",
         help="write photos that are wider at about this width (default: as they are)",
     )
+    add_device_name(parser)
     add_overwrite(parser, "DATA if an earlier run of this command made it (default: refuse)")
 
 
@@ -60,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.display import Display
     from clgs.workflow.prepare import prepare_data
 
-    names = "seed", "quick", "frames", "drop_doubtful", "max_size", "overwrite"
+    names = "seed", "quick", "frames", "drop_doubtful", "max_size", "device", "overwrite"
     options = chosen(vars(args), *names)
     with Display() as display:
         made = prepare_data(args.photos, args.output, on_event=display, **options)
