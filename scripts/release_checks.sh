@@ -24,7 +24,7 @@ intel_runtime() {
     local folder=$root/build/intel_runtime form status=0
     scripts/checks/intel_runtime.sh "$folder" >/dev/null || return 1
     for form in cpu gpu; do
-        CLGS_SPECIALISATION=$form "$venv/bin/clgs" conformance -o "$folder/$form.json" &&
+        CLGS_SPECIALISATION=$form "$venv/bin/clgs" conformance -o "$folder/$form.json" --overwrite &&
             OCL_ICD_VENDORS=$folder/vendors CLGS_SPECIALISATION=$form "$venv/bin/clgs" conformance \
                 --device "Intel(R) OpenCL" --check "$folder/$form.json" || status=1
     done

@@ -149,7 +149,7 @@ class RunStages:
         size = settings["max_size"]
         others: dict[str, Any] = {}
         others |= {name: settings[name] for name in ("masks", "test_every") if name in settings}
-        words = ["eval", file, "--data", data, "--json", scores]
+        words = ["eval", file, "--data", data, "--json", scores, "--overwrite"]
         words += ["--max-size", size, "--split", split, "--device", device]
         words += setting_options(others)
 

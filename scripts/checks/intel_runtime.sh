@@ -36,6 +36,6 @@ cat <<TEXT
 Intel's OpenCL runtime is in $folder. Use it together with the other devices:
   export OCL_ICD_VENDORS=$folder/vendors
   clgs devices
-  clgs conformance --device "Portable Computing Language" -o pocl.json
+  clgs conformance --device "Portable Computing Language" -o pocl.json --overwrite
   clgs conformance --device "Intel(R) OpenCL" --check pocl.json
 TEXT

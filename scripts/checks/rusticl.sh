@@ -41,7 +41,7 @@ cat <<TEXT
 rusticl is in $folder. Use it together with the other devices:
   export OCL_ICD_VENDORS=$folder/vendors LD_LIBRARY_PATH=$libraries RUSTICL_ENABLE=llvmpipe
   clgs devices
-  CLGS_SPECIALISATION=gpu clgs conformance --device "Portable Computing Language" -o pocl.json
+  CLGS_SPECIALISATION=gpu clgs conformance --device "Portable Computing Language" -o pocl.json --overwrite
   clgs conformance --device rusticl --check pocl.json
   clgs accept --quick --device rusticl -o accept.json
 TEXT

@@ -54,6 +54,8 @@ def test_people_get_a_table_and_programs_a_file(folder, capsys, tmp_path):
     assert rows[4].endswith(f"  {scores['bytes']:,}")
     assert len({row.rindex("  ") for row in rows}) == 1
     assert len(scores["per_view"]) == 2
+    again = printed(folder, capsys, "--json", tmp_path / "scores.json", "--overwrite")
+    assert again.splitlines() == rows
 
 
 def test_all_files_hold_the_same_scores(folder, capsys, tmp_path):

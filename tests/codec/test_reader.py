@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -184,3 +186,23 @@ def test_damaged_streams_with_right_checksums_are_refused_or_read_alike(
         ours, other, data = cases[rng.integers(len(cases))]
         body = changed(rng, data[:-4])
         assert_alike(ours, other, body + struct.pack("<I", _codec.crc32c(body)))
+
+
+def test_the_command_says_in_a_line_what_is_wrong(tmp_path):
+    (tmp_path / "no.clgs").write_bytes(b"not one")
+    reader = [sys.executable, "-m", "codec_c.reader"]
+    for names, said in (
+        ([], "name one file: python -m codec_c.reader FILE.clgs"),
+        (["none.clgs"], "none.clgs: No such file or directory"),
+        ([tmp_path / "no.clgs"], f"{tmp_path / 'no.clgs'}: not a .clgs file"),
+    ):
+        done = subprocess.run([*reader, *names], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (1, f"error: {said}\n")
+
+
+def test_the_command_ends_quietly_if_nobody_reads_on():
+    command = [sys.executable, "-u", "-m", "codec_c.reader", GOLDEN / f"{QUICK}.clgs"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        running.stdout.close()
+        assert running.stderr.read() == b""
+    assert running.returncode == 0

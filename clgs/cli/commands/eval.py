@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from clgs.cli.shared_options import (
     AS_TRAINED,
     add_masks,
+    add_overwrite,
     add_test_every,
     add_view_options,
     named_path,
@@ -85,6 +86,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help=f"the first cell of the row of --csv (default: {BASELINE})",
     )
+    add_overwrite(parser, "files of --json and --inria that exist (default: refuse)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -110,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
     sources = [path for path in (args.scene, args.hashes, args.lpips) if path]
     file = None if args.json == STDOUT else args.json
     _check_outputs(file, args.csv, args.inria, sources, views.data)
+    _check_free(file, args.inria, args.overwrite)
     lpips = Lpips(read_lpips_weights(args.lpips)) if args.lpips else None
     scene, size = read_drawable(args.scene)
     if args.csv and size is None:
@@ -208,3 +211,14 @@ def _check_outputs(
             raise UsageError(f"{path}: is a file of the data set; choose another output")
     if csv:
         check_survey(csv)
+
+
+def _check_free(file: Path | None, inria: Path | None, overwrite: bool) -> None:
+    """Raise ExistsError if scores would replace a file; a row of --csv replaces nothing."""
+    from clgs.train.quality.score_tables import FILES
+    from clgs.workflow.outputs import check_new
+
+    tables = [inria / name for name in FILES] if inria else []
+    for path in [*([file] if file else []), *tables]:
+        if path.exists():
+            check_new(path, overwrite)

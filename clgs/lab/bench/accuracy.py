@@ -48,7 +48,7 @@ SMALLEST = 1e-7
 def run(args: argparse.Namespace) -> int:
     """Measure, print and, if asked, write JSON and draw; exit code 0."""
     settings = accuracy_settings(args.sweeps)
-    check_figure_files(args.output, args.plot)
+    check_figure_files(args.output, args.plot, args.overwrite)
     subjects = subjects_of(args)
     device = Device(args.device)
     found = []

@@ -21,7 +21,6 @@ from clgs.codec.container.meta import LEVELS
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.errors import ClgsError
-from clgs.files import check_target
 from clgs.lab.bench.codec_subjects import (
     ANCHORS,
     QUICK_ANCHORS,
@@ -33,6 +32,7 @@ from clgs.lab.bench.codec_subjects import (
 from clgs.lab.facts import show_table, write_figures
 from clgs.scene.scene import QuantizedScene
 from clgs.workflow.events import counter
+from clgs.workflow.outputs import check_new
 
 Note = Callable[[str], None]
 
@@ -68,7 +68,7 @@ class CoderFigures:
 def run(args: argparse.Namespace) -> int:
     """Measure, print and, if asked, write JSON; exit code 0."""
     if args.json:
-        check_target(args.json)
+        check_new(args.json, args.overwrite)
     anchors = args.anchors or (QUICK_ANCHORS if args.quick else ANCHORS)
     subjects = file_subjects(args.data) if args.data else seeded_subjects(anchors, args.seed)
     records, said = [], set[str]()

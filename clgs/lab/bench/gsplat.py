@@ -19,11 +19,11 @@ import numpy.typing as npt
 
 from clgs.constants import TILE_SIZE
 from clgs.errors import UsageError
-from clgs.files import check_target
 from clgs.lab.bench.handover import Handover, hand_over
 from clgs.lab.bench.step import WARM_UP, synthetic_trainer, time_steps
 from clgs.lab.facts import show_table, write_figures
 from clgs.opencl.device import Device
+from clgs.workflow.outputs import check_new
 
 ROWS = {
     "lists of the tiles": ("tiles", "tiles"),
@@ -63,7 +63,7 @@ class PeerTimes:
 def run(args: argparse.Namespace) -> int:
     """Measure, print and, if asked, write JSON; exit code 0."""
     if args.json:
-        check_target(args.json)
+        check_new(args.json, args.overwrite)
     require_gsplat()
     device = Device(args.device)
     trainer = synthetic_trainer(device, args.gaussians, args.size, args.seed)

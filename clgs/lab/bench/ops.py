@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict, dataclass, fields, replace
 
-from clgs.files import check_target
 from clgs.lab.bench.stage_limits import (
     FORMULAS,
     Counts,
@@ -22,6 +21,7 @@ from clgs.lab.selftest.reference_render import Check
 from clgs.lab.selftest.render_checks import selftest
 from clgs.lab.selftest.training_checks import training_checks
 from clgs.opencl.device import Device
+from clgs.workflow.outputs import check_new
 
 ALONE = ("scan", "sort", "quantize", "rate")
 """Stages that a training step does not time by themselves: timed on ``elements`` numbers."""
@@ -73,7 +73,7 @@ class OpsFigures:
 def run(args: argparse.Namespace) -> int:
     """Measure, print and, if asked, write JSON; exit code 1 if an error exceeds its limit."""
     if args.json:
-        check_target(args.json)
+        check_new(args.json, args.overwrite)
     names = [field.name for field in fields(Workload)]
     given = {name: value for name in names if (value := getattr(args, name)) is not None}
     records, passed = [], True

@@ -7,6 +7,7 @@ from typing import Any
 
 from clgs.errors import ClgsError, UsageError
 from clgs.files import atomic_path, check_target
+from clgs.workflow.outputs import check_new
 
 PANEL = (4.6, 3.4)
 """Inches."""
@@ -39,19 +40,21 @@ def require_pyplot() -> Any:
     return pyplot
 
 
-def check_figure_files(output: Path | None, plot: Path | None) -> None:
+def check_figure_files(output: Path | None, plot: Path | None, overwrite: bool) -> None:
     """Refuse, before anything is measured, files that could not be written.
 
     Raises:
         UsageError: ``plot`` is no .svg file, or the same file as ``output``.
         ClgsError: matplotlib is missing.
-        OutputError: as from ``clgs.files.check_target``.
+        ExistsError, OutputError: as of :func:`clgs.workflow.outputs.check_new`.
     """
     if plot and plot.suffix.lower() != ".svg":
         raise UsageError(f"{plot}: plots are SVG; name a file that ends in .svg")
     targets = [check_target(path) for path in (output, plot) if path]
     if len(set(targets)) < len(targets):
         raise UsageError(f"{plot}: --output and --plot name the same file; choose two")
+    for path in filter(None, (output, plot)):
+        check_new(path, overwrite)
     if plot:
         require_pyplot()
 

@@ -78,7 +78,7 @@ class Scaling:
 
 def run(args: argparse.Namespace) -> int:
     """Measure, print and, if asked, write JSON and draw; exit code 0."""
-    check_figure_files(args.output, args.plot)
+    check_figure_files(args.output, args.plot, args.overwrite)
     device = Device(args.device)
     found = bench_scaling(
         lambda: Device(args.device),

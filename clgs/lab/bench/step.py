@@ -9,7 +9,6 @@ from statistics import median
 
 import numpy as np
 
-from clgs.files import check_target
 from clgs.lab.anchor_scene import anchor_scene, photo_dataset
 from clgs.lab.facts import show_table, write_figures
 from clgs.opencl.device import Device
@@ -20,6 +19,7 @@ from clgs.scene.scene import Scene
 from clgs.train.config import LearningRates, TrainConfig
 from clgs.train.run.start import state_of_scene
 from clgs.train.run.trainer import Trainer
+from clgs.workflow.outputs import check_new
 
 WARM_UP = 3
 STILL = LearningRates(*[(1e-12, 1e-12)] * 6)
@@ -60,7 +60,7 @@ class StepTimes:
 def run(args: argparse.Namespace) -> int:
     """Measure, print and, if asked, write JSON; exit code 0."""
     if args.json:
-        check_target(args.json)
+        check_new(args.json, args.overwrite)
     device = Device(args.device)
     trainer = synthetic_trainer(device, args.gaussians, args.size, args.seed)
     times = time_steps(trainer, args.repeats)

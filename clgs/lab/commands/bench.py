@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from clgs.cli.shared_options import (
     add_device_name,
+    add_overwrite,
     add_size_options,
     positive_int,
     seed,
@@ -40,7 +41,9 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Add the benchmarks and their options."""
     kinds = parser.add_subparsers(dest="kind", metavar="WHAT", required=True)
     for name, kind in KINDS.items():
-        kind.add(kinds.add_parser(name, help=kind.measures))
+        child = kinds.add_parser(name, help=kind.measures)
+        kind.add(child)
+        add_overwrite(child, "files of figures that exist (default: refuse)")
 
 
 def run(args: argparse.Namespace) -> int:

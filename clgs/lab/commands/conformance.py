@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import named_path
+from clgs.cli.shared_options import add_overwrite, named_path
 from clgs.lab.selftest import SHIPPED
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         help="compare with the hashes in FILE; default: with those that clgs comes with",
     )
     add("--device", help="number or part of the name, see `clgs devices`")
+    add_overwrite(parser, "the FILE of -o if it exists (default: refuse)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -48,13 +49,14 @@ def run(args: argparse.Namespace) -> int:
         DataError: FILE of ``--check`` holds no hashes, or those of other tensors.
     """
     from clgs.errors import DataError
-    from clgs.files import check_target, write_json
+    from clgs.files import write_json
     from clgs.lab.facts import machine_facts
     from clgs.lab.selftest import conformance
     from clgs.opencl.device import Device
+    from clgs.workflow.outputs import check_new
 
     if args.output:
-        check_target(args.output)
+        check_new(args.output, args.overwrite)
     wanted = read_hashes(args.check) if args.check else []
     device = Device(args.device)
     found, roundings = conformance.fingerprints(device), conformance.roundings(device)

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clgs.cli.shared_options import add_overwrite
 from clgs.lab.devices import add_device_option, open_devices
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     add_device_option(parser)
     parser.add_argument("--verbose", action="store_true", help="show every check of every device")
     parser.add_argument("--json", type=Path, metavar="F", help="write all checks to F")
+    add_overwrite(parser, "F if it exists (default: refuse)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -29,12 +31,13 @@ def run(args: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from clgs.cli.main import explain
-    from clgs.files import check_target, write_json
+    from clgs.files import write_json
     from clgs.lab.facts import machine_facts
     from clgs.lab.selftest.render_checks import selftest
+    from clgs.workflow.outputs import check_new
 
     if args.json:
-        check_target(args.json)
+        check_new(args.json, args.overwrite)
     records, tables, failures = [], [], 0
     for index, device in open_devices(args.device):
         checks: list[Check] = []
