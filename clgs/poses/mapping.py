@@ -33,6 +33,12 @@ LOOSE_INLIERS, LOOSE_SHARE = 15, 0.15
 """The least matches with points that a photo needs at the second look, and their least share;
 COLMAP's defaults are 30 and 0.25."""
 
+ENOUGH_TRACKS = 1000
+"""Tracks per photo from which the global mapper finds poses, the longest ones first.
+
+It triangulates all of them afterwards.
+"""
+
 STRONGEST = 8
 """Pairs per photo from which a model is made if the model of all pairs contradicts matches."""
 
@@ -200,6 +206,7 @@ def _map_globally(workspace: Workspace, stage: str) -> list[Any]:
     options = workspace.pycolmap.GlobalPipelineOptions()
     mapper, options.min_model_size = options.mapper, MIN_MODEL
     options.num_threads = mapper.num_threads = 1
+    mapper.track_required_tracks_per_view = ENOUGH_TRACKS
     positioning = mapper.global_positioning
     for one in (options, mapper, mapper.rotation_averaging, positioning, mapper.retriangulation):
         one.random_seed = workspace.seed
