@@ -91,7 +91,7 @@ def test_unrelated_photos_leave_nothing(unrelated: Path, tmp_path: Path):
     stages: list[str] = []
     with pytest.raises(DataError, match="overlapping"):
         prepare(unrelated, tmp_path / "data", on_progress=lambda stage, *_: stages.append(stage))
-    assert list(dict.fromkeys(stages)) == list(STAGES[:4])
+    assert list(dict.fromkeys(stages)) == list(STAGES[:5])
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 

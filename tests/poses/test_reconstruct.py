@@ -135,7 +135,7 @@ def test_a_crash_on_a_full_disk_asks_for_room(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(reconstruct, "run_child", crash)
     with pytest.raises(DataError, match="crashed"):
-        reconstruct.reconstruct(tmp_path, 0, False, 0, lambda *_: None)
+        reconstruct.reconstruct(tmp_path, 0, False, 0, None, lambda *_: None)
     monkeypatch.setattr(reconstruct.shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
     with pytest.raises(OSError, match="No space left"):
-        reconstruct.reconstruct(tmp_path, 0, False, 0, lambda *_: None)
+        reconstruct.reconstruct(tmp_path, 0, False, 0, None, lambda *_: None)
