@@ -110,8 +110,6 @@ def read_photo_set(root: Path, test_every: int = EVERY) -> PhotoSet:
     found = _read_format(root)
     if test_every == 0 or (test_every != EVERY and not found.split):
         found.train, found.test = hold_out(found.train + found.test, test_every)
-    if found.kind == "blender":
-        return found
     everyone = found.train + found.test
     used = {photo.mask for photo in everyone} | {photo.path for photo in everyone}
     folders = sorted({photo.path.parent for photo in everyone})

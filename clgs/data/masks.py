@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import numpy.typing as npt
@@ -48,21 +48,24 @@ def find_mask(root: Path, photos: Path, name: str) -> Path | None:
     """The file of the mask of the photo called ``name``, if there is one.
 
     It is called as the photo is, with or without the suffix of the photo and one of MASK_MARKS. It
-    lies in one of MASK_FOLDERS of the data set, or, with a mark, next to the photo.
+    lies in one of MASK_FOLDERS, of the data set or next to the photo; with a mark, also next to it.
 
     Args:
         root: folder of the data set.
         photos: folder of its photos, which the name is relative to.
         name: of the photo, with forward slashes.
     """
-    names = (name, name.rpartition(".")[0])
-    below = [each.removeprefix("images/") for each in names]
+    names = tuple(dict.fromkeys((name, str(PurePosixPath(name).with_suffix("")))))
+    below = [
+        (folder, n.removeprefix("images/")) for folder in mask_folders(root, photos) for n in names
+    ]
+    own = (photos / name).parent
+    below += [(own / folder, PurePosixPath(n).name) for folder in MASK_FOLDERS for n in names]
     paths = [
         folder / f"{each}{mark}{suffix}"
-        for folder in mask_folders(root, photos)
         for mark in ("", *MASK_MARKS)
         for suffix in MASK_SUFFIXES
-        for each in below
+        for folder, each in below
     ]
     paths += [
         photos / f"{each}{mark}{suffix}"

@@ -166,8 +166,7 @@ def read_frame(file: Path, document: dict[str, Any], number: int) -> ListedPhoto
     lens(*(size or (1, 1)))  # a bad file is bad on every machine, even if the image is missing
     mask = fields.text("mask_path", "") if "mask_path" in frame else None
     name = fields.text("file_path", "")
-    by_name = mask is None and file.name == "transforms.json"
-    return ListedPhoto(name, source, rotation, translation, size, lens, mask, by_name)
+    return ListedPhoto(name, source, rotation, translation, size, lens, mask, mask is None)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 from clgs.codec.container.section_table import BytesSource, FileSource
 from clgs.codec.scene_decoder import Box, decode, decode_box
 from clgs.codec.splat_packing import is_splats, unpack
+from clgs.data.splats.sog import images_in
 from clgs.errors import CodecError, DataError
 from clgs.scene.scene import QuantizedScene, SplatScene
 from clgs.scene.storage import load_scene
@@ -21,8 +22,8 @@ from clgs.workflow.outputs import holds_run
 PLAN = "plan.json"
 """The file by which the output folder of `clgs run` is recognised: the plan of that run."""
 
-SPLAT_SUFFIXES = (".ply", ".spz", ".sog")
-"""Suffixes of files of ordinary splats."""
+SPLAT_SUFFIXES = (".ply", ".spz", ".sog", ".json")
+"""Suffixes of files of ordinary splats; .json is that of a .sog file that is not zipped."""
 
 WRITTEN_ONLY = (".glb", ".html")
 """Suffixes of what `clgs export` writes and clgs does not read."""
@@ -69,7 +70,7 @@ def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
     from clgs.data.splats.gaussians import load_splats, scene_of_packed
 
     if path.suffix.lower() in SPLAT_SUFFIXES and not path.is_dir():
-        return load_splats(path), path.stat().st_size
+        return load_splats(path), _splat_bytes(path)
     bitstream = run_folder(path) / "scene.clgs"
     if path.is_dir() and bitstream.is_file():
         return read_bitstream(bitstream)
@@ -98,7 +99,7 @@ def describe_splats(path: Path) -> dict[str, Any]:
     scene = load_splats(path)
     mean = scene.transform.to_world(scene.gaussians.mean.astype(np.float64))
     return {
-        "bytes": path.stat().st_size,
+        "bytes": _splat_bytes(path),
         "splats": len(mean),
         "degree": scene.gaussians.degree,
         "antialiased": scene.gaussians.antialiased,
@@ -106,6 +107,12 @@ def describe_splats(path: Path) -> dict[str, Any]:
         "origin": list(scene.transform.centre),
         "near": scene.settings.near,
     }
+
+
+def _splat_bytes(path: Path) -> int:
+    """The bytes of a file of splats, and of those that belong to it."""
+    files = [path, *(images_in(path.parent) if path.suffix.lower() == ".json" else [])]
+    return sum(file.stat().st_size for file in files)
 
 
 def read_run(folder: Path) -> tuple[QuantizedScene, int | None]:

@@ -10,7 +10,7 @@ import pytest
 from clgs.data.dataset import load_dataset, read_photo_set
 from clgs.doctor.dataset import examine
 from clgs.errors import DataError
-from tests.data.folders import save_json, write_colmap, write_transforms
+from tests.data.folders import save_json, write_blender, write_colmap, write_transforms
 
 pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
 
@@ -140,3 +140,30 @@ def test_masks_are_found_by_plain_names(tmp_path: Path, name: str, kind: str):
     masked = [photo for photo in photos.train + photos.test if photo.mask]
     assert [(photo.path.name, photo.mask) for photo in masked] == [("002.png", tmp_path / name)]
     assert photos.stray_masks == [name.replace("002", "stray")]
+
+
+@pytest.mark.parametrize(
+    "name", ["masks/{}/r_1.png", "masks/{}/r_1_mask.png", "{}/masks/r_1.png", "{}/r_1_mask.png"]
+)
+def test_masks_of_blender_captures_are_found(tmp_path: Path, name: str):
+    """Both splits have a photo r_1: each has its own mask."""
+    write_blender(tmp_path)
+    for split in ("train", "test"):
+        for number in ("r_1", "stray"):
+            path = tmp_path / name.format(split).replace("r_1", number)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes((tmp_path / split / "r_1.png").read_bytes())
+    photos = read_photo_set(tmp_path)
+    masks = {photo.name: photo.mask for photo in photos.train + photos.test if photo.mask}
+    assert masks == {f"{s}/r_1.png": tmp_path / name.format(s) for s in ("train", "test")}
+    stray = name.replace("r_1", "stray")
+    assert photos.stray_masks == sorted(stray.format(split) for split in ("train", "test"))
+
+
+def test_a_mask_without_a_name_is_that_of_no_photo(tmp_path: Path):
+    write_blender(tmp_path)
+    (tmp_path / "masks").mkdir()
+    (tmp_path / "masks" / "_mask.png").write_bytes((tmp_path / "train" / "r_1.png").read_bytes())
+    photos = read_photo_set(tmp_path)
+    assert not any(photo.mask for photo in photos.train + photos.test)
+    assert photos.stray_masks == ["masks/_mask.png"]

@@ -1,7 +1,7 @@
 """The splats of any file that is read, as columns by the names of 3DGS's properties.
 
-PLY files of 3DGS, Scaffold's anchors included, PLY files of SuperSplat with chunks, SPZ and SOG.
-The first bytes of a file say which it is.
+PLY files of 3DGS, Scaffold's anchors included, PLY files of SuperSplat with chunks, SPZ, SOG, and
+the meta.json of a SOG that is a folder. The first bytes of a file say which it is.
 """
 
 from __future__ import annotations
@@ -65,6 +65,8 @@ def read_splat_table(path: Path) -> PlyTable:
             table = spz.decode_spz(data)
         elif data[:4] == sog.ZIP:
             table = sog.decode_sog(data)
+        elif data.lstrip()[:1] == b"{":
+            table = sog.decode_sog(data, path.parent)
         elif "chunk" in element_names(data):
             table = compressed_ply.decode_chunks(data)
         else:

@@ -1,9 +1,10 @@
-"""SPZ files of Niantic, versions 2 to 4: quantised, compressed by gzip or, in version 4, by zstd.
+"""SPZ files of Niantic, versions 1 to 4: quantised, compressed by gzip or, in version 4, by zstd.
 
-A header, then by attribute: positions (24-bit fixed point), opacities, base colors, log scales
-(bytes), rotations (in version 2 three bytes, later the three smallest components of the quaternion,
-10 bits each), and the other coefficients of the color (bytes, coefficient by coefficient, channels
-within). The axes stay as they are: splat-transform and gsply turn none either between PLY and SPZ.
+A header, then by attribute: positions (24-bit fixed point, in version 1 halves), opacities, base
+colors, log scales (bytes), rotations (up to version 2 three bytes, later the three smallest
+components of the quaternion, 10 bits each), and the other coefficients of the color (bytes,
+coefficient by coefficient, channels within). Extensions, such as limits of a camera, are passed
+over. The axes stay as they are: splat-transform and gsply turn none either between PLY and SPZ.
 
 Source of the format: Niantic's description (github.com/nianticlabs/spz, README).
 """
@@ -24,9 +25,11 @@ from clgs.files import check_declared
 
 GZIP, MAGIC = b"\x1f\x8b", b"NGSP"
 HEAD = struct.Struct("<4sIIBBBB")
-VERSIONS = (2, 3, 4)
+VERSIONS = (1, 2, 3, 4)
 ZSTD_VERSION, ZSTD_HEAD = 4, 32
-ANTIALIASED_FLAG = 1
+ANTIALIASED_FLAG, EXTENSIONS_FLAG = 1, 2
+MAX_SH_DEGREE = 4
+"""The highest degree of the colors that the format knows."""
 COLOR_SCALE = 0.15 * 255
 SCALE_STEPS, SCALE_LEAST = 16.0, -10.0
 """The steps per unit of a log scale, and the least log scale."""
@@ -51,14 +54,18 @@ def decode_spz(data: bytes) -> PlyTable:
     if magic != MAGIC:
         raise ValueError("a file compressed by gzip, but no .spz file")
     if version not in VERSIONS:
-        raise ValueError(f"an .spz file of version {version}; 2, 3 and 4 are read")
+        raise ValueError(f"an .spz file of version {version}; 1 to 4 are read")
+    if degree > MAX_SH_DEGREE:
+        raise ValueError(f"an .spz file with colors of degree {degree}")
     rest = 3 * ((degree + 1) ** 2 - 1)
-    widths = [9, 1, 3, 3, 3 if version == VERSIONS[0] else 4, *([rest] if degree else [])]
+    widths = [6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4]
+    widths += [rest] if degree else []
     check_declared(sum(widths) * count, len(data))
     if version == ZSTD_VERSION:
         parts = _decompress(data, [width * count for width in widths], streams)
     else:
-        body = _inflate(data, HEAD.size + sum(widths) * count, whole=True)
+        length = HEAD.size + sum(widths) * count
+        body = _inflate(data, length, whole=not flags & EXTENSIONS_FLAG)
         ends = np.cumsum([HEAD.size, *(width * count for width in widths)])
         if len(body) < ends[-1]:
             raise ValueError(f"an .spz file that lacks the last of its {count} splats")
@@ -75,12 +82,13 @@ def _columns(rows: list[Bytes], fraction: int) -> dict[str, npt.NDArray[Any]]:
     """The columns of the rows of bytes of each attribute."""
     position, opacity, color, scale, rotation = rows[:5]
     count = len(position)
-    padded = np.zeros((count, 3, 4), np.uint8)
-    padded[..., 1:] = position.reshape(count, 3, 3)
-    whole = padded.view("<i4")[..., 0] >> 8  # the sign comes along
-    found: dict[str, npt.NDArray[Any]] = {
-        axis: whole[:, i] / 2.0**fraction for i, axis in enumerate("xyz")
-    }
+    if position.shape[1] == 6:
+        mean = np.ascontiguousarray(position).view("<f2").astype(np.float64)
+    else:
+        padded = np.zeros((count, 3, 4), np.uint8)
+        padded[..., 1:] = position.reshape(count, 3, 3)
+        mean = (padded.view("<i4")[..., 0] >> 8) / 2.0**fraction  # the sign comes along
+    found: dict[str, npt.NDArray[Any]] = {axis: mean[:, i] for i, axis in enumerate("xyz")}
     found |= {f"f_dc_{i}": (color[:, i] - 127.5) / COLOR_SCALE for i in range(3)}
     if len(rows) > 5:
         coefficients = (rows[5].reshape(count, -1, 3) - SH_STEPS) / SH_STEPS

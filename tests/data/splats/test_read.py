@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import zstandard
+from PIL import Image
 
 from clgs.data.splats.gaussians import load_splats
 from clgs.data.splats.read import read_splat_table
@@ -20,6 +21,7 @@ from clgs.errors import DataError
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog
 from clgs.exports.splats.spz import encode_spz
+from clgs.workflow.scenes import read_drawable
 from tests.exports.splats.cases import differences, gaussians
 
 HEAD = struct.Struct("<4sIIBBBB")
@@ -44,29 +46,45 @@ def as_version_4(data, degree, extra=b""):
     return start + struct.pack("<I12x", 32 + len(extra)) + extra + table + b"".join(packed)
 
 
-def as_version_2(data, degree):
-    """The same file in version 2: x, y and z of the quaternion are a byte each."""
+def as_version_2(data, degree, version=2):
+    """The same file in version 2: x, y and z of the quaternion are a byte each.
+
+    In version 1 positions are halves as well.
+    """
     head, parts = parts_of(data, degree)
     turned = gaussians(degree).rotation.astype(np.float64)
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
     turned *= np.where(turned[:, :1] < 0, -1, 1)
     parts[4] = np.rint((turned[:, 1:] + 1) * 127.5).astype(np.uint8).tobytes()
-    return gzip.compress(HEAD.pack(head[0], 2, *head[2:]) + b"".join(parts))
+    if version == 1:
+        parts[0] = gaussians(degree).mean.astype("<f2").tobytes()
+    return gzip.compress(HEAD.pack(head[0], version, *head[2:]) + b"".join(parts))
+
+
+def with_extensions(data):
+    """The same file in version 3 with something behind its splats, as a flag says."""
+    inside = gzip.decompress(data)
+    return gzip.compress(inside[:14] + b"\x02" + inside[15:] + b"\x02\x00\xbe\xad\x04" + bytes(7))
 
 
 @pytest.mark.parametrize("degree", range(4))
-@pytest.mark.parametrize("form", ["2", "3", "4", "4 and more", "sog"])
+@pytest.mark.parametrize("form", ["1", "2", "3", "3 and more", "4", "4 and more", "sog"])
 def test_what_was_written_is_read(tmp_path, degree, form):
     path = tmp_path / "s.bin"
     encoded = (encode_sog if form == "sog" else encode_spz)(gaussians(degree))
     data = encoded.data
     if form[0] == "4":
         data = as_version_4(data, degree, b"extension" if "more" in form else b"")
-    path.write_bytes(as_version_2(data, degree) if form == "2" else data)
+    elif form in "12":
+        data = as_version_2(data, degree, int(form))
+    elif form == "3 and more":
+        data = with_extensions(data)
+    path.write_bytes(data)
     found = load_splats(path).gaussians
     assert found.degree == degree
     apart = differences(found, encoded.gaussians)
-    assert apart.pop("rotation") <= (0.01 if form == "2" else 1e-6)
+    assert apart.pop("rotation") <= (0.01 if form in "12" else 1e-6)
+    assert apart.pop("mean") <= (0.005 if form == "1" else 1e-6)
     assert max(apart.values()) <= 1e-6
     assert not found.antialiased
 
@@ -83,8 +101,9 @@ def refusal(path, data):
     ("change", "said"),
     [
         (lambda inside: inside[:8] + b"\xff" * 4 + inside[12:], "that declare arrays of"),
-        (lambda inside: inside[:4] + b"\x09" + inside[5:], "version 9; 2, 3 and 4 are read"),
+        (lambda inside: inside[:4] + b"\x09" + inside[5:], "version 9; 1 to 4 are read"),
         (lambda inside: b"something else, and no splats", "but no .spz file"),
+        (lambda inside: inside[:12] + b"\x05" + inside[13:], "with colors of degree 5"),
         (lambda inside: inside[:10], "ends in its header"),
         (lambda inside: inside[:-5], "lacks the last of its 500 splats"),
         (lambda inside: inside + b"more", "does not end with its splats"),
@@ -113,28 +132,122 @@ def test_damaged_bytes_of_spz_are_one_line(tmp_path, version, change, said):
     assert said in refusal(tmp_path / "s.spz", change(whole))
 
 
+def unzipped(data, change=lambda meta: meta):
+    """The files of a .sog file by name; meta.json is changed."""
+    archive = zipfile.ZipFile(io.BytesIO(data))
+    files = {name: archive.read(name) for name in archive.namelist()}
+    files["meta.json"] = json.dumps(change(json.loads(files["meta.json"]))).encode()
+    return files
+
+
+def zipped(files, before=""):
+    """A zip archive of files by name."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(before + name, content)
+    return out.getvalue()
+
+
+def as_version_1(meta):
+    """The description of the same images in version 1, and the extremes of its tables."""
+    parts = {part: {"files": meta[part]["files"]} for part in ("means", "scales", "quats", "sh0")}
+    parts["means"] |= meta["means"] | {"shape": [meta["count"], 3]}
+    parts["scales"] |= {"mins": [-6, -5, -4], "maxs": [0, 1, 2]}
+    parts["sh0"] |= {"mins": [-2, -1, 0, -7], "maxs": [2, 1, 3, 7]}
+    if "shN" in meta:
+        parts["shN"] = {"files": meta["shN"]["files"], "mins": -0.5, "maxs": 0.75}
+    return parts
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_sog_of_version_1_has_even_steps(tmp_path, degree):
+    data = encode_sog(gaussians(degree)).data
+    path = tmp_path / "s.sog"
+    path.write_bytes(zipped(unzipped(data, as_version_1)))
+    old = load_splats(path).gaussians
+    path.write_bytes(data)
+    new = load_splats(path).gaussians
+    assert old.degree == degree
+    assert np.array_equal(old.mean, new.mean)
+    assert np.array_equal(old.rotation, new.rotation)
+
+    def bytes_of(name):
+        image = Image.open(io.BytesIO(unzipped(data)[name])).convert("RGBA")
+        return np.asarray(image).reshape(-1, 4)[: len(old)] / 255.0
+
+    size, first = bytes_of("scales.webp")[:, :3], bytes_of("sh0.webp")
+    assert np.allclose(old.log_scale, [-6, -5, -4] + 6 * size, atol=1e-6)
+    assert np.allclose(old.sh[:, 0], [-2, -1, 0] + [4, 2, 3] * first[:, :3], atol=1e-6)
+    assert np.allclose(old.opacity, -7 + 14 * first[:, 3], atol=1e-5)
+    if degree:
+        # An order-preserving table: equal coefficients stay equal, larger ones larger.
+        steps = (old.sh[:, 1:] + 0.5) / 1.25 * 255
+        assert np.allclose(steps, np.rint(steps), atol=1e-3)
+        assert np.corrcoef(steps.ravel(), new.sh[:, 1:].ravel())[0, 1] > 0.9
+
+
+@pytest.mark.parametrize("form", ["folder", "zipped folder"])
+def test_sog_is_read_from_folders(tmp_path, form):
+    encoded = encode_sog(gaussians(1))
+    if form == "folder":
+        for name, content in unzipped(encoded.data).items():
+            (tmp_path / name).write_bytes(content)
+        path = tmp_path / "meta.json"
+    else:
+        path = tmp_path / "s.sog"
+        path.write_bytes(zipped(unzipped(encoded.data), "scene/"))
+    scene, size = read_drawable(path)
+    assert max(differences(scene.gaussians, encoded.gaussians).values()) < 1e-6
+    assert size == sum(file.stat().st_size for file in tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"frames": []}', "a JSON file that describes no splats; write the file again"),
+        ('{"means": {"shape": [2, 3], "files": ["../a", "b"]}}', "'../a', which is no file next"),
+        ('{"means": {"shape": [2, 3], "files": ["a.webp", "b"]}}', "'a.webp', which is no file"),
+        ('{"version": 2, "count": 1e300, "means": {}}', "that declare arrays of"),
+        ('{"version": 2, "count": Infinity, "means": {}}', "meta.json is damaged"),
+        ('{"version": 2, "count"', "Expecting"),
+    ],
+)
+def test_other_json_is_one_line(tmp_path, text, said):
+    (tmp_path / "meta.json").write_text(text)
+    with pytest.raises(DataError, match=r"^[^\n]*meta\.json: [^\n]*$") as caught:
+        read_drawable(tmp_path / "meta.json")
+    assert said in str(caught.value)
+
+
+def test_an_image_that_unpacks_to_gigabytes_is_refused(tmp_path):
+    """A WebP file of 34 bytes may have 2^28 pixels."""
+    files, out = unzipped(encode_sog(gaussians(0)).data), io.BytesIO()
+    Image.new("RGBA", (4096, 4096)).save(out, "WEBP", lossless=True, quality=0, method=0)
+    files["scales.webp"] = out.getvalue()
+    (tmp_path / "s.sog").write_bytes(zipped(files))
+    with pytest.raises(DataError, match=r"scales\.webp in a \.sog file is 4096x4096, too large"):
+        load_splats(tmp_path / "s.sog")
+
+
 @pytest.mark.parametrize(
     ("place", "value", "said"),
     [
         ("scales", {"files": ["scales.webp"]}, "meta.json is damaged: 'codebook'"),
         ("scales", {"files": ["scales.webp"], "codebook": []}, "without a codebook of scales"),
-        ("version", 3, "of version 3; version 2 is read"),
-        ("count", 10**12, "splats, of which means holds"),
+        ("version", 3, "of version 3; 1 and 2 are read"),
+        ("count", 10**12, "bytes that declare arrays of 24,000,000,000,000 bytes"),
+        ("count", 10**5, "splats, of which means holds"),
         ("quats", {"files": ["meta.json"]}, "meta.json in a .sog file is damaged"),
         ("quats", {"files": ["none.webp"]}, "meta.json is damaged"),
         ("means", None, "meta.json is damaged"),
     ],
 )
 def test_damaged_sog_is_one_line(tmp_path, place, value, said):
-    archive, changed = zipfile.ZipFile(io.BytesIO(encode_sog(gaussians(1)).data)), io.BytesIO()
-    with zipfile.ZipFile(changed, "w") as out:
-        for name in archive.namelist():
-            content = archive.read(name)
-            if name == "meta.json":
-                content = json.dumps(json.loads(content) | {place: value}).encode()
-            out.writestr(name, content)
-    assert said in refusal(tmp_path / "s.spz", changed.getvalue())
-    assert "a .sog file that is damaged" in refusal(tmp_path / "s.spz", changed.getvalue()[:900])
+    data = encode_sog(gaussians(1)).data
+    changed = zipped(unzipped(data, lambda meta: meta | {place: value}))
+    assert said in refusal(tmp_path / "s.spz", changed)
+    assert "a .sog file that is damaged" in refusal(tmp_path / "s.spz", changed[:900])
 
 
 def chunked(degree, colors, count=300):
