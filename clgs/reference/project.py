@@ -154,7 +154,7 @@ def _backward_drawn(
     d_cov3d = transform.transpose(0, 2, 1) @ d_cov2d @ transform
     d_axes = 2 * d_cov3d @ axes
     d_scale = np.sum(d_axes * rotation_matrix(rotation), axis=1)
-    d_rotation = _quaternion_gradient(rotation, d_axes * scale[:, None, :])
+    d_rotation = quaternion_gradient(rotation, d_axes * scale[:, None, :])
     return d_point @ view.rotation, d_scale, d_rotation
 
 
@@ -188,7 +188,7 @@ def _point_gradient(
     return d_point
 
 
-def _quaternion_gradient(rotation: Array, d_matrix: Array) -> Array:
+def quaternion_gradient(rotation: Array, d_matrix: Array) -> Array:
     """dL/dq (N, 4): the derivative of every matrix entry by every component, contracted."""
     w, x, y, z = rotation.T
     zero = np.zeros_like(w)

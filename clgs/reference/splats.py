@@ -6,6 +6,7 @@ the unit direction, given here by their exponents, so that their derivatives fol
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,15 +69,24 @@ class Seen:
 
 def basis(direction: Array, count: int) -> Array:
     """(N, count) values of the first functions in unit directions (N, 3)."""
-    columns = [_evaluate(one, direction) for one in HARMONICS[:count]]
-    return np.stack(columns, axis=1)
+    return polynomials(HARMONICS[:count], direction)
 
 
 def basis_slopes(direction: Array, count: int) -> Array:
     """(N, count, 3) derivatives of the polynomials by x, y and z."""
+    return polynomial_slopes(HARMONICS[:count], direction)
+
+
+def polynomials(functions: Sequence[Polynomial], direction: Array) -> Array:
+    """(N, functions) values in directions (N, 3)."""
+    return np.stack([_evaluate(one, direction) for one in functions], axis=1)
+
+
+def polynomial_slopes(functions: Sequence[Polynomial], direction: Array) -> Array:
+    """(N, functions, 3) derivatives by x, y and z."""
     slopes = [
         np.stack([_evaluate(_derivative(one, axis), direction) for axis in range(3)], axis=1)
-        for one in HARMONICS[:count]
+        for one in functions
     ]
     return np.stack(slopes, axis=1)
 

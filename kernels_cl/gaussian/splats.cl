@@ -8,48 +8,14 @@
  *
  * sh and d_sh are (N, COEFFICIENTS, 3).
  */
-#include "common/camera.h"
 #include "common/items.h"
-#include "common/lane_math.h"
 #include "common/method.h"
 #include "common/real.h"
 #include "common/rows.h"
 #include "gaussian/harmonics.h"
 #include "gaussian/log_scale.h"
+#include "gaussian/seen_colors.h"
 #include "gaussian/unit_quaternion.h"
-
-/* Below, a Gaussian lies in the camera's centre and has the direction 0. */
-#define SHORTEST_SQUARE 1e-30f
-
-/* Unit vectors from the camera's centre to `position`; returns the reciprocals of the lengths. */
-static inline fv look_at(const fv position[3], __global const float *camera, fv direction[3])
-{
-    for (int i = 0; i < 3; ++i)
-        direction[i] = position[i] - camera[CAMERA_CENTRE + i];
-    const fv square = dot3(direction, direction);
-    const fv on_length = square > (fv)(SHORTEST_SQUARE) ? 1.0f / sqrt(square) : (fv)(0.0f);
-    for (int i = 0; i < 3; ++i)
-        direction[i] *= on_length;
-    return on_length;
-}
-
-/* Colors of `used` Gaussians from number `first` on. Negative ones become 0; NaN stays NaN. */
-static inline void write_colors(__global const float *sh, const fv basis[MAX_COEFFICIENTS],
-                                const size_t first, const size_t used, __global float *color)
-{
-    float lanes[COEFFICIENTS][VEC];
-    for (size_t c = 0; c < COEFFICIENTS; ++c)
-        STORE_V(basis[c], 0, lanes[c]);
-    for (size_t lane = 0; lane < used; ++lane) {
-        __global const float *row = sh + 3 * COEFFICIENTS * (first + lane);
-        for (size_t i = 0; i < 3; ++i) {
-            float sum = 0.5f;
-            for (size_t c = 0; c < COEFFICIENTS; ++c)
-                sum = fma(lanes[c][lane], row[3 * c + i], sum);
-            color[3 * (first + lane) + i] = sum < 0.0f ? 0.0f : sum;
-        }
-    }
-}
 
 __kernel void splats_forward(__global const float *mean, __global const float *log_scale,
                              __global const float *rotation, __global const float *logit,
@@ -76,54 +42,6 @@ __kernel void splats_forward(__global const float *mean, __global const float *l
     look_at(position, camera, direction);
     harmonics(direction, basis);
     write_colors(sh, basis, first, used, color);
-}
-
-/* Writes d_sh of `used` Gaussians from number `first` on; weight: dL/d(basis). A channel that was
- * negative before it became 0 has no gradient. */
-static inline void color_gradient(__global const float *sh, __global const float *color,
-                                  __global const float *d_color, const fv basis[MAX_COEFFICIENTS],
-                                  const size_t first, const size_t used,
-                                  fv weight[MAX_COEFFICIENTS], __global float *d_sh)
-{
-    float lanes[COEFFICIENTS][VEC], sums[MAX_COEFFICIENTS][VEC];
-    for (size_t c = 0; c < MAX_COEFFICIENTS; ++c)
-        STORE_V((fv)(0.0f), 0, sums[c]);
-    for (size_t c = 0; c < COEFFICIENTS; ++c)
-        STORE_V(basis[c], 0, lanes[c]);
-    for (size_t lane = 0; lane < used; ++lane) {
-        const size_t n = first + lane, row = 3 * COEFFICIENTS * n;
-        for (size_t i = 0; i < 3; ++i) {
-            const float d = color[3 * n + i] > 0.0f ? d_color[3 * n + i] : 0.0f;
-            for (size_t c = 0; c < COEFFICIENTS; ++c) {
-                sums[c][lane] = fma(d, sh[row + 3 * c + i], sums[c][lane]);
-                d_sh[row + 3 * c + i] = d * lanes[c][lane];
-            }
-        }
-    }
-    for (size_t c = 0; c < MAX_COEFFICIENTS; ++c)
-        weight[c] = LOAD_V(0, sums[c]);
-}
-
-/* Adds to d_mean what moves the color, by the direction from the camera. */
-static inline void direction_gradient(const fv direction[3], const fv on_length,
-                                      const fv weight[MAX_COEFFICIENTS], fv d_position[3])
-{
-    fv d[3];
-    harmonics_backward(direction, weight, d);
-    const fv along = dot3(direction, d);
-    for (int i = 0; i < 3; ++i)
-        d_position[i] = fma(d[i] - along * direction[i], on_length, d_position[i]);
-}
-
-/* dL/d(quaternion) from dL/d(unit quaternion): the part across it, by the length. */
-static inline void unit_gradient(fv quaternion[4], fv d[4])
-{
-    const fv on_length = make_unit(quaternion);
-    fv along = (fv)(0.0f);
-    for (int i = 0; i < 4; ++i)
-        along = fma(d[i], quaternion[i], along);
-    for (int i = 0; i < 4; ++i)
-        d[i] = (d[i] - along * quaternion[i]) * on_length;
 }
 
 /* Gradients by the stored numbers from those by scale, unit quaternion, color and opacity; d_mean

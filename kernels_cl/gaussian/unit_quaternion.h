@@ -34,4 +34,15 @@ static inline fv make_unit(fv unit[4])
     return valid ? on_length * shrink : (fv)(0.0f);
 }
 
+/* dL/d(quaternion) from dL/d(unit quaternion): the part across it, by the length. */
+static inline void unit_gradient(fv quaternion[4], fv d[4])
+{
+    const fv on_length = make_unit(quaternion);
+    fv along = (fv)(0.0f);
+    for (int i = 0; i < 4; ++i)
+        along = fma(d[i], quaternion[i], along);
+    for (int i = 0; i < 4; ++i)
+        d[i] = (d[i] - along * quaternion[i]) * on_length;
+}
+
 #endif

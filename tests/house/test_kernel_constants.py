@@ -29,6 +29,8 @@ MODULES += [f"ops/{path.stem}" for path in sorted((ROOT / "clgs/ops").glob("[a-z
 VARYING = {
     *("VEC", "USE_LOCAL", "USE_PREFETCH"),  # the form, and the driver
     *("WIDTH", "COEFFICIENTS", "WANT_POSITION", "MIN_EXTENT"),  # of arrays and calls
+    *("CHANNELS", "WITH_DEPTH", "WITH_ABSOLUTE", "SH_ROWS", "BARE_SUMS"),
+    *("PARALLEL_RAYS", "BY_COVARIANCE", "COMPENSATED"),
     "TILES_AT_ONCE",  # of the width of registers
     *("SSIM_C1", "SSIM_C2", *(f"SSIM_WEIGHT_{tap}" for tap in range(6)), "SKIP_FLAT"),
     *("PREFETCH", "PREFETCH_WRITE", "OUTPUT_SPACE"),  # of the compiler, and of a file

@@ -1,0 +1,180 @@
+"""Projection for any camera in float64, by whole covariance matrices, with all its gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.constants import ALPHA_CUT
+from clgs.reference.project import (
+    Array,
+    Projected,
+    UnpackedCamera,
+    covariance_gradient,
+    quaternion_gradient,
+    rotation_matrix,
+    unpack,
+)
+
+
+@dataclass(frozen=True)
+class Lens:
+    """The fields of ``clgs.ops.views.Lens`` that change numbers; near is the camera's."""
+
+    parallel: bool = False
+    compensated: bool = False
+    blur: float = 0.3
+    far: float = 1e10
+    smallest_radius: float = 0.0
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """d_mean (N, 3), d_covariance (N, 3, 3) symmetric, d_opacity (N,), d_camera (3, 4)."""
+
+    d_mean: Array
+    d_covariance: Array
+    d_opacity: Array
+    d_camera: Array
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """point (N, 3), jacobian (N, 2, 3), free (N, 2), sharp (N, 2, 2): covariance without blur."""
+
+    point: Array
+    jacobian: Array
+    free: npt.NDArray[np.bool_]
+    sharp: Array
+
+
+def covariances(scale: Array, rotation: Array) -> Array:
+    """(N, 3, 3) of scales (N, 3) and quaternions (N, 4) of any length."""
+    unit = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
+    axes = rotation_matrix(unit) * scale[:, None, :]
+    return np.asarray(axes @ axes.transpose(0, 2, 1))
+
+
+def shape_gradients(scale: Array, rotation: Array, d_covariance: Array) -> tuple[Array, Array]:
+    """d_scale and d_rotation from symmetric gradients by covariances."""
+    norm = np.linalg.norm(rotation, axis=1, keepdims=True)
+    unit = rotation / norm
+    matrix = rotation_matrix(unit)
+    d_axes = 2 * d_covariance @ (matrix * scale[:, None, :])
+    d_unit = quaternion_gradient(unit, d_axes * scale[:, None, :])
+    across = d_unit - np.sum(d_unit * unit, axis=1, keepdims=True) * unit
+    return np.sum(d_axes * matrix, axis=1), across / norm
+
+
+def forward(
+    mean: Array, covariance: Array, opacity: Array, camera: npt.NDArray[np.floating], lens: Lens
+) -> tuple[Projected, Array]:
+    """Projections and opacities; shapes as in ``clgs.ops.views``, covariances (N, 3, 3)."""
+    view = unpack(camera)
+    with np.errstate(all="ignore"):
+        seen = _see(view, mean, covariance, lens)
+        cov = seen.sharp + lens.blur * np.eye(2)
+        xx, xy, yy = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
+        whitening = np.stack([xx**-0.5, xy / xx, np.sqrt(xx / (xx * yy - xy * xy))], 1)
+        opacity = opacity * _share(seen, lens)
+        reach = np.sqrt(2 * np.log(opacity / ALPHA_CUT))
+        extent = reach[:, None] * np.sqrt(np.stack([xx, yy], 1))
+        depth_of = 1 if lens.parallel else seen.point[:, 2:]
+        mean2d = view.focal * seen.point[:, :2] / depth_of + view.centre2d
+        radii = np.ceil(extent)
+        drawn = np.all((mean2d + radii > 0) & (mean2d - radii < view.size), axis=1)
+        drawn &= np.max(radii, axis=1) > lens.smallest_radius
+    depth = seen.point[:, 2]
+    drawn &= (depth >= view.near) & (depth <= lens.far) & (opacity >= ALPHA_CUT)
+    drawn &= np.all(np.isfinite(whitening), axis=1)
+    keep = drawn[:, None]
+    projected = Projected(
+        np.where(keep, mean2d, 0),
+        np.where(keep, whitening, 0),
+        np.where(drawn, depth, 0),
+        np.where(keep, extent, 0),
+    )
+    return projected, np.where(drawn, opacity, 0)
+
+
+def backward(
+    mean: Array,
+    covariance: Array,
+    opacity: Array,
+    camera: npt.NDArray[np.floating],
+    lens: Lens,
+    d_mean2d: Array,
+    d_whitening: Array,
+    d_depth: Array,
+    d_compensated: Array,
+) -> Gradients:
+    """Gradients from those of the projections; of drawn Gaussians alone."""
+    drawn = forward(mean, covariance, opacity, camera, lens)[0].extent[:, 0] > 0
+    view = unpack(camera)
+    seen = _see(view, mean[drawn], covariance[drawn], lens)
+    cov = seen.sharp + lens.blur * np.eye(2)
+    share = _share(seen, lens)
+    d_cov = covariance_gradient(cov, d_whitening[drawn])
+    d_log_share = d_compensated[drawn] * opacity[drawn] * share
+    if lens.compensated:
+        d_cov += 0.5 * d_log_share[:, None, None] * (np.linalg.inv(seen.sharp) - np.linalg.inv(cov))
+    j, w = seen.jacobian, view.rotation
+    in_camera = w @ covariance[drawn] @ w.T
+    d_j = 2 * d_cov @ j @ in_camera
+    d_point = _point_gradient(view, seen, lens, d_mean2d[drawn], d_j)
+    d_point[:, 2] += d_depth[drawn]
+    d_in_camera = j.transpose(0, 2, 1) @ d_cov @ j
+    d_rotation = np.sum(2 * d_in_camera @ w @ covariance[drawn], axis=0)
+    d_rotation += d_point.T @ mean[drawn]
+    result = Gradients(
+        np.zeros_like(mean),
+        np.zeros_like(covariance),
+        np.zeros_like(opacity),
+        np.concatenate([d_rotation, d_point.sum(axis=0)[:, None]], axis=1),
+    )
+    result.d_mean[drawn] = d_point @ w
+    result.d_covariance[drawn] = w.T @ d_in_camera @ w
+    result.d_opacity[drawn] = d_compensated[drawn] * share
+    return result
+
+
+def _see(view: UnpackedCamera, mean: Array, covariance: Array, lens: Lens) -> _Seen:
+    point = mean @ view.rotation.T + view.translation
+    matrix, free = np.zeros((len(point), 2, 3)), np.ones((len(point), 2), bool)
+    if lens.parallel:
+        matrix[:, [0, 1], [0, 1]] = view.focal
+    else:
+        slope = point[:, :2] / point[:, 2:]
+        clamped = np.clip(slope, view.limits[:, 0], view.limits[:, 1])
+        free = clamped == slope
+        matrix[:, [0, 1], [0, 1]] = view.focal / point[:, 2:]
+        matrix[:, :, 2] = -view.focal * clamped / point[:, 2:]
+    transform = matrix @ view.rotation
+    return _Seen(point, matrix, free, transform @ covariance @ transform.transpose(0, 2, 1))
+
+
+def _share(seen: _Seen, lens: Lens) -> Array:
+    """Share of the opacity that is left, (N,)."""
+    if not lens.compensated:
+        return np.ones(len(seen.point))
+    blurred = np.linalg.det(seen.sharp + lens.blur * np.eye(2))
+    return np.asarray(np.sqrt(np.maximum(np.linalg.det(seen.sharp), 0) / blurred))
+
+
+def _point_gradient(
+    view: UnpackedCamera, seen: _Seen, lens: Lens, d_mean2d: Array, d_j: Array
+) -> Array:
+    d_point = np.zeros_like(seen.point)
+    if lens.parallel:
+        d_point[:, :2] = d_mean2d * view.focal
+        return d_point
+    z = seen.point[:, 2:]
+    slope = seen.point[:, :2] / z
+    # the Jacobian's entries are 1/z times what depends on the slopes
+    d_slope = view.focal * (d_mean2d - np.where(seen.free, d_j[:, :, 2] / z, 0))
+    d_point[:, :2] = d_slope / z
+    by_depth = np.sum(d_j * seen.jacobian, axis=(1, 2)) + np.sum(d_slope * slope, axis=1)
+    d_point[:, 2] = -by_depth / z[:, 0]
+    return d_point

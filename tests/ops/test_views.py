@@ -1,0 +1,147 @@
+"""Projection for any camera against the float64 reference: forward, and every gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.ops import views
+from clgs.ops.channels import ChannelGradients
+from clgs.options import DEFAULT
+from clgs.reference import views as reference
+from tests.compare import relative_l2
+
+SIZE = (96, 80)
+UPPER = np.triu_indices(3)
+
+
+def matrices(rng):
+    """A viewmat that is no rotation, and intrinsics."""
+    viewmat = np.eye(4)
+    viewmat[:3, :3] += rng.normal(0, 0.08, (3, 3))
+    viewmat[:3, 3] = 0.1, -0.2, 4.0
+    return viewmat, np.array([[90.0, 0, 45], [0, 100.0, 43], [0, 0, 1]])
+
+
+def gaussians(rng, count):
+    values = {
+        "mean": rng.uniform(-2.5, 2.5, (count, 3)),
+        "scale": 0.1 * 10 ** rng.uniform(-0.5, 0.5, (count, 3)),
+        "rotation": rng.normal(size=(count, 4)) * rng.uniform(0.3, 3, (count, 1)),
+        "opacity": rng.uniform(0.02, 1.0, count),
+    }
+    return {name: value.astype(np.float32) for name, value in values.items()}
+
+
+def lenses(parallel, compensated):
+    shared = {"blur": 0.25, "far": 5.5, "smallest_radius": 2.0}
+    given = views.Lens(parallel, compensated, near=2.0, **shared)
+    return given, reference.Lens(parallel, compensated, **shared)
+
+
+def on_device(device, values, by_covariance):
+    mean, opacity = device.upload(values["mean"]), device.upload(values["opacity"])
+    if by_covariance:
+        shape = reference.covariances(*(values[n].astype(float) for n in ("scale", "rotation")))
+        rows = shape[:, UPPER[0], UPPER[1]].astype(np.float32)
+        return views.Splats(mean, device.upload(rows), None, opacity)
+    shape, rotation = device.upload(values["scale"]), device.upload(values["rotation"])
+    return views.Splats(mean, shape, rotation, opacity)
+
+
+@pytest.mark.parametrize(
+    ("parallel", "compensated", "by_covariance"),
+    [(False, False, False), (False, True, True), (True, True, False), (True, False, True)],
+)
+def test_agrees_with_reference(device, rng, parallel, compensated, by_covariance):
+    count = 1500
+    values = gaussians(rng, count)
+    wide = {name: value.astype(np.float64) for name, value in values.items()}
+    covariance = reference.covariances(wide["scale"], wide["rotation"])
+    viewmat, intrinsics = matrices(rng)
+    if parallel:
+        intrinsics[[0, 1], [0, 1]] = 22.0, 25.0
+    lens, lens64 = lenses(parallel, compensated)
+    packed = views.pack_camera(viewmat, intrinsics, SIZE, lens.near)
+    splats, camera = on_device(device, values, by_covariance), device.upload(packed)
+    none = device.empty((count, 0))
+    found = views.forward(device, splats, camera, lens, none, DEFAULT)
+    wanted, opacity = reference.forward(wide["mean"], covariance, wide["opacity"], packed, lens64)
+    drawn = wanted.extent[:, 0] > 0
+    assert 0.2 < drawn.mean() < 0.9
+    assert np.array_equal(device.download(found.extent)[:, 0] > 0, drawn)
+    for name in ("mean2d", "whitening", "depth", "extent"):
+        assert relative_l2(device.download(getattr(found, name)), getattr(wanted, name)) < 3e-6
+    assert relative_l2(device.download(found.opacity), opacity) < 1e-6
+
+    r1, _, r2 = np.where(wanted.whitening == 0, 1, wanted.whitening).T
+    moment = rng.normal(size=(count, 3))
+    given = {
+        "d_mean2d": rng.normal(size=(count, 2)),
+        "d_whitening": np.stack([moment[:, 0] / r1, moment[:, 1] * r2 / r1, moment[:, 2] / r2], 1),
+        "d_depth": rng.normal(size=count),
+        "d_opacity": rng.normal(size=count),
+    }
+    given = {name: value.astype(np.float32) for name, value in given.items()}
+    uploaded = {name: device.upload(value) for name, value in given.items()}
+    d_projected = ChannelGradients(**uploaded, d_color=none, d_absolute=None)
+    made = views.backward(device, splats, camera, lens, found, d_projected, want_camera=True)
+    expected = reference.backward(
+        wide["mean"],
+        covariance,
+        wide["opacity"],
+        packed,
+        lens64,
+        *(value.astype(np.float64) for value in given.values()),
+    )
+    assert relative_l2(device.download(made.d_mean), expected.d_mean) < 1e-5
+    assert relative_l2(device.download(made.d_opacity), expected.d_opacity) < 1e-5
+    by_camera = device.download(made.d_camera)
+    assert not by_camera[:, ~drawn].any()
+    assert relative_l2(by_camera.sum(axis=1, dtype=np.float64), expected.d_camera) < 1e-5
+    if by_covariance:
+        both = expected.d_covariance * (2 - np.eye(3))
+        assert relative_l2(device.download(made.d_shape), both[:, UPPER[0], UPPER[1]]) < 2e-5
+    else:
+        d_scale, d_rotation = reference.shape_gradients(
+            wide["scale"], wide["rotation"], expected.d_covariance
+        )
+        assert relative_l2(device.download(made.d_shape), d_scale) < 1e-5
+        assert relative_l2(device.download(made.d_rotation), d_rotation) < 1e-5
+
+
+def test_flat_covariances_have_gradients(device):
+    """A disk and a point: their Cholesky factors have columns of zeros."""
+    rows = np.array([[0.01, 0, 0, 0.02, 0, 0], [0, 0, 0, 0, 0, 0]], np.float32)
+    splats = views.Splats(
+        device.zeros((2, 3)), device.upload(rows), None, device.upload(np.ones(2, np.float32))
+    )
+    viewmat, intrinsics = matrices(np.random.default_rng(1))
+    camera = device.upload(views.pack_camera(viewmat, intrinsics, SIZE, 0.1))
+    none, ones = device.empty((2, 0)), device.upload(np.ones((2, 3), np.float32))
+    found = views.forward(device, splats, camera, views.Lens(), none, DEFAULT)
+    assert (device.download(found.extent) > 0).all()
+    made = views.backward(
+        device,
+        splats,
+        camera,
+        views.Lens(),
+        found,
+        ChannelGradients(device.zeros((2, 2)), ones, device.zeros((2,)), none, None, None),
+        want_camera=True,
+    )
+    for array in (made.d_mean, made.d_shape, made.d_camera):
+        assert np.isfinite(device.download(array)).all()
+
+
+def test_wrong_arrays_and_none(device, rng):
+    viewmat, intrinsics = matrices(rng)
+    camera = device.upload(views.pack_camera(viewmat, intrinsics, SIZE, 0.1))
+    few = on_device(device, gaussians(rng, 3), False)
+    empty = on_device(device, gaussians(rng, 0), False)
+    none = device.empty((0, 0))
+    found = views.forward(device, empty, camera, views.Lens(), none, DEFAULT)
+    assert device.download(found.mean2d).shape == (0, 2)
+    wrong = views.Splats(few.mean, few.shape, None, few.opacity)
+    with pytest.raises(ValueError, match="shape"):
+        views.forward(device, wrong, camera, views.Lens(), none, DEFAULT)
