@@ -4,7 +4,7 @@ The names of this module do the whole job; nothing heavy is imported before one 
 
 - ``run(photos, output)``: all of it: poses, training, file, scores, page, clip and report
 - ``prepare(photos, output)``: poses and points from a folder of photos (structure from motion)
-- ``load_dataset(folder)``: Blender, transforms.json or COLMAP data with its views
+- ``load_dataset(folder)``: Blender, transforms.json, COLMAP and other data with its views
 - ``preset(name)``: a training configuration; ``.scaled(steps)`` sets the length
 - ``train_scene(dataset, folder, config)``: a trained, quantised, encoded scene
 - ``encode(scene)`` / ``decode(data)``: a scene to bytes and back, bit for bit

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.arguments import as_path, check_integer
-from clgs.data.apart import ASTRAY, apart, in_one_place
 from clgs.data.colmap.model import find_model, read_colmap
+from clgs.data.complaints import check_masks, check_photos, find_astray
 from clgs.data.images import Pixels, box_resized, check_chunks, check_image, list_images, read_image
 from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
 from clgs.data.masks import StoredMask, list_masks, read_mask
@@ -23,7 +23,8 @@ from clgs.data.photo_cache import is_worth_keeping, kept_pixels
 from clgs.data.point_file import read_points
 from clgs.data.points import BLENDER_DISTANCE, BLENDER_TOLERANCE
 from clgs.data.posed_photo import Photo, PhotoSet, hold_out
-from clgs.data.reduction import DEFAULT, EVERY, IGNORE, MAX_SIZE, MEANINGS, OBJECT, Reduction
+from clgs.data.programs.find import find_reader
+from clgs.data.reduction import DEFAULT, EVERY, IGNORE, MAX_SIZE, OBJECT, Reduction
 from clgs.data.stored_photo import DEFAULT_MEMORY, PhotoMemory, StoredPhoto
 from clgs.data.transforms import read_blender, read_transforms
 from clgs.data.view import View
@@ -54,11 +55,6 @@ FAR_LIMIT = 50.0
 MAX_COORDINATE = 2.0**20 / 200.0
 """Largest |coordinate| in scene units: the codec stores 21 bits of 1/200 unit."""
 
-NONE_LEFT = "all photos are held out, none is left to train on; --test-every 0 holds none out"
-
-NAMED = 8
-"""A warning names at most this many photos."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -68,10 +64,10 @@ class Dataset:
 
     points (P, 3) float32, empty if the data set has none; point_colors (P, 3) uint8 or None;
     radius: 1.1 times the largest distance of a training camera from their mean; transform: world
-    to scene; kind: "blender", "transforms" or "colmap"; skipped: photos named by the data set but
-    missing; reduction: what the views were reduced by; points_file: the file that the points were
-    asked to come from, else empty; folder: where it was read, None if it was made in memory;
-    photos: the training photos as they are on the disk, in world units.
+    to scene; kind: "blender", "transforms", "colmap", or the program that made it; skipped: photos
+    named by the data set but missing; reduction: what the views were reduced by; points_file: the
+    file that the points were asked to come from, else empty; folder: where it was read, None if it
+    was made in memory; photos: the training photos as they are on the disk, in world units.
     """
 
     train: list[View]
@@ -96,7 +92,7 @@ class Dataset:
 def is_posed(folder: Path) -> bool:
     """Whether ``folder`` is a data set with poses."""
     marked = any((folder / name).is_file() for name in (BLENDER, TRANSFORMS))
-    return marked or find_model(folder) is not None
+    return marked or find_model(folder) is not None or find_reader(folder) is not None
 
 
 def read_photo_set(root: Path, test_every: int = EVERY) -> PhotoSet:
@@ -119,11 +115,15 @@ def read_photo_set(root: Path, test_every: int = EVERY) -> PhotoSet:
 
 
 def _read_format(root: Path) -> PhotoSet:
-    """The photos by whichever of three formats ``root`` holds."""
+    """The photos by the first of the formats that ``root`` holds."""
     if (root / BLENDER).is_file():
         return read_blender(root)
-    model = None if (root / TRANSFORMS).is_file() else find_model(root)
-    return read_transforms(root) if model is None else read_colmap(root, model)
+    if (root / TRANSFORMS).is_file():
+        return read_transforms(root)
+    if (model := find_model(root)) is not None:
+        return read_colmap(root, model)
+    read = find_reader(root)
+    return read_transforms(root) if read is None else read()
 
 
 def _why_none(root: Path) -> str:
@@ -139,7 +139,8 @@ def _why_none(root: Path) -> str:
         return f"is a part of a data set; name the whole of it: {above}"
     if any(list_images(folder) for folder in (root, root / "images") if folder.is_dir()):
         return f"photos without poses; run: clgs prepare {shlex.quote(str(root))} -o DATA"
-    return "no transforms.json, transforms_train.json, COLMAP model or photos; check the path"
+    known = "no transforms.json, transforms_train.json, COLMAP model, cameras of another program"
+    return f"{known} or photos; check the path"
 
 
 def load_dataset(
@@ -156,7 +157,7 @@ def load_dataset(
     masks: str = IGNORE,
     test_every: int = EVERY,
 ) -> Dataset:
-    """The data set in the folder ``path``: Blender, transforms.json or COLMAP.
+    """The data set in the folder ``path``: the cameras of any program that the guide lists.
 
     A data set without points has none here; ``clgs.train_scene`` finds some before it trains.
 
@@ -191,9 +192,9 @@ def load_dataset(
     points_file = None if points_file is None else as_path("points_file", points_file)
     reduction = Reduction(downscale, max_size)
     photos = read_photo_set(root, test_every)
-    _check_photos(root, photos, reduction)
-    _check_masks(root, photos, masks)
-    transform, radius = _normalise(photos, preset_units, _astray(root, photos))
+    check_photos(root, photos, reduction)
+    check_masks(root, photos, masks)
+    transform, radius = _normalise(photos, preset_units, find_astray(root, photos))
     dataset = Dataset(
         *([], [], np.empty((0, 3), np.float32), None),
         *(transform, radius, photos.kind, len(photos.missing)),
@@ -252,69 +253,6 @@ def to_scene_points(
     return points[near].astype(np.float32), None if color is None else color[near]
 
 
-def _check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
-    if missing := photos.missing:
-        total = len(missing) + len(photos.train) + len(photos.test)
-        named = _named(missing)
-        _log.warning("%s: %d of %d photos are missing: %s", root, len(missing), total, named)
-    if models := photos.models_in_words():
-        _log.warning("%s: %s", root, models)
-    if not photos.train:
-        raise DataError(f"{root}: {NONE_LEFT}")
-    centres = np.array([photo.centre for photo in photos.train])
-    if len(centres) > 1 and in_one_place(centres):
-        problem = "all cameras are in one place, so depth cannot be seen; walk, not turn"
-        _log.warning("%s: %s", root, problem)
-    if not isinstance(reduction.times, int) or reduction.times < 0:
-        problem = f"downscale is {reduction.times}; give a whole number of at least 1"
-        raise DataError(f"{problem}, or 0 for the width alone")
-    least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)
-    if reduction.times > least:
-        raise DataError(
-            f"downscale is {reduction.times}; the photos are {least} pixels, give at most that"
-        )
-
-
-def _check_masks(root: Path, photos: PhotoSet, masks: str) -> None:
-    """Raise DataError unless ``masks`` is known; warn of photos without mask and masks without."""
-    if masks not in MEANINGS:
-        raise DataError(f"masks is {masks!r}; give {' or '.join(MEANINGS)}")
-    without = [photo.name for photo in photos.train + photos.test if photo.mask is None]
-    if masks == OBJECT and without:
-        _log.warning(
-            "%s: %d photos have no mask, so that all that they show is the object: %s",
-            *(root, len(without), _named(without)),
-        )
-    if photos.stray_masks:
-        _log.warning(
-            "%s: %d files look like masks, but are those of no photo and are not used: %s; call "
-            "them NAME.png as the photos are, in the folder masks",
-            *(root, len(photos.stray_masks), _named(photos.stray_masks)),
-        )
-
-
-def _named(names: list[str]) -> str:
-    shown = [name[:80] if name.isprintable() else repr(name[:80]) for name in names[:NAMED]]
-    return ", ".join(shown) + ", ..." * (len(names) > NAMED)
-
-
-def _astray(root: Path, photos: PhotoSet) -> npt.NDArray[np.bool_]:
-    """Which training cameras (N,) are so far away that their poses must be wrong.
-
-    There is a warning about them, and about such cameras of test photos.
-    """
-    everyone = photos.train + photos.test
-    astray = apart(np.array([photo.centre for photo in everyone]), ASTRAY)
-    if astray.any():
-        names = [photo.name for photo, far in zip(everyone, astray, strict=True) if far]
-        _log.warning(
-            "%s: more than %d times as far from the middle as half of the cameras, so their poses "
-            "are wrong: %s; leave these photos out",
-            *(root, ASTRAY, _named(names)),
-        )
-    return astray[: len(photos.train)]
-
-
 def _normalise(
     photos: PhotoSet, keep_units: bool, astray: npt.NDArray[np.bool_]
 ) -> tuple[SceneTransform, float]:
@@ -326,14 +264,15 @@ def _normalise(
         # Cameras in one place (or a single one) say nothing about the size of the scene.
         radius = SCENE_RADIUS
     if keep_units:
-        return SceneTransform(), radius
+        return SceneTransform(frame=photos.frame, place=photos.place), radius
     if photos.kind == "blender":
         distance = float(np.median(np.linalg.norm(centres, axis=1)))
         usual = 1 / BLENDER_TOLERANCE <= distance / BLENDER_DISTANCE <= BLENDER_TOLERANCE
         scale = 1.0 if usual or not distance > 0 else BLENDER_DISTANCE / distance
         return SceneTransform(scale=scale), scale * radius
     x, y, z = map(float, middle)
-    return SceneTransform((x, y, z), SCENE_RADIUS / radius), SCENE_RADIUS
+    transform = SceneTransform((x, y, z), SCENE_RADIUS / radius, photos.frame, photos.place)
+    return transform, SCENE_RADIUS
 
 
 def _view(

@@ -21,6 +21,9 @@ Floats = npt.NDArray[np.float64]
 _MAX_ANGLE = np.radians(80.0)
 """A fisheye ray further from the axis has no place in a pinhole image of sensible size."""
 
+_ROUNDS = 25
+"""Fixed-point steps that take the tangential distortion of a fisheye out."""
+
 _BAND_PIXELS = 65_536
 """Pixels resampled at a time, so that the work stays in the cache."""
 
@@ -33,7 +36,9 @@ class Lens:
     """Intrinsics in pixels of a width x height raster, and distortion coefficients.
 
     radial: up to four coefficients of r^2, r^4, r^6, r^8 (of theta for a fisheye); divisor: the
-    same for the denominator; tangential: p1, p2.
+    same for the denominator; tangential: p1, p2; skew: x grows by this times y, after the
+    distortion; view: degrees that the undistorted picture of a fisheye shows at most, across and
+    down; 0: as many as it holds.
     """
 
     width: int
@@ -46,6 +51,8 @@ class Lens:
     divisor: tuple[float, ...] = ()
     tangential: tuple[float, float] = (0.0, 0.0)
     fisheye: bool = False
+    skew: float = 0.0
+    view: float = 0.0
 
     @classmethod
     def of_model(
@@ -75,7 +82,7 @@ class Lens:
     @property
     def distorted(self) -> bool:
         """Whether the lens differs from a pinhole."""
-        return self.fisheye or any(self.radial + self.divisor + self.tangential)
+        return self.fisheye or any((*self.radial, *self.divisor, *self.tangential, self.skew))
 
     def resized(self, width: int, height: int) -> Lens:
         """The same lens on a raster of another size; each axis by its own ratio."""
@@ -94,20 +101,14 @@ class Lens:
         """Ideal image-plane points (N, 2) = (x/z, y/z) as the lens distorts them, (N, 2)."""
         if self.fisheye:
             radius = np.hypot(points[:, 0], points[:, 1])
-            angle = np.arctan(radius)
-            bent = angle * _polynomial(self.radial, angle**2)
-            return points * (bent / np.maximum(radius, 1e-12))[:, None]
+            points = points * (np.arctan(radius) / np.maximum(radius, 1e-12))[:, None]
         x, y = points.T
         square = x * x + y * y
         radial = _polynomial(self.radial, square) / _polynomial(self.divisor, square)
         p1, p2 = self.tangential
-        return np.stack(
-            [
-                x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
-                y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
-            ],
-            axis=1,
-        )
+        bent_y = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+        bent_x = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x) + self.skew * bent_y
+        return np.stack([bent_x, bent_y], axis=1)
 
     def undistort(self, points: Floats) -> Floats:
         """The inverse of ``distort`` by damped Newton steps, (N, 2) to (N, 2) float64.
@@ -115,12 +116,9 @@ class Lens:
         Raises:
             DataError: the model cannot be inverted within the image.
         """
-        start = points
         if self.fisheye:
-            bent = np.hypot(points[:, 0], points[:, 1])
-            angle = np.minimum(_invert_polynomial(self.radial, bent), _MAX_ANGLE)
-            return points * (np.tan(angle) / np.maximum(bent, 1e-12))[:, None]
-        current = start.copy()
+            return self._undistort_fisheye(points - np.outer(points[:, 1], (self.skew, 0.0)))
+        current = points.copy()
         for _ in range(50):
             error = self.distort(current) - points
             if np.abs(error).max(initial=0.0) < 1e-12:
@@ -129,6 +127,21 @@ class Lens:
         if not np.abs(self.distort(current) - points).max(initial=0.0) < 1e-7:
             raise DataError("the distortion coefficients cannot be undone inside the image")
         return current
+
+    def _undistort_fisheye(self, points: Floats) -> Floats:
+        """The same for a fisheye without skew: rays beyond _MAX_ANGLE end there."""
+        plane, (p1, p2) = points, self.tangential
+        for _ in range(_ROUNDS if any(self.tangential) else 1):
+            (x, y), square = plane.T, (plane**2).sum(axis=1)
+            shift_x = 2 * p1 * x * y + p2 * (square + 2 * x * x)
+            shift_y = p1 * (square + 2 * y * y) + 2 * p2 * x * y
+            straight = points - np.stack([shift_x, shift_y], axis=1)
+            bent = np.hypot(straight[:, 0], straight[:, 1])
+            angle = _invert_polynomial(self.radial, bent)
+            plane = straight * (angle / np.maximum(bent, 1e-12))[:, None]
+        angle = np.hypot(plane[:, 0], plane[:, 1])
+        longer = np.tan(np.minimum(angle, _MAX_ANGLE)) / np.maximum(angle, 1e-12)
+        return plane * longer[:, None]
 
     def _jacobian(self, points: Floats) -> Floats:
         """Derivative of ``distort`` (N, 2, 2) by central differences."""
@@ -145,12 +158,17 @@ def undistort_lens(lens: Lens) -> tuple[Lens, tuple[int, int]]:
     """The pinhole lens of the undistorted image, and the (x, y) of its corner.
 
     Focal lengths stay; the raster is the largest upright rectangle between the undistorted borders,
-    so that every pixel has a source. At most twice as large as the input.
+    so that every pixel has a source. At most twice as large as the input, and of a fisheye no wider
+    than its ``view``.
     """
     if not lens.distorted:
         return lens, (0, 0)
     left, right = _border(lens, 0, 0.0).max(), _border(lens, 0, 1.0).min()
     top, bottom = _border(lens, 1, 0.0).max(), _border(lens, 1, 1.0).min()
+    if lens.fisheye and lens.view:
+        across, down = np.tan(np.radians(lens.view / 2)) * np.array([lens.fx, lens.fy])
+        left, right = max(left, lens.cx - across), min(right, lens.cx + across)
+        top, bottom = max(top, lens.cy - down), min(bottom, lens.cy + down)
     x0 = int(np.ceil(max(left, -0.5 * lens.width) - 1e-9))
     x1 = int(np.floor(min(right, 1.5 * lens.width) + 1e-9))
     y0 = int(np.ceil(max(top, -0.5 * lens.height) - 1e-9))
@@ -171,7 +189,7 @@ def undistort_pixels(pixels: Pixels, lens: Lens) -> tuple[Pixels, Lens]:
         channels = np.concatenate([channels, pixels.alpha[..., None]], axis=2)
     with _one_at_a_time:
         sources = _sources(lens)
-    result = _resample(channels, *sources)
+    result = resample(channels, *sources)
     result = result.reshape(pinhole.height, pinhole.width, -1)
     alpha = None if pixels.alpha is None else np.ascontiguousarray(result[..., 3])
     return Pixels(np.ascontiguousarray(result[..., :3]), alpha), pinhole
@@ -205,10 +223,16 @@ def _sources(lens: Lens) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]
     return index, weight
 
 
-def _resample(
+def resample(
     image: npt.NDArray[np.uint8], index: npt.NDArray[np.int32], weight: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.uint8]:
-    """Bilinear samples (N, C) uint8 of image (H, W, C)."""
+    """Bilinear samples (N, C) uint8 of an image (H, W, C).
+
+    Args:
+        image: is sampled.
+        index: (N,) flat, of the upper left one of the four pixels of each sample.
+        weight: (N, 2) of the right and the lower ones.
+    """
     height, width, channels = image.shape
     planes = np.ascontiguousarray(image.reshape(-1, channels).T)
     right, below = int(width > 1), width * int(height > 1)

@@ -11,6 +11,10 @@ import numpy.typing as npt
 from clgs.data.lens import Lens
 from clgs.data.reduction import EVERY
 from clgs.errors import DataError
+from clgs.scene.scene import LOCAL, Place
+
+Y_UP = "polycam", "record3d"
+"""Kinds of data sets whose world is that of ARKit."""
 
 _FROM_Z_UP = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
 _FROM_Y_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
@@ -49,11 +53,12 @@ class Photo:
 class PhotoSet:
     """A data set whose images are not decoded yet.
 
-    kind: "blender", "transforms" or "colmap"; missing: names of photos that are not on disk;
-    points (P, 3) float64 world units and point_colors (P, 3) uint8, or None if the set has none;
-    points_file: the file that the data set names for its points, not read yet; models: if there are
-    several COLMAP models, their names and numbers of photos; the first was read; stray_masks:
-    names of what seem to be masks of no photo; split: the data set itself says what is held out.
+    kind: "blender", "transforms", "colmap", or the program that made it; missing: names of photos
+    that are not on disk; points (P, 3) float64 world units and point_colors (P, 3) uint8, or None
+    if the set has none; points_file: the file that the data set names for its points, not read yet;
+    models: if there are several COLMAP models, their names and numbers of photos; the first was
+    read; stray_masks: names of what seem to be masks of no photo; split: the data set itself says
+    what is held out; frame and place: what the world is, as of SceneTransform.
     """
 
     kind: str
@@ -66,6 +71,8 @@ class PhotoSet:
     models: dict[str, int] = field(default_factory=dict)
     stray_masks: list[str] = field(default_factory=list)
     split: bool = False
+    frame: str = LOCAL
+    place: Place = (0.0, 0.0, 0.0)
 
     def models_in_words(self) -> str:
         """A sentence on the COLMAP models if there are several, else nothing."""
@@ -101,10 +108,12 @@ def rigid(matrix: npt.NDArray[np.float64], source: str) -> npt.NDArray[np.float6
 def to_y_up(kind: str) -> npt.NDArray[np.float64]:
     """The rotation (3, 3) from the world of a data set to glTF's axes; its transpose goes back.
 
-    glTF's y points up. Blender captures and transforms.json files have z up. COLMAP models have no
-    up of their own; it is taken to be -y, as if the first camera was held upright.
+    glTF's y points up, and so does that of the apps of phones. COLMAP models have no up of their
+    own; it is taken to be -y, as if the first camera was held upright. All others have z up.
 
     Args:
-        kind: of the data set: "blender", "transforms" or "colmap".
+        kind: of the data set, as of PhotoSet.
     """
+    if kind in Y_UP:
+        return np.eye(3)
     return np.array(_FROM_Y_DOWN if kind == "colmap" else _FROM_Z_UP)

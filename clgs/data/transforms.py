@@ -256,7 +256,19 @@ def read_document(file: Path, lenient: bool = False) -> dict[str, Any]:
     """The JSON object in ``file``; NaN and Infinity are numbers if ``lenient``, else refused.
 
     Raises:
-        DataError: missing, too large, no JSON object.
+        DataError: as of :func:`read_json`, or no JSON object.
+    """
+    document = read_json(file, lenient)
+    if not isinstance(document, dict):
+        raise DataError(f"{file}: not a JSON object with frames; it is no transforms file")
+    return document
+
+
+def read_json(file: Path, lenient: bool = False) -> Any:
+    """What a JSON file holds; arguments as of :func:`read_document`.
+
+    Raises:
+        DataError: missing, too large, not JSON.
     """
     if not file.is_file():
         raise DataError(f"{file}: missing; the data set needs it")
@@ -267,15 +279,12 @@ def read_document(file: Path, lenient: bool = False) -> dict[str, Any]:
         raise ValueError(f"{constant} is not a number")
 
     try:
-        document = json.loads(file.read_bytes(), parse_constant=None if lenient else refuse)
+        return json.loads(file.read_bytes(), parse_constant=None if lenient else refuse)
     except RecursionError:
-        raise DataError(f"{file}: nested too deeply; it is no transforms file") from None
+        raise DataError(f"{file}: nested too deeply; it is no file of cameras") from None
     except ValueError as error:
         problem = " ".join(str(error).split())[:120]
         raise DataError(f"{file}: invalid JSON ({problem}); correct it") from error
-    if not isinstance(document, dict):
-        raise DataError(f"{file}: not a JSON object with frames; it is no transforms file")
-    return document
 
 
 def _listed(photo: Photo, names: set[str]) -> bool:

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from clgs.data.dataset import NONE_LEFT, is_posed, read_photo_set
+from clgs.data.complaints import NONE_LEFT
+from clgs.data.dataset import is_posed, read_photo_set
 from clgs.data.locate import PhotoFolder, locate
 from clgs.data.origin import read_origin
 from clgs.data.point_file import read_points

@@ -17,12 +17,25 @@ MIN_Q = 2.0**-64
 """The least Q and other scale; the greatest is its inverse."""
 
 
+FRAMES = LOCAL, METRES, EARTH, MAP = "local", "metres", "earth", "map"
+"""What a world is: one of its own units; one in metres; metres east, north and up of a place on the
+Earth; metres east, north and up on a map whose coordinate system is not named."""
+
+Place = tuple[float, float, float]
+"""Latitude and longitude in degrees, and altitude in metres, on the ellipsoid of WGS 84."""
+
+
 @dataclass(frozen=True)
 class SceneTransform:
-    """Turns the data's world into scene units: scene = (world - centre) * scale, in float64."""
+    """Turns the data's world into scene units: scene = (world - centre) * scale, in float64.
+
+    frame: one of FRAMES; place: where the world's origin is, if that is EARTH.
+    """
 
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     scale: float = 1.0
+    frame: str = LOCAL
+    place: Place = (0.0, 0.0, 0.0)
 
     def to_scene(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """World points (N, 3) float64 to scene units."""

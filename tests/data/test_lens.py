@@ -17,7 +17,9 @@ PINCUSHION = replace(PHONE, radial=(0.15, 0.02))
 RATIONAL = replace(PHONE, radial=(0.3, 0.1, 0.02), divisor=(0.25, 0.05, 0.01))
 FISHEYE = replace(PHONE, radial=(0.03, -0.01, 0.002, 0.0), tangential=(0.0, 0.0), fisheye=True)
 LENSES = {"OPENCV": PHONE, "FULL_OPENCV": RATIONAL, "OPENCV_FISHEYE": FISHEYE}
-ALL = [PHONE, STRONG, PINCUSHION, RATIONAL, FISHEYE]
+SKEWED = replace(PHONE, skew=-0.002)
+TANGENTIAL_FISHEYE = replace(FISHEYE, tangential=(0.0011, -0.0007), skew=0.001)
+ALL = [PHONE, STRONG, PINCUSHION, RATIONAL, FISHEYE, SKEWED, TANGENTIAL_FISHEYE]
 
 
 def ideal_points(lens: Lens) -> np.ndarray:
@@ -114,3 +116,18 @@ def test_resized_scales_each_axis():
     small = PHONE.resized(133, 100)
     assert small.cx / small.width == pytest.approx(PHONE.cx / PHONE.width)
     assert small.fy / small.height == pytest.approx(PHONE.fy / PHONE.height)
+
+
+@pytest.mark.parametrize("view", [60.0, 90.0, 120.0])
+def test_the_picture_of_a_fisheye_shows_the_chosen_view(view: float):
+    """An equidistant lens of 180 degrees: half the height is a quarter of a turn."""
+    lens = Lens(600, 600, 600 / np.pi, 600 / np.pi, 300.0, 300.0, fisheye=True)
+    whole, _ = undistort_lens(lens)
+    pinhole, corner = undistort_lens(replace(lens, view=view))
+    assert whole.width > pinhole.width
+    half = lens.fx * np.tan(np.radians(view / 2))
+    assert abs(pinhole.width / 2 - half) < 1
+    assert abs(pinhole.height / 2 - half) < 1
+    assert (pinhole.fx, pinhole.cx + corner[0]) == (lens.fx, lens.cx)
+    rays = np.array([[np.tan(np.radians(view / 2)), 0.0]])
+    assert np.allclose(lens.distort(rays), [[np.radians(view / 2), 0.0]])

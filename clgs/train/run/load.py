@@ -56,7 +56,7 @@ def with_points(
 ) -> Dataset:
     """The data set with points to start training from, which it may have already.
 
-    Points for the photos of a transforms.json are triangulated, which takes minutes. If too few
+    Points for photos that come with poses alone are triangulated, which takes minutes. If too few
     are found, and for Blender scenes, random points are drawn in the volume that cameras share.
 
     Args:
@@ -71,12 +71,12 @@ def with_points(
     config = config or TrainConfig()
     if len(dataset.points) >= LEAST_POINTS or not dataset.train:
         return dataset
-    if dataset.kind == "transforms":
+    if dataset.kind == "colmap":
+        _log.warning(_TOO_FEW, dataset.folder, len(dataset.points))
+    elif dataset.kind != "blender":
         dataset = _triangulated(dataset, cache, config.seed, on_stage)
         if len(dataset.points) >= LEAST_POINTS:
             return dataset
-    elif dataset.kind == "colmap":
-        _log.warning(_TOO_FEW, dataset.folder, len(dataset.points))
     viewpoints = [viewpoint(view.camera, view.photo.pixels().alpha) for view in dataset.train]
     start = config.seed, config.start_points, config.start_volume == "hull"
     points = random_points(viewpoints, dataset.radius, dataset.kind == "blender", *start)

@@ -1,0 +1,89 @@
+"""Warnings about the photos of a data set, before they are read."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.apart import ASTRAY, apart, in_one_place
+from clgs.data.posed_photo import PhotoSet
+from clgs.data.reduction import MEANINGS, OBJECT, Reduction
+from clgs.errors import DataError
+
+NONE_LEFT = "all photos are held out, none is left to train on; --test-every 0 holds none out"
+
+NAMED = 8
+"""A warning names at most this many photos."""
+
+_log = logging.getLogger(__name__)
+
+
+def check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
+    """Warn of missing photos, several models and cameras in one place.
+
+    Raises:
+        DataError: no photo to train on, or a reduction that leaves none of their pixels.
+    """
+    if missing := photos.missing:
+        total = len(missing) + len(photos.train) + len(photos.test)
+        named = _named(missing)
+        _log.warning("%s: %d of %d photos are missing: %s", root, len(missing), total, named)
+    if models := photos.models_in_words():
+        _log.warning("%s: %s", root, models)
+    if not photos.train:
+        raise DataError(f"{root}: {NONE_LEFT}")
+    centres = np.array([photo.centre for photo in photos.train])
+    if len(centres) > 1 and in_one_place(centres):
+        problem = "all cameras are in one place, so depth cannot be seen; walk, not turn"
+        _log.warning("%s: %s", root, problem)
+    if not isinstance(reduction.times, int) or reduction.times < 0:
+        problem = f"downscale is {reduction.times}; give a whole number of at least 1"
+        raise DataError(f"{problem}, or 0 for the width alone")
+    least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)
+    if reduction.times > least:
+        raise DataError(
+            f"downscale is {reduction.times}; the photos are {least} pixels, give at most that"
+        )
+
+
+def check_masks(root: Path, photos: PhotoSet, masks: str) -> None:
+    """Raise DataError unless ``masks`` is known; warn of photos without mask and masks without."""
+    if masks not in MEANINGS:
+        raise DataError(f"masks is {masks!r}; give {' or '.join(MEANINGS)}")
+    without = [photo.name for photo in photos.train + photos.test if photo.mask is None]
+    if masks == OBJECT and without:
+        _log.warning(
+            "%s: %d photos have no mask, so that all that they show is the object: %s",
+            *(root, len(without), _named(without)),
+        )
+    if photos.stray_masks:
+        _log.warning(
+            "%s: %d files look like masks, but are those of no photo and are not used: %s; call "
+            "them NAME.png as the photos are, in the folder masks",
+            *(root, len(photos.stray_masks), _named(photos.stray_masks)),
+        )
+
+
+def _named(names: list[str]) -> str:
+    shown = [name[:80] if name.isprintable() else repr(name[:80]) for name in names[:NAMED]]
+    return ", ".join(shown) + ", ..." * (len(names) > NAMED)
+
+
+def find_astray(root: Path, photos: PhotoSet) -> npt.NDArray[np.bool_]:
+    """Which training cameras (N,) are so far away that their poses must be wrong.
+
+    There is a warning about them, and about such cameras of test photos.
+    """
+    everyone = photos.train + photos.test
+    astray = apart(np.array([photo.centre for photo in everyone]), ASTRAY)
+    if astray.any():
+        names = [photo.name for photo, far in zip(everyone, astray, strict=True) if far]
+        _log.warning(
+            "%s: more than %d times as far from the middle as half of the cameras, so their poses "
+            "are wrong: %s; leave these photos out",
+            *(root, ASTRAY, _named(names)),
+        )
+    return astray[: len(photos.train)]

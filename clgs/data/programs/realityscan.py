@@ -1,0 +1,113 @@
+"""RealityScan's (RealityCapture's) CSV of internal and external camera parameters.
+
+Heading, pitch and roll are those of the camera in OpenGL's axes: turns by -heading about z, by
+pitch about x, by roll about y. The focal length is for a film of 36 mm, the principal point is
+relative to the middle, in units of the longer side. Sources: "RealityCapture XMP camera math" of
+its makers, and the columns' use by other programs that read the file.
+"""
+
+from __future__ import annotations
+
+import csv
+import logging
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from clgs.data.lens import Lens
+from clgs.data.locate import ListedPhoto
+from clgs.data.posed_photo import PhotoSet
+from clgs.data.programs.earth import frame_of
+from clgs.data.programs.listing import FROM_OPENGL, checked, number, photo_set, pose
+from clgs.errors import DataError
+
+KIND = "realityscan"
+
+FILM = 36.0
+"""Millimetres that the longer side of a photo takes on the film of the focal length."""
+
+NEEDED = "name", "x", "y", "alt", "heading", "pitch", "roll", "f"
+RADIAL = "k1", "k2", "k3", "k4"
+MAX_BYTES = 64 * 2**20
+
+_log = logging.getLogger(__name__)
+
+
+def find(root: Path) -> Path | None:
+    """The CSV file of cameras in a folder, the first by name."""
+    return next(filter(_is_cameras, sorted(root.glob("*.csv"))), None)
+
+
+def _is_cameras(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        lines = file.read(4096).removeprefix(b"\xef\xbb\xbf").lower().splitlines()
+    return any(line.replace(b" ", b"").startswith(b"#name,x,y,") for line in lines[:2])
+
+
+def read(root: Path, file: Path) -> PhotoSet:
+    """The cameras of a CSV file, and the point cloud next to it if there is one PLY file.
+
+    Raises:
+        DataError: names file, line, column and remedy.
+    """
+    listed = []
+    for line, row in _rows(file):
+        source = f"{file}: line {line}"
+        heading, pitch, roll, *centre = (
+            number(row, name, source) for name in ("heading", "pitch", "roll", "x", "y", "alt")
+        )
+        turn = Rotation.from_euler("ZXY", [-heading, pitch, roll], degrees=True)
+        rotation, translation = pose(turn.as_matrix() * FROM_OPENGL, np.array(centre), source)
+        lens = partial(_lens, row, source)
+        lens(1, 1)  # a bad file is bad on every machine, even if the photo is missing
+        listed.append(
+            ListedPhoto(row["name"], source, rotation, translation, None, lens, mask_by_name=True)
+        )
+    found = photo_set(KIND, root, file, listed)
+    found.frame = frame_of(np.array([photo.centre for photo in found.train + found.test]))
+    clouds = sorted(root.glob("*.ply"))
+    found.points_file = clouds[0] if len(clouds) == 1 else None
+    if len(clouds) > 1:
+        _log.warning("%s: %d PLY files; name one with --points", root, len(clouds))
+    return found
+
+
+def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
+    """The lines of cameras with their numbers, by the names of the columns."""
+    if file.stat().st_size > MAX_BYTES:
+        raise DataError(f"{file}: larger than {MAX_BYTES >> 20} MiB; export fewer cameras")
+    try:
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise DataError(f"{file}: is not UTF-8; export the camera parameters again") from None
+    start = next(i for i, line in enumerate(lines) if "name" in line.lower())
+    columns = [name.strip().lower() for name in lines[start].lstrip("#").split(",")]
+    if lacking := [name for name in NEEDED if name not in columns]:
+        raise DataError(
+            f"{file}: has no column {lacking[0]}; export 'Internal/External camera parameters'"
+        )
+    rows = []
+    for place, values in enumerate(csv.reader(lines[start + 1 :]), start + 2):
+        if not values or values[0].startswith("#"):
+            continue
+        if len(values) != len(columns):
+            raise DataError(
+                f"{file}: line {place}: {len(values)} values for {len(columns)} columns; export "
+                "it again"
+            )
+        rows.append((place, dict(zip(columns, map(str.strip, values), strict=True))))
+    return rows
+
+
+def _lens(row: dict[str, str], source: str, width: int, height: int) -> Lens:
+    longer = max(width, height)
+    focal = number(row, "f", source) / FILM * longer
+    x, y = (longer * number(row, name, source, 0.0) for name in ("px", "py"))
+    t1, t2 = (number(row, name, source, 0.0) for name in ("t1", "t2"))
+    radial = tuple(number(row, name, source, 0.0) for name in RADIAL)
+    place = width / 2 + x, height / 2 + y
+    return checked(Lens(width, height, focal, focal, *place, radial, (), (t1, t2)), source)
