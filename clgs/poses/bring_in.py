@@ -16,6 +16,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from clgs.data.images import (
+    Pixels,
     check_chunks,
     check_image,
     image_size,
@@ -25,8 +26,17 @@ from clgs.data.images import (
     read_image,
     upright_size,
 )
-from clgs.data.masks import MASKS, USED, Mask, read_mask, save_mask
+from clgs.data.masks import MASKS, USED, Mask, read_mask, save_mask, whole
 from clgs.errors import DataError
+from clgs.poses.equirectangular import (
+    DIRECTIONS,
+    FOCAL_35MM,
+    check_shape,
+    cut,
+    is_marked,
+    view_name,
+    view_size,
+)
 from clgs.poses.find import Collection, Found, find_photos, is_video
 from clgs.poses.video import extract_frames, video_library
 
@@ -39,7 +49,8 @@ WRITTEN = (".jpg", ".jpeg", ".png")
 
 _DETAILS = 0x8769
 _CAMERA_TAGS = (0x010F, 0x0110)  # maker, model
-_FOCAL_TAGS = (0x920A, 0xA405)  # focal length in mm, and its equivalent on 35 mm film
+_FOCAL_35MM = 0xA405
+_FOCAL_TAGS = (0x920A, _FOCAL_35MM)  # focal length in mm, and its equivalent on 35 mm film
 _LENS_TAGS = (*_FOCAL_TAGS, 0xA20E, 0xA20F, 0xA210)
 """Also the pixels per unit of the sensor, across and down, and the unit."""
 
@@ -81,26 +92,34 @@ def find_source(path: Path, frames: int | None = None) -> PhotoSource:
 def readable_sizes(found: Collection) -> list[tuple[int, int]]:
     """Read the sizes (width, height) of photos from their headers; damaged ones are skipped.
 
+    Of equirectangular photos they are those of all views.
+
     Raises:
         DataError: fewer than 3 can be read, or no program that reads HEIC.
     """
     sizes: list[tuple[int, int]] = []
 
     def look(one: Found) -> None:
-        sizes.append(image_size(one.path))
+        size = image_size(one.path)
+        edge = view_size(size[0])
+        sizes.extend([(edge, edge)] * len(DIRECTIONS) if is_marked(one.path) else [size])
 
     _set_aside(found, [_fault(partial(look, one)) for one in found.photos])
     return sizes
 
 
 def bring_in(
-    source: PhotoSource, work: Path, on_read: Callable[[int], None] = lambda count: None
+    source: PhotoSource,
+    work: Path,
+    on_read: Callable[[int], None] = lambda count: None,
+    equirectangular: bool = False,
 ) -> None:
     """Fill ``work``/images, and ``work``/masks if photos are masked; warn about skipped files.
 
     Photos are whole, upright, 8-bit RGB or grey, with the EXIF data that they had. What an alpha
     channel hides is black and masked. The mask of the photo NAME is NAME.png, as COLMAP reads it;
-    if one photo has a mask, all have.
+    if one photo has a mask, all have. Photos that say that they are equirectangular are cut into
+    views, and so are all photos and frames if ``equirectangular``.
 
     ``work`` is an empty folder. ``on_read`` is called with the number of photos that were read so
     far, or of frames that were written.
@@ -112,18 +131,23 @@ def bring_in(
     images.mkdir()
     found = source.collection
     if found is None:
-        count = extract_frames(source.path, images, source.frames, on_read)
+        folder = work / "frames" if equirectangular else images
+        folder.mkdir(exist_ok=True)
+        count = extract_frames(source.path, folder, source.frames, on_read)
         if count < LEAST_PHOTOS:
             raise DataError(
                 f"{source.path}: only {count} of its frames can be used, at least 3 are "
                 "needed; record a longer one"
             )
+        for frame in sorted(folder.iterdir()) if equirectangular else ():
+            _write_views(Found(frame, frame.name), images, masks)
+            frame.unlink()
         return
     masks.mkdir()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         written = []
         for error in pool.map(
-            lambda one: _fault(partial(_write, one, images, masks)), found.photos
+            lambda one: _fault(partial(_write, one, images, masks, equirectangular)), found.photos
         ):
             written.append(error)
             on_read(len(written))
@@ -169,31 +193,58 @@ def _fault(work: Callable[[], None]) -> str:
     return ""
 
 
-def _write(one: Found, images: Path, masks: Path) -> None:
+def _write(one: Found, images: Path, masks: Path, equirectangular: bool) -> None:
     mask: Mask | None = None
     check_image(one.path)
     if one.mask:
         check_chunks(one.mask)
+    if equirectangular or is_marked(one.path):
+        _write_views(one, images, masks)
+        return
     if is_plain(one.path):
         if one.mask:
             mask = read_mask(one.mask, image_size(one.path), posed=False)
         copy = images / one.name
         shutil.copyfile(one.path, copy)
     else:
-        pixels = read_image(one.path)
-        color = pixels.color
-        if one.mask:
-            mask = read_mask(one.mask, pixels.size, posed=False)
-        if pixels.alpha is not None:
-            seen = (pixels.alpha >= USED).astype(np.uint8)
-            if not seen.any():
-                raise DataError(f"{one.path}: is transparent everywhere; remove it")
-            color, mask = color * seen[..., None], seen if mask is None else mask * seen
+        color, mask = _read(one)
         stem, _, suffix = one.name.rpartition(".")
         copy = images / (one.name if f".{suffix.lower()}" in WRITTEN else f"{stem}.jpg")
         _save(color, one.path, copy)
     if mask is not None and not mask.all():
         save_mask(mask, masks / f"{copy.name}.png")
+
+
+def _read(one: Found) -> tuple[npt.NDArray[np.uint8], Mask | None]:
+    """The pixels (H, W, 3) of a photo, black where they are transparent, and its mask."""
+    pixels = read_image(one.path)
+    mask = read_mask(one.mask, pixels.size, posed=False) if one.mask else None
+    if pixels.alpha is None:
+        return pixels.color, mask
+    seen = (pixels.alpha >= USED).astype(np.uint8)
+    if not seen.any():
+        raise DataError(f"{one.path}: is transparent everywhere; remove it")
+    return pixels.color * seen[..., None], seen if mask is None else mask * seen
+
+
+def _write_views(one: Found, images: Path, masks: Path) -> None:
+    """Write the views of an equirectangular photo, with their focal length, and their masks."""
+    color, mask = _read(one)
+    check_shape(one.path, (color.shape[1], color.shape[0]))
+    exif = Image.Exif()
+    exif.get_ifd(_DETAILS)[_FOCAL_35MM] = FOCAL_35MM
+    used = None if mask is None else mask * np.uint8(255)
+    stem = one.name.rpartition(".")[0]
+    for number, view in enumerate(cut(Pixels(color, used))):
+        copy = images / view_name(number, f"{stem}.jpg")
+        seen = None if view.alpha is None else whole(Pixels(view.alpha[..., None], None))
+        if seen is not None and not seen.any():
+            continue  # nothing of it is used
+        Image.fromarray(view.color).save(
+            copy, "JPEG", exif=exif, quality=JPEG_QUALITY, subsampling=0
+        )
+        if seen is not None and not seen.all():
+            save_mask(seen, masks / f"{copy.name}.png")
 
 
 def _save(color: npt.NDArray[np.uint8], original: Path, copy: Path) -> None:

@@ -63,6 +63,7 @@ def prepare(
     drop_doubtful: bool = False,
     max_size: int = 0,
     device: str | None = None,
+    equirectangular: bool = False,
 ) -> Verdict:
     """Find camera poses and points of the photos in and below ``photos``, or of a video.
 
@@ -83,6 +84,8 @@ def prepare(
         max_size: photos that are wider are reduced to about this width once their poses are found;
             0: they keep their size.
         device: which compares features; number or part of the name.
+        equirectangular: all photos, or the video, show the whole sphere, and are cut into pinhole
+            views; photos whose XMP data say so are in any case.
 
     Raises:
         DataError: too few or damaged photos, no reconstruction, no pycolmap; or too few photos
@@ -103,7 +106,7 @@ def prepare(
             work = target / "work"
             with owned(work), removed_if_killed(target):
                 on_progress("read", 0, expected)
-                bring_in(source, work, lambda count: on_progress("read", count, expected))
+                bring_in(source, work, lambda n: on_progress("read", n, expected), equirectangular)
                 verdict = reconstruct(target, seed % SEEDS, quick, max_size, device, on_progress)
                 if drop_doubtful:
                     verdict = drop_doubtful_photos(target, verdict)

@@ -34,6 +34,7 @@ def prepare_data(
     drop_doubtful: bool = False,
     max_size: int = 0,
     device: str | None = None,
+    equirectangular: bool = False,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
 ) -> PreparedData:
@@ -53,6 +54,7 @@ def prepare_data(
         drop_doubtful=drop_doubtful,
         max_size=max_size,
         device=device,
+        equirectangular=equirectangular,
     )
     page = output / PAGE
     write_poses_page(page, output, verdict)

@@ -53,6 +53,12 @@ def register(parser: argparse.ArgumentParser) -> None:
         metavar="PIXELS",
         help="write photos that are wider at about this width (default: as they are)",
     )
+    add(
+        "--equirectangular",
+        action="store_true",
+        help="cut photos or frames that show the whole sphere into pinhole views (default: those "
+        "photos that say so, by XMP data)",
+    )
     add_device_name(parser)
     add_overwrite(parser, "DATA if an earlier run of this command made it (default: refuse)")
 
@@ -63,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.workflow.prepare import prepare_data
 
     names = "seed", "quick", "frames", "drop_doubtful", "max_size", "device", "overwrite"
-    options = chosen(vars(args), *names)
+    options = chosen(vars(args), *names, "equirectangular")
     with Display() as display:
         made = prepare_data(args.photos, args.output, on_event=display, **options)
     show(made)
