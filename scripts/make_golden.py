@@ -6,8 +6,8 @@ same files. The files of a released version are kept and never made again: a tes
 
 from __future__ import annotations
 
+import argparse
 import hashlib
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,10 @@ FOLDER = Path(__file__).resolve().parents[1] / "tests" / "codec" / "golden"
 
 def main() -> None:
     """Write every file of ``golden_files`` and the list of hashes."""
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER
+    parser = argparse.ArgumentParser(description="Write the golden files of the codec's tests.")
+    help = "where to write them (default: tests/codec/golden, where a test compares them)"
+    parser.add_argument("folder", type=Path, nargs="?", default=FOLDER, metavar="FOLDER", help=help)
+    folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     for name, data in golden_files().items():
         (folder / f"{name}.clgs").write_bytes(data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +15,14 @@ import pytest
 from tests import kernel_cache, mutant
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = importlib.util.find_spec("clgs")
+if (ROOT / "clgs" / "__init__.py").is_file():  # else the package is a wheel's
+    found = Path(PACKAGE.origin).resolve() if PACKAGE and PACKAGE.origin else None
+    if found is None or not found.is_relative_to(ROOT):
+        remedy = "activate the .venv of this checkout, or run ./scripts/setup.sh"
+        pytest.exit(f"clgs is another copy, {found}, and not {ROOT / 'clgs'}; {remedy}", 4)
 
 KERNELS = kernel_cache.open_cache()  # before pyopencl is imported
 

@@ -208,7 +208,11 @@ def explain(error: Exception) -> tuple[str, int]:
     if isinstance(error, MemoryError):
         return "out of memory", ClgsError.exit_code
     if isinstance(error, ImportError):
-        return _explain_import(error)
+        name = error.name or "a library"
+        if name.startswith("pyopencl"):
+            remedy = "install it: pip install pyopencl"
+            return f"pyopencl cannot be loaded ({error}); {remedy}", DeviceError.exit_code
+        return f"{name} cannot be loaded ({error}); install clgs again", ClgsError.exit_code
     if type(error).__module__.startswith("pyopencl"):
         return _explain_opencl(error), DeviceError.exit_code
     hint = "this is a bug in clgs; CLGS_DEBUG=1 shows where"
@@ -225,11 +229,3 @@ def _explain_opencl(error: Exception) -> str:
             "--resume; if it fails again, `clgs accept` shows where"
         )
     return f"OpenCL: {type(error).__name__}: {first}"
-
-
-def _explain_import(error: ImportError) -> tuple[str, int]:
-    name = error.name or "a library"
-    if name.startswith("pyopencl"):
-        remedy = "install it: pip install pyopencl"
-        return f"pyopencl cannot be loaded ({error}); {remedy}", DeviceError.exit_code
-    return f"{name} cannot be loaded ({error}); install clgs again", ClgsError.exit_code

@@ -14,11 +14,10 @@ from clgs import _codec
 from clgs.codec import octree
 from clgs.codec.attributes.model import NearRows
 from clgs.codec.attributes.row_coder import RowModel
-from clgs.codec.container import section_table
 from clgs.codec.container.chunks import Chunk
 from clgs.codec.container.meta import array_hash, content_arrays, join_hashes
 from clgs.codec.container.reader import CHANNELS, SceneReader
-from clgs.codec.container.section_table import (
+from clgs.codec.container.sections import (
     CHNK,
     FEAT,
     META,
@@ -26,6 +25,8 @@ from clgs.codec.container.section_table import (
     SCAL,
     BytesSource,
     RandomAccess,
+    read_container,
+    read_table,
 )
 from clgs.codec.workers import workers
 from clgs.constants import K_OFFSETS
@@ -50,7 +51,7 @@ def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
     if not isinstance(data, bytes | bytearray | memoryview):
         wanted = "bytes are needed; Path(name).read_bytes() reads a file"
         raise TypeError(f"data: is {type(data).__name__}, {wanted}")
-    table, _ = section_table.read_container(data)
+    table, _ = read_container(data)
     reader = SceneReader(BytesSource(data), table)
     with workers(threads) as pool:
         weights = pool.submit(reader.weights)
@@ -99,7 +100,7 @@ def decode_box(source: RandomAccess, box: Box, threads: int | None = None) -> Qu
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged in what is read.
     """
-    reader = SceneReader(source, section_table.read_table(source))
+    reader = SceneReader(source, read_table(source))
 
     def world(position: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.float64]:
         """Positions (A, 3) in the units of the input data; on each axis it never decreases."""
@@ -175,7 +176,7 @@ def describe(data: bytes) -> dict[str, Any]:
     Raises:
         CodecError: as ``decode``, but for damage that only decoding can show.
     """
-    table, sections = section_table.read_container(data)
+    table, sections = read_container(data)
     reader = SceneReader(BytesSource(data), table)
     meta = reader.meta
     sizes = {tag: len(section.data) for tag, section in sections.items()}

@@ -11,7 +11,6 @@ from clgs.arguments import check_choice, check_integer, check_type
 from clgs.codec import octree, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import NearRows
-from clgs.codec.container import section_table
 from clgs.codec.container.chunks import DEFAULT_CHUNK, MAX_CHUNK, MIN_CHUNK, TAGS, pack_directory
 from clgs.codec.container.meta import (
     LEVELS,
@@ -21,7 +20,7 @@ from clgs.codec.container.meta import (
     content_arrays,
     join_hashes,
 )
-from clgs.codec.container.section_table import ANCH, CHNK, FEAT, META, MLPS, OFFS, SCAL
+from clgs.codec.container.sections import ANCH, CHNK, FEAT, META, MLPS, OFFS, SCAL, write_container
 from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
@@ -56,7 +55,15 @@ def encode(
     """
     check_type("scene", scene, QuantizedScene, "a run has it as .scene, clgs.load_scene reads one")
     check_options(level, chunk, mlp)
-    _check_numbers(scene)
+    flat = scene.mlps.flat
+    Shapes(M=MLP_SIZE).check("mlps", flat, "M", np.float32)
+    bad = np.flatnonzero(~np.isfinite(flat))
+    if len(bad):
+        raise CodecError(f"mlps: weight {bad[0]} is {flat[bad[0]]}; train the scene again")
+    try:
+        check_meta(len(scene.anchors), scene.scales, scene.transform, scene.settings)
+    except ValueError as error:
+        raise CodecError(f"header: {error}, which no file may hold; correct the scene") from error
     with workers(threads) as pool:
         anchors = sort_anchors(scene.anchors, pool.map)
         position = anchors.position
@@ -89,7 +96,7 @@ def encode(
         *(len(anchors), scene.scales, scene.transform, scene.settings, content),
         *(least, depth, level),
     )
-    return section_table.write_container(
+    return write_container(
         {
             META: meta.pack(),
             CHNK: pack_directory(chunk, position, spans, headers, streams),
@@ -125,15 +132,3 @@ def check_options(level: str, chunk: int, mlp: str = "auto") -> None:
     if not MIN_CHUNK <= check_integer("chunk", chunk) <= MAX_CHUNK:
         raise UsageError(f"chunk: {chunk}; {MIN_CHUNK} to {MAX_CHUNK} anchors are possible")
     check_choice("mlp", mlp, weights.MODES)
-
-
-def _check_numbers(scene: QuantizedScene) -> None:
-    flat = scene.mlps.flat
-    Shapes(M=MLP_SIZE).check("mlps", flat, "M", np.float32)
-    bad = np.flatnonzero(~np.isfinite(flat))
-    if len(bad):
-        raise CodecError(f"mlps: weight {bad[0]} is {flat[bad[0]]}; train the scene again")
-    try:
-        check_meta(len(scene.anchors), scene.scales, scene.transform, scene.settings)
-    except ValueError as error:
-        raise CodecError(f"header: {error}, which no file may hold; correct the scene") from error

@@ -15,9 +15,16 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec import streams
-from clgs.codec.container import section_table
 from clgs.codec.container.reader import guarded
-from clgs.codec.container.section_table import SATR, SMUL, SPLT, SPOS, Section
+from clgs.codec.container.sections import (
+    SATR,
+    SMUL,
+    SPLT,
+    SPOS,
+    Section,
+    read_container,
+    write_container,
+)
 from clgs.codec.octree import MAX_EXTENT, PositionsError, morton_codes
 from clgs.errors import CodecError
 
@@ -91,7 +98,7 @@ def pack(splats: QuantizedSplats, level: str = "default", threads: int | None = 
         SMUL: streams.encode_attributes(count[:, None] - 1, "default", threads),
         SATR: streams.encode_attributes(values[:, 3:], level, threads),
     }
-    return section_table.write_container(sections)
+    return write_container(sections)
 
 
 def unpack(data: bytes, threads: int | None = None) -> QuantizedSplats:
@@ -100,7 +107,7 @@ def unpack(data: bytes, threads: int | None = None) -> QuantizedSplats:
     Raises:
         CodecError: no file of splats, or damaged.
     """
-    _, sections = section_table.read_container(data, splats=True)
+    _, sections = read_container(data, splats=True)
     splats, voxels, content = guarded(sections[SPLT], _unpack_head)
     expected = {SPOS: (voxels, 3), SMUL: (voxels, 1), SATR: (len(splats), len(splats.names) - 3)}
     for tag, shape in expected.items():
@@ -130,7 +137,7 @@ def describe(data: bytes) -> dict[str, object]:
     Raises:
         CodecError: as ``unpack``, but for damage that only decoding can show.
     """
-    _, sections = section_table.read_container(data, splats=True)
+    _, sections = read_container(data, splats=True)
     splats, voxels, content = guarded(sections[SPLT], _unpack_head)
     sizes = {tag: len(section.data) for tag, section in sections.items()}
     extent = {}

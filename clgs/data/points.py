@@ -131,24 +131,19 @@ def _shared(points: Floats, viewpoints: list[Viewpoint], needed: int) -> Mask:
     alive = np.arange(len(points))
     seen = np.zeros(len(points), np.int64)
     for viewpoint_ in viewpoints:
-        inside, column, row = _pixels(points[alive], viewpoint_.camera)
+        # whether points (P, 3) fall into the image, and the column and row (P,) of those that do
+        camera = viewpoint_.camera
+        local = points[alive] @ camera.rotation.T + camera.translation
+        ahead = local[:, 2] > 1e-6
+        depth = np.where(ahead, local[:, 2], 1.0)
+        x = local[:, 0] / depth * camera.fx + camera.cx
+        y = local[:, 1] / depth * camera.fy + camera.cy
+        inside = ahead & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+        column = np.where(inside, x, 0.0).astype(np.int64)
+        row = np.where(inside, y, 0.0).astype(np.int64)
         seen[alive] += inside
         if viewpoint_.mask is not None:
             alive = alive[~inside | viewpoint_.mask[row, column]]
     kept = np.zeros(len(points), bool)
     kept[alive] = seen[alive] >= needed
     return kept
-
-
-def _pixels(
-    points: Floats, camera: Camera
-) -> tuple[Mask, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Whether points (P, 3) fall into the image, and the column and row (P,) of those that do."""
-    local = points @ camera.rotation.T + camera.translation
-    ahead = local[:, 2] > 1e-6
-    depth = np.where(ahead, local[:, 2], 1.0)
-    x = local[:, 0] / depth * camera.fx + camera.cx
-    y = local[:, 1] / depth * camera.fy + camera.cy
-    inside = ahead & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-    column = np.where(inside, x, 0.0).astype(np.int64)
-    return inside, column, np.where(inside, y, 0.0).astype(np.int64)

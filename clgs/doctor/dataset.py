@@ -122,22 +122,21 @@ def _missing(root: Path, photos: PhotoSet) -> Iterator[Finding]:
         total = len(photos.missing) + len(photos.train) + len(photos.test)
         problem = f"{len(photos.missing)} of {total} photos are missing"
         remedy = "restore them; training leaves them out"
-        near = _near_names(root, photos.missing)
+        # files whose names differ from a missing one in capitals or suffix only
+        near = []
+        for name in photos.missing:
+            for base in (root, root / "images"):
+                wanted = base / name
+                if (
+                    wanted.is_relative_to(root)
+                    and ".." not in wanted.parts
+                    and wanted.parent.is_dir()
+                ):
+                    stem = wanted.stem.lower()
+                    near += [p.name for p in wanted.parent.iterdir() if p.stem.lower() == stem]
         if near:
             remedy = f"rename {near[0]} and its like; names must agree in capitals and suffix"
         yield Finding(WARNING, named(photos.missing), problem, remedy)
-
-
-def _near_names(root: Path, missing: list[str]) -> list[str]:
-    """Files whose names differ from a missing one in capitals or suffix only."""
-    found = []
-    for name in missing:
-        for base in (root, root / "images"):
-            wanted = base / name
-            if wanted.is_relative_to(root) and ".." not in wanted.parts and wanted.parent.is_dir():
-                stem = wanted.stem.lower()
-                found += [p.name for p in wanted.parent.iterdir() if p.stem.lower() == stem]
-    return found
 
 
 def _points(photos: PhotoSet) -> Iterator[Finding]:

@@ -51,7 +51,19 @@ def check_pictures(photos: list[Photo], rendered: bool) -> Iterator[Finding]:
         photos: in the order of the data set.
         rendered: no camera took them, so that their brightness says nothing.
     """
-    yield from _sizes(photos)
+    counts = Counter((photo.lens.width, photo.lens.height) for photo in photos)
+    if len(counts) > 1:
+        text = ", ".join(f"{n} of {w}x{h}" for (w, h), n in counts.most_common(4))
+        more = ", ..." * (len(counts) > 4)
+        yield Finding(NOTE, "", f"photos have several sizes: {text}{more}", "nothing to do")
+    widest = max(width for width, _ in counts)
+    if widest > MAX_SIZE:
+        problem = f"photos are up to {widest} pixels wide, and reduced to {MAX_SIZE}"
+        yield Finding(NOTE, "", problem, "--max-size 0 keeps their size; --downscale is faster")
+    tiny = [photo.name for photo in photos if min(photo.lens.width, photo.lens.height) < SMALL_SIDE]
+    if tiny:
+        problem = f"a side is shorter than {SMALL_SIDE} pixels"
+        yield Finding(WARNING, named(tiny), problem, "use the photos as they were taken")
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         looked = list(pool.map(_look, photos))
     whole = []
@@ -109,22 +121,6 @@ def _look_at(path: Path) -> _Looked | DataError:
     weight = np.maximum(levels[..., 3], 1e-9)
     brightness = float((levels[..., :3].mean(axis=2) * weight).sum() / weight.sum()) / 255
     return _Looked(digest, max(brightness, 1e-3))
-
-
-def _sizes(photos: list[Photo]) -> Iterator[Finding]:
-    counts = Counter((photo.lens.width, photo.lens.height) for photo in photos)
-    if len(counts) > 1:
-        text = ", ".join(f"{n} of {w}x{h}" for (w, h), n in counts.most_common(4))
-        more = ", ..." * (len(counts) > 4)
-        yield Finding(NOTE, "", f"photos have several sizes: {text}{more}", "nothing to do")
-    widest = max(width for width, _ in counts)
-    if widest > MAX_SIZE:
-        problem = f"photos are up to {widest} pixels wide, and reduced to {MAX_SIZE}"
-        yield Finding(NOTE, "", problem, "--max-size 0 keeps their size; --downscale is faster")
-    tiny = [photo.name for photo in photos if min(photo.lens.width, photo.lens.height) < SMALL_SIDE]
-    if tiny:
-        problem = f"a side is shorter than {SMALL_SIDE} pixels"
-        yield Finding(WARNING, named(tiny), problem, "use the photos as they were taken")
 
 
 def _copies(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from clgs.data.dataset import Dataset
 from clgs.data.posed_photo import to_y_up
-from clgs.scene.camera import Camera
 
 FRUSTUM_DEPTH = 0.1
 """Length of a frustum in camera radii."""
@@ -30,6 +27,8 @@ def cameras_glb(dataset: Dataset) -> bytes:
     z forward.
     """
     import trimesh
+    from trimesh.path import Path3D
+    from trimesh.path.entities import Line
 
     turn = to_y_up(dataset.kind)
     depth = FRUSTUM_DEPTH * dataset.radius / dataset.transform.scale
@@ -43,24 +42,21 @@ def cameras_glb(dataset: Dataset) -> bytes:
         scene.add_geometry(cloud, node_name="points", geom_name="points")
     for split, views in (("train", dataset.train), ("test", dataset.test)):
         for view in views:
-            frustum = _frustum(view.camera, depth, CAMERA_COLORS[split])
+            # the frustum's edges in the camera's axes, as lines
+            camera = view.camera
+            picture = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (camera.width, camera.height)
+            flat = (picture - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+            corners = depth * np.column_stack([flat, np.ones(4)])
+            lines = [Line(list(edge)) for edge in EDGES]
+            frustum = Path3D(
+                lines,
+                np.vstack([np.zeros(3), corners]),
+                colors=[CAMERA_COLORS[split]] * len(EDGES),
+                process=False,
+            )
             pose = np.eye(4)  # camera to turned world
-            pose[:3, :3] = turn @ view.camera.rotation.T
-            pose[:3, 3] = turn @ dataset.transform.to_world(view.camera.centre[None])[0]
+            pose[:3, :3] = turn @ camera.rotation.T
+            pose[:3, 3] = turn @ dataset.transform.to_world(camera.centre[None])[0]
             name = f"{split}/{view.name}"
             scene.add_geometry(frustum, node_name=name, geom_name=name, transform=pose)
     return bytes(scene.export(file_type="glb"))
-
-
-def _frustum(camera: Camera, depth: float, color: tuple[int, ...]) -> Any:
-    """The frustum's edges in the camera's axes, as lines."""
-    from trimesh.path import Path3D
-    from trimesh.path.entities import Line
-
-    picture = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (camera.width, camera.height)
-    flat = (picture - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-    corners = depth * np.column_stack([flat, np.ones(4)])
-    lines = [Line(list(edge)) for edge in EDGES]
-    return Path3D(
-        lines, np.vstack([np.zeros(3), corners]), colors=[color] * len(EDGES), process=False
-    )

@@ -90,10 +90,11 @@ class Report:
 
 def report_html(report: Report, views: Sequence[ReportView]) -> str:
     """The page as text."""
+    named = (f'<a href="{escape(quote(file))}">{escape(label)}</a>' for label, file in report.links)
     parts = [
         f"<h1>{escape(report.title)}</h1>",
         f'<p class="soft">{escape(report.lead)}</p>',
-        _links(report.links),
+        f"<p>{' · '.join(named)}</p>" if report.links else "",
         _pictures(shown(views), report.held_out),
         cards(report.headline),
         _scores(views),
@@ -123,11 +124,6 @@ def shown(views: Sequence[ReportView]) -> list[ReportView]:
         return list(views)
     ranked = sorted(views, key=lambda view: view.psnr)
     return [ranked[i] for i in np.linspace(0, len(ranked) - 1, MOST_PICTURES).round().astype(int)]
-
-
-def _links(links: Sequence[tuple[str, str]]) -> str:
-    named = (f'<a href="{escape(quote(file))}">{escape(label)}</a>' for label, file in links)
-    return f"<p>{' · '.join(named)}</p>" if links else ""
 
 
 def cards(headline: Sequence[tuple[str, str]]) -> str:

@@ -12,7 +12,7 @@ from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
 from clgs.scene.anchors import AnchorSet
 from clgs.scene.camera import Camera
-from clgs.scene.mlps import Mlps, init_mlps, unpack_head
+from clgs.scene.mlps import init_mlps, unpack_head
 from clgs.scene.scene import Scene, SceneTransform
 
 DRAWN_SHARE = 0.4
@@ -57,11 +57,7 @@ def anchor_scene(
         scaling.astype(np.float32),
     )
     camera = camera_of(width, height)
-    return Scene(anchors, _calibrated_mlps(anchors, camera, rng)), camera
-
-
-def _calibrated_mlps(anchors: AnchorSet, camera: Camera, rng: np.random.Generator) -> Mlps:
-    """Random MLPs whose opacity biases leave DRAWN_SHARE of the slots positive."""
+    # random MLPs whose opacity biases leave DRAWN_SHARE of the slots positive
     mlps = init_mlps(rng)
     layers = unpack_head(mlps.flat, "opacity")
     direction = anchors.position - camera.centre.astype(np.float32)
@@ -70,7 +66,7 @@ def _calibrated_mlps(anchors: AnchorSet, camera: Camera, rng: np.random.Generato
     hidden = np.maximum(inputs @ layers["hidden_weight"].T + layers["hidden_bias"], 0)
     logits = hidden @ layers["output_weight"].T
     layers["output_bias"][:] = -np.quantile(logits, 1 - DRAWN_SHARE, axis=0)
-    return mlps
+    return Scene(anchors, mlps), camera
 
 
 def photo_dataset(camera: Camera, points: npt.NDArray[np.float32], seed: int = 0) -> Dataset:

@@ -114,17 +114,13 @@ def choose_device(name: str | None = None) -> Any:
     if name:
         return _pick(devices, name, f"--device {name}")
     if wanted := os.environ.get("PYOPENCL_CTX"):
-        return _by_context(devices, wanted)
+        # the device that PYOPENCL_CTX names; a platform alone stands for its first device
+        platforms = list(dict.fromkeys(device.platform for device in devices))
+        first, _, second = wanted.partition(":")
+        platform = _pick(platforms, first or "0", f"PYOPENCL_CTX={wanted}")
+        inside = [device for device in devices if device.platform == platform]
+        return _pick(inside, second or "0", f"PYOPENCL_CTX={wanted}")
     return min(devices, key=_preference)
-
-
-def _by_context(devices: list[Any], wanted: str) -> Any:
-    """The device that PYOPENCL_CTX names; a platform alone stands for its first device."""
-    platforms = list(dict.fromkeys(device.platform for device in devices))
-    first, _, second = wanted.partition(":")
-    platform = _pick(platforms, first or "0", f"PYOPENCL_CTX={wanted}")
-    inside = [device for device in devices if device.platform == platform]
-    return _pick(inside, second or "0", f"PYOPENCL_CTX={wanted}")
 
 
 def _pick(choices: list[Any], wanted: str, origin: str) -> Any:

@@ -91,9 +91,14 @@ class Programs:
                     warnings.simplefilter("ignore", cl.CompilerWarning)
                     built = cl.Program(self._context, source).build(options)
             except cl.RuntimeError as error:
+                # the first line of a build log that names a source line, else its last line
+                log = str(error)
+                lines = [line.strip() for line in log.splitlines() if line.strip()]
+                marked = [line for line in lines if re.search(r"\.(cl|h):\d+", line)]
+                errors = [line for line in marked if "error" in line]
                 raise DeviceError(
                     f"kernels_cl/{file} does not build on {self._device_name}: "
-                    f"{_first_complaint(str(error))}"
+                    f"{(errors or marked or lines[-1:] or ['no build log'])[0]}"
                 ) from error
             seconds = tried + time.thread_time() - start
             if seconds > COMPILED_SECONDS and not self._told:
@@ -138,14 +143,6 @@ def _macros(form: str, lanes: int, prefetch: bool, own: Defines) -> dict[str, st
 def _options(macros: dict[str, str], exact: bool) -> list[str]:
     values = [f"-D{name}={value}" for name, value in sorted(macros.items())]
     return [*BUILD_OPTIONS, *([EXACT_DIVISION] if exact else []), *values]
-
-
-def _first_complaint(log: str) -> str:
-    """The first line of a build log that names a source line, else its last line."""
-    lines = [line.strip() for line in log.splitlines() if line.strip()]
-    marked = [line for line in lines if re.search(r"\.(cl|h):\d+", line)]
-    errors = [line for line in marked if "error" in line]
-    return (errors or marked or lines[-1:] or ["no build log"])[0]
 
 
 def literal(value: int | float) -> str:

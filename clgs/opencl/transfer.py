@@ -117,7 +117,15 @@ class Transfers:
     def write(self, buffer: Any, host: npt.NDArray[Any]) -> None:
         """Overwrite the first ``host.nbytes`` bytes of ``buffer``."""
         if host.nbytes <= FILLED_SIZE:
-            self._fill(buffer, np.ascontiguousarray(host).reshape(-1).view(np.uint8))
+            # patterns of falling powers of two, so that each starts at a multiple of its size
+            content = np.ascontiguousarray(host).reshape(-1).view(np.uint8)
+            start, size = 0, LARGEST_PATTERN
+            while start < len(content):
+                while size > len(content) - start:
+                    size //= 2
+                pattern = content[start : start + size]
+                cl.enqueue_fill_buffer(self._queue, buffer, pattern, start, size)
+                start += size
         elif host.nbytes > WAITING_SIZE:
             cl.enqueue_copy(self._queue, buffer, np.ascontiguousarray(host))
         else:
@@ -126,7 +134,10 @@ class Transfers:
     def write_constant(self, buffer: Any, host: npt.NDArray[Any]) -> None:
         """Write an array that never changes; does not wait."""
         constant = np.ascontiguousarray(host)
-        self._keep(cl.enqueue_copy(self._queue, buffer, constant, is_blocking=False))
+        # hold event, which holds its host array; release those that are complete
+        while self._under_way and is_complete(self._under_way[0]):
+            self._under_way.popleft()
+        self._under_way.append(cl.enqueue_copy(self._queue, buffer, constant, is_blocking=False))
 
     def read(self, array: DeviceArray) -> Download:
         """Copy ``array`` to the host when the commands before are through."""
@@ -145,19 +156,3 @@ class Transfers:
     def hand_over(self, array: DeviceArray) -> npt.NDArray[Any]:
         """The memory of ``array``, which is not empty, as an array of the host; waits for it."""
         return np.asarray(_Mapped(self._queue, array))
-
-    def _fill(self, buffer: Any, content: npt.NDArray[np.uint8]) -> None:
-        """Patterns of falling powers of two, so that each starts at a multiple of its size."""
-        start, size = 0, LARGEST_PATTERN
-        while start < len(content):
-            while size > len(content) - start:
-                size //= 2
-            pattern = content[start : start + size]
-            cl.enqueue_fill_buffer(self._queue, buffer, pattern, start, size)
-            start += size
-
-    def _keep(self, event: Any) -> None:
-        """Hold ``event``, which holds its host array; release those that are complete."""
-        while self._under_way and is_complete(self._under_way[0]):
-            self._under_way.popleft()
-        self._under_way.append(event)

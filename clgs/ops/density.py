@@ -98,7 +98,19 @@ def accumulate(
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
-    visible_count, count, padded = _check(statistics, seen)
+    shapes = Shapes(K=K_OFFSETS)
+    shapes.check("opacity_sum", statistics.opacity_sum, "A", np.float32)
+    shapes.check("visits", statistics.visits, "A", np.int32)
+    shapes.check("gradient_sum", statistics.gradient_sum, "A K", np.float32)
+    shapes.check("gradient_count", statistics.gradient_count, "A K", np.int32)
+    shapes.check("output", seen.output, f"{OUTPUT_DIM} Vp", np.float32)
+    shapes.check("visible", seen.visible, "V", np.int32)
+    shapes.check("slot", seen.slot, "N", np.int32)
+    shapes.check("extent", seen.extent, "N 2", np.float32)
+    shapes.check("d_mean2d", seen.d_mean2d, "N 2", np.float32)
+    if shapes.axes["Vp"] < shapes.axes["V"]:
+        raise ValueError(f"output: {shapes.axes['Vp']} columns, {shapes.axes['V']} are visible")
+    visible_count, count, padded = shapes.axes["V"], shapes.axes["N"], shapes.axes["Vp"]
     stop = stop or device.zeros((1,), np.int32)
     device.run(
         device.kernel("anchors/density", "density_visit"),
@@ -197,20 +209,3 @@ def add_curvature(device: Device, curvature: DeviceArray, derivative: DeviceArra
         total=np.uint32(derivative.size),
         curvature=curvature,
     )
-
-
-def _check(statistics: DeviceStatistics, seen: SeenView) -> tuple[int, int, int]:
-    """(V, N, Vp)."""
-    shapes = Shapes(K=K_OFFSETS)
-    shapes.check("opacity_sum", statistics.opacity_sum, "A", np.float32)
-    shapes.check("visits", statistics.visits, "A", np.int32)
-    shapes.check("gradient_sum", statistics.gradient_sum, "A K", np.float32)
-    shapes.check("gradient_count", statistics.gradient_count, "A K", np.int32)
-    shapes.check("output", seen.output, f"{OUTPUT_DIM} Vp", np.float32)
-    shapes.check("visible", seen.visible, "V", np.int32)
-    shapes.check("slot", seen.slot, "N", np.int32)
-    shapes.check("extent", seen.extent, "N 2", np.float32)
-    shapes.check("d_mean2d", seen.d_mean2d, "N 2", np.float32)
-    if shapes.axes["Vp"] < shapes.axes["V"]:
-        raise ValueError(f"output: {shapes.axes['Vp']} columns, {shapes.axes['V']} are visible")
-    return shapes.axes["V"], shapes.axes["N"], shapes.axes["Vp"]

@@ -191,7 +191,15 @@ def append(device: Device, anchors: DeviceAnchors, new: NewAnchors) -> DeviceAnc
         ValueError, TypeError: an array has the wrong shape or dtype, or there is no such parent.
     """
     anchors.check(np.float32)
-    _check_new(new, len(anchors))
+    shapes = Shapes(N=len(new))
+    shapes.check("position", new.position, "N 3", np.float32)
+    shapes.check("edge", new.edge, "N", np.float32)
+    shapes.check("first", new.first, f"{len(new) + 1}", np.int32)
+    shapes.check("parents", new.parents, "P", np.int32)
+    _check_rows("parents", new.parents, len(anchors))
+    ends: Sequence[int] = (int(new.first[0]), int(new.first[-1]))
+    if ends != (0, len(new.parents)) or not (np.diff(new.first) > 0).all():
+        raise ValueError("first: must rise from 0 to the number of parents")
     before = len(anchors)
     longer = anchors.map(lambda array: with_zeros(device, array, len(new)))
     _run(
@@ -257,15 +265,3 @@ def _check(anchors: DeviceAnchors, statistics: DeviceStatistics) -> None:
 def _check_rows(name: str, rows: npt.NDArray[np.integer], count: int) -> None:
     if rows.ndim != 1 or not ((rows >= 0) & (rows < count)).all():
         raise ValueError(f"{name}: must be a list of numbers from 0 to {count - 1}")
-
-
-def _check_new(new: NewAnchors, anchors: int) -> None:
-    shapes = Shapes(N=len(new))
-    shapes.check("position", new.position, "N 3", np.float32)
-    shapes.check("edge", new.edge, "N", np.float32)
-    shapes.check("first", new.first, f"{len(new) + 1}", np.int32)
-    shapes.check("parents", new.parents, "P", np.int32)
-    _check_rows("parents", new.parents, anchors)
-    ends: Sequence[int] = (int(new.first[0]), int(new.first[-1]))
-    if ends != (0, len(new.parents)) or not (np.diff(new.first) > 0).all():
-        raise ValueError("first: must rise from 0 to the number of parents")

@@ -97,13 +97,27 @@ def forward(device: Device, x: DeviceArray, q: float, form: Form = "channel") ->
     if x.size == 0:
         return Rate(0.0, q, np.zeros((8, channels)))
     with np.errstate(all="ignore"):
-        sums = _statistics(device, x, q, _centre(device, x, q, channels), None)
+        mean = _sums(device, "rate_total", 1, (x, q, channels))[0] / (x.size // channels)
+        centre = np.rint(mean)
+        sums = _statistics(device, x, q, (centre, mean - centre), None)
         if form == "pooled":
             limits = _pooled_limits(sums)
             sums = _statistics(device, x, q, (sums.centre, sums.mean), limits)
             nats, table = _pooled(sums, limits)
         else:
-            nats, table = _per_channel(sums)
+            # (nats of every channel, table by nats) with b = std/sqrt(2) and no limits
+            b = np.sqrt(0.5 * (sums.square / sums.count - sums.mean**2))
+            constant = b == 0
+            b = np.where(constant, 1.0, b)
+            at_centre = cost(np.abs(sums.mean), b)
+            far = _far_sums(sums, b)
+            hits = sums.count - sums.below - sums.above
+            nats = hits * at_centre.nats + far.nats
+            by_b = hits * at_centre.by_b + far.by_b
+            infinite = np.full_like(b, np.inf)
+            table = _table(sums, b, at_centre, by_b / (2 * b * sums.count), infinite)
+            table[3:, constant] = 0
+            nats = np.where(constant, 0.0, nats)
     scale = 1.0 / (np.log(2.0) * x.shape[0])
     table[3:] *= scale
     return Rate(float(nats.sum() * scale), q, table)
@@ -182,22 +196,6 @@ def _near(distance: Values, b: Values) -> Cost:
     return Cost(nats, by_distance, by_b)
 
 
-def _per_channel(sums: _ChannelSums) -> tuple[Values, Values]:
-    """(nats of every channel, table by nats) with b = std/sqrt(2) and no limits."""
-    b = np.sqrt(0.5 * (sums.square / sums.count - sums.mean**2))
-    constant = b == 0
-    b = np.where(constant, 1.0, b)
-    at_centre = cost(np.abs(sums.mean), b)
-    far = _far_sums(sums, b)
-    hits = sums.count - sums.below - sums.above
-    nats = hits * at_centre.nats + far.nats
-    by_b = hits * at_centre.by_b + far.by_b
-    infinite = np.full_like(b, np.inf)
-    table = _table(sums, b, at_centre, by_b / (2 * b * sums.count), infinite)
-    table[3:, constant] = 0
-    return np.where(constant, 0.0, nats), table
-
-
 def _deviation(sums: _ChannelSums) -> Values:
     return np.sqrt((sums.square - sums.count * sums.mean**2) / max(sums.count - 1, 1))
 
@@ -256,13 +254,6 @@ def _table(sums: _ChannelSums, b: Values, at_centre: Cost, slope: Values, limits
     low, high = np.ceil(sums.mean - limits), np.floor(sums.mean + limits)
     sides = (shared - 1 / b, shared + centre_slope, shared + 1 / b, shared)
     return np.stack([sums.centre, np.minimum(low, 0), np.maximum(high, 0), slope, *sides])
-
-
-def _centre(device: Device, x: DeviceArray, q: float, channels: int) -> tuple[Values, Values]:
-    """(centre, mean - centre) of every channel; the centre is the integer next to the mean."""
-    mean = _sums(device, "rate_total", 1, (x, q, channels))[0] / (x.size // channels)
-    centre = np.rint(mean)
-    return centre, mean - centre
 
 
 def _statistics(

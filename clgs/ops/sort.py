@@ -79,7 +79,29 @@ def chosen(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
     shapes.check("choice", choice, "n", np.int32)
     if device.specialisation == "gpu":
         return _chosen_by_groups(device, keys, choice)
-    return _chosen_by_plan(device, keys, choice)
+    chunks = chunk_count(device)
+    plan = device.empty((PLAN_SIZE,), np.int32)
+    ranges = device.empty((chunks, 2), np.uint32)
+    counters = device.empty((chunks, 2**MAX_WIDTH), np.int32)
+    pairs, index = device.empty((len(keys), 2), np.uint32), device.empty(keys.shape, np.int32)
+    chosen: dict[str, Argument] = {
+        "keys": keys,
+        "chosen": choice,
+        "count": np.int32(len(keys)),
+    }
+
+    def run(name: str, items: int, /, **arguments: Argument) -> None:
+        sizes = {"MAX_WIDTH": MAX_WIDTH, "PLAN_SIZE": PLAN_SIZE}
+        device.run(device.kernel("sort/chosen", name, **sizes), (items,), (1,), **arguments)
+
+    run("sort_range", chunks, **chosen, ranges=ranges)
+    run("sort_count_chosen", chunks, **chosen, ranges=ranges, plan=plan, counters=counters)
+    run("sort_starts", 1, counters=counters, chunks=np.int32(chunks), plan=plan)
+    run("sort_place_chosen", chunks, **chosen, plan=plan, places=counters, pairs=pairs)
+    run("sort_count_pairs", chunks, pairs=pairs, plan=plan, counters=counters)
+    run("sort_starts", 1, counters=counters, chunks=np.int32(chunks), plan=plan)
+    run("sort_place_pairs", chunks, pairs=pairs, plan=plan, places=counters, order=index)
+    return Order(index, plan.first(1))
 
 
 def _chosen_by_groups(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
@@ -112,32 +134,6 @@ def _chosen_by_groups(device: Device, keys: DeviceArray, choice: DeviceArray) ->
         )
         keys, index = sorted_keys, order
     return Order(index, count)
-
-
-def _chosen_by_plan(device: Device, keys: DeviceArray, choice: DeviceArray) -> Order:
-    chunks = chunk_count(device)
-    plan = device.empty((PLAN_SIZE,), np.int32)
-    ranges = device.empty((chunks, 2), np.uint32)
-    counters = device.empty((chunks, 2**MAX_WIDTH), np.int32)
-    pairs, index = device.empty((len(keys), 2), np.uint32), device.empty(keys.shape, np.int32)
-    chosen: dict[str, Argument] = {
-        "keys": keys,
-        "chosen": choice,
-        "count": np.int32(len(keys)),
-    }
-
-    def run(name: str, items: int, /, **arguments: Argument) -> None:
-        sizes = {"MAX_WIDTH": MAX_WIDTH, "PLAN_SIZE": PLAN_SIZE}
-        device.run(device.kernel("sort/chosen", name, **sizes), (items,), (1,), **arguments)
-
-    run("sort_range", chunks, **chosen, ranges=ranges)
-    run("sort_count_chosen", chunks, **chosen, ranges=ranges, plan=plan, counters=counters)
-    run("sort_starts", 1, counters=counters, chunks=np.int32(chunks), plan=plan)
-    run("sort_place_chosen", chunks, **chosen, plan=plan, places=counters, pairs=pairs)
-    run("sort_count_pairs", chunks, pairs=pairs, plan=plan, counters=counters)
-    run("sort_starts", 1, counters=counters, chunks=np.int32(chunks), plan=plan)
-    run("sort_place_pairs", chunks, pairs=pairs, plan=plan, places=counters, order=index)
-    return Order(index, plan.first(1))
 
 
 def digits(bits: int, widest: int) -> list[tuple[int, int]]:

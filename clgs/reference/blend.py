@@ -54,12 +54,13 @@ PARITY = Truncation()
 class Blended:
     """image (3, H, W), transmittance (H, W), and the decisions made.
 
-    last_contributor (H, W): entries of the pixel's list up to the last one blended.
+    last_blended (H, W): entries of the pixel's list up to the last one that was blended. The op's
+    ``last_contributor`` is at least that: it counts what the pixel saw before it was finished.
     """
 
     image: Array
     transmittance: Array
-    last_contributor: npt.NDArray[np.int64]
+    last_blended: npt.NDArray[np.int64]
     decisions: Decisions
 
 

@@ -108,7 +108,11 @@ def backward(
     d_log_scale = d_gaussians.d_scale * gaussians.scale
     d_covariance = np.zeros((output.shape[1] * K_OFFSETS, 7))
     d_covariance[slot, :3] = d_log_scale * (1 - sigmoid(logits[slot]))
-    d_covariance[slot, 3:] = _quaternion_backward(d_gaussians.d_rotation, quaternion[slot])
+    unit, length = unit_quaternion(quaternion[slot])
+    across = (
+        d_gaussians.d_rotation - np.sum(d_gaussians.d_rotation * unit, axis=1, keepdims=True) * unit
+    )
+    d_covariance[slot, 3:] = np.where(length > 0, across / np.where(length > 0, length, 1), 0)
     d_opacity, d_color = np.zeros(len(d_covariance)), np.zeros((len(d_covariance), 3))
     d_opacity[slot], d_color[slot] = d_gaussians.d_opacity, d_gaussians.d_color
     d_offset, d_scaling = np.zeros_like(offset), np.zeros_like(scaling)
@@ -119,9 +123,3 @@ def backward(
     np.add.at(d_position, anchor, d_gaussians.d_mean)
     d_scaling[~(np.abs(scaling) <= LOG_SCALE_LIMIT)] = 0
     return join(d_opacity, d_color, d_covariance), d_offset, d_scaling, d_position
-
-
-def _quaternion_backward(d_unit: Array, q: Array) -> Array:
-    unit, length = unit_quaternion(q)
-    across = d_unit - np.sum(d_unit * unit, axis=1, keepdims=True) * unit
-    return np.where(length > 0, across / np.where(length > 0, length, 1), 0)

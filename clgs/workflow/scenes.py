@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from clgs.codec.container.section_table import BytesSource, FileSource
+from clgs.codec.container.sections import BytesSource, FileSource
 from clgs.codec.scene_decoder import Box, decode, decode_box
 from clgs.codec.splat_packing import is_splats, unpack
 from clgs.data.splats.sog import images_in

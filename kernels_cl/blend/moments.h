@@ -1,5 +1,5 @@
-/* The moments that an entry of a tile list leaves in the backward pass: sums over the pixels of the
- * tile, with v = alpha dL/d(alpha) and w = alpha T. They are written as one row per entry. */
+/* What the backward pass keeps of an entry of a tile list: nine sums over the pixels of the tile,
+ * with v = alpha dL/d(alpha) and w = alpha T. An entry has one row of them. */
 #ifndef CLGS_MOMENTS_H
 #define CLGS_MOMENTS_H
 

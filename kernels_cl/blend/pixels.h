@@ -42,7 +42,7 @@ typedef struct {
 /* What is kept of pixels when they are finished. */
 typedef struct {
     fv transmittance; /* negative if not finished */
-    iv last;          /* entries up to the end of the pixel */
+    iv last;          /* entries that the pixel saw before it was finished */
 } Ends;
 
 /* Pixels of the image start with nothing in front of them; those outside of it are finished. */

@@ -13,14 +13,14 @@
 
 /* VEC pixels on the way back to front. */
 typedef struct {
-    fv transmittance; /* after the records that are still to come */
-    fv behind;        /* colour after them per transmittance, dotted with d_image */
+    fv transmittance; /* behind the records that are not taken off yet */
+    fv behind;        /* color behind these records per transmittance, times d_image */
     fv d_red, d_green, d_blue;
     iv last; /* entries of the list that these pixels saw in the forward pass */
 } Rays;
 
-/* A pixel's share of a moment. In the GPU form a Moments is of one pixel and one record: there,
- * what it holds is added to a sum later, which is the same for -0 as for 0. */
+/* Adds a pixel's share to a moment. In the GPU form a Moments has one pixel and one record, so that
+ * it is set. It may then be -0 instead of 0, which changes no sum that it is added to later. */
 #if VEC == 1
 #define GIVE(moment, value) (moment) = (value)
 #else

@@ -1,5 +1,5 @@
-/* Gradients of every Gaussian from the moments that the entries of its tiles left: the rows of a
- * Gaussian are neighbours and are added in their order, so that all runs agree bit for bit.
+/* Gradients of every Gaussian from the rows of moments of its entries in the tile lists. The rows
+ * of a Gaussian are neighbours and are added in their order, so that all runs agree bit for bit.
  *
  * A work-item owns a Gaussian; launch size: at least the number of Gaussians, in work-groups of any
  * size. No local memory. */

@@ -85,6 +85,8 @@ static inline fv exp2_in_range(fv x, const TouchConstants *c)
     return AS_FV(AS_IV(p) + (AS_IV(shifted) << 23));
 }
 
+/* What record r does to pixels with centres (pixel_x, pixel_y). The exponent is log2 of alpha:
+ * bias - y1^2 - y2^2. */
 static inline Touch touch(const Record *r, fv pixel_x, fv pixel_y, const TouchConstants *c)
 {
     Touch t;

@@ -17,7 +17,7 @@ from clgs import _codec
 from clgs.codec import octree, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.container.reader import SceneReader
-from clgs.codec.container.section_table import BytesSource, read_container
+from clgs.codec.container.sections import BytesSource, read_container
 
 GOLDEN = Path(__file__).resolve().parents[2] / "tests" / "codec" / "golden"
 Seed = tuple[str, str, bytes]

@@ -12,8 +12,8 @@ from clgs import _codec, codec
 from clgs.codec import octree, splat_packing, streams, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import find_near
-from clgs.codec.container import chunks, section_table
-from clgs.codec.container.section_table import BytesSource
+from clgs.codec.container import chunks
+from clgs.codec.container.sections import MAGIC, SPLATS, BytesSource, read_section, read_table
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.scene.anchors import QuantizedAnchors
@@ -233,8 +233,8 @@ def test_example_of_splats() -> None:
     values = np.array([[0, 0, 0, 5], [1, 1, 1, 9], [1, 1, 1, -9]], np.int32)
     some = splat_packing.QuantizedSplats(["x", "y", "z", "opacity"], [0.5, 0.5, 0.5, 0.25], values)
     source = BytesSource(splat_packing.pack(some))
-    entries = section_table.read_table(source, splats=True).entries
-    read = [section_table.read_section(source, entries[tag]) for tag in section_table.SPLATS]
+    entries = read_table(source, splats=True).entries
+    read = [read_section(source, entries[tag]) for tag in SPLATS]
     assert [bytes(section.data) for section in read] == documented(27)
     assert all(f"{_codec.crc32c(section.data):08X}" in TEXT for section in read[1:])
 
@@ -259,7 +259,7 @@ def test_tables_of_the_document() -> None:
 
 
 def test_signatures_and_hashes_of_the_document() -> None:
-    for signature in (section_table.MAGIC, streams.POSITIONS, streams.LATTICE, streams.ATTRIBUTES):
+    for signature in (MAGIC, streams.POSITIONS, streams.LATTICE, streams.ATTRIBUTES):
         assert signature.hex(" ").upper() in TEXT
     for data in (b"", b"abc"):
         assert xxh64(data) == _codec.xxh64(data)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.cli.main import main
-from clgs.codec.container.section_table import write_container
+from clgs.codec.container.sections import write_container
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import QuantizedSplats, pack, quantize, sort_splats, unpack

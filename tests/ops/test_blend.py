@@ -45,7 +45,7 @@ def compared(device, scene, size, rng, options=DEFAULT):
     assert np.array_equal(made.saturated, made_backward.saturated)
     arguments = in_float64(rendered, scene)
     expected = reference.forward(**arguments, size=size, decisions=made)
-    assert np.all(rendered.host("last_contributor") >= expected.last_contributor)
+    assert np.all(rendered.host("last_contributor") >= expected.last_blended)
     wanted = reference.backward(**arguments, decisions=made, d_image=d_image.astype(np.float64))
     return rendered, expected, rendered.backward(d_image), wanted
 
@@ -113,7 +113,7 @@ def test_presets_stop_where_the_reference_stops(device, rng, preset):
     error = 2e-6 + 10 * EXP2_ERROR[options.accuracy.exp2_degree]
     assert unequal.sum() <= 2 + error * 100 * made.contributed.sum()
     last = rendered.host("last_contributor")
-    assert np.mean(last < expected.last_contributor) <= error * 1000
+    assert np.mean(last < expected.last_blended) <= error * 1000
     stopped = expected.transmittance < options.accuracy.transmittance_stop
     if options.accuracy.inclusive_stop:
         assert stopped.any()

@@ -75,7 +75,7 @@ def test_frozen_own_decisions_change_nothing(case):
     made = blend.forward(**arguments, size=SIZE)
     again = blend.forward(**arguments, size=SIZE, decisions=made.decisions)
     assert np.array_equal(made.image, again.image)
-    assert np.array_equal(made.last_contributor, again.last_contributor)
+    assert np.array_equal(made.last_blended, again.last_blended)
 
 
 def test_gradient_vanishes_where_clamped(case):
@@ -98,4 +98,4 @@ def test_one_pixel_by_hand():
     assert lists.gaussian.tolist() == [1, 0]
     result = blend.forward(projected, color, opacity, lists, np.array([0, 0, 1.0]), (1, 1))
     assert np.allclose(result.image[:, 0, 0], [0.75 * 0.5, 0.25, 0.75 * 0.5], atol=1e-15, rtol=0)
-    assert result.last_contributor.tolist() == [[2]]
+    assert result.last_blended.tolist() == [[2]]

@@ -2,14 +2,15 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from clgs.errors import DataError, UsageError
-from clgs.train.config import LearningRates, TrainConfig, from_toml, preset
+from clgs.train.config import LearningRates, TrainConfig, from_toml, options_of, preset
+from clgs.train.config.option import at_least, option
 
 
 def test_the_paper_is_the_published_one() -> None:
@@ -152,6 +153,17 @@ def test_toml_round_trip(config: TrainConfig) -> None:
 def test_digest_tells_settings_apart_but_not_spellings() -> None:
     assert TrainConfig(seed=1).digest() != TrainConfig().digest()
     assert TrainConfig(near=1).digest() == TrainConfig(near=1.0).digest()
+
+
+@dataclass(frozen=True)
+class Newer(TrainConfig):
+    more: int = option(0, "a setting that came later", at_least(0), unit="none", later=True)
+
+
+def test_runs_from_before_a_setting_keep_their_digest() -> None:
+    assert Newer().digest() == TrainConfig().digest()
+    assert Newer(more=1).digest() != TrainConfig().digest()
+    assert all(options_of(TrainConfig)[name].later for name in ("masks", "test_every"))
 
 
 @pytest.mark.parametrize(

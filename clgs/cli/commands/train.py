@@ -96,7 +96,24 @@ def show(trained: TrainedRun) -> None:
         done = f"is finished already, after {trained.steps} steps; nothing is changed"
         print(f"{result.folder}: {done}")
     if trained.times:
-        _print_profile(trained)
+        # print the times of the stages, and what each skip saved
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table("stage", title="Time by stage")
+        for column in ("calls", "median ms", "total s", "share"):
+            table.add_column(column, justify="right")
+        total = sum(seconds for *_, seconds in trained.times) or 1.0
+        for name, calls, milliseconds, seconds in trained.times:
+            share = f"{100 * seconds / total:.1f} %"
+            table.add_row(name, str(calls), f"{milliseconds:.2f}", f"{seconds:.1f}", share)
+        skips = Table("skip", "work", title="Work left out, on the first view")
+        for column in ("done", "without", "saved"):
+            skips.add_column(column, justify="right")
+        for one in trained.saved:
+            counts = f"{one.done:,}", f"{one.without:,}", f"{100 * one.share:.1f} %"
+            skips.add_row(one.skip, one.unit, *counts)
+        Console().print(table, skips)
     in_training = f" ({summary['train_psnr']:.2f} in training)" if "train_psnr" in summary else ""
     split = "held-out" if summary["split"] == "test" else "training"
     print(
@@ -111,27 +128,6 @@ def show(trained: TrainedRun) -> None:
             "with so few anchors, cannot fill it"
         )
     print(f"{result.folder / 'scene.clgs'}  {result.folder / 'results.json'}")
-
-
-def _print_profile(trained: TrainedRun) -> None:
-    """Print the times of the stages, and what each skip saved."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("stage", title="Time by stage")
-    for column in ("calls", "median ms", "total s", "share"):
-        table.add_column(column, justify="right")
-    total = sum(seconds for *_, seconds in trained.times) or 1.0
-    for name, calls, milliseconds, seconds in trained.times:
-        share = f"{100 * seconds / total:.1f} %"
-        table.add_row(name, str(calls), f"{milliseconds:.2f}", f"{seconds:.1f}", share)
-    skips = Table("skip", "work", title="Work left out, on the first view")
-    for column in ("done", "without", "saved"):
-        skips.add_column(column, justify="right")
-    for one in trained.saved:
-        counts = f"{one.done:,}", f"{one.without:,}", f"{100 * one.share:.1f} %"
-        skips.add_row(one.skip, one.unit, *counts)
-    Console().print(table, skips)
 
 
 class EventLog:

@@ -156,7 +156,13 @@ def fit(rows: RowChunks, search: bool) -> tuple[Models, int]:
         choose_taps(model, sample)
         choose_activity(model, sample)
     cost = rows.choose(model)
-    _drop_unused(model)
+    # clear what no class depends on, so that it costs no bits of the header
+    idle = model["classes"] == 1
+    model["weight"][idle] = 0
+    model["span"][idle] = 0
+    looks = np.flatnonzero(model["weight"][:, 1:].any(axis=1))
+    needed = np.arange(len(model)) < (looks[-1] if len(looks) else 0)
+    model["gain"][~(needed | (model["weight"][:, 0] > 0))] = 0
     overhead = sum(20 if c.stop - c.start >= LONG_ROWS else 2 for c in rows.chunks)
     return model, int(cost.sum()) // (8 << 16) + overhead
 
@@ -222,16 +228,6 @@ def weights_of(share: tuple[float, float, float], channels: int) -> Ints:
     )
     weights = np.minimum(np.rint(full * np.array(share)), MAX_WEIGHT)
     return np.asarray(weights, np.int32)
-
-
-def _drop_unused(model: Models) -> None:
-    """Clear what no class depends on, so that it costs no bits of the header."""
-    idle = model["classes"] == 1
-    model["weight"][idle] = 0
-    model["span"][idle] = 0
-    looks = np.flatnonzero(model["weight"][:, 1:].any(axis=1))
-    needed = np.arange(len(model)) < (looks[-1] if len(looks) else 0)
-    model["gain"][~(needed | (model["weight"][:, 0] > 0))] = 0
 
 
 def choose_mixed(model: Models, rows: RowChunks) -> Models:

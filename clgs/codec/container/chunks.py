@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec.container.meta import Meta
-from clgs.codec.container.section_table import ANCH, FEAT, OFFS, SCAL
+from clgs.codec.container.sections import ANCH, FEAT, OFFS, SCAL
 
 TAGS = (ANCH, OFFS, FEAT, SCAL)
 """The sections in chunks, in the order of the columns."""

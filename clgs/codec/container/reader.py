@@ -11,10 +11,10 @@ import numpy.typing as npt
 from clgs import _codec
 from clgs.codec import octree, weights
 from clgs.codec.attributes import row_coder
-from clgs.codec.container import chunks, section_table
+from clgs.codec.container import chunks, sections
 from clgs.codec.container.chunks import HEAD_SIZE, TAGS, ByteRange, Chunk
 from clgs.codec.container.meta import SCALING_DIM, unpack_meta
-from clgs.codec.container.section_table import (
+from clgs.codec.container.sections import (
     ANCH,
     CHNK,
     FEAT,
@@ -25,6 +25,7 @@ from clgs.codec.container.section_table import (
     RandomAccess,
     Section,
     SectionTable,
+    damage,
 )
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.scene.anchors import QuantizedAnchors
@@ -50,7 +51,7 @@ class SceneReader:
     def __init__(self, source: RandomAccess, table: SectionTable) -> None:
         self._source = source
         self._entries = table.entries
-        self.meta = guarded(section_table.read_section(source, table.entries[META]), unpack_meta)
+        self.meta = guarded(sections.read_section(source, table.entries[META]), unpack_meta)
         part = self._read(CHNK, ByteRange(0, min(HEAD_SIZE, table.entries[CHNK].length)))
         rest = self._read(CHNK, ByteRange(HEAD_SIZE, guarded(part, chunks.head_size) - HEAD_SIZE))
         part = Section(CHNK, part.offset, memoryview(b"".join([part.data, rest.data])))
@@ -113,7 +114,7 @@ class SceneReader:
         if _codec.crc32c(joined) != chunk.rows_crc:
             places = ", ".join(f"{tag} at byte {part.offset}" for tag, part in parts.items())
             what = f"chunk {chunk.number}: the checksum that all of them share differs"
-            raise section_table.damage(f"sections {places}", what)
+            raise damage(f"sections {places}", what)
         return parts
 
     def model(self, tag: str) -> row_coder.RowModel:
@@ -127,7 +128,7 @@ class SceneReader:
 
     def weights(self) -> npt.NDArray[np.float32]:
         """The weights of the MLPs (13710,) float32; CodecError if the section is damaged."""
-        return decode_weights(section_table.read_section(self._source, self._entries[MLPS]))
+        return decode_weights(sections.read_section(self._source, self._entries[MLPS]))
 
     def scene(self, anchors: QuantizedAnchors, weights: npt.NDArray[np.float32]) -> QuantizedScene:
         """The scene of ``anchors`` with the file's settings."""

@@ -41,7 +41,20 @@ def read_binary(folder: Path) -> ColmapModel:
     Raises:
         DataError: names file, byte offset and what is wrong.
     """
-    cameras = _read_cameras(_File(folder / "cameras.bin"))
+    file = _File(folder / "cameras.bin")
+    cameras: dict[int, ColmapCamera] = {}
+    for _ in file.records(24):
+        number, model, width, height = file.take("<IIQQ")
+        if model >= len(_MODELS):
+            file.fail(
+                f"camera model {model} is unknown (undistort with COLMAP's image_undistorter)"
+            )
+        name = _MODELS[model]
+        params = file.take(f"<{len(PARAMETERS[name].split())}d")
+        if number in cameras:
+            file.fail(f"camera {number} occurs twice")
+        cameras[number] = ColmapCamera(name, width, height, params)
+        cameras[number].check(file.fail)
     images = _read_images(_File(folder / "images.bin"), cameras)
     position, color = _read_points(_File(folder / "points3D.bin"))
     if (folder / "rigs.bin").is_file():
@@ -105,23 +118,6 @@ class _File:
         check_name(name, self.fail)
         self.at = end + 1
         return name
-
-
-def _read_cameras(file: _File) -> dict[int, ColmapCamera]:
-    cameras: dict[int, ColmapCamera] = {}
-    for _ in file.records(24):
-        number, model, width, height = file.take("<IIQQ")
-        if model >= len(_MODELS):
-            file.fail(
-                f"camera model {model} is unknown (undistort with COLMAP's image_undistorter)"
-            )
-        name = _MODELS[model]
-        params = file.take(f"<{len(PARAMETERS[name].split())}d")
-        if number in cameras:
-            file.fail(f"camera {number} occurs twice")
-        cameras[number] = ColmapCamera(name, width, height, params)
-        cameras[number].check(file.fail)
-    return cameras
 
 
 def _read_images(file: _File, cameras: dict[int, ColmapCamera]) -> list[ColmapImage]:

@@ -48,7 +48,13 @@ def read_text(folder: Path) -> ColmapModel:
     for line in _lines(folder / "frames.txt"):
         line.pose(2)
     for line in _lines(folder / "rigs.txt"):
-        _check_rig(line)
+        # check the poses of the rig's sensors; the first sensor has none
+        at = _BEFORE_SENSORS
+        while at < len(line.words):
+            at += _UNPOSED
+            if line.words[at - 1 : at] == ["1"]:
+                line.pose(at)
+                at += len(_POSE)
     position, color = _read_points(folder / "points3D.txt", observations)
     return ColmapModel(images, position, color)
 
@@ -166,16 +172,6 @@ def _read_images(
         missing = _Line(path, line.number + 1, [])
         observations[number] = next(lines, missing).observations()
     return images, observations
-
-
-def _check_rig(line: _Line) -> None:
-    """Check the poses of the rig's sensors; the first sensor has none."""
-    at = _BEFORE_SENSORS
-    while at < len(line.words):
-        at += _UNPOSED
-        if line.words[at - 1 : at] == ["1"]:
-            line.pose(at)
-            at += len(_POSE)
 
 
 def _read_points(

@@ -85,16 +85,7 @@ def _parse(record: Any) -> tuple[list[Camera], float | None]:
 def _camera(frame: Any, where: str, size: tuple[int, int]) -> Camera:
     if not isinstance(frame, dict):
         raise _PathError(f"{where}: not an object")
-    pose = _pose(frame, where)
-    fov = _number(frame, "fov", 50.0, 0.1, 179.0, where)
-    aspect = _number(frame, "aspect", size[0] / size[1], 1e-3, 1e3, where)
-    if math.isclose(aspect, size[0] / size[1], rel_tol=0.02):
-        aspect = 0.0  # rounded to whole pixels
-    return pinhole(FLIP @ pose[:3, :3].T, pose[:3, 3], fov, size, aspect)
-
-
-def _pose(frame: dict[str, Any], where: str) -> npt.NDArray[np.float64]:
-    """Camera to world (4, 4), its rotation made exact."""
+    # camera to world (4, 4), its rotation made exact
     field = next((name for name in POSES if name in frame), POSES[0])
     flat = _numbers(frame.get(field))
     if flat.size not in (12, 16) or not (np.abs(flat) < FARTHEST).all():
@@ -107,7 +98,11 @@ def _pose(frame: dict[str, Any], where: str) -> npt.NDArray[np.float64]:
     if stretch[2] < 0.5 * stretch[0] or stretch[0] < 1e-6 or np.linalg.det(left @ right) < 0:
         raise _PathError(f"{where}.{field}: its rotation is none; export the camera path again")
     pose[:3, :3] = left @ right
-    return pose
+    fov = _number(frame, "fov", 50.0, 0.1, 179.0, where)
+    aspect = _number(frame, "aspect", size[0] / size[1], 1e-3, 1e3, where)
+    if math.isclose(aspect, size[0] / size[1], rel_tol=0.02):
+        aspect = 0.0  # rounded to whole pixels
+    return pinhole(FLIP @ pose[:3, :3].T, pose[:3, 3], fov, size, aspect)
 
 
 def _numbers(value: Any) -> npt.NDArray[np.float64]:

@@ -95,7 +95,11 @@ def interpolate(cameras: Sequence[Camera], frames: int) -> list[Camera]:
         return [first] * frames
     centres = np.array([camera.centre for camera in cameras])
     turns = Rotation.from_matrix(np.array([camera.rotation.T for camera in cameras]))
-    time = _pace(centres, turns)
+    # ascending times (N,)
+    far = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    turned = (turns[:-1].inv() * turns[1:]).magnitude()
+    step = far / (far.mean() or 1.0) + turned / (np.pi / 4)
+    time = np.append(0.0, np.cumsum(np.maximum(step, 1e-3)))
     at = np.linspace(time[0], time[-1], frames)
     # a natural end keeps the spline from swinging out beyond its first and last camera
     places = CubicSpline(time, centres, bc_type="natural")(at)
@@ -109,17 +113,6 @@ def interpolate(cameras: Sequence[Camera], frames: int) -> list[Camera]:
         )
         for turn, place, (fx, fy) in zip(rotations, places, lens, strict=True)
     ]
-
-
-def _pace(centres: Vector, turns: Rotation) -> Vector:
-    """Ascending times (N,).
-
-    A step takes as long as it is far, in mean steps, plus as it turns, in half right angles.
-    """
-    far = np.linalg.norm(np.diff(centres, axis=0), axis=1)
-    turned = (turns[:-1].inv() * turns[1:]).magnitude()
-    step = far / (far.mean() or 1.0) + turned / (np.pi / 4)
-    return np.append(0.0, np.cumsum(np.maximum(step, 1e-3)))
 
 
 def walking_order(centres: Vector) -> list[int]:

@@ -21,25 +21,20 @@ def write_photos(folder: Path) -> None:
     (folder / "train").mkdir(parents=True)
     frames = []
     for view in range(VIEWS):
-        save_png(folder / "train" / f"{view}.png", _picture(view))
-        frames.append({"file_path": f"./train/{view}", "transform_matrix": _pose(view)})
+        y, x = np.mgrid[:EDGE, :EDGE]
+        waves = np.stack([8 * x + 3 * y + 20 * view, 5 * y + 9 * view, 4 * (x + y)], axis=-1) % 512
+        save_png(
+            folder / "train" / f"{view}.png", np.asarray(np.minimum(waves, 511 - waves), np.uint8)
+        )
+        # camera to world, looking at the origin from one of eight sides (x right, y up, z back)
+        right = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)][view]
+        length = (right[0] ** 2 + right[1] ** 2) ** 0.5
+        c, s = right[0] / length, right[1] / length
+        back = [s, -c, 0.0]
+        columns = [[c, s, 0.0], [0.0, 0.0, 1.0], back, [DISTANCE * one for one in back]]
+        rows = [[column[i] for column in columns] for i in range(3)]
+        frames.append(
+            {"file_path": f"./train/{view}", "transform_matrix": [*rows, [0.0, 0.0, 0.0, 1.0]]}
+        )
     document = {"camera_angle_x": 0.8, "frames": frames}
     (folder / "transforms_train.json").write_text(json.dumps(document))
-
-
-def _picture(view: int) -> np.ndarray:
-    """(EDGE, EDGE, 3) uint8: triangular waves."""
-    y, x = np.mgrid[:EDGE, :EDGE]
-    waves = np.stack([8 * x + 3 * y + 20 * view, 5 * y + 9 * view, 4 * (x + y)], axis=-1) % 512
-    return np.asarray(np.minimum(waves, 511 - waves), np.uint8)
-
-
-def _pose(view: int) -> list[list[float]]:
-    """Camera to world, looking at the origin from one of eight sides (x right, y up, z back)."""
-    right = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)][view]
-    length = (right[0] ** 2 + right[1] ** 2) ** 0.5
-    c, s = right[0] / length, right[1] / length
-    back = [s, -c, 0.0]
-    columns = [[c, s, 0.0], [0.0, 0.0, 1.0], back, [DISTANCE * one for one in back]]
-    rows = [[column[i] for column in columns] for i in range(3)]
-    return [*rows, [0.0, 0.0, 0.0, 1.0]]

@@ -88,7 +88,15 @@ def seeded_subjects(anchors: int, seed: int) -> list[CodedData]:
 def seeded_scene(anchors: int, seed: int) -> QuantizedScene:
     """A scene of about ``anchors`` anchors in Morton order."""
     rng = np.random.default_rng(seed)
-    position = _sheets(rng, anchors)
+    # voxels of three noisy bent sheets, unique, in Morton order
+    side = int(np.sqrt(2 * anchors)) + 2
+    u, v = rng.uniform(-1, 1, (2, 2 * anchors))
+    sheet = rng.integers(0, 3, 2 * anchors)
+    height = 0.3 * np.sin(3 * u + sheet) * np.cos(2 * v) + 0.4 * sheet
+    points = np.stack([u, v, height + rng.normal(0, 0.002, len(u))], 1)
+    position = np.unique(np.rint(points * side / 2).astype(np.int32), axis=0)
+    position = rng.permutation(position)[:anchors]
+    position = position[morton_order(position)]
     count = len(position)
 
     def draw(kind: str, channels: int) -> Ints:
@@ -102,18 +110,6 @@ def seeded_scene(anchors: int, seed: int) -> QuantizedScene:
     )
     weights = np.rint(rng.laplace(0, 100, MLP_SIZE)).astype(np.float32) / np.float32(1024)
     return QuantizedScene(quantised, Mlps(weights), QuantizationScales())
-
-
-def _sheets(rng: np.random.Generator, count: int) -> Ints:
-    """Voxels of three noisy bent sheets, unique, in Morton order."""
-    side = int(np.sqrt(2 * count)) + 2
-    u, v = rng.uniform(-1, 1, (2, 2 * count))
-    sheet = rng.integers(0, 3, 2 * count)
-    height = 0.3 * np.sin(3 * u + sheet) * np.cos(2 * v) + 0.4 * sheet
-    points = np.stack([u, v, height + rng.normal(0, 0.002, len(u))], 1)
-    position = np.unique(np.rint(points * side / 2).astype(np.int32), axis=0)
-    position = rng.permutation(position)[:count]
-    return position[morton_order(position)]
 
 
 def scene_subjects(name: str, scene: QuantizedScene) -> list[CodedData]:

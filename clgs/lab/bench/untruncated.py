@@ -57,9 +57,24 @@ def render_untruncated(
         alpha_cut=RESOLUTION,
     )
     lists = box_lists(projected, *size)
+    # where alpha would exceed ALPHA_MAX: only Gaussians that are more opaque than that
+    saturated = np.zeros((len(lists.gaussian), TILE_SIZE**2), bool)
+    entries = np.flatnonzero(gaussians.opacity[lists.gaussian] > ALPHA_MAX)
+    gaussian = lists.gaussian[entries]
+    tile = np.searchsorted(lists.tile_range, entries, side="right") - 1
+    columns = -(-size[0] // TILE_SIZE)
+    y, x = (axis.ravel() + 0.5 for axis in np.mgrid[:TILE_SIZE, :TILE_SIZE])
+    corner = np.stack([tile % columns, tile // columns], axis=1) * TILE_SIZE
+    dx, dy = (
+        corner[:, axis, None] + centre - projected.mean2d[gaussian, axis, None]
+        for axis, centre in enumerate((x, y))
+    )
+    r1, slope, r2 = projected.whitening[gaussian].T[:, :, None]
+    power = 0.5 * ((dx * r1) ** 2 + ((dy - slope * dx) * r2) ** 2)
+    saturated[entries] = gaussians.opacity[gaussian, None] * np.exp(-power) > ALPHA_MAX
     decisions = blend.Decisions(
         np.ones((len(lists.gaussian), TILE_SIZE**2), bool),
-        _saturated(projected, gaussians.opacity, lists, size[0]),
+        saturated,
     )
     behind = background.astype(np.float64)
     image = blend.forward(
@@ -90,27 +105,6 @@ def box_lists(projected: project.Projected, width: int, height: int) -> tiles.Ti
         tile_range=np.searchsorted(tile[order], np.arange(grid[0] * grid[1] + 1)),
         row_range=row_range,
     )
-
-
-def _saturated(
-    projected: project.Projected, opacity: Array, lists: tiles.TileLists, width: int
-) -> npt.NDArray[np.bool_]:
-    """Where alpha would exceed ALPHA_MAX: only Gaussians that are more opaque than that."""
-    saturated = np.zeros((len(lists.gaussian), TILE_SIZE**2), bool)
-    entries = np.flatnonzero(opacity[lists.gaussian] > ALPHA_MAX)
-    gaussian = lists.gaussian[entries]
-    tile = np.searchsorted(lists.tile_range, entries, side="right") - 1
-    columns = -(-width // TILE_SIZE)
-    y, x = (axis.ravel() + 0.5 for axis in np.mgrid[:TILE_SIZE, :TILE_SIZE])
-    corner = np.stack([tile % columns, tile // columns], axis=1) * TILE_SIZE
-    dx, dy = (
-        corner[:, axis, None] + centre - projected.mean2d[gaussian, axis, None]
-        for axis, centre in enumerate((x, y))
-    )
-    r1, slope, r2 = projected.whitening[gaussian].T[:, :, None]
-    power = 0.5 * ((dx * r1) ** 2 + ((dy - slope * dx) * r2) ** 2)
-    saturated[entries] = opacity[gaussian, None] * np.exp(-power) > ALPHA_MAX
-    return saturated
 
 
 def cached_reference(

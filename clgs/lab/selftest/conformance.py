@@ -68,7 +68,16 @@ def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     scene = upload_scene(device, one.scene)
     frame = rasterise(device, scene, upload_view(device, one.camera, one.scene.settings))
     yield "camera", "packed", device.download(frame.view.camera)
-    yield from _forward_tensors(device, frame)
+    visible = device.download(frame.activations.visible)
+    yield "cull", "visible", visible
+    yield "mlp forward", "output", drawn_output(device, frame.activations)
+    for stage, result, names in (
+        ("neural forward", frame.gaussians, "slot opacity mean scale rotation color"),
+        ("project forward", frame.projected, "mean2d depth whitening extent"),
+        ("tiles", frame.tiles, "tile_range gaussian row"),
+        ("blend forward", frame.blended, "image transmittance last_contributor"),
+    ):
+        yield from _named(device, stage, result, *names.split())
     target = device.upload(one.photo)
     compared = loss.forward(device, frame.image, target)
     d_image = loss.backward(device, frame.image, target, compared)
@@ -81,19 +90,6 @@ def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
             device, scene, upload_view(device, one.camera, one.scene.settings), options
         )
         yield f"render ({name})", "image", device.download(again.image)
-
-
-def _forward_tensors(device: Device, frame: Frame) -> Iterator[Tensor]:
-    visible = device.download(frame.activations.visible)
-    yield "cull", "visible", visible
-    yield "mlp forward", "output", drawn_output(device, frame.activations)
-    for stage, result, names in (
-        ("neural forward", frame.gaussians, "slot opacity mean scale rotation color"),
-        ("project forward", frame.projected, "mean2d depth whitening extent"),
-        ("tiles", frame.tiles, "tile_range gaussian row"),
-        ("blend forward", frame.blended, "image transmittance last_contributor"),
-    ):
-        yield from _named(device, stage, result, *names.split())
 
 
 def _backward_tensors(
@@ -131,21 +127,13 @@ def _number_tensors(device: Device) -> Iterator[Tensor]:
     slopes = rate.slopes(device, rate.forward(device, x, 8.0), 1.0)
     rate.backward(device, [(slopes, x, d_x)])
     yield "rate", "d_x", device.download(d_x)
-    yield "adam", "parameter", _adam(device, random)
-    yield from _density(device, random)
-
-
-def _adam(device: Device, random: ExactRandom) -> npt.NDArray[Any]:
     parameter = device.upload(random.floats((COUNT,), -1.0, 1.0))
     moments, stop = adam.zero_moments(device, parameter), adam.stop_flag(device)
     for step in range(1, 4):
         gradient = device.upload(random.floats((COUNT,), -1.0, 1.0))
         trained = adam.Trained(parameter, gradient, moments)
         adam.step(device, [adam.Update(trained, adam.factors(0.01, step))], stop)
-    return device.download(parameter)
-
-
-def _density(device: Device, random: ExactRandom) -> Iterator[Tensor]:
+    yield "adam", "parameter", device.download(parameter)
     anchors = COUNT // K_OFFSETS
     output = random.floats((OUTPUT_DIM, anchors), -1.0, 1.0)
     slot = np.flatnonzero(output[:K_OFFSETS].T.ravel() > 0).astype(np.int32)

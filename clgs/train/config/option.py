@@ -97,6 +97,7 @@ class Option:
     open_default: str
     scaled: bool
     in_digest: bool
+    later: bool
     name: str = ""
     kind: Any = None
 
@@ -223,6 +224,7 @@ def option(
     open_default: str = "",
     scaled: bool = False,
     in_digest: bool = True,
+    later: bool = False,
 ) -> Any:
     """Declare a field of a settings class.
 
@@ -236,9 +238,10 @@ def option(
         scaled: a moment of the run, which moves in proportion when ``steps`` changes.
         in_digest: whether a run may be resumed only with the same value; False if the result does
             not depend on it.
+        later: runs were begun before there was this setting, and trained as its default does.
     """
     help += "; moves with steps" if scaled else ""
-    declared = Option(default, help, allowed, unit, group, open_default, scaled, in_digest)
+    declared = Option(default, help, allowed, unit, group, open_default, scaled, in_digest, later)
     return field(default=default, metadata={METADATA: declared})
 
 

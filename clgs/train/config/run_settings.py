@@ -176,6 +176,7 @@ class PhotoSettings:
         "what is where photos are masked; ignore: anything, so that nothing is compared; object: "
         "nothing, so that renders show the background, which is random while training",
         MEANINGS,
+        later=True,
     )
     test_every: int = option(
         EVERY,
@@ -183,6 +184,7 @@ class PhotoSettings:
         "not even those",
         at_least(0),
         unit="photos",
+        later=True,
     )
     exposure: bool = option(
         False,

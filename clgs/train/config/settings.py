@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
-from clgs.data.reduction import EVERY, IGNORE, OBJECT
+from clgs.data.reduction import OBJECT
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
 from clgs.train.config.learning_rates import LearningRates
@@ -238,9 +238,8 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
     def scaled(self, steps: int) -> TrainConfig:
         """The same run squeezed or stretched to ``steps`` steps.
 
-        Settings declared as ``scaled`` move in proportion: start of statistics, growth window,
-        switch steps, end of pruning, rest of the anchors, learning-rate horizon. The growth
-        interval, the counts 40 and 80 and the proxy's interval stay.
+        Settings declared as ``scaled`` move in proportion. Intervals and counts of views stay, and
+        a shorter run has other learning rates, see :meth:`LearningRates.for_shorter_run`.
 
         Raises:
             UsageError: ``steps`` is not at least 1.
@@ -265,12 +264,22 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         return tomli_w.dumps({n: value for n, value in asdict(self).items() if value is not None})
 
     def digest(self) -> str:
-        """SHA-256 of the settings that results depend on, hexadecimal; the same for equal runs."""
-        free = {n: one.default for n, one in options_of(TrainConfig).items() if not one.in_digest}
-        text = replace(self, **free).to_toml()
-        for later in (f'masks = "{IGNORE}"\n', f"test_every = {EVERY}\n"):
-            text = text.replace(later, "")  # older runs, without these settings, keep their digest
-        return hashlib.sha256(text.encode()).hexdigest()
+        """SHA-256 of the settings that results depend on, hexadecimal; the same for equal runs.
+
+        A setting declared as ``later`` counts only if it is not the default, so that runs that were
+        begun before there was such a setting keep their digest.
+        """
+        import tomli_w
+
+        kind: type = type(self)
+        values = asdict(self)
+        for name, one in options_of(kind).items():
+            if one.later and values[name] == one.default:
+                del values[name]
+            elif not one.in_digest:
+                values[name] = one.default
+        values = {name: value for name, value in values.items() if value is not None}
+        return hashlib.sha256(tomli_w.dumps(values).encode()).hexdigest()
 
 
 def _shortness(steps: int) -> float:

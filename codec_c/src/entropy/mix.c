@@ -1,3 +1,4 @@
+/* The tables of the logistic domain, and the states, mixers and refinements of mix.h. */
 #include "entropy/mix.h"
 
 #define KNOT_STEP 32 /* log odds between knots: a quarter of a nat */

@@ -1,3 +1,5 @@
+/* Walks an octree from the root down, level by level, and codes the occupancy of every node. The
+ * encoder and the decoder take the same steps. */
 #include "octree/tree.h"
 
 #include <string.h>

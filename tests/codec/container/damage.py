@@ -8,8 +8,15 @@ from collections.abc import Callable
 import numpy as np
 
 from clgs import _codec
-from clgs.codec.container import chunks, section_table
-from clgs.codec.container.section_table import BytesSource
+from clgs.codec.container import chunks
+from clgs.codec.container.sections import (
+    SCENE,
+    SPLATS,
+    BytesSource,
+    read_section,
+    read_table,
+    write_container,
+)
 
 ENTRY, HEAD = 32, 16
 
@@ -18,9 +25,9 @@ def contents(data: bytes) -> dict[str, bytes]:
     """The known sections of a file of a scene or of splats."""
     source = BytesSource(data)
     splats = data[HEAD : HEAD + 4] == b"SPLT"
-    entries = section_table.read_table(source, splats).entries
-    tags = section_table.SPLATS if splats else section_table.SCENE
-    return {tag: bytes(section_table.read_section(source, entries[tag]).data) for tag in tags}
+    entries = read_table(source, splats).entries
+    tags = SPLATS if splats else SCENE
+    return {tag: bytes(read_section(source, entries[tag]).data) for tag in tags}
 
 
 def rebuilt(data: bytes, **changed: bytes) -> bytes:
@@ -28,7 +35,7 @@ def rebuilt(data: bytes, **changed: bytes) -> bytes:
     sections = {**contents(data), **changed}
     if "CHNK" in sections and "CHNK" not in changed:
         sections["CHNK"] = checked(sections)
-    return section_table.write_container(sections)
+    return write_container(sections)
 
 
 def checked(sections: dict[str, bytes]) -> bytes:

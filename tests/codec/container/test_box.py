@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.container.section_table import BytesSource, FileSource
+from clgs.codec.container.sections import BytesSource, FileSource
 from clgs.codec.scene_decoder import Box, decode, decode_box
 from clgs.codec.scene_encoder import encode
 from clgs.errors import CodecError, UsageError

@@ -10,8 +10,8 @@ import pytest
 
 from clgs import _codec
 from clgs.codec import octree
-from clgs.codec.container import chunks, section_table
-from clgs.codec.container.section_table import BytesSource
+from clgs.codec.container import chunks
+from clgs.codec.container.sections import BytesSource, read_table
 from clgs.codec.scene_decoder import Box, decode, decode_box, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.errors import CodecError
@@ -122,7 +122,7 @@ def test_chunks_have_checksums_of_their_own(at):
 def test_damage_is_told_by_the_section_or_by_all_that_share_a_checksum(tag):
     """A whole decode verifies the sections first; a box reads no more than its chunks."""
     data = bytearray(CHUNKED)
-    entry = section_table.read_table(BytesSource(CHUNKED)).entries[tag]
+    entry = read_table(BytesSource(CHUNKED)).entries[tag]
     data[entry.offset + entry.length - 1] ^= 1
     with pytest.raises(CodecError, match=rf"^section {tag} at byte \d+: checksum differs"):
         decode(bytes(data))

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.container import section_table
 from clgs.codec.container.meta import unpack_meta
+from clgs.codec.container.sections import SCENE, write_container
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.errors import CodecError, UsageError
@@ -56,7 +56,7 @@ def test_settings_survive_to_the_last_bit(scene):
     assert all(np.isfinite(x).all() for x in vars(decoded.dequantize().anchors).values())
 
 
-TABLE = HEAD + len(section_table.SCENE) * ENTRY + 4
+TABLE = HEAD + len(SCENE) * ENTRY + 4
 
 
 def test_flipped_bits_are_codec_errors():
@@ -125,20 +125,20 @@ def test_missing_swapped_repeated_and_unknown_sections():
     for tag in sections:
         rest = {k: v for k, v in sections.items() if k != tag}
         with pytest.raises(CodecError, match=f"section {tag} is missing"):
-            decode(section_table.write_container(rest))
+            decode(write_container(rest))
     swapped = {**sections, "OFFS": b"", "FEAT": b""}
     tags = ["FEAT" if k == "OFFS" else "OFFS" if k == "FEAT" else k for k in swapped]
     with pytest.raises(CodecError, match=r"order is META .*ANCH FEAT OFFS"):
-        decode(section_table.write_container({tag: sections[tag] for tag in tags}))
+        decode(write_container({tag: sections[tag] for tag in tags}))
     with pytest.raises(CodecError, match=r"section WHAT at byte .*: unknown; update clgs"):
-        decode(section_table.write_container({**sections, "WHAT": b"x"}))
+        decode(write_container({**sections, "WHAT": b"x"}))
     with pytest.raises(CodecError, match="'OFFS' is repeated"):
         decode(patched(FILE, HEAD + (len(sections) - 3) * ENTRY, b"OFFS"))
 
 
 def test_unknown_optional_sections_are_skipped_but_checked():
     sections = contents(FILE)
-    longer = section_table.write_container({**sections, "NOTE": b"hello"})
+    longer = write_container({**sections, "NOTE": b"hello"})
     entry = HEAD + len(sections) * ENTRY
     assert longer[entry : entry + 4] == b"NOTE"
     longer = patched(longer, entry + 4, b"\0")
@@ -149,7 +149,7 @@ def test_unknown_optional_sections_are_skipped_but_checked():
 
 @pytest.mark.parametrize("tag", [b"A1BC", b"NOT ", b"\xc4\xd6\xdc\xdf", bytes(4)])
 def test_tags_are_letters(tag):
-    longer = section_table.write_container({**contents(FILE), "NOTE": b"hello"})
+    longer = write_container({**contents(FILE), "NOTE": b"hello"})
     entry = HEAD + len(contents(FILE)) * ENTRY
     with pytest.raises(CodecError, match="is repeated or malformed"):
         decode(patched(longer, entry, tag + bytes(4)))
@@ -286,7 +286,7 @@ def test_describe_is_plain_and_adds_up():
     assert json.loads(json.dumps(info))["anchors"] == len(decode(FILE).anchors)
     assert info["bytes"] == len(FILE) == sum(info["sections"].values())
     assert info["scales"] == {"position": 200.0, "offset": 1.0, "feature": 1.0, "scaling": 8.0}
-    assert list(info["sections"]) == ["container", *section_table.SCENE]
+    assert list(info["sections"]) == ["container", *SCENE]
     assert info["level"] == "default"
     assert info["chunks"] == {"anchors": 64, "count": 4}
     assert (info["origin"], info["depth"]) == ((0, 0, -3), 5)

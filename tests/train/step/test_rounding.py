@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.codec.container.reader import decode_weights
-from clgs.codec.container.section_table import MLPS, read_container
+from clgs.codec.container.sections import MLPS, read_container
 from clgs.codec.scene_encoder import encode
 from clgs.reference import quantize as reference
 from clgs.scene.mlps import HEAD_DIMS, head_slice
