@@ -28,6 +28,12 @@ def test_readme_is_read_in_minutes():
     assert sum(bool(re.search(r"\w", word)) for word in words) <= 500
 
 
+def test_guides_leave_figures_to_the_benchmarks():
+    figure = re.compile(r"^\|.*\d (dB|MiB|ms)\b", re.MULTILINE)
+    pages = (ROOT / "docs" / "guide").glob("*.md")
+    assert [page.name for page in pages if figure.search(page.read_text(encoding="utf-8"))] == []
+
+
 def test_no_link_in_the_repository_is_broken():
     files = links.markdown_files()
     assert {"README.md", "FORMAT.md", "faq.md"} <= {file.name for file in files}
