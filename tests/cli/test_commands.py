@@ -114,7 +114,8 @@ def test_hashes_tell_a_difference(run, tmp_path):
 
 def test_accuracy_is_that_of_the_run_unless_another_is_named(data, tmp_path):
     run = tmp_path / "run"
-    succeed("train", data, "-o", run, "--steps", 20, "--accuracy", "preview")
+    said = succeed("train", data, "-o", run, "--steps", 20, "--accuracy", "preview", "--profile")
+    assert_profile(said, run)
     assert 'accuracy = "preview"' in (run / "config.toml").read_text()
     assert json.loads((run / "hashes.json").read_text())["accuracy"] == "preview"
     assert "all equal" in succeed("eval", run, "--hashes", run / "hashes.json")
@@ -126,11 +127,11 @@ def test_accuracy_is_that_of_the_run_unless_another_is_named(data, tmp_path):
     assert other["psnr"] != scores["psnr"]
 
 
-def test_profile_tells_times_and_savings(data, tmp_path):
-    said = succeed("train", data, "-o", tmp_path / "run", "--steps", 20, "--profile")
+def assert_profile(said, run):
+    """``clgs train --profile`` tells times and savings."""
     assert "blend backward" in said
     assert "exact_tiles" in said
-    profile = json.loads((tmp_path / "run" / "profile.json").read_text())
+    profile = json.loads((run / "profile.json").read_text())
     assert {stage["stage"] for stage in profile["stages"]} >= {"cull", "adam", "loss backward"}
     assert all(0 <= skip["share"] <= 1 for skip in profile["skips"])
 

@@ -18,7 +18,9 @@ from clgs.machine import available_memory
 from clgs.opencl import absence, choose
 
 
-def test_a_device_passes_and_the_machine_is_described(capsys):
+def test_a_device_passes_and_the_machine_is_described(capsys, monkeypatch):
+    once = examine_machine()
+    monkeypatch.setattr("clgs.doctor.machine.examine_machine", lambda: once)
     assert main(["doctor", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["devices"][0]["checks"] >= 1
@@ -71,6 +73,7 @@ def test_drivers_that_are_not_named_or_do_not_load(tmp_path: Path):
 
 def test_a_device_that_computes_wrongly_is_an_error(monkeypatch):
     monkeypatch.setattr(machine, "device_errors", lambda device: [("scan", 2.0, 1.0)])
+    monkeypatch.setattr("clgs.opencl.device.Device.build_all", lambda device: iter(()))
     found = examine_machine()
     assert not found.devices
     assert any("scan: error 2.0e+00" in one.problem for one in found.findings)
@@ -87,6 +90,7 @@ def test_a_device_that_computes_wrongly_is_an_error(monkeypatch):
 def test_a_package_that_cannot_be_loaded_is_found(tmp_path, monkeypatch, source, problem):
     (tmp_path / "pycolmap.py").write_text(source)
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(machine, "_devices", lambda: iter(()))  # which have tests of their own
     (found,) = [one for one in examine_machine().findings if one.where == "pycolmap"]
     assert found.level == WARNING
     assert found.problem.startswith(f"cannot be loaded ({problem}); it is needed for clgs prepare")

@@ -205,7 +205,8 @@ def safety_complaints(path: str, text: str) -> list[str]:
     for node in ast.walk(ast.parse(text)):
         if not isinstance(node, ast.Call):
             continue
-        if (called := ast.unparse(node.func)) in UNSAFE_CALLS:
+        named = isinstance(node.func, ast.Name | ast.Attribute)
+        if named and (called := ast.unparse(node.func)) in UNSAFE_CALLS:
             complaints.append(f"{path}:{node.lineno}: calls {called}")
         complaints += [
             f"{path}:{node.lineno}: {keyword.arg}={ast.unparse(keyword.value)}"

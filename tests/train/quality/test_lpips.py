@@ -38,7 +38,7 @@ def network(weights_file: Path) -> Lpips:
 
 def test_agrees_with_float64(network: Lpips, weights_file: Path) -> None:
     arrays = reference.load_arrays(weights_file)
-    for size in ((16, 16), (37, 50), (64, 48)):  # odd sizes lose a row or column when halved
+    for size in ((16, 16), (19, 37)):  # odd sizes lose a row or column when halved
         x, y = pictures(*size, seed=size[0])
         expected = reference.lpips(arrays, x, y)
         assert expected > 1e-3
