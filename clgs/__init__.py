@@ -12,6 +12,8 @@ The names of this module do the whole job; nothing heavy is imported before one 
 - ``save_scene(path, scene)`` / ``load_scene(path)``: a scene as a NumPy archive
 - ``load_splats(path)``: ordinary 3DGS splats, to be rendered
 - ``Renderer(device, scene)`` and ``render_view(scene, camera)``: pictures from any camera
+- ``rasterization(means, quats, ...)``: pictures of your own Gaussians, with gradients; the
+  arguments and results of gsplat, on NumPy arrays
 - ``evaluate_views(device, scene, views)``: PSNR and SSIM against photos
 - ``render_options(accuracy)``: how exactly a ``Renderer`` renders, and how fast
 - ``Camera``, ``Device``, ``TrainConfig``: what the functions above take
@@ -40,6 +42,7 @@ _HOMES = {
     "load_splats": "clgs.data.splats.gaussians",
     "prepare": "clgs.poses.prepare",
     "preset": "clgs.train.config",
+    "rasterization": "clgs.render.rasterization",
     "render_options": "clgs.options",
     "render_view": "clgs.render.renderer",
     "run": "clgs.workflow.run",

@@ -30,6 +30,9 @@ SPECIALISATIONS = ("cpu", "gpu")
 
 LANES = ("8", "16")
 
+SHARED_ALIGNMENT = 16
+"""Bytes: the host's arrays of NumPy and PyTorch that a CPU device can read where they are."""
+
 
 class Device:
     """Runs kernels on one device, in order, and owns the memory that they use.
@@ -217,6 +220,19 @@ class Device:
         if array.nbytes:
             self._transfers.write_constant(array.buffer, host)
         return array
+
+    def share(self, host: npt.NDArray[Any]) -> DeviceArray:
+        """A host array that the device reads, and that nobody changes as long as it does.
+
+        On a CPU it is the host's own memory if its address is a multiple of SHARED_ALIGNMENT
+        bytes; else it is copied. Keep the result until the work that reads it is finished.
+        """
+        address = host.__array_interface__["data"][0]
+        is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
+        if not (is_cpu and host.size and host.flags.c_contiguous) or address % SHARED_ALIGNMENT:
+            return self.upload(host)
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR
+        return DeviceArray(cl.Buffer(self.context, flags, hostbuf=host), host.shape, host.dtype)
 
     def download(self, array: DeviceArray) -> npt.NDArray[Any]:
         """Copy of a device array on the host; waits for all work before it."""

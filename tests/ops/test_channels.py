@@ -70,13 +70,10 @@ def expected(values, background, with_depth, alpha_max):
 @pytest.mark.parametrize(
     ("colors", "with_depth", "absolute", "groups"),
     [
-        (3, False, False, [(0, 3)]),
+        (3, False, True, [(0, 3)]),
         (3, True, True, [(0, 1), (1, 3)]),
-        (1, False, True, [(0, 3)]),
-        (0, True, False, [(0, 3)]),
-        (9, True, False, [(0, 2), (2, 3)]),
-        (33, False, False, [(0, 3)]),
-        (70, True, False, [(0, 3)]),
+        (0, True, True, [(0, 3)]),
+        (35, True, False, [(0, 2), (2, 3)]),
     ],
 )
 def test_agrees_with_reference(device, rng, colors, with_depth, absolute, groups):
@@ -101,14 +98,14 @@ def test_agrees_with_reference(device, rng, colors, with_depth, absolute, groups
 
 
 def test_groups_of_rows_and_forms_change_no_bit(open_device, rng):
-    values = scene(rng, 5)
-    background = np.zeros(6, np.float32)
-    d_image = rng.normal(size=(*SIZE[::-1], 6)).astype(np.float32)
+    values = scene(rng, 3)
+    background = np.zeros(4, np.float32)
+    d_image = rng.normal(size=(*SIZE[::-1], 4)).astype(np.float32)
     d_left = rng.normal(size=SIZE[::-1]).astype(np.float32)
     results = []
     for form, groups in (("cpu", [(0, 3)]), ("cpu", [(0, 1), (1, 2), (2, 3)]), ("gpu", [(0, 3)])):
         one = open_device(form)
-        made, gradients = draw(one, values, background, True, 0.99, groups)
+        made, gradients = draw(one, values, background, True, 0.999, groups)
         found = gradients(d_image, d_left, True)
         results.append([one.download(a) for a in (made.image, *vars(found).values())])
     for other in results[1:]:
@@ -116,11 +113,11 @@ def test_groups_of_rows_and_forms_change_no_bit(open_device, rng):
 
 
 def test_nothing_to_draw_shows_the_background(device, rng):
-    background = np.array([0.5, -2.0], np.float32)
-    made, gradients = draw(device, scene(rng, 2, 0), background, False, 0.999, [(0, 3)])
+    background = np.array([0.5, -2.0, 1.0], np.float32)
+    made, gradients = draw(device, scene(rng, 3, 0), background, False, 0.999, [(0, 3)])
     assert (device.download(made.image) == background).all()
     assert (device.download(made.transmittance) == 1).all()
-    zero = np.zeros((*SIZE[::-1], 2), np.float32), np.zeros(SIZE[::-1], np.float32)
-    assert device.download(gradients(*zero, False).d_color).shape == (0, 2)
+    zero = np.zeros((*SIZE[::-1], 3), np.float32), np.zeros(SIZE[::-1], np.float32)
+    assert device.download(gradients(*zero, True).d_color).shape == (0, 3)
     with pytest.raises(ValueError, match="background"):
-        draw(device, scene(rng, 3), background, False, 0.999, [(0, 3)])
+        draw(device, scene(rng, 2), background, False, 0.999, [(0, 3)])

@@ -1,0 +1,248 @@
+"""``clgs.rasterization``: pictures of Gaussians that NumPy holds, and their gradients.
+
+Arguments, defaults and results are those of ``gsplat.rasterization`` 1.5.3; docs/reference has a
+table of what is the same, what differs and what is refused.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.opencl.device import Device
+from clgs.ops import harmonics, views
+from clgs.options import DEFAULT, RenderOptions
+from clgs.render import channel_picture
+from clgs.render.splat_arguments import (
+    Floats,
+    check_arguments,
+    check_numbers,
+    check_size,
+    refuse_others,
+)
+from clgs.render.splat_meta import Meta, meta_of
+from clgs.render.splat_record import SMALLEST_ALPHA, Record, View
+
+ALPHA_MAX = 0.999
+"""Where alpha saturates, as in gsplat; training keeps ``clgs.constants.ALPHA_MAX``."""
+
+
+@cache
+def default_device() -> Device:
+    """The device of calls that name none: the one that ``clgs devices`` lists first."""
+    return Device()
+
+
+def rasterization(  # noqa: PLR0913  gsplat's arguments
+    means: Floats,
+    quats: Floats | None,
+    scales: Floats | None,
+    opacities: Floats,
+    colors: Floats,
+    viewmats: npt.NDArray[np.floating],
+    Ks: npt.NDArray[np.floating],  # noqa: N803  the field's name of intrinsics
+    width: int,
+    height: int,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    radius_clip: float = 0.0,
+    eps2d: float = 0.3,
+    sh_degree: int | None = None,
+    packed: bool = True,
+    tile_size: int = 16,
+    backgrounds: Floats | None = None,
+    render_mode: str = "RGB",
+    sparse_grad: bool = False,
+    absgrad: bool = False,
+    rasterize_mode: str = "classic",
+    channel_chunk: int = 32,
+    distributed: bool = False,
+    camera_model: str = "pinhole",
+    segmented: bool = False,
+    covars: Floats | None = None,
+    with_ut: bool = False,
+    with_eval3d: bool = False,
+    radial_coeffs: object = None,
+    tangential_coeffs: object = None,
+    thin_prism_coeffs: object = None,
+    ftheta_coeffs: object = None,
+    rolling_shutter: object = None,
+    viewmats_rs: object = None,
+    *,
+    device: Device | None = None,
+    alpha_max: float = ALPHA_MAX,
+    options: RenderOptions = DEFAULT,
+) -> tuple[Floats, Floats, Meta]:
+    """Draw N Gaussians as C cameras see them; ``...`` are batches of both.
+
+    Camera axes are OpenCV's: x right, y down, z forward; pixel centres lie at +0.5. Arrays must
+    not change before the last call of ``meta["record"].backward``: a CPU device reads them where
+    they are.
+
+    Args:
+        means: (..., N, 3) float32, scene units.
+        quats: (..., N, 4) float32, w x y z, of any length above 0.
+        scales: (..., N, 3) float32, scene units.
+        opacities: (..., N) float32, 0 to 1.
+        colors: (..., [C,] N, D) float32, or harmonics (..., [C,] N, K, 3) with ``sh_degree``.
+        viewmats: (..., C, 4, 4) floats, world to camera.
+        Ks: (..., C, 3, 3) floats, intrinsics in pixels, without skew.
+        width: of the pictures, pixels.
+        height: of the pictures, pixels.
+        near_plane: smallest depth that is drawn, scene units.
+        far_plane: largest depth that is drawn.
+        radius_clip: Gaussians that reach no more pixels along both axes are left out.
+        eps2d: blur added to both variances on the screen, square pixels.
+        sh_degree: degree of the harmonics that are used, 0 to 4; None if colors are colors.
+        packed: whether the arrays of ``meta`` list only what is drawn.
+        tile_size: 16.
+        backgrounds: (..., C, D) float32.
+        render_mode: "RGB", "D" (sum of weighted depths), "ED" (that by alpha), "RGB+D", "RGB+ED".
+        sparse_grad: False.
+        absgrad: whether the backward pass sums absolute gradients by centres, too.
+        rasterize_mode: "classic", or "antialiased": opacities make up for the blur.
+        channel_chunk: has no effect: channels are blended by 32 in any case.
+        distributed: False.
+        camera_model: "pinhole" or "ortho".
+        segmented: has no effect.
+        covars: (..., N, 3, 3) float32 in place of quats and scales; upper triangles are read.
+        with_ut: False.
+        with_eval3d: False.
+        radial_coeffs: None.
+        tangential_coeffs: None.
+        thin_prism_coeffs: None.
+        ftheta_coeffs: None.
+        rolling_shutter: None or global.
+        viewmats_rs: None.
+        device: where it is computed; default a device that is opened once.
+        alpha_max: where alpha saturates.
+        options: where pixels end, and a memory budget.
+
+    Returns:
+        colors (..., C, H, W, X) and alphas (..., C, H, W, 1), float32, and ``meta``, in which
+        ``meta["record"]`` is the :class:`Record` with the gradients.
+
+    Raises:
+        NotImplementedError: an argument asks for what is not offered; names it.
+        TypeError, ValueError: an argument cannot be used; names it and its shape.
+        BudgetError: a row of tiles needs more than ``options.max_memory``.
+    """
+    refuse(locals())
+    check_size(width, height)
+    check_numbers(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
+    given = check_arguments(
+        means, quats, scales, opacities, colors, viewmats, Ks, sh_degree, backgrounds,
+        render_mode, covars,
+    )  # fmt: skip
+    lens = lens_of(locals())
+    on = device or default_device()
+    record = Record(on, given, lens, sh_degree, render_mode, absgrad, (width, height), [])
+    for batch, number in np.ndindex(given.viewmats.shape[:2]):
+        record.views.append(_draw(record, batch, number, alpha_max, options))
+    shape = (*given.batch, given.viewmats.shape[1], height, width)
+    image = _stacked([view.image for view in record.views], (*shape, given.backgrounds.shape[-1]))
+    alpha = _stacked([view.alpha for view in record.views], (*shape, 1))
+    drawn = [view.drawn for view in record.views]
+    counts = given.viewmats.shape[1], given.means.shape[1]
+    meta = meta_of(on, drawn, given.batch, *counts, record.size, packed)
+    meta["record"] = record
+    return image, alpha, meta
+
+
+def lens_of(given: dict[str, Any]) -> views.Lens:
+    """The camera that arguments of ``rasterization`` describe, by their names."""
+    return views.Lens(
+        parallel=given["camera_model"] == "ortho",
+        compensated=given["rasterize_mode"] == "antialiased",
+        blur=given["eps2d"],
+        near=given["near_plane"],
+        far=given["far_plane"],
+        smallest_radius=given["radius_clip"],
+    )
+
+
+def refuse(given: dict[str, Any]) -> None:
+    """NotImplementedError or ValueError for arguments of ``rasterization`` that are not offered."""
+    shutter = given["rolling_shutter"]
+    if getattr(shutter, "name", None) == "GLOBAL":
+        shutter = None
+    undistort = "undistort the photos before"
+    refuse_others(
+        {
+            "tile_size": (given["tile_size"], 16, "no result depends on it; use 16"),
+            "sparse_grad": (given["sparse_grad"], False, "gradients are dense; use False"),
+            "distributed": (given["distributed"], False, "one process draws all; use False"),
+            "with_ut": (given["with_ut"], False, undistort),
+            "with_eval3d": (given["with_eval3d"], False, "use False"),
+            "radial_coeffs": (given["radial_coeffs"], None, undistort),
+            "tangential_coeffs": (given["tangential_coeffs"], None, undistort),
+            "thin_prism_coeffs": (given["thin_prism_coeffs"], None, undistort),
+            "ftheta_coeffs": (given["ftheta_coeffs"], None, undistort),
+            "rolling_shutter": (shutter, None, "cameras are global; use None"),
+            "viewmats_rs": (given["viewmats_rs"], None, "cameras are global; use None"),
+        }
+    )
+    if given["camera_model"] not in ("pinhole", "ortho"):
+        raise NotImplementedError(
+            f"camera_model: {given['camera_model']!r} is not offered; {undistort}, or use 'ortho'"
+        )
+    if given["rasterize_mode"] not in ("classic", "antialiased"):
+        mode = given["rasterize_mode"]
+        raise ValueError(f"rasterize_mode: {mode!r} is not 'classic' or 'antialiased'")
+    if given["options"].accuracy.inclusive_stop:
+        raise ValueError("options: an inclusive stop is not offered; use 'parity'")
+    if not 0 < given["alpha_max"] < 1:
+        raise ValueError(f"alpha_max: {given['alpha_max']} is not between 0 and 1")
+
+
+def _draw(
+    record: Record,
+    batch: int,
+    number: int,
+    alpha_max: float,
+    options: RenderOptions,
+) -> View:
+    """Draw what camera ``number`` of a batch sees."""
+    device, given, lens, size = record.device, record.given, record.lens, record.size
+    with_depth, shows_colors = record.render_mode != "RGB", "RGB" in record.render_mode
+    if number:
+        splats = record.views[-1].splats
+    else:
+        shape = given.scales if given.covars is None else given.covars
+        assert shape is not None
+        splats = views.Splats(
+            device.share(given.means[batch]),
+            device.share(shape[batch]),
+            None if given.quats is None else device.share(given.quats[batch]),
+            device.share(given.opacities[batch]),
+        )
+    packed = views.pack_camera(
+        given.viewmats[batch, number], given.Ks[batch, number], size, lens.near
+    )
+    camera, stored = device.upload(packed), None
+    own = given.colors[batch, number % given.colors.shape[1]]
+    if shows_colors and record.sh_degree is not None:
+        stored = device.share(own)
+        with device.stage("harmonics forward"):
+            color = harmonics.forward(device, splats.mean, stored, camera, record.sh_degree)
+    else:
+        color = device.share(own) if shows_colors else device.empty((len(own), 0))
+    with device.stage("views forward"):
+        projected = views.forward(device, splats, camera, lens, color, options)
+    background = device.share(given.backgrounds[batch, number])
+    drawn = channel_picture.draw(
+        device, projected, size, background, with_depth, alpha_max, options
+    )
+    image = device.download(drawn.picture.image)
+    alpha = 1 - device.download(drawn.picture.transmittance)[..., None]
+    if "ED" in record.render_mode:
+        image[..., -1:] /= np.maximum(alpha, SMALLEST_ALPHA)
+    return View(splats, camera, stored, drawn, image, alpha)
+
+
+def _stacked(arrays: list[Floats], shape: tuple[int, ...]) -> Floats:
+    """A copy of all as one array."""
+    return np.array(arrays, np.float32).reshape(shape)

@@ -1,0 +1,195 @@
+"""What ``clgs.rasterization`` is given: checked, named in errors, and as flat batches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float32]
+
+RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
+
+UNIT_OPACITY = 1.0 + 1e-6
+"""Opacities up to this are 1: sigmoids and products of float32 may round up."""
+
+
+@dataclass(frozen=True)
+class SplatArguments:
+    """B batches of N Gaussians, C cameras each; arrays are contiguous.
+
+    batch: the leading axes, whose product is B; means (B, N, 3); quats (B, N, 4) and scales
+    (B, N, 3), or covars (B, N, 6), upper triangles; opacities (B, N); colors (B, 1 or C, N, D) or
+    harmonics (B, 1 or C, N, K, 3), the 1 if all cameras share them; viewmats (B, C, 4, 4) and Ks
+    (B, C, 3, 3) float64; backgrounds (B, C, channels): zeros if none are given, and of the depth;
+    channels: of the colors.
+    """
+
+    batch: tuple[int, ...]
+    means: Floats
+    quats: Floats | None
+    scales: Floats | None
+    covars: Floats | None
+    opacities: Floats
+    colors: Floats
+    viewmats: npt.NDArray[np.float64]
+    Ks: npt.NDArray[np.float64]
+    backgrounds: Floats
+    shared_colors: bool
+    channels: int
+
+
+def refuse_others(given: dict[str, tuple[Any, Any, str]]) -> None:
+    """NotImplementedError for the first argument that is not its default.
+
+    ``given``: value, default and what to do instead, by name.
+    """
+    for name, (value, default, instead) in given.items():
+        if value is not default and (default is None or value != default):
+            raise NotImplementedError(f"{name}: {value!r} is not offered; {instead}")
+
+
+def check_numbers(**numbers: float) -> None:
+    """TypeError or ValueError unless each is a finite number of at least 0."""
+    for name, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            raise TypeError(f"{name}: is {type(value).__name__}; give a number")
+        if not 0 <= value < math.inf:
+            raise ValueError(f"{name}: {value} is not a finite number of at least 0")
+
+
+def check_size(width: int, height: int) -> None:
+    """TypeError or ValueError unless both are whole numbers of 1 to 32767 pixels."""
+    for name, value in (("width", width), ("height", height)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer):
+            raise TypeError(f"{name}: is {type(value).__name__}; give a whole number of pixels")
+        if not 1 <= value <= 32767:
+            raise ValueError(f"{name}: {value} is not 1 to 32767 pixels")
+
+
+def check_arguments(
+    means: Any,
+    quats: Any,
+    scales: Any,
+    opacities: Any,
+    colors: Any,
+    viewmats: Any,
+    Ks: Any,  # noqa: N803  the field's name of intrinsics
+    sh_degree: int | None,
+    backgrounds: Any,
+    render_mode: str,
+    covars: Any,
+) -> SplatArguments:
+    """Check all arrays against each other.
+
+    Raises:
+        TypeError: an argument is no array, or of another dtype.
+        ValueError: a shape does not fit, or a number cannot be used; names argument and shape.
+    """
+    if render_mode not in RENDER_MODES:
+        raise ValueError(f"render_mode: {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
+    if sh_degree is not None and sh_degree not in range(5):
+        raise ValueError(f"sh_degree: {sh_degree!r} is not None or 0 to 4")
+    batch = _array("means", means).shape[:-2]
+    if means.ndim < 2:
+        raise ValueError(f"means: shape is {means.shape}, expected (..., N, 3)")
+    n, c = means.shape[-2], viewmats.shape[-3] if _matrix_like(viewmats) else 0
+    means = _fit("means", means, batch, (n, 3))
+    opacities = _fit("opacities", opacities, batch, (n,))
+    if opacities.size and not (opacities.min() >= 0 and opacities.max() <= UNIT_OPACITY):
+        raise ValueError(f"opacities: {opacities.shape} has numbers outside of 0 to 1")
+    if covars is None:
+        quats = _fit("quats", quats, batch, (n, 4))
+        scales = _fit("scales", scales, batch, (n, 3))
+        if not np.einsum("bnk,bnk->bn", quats, quats).all():
+            raise ValueError(f"quats: {quats.shape} has a quaternion of length 0, no rotation")
+    else:
+        quats = scales = None
+        covars = _fit("covars", covars, batch, (n, 3, 3))
+        covars = np.ascontiguousarray(covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]])
+    viewmats = _fit("viewmats", viewmats, batch, (c, 4, 4), np.float64)
+    Ks = _fit("Ks", Ks, batch, (c, 3, 3), np.float64)  # noqa: N806
+    _check_cameras(viewmats, Ks)
+    colors, shared = _fit_colors(colors, batch, n, c, sh_degree)
+    shown = 3 if sh_degree is not None else colors.shape[-1]
+    if shown == 0:
+        raise ValueError(f"colors: {colors.shape} has no channels")
+    given = shown if "RGB" in render_mode else 0
+    shade = np.zeros((math.prod(batch), c, given + (render_mode != "RGB")), np.float32)
+    if backgrounds is not None:
+        shade[..., :given] = _fit("backgrounds", backgrounds, batch, (c, shown))[..., :given]
+    return SplatArguments(
+        batch, means, quats, scales, covars, opacities, colors, viewmats, Ks, shade, shared, shown
+    )  # fmt: skip
+
+
+def _array(name: str, value: Any) -> npt.NDArray[Any]:
+    if not isinstance(value, np.ndarray):
+        raise TypeError(f"{name}: is {type(value).__name__}; give a NumPy array")
+    return value
+
+
+def _matrix_like(viewmats: Any) -> bool:
+    if _array("viewmats", viewmats).ndim < 3:
+        raise ValueError(f"viewmats: shape is {viewmats.shape}, expected (..., C, 4, 4)")
+    return True
+
+
+def _fit(
+    name: str,
+    value: Any,
+    batch: tuple[int, ...],
+    shape: tuple[int, ...],
+    dtype: npt.DTypeLike = np.float32,
+) -> npt.NDArray[Any]:
+    """The array as (B, *shape), contiguous; small ones of any floats become ``dtype``."""
+    array = _array(name, value)
+    if array.shape != (*batch, *shape):
+        raise ValueError(f"{name}: shape is {array.shape}, expected {(*batch, *shape)}")
+    if array.dtype != np.float32 and (dtype == np.float32 or array.dtype.kind != "f"):
+        raise TypeError(f"{name}: dtype is {array.dtype}, expected float32")
+    array = np.ascontiguousarray(array, dtype).reshape(math.prod(batch), *shape)
+    with np.errstate(all="ignore"):  # the sum of squares may overflow: then every number is asked
+        finite = bool(np.isfinite(np.vdot(array, array)))
+    if not (finite or np.isfinite(array).all()):
+        raise ValueError(f"{name}: {value.shape} has numbers that are not finite")
+    return array
+
+
+def _fit_colors(
+    colors: Any, batch: tuple[int, ...], n: int, c: int, sh_degree: int | None
+) -> tuple[Floats, bool]:
+    """Colors as (B, 1 or C, N, ...), and whether all cameras share them."""
+    array = _array("colors", colors)
+    rest = 1 if sh_degree is None else 2
+    shared = array.ndim == len(batch) + 1 + rest
+    if array.ndim not in (len(batch) + 1 + rest, len(batch) + 2 + rest):
+        kind = "D" if sh_degree is None else "K, 3"
+        raise ValueError(
+            f"colors: shape is {array.shape}, expected (..., N, {kind}) or (..., C, N, {kind})"
+        )
+    if sh_degree is None:
+        tail: tuple[int, ...] = (array.shape[-1],)
+    else:
+        tail = (array.shape[-2], 3)
+        if array.shape[-2] < (sh_degree + 1) ** 2:
+            raise ValueError(
+                f"colors: {array.shape} has fewer harmonics than sh_degree {sh_degree} needs"
+            )
+    cameras = () if shared else (c,)
+    fitted = _fit("colors", array, batch, (*cameras, n, *tail))
+    return fitted[:, None] if shared else fitted, shared
+
+
+def _check_cameras(viewmats: npt.NDArray[np.float64], intrinsics: npt.NDArray[np.float64]) -> None:
+    if not (viewmats[..., 3, :] == [0, 0, 0, 1]).all():
+        raise ValueError("viewmats: the last row of a matrix is not 0, 0, 0, 1")
+    if viewmats.size and not np.abs(np.linalg.det(viewmats[..., :3, :3])).min() > 1e-12:
+        raise ValueError("viewmats: a matrix has no inverse")
+    if not (np.diagonal(intrinsics, axis1=-2, axis2=-1)[..., :2] > 0).all():
+        raise ValueError("Ks: a focal length is not above 0")
+    if (intrinsics[..., [0, 1], [1, 0]] != 0).any():
+        raise ValueError("Ks: a matrix has skew, which no camera here has")

@@ -1,0 +1,154 @@
+"""The third result of ``clgs.rasterization``: what lies between Gaussians and pictures.
+
+The keys, shapes and units are gsplat's. An array is downloaded or computed when it is first asked
+for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.constants import TILE_SIZE
+from clgs.opencl.device import Device
+from clgs.ops.tiles import tile_count
+from clgs.render.channel_picture import Drawn, lists_of
+
+
+class Meta(dict[str, Any]):
+    """A dictionary whose arrays are made at first use; see :func:`meta_of` for its keys."""
+
+    def __init__(self, known: dict[str, Any], makers: dict[str, Callable[[], Any]]) -> None:
+        """``makers``: how to make what is not known, by key."""
+        super().__init__(known)
+        self._makers = makers
+
+    def __missing__(self, key: str) -> Any:
+        if key not in self._makers:
+            raise KeyError(key)
+        self[key] = self._makers[key]()
+        return self[key]
+
+    def __contains__(self, key: object) -> bool:
+        return super().__contains__(key) or key in self._makers
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """The value of ``key``, made if need be."""
+        try:
+            return self[key]
+        except KeyError:
+            return default
+
+
+def meta_of(
+    device: Device,
+    drawn: list[Drawn],
+    batch: tuple[int, ...],
+    cameras: int,
+    count: int,
+    size: tuple[int, int],
+    packed: bool,
+) -> Meta:
+    """Describe pictures, batches first, of ``count`` Gaussians each.
+
+    With ``packed`` the arrays list what is drawn, M rows, and batch_ids, camera_ids and
+    gaussian_ids (M,) int64 say whose they are; else those are None, and the arrays are (..., C, N).
+    radii (2) int32: half sizes of boxes, pixels, 0 if culled; means2d (2) pixels; depths; conics
+    (3): inverse covariances xx, xy, yy; opacities: compensated ones, if they are; tiles_per_gauss
+    int32. isect_ids (I,) int64: bits of picture, tile and depth of every entry of the tile lists;
+    flatten_ids (I,) int32: its row in the arrays; isect_offsets (..., C, rows, columns) int32.
+    """
+    shape = (*batch, cameras, count)
+
+    def projected(name: str, *width: int) -> npt.NDArray[Any]:
+        arrays = [device.download(getattr(one.projected, name)) for one in drawn]
+        return np.array(arrays, np.float32).reshape(len(drawn), count, *width)
+
+    def radii_of() -> npt.NDArray[np.int32]:
+        return np.asarray(np.ceil(projected("extent", 2)), np.int32)
+
+    ids: list[npt.NDArray[np.int64] | None] = [None] * 4
+    if packed:
+        image_ids, gaussian_ids = np.nonzero(radii_of()[..., 0])
+        ids = [image_ids, *np.divmod(image_ids, max(cameras, 1)), gaussian_ids]
+
+    def shaped(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        if packed:
+            return np.asarray(array[ids[0], ids[3]])
+        return array.reshape(*shape, *array.shape[2:])
+
+    def conics() -> npt.NDArray[np.float32]:
+        r1, lean, r2 = np.moveaxis(projected("whitening", 3), -1, 0)
+        return np.stack([r1**2 + (lean * r2) ** 2, -lean * r2**2, r2**2], axis=-1)
+
+    columns, rows = tile_count(size[0], 1), tile_count(1, size[1])
+    known = {
+        "batch_ids": ids[1],
+        "camera_ids": ids[2],
+        "gaussian_ids": ids[3],
+        "tile_width": columns,
+        "tile_height": rows,
+        "width": size[0],
+        "height": size[1],
+        "tile_size": TILE_SIZE,
+        "n_batches": int(np.prod(batch)),
+        "n_cameras": cameras,
+    }
+    lists = _Lists(device, drawn, columns * rows, radii_of if packed else None)
+    makers: dict[str, Callable[[], Any]] = {
+        "radii": lambda: shaped(radii_of()),
+        "means2d": lambda: shaped(projected("mean2d", 2)),
+        "depths": lambda: shaped(projected("depth")),
+        "conics": lambda: shaped(conics()),
+        "opacities": lambda: shaped(projected("opacity")),
+        "tiles_per_gauss": lambda: shaped(lists.counts()),
+        "isect_ids": lambda: lists.entries()[0],
+        "flatten_ids": lambda: lists.entries()[1],
+        "isect_offsets": lambda: lists.offsets().reshape(*batch, cameras, rows, columns),
+    }
+    return Meta(known, makers)
+
+
+class _Lists:
+    """The tile lists of all pictures as one."""
+
+    def __init__(
+        self,
+        device: Device,
+        drawn: list[Drawn],
+        tiles: int,
+        radii: Callable[[], npt.NDArray[np.int32]] | None,
+    ) -> None:
+        """``radii`` (pictures, N, 2): of which rows count, None if all do."""
+        self.device, self.drawn, self.tiles, self.radii = device, drawn, tiles, radii
+
+    def counts(self) -> npt.NDArray[np.int32]:
+        """Entries (pictures, N)."""
+        found = [self.device.download(lists_of(self.device, d).row_range) for d in self.drawn]
+        return np.asarray(np.diff(np.array(found, np.int32), axis=1), np.int32)
+
+    def offsets(self) -> npt.NDArray[np.int32]:
+        """First entry of every tile of every picture."""
+        found = [self.device.download(lists_of(self.device, d).tile_range) for d in self.drawn]
+        sizes = [one[-1] for one in found]
+        before = np.cumsum([0, *sizes])
+        return np.array([one[:-1] + b for one, b in zip(found, before, strict=False)], np.int32)
+
+    def entries(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+        """isect_ids and flatten_ids."""
+        ids, flat = [np.empty(0, np.int64)], [np.empty(0, np.int32)]
+        number = None if self.radii is None else np.cumsum(self.radii()[..., 0].ravel() > 0) - 1
+        for picture, one in enumerate(self.drawn):
+            lists, count = lists_of(self.device, one), len(one.projected.opacity)
+            first = self.device.download(lists.tile_range)
+            gaussian = self.device.download(lists.gaussian)[: first[-1]]
+            depth = self.device.download(one.projected.depth)[gaussian].view(np.int32)
+            tile = np.repeat(np.arange(self.tiles, dtype=np.int64), np.diff(first))
+            image = np.int64(picture) << (self.tiles.bit_length() + 32)
+            ids.append(image | tile << 32 | depth)
+            row = picture * count + gaussian
+            flat.append((row if number is None else number[row]).astype(np.int32))
+        return np.concatenate(ids), np.concatenate(flat)

@@ -1,0 +1,173 @@
+"""The gradients of a call of ``clgs.rasterization``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.opencl.array import DeviceArray
+from clgs.opencl.device import Device
+from clgs.ops import harmonics, views
+from clgs.render import channel_picture
+from clgs.render.splat_arguments import Floats, SplatArguments
+
+SMALLEST_ALPHA = 1e-10
+"""Expected depths are divided by no less."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture: of which Gaussians, by which camera, and what was drawn.
+
+    harmonics: (N, K, 3) on the device, None if colors are colors; image (H, W, X) and alpha
+    (H, W, 1) as they were returned.
+    """
+
+    splats: views.Splats
+    camera: DeviceArray
+    harmonics: DeviceArray | None
+    drawn: channel_picture.Drawn
+    image: Floats
+    alpha: Floats
+
+
+@dataclass(frozen=True)
+class Record:
+    """What the gradients of a call of :func:`rasterization` need; views: batches first."""
+
+    device: Device
+    given: SplatArguments
+    lens: views.Lens
+    sh_degree: int | None
+    render_mode: str
+    absgrad: bool
+    size: tuple[int, int]
+    views: list[View]
+
+    def backward(self, d_colors: Floats, d_alphas: Floats | None = None) -> dict[str, Floats]:
+        """Gradients of ``sum(d_colors * colors) + sum(d_alphas * alphas)``.
+
+        Args:
+            d_colors: (..., C, H, W, X) float32.
+            d_alphas: (..., C, H, W, 1) float32; None for zeros.
+
+        Returns:
+            Gradients by the names of the arguments: means, quats and scales or covars, opacities,
+            colors, viewmats, backgrounds; "means2d" (..., C, N, 2) per pixel, and with ``absgrad``
+            "absgrad" of the same shape. Those by covars are in the upper triangles.
+
+        Raises:
+            ValueError, TypeError: an array has the wrong shape or dtype.
+        """
+        given = self.given
+        b, c, n = len(given.means), given.viewmats.shape[1], given.means.shape[1]
+        width, height = self.size
+        x = given.backgrounds.shape[-1]
+        d_image = _checked("d_colors", d_colors, (*given.batch, c, height, width, x))
+        d_image = d_image.reshape(b, c, height, width, x)
+        d_alpha = np.zeros((b, c, height, width), np.float32)
+        if d_alphas is not None:
+            _checked("d_alphas", d_alphas, (*given.batch, c, height, width, 1))
+            d_alpha = d_alphas.reshape(d_alpha.shape)
+        shape_name = "scales" if given.covars is None else "covars"
+        shapes = {"means": (3,), shape_name: (3,) if given.covars is None else (6,)}
+        if given.covars is None:
+            shapes["quats"] = (4,)
+        sums = {name: np.zeros((b, n, *rest), np.float32) for name, rest in shapes.items()}
+        sums["opacities"] = np.zeros((b, n), np.float32)
+        sums["colors"] = np.zeros(given.colors.shape, np.float32)
+        sums["viewmats"] = np.zeros((b, c, 4, 4), np.float32)
+        sums["backgrounds"] = np.zeros(given.backgrounds.shape, np.float32)
+        for name in ("means2d", "absgrad")[: 1 + self.absgrad]:
+            sums[name] = np.zeros((b, c, n, 2), np.float32)
+        for at, (batch, number) in enumerate(np.ndindex(b, c)):
+            made = self._view_gradients(
+                self.views[at], d_image[batch, number], d_alpha[batch, number]
+            )
+            for name, array in made.items():
+                if name in ("viewmats", "backgrounds", "means2d", "absgrad"):
+                    sums[name][batch, number] = array
+                elif name == "colors":
+                    sums[name][batch, number % sums[name].shape[1]] += array
+                else:
+                    sums[name][batch] += array
+        return self._in_shape(sums)
+
+    def _view_gradients(self, view: View, d_image: Floats, d_alpha: Floats) -> dict[str, Any]:
+        """What one picture contributes, by the names of :meth:`backward`."""
+        device, drawn, given = self.device, view.drawn, self.given
+        if "ED" in self.render_mode:
+            divisor = np.maximum(view.alpha[..., 0], SMALLEST_ALPHA)
+            d_image, d_alpha = d_image.copy(), d_alpha.copy()
+            d_image[..., -1] /= divisor
+            free = view.alpha[..., 0] > SMALLEST_ALPHA
+            d_alpha -= np.where(free, d_image[..., -1] * view.image[..., -1], 0)
+        shared = device.share(d_image), device.share(-d_alpha)  # alive until the downloads
+        d = channel_picture.backward(device, drawn, *shared, self.absgrad)
+        made = views.backward(
+            device, view.splats, view.camera, self.lens, drawn.projected, d, want_camera=True
+        )
+        assert made.d_camera is not None
+        result = {
+            "means": device.download(made.d_mean),
+            "covars" if given.covars is not None else "scales": device.download(made.d_shape),
+            "opacities": device.download(made.d_opacity),
+            "means2d": device.download(d.d_mean2d),
+            "backgrounds": np.einsum("hwx,hw->x", d_image, 1 - view.alpha[..., 0]),
+        }
+        if made.d_rotation is not None:
+            result["quats"] = device.download(made.d_rotation)
+        if d.d_absolute is not None:
+            result["absgrad"] = device.download(d.d_absolute)
+        d_matrix = np.zeros((4, 4))
+        d_matrix[:3] = device.download(made.d_camera).sum(axis=1, dtype=np.float64)
+        if not drawn.projected.color.shape[1]:
+            pass  # depth alone
+        elif view.harmonics is None or self.sh_degree is None:
+            result["colors"] = device.download(d.d_color)
+        else:
+            d_sh, by_direction = harmonics.backward(
+                device, view.splats.mean, view.harmonics, view.camera, self.sh_degree,
+                drawn.projected.color, d.d_color,
+            )  # fmt: skip
+            turned = device.download(by_direction)
+            result["colors"] = device.download(d_sh)
+            result["means"] += turned
+            d_matrix += _by_centre(device.download(view.camera), -turned.sum(0, np.float64))
+        result["viewmats"] = d_matrix
+        return result
+
+    def _in_shape(self, sums: dict[str, Floats]) -> dict[str, Floats]:
+        """The gradients in the shapes of the arguments."""
+        given = self.given
+        if given.covars is not None:
+            rows = sums["covars"]
+            sums["covars"] = np.zeros((*rows.shape[:2], 3, 3), np.float32)
+            sums["covars"][:, :, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] = rows
+        if given.shared_colors:
+            sums["colors"] = sums["colors"][:, 0]
+        shades = np.zeros((*sums["backgrounds"].shape[:2], given.channels), np.float32)
+        if "RGB" in self.render_mode:
+            shades[:] = sums["backgrounds"][..., : given.channels]
+        sums["backgrounds"] = shades
+        return {name: a.reshape(*given.batch, *a.shape[1:]) for name, a in sums.items()}
+
+
+def _checked(name: str, array: Any, shape: tuple[int, ...]) -> Floats:
+    if not isinstance(array, np.ndarray) or array.dtype != np.float32:
+        raise TypeError(f"{name}: give a NumPy array of float32")
+    if array.shape != shape:
+        raise ValueError(f"{name}: shape is {array.shape}, expected {shape}")
+    return np.ascontiguousarray(array)
+
+
+def _by_centre(
+    camera: npt.NDArray[np.float32], d_centre: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """The part (4, 4) of a matrix in what depends on its camera's centre: its inverse's column."""
+    rotation, centre = camera[:9].reshape(3, 3).astype(np.float64), camera[23:26]
+    across = np.append(np.linalg.solve(rotation.T, d_centre), centre @ d_centre)
+    return -np.outer(across, np.append(centre, 1.0))

@@ -1,0 +1,227 @@
+"""The functions of autograd: projection, blending, harmonics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from clgs.opencl.array import DeviceArray
+from clgs.ops import harmonics, views
+from clgs.ops.channels import ChannelGradients
+from clgs.ops.project import Projected
+from clgs.render import channel_picture
+from clgs.render.rasterization import default_device
+from clgs.torch.tensors import Call, gathered, host_of, packed_rows, stacked, unpacked_rows
+
+
+class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
+    """Gaussians to centres, whitening factors, depths, opacities and extents, (B, C, N, ...)."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        call: Call,
+        means: Tensor,
+        quats: Tensor | None,
+        scales: Tensor | None,
+        covars: Tensor | None,
+        opacities: Tensor,
+        viewmats: Tensor,
+    ) -> tuple[Tensor, ...]:
+        """Project; returns centres, factors, depths, opacities, extents."""
+        device, given = call.device, call.given
+        shape = given.scales if given.covars is None else given.covars
+        assert shape is not None
+        found: list[Projected] = []
+        for batch, number in call.pictures():
+            if number == 0:
+                call.splats.append(
+                    views.Splats(
+                        device.share(given.means[batch]),
+                        device.share(shape[batch]),
+                        None if given.quats is None else device.share(given.quats[batch]),
+                        device.share(given.opacities[batch]),
+                    )
+                )
+            near = call.lens.near
+            matrices = given.viewmats[batch, number], given.Ks[batch, number]
+            camera = device.upload(views.pack_camera(*matrices, call.size, near))
+            call.cameras.append(camera)
+            none = device.empty((len(call.splats[batch]), 0))
+            with device.stage("views forward"):
+                found.append(
+                    views.forward(device, call.splats[batch], camera, call.lens, none, call.options)
+                )
+        sizes = given.viewmats.shape[0], given.viewmats.shape[1], given.means.shape[1]
+        names = {"mean2d": 2, "whitening": 3, "depth": None, "opacity": None, "extent": 2}
+        results = [
+            gathered(device, [getattr(one, name) for one in found], sizes, width)
+            for name, width in names.items()
+        ]
+        ctx.call, ctx.by_covariance = call, covars is not None
+        given_too = means, quats, scales, covars, opacities, viewmats  # must not have changed
+        ctx.save_for_backward(results[1], results[4], *given_too)
+        ctx.mark_non_differentiable(results[4])
+        ctx.set_materialize_grads(True)
+        return tuple(results)
+
+    @staticmethod
+    def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients by the Gaussians and the cameras."""
+        call, device = ctx.call, ctx.call.device
+        whitening, extent = (host_of(one) for one in ctx.saved_tensors[:2])
+        d_mean2d, d_whitening, d_depth, d_opacity = (host_of(one) for one in d[:4])
+        want_camera = ctx.needs_input_grad[6]
+        sums: dict[str, list[npt.NDArray[Any]]] = {}
+        d_viewmats = np.zeros(call.given.viewmats.shape, np.float32)
+        for at, (batch, number) in enumerate(call.pictures()):
+            splats, camera = call.splats[batch], call.cameras[at]
+            none = device.empty((len(splats), 0))
+            shared = [
+                device.share(one[batch, number])
+                for one in (whitening, extent, d_mean2d, d_whitening, d_opacity, d_depth)
+            ]
+            unused = device.empty((1,))
+            seen = Projected(unused, shared[0], unused, shared[1], none, unused)
+            given = ChannelGradients(shared[2], shared[3], shared[4], none, shared[5], None)
+            with device.stage("views backward"):
+                made = views.backward(device, splats, camera, call.lens, seen, given, want_camera)
+            if made.d_camera is not None:
+                rows = device.download(made.d_camera).sum(axis=1, dtype=np.float64)
+                d_viewmats[batch, number, :3] = rows
+            for name in ("d_mean", "d_shape", "d_rotation", "d_opacity"):
+                array = getattr(made, name)
+                if array is None:
+                    continue
+                host = device.hand_over(array)
+                if number:
+                    sums[name][batch] += host
+                else:
+                    sums.setdefault(name, []).append(host)
+        total = {name: torch.from_numpy(stacked(arrays)) for name, arrays in sums.items()}
+        d_shape = total.get("d_shape")
+        d_covars = None
+        if ctx.by_covariance and d_shape is not None:
+            d_covars = torch.zeros(*d_shape.shape[:2], 3, 3)
+            d_covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] = d_shape
+            d_shape = None
+        return (
+            None,
+            total.get("d_mean"),
+            total.get("d_rotation"),
+            d_shape,
+            d_covars,
+            total.get("d_opacity"),
+            torch.from_numpy(d_viewmats) if want_camera else None,
+        )
+
+
+class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
+    """Centres and all else of the screen to images (B, C, H, W, X) and alphas (B, C, H, W, 1).
+
+    centres: (B, C, N, 2), or the rows of them that are drawn; colors: (B, 1 or C, N, D).
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        call: Call,
+        centres: Tensor,
+        whitening: Tensor,
+        depths: Tensor,
+        opacities: Tensor,
+        extents: Tensor,
+        colors: Tensor,
+        backgrounds: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        """Blend; returns images and alphas."""
+        device = call.device
+        every = unpacked_rows(call, centres, whitening.shape[:3])
+        arrays = [host_of(one) for one in (every, whitening, depths, extents)]
+        color, opacity, background = host_of(colors), host_of(opacities), host_of(backgrounds)
+        for batch, number in call.pictures():
+            mean2d, factor, depth, extent = (device.share(one[batch, number]) for one in arrays)
+            own = device.share(color[batch, number % color.shape[1]])
+            shown = device.share(opacity[batch, number])
+            projected = Projected(mean2d, factor, depth, extent, own, shown)
+            shade = device.share(background[batch, number])
+            how = call.with_depth, call.alpha_max, call.options
+            call.drawn.append(channel_picture.draw(device, projected, call.size, shade, *how))
+        width, height = call.size
+        sizes = whitening.shape[0], whitening.shape[1], height
+        made = [one.picture for one in call.drawn]
+        image = gathered(device, [p.image for p in made], (*sizes, width), backgrounds.shape[-1])
+        left = gathered(device, [p.transmittance for p in made], (*sizes, width), None)
+        # the tensors own the memory that the device has
+        ctx.save_for_backward(centres, whitening, depths, opacities, extents, colors, backgrounds)
+        ctx.call, ctx.left = call, left
+        return image, 1 - left[..., None]
+
+    @staticmethod
+    def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients by all that lies on the screen, colors and backgrounds."""
+        call, device = ctx.call, ctx.call.device
+        before, whitening, _, _, _, colors, _ = ctx.saved_tensors
+        d_image, d_left = host_of(d[0]), host_of(-d[1][..., 0])
+        found: list[ChannelGradients] = []
+        shared: list[DeviceArray] = []
+        for at, (batch, number) in enumerate(call.pictures()):
+            given = device.share(d_image[batch, number]), device.share(d_left[batch, number])
+            shared += given  # alive until the downloads
+            found.append(channel_picture.backward(device, call.drawn[at], *given, call.absgrad))
+        sizes = whitening.shape[:3]
+        names = {"d_mean2d": 2, "d_whitening": 3, "d_opacity": None, "d_color": colors.shape[-1]}
+        made = {
+            name: gathered(device, [getattr(one, name) for one in found], sizes, width)
+            for name, width in names.items()
+        }
+        by_depth = [one.d_depth for one in found if one.d_depth is not None]
+        d_depth = gathered(device, by_depth, sizes, None) if call.with_depth else None
+        by_absolute = [one.d_absolute for one in found if one.d_absolute is not None]
+        centres = call.centres() if call.centres is not None else None
+        if call.absgrad and centres is not None:
+            absolute = packed_rows(call, gathered(device, by_absolute, sizes, 2))
+            centres.absgrad = absolute.reshape(centres.shape)
+        d_colors = made["d_color"]
+        if colors.shape[1] != sizes[1]:
+            d_colors = d_colors.sum(dim=1, keepdim=True)
+        d_backgrounds = None
+        if ctx.needs_input_grad[7]:
+            d_backgrounds = torch.einsum("bchwx,bchw->bcx", d[0], ctx.left)
+        d_centres = packed_rows(call, made["d_mean2d"]).reshape(before.shape)
+        return (
+            None, d_centres, made["d_whitening"], d_depth,
+            made["d_opacity"], None, d_colors, d_backgrounds,
+        )  # fmt: skip
+
+
+class Harmonics(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
+    """Sums of harmonics (M, 3) in directions (M, 3), which need not be unit vectors."""
+
+    @staticmethod
+    def forward(ctx: Any, degree: int, dirs: Tensor, coeffs: Tensor) -> Tensor:
+        """Sum the harmonics."""
+        device = default_device()
+        mean, sh = device.share(host_of(dirs)), device.share(host_of(coeffs))
+        color = harmonics.forward(device, mean, sh, device.zeros((26,)), degree, bare=True)
+        result = torch.from_numpy(device.hand_over(color))
+        ctx.degree = degree
+        ctx.save_for_backward(dirs, coeffs, result)
+        return result
+
+    @staticmethod
+    def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients by directions and coefficients."""
+        device = default_device()
+        tensors = (*ctx.saved_tensors, d[0])
+        dirs, coeffs, color, d_color = (device.share(host_of(one)) for one in tensors)
+        camera = device.zeros((26,))
+        d_sh, d_dirs = harmonics.backward(
+            device, dirs, coeffs, camera, ctx.degree, color, d_color, bare=True
+        )
+        d_host = [torch.from_numpy(device.hand_over(one)) for one in (d_dirs, d_sh)]
+        return None, *d_host
