@@ -63,12 +63,18 @@ static inline void color_gradient(__global const float *sh, __global const float
         STORE_V(basis[c], 0, lanes[c]);
     for (size_t lane = 0; lane < used; ++lane) {
         const size_t n = first + lane, row = 3 * SH_ROWS * n;
-        for (size_t i = 0; i < 3; ++i) {
-            const float d = BARE_SUMS || color[3 * n + i] > 0.0f ? d_color[3 * n + i] : 0.0f;
-            for (size_t c = 0; c < COEFFICIENTS; ++c) {
-                sums[c][lane] = fma(d, sh[row + 3 * c + i], sums[c][lane]);
-                d_sh[row + 3 * c + i] = d * lanes[c][lane];
+        float d[3];
+        for (size_t i = 0; i < 3; ++i)
+            d[i] = BARE_SUMS || color[3 * n + i] > 0.0f ? d_color[3 * n + i] : 0.0f;
+        /* Coefficient by coefficient: each sum takes the register of its number of the basis. */
+#pragma unroll
+        for (size_t c = 0; c < COEFFICIENTS; ++c) {
+            float sum = 0.0f;
+            for (size_t i = 0; i < 3; ++i) {
+                sum = fma(d[i], sh[row + 3 * c + i], sum);
+                d_sh[row + 3 * c + i] = d[i] * lanes[c][lane];
             }
+            sums[c][lane] = sum;
         }
     }
     for (size_t c = 0; c < MAX_COEFFICIENTS; ++c)

@@ -23,6 +23,12 @@ LAYOUTS = {
     "inside of nerfstudio's folder": ("colmap/sparse/0", "images"),
     "next to the photos of a workspace": ("dense/0", "dense/0"),
     "photos next to sparse": ("sparse/0", "."),
+    "reduced photos alone": ("sparse/0", "images_4"),
+    "photos of 3DGS's script": ("sparse/0", "input"),
+    "capitals": ("Sparse/0", "Images"),
+    "a model with a name": ("sparse/aligned", "images"),
+    "nerfstudio's text": ("colmap_text", "images"),
+    "next to a folder with capitals": (".", "Images"),
 }
 
 

@@ -25,6 +25,14 @@ WORKSPACES = "", "dense", "dense/[0-9]*", "[0-9]*", "colmap"
 themselves, next to their photos. Models of the first that has any are read.
 """
 
+MODELS = "sparse", "colmap"
+"""What the names of folders begin with in which, two levels deep, models are looked for if no
+workspace has one: Sparse/0, sparse/aligned, colmap_text.
+"""
+
+PHOTOS = "image", "input", "photo", "rgb"
+"""What the names of folders of photos begin with, such as images_4."""
+
 
 def find_model(root: Path) -> Path | None:
     """The folder at or below ``root`` that holds the COLMAP model with the most photos."""
@@ -48,11 +56,23 @@ def find_models(root: Path) -> dict[Path, int]:
         if models:
             counts = {folder: _count_photos(folder) for folder in models}
             return dict(sorted(counts.items(), key=lambda one: -one[1]))
-    return {}
+    tops = [path for path in _folders(root) if path.name.casefold().startswith(MODELS)]
+    below = (path for top in tops for pattern in ("*", "*/*") for path in sorted(top.glob(pattern)))
+    counts = {path: _count_photos(path) for path in (root, *tops, *below) if _is_whole(path)}
+    return dict(sorted(counts.items(), key=lambda one: -one[1]))
+
+
+def _folders(root: Path) -> list[Path]:
+    return sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
 
 
 def _is_model(folder: Path) -> bool:
     return any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
+
+
+def _is_whole(folder: Path) -> bool:
+    files = "cameras", "images", "points3D"
+    return any(all((folder / (f + suffix)).is_file() for f in files) for suffix in (".bin", ".txt"))
 
 
 def _count_photos(folder: Path) -> int:
@@ -126,7 +146,8 @@ def _photo_folder(root: Path, folder: Path, model: ColmapModel) -> Path:
     names = [image.name for image in model.images if not Path(image.name).is_absolute()]
     images = root / "images"
     for above in (folder, *folder.parents):
-        for place in (above / "images", above):
+        named = (path for path in _folders(above) if path.name.casefold().startswith(PHOTOS))
+        for place in (above / "images", above, *named):
             if any((place / name).is_file() for name in names):
                 return place
         if above == root:

@@ -39,7 +39,7 @@ MAX_PROPERTIES = 1024
 
 @dataclass(frozen=True)
 class PlyTable:
-    """Columns by name, all (N,), in file order; and the lines of comment."""
+    """Columns by name, all (N,), in file order; and the lines of comment and obj_info."""
 
     columns: dict[str, npt.NDArray[Any]]
     comments: list[str] = field(default_factory=list)
@@ -238,9 +238,9 @@ def _header_lines(data: bytes) -> Iterator[tuple[str, int]]:
 def _read_line(header: _Header, words: list[str]) -> None:
     """Take a line of the header; IndexError, KeyError or ValueError if it makes no sense."""
     match words:
-        case [] | ["obj_info", *_]:
+        case []:
             return
-        case ["comment", *rest]:
+        case ["comment" | "obj_info", *rest]:
             header.comments.append(" ".join(rest))
         case ["format", name, "1.0"] if header.order is None:
             header.order = FORMATS[name]

@@ -18,7 +18,7 @@ from clgs.lab.observed_kernels import drawn_output
 from clgs.lab.selftest.exact_scenes import ConformanceScene, ExactRandom, conformance_scenes
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, blend, density, loss, project, quantize, rate, scan, sort
+from clgs.ops import adam, blend, density, loss, match, project, quantize, rate, scan, sort
 from clgs.options import PRESETS, RenderOptions
 from clgs.render.frame import DeviceScene, Frame, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
@@ -149,6 +149,10 @@ def _number_tensors(device: Device) -> Iterator[Tensor]:
     density.accumulate(device, statistics, seen)
     for name, array in statistics.items():
         yield "density", name, device.download(array)
+    photos = [random.bytes((count, match.LENGTH)) // np.uint8(4) for count in (150, 230)]
+    uploaded = match.upload(device, photos)
+    (found,) = match.nearest(device, uploaded, uploaded, [(0, 1)])
+    yield from (("match", name, values) for name, values in vars(found).items())
 
 
 def to_record(found: list[Fingerprint], facts: dict[str, object]) -> dict[str, object]:

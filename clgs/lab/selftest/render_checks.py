@@ -23,7 +23,9 @@ from clgs.lab.selftest.reference_render import (
 from clgs.lab.selftest.training_checks import training_checks
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
+from clgs.ops import antialias, mlp, project, project_anchors
 from clgs.ops import loss as loss_op
+from clgs.reference import antialias as antialias_reference
 from clgs.reference import cull, loss, tiles
 from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
@@ -60,6 +62,8 @@ class _Run:
     scene: Scene
     uploaded: DeviceScene
     frame: Frame
+    at_once: project.Projected
+    compensated: DeviceArray
     photo: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
     d_image: DeviceArray
     gradients: SceneGradients
@@ -107,13 +111,19 @@ def _run(device: Device, case: Case) -> _Run:
     device.profile.enabled = True
     for _ in range(case.repeats):
         frame = rasterise(device, uploaded, upload_view(device, camera, settings))
+        inputs = mlp.Inputs(uploaded.anchors, uploaded.weights, frame.view.camera)
+        with device.stage("project_anchors"):
+            at_once, _ = project_anchors.forward(device, inputs, frame.activations.visible)
+        with device.stage("antialias"):
+            compensated = antialias.forward(device, frame.gaussians, frame.view.camera).opacity
         with device.stage("loss"):
             compared = loss_op.forward(device, frame.image, target)
             d_image = loss_op.backward(device, frame.image, target, compared)
         gradients = rasterise_backward(device, uploaded, frame, d_image, VOLUME_WEIGHT)
     device.profile.enabled = False
     reference = render_reference(device, scene, frame, d_image)
-    return _Run(device, scene, uploaded, frame, photo, d_image, gradients, reference)
+    drawn = frame, at_once, compensated
+    return _Run(device, scene, uploaded, *drawn, photo, d_image, gradients, reference)
 
 
 Found = list[tuple[str, float, float]]
@@ -153,6 +163,25 @@ def check_project(run: _Run) -> Found:
     names = ("mean2d", "whitening", "depth", "extent")
     errors = relative_errors(run.device, run.frame.projected, run.reference.projected, names)
     return [(name, error, 1e-5) for name, error in errors.items()]
+
+
+def check_project_anchors(run: _Run) -> Found:
+    """The same Gaussians from anchors at once, as for pictures without gradients."""
+    errors = relative_errors(
+        run.device, run.at_once, run.reference.projected, ("mean2d", "whitening", "depth", "extent")
+    )
+    errors |= relative_errors(
+        run.device, run.at_once, run.reference.gaussians, ("color", "opacity")
+    )
+    return [("what is on the screen", max(errors.values()), 1e-5)]
+
+
+def check_antialias(run: _Run) -> Found:
+    """Opacities that keep the light of small Gaussians."""
+    one = run.reference.gaussians
+    shape = one.mean, one.scale, one.rotation
+    wanted = antialias_reference.forward(*shape, one.opacity, run.reference.camera)
+    return [("opacity", relative_l2(run.device.download(run.compensated), wanted), 1e-5)]
 
 
 def check_tiles(run: _Run) -> Found:
@@ -211,6 +240,8 @@ FORWARD_CHECKS: dict[str, Callable[[_Run], Found]] = {
     "mlp forward": check_mlp,
     "neural forward": check_neural,
     "project forward": check_project,
+    "project_anchors": check_project_anchors,
+    "antialias": check_antialias,
     "tiles": check_tiles,
     "blend forward": check_blend,
     "loss": check_loss,

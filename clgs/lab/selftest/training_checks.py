@@ -1,4 +1,4 @@
-"""The stages outside of a scene's render, from scan and sort to exposure, mask and splats."""
+"""The stages outside of a scene's render, from scan and sort to mask, splats and match."""
 
 from __future__ import annotations
 
@@ -20,13 +20,26 @@ from clgs.lab.selftest.reference_render import (
 )
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import adam, density, exposure, growth, mask, quantize, rate, scan, sort, splats
+from clgs.ops import (
+    adam,
+    density,
+    exposure,
+    growth,
+    mask,
+    match,
+    quantize,
+    rate,
+    scan,
+    sort,
+    splats,
+)
 from clgs.ops.neural import GaussianGradients
 from clgs.reference import adam as adam_reference
 from clgs.reference import density as density_reference
 from clgs.reference import exposure as exposure_reference
 from clgs.reference import growth as growth_reference
 from clgs.reference import mask as mask_reference
+from clgs.reference import match as match_reference
 from clgs.reference import quantize as quantize_reference
 from clgs.reference import rate as rate_reference
 from clgs.reference import scan as scan_reference
@@ -45,7 +58,8 @@ def training_checks(device: Device, count: int = COUNT) -> Iterator[Check]:
     """Every check, on ``count`` numbers; one that raises has failed."""
     rng = np.random.default_rng(SEED)
     numbers = check_scan, check_sort, check_quantize, check_rate, check_adam
-    for check in (*numbers, check_density, check_growth, check_exposure, check_mask, check_splats):
+    pictures = check_exposure, check_mask, check_splats, check_match
+    for check in (*numbers, check_density, check_growth, *pictures):
         try:
             for stage, quantity, error, limit, work in check(device, rng, count):
                 times = []
@@ -173,6 +187,18 @@ def check_growth(device: Device, rng: np.random.Generator, count: int) -> Iterat
     error = largest(longer, np.concatenate([host.feature, wanted]))
     yield "growth", "features", error, 0.0, append
 
+    sums = rng.random((anchors, K_OFFSETS)).astype(np.float32)
+    times = rng.integers(0, 90, sums.shape).astype(np.int32)
+    statistics = density.zeros(device, anchors)
+    device.write(statistics.gradient_sum, sums)
+    device.write(statistics.gradient_count, times)
+    ask = partial(growth.asking, device, statistics, 40, 0.01)
+    wrong = len(
+        set(ask())
+        ^ set(growth_reference.asking(sums.astype(np.float64), times, 40, float(np.float32(0.01))))
+    )
+    yield "growth", "slots that ask", float(wrong), 0.0, ask
+
 
 def check_exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
     """A mapped picture, and the gradients of picture and map."""
@@ -233,3 +259,22 @@ def check_splats(device: Device, rng: np.random.Generator, count: int) -> Iterat
     expected = splats_reference.backward(wide, packed, d_seen)
     errors = relative_errors(device, backward(), expected, widths)
     yield "splats", "gradients", max(errors.values()), 1e-5, backward
+
+
+def check_match(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+    """The nearest descriptors of another photo; half of them are there, some of these twice."""
+    photos = [
+        rng.integers(0, 60, (count // part + 1, match.LENGTH)).astype(np.uint8) for part in (40, 30)
+    ]
+    half = len(photos[0]) // 2
+    photos[1][:half] = photos[0][rng.integers(0, len(photos[0]), half)]
+    uploaded = match.upload(device, photos)
+    nearest = partial(match.nearest, device, uploaded, uploaded, [(0, 1), (1, 0)])
+    wanted = [match_reference.nearest(*photos), match_reference.nearest(*photos[::-1])]
+    pairs = zip(nearest(), wanted, strict=True)
+    wrong = sum(
+        int((mine != expected).sum())
+        for one, three in pairs
+        for mine, expected in zip((one.index, one.product, one.second), three, strict=True)
+    )
+    yield "match", "nearest descriptors", float(wrong), 0.0, nearest

@@ -194,6 +194,8 @@ def test_marks_of_antialiased_splats(tmp_path, rng, comments, antialiased):
     path = tmp_path / "s.ply"
     path.write_bytes(pack_ply(PlyTable(columns_of(stored(rng, 5)), comments)))
     assert load_splats(path).gaussians.antialiased == antialiased
+    path.write_bytes(path.read_bytes().replace(b"\ncomment ", b"\nobj_info "))
+    assert load_splats(path).gaussians.antialiased == antialiased
     packed = tmp_path / "s.clgs"
     packed.write_bytes(pack(read_splats(path, {})[0]))
     assert load_splats(packed).gaussians.antialiased == antialiased
