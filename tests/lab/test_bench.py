@@ -81,7 +81,7 @@ def test_figures_need_a_file_of_their_own(tmp_path, monkeypatch, capsys, kind, p
     ("error", "code"), [(MemoryError("1 TiB"), 1), (NoRoomError("no room for 1 TiB"), 4)]
 )
 def test_remedies_are_options_of_the_benchmark(monkeypatch, capsys, kind, error, code):
-    def fail(args):
+    def fail():
         raise error
 
     monkeypatch.setattr(importlib.import_module(f"clgs.lab.bench.{kind}"), "run", fail)

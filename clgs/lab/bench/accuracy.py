@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from clgs.cli.shared_options import view_options
 from clgs.errors import UsageError
 from clgs.lab.bench.accuracy_points import (
     PRESET_SWEEP,
@@ -30,6 +28,7 @@ from clgs.lab.bench.plots import (
 )
 from clgs.lab.facts import show_table, write_figures
 from clgs.opencl.device import Device
+from clgs.workflow.options import ViewOptions
 from clgs.workflow.scenes import read_scene
 from clgs.workflow.views import select_views
 
@@ -45,42 +44,48 @@ SMALLEST = 1e-7
 """Errors below this are drawn as this: a logarithm has no zero."""
 
 
-def run(args: argparse.Namespace) -> int:
-    """Measure, print and, if asked, write JSON and draw; exit code 0."""
-    settings = accuracy_settings(args.sweeps)
-    check_figure_files(args.output, args.plot, args.overwrite)
-    subjects = subjects_of(args)
-    device = Device(args.device)
-    found = []
-    for subject in subjects:
-        found.append(bench_accuracy(device, subject, settings, args.repeats))
-        show(found[-1])
-    scenes = [asdict(one) | {"against_parity": against_parity(one)} for one in found]
-    write_figures(args.output, {"scenes": scenes}, device)
-    if args.plot:
-        plot_accuracy(args.plot, found, f"{device.name}, {device.specialisation} form")
-    return 0
-
-
-def subjects_of(args: argparse.Namespace) -> list[ViewedScene]:
-    """The scenes that were asked for, each with a view.
+def run(
+    scenes: Sequence[str],
+    sweeps: Sequence[str],
+    scene: Path | None,
+    view: int,
+    views: ViewOptions,
+    repeats: int,
+    seed: int,
+    output: Path | None,
+    plot: Path | None,
+    overwrite: bool,
+) -> int:
+    """Measure, print and, if asked, write JSON and draw; exit code 0.
 
     Raises:
-        UsageError: no scene was asked for, or the view does not exist.
+        UsageError: no scene was asked for, or ``view``, one of ``views`` of ``scene``, does not
+            exist.
     """
-    if (args.scene is None) != (args.data is None):
+    settings = accuracy_settings(sweeps)
+    check_figure_files(output, plot, overwrite)
+    if (scene is None) != (views.data is None):
         raise UsageError("--scene and --data belong together")
-    subjects = synthetic_subjects(list(args.scenes), args.seed)
-    if args.scene is not None:
-        quantized, _ = read_scene(args.scene)
-        views = select_views(args.scene, quantized, view_options(vars(args)))
-        if not 0 <= args.view < len(views):
-            raise UsageError(f"--view {args.view}: there are {len(views)}, from 0")
-        name = args.data.resolve().name
-        subjects.append(ViewedScene(name, quantized.dequantize(), views[args.view].camera))
+    subjects = synthetic_subjects(scenes, seed)
+    if scene is not None and views.data is not None:
+        quantized, _ = read_scene(scene)
+        chosen = select_views(scene, quantized, views)
+        if not 0 <= view < len(chosen):
+            raise UsageError(f"--view {view}: there are {len(chosen)}, from 0")
+        name = views.data.resolve().name
+        subjects.append(ViewedScene(name, quantized.dequantize(), chosen[view].camera))
     if not subjects:
         raise UsageError("no scene: name some with --scenes, or --scene and --data")
-    return subjects
+    device = Device(views.device)
+    found = []
+    for subject in subjects:
+        found.append(bench_accuracy(device, subject, settings, repeats))
+        show(found[-1])
+    figures = [asdict(one) | {"against_parity": against_parity(one)} for one in found]
+    write_figures(output, {"scenes": figures}, device)
+    if plot:
+        plot_accuracy(plot, found, f"{device.name}, {device.specialisation} form")
+    return 0
 
 
 def show(figures: SceneFigures) -> None:

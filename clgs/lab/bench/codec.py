@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import lzma
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -65,12 +65,21 @@ class CoderFigures:
     ratio: float | None
 
 
-def run(args: argparse.Namespace) -> int:
+def run(
+    data: Sequence[Path],
+    anchors: int | None,
+    quick: bool,
+    seed: int,
+    repeats: int,
+    levels_only: bool,
+    json: Path | None,
+    overwrite: bool,
+) -> int:
     """Measure, print and, if asked, write JSON; exit code 0."""
-    if args.json:
-        check_new(args.json, args.overwrite)
-    anchors = args.anchors or (QUICK_ANCHORS if args.quick else ANCHORS)
-    subjects = file_subjects(args.data) if args.data else seeded_subjects(anchors, args.seed)
+    if json:
+        check_new(json, overwrite)
+    anchors = anchors or (QUICK_ANCHORS if quick else ANCHORS)
+    subjects = file_subjects(data) if data else seeded_subjects(anchors, seed)
     records, said = [], set[str]()
 
     def note(line: str) -> None:
@@ -81,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     with Display() as display:
         advance = counter("runs", 0, display)
         for subject in subjects:
-            figures = bench_subject(subject, args.repeats, args.levels_only, note, advance)
+            figures = bench_subject(subject, repeats, levels_only, note, advance)
             records.append(
                 {
                     "name": subject.name,
@@ -93,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
             )
     head = ("data and coder", "bytes", "ratio", "bits per number", "encode s", "decode s")
     show_table("one thread", head, (row for one in records for row in _rows(one)))
-    write_figures(args.json, {"subjects": records})
+    write_figures(json, {"subjects": records})
     return 0
 
 

@@ -6,11 +6,11 @@ An Open-Source Library for Gaussian Splatting, JMLR 2025).
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -60,22 +60,30 @@ class PeerTimes:
     versions: dict[str, str]
 
 
-def run(args: argparse.Namespace) -> int:
+def run(
+    gaussians: int,
+    size: tuple[int, int],
+    repeats: int,
+    seed: int,
+    device: str | None,
+    json: Path | None,
+    overwrite: bool,
+) -> int:
     """Measure, print and, if asked, write JSON; exit code 0."""
-    if args.json:
-        check_new(args.json, args.overwrite)
+    if json:
+        check_new(json, overwrite)
     require_gsplat()
-    device = Device(args.device)
-    trainer = synthetic_trainer(device, args.gaussians, args.size, args.seed)
-    view = hand_over(device, trainer.render_next(), trainer.dataset.train[0].camera)
-    ours, theirs = time_steps(trainer, args.repeats), time_gsplat(view, args.repeats, args.seed)
+    opened = Device(device)
+    trainer = synthetic_trainer(opened, gaussians, size, seed)
+    view = hand_over(opened, trainer.render_next(), trainer.dataset.train[0].camera)
+    ours, theirs = time_steps(trainer, repeats), time_gsplat(view, repeats, seed)
     pairs = {row: (ours.stages[name], getattr(theirs, time)) for row, (name, time) in ROWS.items()}
     pairs["whole step"] = ours.step, theirs.step
     rows = (
         (row, f"{own:.3f}", f"{other:.3f}", f"{own / other:.2f}")
         for row, (own, other) in pairs.items()
     )
-    title = f"{device.name}; gsplat on {theirs.card}; {ours.gaussians:,} Gaussians"
+    title = f"{opened.name}; gsplat on {theirs.card}; {ours.gaussians:,} Gaussians"
     show_table(title, ("median ms", "clgs", "gsplat", "ratio"), rows)
     print(f"loss of gsplat's step: {theirs.loss}; pictures differ by {theirs.difference:.1e}")
     stages = {name: ours.stages[name] for name, _ in ROWS.values()}
@@ -84,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
         "gsplat": asdict(theirs),
         "gaussians": ours.gaussians,
     }
-    write_figures(args.json, record, device)
+    write_figures(json, record, opened)
     return 0
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 from clgs.lab.bench.stage_limits import (
     FORMULAS,
@@ -70,21 +70,31 @@ class OpsFigures:
         return all(stage.check is None or stage.check.passed for stage in self.stages)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(
+    gaussians: int | None,
+    size: int | None,
+    elements: int | None,
+    repeats: int | None,
+    seed: int | None,
+    device: str | None,
+    json: Path | None,
+    overwrite: bool,
+) -> int:
     """Measure, print and, if asked, write JSON; exit code 1 if an error exceeds its limit."""
-    if args.json:
-        check_new(args.json, args.overwrite)
-    names = [field.name for field in fields(Workload)]
-    given = {name: value for name in names if (value := getattr(args, name)) is not None}
+    if json:
+        check_new(json, overwrite)
+    sizes = {"gaussians": gaussians, "size": size, "elements": elements}
+    sizes |= {"repeats": repeats, "seed": seed}
+    given = {name: value for name, value in sizes.items() if value is not None}
     records, passed = [], True
-    for _, device in open_devices(args.device):
-        load = replace(TINY if device.is_emulator else Workload(), **given)
-        figures = bench_ops(device, load)
+    for _, opened in open_devices(device):
+        load = replace(TINY if opened.is_emulator else Workload(), **given)
+        figures = bench_ops(opened, load)
         passed &= figures.passed
-        records.append(machine_facts(device) | {"workload": asdict(load), **asdict(figures)})
-        show(device, figures)
+        records.append(machine_facts(opened) | {"workload": asdict(load), **asdict(figures)})
+        show(opened, figures)
     formulas = {name: formula.text() for name, formula in FORMULAS.items()}
-    write_figures(args.json, {"formulas": formulas, "devices": records})
+    write_figures(json, {"formulas": formulas, "devices": records})
     return 0 if passed else 1
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -76,21 +75,29 @@ class Scaling:
     memory: Memory
 
 
-def run(args: argparse.Namespace) -> int:
+def run(
+    gaussians: Sequence[int] | None,
+    sizes: Sequence[int] | None,
+    repeats: int,
+    device: str | None,
+    output: Path | None,
+    plot: Path | None,
+    overwrite: bool,
+) -> int:
     """Measure, print and, if asked, write JSON and draw; exit code 0."""
-    check_figure_files(args.output, args.plot, args.overwrite)
-    device = Device(args.device)
+    check_figure_files(output, plot, overwrite)
+    opened = Device(device)
     found = bench_scaling(
-        lambda: Device(args.device),
-        args.gaussians or GAUSSIANS,
-        args.sizes or SIZES,
-        args.repeats,
+        lambda: Device(device),
+        gaussians or GAUSSIANS,
+        sizes or SIZES,
+        repeats,
         lambda line: tell(f"clgs: {line}"),
     )
     show(found)
-    write_figures(args.output, asdict(found), device)
-    if args.plot:
-        plot_scaling(args.plot, found, f"{device.name}, {device.specialisation} form")
+    write_figures(output, asdict(found), opened)
+    if plot:
+        plot_scaling(plot, found, f"{opened.name}, {opened.specialisation} form")
     return 0
 
 

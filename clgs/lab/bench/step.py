@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from statistics import median
 
 import numpy as np
@@ -57,17 +57,24 @@ class StepTimes:
     intersections: int
 
 
-def run(args: argparse.Namespace) -> int:
+def run(
+    gaussians: int,
+    size: tuple[int, int],
+    repeats: int,
+    seed: int,
+    device: str | None,
+    json: Path | None,
+    overwrite: bool,
+) -> int:
     """Measure, print and, if asked, write JSON; exit code 0."""
-    if args.json:
-        check_new(args.json, args.overwrite)
-    device = Device(args.device)
-    trainer = synthetic_trainer(device, args.gaussians, args.size, args.seed)
-    times = time_steps(trainer, args.repeats)
+    if json:
+        check_new(json, overwrite)
+    opened = Device(device)
+    times = time_steps(synthetic_trainer(opened, gaussians, size, seed), repeats)
     title = (
-        f"{device.name} ({device.specialisation}): {times.anchors:,} anchors, "
+        f"{opened.name} ({opened.specialisation}): {times.anchors:,} anchors, "
         f"{times.gaussians:,} Gaussians, {times.intersections:,} intersections, "
-        f"{args.size[0]}x{args.size[1]} px"
+        f"{size[0]}x{size[1]} px"
     )
     rows = [
         *((name, f"{milliseconds:.2f}") for name, milliseconds in times.stages.items()),
@@ -81,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         ("launches of a step", str(times.launches)),
     ]
     show_table(title, ("stage", "median ms"), rows)
-    write_figures(args.json, asdict(times), device)
+    write_figures(json, asdict(times), opened)
     return 0
 
 

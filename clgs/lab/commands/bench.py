@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +15,7 @@ from clgs.cli.shared_options import (
     add_size_options,
     positive_int,
     seed,
+    view_options,
     whole_number,
 )
 from clgs.lab.devices import add_device_option
@@ -55,8 +57,10 @@ def run(args: argparse.Namespace) -> int:
     from clgs.errors import ClgsError, DeviceError, NoRoomError
 
     remedy = f"{KINDS[args.kind].smaller} less"
+    measure = importlib.import_module(f"clgs.lab.bench.{args.kind}").run
+    given = vars(args) | {"views": view_options(vars(args))}
     try:
-        code: int = importlib.import_module(f"clgs.lab.bench.{args.kind}").run(args)
+        code: int = measure(**{name: given[name] for name in inspect.signature(measure).parameters})
     except NoRoomError as error:
         raise DeviceError(f"{error.problem}; {remedy}") from error
     except MemoryError as error:
@@ -198,7 +202,7 @@ def add_codec(parser: argparse.ArgumentParser) -> None:
 
 
 class Kind(NamedTuple):
-    """A benchmark: ``run(args)`` of the module of its name in ``clgs.lab.bench`` measures.
+    """A benchmark: ``run`` of the module of its name in ``clgs.lab.bench`` takes its options.
 
     add: adds its options; measures: one line of help; smaller: what to change if memory is short.
     """
