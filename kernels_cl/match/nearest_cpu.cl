@@ -8,7 +8,9 @@
 #include "common/real.h"
 #include "match/layout.h"
 
+#ifndef ROWS
 #define ROWS 8
+#endif
 #ifndef TILES_AT_ONCE
 #define TILES_AT_ONCE 2
 #endif

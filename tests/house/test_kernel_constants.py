@@ -32,6 +32,7 @@ VARYING = {
     *("CHANNELS", "WITH_DEPTH", "WITH_ABSOLUTE", "SH_ROWS", "BARE_SUMS"),
     *("PARALLEL_RAYS", "BY_COVARIANCE", "COMPENSATED"),
     "TILES_AT_ONCE",  # of the width of registers
+    "ROWS",  # the same
     *("SSIM_C1", "SSIM_C2", *(f"SSIM_WEIGHT_{tap}" for tap in range(6)), "SKIP_FLAT"),
     *("PREFETCH", "PREFETCH_WRITE", "OUTPUT_SPACE"),  # of the compiler, and of a file
 }
