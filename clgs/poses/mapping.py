@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,13 @@ from clgs.errors import DataError
 from clgs.poses.judging.evidence import (
     MAX_CONTRADICTED,
     MIN_MATCHES,
+    STRONG_PAIR,
     Evidence,
     MappedModel,
     ModelChoice,
     explain,
 )
+from clgs.poses.judging.judge import LOW_RATIO, MAX_DROPPED
 from clgs.poses.matching import match_again, read_evidence
 from clgs.poses.workspace import Workspace
 
@@ -28,6 +29,10 @@ MIN_MODEL = 3
 
 TOLERANCE = 1e-6
 """Relative decrease of the error at which a global bundle adjustment ends."""
+
+GROWTH, REFINEMENTS = 1.4, 2
+"""The incremental mapper adjusts all poses whenever photos or points have grown by this factor, at
+most as often; COLMAP's defaults, 1.1 and 5, take half as long again for the same poses."""
 
 LOOSE_INLIERS, LOOSE_SHARE = 15, 0.15
 """The least matches with points that a photo needs at the second look, and their least share;
@@ -45,6 +50,10 @@ STRONGEST = 8
 MOSTLY_STILL = 0.5
 """If no model is found, this share of motionless matches is taken for the reason."""
 
+MANY = 150
+"""Above this number of photos the global mapper is asked first: the incremental one's time grows
+with the square of the number."""
+
 INCREMENTAL, GLOBAL = "incremental", "global"
 STRONG = "incremental, strongest pairs"
 
@@ -56,15 +65,25 @@ OTHER_SEED = 1_000_003
 
 
 def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
-    """Run both mappers, if ``quick`` the incremental one, and choose the better model.
+    """Find a model by one mapper, and by the other one if the first model leaves doubt.
+
+    The incremental mapper is the surer one; of more than MANY photos the global one is faster.
+    ``quick``: ask no second mapper.
 
     Raises:
         DataError: no two photos could be related.
     """
-    choice = _choose(workspace, (INCREMENTAL,) if quick else (INCREMENTAL, GLOBAL), "poses")
+    mappers = [INCREMENTAL, GLOBAL] if len(workspace.names) <= MANY else [GLOBAL, INCREMENTAL]
+    evidence, found = read_evidence(workspace), dict[str, list[Any]]()
+    choice = None
+    for mapper in mappers[:1] if quick else mappers:
+        found[mapper] = MAPPERS[mapper](workspace, _stage(found))
+        choice = _choose(workspace, found, evidence)
+        if choice and not _incomplete(choice):
+            break
     if choice is not None:
         return choice
-    still = read_evidence(workspace).still
+    still = evidence.still
     if still < MOSTLY_STILL:
         advice = "take more, overlapping photos of a textured, motionless scene"
     else:
@@ -76,27 +95,73 @@ def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
     raise DataError(f"no two photos could be related; {advice}")
 
 
-def _choose(workspace: Workspace, mappers: Sequence[str], stage: str) -> ModelChoice | None:
+def ask_both_mappers(
+    workspace: Workspace, choice: ModelChoice, doubtful: Collection[str]
+) -> ModelChoice:
+    """Choose once more, with a model of the mapper that was not asked yet, if there is one.
+
+    A few ``doubtful`` photos of many are placed anew by the incremental mapper, from the other
+    photos' poses on.
+    """
+    found = dict(choice.found)
+    for mapper in MAPPERS.keys() - found:
+        few = len(doubtful) <= MAX_DROPPED * len(workspace.names)
+        if mapper == INCREMENTAL and few:
+            found[mapper] = _place_again(workspace, choice, doubtful)
+        else:
+            found[mapper] = MAPPERS[mapper](workspace, _stage(found))
+    if found.keys() == choice.found.keys():
+        return choice
+    return _choose(workspace, found, choice.evidence) or choice
+
+
+def _place_again(workspace: Workspace, choice: ModelChoice, doubtful: Collection[str]) -> list[Any]:
+    """Take photos out of the kept model, and have the incremental mapper place them anew."""
+    start = workspace.folder / "without_doubt"
+    start.mkdir()
+    choice.kept.reconstruction.write(start)
+    model = workspace.pycolmap.Reconstruction(start)
+    for name in doubtful:
+        model.deregister_frame(model.find_image_with_name(name).frame_id)
+    model.write(start)
+    options = _incremental_options(workspace)
+    options.multiple_models = False
+    folder = workspace.folder / "placed_again"
+    return _run_incremental(workspace, "other poses", folder, options, start)
+
+
+def _stage(found: Mapping[str, list[Any]]) -> str:
+    return "other poses" if found else "poses"
+
+
+def _incomplete(choice: ModelChoice) -> bool:
+    """Whether photos lack a pose, or contradict it, so that another model may be a better one."""
+    explained = choice.kept.explained
+    lacking = (explained.explained < 0) & (explained.matches >= STRONG_PAIR)
+    least = min(explained.inlier_ratios().values(), default=0.0)
+    return bool(lacking.any()) or explained.contradicted > MAX_CONTRADICTED or least < LOW_RATIO
+
+
+def _choose(
+    workspace: Workspace, found: dict[str, list[Any]], evidence: Evidence
+) -> ModelChoice | None:
     """Choose the model that explains the most matches in links; None if there is no model.
 
-    If it contradicts links, a model of the strongest pairs alone may take its place.
+    If the best of both mappers contradicts links, a model of the strongest pairs alone may take its
+    place; it is added to ``found``, the models of each mapper.
     """
-    evidence = read_evidence(workspace)
-    # Each mapper runs on one thread: sums in another order would give other poses.
-    with ThreadPoolExecutor(len(mappers)) as pool:
-        running = {name: pool.submit(MAPPERS[name], workspace, stage) for name in mappers}
-        found = {name: future.result() for name, future in running.items()}
     candidates = _largest(found, evidence)
     if not candidates:
         return None
-    if max(candidates, key=_explained).explained.contradicted > MAX_CONTRADICTED:
-        found[STRONG] = _map_strongest(workspace, evidence, stage)
+    best = max(candidates, key=_explained).explained
+    if best.contradicted > MAX_CONTRADICTED and MAPPERS.keys() == found.keys():
+        found[STRONG] = _map_strongest(workspace, evidence, "other poses")
         candidates = _largest(found, evidence)
     kept = max(candidates, key=_explained)
     placed = set(_names(kept.reconstruction))
     others = [[name for name in _names(one) if name not in placed] for one in found[kept.mapper]]
     apart = sorted(filter(None, others), key=len, reverse=True)
-    return ModelChoice(kept, candidates, evidence, apart)
+    return ModelChoice(kept, candidates, evidence, apart, found)
 
 
 def _largest(found: Mapping[str, list[Any]], evidence: Evidence) -> list[MappedModel]:
@@ -154,6 +219,7 @@ def map_half(workspace: Workspace, choice: ModelChoice) -> Any | None:
     model, evidence = choice.kept.reconstruction, choice.evidence
     seed = (workspace.seed + OTHER_SEED) % 2**31
     half = replace(workspace, folder=workspace.folder / "check", seed=seed)
+    shutil.rmtree(half.folder, ignore_errors=True)  # of a model that was kept before
     half.folder.mkdir()
     rng = np.random.default_rng(seed)
     drawn = {number: int(rng.random() < HALF) for number in sorted(model.point3D_ids())}
@@ -166,9 +232,13 @@ def map_half(workspace: Workspace, choice: ModelChoice) -> Any | None:
                 if point.has_point3D():
                     halves[number][index] = drawn[point.point3D_id]
     _write_half(workspace, half, halves, evidence)
-    mapper = GLOBAL if choice.kept.mapper == GLOBAL else INCREMENTAL
-    second = _choose(half, (mapper,), "check")
-    return second.kept.reconstruction if second else None
+    part = read_evidence(half)
+    if choice.kept.mapper == STRONG:
+        models = _map_strongest(half, part, "check")
+    else:
+        models = MAPPERS[choice.kept.mapper](half, "check")
+    found = _largest({choice.kept.mapper: models}, part)
+    return found[0].reconstruction if found else None
 
 
 def _write_half(
@@ -238,7 +308,7 @@ def _map_strongest(workspace: Workspace, evidence: Evidence, stage: str) -> list
         for pair in evidence.pairs:
             if (pair.first, pair.second) not in kept:
                 database.delete_two_view_geometry(pair.first, pair.second)
-    return _map_incrementally(strongest, "other poses" if stage == "poses" else stage)
+    return _map_incrementally(strongest, stage)
 
 
 def _incremental_options(workspace: Workspace) -> Any:
@@ -250,6 +320,8 @@ def _incremental_options(workspace: Workspace) -> Any:
     options.triangulation.random_seed = workspace.seed
     options.min_model_size = MIN_MODEL
     options.ba_global_function_tolerance = TOLERANCE
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = GROWTH
+    options.ba_global_max_refinements = REFINEMENTS
     return options
 
 

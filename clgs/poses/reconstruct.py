@@ -23,9 +23,9 @@ from clgs.opencl.device import Device
 from clgs.poses.bring_in import camera_numbers
 from clgs.poses.child import OnStage, run_child
 from clgs.poses.features import extract
-from clgs.poses.judging.judge import judge
+from clgs.poses.judging.judge import judge, unconfirmed
 from clgs.poses.judging.verdict import Verdict, verdict_of
-from clgs.poses.mapping import look_again, map_half, map_photos
+from clgs.poses.mapping import ask_both_mappers, look_again, map_half, map_photos
 from clgs.poses.matching import match
 from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
@@ -99,6 +99,11 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         choice = map_photos(workspace, quick)
         choice = look_again(workspace, choice)
         second = None if quick else map_half(workspace, choice)
+        if not quick and (doubtful := unconfirmed(choice, second)):
+            wider = ask_both_mappers(workspace, choice, doubtful)
+            if wider.kept.reconstruction is not choice.kept.reconstruction:
+                second = map_half(workspace, wider)
+            choice = wider
         verdict = judge(choice, second, not quick, own_names)
         if verdict.registered < 2:
             raise DataError(

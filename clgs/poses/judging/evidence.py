@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -138,13 +139,14 @@ class ModelChoice:
     """The model that is kept, and the evidence for it.
 
     candidates: the largest model of each mapper; apart: the photos' names of each smaller model of
-    the kept one's mapper.
+    the kept one's mapper; found: all models of each mapper that was asked.
     """
 
     kept: MappedModel
     candidates: list[MappedModel]
     evidence: Evidence
     apart: list[list[str]]
+    found: Mapping[str, list[Any]] = field(default_factory=dict)
 
 
 def explain(model: Any, evidence: Evidence) -> Explained:

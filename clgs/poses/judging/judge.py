@@ -107,6 +107,16 @@ def judge(
     )
 
 
+def unconfirmed(choice: ModelChoice, second: Any | None) -> list[str]:
+    """List the photos of the kept model that the second reconstruction lacks or places elsewhere.
+
+    ``second``: None if it failed.
+    """
+    poses = poses_of(choice.kept.reconstruction)
+    again = differences(poses, poses_of(second)) if second is not None else {}
+    return [name for name in poses.names if _second_doubts(again.get(name))]
+
+
 def _differences_from_rival(choice: ModelChoice, poses: Poses) -> Differences:
     """Compare with the other mapper's model, if that explains about as many matches.
 
