@@ -76,7 +76,7 @@ def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
     mappers = [INCREMENTAL, GLOBAL] if len(workspace.names) <= MANY else [GLOBAL, INCREMENTAL]
     evidence, found = read_evidence(workspace), dict[str, list[Any]]()
     choice = None
-    for mapper in mappers[:1] if quick else mappers:
+    for mapper in mappers[:1] if quick or not evidence.pairs else mappers:
         found[mapper] = MAPPERS[mapper](workspace, _stage(found))
         choice = _choose(workspace, found, evidence)
         if choice and not _incomplete(choice):
@@ -100,7 +100,7 @@ def ask_both_mappers(
 ) -> ModelChoice:
     """Choose once more, with a model of the mapper that was not asked yet, if there is one.
 
-    A few ``doubtful`` photos of many are placed anew by the incremental mapper, from the other
+    A few ``doubtful`` photos of many are placed again by the incremental mapper, from the other
     photos' poses on.
     """
     found = dict(choice.found)
@@ -116,7 +116,7 @@ def ask_both_mappers(
 
 
 def _place_again(workspace: Workspace, choice: ModelChoice, doubtful: Collection[str]) -> list[Any]:
-    """Take photos out of the kept model, and have the incremental mapper place them anew."""
+    """Take photos out of the kept model, and have the incremental mapper place them again."""
     start = workspace.folder / "without_doubt"
     start.mkdir()
     choice.kept.reconstruction.write(start)

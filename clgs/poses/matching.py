@@ -6,7 +6,8 @@ second nearest: Lowe's ratio test and a cross check, with COLMAP's limits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from clgs.opencl.device import Device
 from clgs.ops import match as nearest_descriptors
 from clgs.ops.match import Descriptors, Nearest
-from clgs.poses.judging.evidence import MIN_MATCHES, Evidence, MatchedPair
+from clgs.poses.judging.evidence import LINKS, MIN_MATCHES, Evidence, MatchedPair
 from clgs.poses.pairs import all_pairs
 from clgs.poses.verify import verify
 from clgs.poses.workspace import Workspace
@@ -41,6 +42,10 @@ LOOK_FEATURES = 1024
 
 Wu, Towards Linear-time Incremental Structure from Motion, 2013: preemptive matching.
 """
+
+FIRST_FEATURES, ENOUGH_MATCHES = 3072, 200
+"""A pair is matched by this number of the largest features of each photo, and by all of them only
+if one of the two photos has fewer matches than this in its best pairs, at the median."""
 
 MIN_ALIKE = 2
 """Matches of the cheap look that must agree on a turn and a change of scale."""
@@ -69,12 +74,35 @@ def match(workspace: Workspace, pairs: Sequence[Pair]) -> None:
     """
     workspace.on_progress("matches", 0, len(pairs))
     alike = pairs_alike(workspace, pairs)
-    skipped = len(pairs) - len(alike)
+    done = len(pairs) - len(alike)
 
-    def count(done: int) -> None:
-        workspace.on_progress("matches", skipped + done, len(pairs))
+    def count(matched: int) -> None:
+        nonlocal done
+        done += matched
+        workspace.on_progress("matches", min(done, len(pairs)), len(pairs))
 
-    verify(workspace, _match(workspace, alike, MAX_RATIO, count), "geometry")
+    found = _match(workspace, alike, MAX_RATIO, count, FIRST_FEATURES)
+    thin = _thinly_matched(found)
+    with workspace.open() as database:
+        numbers = workspace.ids(database)
+        rich = [database.num_keypoints_for_image(one) > FIRST_FEATURES for one in numbers]
+    again = [(a, b) for a, b in alike if thin & {a, b} and (rich[a] or rich[b])]
+    done -= len(again)
+    found |= _match(workspace, again, MAX_RATIO, count)
+    _write_and_verify(workspace, found, "geometry")
+
+
+def _thinly_matched(found: Mapping[Pair, Matches]) -> set[int]:
+    """Find the photos whose best pairs have few matches."""
+    best = defaultdict[int, list[int]](list)
+    for pair, matches in found.items():
+        for place in pair:
+            best[place].append(len(matches))
+    return {
+        place
+        for place, counts in best.items()
+        if np.median(sorted(counts, reverse=True)[:LINKS]) < ENOUGH_MATCHES
+    }
 
 
 def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
@@ -83,14 +111,10 @@ def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
     with workspace.open() as database:
         for number in workspace.ids(database):
             keypoints = np.asarray(database.read_keypoints(number), np.float64)
-            # The first column of a feature's affine shape: its scale, turned by its orientation.
-            first = keypoints[:, [2, 4]]
-            scale = np.linalg.norm(first, axis=1)
-            largest = np.argsort(-scale, kind="stable")[:LOOK_FEATURES]
+            shape = turn_and_scale(keypoints)
+            largest = np.argsort(-shape[:, 1], kind="stable")[:LOOK_FEATURES]
             chosen.append(database.read_descriptors(number).data[largest])
-            shapes.append(
-                np.stack([np.arctan2(first[:, 1], first[:, 0]), np.log2(scale)], 1)[largest]
-            )
+            shapes.append(shape[largest])
     uploaded = nearest_descriptors.upload(device, chosen)
     alike = []
     for start in range(0, len(pairs), LOOK_BATCH):
@@ -100,6 +124,16 @@ def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
             if _most_alike(shapes[a][matches[:, 0]] - shapes[b][matches[:, 1]]) >= MIN_ALIKE:
                 alike.append((a, b))
     return alike
+
+
+def turn_and_scale(keypoints: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Compute (N, 2): orientation, radians, and logarithm to base 2 of the scale of each feature.
+
+    keypoints: (N, 6), position and affine shape.
+    """
+    first = keypoints[:, [2, 4]]  # of the shape: the scale, turned by the orientation
+    scale = np.log2(np.linalg.norm(first, axis=1))
+    return np.stack([np.arctan2(first[:, 1], first[:, 0]), scale], 1)
 
 
 def _most_alike(change: npt.NDArray[np.float64]) -> int:
@@ -148,27 +182,48 @@ def _distinct(found: Nearest, ratio: float) -> npt.NDArray[np.bool_]:
 
 
 def _match(
-    workspace: Workspace, pairs: Sequence[Pair], ratio: float, on_matched: Callable[[int], None]
-) -> list[Pair]:
-    """Match pairs by all features; returns the images' numbers of the pairs that it writes."""
-    done, strong = 0, []
+    workspace: Workspace,
+    pairs: Sequence[Pair],
+    ratio: float,
+    on_matched: Callable[[int], None],
+    features: int | None = None,
+) -> dict[Pair, Matches]:
+    """Match pairs by the largest ``features`` of each photo, None: by all of them.
+
+    ``on_matched`` receives the number of pairs that were matched since its last call.
+    """
+    matches = {}
     with workspace.open() as database:
         numbers = workspace.ids(database)
         for some in _by_tiles(pairs):
             used = sorted({place for pair in some for place in pair})
-            photos = [database.read_descriptors(numbers[place]).data for place in used]
+            rows, photos = [], []
+            for place in used:
+                keypoints = np.asarray(database.read_keypoints(numbers[place]), np.float64)
+                largest = np.argsort(-turn_and_scale(keypoints)[:, 1], kind="stable")
+                rows.append(np.sort(largest[:features]).astype(np.uint32))
+                photos.append(database.read_descriptors(numbers[place]).data[rows[-1]])
             uploaded = nearest_descriptors.upload(workspace.device, photos)
             local = [(used.index(a), used.index(b)) for a, b in some]
             for start in range(0, len(some), BATCH):
                 batch = local[start : start + BATCH]
                 found = mutual_matches(workspace.device, uploaded, photos, batch, ratio)
-                for (a, b), matches in zip(some[start:], found, strict=False):
-                    if len(matches) >= MIN_MATCHES:
-                        database.write_matches(numbers[a], numbers[b], matches)
-                        strong.append((numbers[a], numbers[b]))
-                done += len(batch)
-                on_matched(done)
-    return strong
+                for pair, (a, b), one in zip(some[start:], batch, found, strict=False):
+                    matches[pair] = np.stack([rows[a][one[:, 0]], rows[b][one[:, 1]]], 1)
+                on_matched(len(batch))
+    return matches
+
+
+def _write_and_verify(workspace: Workspace, found: Mapping[Pair, Matches], stage: str) -> None:
+    """Write the matches of each pair that has enough of them, and verify these pairs."""
+    strong = []
+    with workspace.open() as database:
+        numbers = workspace.ids(database)
+        for (a, b), matches in sorted(found.items()):
+            if len(matches) >= MIN_MATCHES:
+                database.write_matches(numbers[a], numbers[b], matches)
+                strong.append((numbers[a], numbers[b]))
+    verify(workspace, strong, stage)
 
 
 def _by_tiles(pairs: Sequence[Pair]) -> Iterator[list[Pair]]:
@@ -193,11 +248,15 @@ def match_again(workspace: Workspace, left_out: list[int]) -> None:
                 database.delete_two_view_geometry(first, second)
     stage = "second look"
 
-    def count(done: int) -> None:
+    done = 0
+
+    def count(matched: int) -> None:
+        nonlocal done
+        done += matched
         workspace.on_progress(stage, done, len(pairs))
 
     count(0)
-    verify(workspace, _match(workspace, pairs, LOOSE_RATIO, count), stage)
+    _write_and_verify(workspace, _match(workspace, pairs, LOOSE_RATIO, count), stage)
 
 
 def read_evidence(workspace: Workspace) -> Evidence:
