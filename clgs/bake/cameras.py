@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from clgs.data.dataset import RADIUS_MARGIN, SCENE_RADIUS
 from clgs.scene.camera import Camera
-from clgs.scene.scene import Scene, SceneTransform
+from clgs.scene.scene import Scene
 
 VIEWS = 96
 SIZE = 400
@@ -30,7 +30,7 @@ def cameras_around(scene: Scene) -> list[Camera]:
     """VIEWS cameras in scene units, evenly spread; always the same ones for a scene."""
     position = scene.anchors.position.astype(np.float64)
     middle = np.median(position, axis=0)
-    if scene.transform == SceneTransform():
+    if scene.transform.is_identity:
         extent = np.quantile(np.linalg.norm(position - middle, axis=1), MOST_ANCHORS)
         stand, radius = middle, float(extent) / np.sin(FIELD / 2)
     else:

@@ -33,6 +33,7 @@ from clgs.constants import K_OFFSETS
 from clgs.errors import UsageError
 from clgs.scene.anchors import QuantizedAnchors, take
 from clgs.scene.scene import QuantizedScene
+from clgs.scene.world import in_words
 
 Positions = npt.NDArray[np.int32]
 
@@ -170,8 +171,8 @@ def describe(data: bytes) -> dict[str, Any]:
 
     Keys: version, bytes, anchors, extent (the corners of the anchors' box, in the units of the
     input data; absent if there are none), level, origin, depth, chunks (anchors per chunk at most,
-    count), scales, transform, settings, content_hash (hex), and sections (bytes by tag,
-    ``container`` for the signature and the table).
+    count), scales, world (what these units are, in words), transform, settings, content_hash (hex),
+    and sections (bytes by tag, ``container`` for the signature and the table).
 
     Raises:
         CodecError: as ``decode``, but for damage that only decoding can show.
@@ -195,6 +196,7 @@ def describe(data: bytes) -> dict[str, Any]:
         "depth": meta.depth,
         "chunks": {"anchors": reader.head.chunk, "count": reader.head.count},
         "scales": dict(vars(meta.scales)),
+        "world": in_words(meta.transform.frame, meta.transform.place),
         "transform": dict(vars(meta.transform)),
         "settings": dict(vars(meta.settings)),
         "content_hash": meta.content_hash.hex(),

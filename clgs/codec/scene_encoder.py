@@ -12,6 +12,7 @@ from clgs.codec import octree, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import NearRows
 from clgs.codec.container.chunks import DEFAULT_CHUNK, MAX_CHUNK, MIN_CHUNK, TAGS, pack_directory
+from clgs.codec.container.geor import pack_geor
 from clgs.codec.container.meta import (
     LEVELS,
     Meta,
@@ -20,12 +21,23 @@ from clgs.codec.container.meta import (
     content_arrays,
     join_hashes,
 )
-from clgs.codec.container.sections import ANCH, CHNK, FEAT, META, MLPS, OFFS, SCAL, write_container
+from clgs.codec.container.sections import (
+    ANCH,
+    CHNK,
+    FEAT,
+    GEOR,
+    META,
+    MLPS,
+    OFFS,
+    SCAL,
+    write_container,
+)
 from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE
 from clgs.scene.scene import QuantizedScene
+from clgs.scene.world import LOCAL
 from clgs.shapes import Shapes
 
 
@@ -96,12 +108,16 @@ def encode(
         *(len(anchors), scene.scales, scene.transform, scene.settings, content),
         *(least, depth, level),
     )
+    transform = scene.transform
+    local = transform.frame == LOCAL
+    geor = {} if local else {GEOR: pack_geor(transform.frame, transform.place)}
     return write_container(
         {
             META: meta.pack(),
             CHNK: pack_directory(chunk, position, spans, headers, streams),
             **{tag: b"".join([headers[tag], *streams[tag]]) for tag in TAGS},
             MLPS: packed.result(),
+            **geor,
         }
     )
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from clgs.data.lens import Lens
 from clgs.data.reduction import EVERY
 from clgs.errors import DataError
-from clgs.scene.scene import LOCAL, Place
+from clgs.scene.world import LOCAL, NOWHERE, Place
 
 Y_UP = "polycam", "record3d"
 """Kinds of data sets whose world is that of ARKit."""
@@ -71,8 +71,8 @@ class PhotoSet:
     models: dict[str, int] = field(default_factory=dict)
     stray_masks: list[str] = field(default_factory=list)
     split: bool = False
-    frame: str = LOCAL
-    place: Place = (0.0, 0.0, 0.0)
+    frame: int = LOCAL
+    place: Place = NOWHERE
 
     def models_in_words(self) -> str:
         """A sentence on the COLMAP models if there are several, else nothing."""

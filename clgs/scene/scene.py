@@ -12,30 +12,28 @@ from clgs import constants
 from clgs.scene.anchors import AnchorSet, QuantizationScales, QuantizedAnchors, dequantize
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.mlps import Mlps
+from clgs.scene.world import LOCAL, NOWHERE, Place, is_world
 
 MIN_Q = 2.0**-64
 """The least Q and other scale; the greatest is its inverse."""
-
-
-FRAMES = LOCAL, METRES, EARTH, MAP = "local", "metres", "earth", "map"
-"""What a world is: one of its own units; one in metres; metres east, north and up of a place on the
-Earth; metres east, north and up on a map whose coordinate system is not named."""
-
-Place = tuple[float, float, float]
-"""Latitude and longitude in degrees, and altitude in metres, on the ellipsoid of WGS 84."""
 
 
 @dataclass(frozen=True)
 class SceneTransform:
     """Turns the data's world into scene units: scene = (world - centre) * scale, in float64.
 
-    frame: one of FRAMES; place: where the world's origin is, if that is EARTH.
+    frame: what the world is, as of clgs.scene.world; place: where its origin is, if that is EARTH.
     """
 
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     scale: float = 1.0
-    frame: str = LOCAL
-    place: Place = (0.0, 0.0, 0.0)
+    frame: float = LOCAL
+    place: Place = NOWHERE
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether scene units are the world's."""
+        return self.centre == (0.0, 0.0, 0.0) and self.scale == 1.0
 
     def to_scene(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """World points (N, 3) float64 to scene units."""
@@ -138,6 +136,7 @@ def check_ranges(
         *((f"Q of {name}", value, _is_scale(value)) for name, value in vars(scales).items()),
         ("transform scale", transform.scale, _is_scale(transform.scale)),
         *(("transform centre", value, True) for value in transform.centre),
+        ("transform frame", transform.frame, is_world(transform.frame, transform.place)),
         *(("background", value, 0 <= value <= 1) for value in settings.background),
         ("near", settings.near, _is_scale(settings.near)),
         ("alpha_cut", settings.alpha_cut, 0 < settings.alpha_cut < 1),

@@ -22,6 +22,7 @@ from clgs.files import atomic_write, check_declared
 from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform, check_ranges
+from clgs.scene.world import LOCAL
 from clgs.shapes import Shapes
 
 GROUPS: dict[str, Any] = {
@@ -35,6 +36,9 @@ ARRAY_NAMES = (
     *(f"{group}.{field}" for group, default in GROUPS.items() for field in asdict(default)),
 )
 """What a reader needs; ``world_position`` is for others."""
+
+LATER = "transform.frame", "transform.place"
+"""Fields that archives of LOCAL scenes lack, as older ones do."""
 
 DAMAGE = (
     *(ValueError, TypeError, KeyError, AttributeError, OSError, EOFError, MemoryError),
@@ -69,6 +73,8 @@ def save_scene(path: Path | str, scene: QuantizedScene) -> None:
     arrays["mlps"] = scene.mlps.flat
     for group in GROUPS:
         for name, value in asdict(getattr(scene, group)).items():
+            if f"{group}.{name}" in LATER and scene.transform.frame == LOCAL:
+                continue
             arrays[f"{group}.{name}"] = np.array(value, np.float64)
     position = scene.anchors.position / np.float64(scene.scales.position)
     arrays["world_position"] = scene.transform.to_world(position)
@@ -139,7 +145,7 @@ def describe_damage(error: BaseException) -> str:
 def _scene(arrays: dict[str, Any]) -> QuantizedScene:
     """The scene in ``arrays``; raises ValueError or TypeError, naming the array."""
     for name in ARRAY_NAMES:
-        if not isinstance(arrays.get(name), np.ndarray):
+        if name not in LATER and not isinstance(arrays.get(name), np.ndarray):
             raise ValueError(f"array {name} is missing")
     Shapes().check("mlps", arrays["mlps"], str(MLP_SIZE), np.float32)
     if not np.isfinite(arrays["mlps"]).all():
@@ -160,6 +166,9 @@ def _group(arrays: dict[str, Any], group: str) -> dict[str, Any]:
     """The fields of one of GROUPS: numbers and tuples of numbers, as its defaults are."""
     values = {}
     for field, default in asdict(GROUPS[group]).items():
+        if f"{group}.{field}" not in arrays:
+            values[field] = default
+            continue
         array = arrays[f"{group}.{field}"]
         spec = " ".join(map(str, np.shape(default)))
         Shapes().check(f"{group}.{field}", array, spec, np.float64)

@@ -39,6 +39,7 @@ from clgs.files import atomic_write, check_output
 from clgs.opencl.device import Device
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, QuantizedScene, SceneTransform, SplatScene
+from clgs.scene.world import EARTH, in_words
 from clgs.workflow.events import Note, OnEvent, counter, ignore
 from clgs.workflow.options import BAKE_STEPS, SH_DEGREES, ViewOptions
 from clgs.workflow.outputs import check_new
@@ -269,6 +270,9 @@ def _encode(
         return encoded
     encode = {".ply": encode_ply, ".spz": encode_spz, ".sog": encode_sog}[suffix]
     encoded = encode(gaussians, transform)
+    if suffix == ".spz" and transform.frame == EARTH:
+        where = in_words(transform.frame, transform.place)
+        on_event(Note(f"{output}: .spz does not hold where its origin is: {where}"))
     apart = np.abs(encoded.gaussians.mean - gaussians.mean).max(axis=1)
     moved, size = float(np.median(apart)), float(np.exp(np.median(gaussians.log_scale)))
     remedy = "--units scene puts their middle at the origin, and .glb keeps both"

@@ -17,6 +17,7 @@ from clgs.data.splats.sog import images_in
 from clgs.errors import CodecError, DataError
 from clgs.scene.scene import QuantizedScene, SplatScene
 from clgs.scene.storage import load_scene
+from clgs.scene.world import in_words
 from clgs.workflow.outputs import holds_run
 
 PLAN = "plan.json"
@@ -89,7 +90,7 @@ def describe_splats(path: Path) -> dict[str, Any]:
     """What a file of ordinary splats holds, ready for JSON.
 
     extent: the corners of the box of all means, in the file's units; origin: what float32 positions
-    are relative to while the splats are drawn.
+    are relative to while the splats are drawn; world: what these units are, in words.
 
     Raises:
         DataError: no such file, or it is damaged.
@@ -104,6 +105,7 @@ def describe_splats(path: Path) -> dict[str, Any]:
         "degree": scene.gaussians.degree,
         "antialiased": scene.gaussians.antialiased,
         "extent": {"least": mean.min(axis=0).tolist(), "greatest": mean.max(axis=0).tolist()},
+        "world": in_words(scene.transform.frame, scene.transform.place),
         "origin": list(scene.transform.centre),
         "near": scene.settings.near,
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -13,11 +14,13 @@ from clgs.codec import octree, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.container import chunks, sections
 from clgs.codec.container.chunks import HEAD_SIZE, TAGS, ByteRange, Chunk
+from clgs.codec.container.geor import unpack_geor
 from clgs.codec.container.meta import SCALING_DIM, unpack_meta
 from clgs.codec.container.sections import (
     ANCH,
     CHNK,
     FEAT,
+    GEOR,
     META,
     MLPS,
     OFFS,
@@ -52,6 +55,11 @@ class SceneReader:
         self._source = source
         self._entries = table.entries
         self.meta = guarded(sections.read_section(source, table.entries[META]), unpack_meta)
+        if GEOR in table.entries:
+            geor = sections.read_section(source, table.entries[GEOR])
+            frame, place = guarded(geor, unpack_geor)
+            transform = replace(self.meta.transform, frame=frame, place=place)
+            self.meta = replace(self.meta, transform=transform)
         part = self._read(CHNK, ByteRange(0, min(HEAD_SIZE, table.entries[CHNK].length)))
         rest = self._read(CHNK, ByteRange(HEAD_SIZE, guarded(part, chunks.head_size) - HEAD_SIZE))
         part = Section(CHNK, part.offset, memoryview(b"".join([part.data, rest.data])))

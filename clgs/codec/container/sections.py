@@ -22,12 +22,15 @@ META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS = "META", "CHNK", "ANCH", "OFFS", "FEAT
 SCENE = (META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS)
 """The required sections of a file that holds a scene, in file order."""
 
+GEOR = "GEOR"
+"""A section that a file of a scene may have, after the required ones."""
+
 SPLT, SPOS, SMUL, SATR = "SPLT", "SPOS", "SMUL", "SATR"
 SPLATS = (SPLT, SPOS, SMUL, SATR)
 """The required sections of a file that holds splats in place of a scene."""
 
-MAJOR, MINOR = 1, 0
-"""The version that is written. Every minor version of this major one can be read."""
+MAJOR, MINOR, MINOR_WITH_GEOR = 1, 0, 1
+"""The versions that are written. Every minor version of this major one can be read."""
 
 REQUIRED = 1
 """Flag of a section that a reader must understand."""
@@ -130,12 +133,14 @@ def damage(where: str, what: str) -> CodecError:
 
 
 def write_container(contents: dict[str, bytes]) -> bytes:
-    """The file that holds ``contents`` (tag to bytes, all required), in the given order."""
+    """The file that holds ``contents`` (tag to bytes, all required but GEOR), in this order."""
+    minor = MINOR_WITH_GEOR if GEOR in contents else MINOR
     offset = _HEAD.size + len(contents) * _ENTRY.size + _CRC.size
-    header = _HEAD.pack(MAGIC, MAJOR, MINOR, len(contents))
+    header = _HEAD.pack(MAGIC, MAJOR, minor, len(contents))
     for tag, data in contents.items():
         crc = _codec.crc32c(data)
-        header += _ENTRY.pack(tag.encode("ascii"), REQUIRED, offset, len(data), crc, 0)
+        flags = 0 if tag == GEOR else REQUIRED
+        header += _ENTRY.pack(tag.encode("ascii"), flags, offset, len(data), crc, 0)
         offset += len(data)
     return b"".join([header, _CRC.pack(_codec.crc32c(header)), *contents.values()])
 
@@ -151,7 +156,8 @@ def read_container(data: bytes, splats: bool = False) -> tuple[SectionTable, dic
     source = BytesSource(data)
     table = read_table(source, splats)
     sections = {tag: read_section(source, entry) for tag, entry in table.entries.items()}
-    return table, {tag: sections[tag] for tag in (SPLATS if splats else SCENE)}
+    known = SPLATS if splats else (*SCENE, GEOR)
+    return table, {tag: sections[tag] for tag in known if tag in sections}
 
 
 def read_section(source: RandomAccess, entry: SectionEntry) -> Section:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from clgs.scene.scene import MAP, METRES, Place
+from clgs.scene.world import MAP, METRES, Place
 
 Floats = npt.NDArray[np.float64]
 
@@ -54,6 +54,6 @@ def axes_at(place: Place) -> Floats:
     )
 
 
-def frame_of(centres: Floats) -> str:
+def frame_of(centres: Floats) -> int:
     """MAP if cameras (N, 3) in metres are so far from the origin that it is a map's, or METRES."""
     return MAP if np.abs(np.median(centres, axis=0)).max() > LARGE else METRES

@@ -31,7 +31,7 @@ from clgs.data.programs.listing import (
     whole_size,
 )
 from clgs.errors import DataError
-from clgs.scene.scene import EARTH, LOCAL, METRES, Place
+from clgs.scene.world import EARTH, LOCAL, METRES, NOWHERE, Place
 
 Floats = npt.NDArray[np.float64]
 
@@ -60,8 +60,8 @@ class _World:
     rotation: Floats
     translation: Floats
     scale: float
-    frame: str
-    place: Place = (0.0, 0.0, 0.0)
+    frame: int
+    place: Place = NOWHERE
 
 
 CHUNK = _World(np.eye(3), np.zeros(3), 1.0, LOCAL)

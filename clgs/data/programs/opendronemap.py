@@ -31,7 +31,7 @@ from clgs.data.programs.listing import (
     whole_size,
 )
 from clgs.errors import DataError
-from clgs.scene.scene import EARTH
+from clgs.scene.world import EARTH
 
 KIND = "opendronemap"
 

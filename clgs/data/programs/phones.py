@@ -27,7 +27,7 @@ from clgs.data.programs.listing import (
     whole_size,
 )
 from clgs.errors import DataError
-from clgs.scene.scene import METRES
+from clgs.scene.world import METRES
 
 POLYCAM, RECORD3D = "polycam", "record3d"
 

@@ -25,6 +25,8 @@ from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.scene import MIN_Q, QuantizedScene, RenderSettings, SceneTransform, check_ranges
+from clgs.scene.storage import LATER
+from clgs.scene.world import LOCAL
 
 POSITION, NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
 OFFSET = [f"f_offset_{i}" for i in range(3 * K_OFFSETS)]
@@ -175,6 +177,7 @@ def _comments(scene: QuantizedScene) -> list[str]:
         f"{COMMENT} {group}.{name} {' '.join(repr(float(x)) for x in np.atleast_1d(value))}"
         for group in _GROUPS
         for name, value in asdict(getattr(scene, group)).items()
+        if f"{group}.{name}" not in LATER or scene.transform.frame != LOCAL
     ]
 
 

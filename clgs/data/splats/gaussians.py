@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from clgs.data.splats.read import (
     ANTIALIASED,
     DC,
     FEATURE_OF_ANCHORS,
+    MARK,
     POSITION,
     REST,
     ROTATION,
@@ -26,6 +27,7 @@ from clgs.data.splats.read import (
 from clgs.errors import CodecError, DataError
 from clgs.scene.gaussians import DEGREES, OrdinaryGaussians
 from clgs.scene.scene import RenderSettings, SceneTransform, SplatScene
+from clgs.scene.world import from_text
 
 FINE = 2.0**-10
 """Positions in float32 must be this many times finer than half of the splats are large."""
@@ -52,9 +54,9 @@ def load_splats(path: Path | str) -> SplatScene:
     if path.suffix.lower() != ".clgs":
         table = read_splat_table(path)
         columns = dict(table.columns)
-        if table.comments:
+        if MARK in table.comments:
             columns[ANTIALIASED] = np.ones(1)
-        return scene_of(columns, path)
+        return scene_of(columns, path, table.comments)
     try:
         return scene_of_packed(unpack(path.read_bytes()), path)
     except FileNotFoundError:
@@ -78,8 +80,10 @@ def lacking(names: Collection[str]) -> list[str]:
     return [name for name in (*POSITION, *DC, "opacity", *SCALE, *ROTATION) if name not in names]
 
 
-def scene_of(columns: Columns, path: Path) -> SplatScene:
+def scene_of(columns: Columns, path: Path, comments: Sequence[str] = ()) -> SplatScene:
     """The scene of columns (N,) by name of the property; ``path`` is named in errors.
+
+    ``comments``: one of them may say what the world is.
 
     Raises:
         DataError: a property is missing, or there are no splats.
@@ -123,7 +127,9 @@ def scene_of(columns: Columns, path: Path) -> SplatScene:
     if lost := int((~found.rotation.any(axis=1)).sum()):
         text = "%s: %d of %d splats have a rotation of length 0, so that they cannot be seen"
         _log.warning(text, path, lost, len(found))
-    return SplatScene(found, RenderSettings(near=near), SceneTransform(tuple(middle.tolist())))
+    world = from_text(list(comments))
+    transform = SceneTransform(tuple(middle.tolist()), 1.0, *world)
+    return SplatScene(found, RenderSettings(near=near), transform)
 
 
 def is_far(centre: npt.NDArray[np.float64], log_scale: npt.NDArray[np.float32]) -> bool:

@@ -60,7 +60,7 @@ def read_splats(path: Path, steps: dict[str, float]) -> tuple[QuantizedSplats, d
         UsageError: a property without a step, or a step for none.
     """
     table = read_splat_table(path)
-    if table.comments:
+    if MARK in table.comments:
         table.columns[ANTIALIASED] = np.ones(len(table), np.int32)
     if FEATURE_OF_ANCHORS in table.columns:
         raise DataError(f"{path}: holds anchors, no splats; `clgs encode` takes it")

@@ -19,6 +19,7 @@ from clgs.data.splats import compressed_ply, sog, spz
 from clgs.data.splats.numbers import SH_0, logit, sigmoid
 from clgs.data.splats.table import PlyTable, element_names, parse_ply, reading
 from clgs.scene.gaussians import MAX_DEGREE
+from clgs.scene.world import from_text, to_text
 
 DC = [f"f_dc_{i}" for i in range(3)]
 POSITION = ["x", "y", "z"]
@@ -50,7 +51,7 @@ Columns = dict[str, npt.NDArray[Any]]
 
 
 def read_splat_table(path: Path) -> PlyTable:
-    """The splats of a file; the only comment is MARK, if they must be drawn antialiased.
+    """The splats of a file; comments are MARK, if they must be drawn antialiased, and their world.
 
     Infinite opacities and infinitely thin splats become finite, colors of 8 bits become f_dc,
     2-D splats get a third scale, a filter is made part of the splats, and coefficients of a degree
@@ -77,7 +78,8 @@ def read_splat_table(path: Path) -> PlyTable:
         )
         if "opacity" in columns and FEATURE_OF_ANCHORS not in columns:
             antialiased |= _as_3dgs(columns, path)
-    return PlyTable(columns, [MARK] * antialiased)
+    world = [text] if (text := to_text(*from_text(table.comments))) else []
+    return PlyTable(columns, [MARK] * antialiased + world)
 
 
 def is_antialiased(comments: list[str]) -> bool:

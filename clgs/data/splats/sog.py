@@ -143,12 +143,19 @@ def _decode(text: bytes, size: int, files: Open) -> PlyTable:
     found["opacity"] = base[first[:, 3], 3] if version == 1 else logit(first[:, 3] / 255.0)
     found |= {f"scale_{i}": scale[:, i] for i in range(3)}
     found |= {f"rot_{i}": rotation[:, i] for i in range(4)}
-    antialiased = meta.get("model") == MODEL or meta.get("antialias") is True
     columns: dict[str, npt.NDArray[Any]] = {
         name: column if name in "xyz" else column.astype(np.float32)
         for name, column in found.items()
     }
-    return PlyTable(columns, ["antialiased 1"] if antialiased else [])
+    return PlyTable(columns, _comments(meta))
+
+
+def _comments(meta: dict[str, Any]) -> list[str]:
+    """What the comments of a PLY file would say: antialiased drawing, and the world."""
+    antialiased = meta.get("model") == MODEL or meta.get("antialias") is True
+    asset = meta.get("asset")
+    world = asset.get("world") if isinstance(asset, dict) else None
+    return [*["antialiased 1"] * antialiased, *([world] if isinstance(world, str) else [])]
 
 
 def _look_up(table: Floats, pixels: npt.NDArray[np.int64]) -> Floats:

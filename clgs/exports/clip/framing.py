@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.scene.camera import Camera
-from clgs.scene.scene import QuantizedScene, SceneTransform, SplatScene
+from clgs.scene.scene import QuantizedScene, SplatScene
 
 Vector = npt.NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def frame_scene(
     held = _quantile(distance, weight, HELD) or 1.0
     narrow = np.radians(DEFAULT_FOV) * min(1.0, size[0] / size[1])
     far = held / np.sin(narrow / 2)
-    if isinstance(scene, QuantizedScene) and scene.transform != SceneTransform():
+    if isinstance(scene, QuantizedScene) and not scene.transform.is_identity:
         far = min(far, REACH)
     chosen = guess_up(position - centre, scene) if up is None else up
     tilt = np.radians(ELEVATION)
@@ -107,7 +107,7 @@ def guess_up(offset: Vector, scene: QuantizedScene | SplatScene) -> Vector:
     Those are the axes that data sets have: z of transforms.json, -y of COLMAP.
     """
     z, minus_y = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
-    if isinstance(scene, QuantizedScene) and scene.transform == SceneTransform():
+    if isinstance(scene, QuantizedScene) and scene.transform.is_identity:
         return z
     spread = np.percentile(np.abs(offset), 75, axis=0)
     return z if spread[2] <= spread[1] else minus_y

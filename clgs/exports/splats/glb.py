@@ -22,6 +22,7 @@ from clgs.data.splats.numbers import SH_0, sigmoid, unit_rotation
 from clgs.exports.splats.encoded import Encoded, file_units, scene_units
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, SceneTransform
+from clgs.scene.world import to_text
 
 EXTENSION = "KHR_gaussian_splatting"
 SPACE = {
@@ -80,8 +81,11 @@ def encode_glb(
     }
     if gaussians.antialiased:  # the extension has no word for it
         primitive["extras"] = {"antialiased": True}
+    asset: dict[str, Any] = {"version": "2.0", "generator": "clgs"}
+    if world := to_text(transform.frame, transform.place):
+        asset["extras"] = {"world": world}
     document = {
-        "asset": {"version": "2.0", "generator": "clgs"},
+        "asset": asset,
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],

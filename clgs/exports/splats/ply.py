@@ -15,6 +15,7 @@ from clgs.data.splats.table import PlyTable, pack_ply
 from clgs.exports.splats.encoded import Encoded, file_units, scene_units
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, SceneTransform
+from clgs.scene.world import to_text
 
 
 def encode_ply(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -> Encoded:
@@ -37,5 +38,8 @@ def encode_ply(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -
         for names, values in parts
         for i, name in enumerate(names)
     }
-    table = PlyTable(columns, ["baked by clgs", *[MARK] * gaussians.antialiased])
+    comments = ["baked by clgs", *[MARK] * gaussians.antialiased]
+    if world := to_text(transform.frame, transform.place):
+        comments.append(world)
+    table = PlyTable(columns, comments)
     return Encoded(pack_ply(table), scene_units(gaussians, written, log_scale, transform))

@@ -24,6 +24,7 @@ from clgs.data.splats.sog import (
 from clgs.exports.splats.encoded import Encoded, as_read, file_units
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, SceneTransform
+from clgs.scene.world import to_text
 
 Bytes = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]
@@ -89,6 +90,8 @@ def encode_sog(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -
         "quats": {"files": ["quats.webp"]},
         "sh0": {"codebook": color_table.tolist(), "files": ["sh0.webp"]},
     }
+    if world := to_text(transform.frame, transform.place):
+        meta["asset"]["world"] = world
     if gaussians.antialiased:
         meta |= {"model": MODEL, "antialias": True}
     if gaussians.degree:

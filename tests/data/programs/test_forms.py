@@ -13,7 +13,8 @@ from clgs.doctor.dataset import examine
 from clgs.doctor.finding import ERROR
 from clgs.render.renderer import Renderer
 from clgs.scene.gaussians import OrdinaryGaussians
-from clgs.scene.scene import EARTH, METRES, SplatScene
+from clgs.scene.scene import SplatScene
+from clgs.scene.world import EARTH, MAP, METRES
 from tests.data.programs.captures import FORMS, PLACE, Capture
 
 BROWN = {"k1": -0.08, "k2": 0.03, "k3": -0.004, "p1": 0.0012, "p2": -0.0007}
@@ -124,7 +125,7 @@ def test_a_map_is_told_from_a_world_of_its_own(tmp_path: Path):
     capture = replace(capture, poses=[far @ pose for pose in capture.poses])
     capture.points = capture.points + far[:3, 3]
     found = load_dataset(capture.form("realityscan"))
-    assert found.transform.frame == "map"
+    assert found.transform.frame == MAP
     assert (
         np.abs(np.subtract(found.transform.centre, near.transform.centre) - far[:3, 3]).max() < 1e-8
     )
