@@ -14,7 +14,9 @@ from clgs import _codec
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "contributing"
-COPIED = (".ci", "clgs", "codec_c", "docs", "kernels_cl", "scripts", "tests", "web")
+LEFT_OUT = {"build", "dist"}
+"""Folders that are made from the sources; so are hidden ones, but for .ci."""
+
 RUN = """\
 import sys
 sys.meta_path[:] = [one for one in sys.meta_path if "ScikitBuild" not in type(one).__name__]
@@ -33,11 +35,13 @@ sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", *sys.argv[3:]]))
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
     """A copy of the checkout's sources that can run."""
-    for folder in COPIED:
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pyc*"))
-    for file in ROOT.glob("*.*"):
-        if file.is_file():
-            shutil.copy(file, tmp_path)
+    caches = shutil.ignore_patterns("__pycache__")
+    for entry in ROOT.iterdir():
+        made = entry.name in LEFT_OUT or (entry.name[0] == "." and entry.name != ".ci")
+        if entry.is_dir() and not made:
+            shutil.copytree(entry, tmp_path / entry.name, ignore=caches)
+        elif entry.is_file():
+            shutil.copy(entry, tmp_path)
     (tmp_path / "clgs" / "kernels_cl").symlink_to(tmp_path / "kernels_cl")
     extension = Path(_codec.__file__)
     (tmp_path / "clgs" / extension.name).symlink_to(extension)
