@@ -6,7 +6,7 @@ import logging
 import os
 import shlex
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from clgs.arguments import as_path, check_integer
 from clgs.data.colmap.model import find_model, read_colmap
 from clgs.data.complaints import check_masks, check_photos, find_astray
 from clgs.data.images import Pixels, box_resized, check_chunks, check_image, list_images, read_image
-from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
+from clgs.data.lens import VIEWS, forget_sources, undistort_lens, undistort_pixels
 from clgs.data.masks import StoredMask, list_masks, read_mask
 from clgs.data.photo_cache import is_worth_keeping, kept_pixels
 from clgs.data.point_file import read_points
@@ -156,6 +156,7 @@ def load_dataset(
     seed: int = 0,
     masks: str = IGNORE,
     test_every: int = EVERY,
+    fisheye_view: float = 0.0,
 ) -> Dataset:
     """The data set in the folder ``path``: the cameras of any program that the guide lists.
 
@@ -179,6 +180,8 @@ def load_dataset(
         masks: "ignore": masked pixels are compared with nothing; "object": they are transparent.
         test_every: every photo of this number is held out, by name, unless the data set itself
             says which are; 0: none are, not even those.
+        fisheye_view: degrees that undistorted photos of fisheye lenses show at most, across and
+            down; 0: all that fits into twice the width and the height.
 
     Raises:
         DataError: nothing usable there; one line with file, field and remedy.
@@ -192,6 +195,11 @@ def load_dataset(
     points_file = None if points_file is None else as_path("points_file", points_file)
     reduction = Reduction(downscale, max_size)
     photos = read_photo_set(root, test_every)
+    if fisheye_view and not VIEWS[0] <= fisheye_view <= VIEWS[1]:
+        allowed = "0 or {:g} to {:g} degrees".format(*VIEWS)
+        raise DataError(f"fisheye_view is {fisheye_view}; give {allowed}")
+    for listed in (photos.train, photos.test):
+        listed[:] = [replace(p, lens=replace(p.lens, view=fisheye_view)) for p in listed]
     check_photos(root, photos, reduction)
     check_masks(root, photos, masks)
     transform, radius = _normalise(photos, preset_units, find_astray(root, photos))

@@ -91,6 +91,7 @@ def load_views(
         load_images=False,
         masks=options.masks or trained.masks,
         test_every=trained.test_every if test_every is None else test_every,
+        fisheye_view=trained.fisheye_view,
     )
     posed = repose(dataset, scene.transform)
     if not isinstance(scene, SplatScene):

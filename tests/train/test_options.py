@@ -54,6 +54,7 @@ def other_value(one: Option) -> Any:
     if one.kind == Pair:
         return tuple(2 * rate for rate in one.default)
     steps = {"growth_end": -1, "target_size": 100_000, "max_anchors": 1000, "start_points": 9}
+    steps["fisheye_view"] = 110
     return (one.default or 0) + steps.get(one.name, 1)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from clgs.constants import NEAR_PLANE
+from clgs.data.lens import VIEWS
 from clgs.data.reduction import EVERY, IGNORE, LEAST_SIZE, MAX_SIZE, MEANINGS
 from clgs.options import PRESETS
 from clgs.train.config.option import POSITIVE, WEIGHT, Range, Text, at_least, option
@@ -184,6 +185,14 @@ class PhotoSettings:
         "not even those",
         at_least(0),
         unit="photos",
+        later=True,
+    )
+    fisheye_view: float = option(
+        0.0,
+        "degrees that undistorted photos of fisheye lenses show at most, across and down; 0: all "
+        "that fits into twice the width and the height",
+        Range(*VIEWS, or_zero=True),
+        unit="degrees",
         later=True,
     )
     exposure: bool = option(

@@ -44,6 +44,7 @@ def load_for(
         seed=config.seed,
         masks=config.masks,
         test_every=config.test_every,
+        fisheye_view=config.fisheye_view,
     )
     return with_points(dataset, config, cache, on_stage)
 

@@ -11,6 +11,7 @@ import pytest
 from clgs.data.dataset import load_dataset
 from clgs.doctor.dataset import examine
 from clgs.doctor.finding import ERROR
+from clgs.errors import DataError
 from clgs.render.renderer import Renderer
 from clgs.scene.gaussians import OrdinaryGaussians
 from clgs.scene.scene import SplatScene
@@ -61,6 +62,21 @@ def test_fisheye_is_that_of_the_colmap_form(tmp_path: Path, form: str):
     for wanted, view in pairs:
         assert np.abs(view.camera.translation - wanted.camera.translation).max() <= 1e-6
         assert np.array_equal(view.photo.pixels().color, wanted.photo.pixels().color)
+
+
+def test_fisheye_photos_show_the_chosen_view(tmp_path: Path):
+    capture = Capture(tmp_path, (60.0, 60.0), coefficients=FISHEYE, model="OPENCV_FISHEYE")
+    root = capture.form("metashape")
+    whole, narrow = load_dataset(root).train[0], load_dataset(root, fisheye_view=70).train[0]
+    assert narrow.camera.width < whole.camera.width
+    assert abs(narrow.camera.width / 2 - 60 * np.tan(np.radians(35))) <= 1
+    assert narrow.photo.pixels().size == (narrow.camera.width, narrow.camera.height)
+    left = round(whole.camera.cx - narrow.camera.cx)
+    top = round(whole.camera.cy - narrow.camera.cy)
+    part = whole.photo.pixels().color[top:, left:][: narrow.camera.height, : narrow.camera.width]
+    assert np.array_equal(narrow.photo.pixels().color, part)
+    with pytest.raises(DataError, match="fisheye_view is 5; give 0 or 10 to 160 degrees"):
+        load_dataset(root, fisheye_view=5)
 
 
 @pytest.mark.parametrize("form", OTHERS)
