@@ -63,7 +63,7 @@ class Lens:
 class SplatGradients:
     """Gradients by the fields of :class:`Splats`, and of the camera's matrix.
 
-    d_camera (3, N, 4): the share of every Gaussian in the rows of [R | t]; None if not wanted.
+    d_camera (3, 4, N): the share of every Gaussian in [R | t]; None if not wanted.
     """
 
     d_mean: DeviceArray
@@ -157,7 +157,7 @@ def backward(
         d_shape=device.empty(splats.shape.shape),
         d_rotation=None if rotation is None else device.empty((count, 4)),
         d_opacity=device.empty((count,)),
-        d_camera=device.empty((3, count, 4)) if want_camera else None,
+        d_camera=device.empty((3, 4, count)) if want_camera else None,
     )
     unused = device.empty((1,))
     device.run(

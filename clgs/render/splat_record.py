@@ -123,7 +123,7 @@ class Record:
         if d.d_absolute is not None:
             result["absgrad"] = device.download(d.d_absolute)
         d_matrix = np.zeros((4, 4))
-        d_matrix[:3] = device.download(made.d_camera).sum(axis=1, dtype=np.float64)
+        d_matrix[:3] = device.download(made.d_camera).sum(axis=2, dtype=np.float64)
         if not drawn.projected.color.shape[1]:
             pass  # depth alone
         elif view.harmonics is None or self.sh_degree is None:

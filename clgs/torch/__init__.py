@@ -22,7 +22,7 @@ from clgs.render.splat_arguments import check_arguments, check_numbers, check_si
 from clgs.render.splat_meta import Meta, meta_of
 from clgs.render.splat_record import SMALLEST_ALPHA
 from clgs.torch.functions import Blend, Harmonics, Project
-from clgs.torch.tensors import Call, checked, packed_rows
+from clgs.torch.tensors import Call, checked, host_of, packed_rows
 
 STRATEGIES = ("DefaultStrategy", "MCMCStrategy", "Strategy")
 
@@ -131,9 +131,9 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
     ]  # fmt: skip
     seen: tuple[Tensor, ...] = Project.apply(call, *flat)
     centres, whitening, depths, shown, extents = seen
-    radii = torch.ceil(extents).to(torch.int32)
+    reach = np.ceil(host_of(extents)).astype(np.int32)  # PyTorch's threads would wait for OpenCL's
     if packed:
-        call.rows = torch.nonzero((radii[..., 0] > 0).reshape(-1))[:, 0]
+        call.rows = torch.from_numpy(np.flatnonzero(reach[..., 0]))
         means2d = packed_rows(call, centres)
     else:
         means2d = centres.reshape(*given.batch, *centres.shape[1:])
@@ -147,7 +147,7 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
     if "ED" in render_mode:
         divisor = alphas.clamp(min=SMALLEST_ALPHA)
         image = torch.cat([image[..., :-1], image[..., -1:] / divisor], dim=-1)
-    meta = _meta(call, packed, means2d, radii, depths, whitening, shown)
+    meta = _meta(call, packed, means2d, torch.from_numpy(reach), depths, whitening, shown)
     return (
         image.reshape(*given.batch, *image.shape[1:]),
         alphas.reshape(*given.batch, *alphas.shape[1:]),
@@ -211,12 +211,13 @@ def _meta(
 
     known = {name: value for name, value in host.items() if not name.endswith("_ids")}
     known |= {name: tensor_of(name) for name in ("batch_ids", "camera_ids", "gaussian_ids")}
-    known |= {
-        "radii": shaped(radii),
-        "means2d": means2d,
-        "depths": shaped(depths),
-        "opacities": shaped(opacities),
-    }
+    known["means2d"] = means2d
     lazy = ("tiles_per_gauss", "isect_ids", "flatten_ids", "isect_offsets")
     makers = {name: lambda name=name: tensor_of(name) for name in lazy}
-    return Meta(known, {**makers, "conics": conics})
+    rest = {
+        "radii": lambda: shaped(radii),
+        "depths": lambda: shaped(depths),
+        "opacities": lambda: shaped(opacities),
+        "conics": conics,
+    }
+    return Meta(known, {**makers, **rest})

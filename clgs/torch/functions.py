@@ -91,7 +91,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
             with device.stage("views backward"):
                 made = views.backward(device, splats, camera, call.lens, seen, given, want_camera)
             if made.d_camera is not None:
-                rows = device.download(made.d_camera).sum(axis=1, dtype=np.float64)
+                rows = device.download(made.d_camera).sum(axis=2, dtype=np.float64)
                 d_viewmats[batch, number, :3] = rows
             for name in ("d_mean", "d_shape", "d_rotation", "d_opacity"):
                 array = getattr(made, name)
@@ -159,7 +159,7 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         # the tensors own the memory that the device has
         ctx.save_for_backward(centres, whitening, depths, opacities, extents, colors, backgrounds)
         ctx.call, ctx.left = call, left
-        return image, 1 - left[..., None]
+        return image, torch.from_numpy(1 - host_of(left))[..., None]
 
     @staticmethod
     def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:

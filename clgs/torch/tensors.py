@@ -85,6 +85,6 @@ def unpacked_rows(call: Call, some: Tensor, sizes: torch.Size) -> Tensor:
     """The mirror of packed_rows, of (..., 2); zeros elsewhere."""
     if call.rows is None:
         return some.reshape(*sizes, 2)
-    every = torch.zeros(sizes.numel(), 2)
-    every[call.rows] = some.detach()
-    return every.reshape(*sizes, 2)
+    every = np.zeros((sizes.numel(), 2), np.float32)
+    every[call.rows.numpy()] = host_of(some)
+    return torch.from_numpy(every).reshape(*sizes, 2)

@@ -287,7 +287,7 @@ static inline void point_gradient(const Sight *s, const fv d_mean2d[2], const fv
 #endif
 }
 
-/* Gradients of the Gaussians and of the camera; zero for culled Gaussians. d_camera: (3, count, 4)
+/* Gradients of the Gaussians and of the camera; zero for culled Gaussians. d_camera: (3, 4, count)
  * by the rows of the camera's matrix, for each Gaussian, if `want_camera` is not 0. */
 __kernel void views_backward(__global const float *mean, __global const float *shape,
                              __global const float *rotation, __global const float *opacity,
@@ -340,7 +340,8 @@ __kernel void views_backward(__global const float *mean, __global const float *s
             for (int i = 0; i < 3; ++i)
                 d_row[i] = fma(d_seen[k][row], s.root[k][i], d_row[i]);
         blank(drawn, 4, d_row);
-        store_rows4(d_row, d_camera + 4 * (size_t)count * (size_t)row, item, used);
+        for (int i = 0; i < 4; ++i)
+            store_rows1(d_row + i, d_camera + (size_t)count * (size_t)(4 * row + i), item, used);
     }
 #if BY_COVARIANCE
     fv d_cov[6];

@@ -14,7 +14,7 @@ LAYERS = [  # a package may import from its own row and the rows above it
     {"opencl", "scene"},
     {"ops", "codec", "data"},
     {"render", "exports", "poses"},
-    {"bake", "torch", "train"},
+    {"bake", "jax", "torch", "train"},
     {"viewer", "workflow"},
     {"cli", "doctor"},
     {"__main__", "lab"},  # the laboratory measures the product, which never needs it

@@ -97,8 +97,8 @@ def test_agrees_with_reference(device, rng, parallel, compensated, by_covariance
     assert relative_l2(device.download(made.d_mean), expected.d_mean) < 1e-5
     assert relative_l2(device.download(made.d_opacity), expected.d_opacity) < 1e-5
     by_camera = device.download(made.d_camera)
-    assert not by_camera[:, ~drawn].any()
-    assert relative_l2(by_camera.sum(axis=1, dtype=np.float64), expected.d_camera) < 1e-5
+    assert not by_camera[..., ~drawn].any()
+    assert relative_l2(by_camera.sum(axis=2, dtype=np.float64), expected.d_camera) < 1e-5
     if by_covariance:
         both = expected.d_covariance * (2 - np.eye(3))
         assert relative_l2(device.download(made.d_shape), both[:, UPPER[0], UPPER[1]]) < 2e-5

@@ -1,0 +1,46 @@
+"""``clgs.jax``: the pictures and gradients of the NumPy form, under jit, grad and vmap."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+jax = pytest.importorskip("jax", reason="JAX is not installed: pip install clgs[jax]")
+
+import clgs  # noqa: E402
+import clgs.jax as ours  # noqa: E402
+from tests.render.splat_scene import scene  # noqa: E402
+
+
+@pytest.mark.parametrize("by_covars", [False, True])
+def test_has_the_pictures_and_gradients_of_the_numpy_form(rng, by_covars):
+    given = scene(rng)
+    given["backgrounds"] = rng.uniform(0, 1, (2, 3)).astype(np.float32)
+    if by_covars:
+        axes = rng.normal(0, 0.2, (40, 3, 3))
+        given["covars"] = (axes @ axes.swapaxes(-1, -2)).astype(np.float32)
+        given.update(quats=None, scales=None)
+    image, alpha, meta = clgs.rasterization(**given, render_mode="RGB+D")
+    weight = rng.normal(size=image.shape).astype(np.float32)
+    wanted = meta["record"].backward(weight, np.ones_like(alpha))
+    arrays = {name: value for name, value in given.items() if isinstance(value, np.ndarray)}
+    rest = {name: value for name, value in given.items() if name not in arrays}
+
+    def loss(arrays):
+        picture, alphas = ours.rasterization(**arrays, **rest, render_mode="RGB+D")
+        return (picture * weight).sum() + alphas.sum(), (picture, alphas)
+
+    made, (picture, alphas) = jax.jit(jax.grad(loss, has_aux=True))(arrays)
+    assert np.array_equal(picture, image)
+    assert np.array_equal(alphas, alpha)
+    assert not np.asarray(made.pop("Ks")).any()
+    for name, gradient in made.items():
+        assert np.array_equal(gradient, wanted[name]), name
+
+
+def test_vmap(rng):
+    given = scene(rng)
+    means = np.stack([given.pop("means"), scene(rng)["means"]])
+    drawn = jax.vmap(lambda one: ours.rasterization(means=one, **given)[0])(means)
+    for one, picture in zip(means, drawn, strict=True):
+        assert np.array_equal(picture, clgs.rasterization(means=one, **given)[0])
