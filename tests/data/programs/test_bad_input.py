@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -143,7 +144,7 @@ def test_realityscan_looks_where_heading_pitch_and_roll_say(tmp_path: Path):
 
 def test_other_tables_and_documents_are_no_cameras(tmp_path: Path):
     root = Capture(tmp_path).form("colmap")
-    (root / "sparse").rename(root / "away")
+    shutil.rmtree(root / "sparse")
     (root / "points.csv").write_text("name,x,y\na,1,2\n")
     (root / "notes.xml").write_text("<notes/>")
     (root / "metadata.json").write_text('{"poses": []}')
