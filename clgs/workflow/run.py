@@ -21,6 +21,8 @@ from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
 from clgs.workflow.options import PATHS
 from clgs.workflow.run_plan import (
     DEFAULT_SECONDS,
+    LATE,
+    LEAST_SHARE,
     Photos,
     Presentation,
     TrainingPlan,
@@ -30,11 +32,13 @@ from clgs.workflow.run_plan import (
     prepare_seconds,
 )
 from clgs.workflow.run_record import (
+    DATA,
     FinishedRun,
     RunInput,
     RunPlan,
     RunRecord,
     find_input,
+    in_words,
     measure_data,
     read_record,
 )
@@ -82,7 +86,9 @@ def plan_run(
     read_record(output, resume=False, overwrite=True)
     given, allowed = _find_input(photos, settings or {}), seconds or DEFAULT_SECONDS
     stages = RunStages(output, _record(given, allowed), seed or 0, device, on_event)
-    return _Planner(stages, allowed, steps, max_size, shown).plan(_shortened(given, allowed))
+    return _Planner(stages, on_event, allowed, steps, max_size, shown).plan(
+        _shortened(given, allowed)
+    )
 
 
 def run(
@@ -115,7 +121,8 @@ def run(
             ``target_size`` or ``exposure``.
         shown: title, and path, length and size of the clip; default: what photos and time allow.
         device: number or part of the name.
-        resume: go on with the run in ``output`` by its plan; begin if there is none.
+        resume: go on with the run in ``output`` by its plan; begin if there is none. With other
+            ``seconds`` than before, only the poses are kept, and these are for all that follows.
         overwrite: replace the run in ``output``.
         on_event: receives plan, stages, their records, progress and notes.
 
@@ -142,13 +149,14 @@ def run(
         if found is not None:
             chosen = {"steps": steps, "max_size": max_size, "seed": seed, **(settings or {})}
             found.check(output, given, seconds, chosen)
+            found = _planned_for(found, seconds, on_event)
         allowed = seconds or (found.time if found else DEFAULT_SECONDS)
         record = found or _record(given, allowed)
         given, shown = _shortened(given, allowed), shown or Presentation()
         title = shown.title or record.plan.get("title") or scene_name(given.path)
         shown = replace(shown, title=title)
         stages = RunStages(output, record, seed or 0, device, on_event, begun=found is not None)
-        planner = _Planner(stages, allowed, steps, max_size, shown)
+        planner = _Planner(stages, on_event, allowed, steps, max_size, shown)
         training = None
         if not record.settings:
             plan = planner.plan(given)
@@ -158,7 +166,8 @@ def run(
             _check_apart(given.path, output)
             make_folder(output)
             lock = lock or FolderLock(output)
-            stages.begin()
+        if not record.settings:
+            stages.begin(kept=() if found is None else (DATA,))
         data = given.path
         if not given.posed:
             data = stages.prepare(given, must_hurry(given.photos.count, CORES, allowed), max_size)
@@ -227,6 +236,14 @@ def _check_settings(settings: Mapping[str, Any]) -> None:
         raise UsageError("size_lambda: follows from target_size; give one of the two")
 
 
+def _planned_for(found: RunRecord, seconds: float | None, on_event: OnEvent) -> RunRecord:
+    """The record of a run; without its settings if the run is to take other ``seconds``."""
+    if seconds in (None, found.time):
+        return found
+    on_event(Note("the poses are kept; training is planned again and starts over"))
+    return replace(found, time=seconds, settings={}, made={})
+
+
 def _record(given: RunInput, allowed: float) -> RunRecord:
     return RunRecord(str(given.path.resolve()), given.photos.count, given.digest, allowed)
 
@@ -251,6 +268,7 @@ class _Planner:
     """Chooses size and length of training by the speed of the device and the time that is left."""
 
     stages: RunStages
+    on_event: OnEvent
     allowed: float
     steps: int | None
     max_size: int | None
@@ -271,5 +289,12 @@ class _Planner:
         """The plan by the speed on the data set ``data``, if there is one already."""
         with self.stages.timed("plan"):
             speed = self.stages.measure_speed(photos, data)
-        left = self.allowed - (time.perf_counter() - self.start)
-        return make_plan(photos, speed, preparing, left, self.steps, self.max_size, self.shown)
+        used = time.perf_counter() - self.start
+        left = max(self.allowed - used, LEAST_SHARE * self.allowed + preparing)
+        plan = make_plan(photos, speed, preparing, left, self.steps, self.max_size, self.shown)
+        whole = used + plan.seconds
+        if data is not None and whole > LATE * self.allowed:
+            spent = f"{in_words(used)} of {in_words(self.allowed)} are spent"
+            kept = f"{LEAST_SHARE:.0%} of the time are kept for training and what follows"
+            self.on_event(Note(f"{spent}; {kept}, so that all takes about {in_words(whole)}"))
+        return plan

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from clgs.data.reduction import IGNORE, OBJECT
+from clgs.poses.pairs import MAX_EXHAUSTIVE
 from clgs.train.step.schedule import COARSE_STAGES
 
 DEFAULT_SECONDS = 600.0
@@ -31,16 +32,29 @@ MOST_STEPS = 30_000
 LEAST_STEPS = 300
 """Fewer give nothing that is worth looking at."""
 
-FEATURE_SECONDS, PAIR_SECONDS = {True: 1.5, False: 3.0}, {True: 0.12, False: 0.5}
+FEATURE_SECONDS, PAIR_SECONDS = {True: 0.6, False: 1.0}, {True: 0.03, False: 0.07}
 """Seconds of one core per photo and per pair of photos; True: with `prepare --quick`."""
+
+MAPPING_SECONDS = {True: 0.5, False: 1.2}
+"""Seconds per photo of mappers, which use one core."""
 
 FIXED_SECONDS = 5.0
 
-MOST_PAIRS = 40
-"""About this many pairs per photo are matched in large sets."""
+MOST_PAIRS = 19
+"""About this many pairs per photo are matched in sets of more than MAX_EXHAUSTIVE photos."""
+
+LEAST_SHARE = 0.25
+"""Training and what follows it get this share of the whole time at least, however long the poses
+take."""
 
 POSES_SHARE = 0.45
 """Poses are tested by a second reconstruction if finding them then takes no larger share."""
+
+LATE = 1.05
+"""A plan that takes more than this many times the given time is said to be late."""
+
+SKETCH_STEPS, SKETCH_TIMES = 1000, 4
+"""A run of fewer steps is called a sketch, and this many times its time is recommended."""
 
 FRAMES = (100, 80, 60, 50, 40, 30)
 """Frames of a video: the most whose poses take no larger share without that test."""
@@ -187,9 +201,9 @@ def fit_speed(small: tuple[int, float], large: tuple[int, float]) -> StepSpeed:
 
 def prepare_seconds(count: int, cores: int, quick: bool) -> float:
     """What structure from motion usually takes for ``count`` photos."""
-    pairs = min(count * (count - 1) / 2, MOST_PAIRS * count)
+    pairs = count * (count - 1) / 2 if count <= MAX_EXHAUSTIVE else MOST_PAIRS * count
     seconds = count * FEATURE_SECONDS[quick] + pairs * PAIR_SECONDS[quick]
-    return (seconds + FIXED_SECONDS) / max(1, min(cores, 8))
+    return FIXED_SECONDS + seconds / max(1, min(cores, 8)) + count * MAPPING_SECONDS[quick]
 
 
 def must_hurry(count: int, cores: int, seconds: float) -> bool:

@@ -115,7 +115,9 @@ class RunRecord:
     def check(
         self, out: Path, given: RunInput, seconds: float | None, settings: dict[str, Any]
     ) -> None:
-        """See that this run in ``out`` has that input, time and settings; None is any.
+        """See that this run in ``out`` has that input and settings; None is any.
+
+        With another time than it was planned for, ``seconds``, it may have other settings.
 
         Raises:
             UsageError: it has others.
@@ -135,11 +137,12 @@ class RunRecord:
             raise UsageError(
                 f"{given.path}: holds other photos than the run in {out} began with; {again}"
             )
-        kept = {"time": self.time, **self.settings} if self.settings else {}
-        for name, value in {"time": seconds, **settings}.items():
-            if kept and value not in (None, kept.get(name)):
+        if seconds not in (None, self.time):
+            return
+        for name, value in settings.items():
+            if self.settings and value not in (None, self.settings.get(name)):
                 option = "--" + FLAGS.get(name, name).replace("_", "-")
-                shown = in_words(self.time) if name == "time" else kept.get(name, "its default")
+                shown = self.settings.get(name, "its default")
                 raise UsageError(
                     f"{option}: the run in {out} has {shown}; leave it out, or {again}"
                 )
@@ -164,7 +167,8 @@ class FinishedRun:
     """What `clgs run` made in its output folder.
 
     photos: how many were used, in words; scores: as ``clgs eval --json`` writes them; seconds: by
-    stage, over all calls that worked on the run; failures: of exports, by stage.
+    stage, over all calls that worked on the run; failures: of exports, by stage; sketch: what to do
+    if there was little time to train, else empty.
     """
 
     folder: Path
@@ -172,6 +176,7 @@ class FinishedRun:
     scores: dict[str, Any]
     seconds: dict[str, float]
     failures: dict[str, Exception]
+    sketch: str = ""
 
 
 def in_words(seconds: float) -> str:

@@ -6,7 +6,7 @@ import json
 import shlex
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import cached_property, partial
@@ -30,8 +30,25 @@ from clgs.workflow.export import export
 from clgs.workflow.options import FPS, FRAMES, PathOptions, ViewOptions
 from clgs.workflow.pictures import render_clip
 from clgs.workflow.prepare import prepare_data
-from clgs.workflow.run_plan import SIZES, SPARE, Photos, Presentation, StepSpeed, TrainingPlan
-from clgs.workflow.run_record import DATA, RUN, FinishedRun, RunInput, RunRecord, measure_data
+from clgs.workflow.run_plan import (
+    SIZES,
+    SKETCH_STEPS,
+    SKETCH_TIMES,
+    SPARE,
+    Photos,
+    Presentation,
+    StepSpeed,
+    TrainingPlan,
+)
+from clgs.workflow.run_record import (
+    DATA,
+    RUN,
+    FinishedRun,
+    RunInput,
+    RunRecord,
+    in_words,
+    measure_data,
+)
 from clgs.workflow.scenes import read_drawable, read_scene
 from clgs.workflow.train import train
 from clgs.workflow.views import load_views
@@ -76,11 +93,11 @@ class RunStages:
             return synthetic_speed(self.device)
         return speed_on(self.device, data, photos, self.run_folder, self.seed, self._on_event)
 
-    def begin(self) -> None:
-        """Write the record, and remove the files of an earlier run."""
+    def begin(self, kept: Collection[str]) -> None:
+        """Write the record, and remove the files of an earlier run but those of these names."""
         self._begun = True
         self._record.write(self._out)
-        for path in (self._out / name for name in MADE):
+        for path in (self._out / name for name in MADE if name not in kept):
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
             else:
@@ -231,6 +248,11 @@ class RunStages:
             used = f"{measure_data(data).count} of {given.photos.count} found their pose"
         links = {"the scene as a web page": PAGE, "clip": CLIP, "the file": SCENE}
         links |= {"ordinary Gaussians": GAUSSIANS, "poses of the photos": f"{DATA}/{REPORT}"}
+        sketch, steps = "", record.plan.get("steps", SKETCH_STEPS)
+        if steps < SKETCH_STEPS:
+            longer = in_words(SKETCH_TIMES * record.time).replace(" ", "")
+            more = command_line("run", given.path, "-o", out, "--resume", "--time", longer)
+            sketch = f"A sketch: {steps:,} steps. More time makes it sharp: {more}"
         words = ["run", given.path, "-o", out, *setting_options(record.settings)]
         words += ["--exposure"] * bool(record.settings.get("exposure"))
         if self._device_name is not None:
@@ -238,14 +260,14 @@ class RunStages:
         write_run_report(
             self.run_folder,
             command=command_line(*words),
-            lead=f"{used}.",
+            lead=f"{used}. {sketch}".strip(),
             seconds=record.seconds,
             links=[(label, name) for label, name in links.items() if (out / name).exists()],
             page=out / REPORT,
             title=shown.title or "",
         )
         scores = json.loads((out / SCORES).read_text(encoding="utf-8"))
-        return FinishedRun(out, used, scores, record.seconds, failures)
+        return FinishedRun(out, used, scores, record.seconds, failures, sketch)
 
     def _stage(
         self,

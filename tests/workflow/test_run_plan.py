@@ -114,7 +114,7 @@ def test_more_photos_take_longer_to_pose_and_more_cores_less():
 
 
 def test_poses_are_tested_if_there_is_time():
-    assert must_hurry(50, 2, 300.0)
+    assert must_hurry(50, 2, 200.0)
     assert not must_hurry(50, 2, 3600.0)
     assert not must_hurry(11, 2, 300.0)
 

@@ -166,6 +166,7 @@ def _show(record: object) -> None:
 
 
 def _show_plan(plan: RunPlan) -> None:
+    from clgs.workflow.run_plan import LATE
     from clgs.workflow.run_record import in_words
 
     given, photos, training = plan.input, plan.input.photos, plan.training
@@ -188,7 +189,7 @@ def _show_plan(plan: RunPlan) -> None:
             f"clip:     {clip.frames / clip.fps:g} s at {clip.fps:g} per second of "
             f"{clip.width} x {clip.height} pixels, about {in_words(clip.seconds)} of these"
         )
-    too_long = training.seconds > 1.05 * plan.allowed
+    too_long = training.seconds > LATE * plan.allowed
     late = f", more than the {in_words(plan.allowed)} of --time" if too_long else ""
     whole = f"about {in_words(training.seconds)} on {plan.device}{late}"
     print(f"in all:   {whole}", flush=True)
@@ -228,3 +229,5 @@ def _show_box(done: FinishedRun) -> None:
     for name, value in rows.items():
         table.add_row(Text(name, style="dim"), Text(value))
     Console().print(Panel(table, title="clgs run: done", border_style="green", expand=False))
+    if done.sketch:
+        print(done.sketch)
