@@ -17,6 +17,9 @@ from clgs.render.splat_arguments import Floats, SplatArguments
 SMALLEST_ALPHA = 1e-10
 """Expected depths are divided by no less."""
 
+BY_CAMERA = ("viewmats", "backgrounds", "means2d", "absgrad")
+"""Gradients that each camera has of its own."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -72,28 +75,24 @@ class Record:
         if d_alphas is not None:
             _checked("d_alphas", d_alphas, (*given.batch, c, height, width, 1))
             d_alpha = d_alphas.reshape(d_alpha.shape)
-        shape_name = "scales" if given.covars is None else "covars"
-        shapes = {"means": (3,), shape_name: (3,) if given.covars is None else (6,)}
-        if given.covars is None:
-            shapes["quats"] = (4,)
-        sums = {name: np.zeros((b, n, *rest), np.float32) for name, rest in shapes.items()}
-        sums["opacities"] = np.zeros((b, n), np.float32)
-        sums["colors"] = np.zeros(given.colors.shape, np.float32)
-        sums["viewmats"] = np.zeros((b, c, 4, 4), np.float32)
-        sums["backgrounds"] = np.zeros(given.backgrounds.shape, np.float32)
-        for name in ("means2d", "absgrad")[: 1 + self.absgrad]:
-            sums[name] = np.zeros((b, c, n, 2), np.float32)
+        colors = given.colors.shape[1:]
+        shapes: dict[str, tuple[int, ...]] = {"means": (n, 3), "opacities": (n,), "colors": colors}
+        shapes |= (
+            {"quats": (n, 4), "scales": (n, 3)} if given.covars is None else {"covars": (n, 6)}
+        )
+        shapes |= {"viewmats": (c, 4, 4), "backgrounds": (c, x), "means2d": (c, n, 2)}
+        if self.absgrad:
+            shapes["absgrad"] = (c, n, 2)
+        parts: dict[str, list[list[Floats]]] = {name: [[] for _ in range(b)] for name in shapes}
         for at, (batch, number) in enumerate(np.ndindex(b, c)):
-            made = self._view_gradients(
-                self.views[at], d_image[batch, number], d_alpha[batch, number]
-            )
-            for name, array in made.items():
-                if name in ("viewmats", "backgrounds", "means2d", "absgrad"):
-                    sums[name][batch, number] = array
-                elif name == "colors":
-                    sums[name][batch, number % sums[name].shape[1]] += array
+            given_d = d_image[batch, number], d_alpha[batch, number]
+            for name, array in self._view_gradients(self.views[at], *given_d).items():
+                own = parts[name][batch]
+                if number and not (name in BY_CAMERA or (name == "colors" and colors[0] > 1)):
+                    own[0] += array
                 else:
-                    sums[name][batch] += array
+                    own.append(array)
+        sums = {name: _joined(parts[name], (b, *shape)) for name, shape in shapes.items()}
         return self._in_shape(sums)
 
     def _view_gradients(self, view: View, d_image: Floats, d_alpha: Floats) -> dict[str, Any]:
@@ -112,29 +111,29 @@ class Record:
         )
         assert made.d_camera is not None
         result = {
-            "means": device.download(made.d_mean),
-            "covars" if given.covars is not None else "scales": device.download(made.d_shape),
-            "opacities": device.download(made.d_opacity),
-            "means2d": device.download(d.d_mean2d),
+            "means": device.hand_over(made.d_mean),
+            "covars" if given.covars is not None else "scales": device.hand_over(made.d_shape),
+            "opacities": device.hand_over(made.d_opacity),
+            "means2d": device.hand_over(d.d_mean2d),
             "backgrounds": np.einsum("hwx,hw->x", d_image, 1 - view.alpha[..., 0]),
         }
         if made.d_rotation is not None:
-            result["quats"] = device.download(made.d_rotation)
+            result["quats"] = device.hand_over(made.d_rotation)
         if d.d_absolute is not None:
-            result["absgrad"] = device.download(d.d_absolute)
+            result["absgrad"] = device.hand_over(d.d_absolute)
         d_matrix = np.zeros((4, 4))
-        d_matrix[:3] = device.download(made.d_camera).sum(axis=2, dtype=np.float64)
+        d_matrix[:3] = device.hand_over(made.d_camera).sum(axis=2, dtype=np.float64)
         if not drawn.projected.color.shape[1]:
             pass  # depth alone
         elif view.harmonics is None or self.sh_degree is None:
-            result["colors"] = device.download(d.d_color)
+            result["colors"] = device.hand_over(d.d_color)
         else:
             d_sh, by_direction = harmonics.backward(
                 device, view.splats.mean, view.harmonics, view.camera, self.sh_degree,
                 drawn.projected.color, d.d_color,
             )  # fmt: skip
-            turned = device.download(by_direction)
-            result["colors"] = device.download(d_sh)
+            turned = device.hand_over(by_direction)
+            result["colors"] = device.hand_over(d_sh)
             result["means"] += turned
             d_matrix += _by_centre(device.download(view.camera), -turned.sum(0, np.float64))
         result["viewmats"] = d_matrix
@@ -154,6 +153,16 @@ class Record:
             shades[:] = sums["backgrounds"][..., : given.channels]
         sums["backgrounds"] = shades
         return {name: a.reshape(*given.batch, *a.shape[1:]) for name, a in sums.items()}
+
+
+def _joined(parts: list[list[Floats]], shape: tuple[int, ...]) -> Floats:
+    """The parts of all batches as one float32 array; zeros if there are none; one is not copied."""
+    whole = [one for batch in parts for one in batch]
+    if not whole:
+        return np.zeros(shape, np.float32)
+    if len(whole) == 1:
+        return np.asarray(whole[0], np.float32).reshape(shape)
+    return np.array(whole, np.float32).reshape(shape)
 
 
 def _checked(name: str, array: Any, shape: tuple[int, ...]) -> Floats:
