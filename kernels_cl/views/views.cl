@@ -49,6 +49,7 @@ static inline void cross3(const fv a[3], const fv b[3], fv result[3])
         result[k] = a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3];
 }
 
+#if BY_COVARIANCE
 /* Square root, and 0 of what rounding made negative. */
 static inline fv root_of(const fv x)
 {
@@ -69,6 +70,7 @@ static inline fv load_number(__global const float *values, const size_t first, c
         lanes[lane] = values[width * (first + min(lane, used - 1)) + i];
     return LOAD_V(0, lanes);
 }
+#endif
 
 static inline OWN_FUNCTION void load_shape(Sight *s, __global const float *shape,
                                            __global const float *rotation, const size_t first,
@@ -230,6 +232,7 @@ static inline void share_gradient(const Sight *s, const fv d_share, fv d_a[3], f
     }
 }
 
+#if BY_COVARIANCE
 /* dL/d(covariance) in the world, both halves of it in the upper: moments of the whitened rows of
  * J W, and the share's part. */
 static inline void covariance_gradient(const Sight *s, const fv factor[3], const fv d_factor[3],
@@ -260,6 +263,7 @@ static inline void covariance_gradient(const Sight *s, const fv factor[3], const
             d[at] = row == k ? both : 2.0f * both;
         }
 }
+#endif
 
 /* dL/d(point in camera space). `d_size`: by the logarithm of the size on the screen. */
 static inline void point_gradient(const Sight *s, const fv d_mean2d[2], const fv d_a[3],
