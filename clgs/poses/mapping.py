@@ -56,6 +56,8 @@ with the square of the number."""
 
 INCREMENTAL, GLOBAL = "incremental", "global"
 STRONG = "incremental, strongest pairs"
+STRONGEST_PAIRS = "strongest"
+"""Folder of the last one's files."""
 
 HALF = 0.5
 """Share of all tracks from which the second reconstruction is made."""
@@ -73,6 +75,8 @@ def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
     Raises:
         DataError: no two photos could be related.
     """
+    for made in (INCREMENTAL, GLOBAL, STRONGEST_PAIRS):  # from other matches
+        shutil.rmtree(workspace.folder / made, ignore_errors=True)
     mappers = [INCREMENTAL, GLOBAL] if len(workspace.names) <= MANY else [GLOBAL, INCREMENTAL]
     evidence, found = read_evidence(workspace), dict[str, list[Any]]()
     choice = None
@@ -300,7 +304,7 @@ def _map_strongest(workspace: Workspace, evidence: Evidence, stage: str) -> list
     Among repeated things weak pairs mislead: a photo joins another side of the scene before its
     neighbours are placed.
     """
-    strongest = replace(workspace, folder=workspace.folder / "strongest")
+    strongest = replace(workspace, folder=workspace.folder / STRONGEST_PAIRS)
     strongest.folder.mkdir()
     shutil.copyfile(workspace.database, strongest.database)
     kept = {(pair.first, pair.second) for pair in evidence.strongest(STRONGEST)}

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from clgs.opencl.device import Device
 from clgs.ops import match as nearest_descriptors
-from clgs.ops.match import Descriptors, Nearest
+from clgs.ops.match import MAX_DESCRIPTORS, Descriptors, Nearest
 from clgs.poses.judging.evidence import LINKS, MIN_MATCHES, Evidence, MatchedPair
 from clgs.poses.pairs import all_pairs
 from clgs.poses.verify import verify
@@ -63,10 +63,14 @@ Matches = npt.NDArray[np.uint32]
 _ANGLE = np.arccos(np.minimum(np.arange(nearest_descriptors.MAX_PRODUCT) / 512**2, 1.0))
 
 
-def match(workspace: Workspace, pairs: Sequence[Pair]) -> None:
+def match(workspace: Workspace, pairs: Sequence[Pair], first: int = FIRST_FEATURES) -> bool:
     """Match those pairs of photos that share something at a cheap look, and verify the matches.
 
-    ``pairs`` are places in ``workspace.names``. The results are the same on every device.
+    ``pairs`` are places in ``workspace.names``. The results are the same on every device. All
+    features are used of pairs with few matches, of the others the ``first`` largest.
+
+    Returns:
+        Whether that left features out.
 
     Raises:
         DataError: pycolmap fails.
@@ -81,15 +85,24 @@ def match(workspace: Workspace, pairs: Sequence[Pair]) -> None:
         done += matched
         workspace.on_progress("matches", min(done, len(pairs)), len(pairs))
 
-    found = _match(workspace, alike, MAX_RATIO, count, FIRST_FEATURES)
+    found = _match(workspace, alike, MAX_RATIO, count, first)
     thin = _thinly_matched(found)
     with workspace.open() as database:
         numbers = workspace.ids(database)
-        rich = [database.num_keypoints_for_image(one) > FIRST_FEATURES for one in numbers]
+        rich = [database.num_keypoints_for_image(one) > first for one in numbers]
     again = [(a, b) for a, b in alike if thin & {a, b} and (rich[a] or rich[b])]
     done -= len(again)
     found |= _match(workspace, again, MAX_RATIO, count)
     _write_and_verify(workspace, found, "geometry")
+    return any(rich[a] or rich[b] for a, b in set(alike).difference(again))
+
+
+def match_in_full(workspace: Workspace, pairs: Sequence[Pair]) -> None:
+    """Match pairs by all features, in place of the matches that there are."""
+    with workspace.open() as database:
+        database.clear_matches()
+        database.clear_two_view_geometries()
+    match(workspace, pairs, MAX_DESCRIPTORS)
 
 
 def _thinly_matched(found: Mapping[Pair, Matches]) -> set[int]:

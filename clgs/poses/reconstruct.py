@@ -23,10 +23,11 @@ from clgs.opencl.device import Device
 from clgs.poses.bring_in import camera_numbers
 from clgs.poses.child import OnStage, run_child
 from clgs.poses.features import extract
+from clgs.poses.judging.evidence import MAX_CONTRADICTED
 from clgs.poses.judging.judge import judge, unconfirmed
 from clgs.poses.judging.verdict import Verdict, verdict_of
 from clgs.poses.mapping import ask_both_mappers, look_again, map_half, map_photos
-from clgs.poses.matching import match
+from clgs.poses.matching import match, match_in_full
 from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import OnProgress, Workspace
@@ -95,8 +96,12 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         )
         pycolmap.set_random_seed(seed)
         extract(workspace, size, quick)
-        match(workspace, pairs_to_match(workspace))
+        pairs = pairs_to_match(workspace)
+        shortened = match(workspace, pairs)
         choice = map_photos(workspace, quick)
+        if shortened and not quick and choice.kept.explained.contradicted > MAX_CONTRADICTED:
+            match_in_full(workspace, pairs)  # what looks alike may differ in small features
+            choice = map_photos(workspace, quick)
         choice = look_again(workspace, choice)
         second = None if quick else map_half(workspace, choice)
         if not quick and (doubtful := unconfirmed(choice, second)):

@@ -116,3 +116,28 @@ def test_a_cheap_look_finds_the_pairs_that_share_something(workspace):
     every = [(i, j) for j in range(len(names)) for i in range(j)]
     alike = matching.pairs_alike(workspace, every)
     assert alike == [pair for pair in every if max(pair) < PHOTOS]
+
+
+def test_all_features_are_used_where_the_largest_give_few_matches(workspace, monkeypatch):
+    pairs = pairs_to_match(workspace)
+    assert not matching.match(workspace, pairs)  # no photo has as many features
+    whole = found(workspace)
+    monkeypatch.setattr(matching, "ENOUGH_MATCHES", 10**6)
+    assert not matching.match(workspace, pairs, 100)
+    thin = found(workspace)
+    monkeypatch.setattr(matching, "ENOUGH_MATCHES", 0)
+    assert matching.match(workspace, pairs, 100)
+    with workspace.open() as database:
+        ids = workspace.ids(database)
+        keypoints = {number: database.read_keypoints(number) for number in ids}
+        numbers, short = database.read_all_matches()
+    assert 0 < sum(map(len, short)) < sum(len(matches) for matches, _ in whole.values())
+    for number, matches in zip(numbers, short, strict=True):
+        for column, photo in enumerate(workspace.pycolmap.pair_id_to_image_pair(number)):
+            scale = matching.turn_and_scale(np.asarray(keypoints[photo], np.float64))[:, 1]
+            assert scale[np.asarray(matches)[:, column]].min() >= np.sort(scale)[-100]
+    matching.match_in_full(workspace, pairs)
+    for again in (thin, found(workspace)):
+        assert again.keys() == whole.keys()
+        for number, arrays in whole.items():
+            assert all(map(np.array_equal, arrays, again[number]))
