@@ -7,9 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import nullcontext
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 from PIL import Image
@@ -20,8 +18,8 @@ from clgs.errors import DataError
 from clgs.train.config import from_toml
 from clgs.train.run.run_folder import FolderLock
 from clgs.workflow import run_stages
-from clgs.workflow.run import _Planner, run
-from clgs.workflow.run_plan import FRAMES, LEAST_SHARE, Photos, StepSpeed, frames_within
+from clgs.workflow.run import run
+from clgs.workflow.run_plan import FRAMES, Photos, frames_within
 from clgs.workflow.run_record import RunRecord, find_input
 from tests.small_scene import write_scene
 from tests.terminal import as_from_a_terminal
@@ -195,39 +193,6 @@ def test_run_goes_on_with_its_own_input_and_options_alone(data, finished, tmp_pa
     assert cli.main([*words(data, finished, "--resume"), "--background", "white"]) == 2
     assert "has its default; leave it out" in capsys.readouterr().err
     assert "--steps 30 --max-size 40" in (finished / "report.html").read_text()
-
-
-def test_a_sketch_goes_on_from_its_poses_with_more_time(data, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert cli.main(words(data, out)) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "A sketch: 30 steps. More time makes it sharp: clgs run" in said
-    assert "--resume --time" in (out / "report.html").read_text()
-    first = json.loads((out / "plan.json").read_text())
-    again = [*words(data, out, "--resume", "--time", "7m"), "--steps", "40"]
-    assert cli.main(again) == 0
-    assert "the poses are kept" in capsys.readouterr().err
-    record = json.loads((out / "plan.json").read_text())
-    assert (first["settings"]["steps"], record["settings"]["steps"]) == (30, 40)
-    assert (record["time"], record["digest"]) == (420.0, first["digest"])
-    assert json.loads((out / "run" / "results.json").read_text())["steps"] == 40
-
-
-def test_training_gets_its_share_however_long_the_poses_take(tmp_path):
-    stages = SimpleNamespace(
-        timed=lambda name: nullcontext(), measure_speed=lambda photos, data: StepSpeed(0.02, 1e-7)
-    )
-    notes: list[str] = []
-    planner = _Planner(stages, lambda note: notes.append(note.text), 600.0, None, None, None)
-    photos = Photos(50, 1600, 1200)
-    free = planner.plan_training(photos, 0.0, tmp_path)
-    assert not notes
-    planner.start -= 900.0  # the poses took longer than all was to take
-    late = planner.plan_training(photos, 0.0, tmp_path)
-    assert 0.8 * LEAST_SHARE * 600 < late.seconds < 1.1 * LEAST_SHARE * 600
-    assert late.max_size < free.max_size
-    (note,) = notes
-    assert "15.0 min of 10.0 min are spent" in note
 
 
 def test_damaged_photos_do_not_end_the_plan(tmp_path, capsys):
