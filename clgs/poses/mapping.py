@@ -236,13 +236,13 @@ def map_half(workspace: Workspace, choice: ModelChoice) -> Any | None:
                 if point.has_point3D():
                     halves[number][index] = drawn[point.point3D_id]
     _write_half(workspace, half, halves, evidence)
-    part = read_evidence(half)
-    if choice.kept.mapper == STRONG:
-        models = _map_strongest(half, part, "check")
-    else:
-        models = MAPPERS[choice.kept.mapper](half, "check")
-    found = _largest({choice.kept.mapper: models}, part)
-    return found[0].reconstruction if found else None
+    part, mapper = read_evidence(half), choice.kept.mapper
+    found = {} if mapper == STRONG else {mapper: MAPPERS[mapper](half, "check")}
+    models = _largest(found, part)
+    if not models or models[0].explained.contradicted > MAX_CONTRADICTED:
+        found[STRONG] = _map_strongest(half, part, "check")
+        models = _largest(found, part)
+    return max(models, key=_explained).reconstruction if models else None
 
 
 def _write_half(
