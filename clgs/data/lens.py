@@ -14,12 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.images import Pixels
+from clgs.data.reduction import VIEWS
 from clgs.errors import DataError
 
 Floats = npt.NDArray[np.float64]
-
-VIEWS = 10.0, 160.0
-"""Degrees that the undistorted picture of a fisheye may be asked to show: least and most."""
 
 _MAX_ANGLE = np.radians(VIEWS[1] / 2)
 """A fisheye ray further from the axis has no place in a pinhole image of sensible size."""

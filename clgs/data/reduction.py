@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+VIEWS = 10.0, 160.0
+"""Degrees that the undistorted picture of a fisheye may be asked to show: least and most."""
+
 IGNORE, OBJECT = MEANINGS = ("ignore", "object")
 """What is where a photo is masked: anything, so that nothing is compared; or nothing at all."""
 

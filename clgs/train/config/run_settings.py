@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from clgs.constants import NEAR_PLANE
-from clgs.data.lens import VIEWS
-from clgs.data.reduction import EVERY, IGNORE, LEAST_SIZE, MAX_SIZE, MEANINGS
+from clgs.data.reduction import EVERY, IGNORE, LEAST_SIZE, MAX_SIZE, MEANINGS, VIEWS
 from clgs.options import PRESETS
 from clgs.train.config.option import POSITIVE, WEIGHT, Range, Text, at_least, option
 
