@@ -35,13 +35,15 @@ _THUMBNAIL = 64
 class _Looked:
     """digest of the file; brightness: mean level in (0, 1]; used: share that a mask leaves.
 
-    exif: whether the file has an EXIF orientation, and whether the pixels are turned by it.
+    exif: whether the file has an EXIF orientation, and whether the pixels are turned by it;
+    mask_exif: the same of its mask.
     """
 
     digest: bytes
     brightness: float
     used: float = 1.0
     exif: tuple[bool, bool] = (False, False)
+    mask_exif: tuple[bool, bool] = (False, False)
 
 
 def check_pictures(photos: list[Photo], rendered: bool) -> Iterator[Finding]:
@@ -94,8 +96,11 @@ def _look(photo: Photo) -> _Looked | DataError:
         return found
     size = photo.lens.width, photo.lens.height
     try:
-        used = 1.0 if photo.mask is None else float(read_mask(photo.mask, size).mean())
-        return replace(found, used=used, exif=exif_turn(photo.path, size))
+        found = replace(found, exif=exif_turn(photo.path, size))
+        if photo.mask is None:
+            return found
+        used = float(read_mask(photo.mask, size).mean())
+        return replace(found, used=used, mask_exif=exif_turn(photo.mask, size))
     except DataError as error:
         return error
 
@@ -142,12 +147,15 @@ def _masks(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
 
 
 def _orientations(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
-    stored = [name for name, looked in whole if looked.exif == (True, False)]
-    turned = [name for name, looked in whole if looked.exif == (True, True)]
-    for names, done in ((stored, "taken as stored"), (turned, "turned to fit their poses")):
-        if names:
-            problem = f"{len(names)} photos have an EXIF orientation; their pixels are {done}"
-            yield Finding(NOTE, named(names), problem, "if renders lie on the side, prepare again")
+    for what, tags in (
+        ("photos", [(name, looked.exif) for name, looked in whole]),
+        ("masks", [(name, looked.mask_exif) for name, looked in whole]),
+    ):
+        for turned, done in ((False, "taken as stored"), (True, "turned to fit their poses")):
+            if names := [name for name, tag in tags if tag == (True, turned)]:
+                problem = f"{len(names)} {what} have an EXIF orientation; their pixels are {done}"
+                remedy = "if renders lie on the side, prepare again"
+                yield Finding(NOTE, named(names), problem, remedy)
 
 
 def _exposure(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:

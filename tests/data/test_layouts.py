@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,7 @@ LAYOUTS = {
     "photos next to sparse": ("sparse/0", "."),
     "reduced photos alone": ("sparse/0", "images_4"),
     "photos of 3DGS's script": ("sparse/0", "input"),
+    "3DGS's script before it undistorts": ("distorted/sparse/0", "input"),
     "capitals": ("Sparse/0", "Images"),
     "a model with a name": ("sparse/aligned", "images"),
     "nerfstudio's text": ("colmap_text", "images"),
@@ -44,6 +46,20 @@ def test_layouts_of_other_programs(tmp_path: Path, name: str, text: bool):
     photos = read_photo_set(tmp_path / "there")
     assert (len(photos.train), len(photos.test), photos.missing) == (8, 2, [])
     assert photos.models == {}
+
+
+@pytest.mark.parametrize("undistorted", [False, True])
+def test_each_model_of_3dgs_s_script_has_its_own_photos(tmp_path: Path, undistorted: bool):
+    write_colmap(tmp_path)
+    (tmp_path / "distorted").mkdir()
+    shutil.copytree(tmp_path / "images", tmp_path / "input")
+    if undistorted:
+        shutil.copytree(tmp_path / "sparse", tmp_path / "distorted" / "sparse")
+    else:
+        (tmp_path / "sparse").rename(tmp_path / "distorted" / "sparse")
+    photos = read_photo_set(tmp_path)
+    wanted = tmp_path / ("images" if undistorted else "input")
+    assert {photo.path.parent for photo in photos.train + photos.test} == {wanted}
 
 
 @pytest.mark.parametrize("text", [False, True])

@@ -184,6 +184,19 @@ def test_exif_orientations_are_named(healthy: Path, tag: int, done: str):
     assert note.endswith(done)
 
 
+@pytest.mark.parametrize(
+    ("tag", "done"), [(3, "taken as stored"), (6, "turned to fit their poses")]
+)
+def test_exif_orientations_of_masks_are_named(healthy: Path, tag: int, done: str):
+    mask, exif = Image.new("L", (64, 80) if tag == 6 else (80, 64), 255), Image.Exif()
+    exif[0x0112] = tag
+    mask.save(healthy / "mask.png", exif=exif)
+    change(healthy, 1, mask_path="mask.png")
+    (note,) = levels(healthy)[NOTE]
+    assert note.startswith("images/001.png: 1 masks have an EXIF orientation")
+    assert note.endswith(done)
+
+
 def test_masks_are_checked(healthy: Path):
     (healthy / "masks").mkdir()
     half = np.zeros((64, 80), np.uint8)

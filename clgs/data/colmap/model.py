@@ -20,7 +20,10 @@ NOT_UNDISTORTED = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 """Camera models whose distortion is not removed here."""
 
 
-WORKSPACES = "", "dense", "dense/[0-9]*", "[0-9]*", "colmap"
+DISTORTED, DISTORTED_PHOTOS = "distorted", "input"
+"""Where 3DGS's convert.py keeps the model and the photos that it undistorts."""
+
+WORKSPACES = "", "dense", "dense/[0-9]*", "[0-9]*", "colmap", DISTORTED
 """Folders below a data set that may hold models: in sparse/0, sparse/1 and so on, in sparse, or in
 themselves, next to their photos. Models of the first that has any are read.
 """
@@ -145,6 +148,9 @@ def _photo_folder(root: Path, folder: Path, model: ColmapModel) -> Path:
     """The folder that names of a model are relative to: the first that has any of its photos."""
     names = [image.name for image in model.images if not Path(image.name).is_absolute()]
     images = root / "images"
+    raw = root / DISTORTED_PHOTOS
+    if folder.is_relative_to(root / DISTORTED) and any((raw / name).is_file() for name in names):
+        return raw  # images has undistorted photos of the same names
     for above in (folder, *folder.parents):
         named = (path for path in _folders(above) if path.name.casefold().startswith(PHOTOS))
         for place in (above / "images", above, *named):

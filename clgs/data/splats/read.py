@@ -43,8 +43,12 @@ OPAQUE = 20.0
 
 MOST_REST = 3 * ((MAX_DEGREE + 1) ** 2 - 1)
 
-_MODE = re.compile(r"(?:splat)?_?(?:render|rasteri[sz]e?r?)_?mode\s*[:=\s]\s*(\w+)", re.ASCII)
-_SWITCH = re.compile(r"(?:\w+[.])?anti_?alias(?:ed|ing)?(?:\s*[:=\s]\s*(\w+))?", re.ASCII)
+_MODE = re.compile(r"(?:splat)?[_-]?(?:render|rasteri[sz]e?r?)[_-]?mode\s*[:=\s]\s*(\w+)", re.ASCII)
+_SWITCH = re.compile(
+    r"(?:\w+[.])?(?:anti[_-]?alias(?:ed|ing)?|mip[\s_-]?splat(?:s|ting)?)(?:\s*[:=\s]\s*(\w+))?",
+    re.ASCII,
+)
+_CLAUSES = re.compile(r"[;,{}]")
 _log = logging.getLogger(__name__)
 
 Columns = dict[str, npt.NDArray[Any]]
@@ -85,11 +89,12 @@ def read_splat_table(path: Path) -> PlyTable:
 def is_antialiased(comments: list[str]) -> bool:
     """Whether comments of a PLY file say that the splats were trained with antialiasing.
 
-    Brush, gsplat and splat-transform write a mode, Postshot and others a switch; the last counts.
+    Brush, gsplat and splat-transform write a mode, Postshot and others a switch, Mip-Splatting's
+    users its name; the last counts. A comment may hold several such clauses.
     """
     found = False
-    for comment in comments:
-        words = comment.strip().lower()
+    for clause in _CLAUSES.split(";".join(comments)):
+        words = clause.replace('"', "").replace("'", "").strip().lower()
         if mode := _MODE.fullmatch(words):
             found = mode[1] in ("mip", "antialiased")
         elif switch := _SWITCH.fullmatch(words):

@@ -188,6 +188,14 @@ def test_a_filter_widens_splats_and_keeps_their_light(tmp_path, rng):
         (["antialiased"], True),
         (["postshot.anti_aliasing=1"], True),
         (["postshot.anti_aliasing=0"], False),
+        (["antialiased=1; version=2"], True),
+        (["version=2, antialiased=0"], False),
+        (['{"renderer": "x", "antialiased": true}'], True),
+        (["render-mode: mip"], True),
+        (["anti-aliased 1"], True),
+        (["mip-splatting"], True),
+        (["Mip-Splatting: false"], False),
+        (["trained without mip-splatting"], False),
     ],
 )
 def test_marks_of_antialiased_splats(tmp_path, rng, comments, antialiased):
