@@ -14,6 +14,7 @@ The names of this module do the whole job; nothing heavy is imported before one 
 - ``Renderer(device, scene)`` and ``render_view(scene, camera)``: pictures from any camera
 - ``rasterization(means, quats, ...)``: pictures of your own Gaussians, with gradients; the
   arguments and results of gsplat, on NumPy arrays
+- ``decode_anchors(scene, camera)``: the neural Gaussians of a view, with gradients by the scene
 - ``evaluate_views(device, scene, views)``: PSNR and SSIM against photos
 - ``render_options(accuracy)``: how exactly a ``Renderer`` renders, and how fast
 - ``Camera``, ``Device``, ``TrainConfig``: what the functions above take
@@ -34,6 +35,7 @@ _HOMES = {
     "Renderer": "clgs.render.renderer",
     "TrainConfig": "clgs.train.config",
     "decode": "clgs.codec.scene_decoder",
+    "decode_anchors": "clgs.render.decoded_anchors",
     "encode": "clgs.codec.scene_encoder",
     "evaluate_views": "clgs.train.quality.score_views",
     "export": "clgs.workflow.export",

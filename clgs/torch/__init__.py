@@ -3,7 +3,8 @@
 :func:`rasterization` and :func:`spherical_harmonics` have the arguments, defaults and results of
 gsplat 1.5.3, and gradients by autograd; ``DefaultStrategy`` and ``MCMCStrategy`` are gsplat's own,
 if it is installed, and run on our ``meta``. Tensors are float32 on the CPU; a CPU device reads and
-writes their memory where it lies. ``torch.utils.checkpoint`` and ``no_grad`` work as usual.
+writes their memory where it lies. :func:`decode_anchors`, :func:`quantize` and :func:`rate` train
+Voxel-GS scenes. ``torch.utils.checkpoint`` and ``no_grad`` work as usual.
 """
 
 from __future__ import annotations
@@ -21,6 +22,10 @@ from clgs.render.rasterization import ALPHA_MAX, default_device, lens_of, refuse
 from clgs.render.splat_arguments import check_arguments, check_numbers, check_size
 from clgs.render.splat_meta import Meta, meta_of
 from clgs.render.splat_record import SMALLEST_ALPHA
+from clgs.torch.anchors import DecodedAnchors as DecodedAnchors
+from clgs.torch.anchors import decode_anchors as decode_anchors
+from clgs.torch.anchors import quantize as quantize
+from clgs.torch.anchors import rate as rate
 from clgs.torch.functions import Blend, Harmonics, Project
 from clgs.torch.tensors import Call, checked, host_of, packed_rows
 
