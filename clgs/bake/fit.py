@@ -21,8 +21,8 @@ from clgs.constants import K_OFFSETS
 from clgs.data.masks import Mask
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
+from clgs.reference.general.splats import HARMONICS
 from clgs.reference.project import rotation_matrix
-from clgs.reference.splats import HARMONICS
 from clgs.render.frame import EXACT_ROOM, DeviceScene, DeviceView
 from clgs.render.rasterise import blend_backward, rasterise, with_enough_room
 from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians

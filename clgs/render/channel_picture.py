@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import channels, tiles
-from clgs.ops.channels import ChannelGradients, Picture
+from clgs.ops import tiles
+from clgs.ops.general import channels
+from clgs.ops.general.channels import ChannelGradients, Picture
 from clgs.ops.project import Projected
 from clgs.options import RenderOptions
 from clgs.render import tile_groups
@@ -85,7 +86,8 @@ def backward(
 ) -> ChannelGradients:
     """Gradients by the projected Gaussians from those of image and transmittance.
 
-    ``d_image`` (H, W, C) and ``d_left`` (H, W), float32; ``absolute``: see ``clgs.ops.channels``.
+    ``d_image`` (H, W, C) and ``d_left`` (H, W), float32; ``absolute``: see
+    ``clgs.ops.general.channels``.
     """
     picture, projected = drawn.picture, drawn.projected
     with device.stage("channels backward"):

@@ -15,7 +15,6 @@ import numpy as np
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import (
-    antialias,
     blend,
     cull,
     loss,
@@ -24,9 +23,9 @@ from clgs.ops import (
     project,
     project_anchors,
     scan,
-    splats,
     tiles,
 )
+from clgs.ops.general import antialias, splats
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import tile_groups
 from clgs.render.frame import (

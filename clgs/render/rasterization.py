@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.opencl.device import Device
-from clgs.ops import harmonics, views
+from clgs.ops.general import harmonics, views
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import channel_picture
 from clgs.render.splat_arguments import (

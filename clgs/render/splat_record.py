@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import harmonics, views
+from clgs.ops.general import harmonics, views
 from clgs.render import channel_picture
 from clgs.render.splat_arguments import Floats, SplatArguments
 

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from clgs.opencl.array import DeviceArray
-from clgs.ops import harmonics, views
-from clgs.ops.channels import ChannelGradients
+from clgs.ops.general import harmonics, views
+from clgs.ops.general.channels import ChannelGradients
 from clgs.ops.project import Projected
 from clgs.render import channel_picture
 from clgs.render.rasterization import default_device

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import views
+from clgs.ops.general import views
 from clgs.options import RenderOptions
 from clgs.render import channel_picture
 from clgs.render.splat_arguments import SplatArguments

@@ -19,9 +19,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
-from tests.house.rules import kernels_in, plain_c, stage_of  # noqa: E402 - of this checkout
+from tests.house.rules import kernels_in, op_paths, plain_c, stage_of  # noqa: E402 - of this checkout
 
-STAGES = sorted(path.stem for path in (ROOT / "clgs/ops").glob("*.py") if path.stem != "__init__")
+STAGES = op_paths(ROOT)
 
 SWAPS = {
     "+": "-", "-": "+", "*": "/", "/": "*", "//": "*", "%": "*", "+=": "-=", "-=": "+=",
@@ -70,7 +70,7 @@ Change = tuple[str, int, int, str]
 
 def all_mutants() -> list[Mutant]:
     """Every mutant of every kernel and op that has tests."""
-    files = [*(ROOT / "kernels_cl").rglob("*.*"), *(ROOT / "clgs/ops").glob("*.py")]
+    files = [*(ROOT / "kernels_cl").rglob("*.*"), *(ROOT / "clgs/ops").rglob("*.py")]
     names = sorted(path.relative_to(ROOT).as_posix() for path in files)
     return [mutant for name in names if stages_of(name) for mutant in mutants_of(name)]
 

@@ -57,7 +57,8 @@ def suite(stage: str) -> list[str]:
     """The tests of a stage."""
     stress = [f"tests/stress/test_{theme}.py" for theme in STRESS.get(stage, ())]
     density = ["tests/train/density"] if stage == "growth" else []
-    return [f"tests/ops/test_{stage}.py", *stress, *density]
+    room, _, name = STAGES[stage].rpartition("/")
+    return [f"tests/ops/{room}/test_{name}.py", *stress, *density]
 
 
 def drawn(mutants: Iterable[Mutant], stages: list[str], count: int, seed: int) -> list[Mutant]:
@@ -173,7 +174,7 @@ def main() -> int:
     args = parser.parse_args()
     if wrong := set(args.stages) - set(STAGES):
         parser.error(f"no stage {', '.join(sorted(wrong))}; there are {', '.join(STAGES)}")
-    stages, start = args.stages or STAGES, time.monotonic()
+    stages, start = args.stages or list(STAGES), time.monotonic()
     every = all_mutants()
     mutants = drawn(every, stages, args.per_stage, args.seed)
     print(f"{len(mutants)} of {len(every)} mutants", flush=True)

@@ -7,6 +7,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
+from pathlib import Path, PurePath
 
 LAYERS = [  # a package may import from its own row and the rows above it
     {"arguments", "constants", "errors", "ffmpeg", "files", "machine", "memory", "options"}
@@ -186,12 +187,12 @@ def fetch_complaints(path: str, text: str, kernels: dict[str, str]) -> list[str]
     if path.startswith("clgs/lab/"):
         return []
     return [
-        f"{path}:{node.lineno}: {node.value} belongs to clgs/ops/{kernels[node.value]}.py"
+        f"{path}:{node.lineno}: {node.value} belongs to the op {kernels[node.value]}"
         for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.Constant)
         and isinstance(node.value, str)
         and node.value in kernels
-        and path != f"clgs/ops/{kernels[node.value]}.py"
+        and not (path.startswith("clgs/ops/") and PurePath(path).stem == kernels[node.value])
     ]
 
 
@@ -214,6 +215,13 @@ def safety_complaints(path: str, text: str) -> list[str]:
             if keyword.arg in UNSAFE_KEYWORDS and ast.unparse(keyword.value) != "False"
         ]
     return complaints
+
+
+def op_paths(root: Path) -> dict[str, str]:
+    """Where the op of every stage lies in clgs/ops, such as "general/views", by the stage."""
+    ops = root / "clgs/ops"
+    paths = [path for path in sorted(ops.rglob("*.py")) if path.stem != "__init__"]
+    return {path.stem: path.relative_to(ops).with_suffix("").as_posix() for path in paths}
 
 
 def listed_folders(document: str) -> set[str]:

@@ -10,7 +10,7 @@ from tests.house import kernel_rules, rules
 
 ROOT = Path(__file__).resolve().parents[2]
 
-STAGES = sorted(path.stem for path in (ROOT / "clgs/ops").glob("*.py") if path.stem != "__init__")
+STAGES = rules.op_paths(ROOT)
 KERNEL_STAGES = [*STAGES, "limits"]
 """Stages of kernels; those that measure the device belong to the laboratory."""
 
@@ -77,15 +77,16 @@ def kernel_stages() -> dict[str, str]:
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_every_stage_has_its_kernels_reference_and_test(stage):
-    partners = (f"clgs/reference/{stage}.py", f"tests/ops/test_{stage}.py")
+    room, _, name = STAGES[stage].rpartition("/")
+    partners = (f"clgs/reference/{STAGES[stage]}.py", f"tests/ops/{room}/test_{name}.py")
     missing = [partner for partner in partners if not (ROOT / partner).is_file()]
     assert not missing, f"clgs/ops/{stage}.py lacks them"
     assert stage in kernel_stages().values(), f"clgs/ops/{stage}.py has no kernels"
 
 
 def test_every_reference_has_its_op():
-    references = (ROOT / "clgs" / "reference").glob("*.py")
-    assert sorted({path.stem for path in references} - {"__init__"}) == STAGES
+    references = (ROOT / "clgs" / "reference").rglob("*.py")
+    assert {path.stem for path in references} - {"__init__"} == set(STAGES)
 
 
 def test_kernels_are_named_by_their_stage():

@@ -20,11 +20,12 @@ from clgs import constants
 from clgs.opencl.signature import preprocess
 from clgs.opencl.source import kernel_root, program_file, program_files, read_program
 from clgs.options import PARITY, Skips
+from tests.house.rules import op_paths
 
 ROOT = Path(__file__).resolve().parents[2]
 FORMS = {"cpu": {"VEC": "16", "USE_LOCAL": "0"}, "gpu": {"VEC": "1", "USE_LOCAL": "1"}}
 MODULES = ["opencl/programs", "lab/limit_kernels"]
-MODULES += [f"ops/{path.stem}" for path in sorted((ROOT / "clgs/ops").glob("[a-z]*.py"))]
+MODULES += [f"ops/{path}" for path in op_paths(ROOT).values()]
 
 VARYING = {
     *("VEC", "USE_LOCAL", "USE_PREFETCH"),  # the form, and the driver

@@ -101,7 +101,7 @@ def test_fetching_the_kernel_of_another_stage_is_found():
     kernels = {"mlp_forward": "mlp"}
     assert rules.fetch_complaints("clgs/ops/mlp.py", text, kernels) == []
     (found,) = rules.fetch_complaints("clgs/ops/blend.py", text, kernels)
-    assert found == "clgs/ops/blend.py:1: mlp_forward belongs to clgs/ops/mlp.py"
+    assert found == "clgs/ops/blend.py:1: mlp_forward belongs to the op mlp"
     assert rules.fetch_complaints("clgs/lab/observed_kernels.py", text, kernels) == []
 
 

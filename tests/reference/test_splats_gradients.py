@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.constants import NEAR_PLANE
-from clgs.reference import splats as reference
+from clgs.reference.general import splats as reference
 from tests.compare import assert_close, central_difference
 from tests.ops.cases.project import camera_at
 from tests.ops.cases.splats import gradients, stored, widen

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from clgs.ops.views import pack_camera
-from clgs.reference import channels, harmonics, views
+from clgs.ops.general.views import pack_camera
+from clgs.reference.general import channels, harmonics, views
 
 UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
 

@@ -10,7 +10,7 @@ import pytest
 import clgs
 from clgs.errors import BudgetError
 from clgs.options import DEFAULT, PRESETS, RenderOptions
-from clgs.reference import views
+from clgs.reference.general import views
 from tests.compare import relative_l2
 from tests.render.splat_scene import Reference, scene
 

@@ -12,7 +12,7 @@ from clgs.data.origin import move_camera
 from clgs.data.splats.gaussians import load_splats
 from clgs.data.splats.table import PlyTable, pack_ply, read_ply
 from clgs.reference import project
-from clgs.reference.splats import basis
+from clgs.reference.general.splats import basis
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import IDENTITY, SceneTransform

@@ -8,7 +8,8 @@ import pytest
 from clgs.constants import NEAR_PLANE
 from clgs.lab.observed_kernels import blend_decisions
 from clgs.options import RenderOptions
-from clgs.reference import blend, project, splats, tiles
+from clgs.reference import blend, project, tiles
+from clgs.reference.general import splats
 from clgs.render.frame import upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.render.renderer import Renderer

@@ -23,10 +23,11 @@ from clgs.lab.selftest.reference_render import (
 from clgs.lab.selftest.training_checks import training_checks
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
-from clgs.ops import antialias, mlp, project, project_anchors
 from clgs.ops import loss as loss_op
-from clgs.reference import antialias as antialias_reference
+from clgs.ops import mlp, project, project_anchors
+from clgs.ops.general import antialias
 from clgs.reference import cull, loss, tiles
+from clgs.reference.general import antialias as antialias_reference
 from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings, Scene

@@ -31,8 +31,8 @@ from clgs.ops import (
     rate,
     scan,
     sort,
-    splats,
 )
+from clgs.ops.general import splats
 from clgs.ops.neural import GaussianGradients
 from clgs.reference import adam as adam_reference
 from clgs.reference import density as density_reference
@@ -44,7 +44,7 @@ from clgs.reference import quantize as quantize_reference
 from clgs.reference import rate as rate_reference
 from clgs.reference import scan as scan_reference
 from clgs.reference import sort as sort_reference
-from clgs.reference import splats as splats_reference
+from clgs.reference.general import splats as splats_reference
 from clgs.scene.anchors import AnchorSet
 from clgs.scene.gaussians import OrdinaryGaussians
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from clgs.ops.neural import GaussianGradients
-from clgs.reference.splats import Stored
+from clgs.reference.general.splats import Stored
 from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
 
 

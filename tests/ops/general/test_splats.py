@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from clgs.constants import NEAR_PLANE
-from clgs.ops import splats
-from clgs.reference import splats as reference
+from clgs.ops.general import splats
+from clgs.reference.general import splats as reference
 from clgs.scene.gaussians import OrdinaryGaussians
 from tests.compare import assert_close, relative_l2
 from tests.ops.cases.project import camera_at

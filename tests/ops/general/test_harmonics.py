@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.ops import harmonics
-from clgs.reference import harmonics as reference
+from clgs.ops.general import harmonics
+from clgs.reference.general import harmonics as reference
 from tests.compare import relative_l2
 
 

@@ -31,7 +31,7 @@ class Layers:
 
 @dataclass(frozen=True)
 class ChannelGradients:
-    """The fields of ``clgs.ops.channels.ChannelGradients``; d_channel has the depth's last."""
+    """Fields of ``clgs.ops.general.channels.ChannelGradients``; d_channel has the depth's last."""
 
     d_mean2d: Array
     d_whitening: Array

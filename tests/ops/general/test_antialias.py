@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from clgs.constants import BLUR, NEAR_PLANE
-from clgs.ops import antialias
-from clgs.reference import antialias as reference
+from clgs.ops.general import antialias
+from clgs.reference.general import antialias as reference
 from tests.compare import assert_close
 from tests.ops.cases.project import camera_at, gaussians, on_device, widen
 

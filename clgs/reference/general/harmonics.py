@@ -7,7 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.reference.splats import HARMONICS, Array, Polynomial, polynomial_slopes, polynomials
+from clgs.reference.general.splats import (
+    HARMONICS,
+    Array,
+    Polynomial,
+    polynomial_slopes,
+    polynomials,
+)
 
 _F, _E = np.sqrt(35 / np.pi), np.sqrt(35 / (2 * np.pi))
 _D, _C, _A = np.sqrt(5 / np.pi), np.sqrt(5 / (2 * np.pi)), np.sqrt(1 / np.pi)
@@ -29,7 +35,7 @@ ALL = (*HARMONICS, *DEGREE_4)
 
 
 def forward(mean: Array, sh: Array, centre: Array, degree: int, bare: bool = False) -> Array:
-    """Colors (N, 3); arguments as in ``clgs.ops.harmonics``, ``centre`` (3,)."""
+    """Colors (N, 3); arguments as in ``clgs.ops.general.harmonics``, ``centre`` (3,)."""
     direction, _ = _directions(mean, centre)
     used = (degree + 1) ** 2
     sums = np.einsum("nci,nc->ni", sh[:, :used], polynomials(ALL[:used], direction))

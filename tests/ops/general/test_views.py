@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.ops import views
-from clgs.ops.channels import ChannelGradients
+from clgs.ops.general import views
+from clgs.ops.general.channels import ChannelGradients
 from clgs.options import DEFAULT
-from clgs.reference import views as reference
+from clgs.reference.general import views as reference
 from tests.compare import relative_l2
 
 SIZE = (96, 80)

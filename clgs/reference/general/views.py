@@ -21,7 +21,7 @@ from clgs.reference.project import (
 
 @dataclass(frozen=True)
 class Lens:
-    """The fields of ``clgs.ops.views.Lens`` that change numbers; near is the camera's."""
+    """The fields of ``clgs.ops.general.views.Lens`` that change numbers; near is the camera's."""
 
     parallel: bool = False
     compensated: bool = False
@@ -71,7 +71,7 @@ def shape_gradients(scale: Array, rotation: Array, d_covariance: Array) -> tuple
 def forward(
     mean: Array, covariance: Array, opacity: Array, camera: npt.NDArray[np.floating], lens: Lens
 ) -> tuple[Projected, Array]:
-    """Projections and opacities; shapes as in ``clgs.ops.views``, covariances (N, 3, 3)."""
+    """Projections and opacities; shapes as in ``clgs.ops.general.views``, covariances (N, 3, 3)."""
     view = unpack(camera)
     with np.errstate(all="ignore"):
         seen = _see(view, mean, covariance, lens)

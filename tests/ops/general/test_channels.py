@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.ops import channels, tiles
+from clgs.ops import tiles
+from clgs.ops.general import channels
 from clgs.ops.project import Projected
 from clgs.options import DEFAULT
-from clgs.reference import channels as reference
+from clgs.reference.general import channels as reference
 from clgs.reference.project import Projected as Projected64
 from tests.compare import relative_l2
 

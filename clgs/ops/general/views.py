@@ -3,7 +3,8 @@
 As ``clgs.ops.project``, and more general: shapes are unnormalised quaternions with scales, or
 covariances; the camera's 3x4 matrix need not be a rotation; rays may be parallel; blur, far plane
 and smallest radius are arguments; opacities can make up for the blur, as in
-``clgs.ops.antialias``, with a gradient. Trainers with one kind of camera keep the faster stage.
+``clgs.ops.general.antialias``, with a gradient. Trainers with one kind of camera keep the faster
+stage.
 
 Sources: 3DGS (EWA splatting, Zwicker et al. 2001); Mip-Splatting (Yu et al. 2024) for the
 opacities; gradients by the camera are our own.
@@ -20,7 +21,7 @@ from clgs.constants import FRUSTUM_MARGIN
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.grid import by_lanes
-from clgs.ops.channels import ChannelGradients
+from clgs.ops.general.channels import ChannelGradients
 from clgs.ops.project import Projected, allocate
 from clgs.options import RenderOptions
 from clgs.shapes import Shapes
