@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip insta
 
 import clgs  # noqa: E402
 from tests.data.folders import write_colmap  # noqa: E402
+from tests.small_scene import write_scene  # noqa: E402
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -47,3 +49,19 @@ def test_splats_are_trained_and_resumed(tmp_path, capsys):
     assert len(first) == len(second)
     assert not np.array_equal(first.mean, second.mean)
     assert "step 0:" in capsys.readouterr().out
+
+
+def test_a_scene_of_anchors_is_trained_by_a_loss_of_its_own(tmp_path, capsys):
+    folder = write_scene(tmp_path / "balls", train=4, test=1, size=24)
+    config = replace(clgs.preset("quick").scaled(8), start_points=300)
+    clgs.train_scene(clgs.load_dataset(folder), tmp_path / "run", config)
+    given, made = tmp_path / "run" / "scene.clgs", tmp_path / "out.clgs"
+    picture = tmp_path / "depth.png"
+    arguments = given, folder, made, "--steps", 8, "--picture", picture
+    before, after = run("train_anchors.py", *arguments)
+    assert after > before
+    assert "roughness" in capsys.readouterr().out
+    old, new = clgs.decode(given.read_bytes()), clgs.decode(made.read_bytes())
+    assert np.array_equal(old.anchors.position, new.anchors.position)
+    assert not np.array_equal(old.mlps.flat, new.mlps.flat)
+    assert Image.open(picture).size == (48, 24)
