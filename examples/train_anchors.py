@@ -15,6 +15,7 @@ import clgs
 import clgs.torch as gsplat
 from clgs.constants import ALPHA_MAX, HEAD_DIMS
 from clgs.data.origin import repose
+from clgs.data.view import View
 from clgs.files import atomic_write
 from clgs.scene.anchors import Anchors, quantize
 from clgs.scene.mlps import Mlps, head_slice
@@ -87,12 +88,15 @@ def main(arguments: list[str] | None = None) -> tuple[float, float]:
     arrays |= {head: start.mlps.flat[head_slice(head)] for head in MLPS}
     trained = {name: torch.tensor(array, requires_grad=True) for name, array in arrays.items()}
 
+    def photo_of(view: View) -> torch.Tensor:
+        planes = view.photo.planes(scene.settings.background)
+        return torch.tensor(planes).permute(1, 2, 0) / 255
+
     @torch.no_grad()
     def look() -> tuple[float, torch.Tensor]:
         found = []
         for view in data.test:
-            photo = torch.tensor(view.photo.pixels().color) / 255
-            error = draw(scene, trained, view.camera)[0].clamp(0, 1) - photo
+            error = draw(scene, trained, view.camera)[0].clamp(0, 1) - photo_of(view)
             found.append(-10 * error.square().mean().log10().item())
         return sum(found) / len(found), draw(scene, trained, data.test[0].camera)[1]
 
@@ -104,7 +108,7 @@ def main(arguments: list[str] | None = None) -> tuple[float, float]:
     generator = torch.Generator().manual_seed(0)
     for step in range(given.steps):
         view = data.train[torch.randint(len(data.train), (), generator=generator)]
-        photo, used = torch.tensor(view.photo.pixels().color) / 255, view.used()
+        photo, used = photo_of(view), view.used()
         image, depth = draw(scene, trained, view.camera)
         difference = (image - photo).abs().mean(dim=2)
         colors = (difference if used is None else difference * torch.tensor(used)).mean()
