@@ -76,7 +76,7 @@ def encode_within(
         Device(views.device),
         [every[i] for i in spread(cameras, MAX_VIEWS)],
         chosen,
-        drawing_options(path, views),
+        drawing_options(path, views, scene),
         counter("looking at views", 0, on_event),
     )
     if target_psnr is not None:

@@ -54,7 +54,8 @@ def evaluate(
         BudgetError: ``views.max_memory`` is too small.
     """
     scene = over_background(scene, views.background)
-    chosen, options = select_views(path, scene, views, on_event), drawing_options(path, views)
+    options = drawing_options(path, views, scene)
+    chosen = select_views(path, scene, views, on_event)
     advance = counter("evaluating", len(chosen), on_event)
     scores = evaluate_views(device, scene, chosen, advance, options, lpips)
     summary = summarize(scene, scores, size)

@@ -51,7 +51,7 @@ from clgs.workflow.scenes import (
     read_drawable,
     run_folder,
 )
-from clgs.workflow.views import known_data, load_views, scene_name
+from clgs.workflow.views import check_photo_options, known_data, load_views, scene_name
 
 SUFFIXES = (".glb", ".html", ".ply", ".spz", ".sog")
 
@@ -192,6 +192,7 @@ def export(
             masks=masks,
             device=device,
         )
+        check_photo_options(views)
         settings = BakeSettings(degree, BAKE_STEPS if steps is None else steps)
         encoded, loss = _bake(source, output, scene, views, settings, transform, on_event)
     atomic_write(output, encoded.data)

@@ -136,7 +136,7 @@ def render_views(
         for name in names:
             check_new(output / name, overwrite)
     shown = drawable(over_background(found, views.background))
-    renderer = Renderer(Device(views.device), shown, drawing_options(scene, views))
+    renderer = Renderer(Device(views.device), shown, drawing_options(scene, views, found))
     renderer.check_budget((view.name, view.camera) for view in chosen)
     draw = drawer(renderer, kind, [view.camera for view in chosen])
     pairs = zip(names, chosen, strict=True)
@@ -170,7 +170,8 @@ def render_clip(
     """
     if views.data is None:
         check_there(scene)
-        views = replace(views, data=None if path.up else known_data(scene))
+        up = path.up and path.name != "interpolate"  # it stands in for the photos' up
+        views = replace(views, data=None if up else known_data(scene))
     check_clip(path, views, save_path)
     if save_path is not None:
         check_new(save_path, overwrite, scene, Path(path.name))
@@ -185,7 +186,7 @@ def render_clip(
         width, height = width - width % 2, height - height % 2
         cameras = [replace(camera, width=width, height=height) for camera in cameras]
     shown = drawable(over_background(found, views.background))
-    renderer = Renderer(Device(views.device), shown, drawing_options(scene, views))
+    renderer = Renderer(Device(views.device), shown, drawing_options(scene, views, found))
     renderer.check_budget((f"frame {i}", camera) for i, camera in enumerate(cameras))
     draw = drawer(renderer, kind, cameras)
     if is_video:

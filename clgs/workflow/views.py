@@ -120,6 +120,15 @@ def _check_same_place(
         on_event(Note(f"the cameras of {data} {unlike}; {remedy}"))
 
 
+def check_photo_options(options: ViewOptions) -> None:
+    """Raise UsageError if options say how photos are read, and there are none."""
+    if options.data is None:
+        for name in ("downscale", "max_size", "masks"):
+            if getattr(options, name) is not None:
+                option = f"--{name.replace('_', '-')}"
+                raise UsageError(f"{option}: no photos are known without --data; leave it out")
+
+
 def select_views(
     path: Path, scene: QuantizedScene | SplatScene, options: ViewOptions, on_event: OnEvent = ignore
 ) -> list[View]:
@@ -146,8 +155,16 @@ def over_background(scene: DrawableScene, background: str | None) -> DrawableSce
     return replace(scene, settings=settings)
 
 
-def drawing_options(path: Path, options: ViewOptions) -> RenderOptions:
-    """How the scene at ``path`` is drawn, the memory budget included."""
+def drawing_options(
+    path: Path, options: ViewOptions, scene: QuantizedScene | SplatScene
+) -> RenderOptions:
+    """How ``scene``, read at ``path``, is drawn, the memory budget included.
+
+    Raises:
+        UsageError: an option is for anchors, and the scene has splats.
+    """
+    if isinstance(scene, SplatScene) and options.smallest_anchor is not None:
+        raise UsageError(f"--smallest-anchor: {path} holds splats, no anchors; leave it out")
     trained = trained_config(path) or TrainConfig()
     smallest = options.smallest_anchor
     return render_options(

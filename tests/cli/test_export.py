@@ -17,6 +17,7 @@ from clgs.scene.anchors import QuantizationScales, quantize
 from clgs.scene.scene import QuantizedScene, SceneTransform
 from clgs.scene.storage import save_scene
 from tests.cli.calls import exit_code
+from tests.codec.scenes import random_scene
 from tests.exports.splats.cases import differences, gaussians
 from tests.small_scene import write_scene
 
@@ -25,6 +26,7 @@ from tests.small_scene import write_scene
 def work(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "splats.ply").write_bytes(encode_ply(gaussians()).data)
+    save_scene(tmp_path / "s.npz", random_scene(np.random.default_rng(3), 40))
     (tmp_path / "old.ply").write_bytes(b"old")
     (tmp_path / "old.spz").write_bytes(b"old")
     (tmp_path / "old.glb").write_bytes(b"old")
@@ -63,6 +65,9 @@ def work(tmp_path, monkeypatch):
         ("splats.ply -o x.ply --name me", 2, "--name: only a page has a title; leave it out"),
         ("splats.ply -o x.html --units scene", 2, "--units: a page holds the scene as it is"),
         ("photos -o x.glb --sh-degree 1", 2, "--sh-degree: photos is a data set; leave it out"),
+        ("s.npz -o x.spz --downscale 2", 2, "--downscale: no photos are known without --data"),
+        ("s.npz -o x.ply --max-size 90", 2, "--max-size: no photos are known without --data"),
+        ("s.npz -o x.glb --masks object", 2, "--masks: no photos are known without --data"),
         ("splats.ply -o no/x.spz", 2, "no/x.spz: cannot be written"),
     ],
 )

@@ -170,6 +170,12 @@ def test_splats_are_scored_and_over_another_background_differ(here, tmp_path):
         ("render s.npz --data data -o x.JPG", 2, "x.JPG: pictures go into a folder; name one"),
         ("render s.npz --path orbit -o run", 2, "run: holds a run; name another folder"),
         ("render data/no.ply --path orbit -o x", 3, "no.ply: no such file"),
+        ("render s.npz --path interpolate --up z --data data -o x", 2, "--up: cameras say what"),
+        ("render splats.ply --path orbit --smallest-anchor 2 -o x", 2, "--smallest-anchor: splats"),
+        ("eval splats.ply --data data --smallest-anchor 2", 2, "--smallest-anchor: splats.ply"),
+        ("view splats.ply --smallest-anchor 2", 2, "--smallest-anchor: splats.ply holds splats"),
+        ("view s.npz --max-size 90", 2, "--max-size: no photos are known without --data"),
+        ("view s.npz --masks object", 2, "--masks: no photos are known without --data"),
         ("eval splats.ply --hashes s.npz", 2, "splats.ply: holds splats; --hashes are those of"),
     ],
 )

@@ -87,11 +87,19 @@ def scene_to_show(path: Path, views: ViewOptions, on_event: OnEvent) -> Shown:
     from clgs.viewer.server import Shown
     from clgs.workflow.events import counter
     from clgs.workflow.scenes import read_drawable
-    from clgs.workflow.views import drawing_options, known_data, load_views, over_background
+    from clgs.workflow.views import (
+        check_photo_options,
+        drawing_options,
+        known_data,
+        load_views,
+        over_background,
+    )
 
     scene, size = read_drawable(path)
-    scene, options = over_background(scene, views.background), drawing_options(path, views)
+    scene = over_background(scene, views.background)
+    options = drawing_options(path, views, scene)
     views = replace(views, data=views.data or known_data(path))
+    check_photo_options(views)
     photos, framing = {}, frame_scene(scene, SIZE)
     if views.data is not None:
         dataset = load_views(path, scene, views, on_event)

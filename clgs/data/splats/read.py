@@ -41,6 +41,9 @@ MARK = "SplatRenderMode: mip"
 OPAQUE = 20.0
 """A logit whose opacity is 1 in float32."""
 
+MOST_UNIT = 2.0
+"""Colors in floats go to 1, or a little beyond; if one is larger than this, they go to 255."""
+
 MOST_REST = 3 * ((MAX_DEGREE + 1) ** 2 - 1)
 
 _MODE = re.compile(r"(?:splat)?[_-]?(?:render|rasteri[sz]e?r?)[_-]?mode\s*[:=\s]\s*(\w+)", re.ASCII)
@@ -115,10 +118,12 @@ def _as_3dgs(columns: Columns, path: Path) -> bool:
             columns[name] = np.where(size == -np.inf, thin, size)
     primaries = [name for name in ("red", "green", "blue") if name in columns]
     if len(primaries) == 3 and not any(name in columns for name in DC):
-        for name, primary in zip(DC, primaries, strict=True):
-            color = columns.pop(primary)
-            whole = float(np.iinfo(color.dtype).max) if color.dtype.kind in "iu" else 1.0
-            columns[name] = ((color / whole - 0.5) / SH_0).astype(np.float32)
+        colors = [columns.pop(primary) for primary in primaries]
+        bytes_as_floats = max(float(color.max(initial=0)) for color in colors) > MOST_UNIT
+        for name, color in zip(DC, colors, strict=True):
+            white = np.iinfo(color.dtype).max if color.dtype.kind in "iu" else 1.0
+            white = 255.0 if color.dtype.kind == "f" and bytes_as_floats else float(white)
+            columns[name] = ((color / white - 0.5) / SH_0).astype(np.float32)
     _cut_degree(columns, path)
     if FILTER not in columns or any(name not in columns for name in SCALE):
         return False

@@ -134,7 +134,7 @@ def test_flat_splats_have_no_third_scale(tmp_path, rng):
     assert (found.log_scale[:, 2] == -20).all()
 
 
-@pytest.mark.parametrize(("kind", "white"), [("u1", 255), ("u2", 65535), ("f4", 1)])
+@pytest.mark.parametrize(("kind", "white"), [("u1", 255), ("u2", 65535), ("f4", 1), ("f4", 255)])
 def test_colors_of_splats_may_be_those_of_a_display(tmp_path, rng, kind, white):
     columns = columns_of(stored(rng, 10, 0))
     for i, name in enumerate(("red", "green", "blue")):
