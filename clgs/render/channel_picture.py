@@ -46,6 +46,7 @@ def draw(
     with_depth: bool,
     alpha_max: float,
     options: RenderOptions,
+    lists: tiles.TileLists | None = None,
 ) -> Drawn:
     """Blend ``projected.color`` (N, D), and the depth as a last channel if asked for.
 
@@ -59,6 +60,7 @@ def draw(
         with_depth: see above.
         alpha_max: where alpha saturates.
         options: accuracy and memory budget.
+        lists: the lists of all tiles, if others than those of the stage are wanted.
 
     Raises:
         BudgetError: a row of tiles needs more than ``options.max_memory``.
@@ -66,11 +68,11 @@ def draw(
     """
     made = channels.empty_picture(device, size, background, with_depth, alpha_max, options)
     groups: tuple[Rows, ...] = ((0, tiles.tile_count(1, size[1])),)
-    if options.max_memory is not None:
+    if options.max_memory is not None and lists is None:
         split = tile_groups.within_budget(device, projected, size, options)
         groups = groups if split is None else split.rows
     whole = None
-    for rows, part in _parts(device, projected, size, options, groups):
+    for rows, part in _parts(device, projected, size, options, groups, lists):
         with device.stage("channels forward"):
             channels.forward(device, projected, *part, made, rows)
         whole = part if len(groups) == 1 else None
@@ -117,9 +119,10 @@ def _parts(
     size: tuple[int, int],
     options: RenderOptions,
     groups: tuple[Rows, ...],
+    lists: tiles.TileLists | None = None,
 ) -> Iterator[tuple[Rows, Part]]:
     for rows in groups:
         with device.stage("tiles"):
-            lists = tiles.forward(device, projected, size, options, tile_rows=rows)
-            records = channels.gather(device, projected, lists, options)
-        yield rows, (lists, records)
+            own = lists or tiles.forward(device, projected, size, options, tile_rows=rows)
+            records = channels.gather(device, projected, own, options)
+        yield rows, (own, records)

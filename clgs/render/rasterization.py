@@ -7,7 +7,6 @@ table of what is the same, what differs and what is refused.
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,14 +15,9 @@ from clgs.opencl.device import Device
 from clgs.ops.general import harmonics, views
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import channel_picture
-from clgs.render.splat_arguments import (
-    Floats,
-    check_arguments,
-    check_numbers,
-    check_size,
-    refuse_others,
-)
+from clgs.render.splat_arguments import Floats, check_arguments
 from clgs.render.splat_meta import Meta, meta_of
+from clgs.render.splat_options import checked_lens
 from clgs.render.splat_record import SMALLEST_ALPHA, Record, View
 
 ALPHA_MAX = 0.999
@@ -52,7 +46,7 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
     eps2d: float = 0.3,
     sh_degree: int | None = None,
     packed: bool = True,
-    tile_size: int = 16,
+    tile_size: int | None = 16,
     backgrounds: Floats | None = None,
     render_mode: str = "RGB",
     sparse_grad: bool = False,
@@ -75,6 +69,7 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
     device: Device | None = None,
     alpha_max: float = ALPHA_MAX,
     options: RenderOptions = DEFAULT,
+    **later: object,
 ) -> tuple[Floats, Floats, Meta]:
     """Draw N Gaussians as C cameras see them; ``...`` are batches of both.
 
@@ -98,7 +93,7 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
         eps2d: blur added to both variances on the screen, square pixels.
         sh_degree: degree of the harmonics that are used, 0 to 4; None if colors are colors.
         packed: whether the arrays of ``meta`` list only what is drawn.
-        tile_size: 16.
+        tile_size: 16, or None.
         backgrounds: (..., C, D) float32.
         render_mode: "RGB", "D" (sum of weighted depths), "ED" (that by alpha), "RGB+D", "RGB+ED".
         sparse_grad: False.
@@ -120,6 +115,7 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
         device: where it is computed; default a device that is opened once.
         alpha_max: where alpha saturates.
         options: where pixels end, and a memory budget.
+        later: arguments of gsplat 1.6 alone, with its defaults.
 
     Returns:
         colors (..., C, H, W, X) and alphas (..., C, H, W, 1), float32, and ``meta``, in which
@@ -130,14 +126,11 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
         TypeError, ValueError: an argument cannot be used; names it and its shape.
         BudgetError: a row of tiles needs more than ``options.max_memory``.
     """
-    refuse(locals())
-    check_size(width, height)
-    check_numbers(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
+    lens = checked_lens(locals())
     given = check_arguments(
         means, quats, scales, opacities, colors, viewmats, Ks, sh_degree, backgrounds,
         render_mode, covars,
     )  # fmt: skip
-    lens = lens_of(locals())
     on = device or default_device()
     record = Record(on, given, lens, sh_degree, render_mode, absgrad, (width, height), [])
     for batch, number in np.ndindex(given.viewmats.shape[:2]):
@@ -150,52 +143,6 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
     meta = meta_of(on, drawn, given.batch, *counts, record.size, packed)
     meta["record"] = record
     return image, alpha, meta
-
-
-def lens_of(given: dict[str, Any]) -> views.Lens:
-    """The camera that arguments of ``rasterization`` describe, by their names."""
-    return views.Lens(
-        parallel=given["camera_model"] == "ortho",
-        compensated=given["rasterize_mode"] == "antialiased",
-        blur=given["eps2d"],
-        near=given["near_plane"],
-        far=given["far_plane"],
-        smallest_radius=given["radius_clip"],
-    )
-
-
-def refuse(given: dict[str, Any]) -> None:
-    """NotImplementedError or ValueError for arguments of ``rasterization`` that are not offered."""
-    shutter = given["rolling_shutter"]
-    if getattr(shutter, "name", None) == "GLOBAL":
-        shutter = None
-    undistort = "undistort the photos before"
-    refuse_others(
-        {
-            "tile_size": (given["tile_size"], 16, "no result depends on it; use 16"),
-            "sparse_grad": (given["sparse_grad"], False, "gradients are dense; use False"),
-            "distributed": (given["distributed"], False, "one process draws all; use False"),
-            "with_ut": (given["with_ut"], False, undistort),
-            "with_eval3d": (given["with_eval3d"], False, "use False"),
-            "radial_coeffs": (given["radial_coeffs"], None, undistort),
-            "tangential_coeffs": (given["tangential_coeffs"], None, undistort),
-            "thin_prism_coeffs": (given["thin_prism_coeffs"], None, undistort),
-            "ftheta_coeffs": (given["ftheta_coeffs"], None, undistort),
-            "rolling_shutter": (shutter, None, "cameras are global; use None"),
-            "viewmats_rs": (given["viewmats_rs"], None, "cameras are global; use None"),
-        }
-    )
-    if given["camera_model"] not in ("pinhole", "ortho"):
-        raise NotImplementedError(
-            f"camera_model: {given['camera_model']!r} is not offered; {undistort}, or use 'ortho'"
-        )
-    if given["rasterize_mode"] not in ("classic", "antialiased"):
-        mode = given["rasterize_mode"]
-        raise ValueError(f"rasterize_mode: {mode!r} is not 'classic' or 'antialiased'")
-    if given["options"].accuracy.inclusive_stop:
-        raise ValueError("options: an inclusive stop is not offered; use 'parity'")
-    if not 0 < given["alpha_max"] < 1:
-        raise ValueError(f"alpha_max: {given['alpha_max']} is not between 0 and 1")
 
 
 def _draw(

@@ -42,34 +42,6 @@ class SplatArguments:
     channels: int
 
 
-def refuse_others(given: dict[str, tuple[Any, Any, str]]) -> None:
-    """NotImplementedError for the first argument that is not its default.
-
-    ``given``: value, default and what to do instead, by name.
-    """
-    for name, (value, default, instead) in given.items():
-        if value is not default and (default is None or value != default):
-            raise NotImplementedError(f"{name}: {value!r} is not offered; {instead}")
-
-
-def check_numbers(**numbers: float) -> None:
-    """TypeError or ValueError unless each is a finite number of at least 0."""
-    for name, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-            raise TypeError(f"{name}: is {type(value).__name__}; give a number")
-        if not 0 <= value < math.inf:
-            raise ValueError(f"{name}: {value} is not a finite number of at least 0")
-
-
-def check_size(width: int, height: int) -> None:
-    """TypeError or ValueError unless both are whole numbers of 1 to 32767 pixels."""
-    for name, value in (("width", width), ("height", height)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer):
-            raise TypeError(f"{name}: is {type(value).__name__}; give a whole number of pixels")
-        if not 1 <= value <= 32767:
-            raise ValueError(f"{name}: {value} is not 1 to 32767 pixels")
-
-
 def check_arguments(
     means: Any,
     quats: Any,

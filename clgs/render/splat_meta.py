@@ -51,6 +51,7 @@ def meta_of(
     count: int,
     size: tuple[int, int],
     packed: bool,
+    radii: npt.NDArray[np.int32] | None = None,
 ) -> Meta:
     """Describe pictures, batches first, of ``count`` Gaussians each.
 
@@ -60,6 +61,7 @@ def meta_of(
     (3): inverse covariances xx, xy, yy; opacities: compensated ones, if they are; tiles_per_gauss
     int32. isect_ids (I,) int64: bits of picture, tile and depth of every entry of the tile lists;
     flatten_ids (I,) int32: its row in the arrays; isect_offsets (..., C, rows, columns) int32.
+    ``radii`` (pictures, N, 2): None if they are not known yet.
     """
     shape = (*batch, cameras, count)
 
@@ -68,11 +70,11 @@ def meta_of(
         return np.array(arrays, np.float32).reshape(len(drawn), count, *width)
 
     def radii_of() -> npt.NDArray[np.int32]:
-        return np.asarray(np.ceil(projected("extent", 2)), np.int32)
+        return np.asarray(np.ceil(projected("extent", 2)), np.int32) if radii is None else radii
 
     ids: list[npt.NDArray[np.int64] | None] = [None] * 4
     if packed:
-        image_ids, gaussian_ids = np.nonzero(radii_of()[..., 0])
+        image_ids, gaussian_ids = np.divmod(np.flatnonzero(radii_of()[..., 0]), max(count, 1))
         ids = [image_ids, *np.divmod(image_ids, max(cameras, 1)), gaussian_ids]
 
     def shaped(array: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -10,24 +10,27 @@ Voxel-GS scenes. ``torch.utils.checkpoint`` and ``no_grad`` work as usual.
 from __future__ import annotations
 
 import weakref
+from functools import wraps
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from clgs.opencl.device import Device
-from clgs.options import DEFAULT, RenderOptions
-from clgs.render.rasterization import ALPHA_MAX, default_device, lens_of, refuse
-from clgs.render.splat_arguments import check_arguments, check_numbers, check_size
+from clgs.render.rasterization import rasterization as rasterization_of_numpy
 from clgs.render.splat_meta import Meta, meta_of
 from clgs.render.splat_record import SMALLEST_ALPHA
 from clgs.torch.anchors import DecodedAnchors as DecodedAnchors
 from clgs.torch.anchors import decode_anchors as decode_anchors
 from clgs.torch.anchors import quantize as quantize
 from clgs.torch.anchors import rate as rate
-from clgs.torch.functions import Blend, Harmonics, Project
-from clgs.torch.tensors import Call, checked, host_of, packed_rows
+from clgs.torch.functions import Blend, Harmonics
+from clgs.torch.pixels import isect_offset_encode as isect_offset_encode
+from clgs.torch.pixels import isect_tiles as isect_tiles
+from clgs.torch.pixels import rasterize_to_pixels as rasterize_to_pixels
+from clgs.torch.projection import SIGNATURE, conics_of, project
+from clgs.torch.projection import fully_fused_projection as fully_fused_projection
+from clgs.torch.tensors import BlendCall, ViewsCall, tensor_rows
 
 STRATEGIES = ("DefaultStrategy", "MCMCStrategy", "Strategy")
 
@@ -36,9 +39,9 @@ def __getattr__(name: str) -> Any:
     """The strategies of gsplat, imported at first use."""
     if name not in STRATEGIES:
         raise AttributeError(f"module 'clgs.torch' has no attribute {name!r}")
-    from gsplat import strategy
+    from clgs.torch import strategies
 
-    return getattr(strategy, name)
+    return getattr(strategies, name)
 
 
 def spherical_harmonics(
@@ -67,47 +70,9 @@ def spherical_harmonics(
     return result if masks is None else torch.where(masks[..., None], result, 0.0)
 
 
-def rasterization(  # noqa: PLR0913  gsplat's arguments
-    means: Tensor,
-    quats: Tensor | None,
-    scales: Tensor | None,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmats: Tensor,
-    Ks: Tensor,  # noqa: N803  the field's name of intrinsics
-    width: int,
-    height: int,
-    near_plane: float = 0.01,
-    far_plane: float = 1e10,
-    radius_clip: float = 0.0,
-    eps2d: float = 0.3,
-    sh_degree: int | None = None,
-    packed: bool = True,
-    tile_size: int = 16,
-    backgrounds: Tensor | None = None,
-    render_mode: str = "RGB",
-    sparse_grad: bool = False,
-    absgrad: bool = False,
-    rasterize_mode: str = "classic",
-    channel_chunk: int = 32,
-    distributed: bool = False,
-    camera_model: str = "pinhole",
-    segmented: bool = False,
-    covars: Tensor | None = None,
-    with_ut: bool = False,
-    with_eval3d: bool = False,
-    radial_coeffs: Tensor | None = None,
-    tangential_coeffs: Tensor | None = None,
-    thin_prism_coeffs: Tensor | None = None,
-    ftheta_coeffs: Any = None,
-    rolling_shutter: Any = None,
-    viewmats_rs: Tensor | None = None,
-    *,
-    device: Device | None = None,
-    alpha_max: float = ALPHA_MAX,
-    options: RenderOptions = DEFAULT,
-) -> tuple[Tensor, Tensor, Meta]:
-    """Draw Gaussians as cameras see them; see :func:`clgs.rasterization` for the arguments.
+@wraps(rasterization_of_numpy, assigned=())
+def rasterization(*arguments: Any, **others: Any) -> tuple[Tensor, Tensor, Meta]:
+    """Draw Gaussians as cameras see them; arguments as of :func:`clgs.rasterization`, of tensors.
 
     Gradients flow to means, quats and scales or covars, opacities, colors, viewmats and
     backgrounds; ``meta["means2d"]`` retains its own, and ``absgrad``, as gsplat's does.
@@ -116,52 +81,30 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
         NotImplementedError: an argument asks for what is not offered; names it.
         TypeError, ValueError: an argument cannot be used; names it and its shape or device.
     """
-    arguments = locals()
-    refuse(arguments)
-    check_size(width, height)
-    check_numbers(near_plane=near_plane, far_plane=far_plane, radius_clip=radius_clip, eps2d=eps2d)
-    names = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "backgrounds")
-    hosts = {name: checked(name, arguments[name]) for name in (*names, "covars")}
-    given = check_arguments(**hosts, sh_degree=sh_degree, render_mode=render_mode)
-    lens = lens_of(arguments)
-    call = Call(
-        device or default_device(), given, lens, (width, height), render_mode != "RGB",
-        alpha_max, options, absgrad,
-    )  # fmt: skip
-    b, c = given.viewmats.shape[:2]
-    flat = [
-        None if one is None else one.reshape(b, *one.shape[len(given.batch) :])
-        for one in (means, None if covars is not None else quats,
-                    None if covars is not None else scales, covars, opacities, viewmats)
-    ]  # fmt: skip
-    seen: tuple[Tensor, ...] = Project.apply(call, *flat)
-    centres, whitening, depths, shown, extents = seen
-    reach = np.ceil(host_of(extents)).astype(np.int32)  # PyTorch's threads would wait for OpenCL's
-    if packed:
-        call.rows = torch.from_numpy(np.flatnonzero(reach[..., 0]))
-        means2d = packed_rows(call, centres)
-    else:
-        means2d = centres.reshape(*given.batch, *centres.shape[1:])
-    color = _colors(call, flat[0], colors, flat[5], sh_degree, render_mode)
-    shade = torch.zeros(given.backgrounds.shape)
-    if backgrounds is not None and "RGB" in render_mode:
-        own = backgrounds.reshape(b, c, -1)
+    bound = SIGNATURE.bind(*arguments, **others)
+    bound.apply_defaults()
+    given, render_mode = bound.arguments, bound.arguments["render_mode"]
+    call, flat, (centres, whitening, depths, shown, extents) = project(given)
+    batch, (b, c) = call.given.batch, call.given.viewmats.shape[:2]
+    means2d = centres if call.packed else centres.reshape(*batch, *centres.shape[1:])
+    color = _colors(call, flat[0], given["colors"], flat[5], given["sh_degree"], render_mode)
+    shade = torch.zeros(call.given.backgrounds.shape)
+    if given["backgrounds"] is not None and "RGB" in render_mode:
+        own = given["backgrounds"].reshape(b, c, -1)
         shade = torch.cat([own, shade[..., own.shape[-1] :]], dim=-1)
-    call.centres = weakref.ref(means2d)
-    image, alphas = Blend.apply(call, means2d, whitening, depths, shown, extents, color, shade)
+    how = render_mode != "RGB", given["alpha_max"], given["absgrad"]
+    blend = BlendCall(call.device, call.size, call.options, *how, seen=call)
+    blend.centres = weakref.ref(means2d)
+    image, alphas = Blend.apply(blend, means2d, whitening, depths, shown, extents, color, shade)
     if "ED" in render_mode:
         divisor = alphas.clamp(min=SMALLEST_ALPHA)
         image = torch.cat([image[..., :-1], image[..., -1:] / divisor], dim=-1)
-    meta = _meta(call, packed, means2d, torch.from_numpy(reach), depths, whitening, shown)
-    return (
-        image.reshape(*given.batch, *image.shape[1:]),
-        alphas.reshape(*given.batch, *alphas.shape[1:]),
-        meta,
-    )
+    meta = _meta(call, blend, means2d, depths, whitening, shown)
+    return image.reshape(*batch, *image.shape[1:]), alphas.reshape(*batch, *alphas.shape[1:]), meta
 
 
 def _colors(
-    call: Call,
+    call: ViewsCall,
     means: Tensor | None,
     colors: Tensor,
     viewmats: Tensor | None,
@@ -182,7 +125,7 @@ def _colors(
         Harmonics.apply(
             sh_degree, means[batch] - centre[batch, number], stored[batch, number % stored.shape[1]]
         )
-        for batch, number in call.pictures()
+        for batch, number in np.ndindex(given.viewmats.shape[:2])
     ]
     every = torch.stack(seen) if seen else torch.zeros(0, stored.shape[2], 3)
     shape = (*given.viewmats.shape[:2], stored.shape[2], 3)
@@ -190,10 +133,9 @@ def _colors(
 
 
 def _meta(
-    call: Call,
-    packed: bool,
+    call: ViewsCall,
+    blend: BlendCall,
     means2d: Tensor,
-    radii: Tensor,
     depths: Tensor,
     whitening: Tensor,
     opacities: Tensor,
@@ -201,14 +143,12 @@ def _meta(
     """The third result: tensors, of which those of the tile lists are made when asked for."""
     batch, count = call.given.batch, call.given.means.shape[1]
     cameras = call.given.viewmats.shape[1]
-    host = meta_of(call.device, call.drawn, batch, cameras, count, call.size, packed)
+    radii = call.radii.reshape(call.radii.shape[0] * cameras, count, 2)
+    host = meta_of(call.device, blend.drawn, batch, cameras, count, call.size, call.packed, radii)
 
     def shaped(tensor: Tensor) -> Tensor:
-        return packed_rows(call, tensor) if packed else tensor.reshape(*batch, *tensor.shape[1:])
-
-    def conics() -> Tensor:
-        r1, lean, r2 = whitening.unbind(-1)
-        return shaped(torch.stack([r1**2 + (lean * r2) ** 2, -lean * r2**2, r2**2], dim=-1))
+        rows = tensor_rows(call.rows, tensor)
+        return rows if call.packed else rows.reshape(*batch, *tensor.shape[1:])
 
     def tensor_of(key: str) -> Tensor | None:
         value = host[key]
@@ -220,9 +160,9 @@ def _meta(
     lazy = ("tiles_per_gauss", "isect_ids", "flatten_ids", "isect_offsets")
     makers = {name: lambda name=name: tensor_of(name) for name in lazy}
     rest = {
-        "radii": lambda: shaped(radii),
+        "radii": lambda: shaped(torch.from_numpy(call.radii)),
         "depths": lambda: shaped(depths),
         "opacities": lambda: shaped(opacities),
-        "conics": conics,
+        "conics": lambda: shaped(conics_of(whitening)),
     }
     return Meta(known, {**makers, **rest})

@@ -15,16 +15,27 @@ from clgs.ops.general.channels import ChannelGradients
 from clgs.ops.project import Projected
 from clgs.render import channel_picture
 from clgs.render.rasterization import default_device
-from clgs.torch.tensors import Call, gathered, host_of, packed_rows, stacked, unpacked_rows
+from clgs.torch.tensors import (
+    BlendCall,
+    ViewsCall,
+    gathered,
+    host_of,
+    packed_rows,
+    stacked,
+    unpacked_rows,
+)
 
 
 class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
-    """Gaussians to centres, whitening factors, depths, opacities and extents, (B, C, N, ...)."""
+    """Gaussians to centres, whitening factors, depths, opacities and extents, (B, C, N, ...).
+
+    Centres are those of what is drawn alone, (M, 2), if the call is packed.
+    """
 
     @staticmethod
     def forward(
         ctx: Any,
-        call: Call,
+        call: ViewsCall,
         means: Tensor,
         quats: Tensor | None,
         scales: Tensor | None,
@@ -37,7 +48,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         shape = given.scales if given.covars is None else given.covars
         assert shape is not None
         found: list[Projected] = []
-        for batch, number in call.pictures():
+        for batch, number in np.ndindex(given.viewmats.shape[:2]):
             if number == 0:
                 call.splats.append(
                     views.Splats(
@@ -62,6 +73,12 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
             gathered(device, [getattr(one, name) for one in found], sizes, width)
             for name, width in names.items()
         ]
+        call.centres = results[0]
+        call.radii = np.ceil(results[4]).astype(np.int32)  # PyTorch's threads would wait
+        if call.packed:
+            call.rows = np.flatnonzero(call.radii[..., 0])
+        results[0] = packed_rows(call.rows, call.centres)
+        results = [torch.from_numpy(one) for one in results]
         ctx.call, ctx.by_covariance = call, covars is not None
         given_too = means, quats, scales, covars, opacities, viewmats  # must not have changed
         ctx.save_for_backward(results[1], results[4], *given_too)
@@ -74,11 +91,12 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         """Gradients by the Gaussians and the cameras."""
         call, device = ctx.call, ctx.call.device
         whitening, extent = (host_of(one) for one in ctx.saved_tensors[:2])
-        d_mean2d, d_whitening, d_depth, d_opacity = (host_of(one) for one in d[:4])
+        d_centres, d_whitening, d_depth, d_opacity = (host_of(one) for one in d[:4])
+        d_mean2d = unpacked_rows(call.rows, d_centres, extent.shape[:3])
         want_camera = ctx.needs_input_grad[6]
         sums: dict[str, list[npt.NDArray[Any]]] = {}
         d_viewmats = np.zeros(call.given.viewmats.shape, np.float32)
-        for at, (batch, number) in enumerate(call.pictures()):
+        for at, (batch, number) in enumerate(np.ndindex(extent.shape[:2])):
             splats, camera = call.splats[batch], call.cameras[at]
             none = device.empty((len(splats), 0))
             shared = [
@@ -123,13 +141,14 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
 class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
     """Centres and all else of the screen to images (B, C, H, W, X) and alphas (B, C, H, W, 1).
 
-    centres: (B, C, N, 2), or the rows of them that are drawn; colors: (B, 1 or C, N, D).
+    centres: (B, C, N, 2), or as the projection of the same call packed them; colors:
+    (B, 1 or C, N, D).
     """
 
     @staticmethod
     def forward(
         ctx: Any,
-        call: Call,
+        call: BlendCall,
         centres: Tensor,
         whitening: Tensor,
         depths: Tensor,
@@ -140,16 +159,17 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
     ) -> tuple[Tensor, Tensor]:
         """Blend; returns images and alphas."""
         device = call.device
-        every = unpacked_rows(call, centres, whitening.shape[:3])
-        arrays = [host_of(one) for one in (every, whitening, depths, extents)]
+        every = host_of(centres) if call.seen is None else call.seen.centres
+        arrays = [every, *(host_of(one) for one in (whitening, depths, extents))]
         color, opacity, background = host_of(colors), host_of(opacities), host_of(backgrounds)
-        for batch, number in call.pictures():
+        for at, (batch, number) in enumerate(np.ndindex(whitening.shape[:2])):
             mean2d, factor, depth, extent = (device.share(one[batch, number]) for one in arrays)
             own = device.share(color[batch, number % color.shape[1]])
             shown = device.share(opacity[batch, number])
             projected = Projected(mean2d, factor, depth, extent, own, shown)
             shade = device.share(background[batch, number])
-            how = call.with_depth, call.alpha_max, call.options
+            lists = None if call.lists is None else call.lists[at]
+            how = call.with_depth, call.alpha_max, call.options, lists
             call.drawn.append(channel_picture.draw(device, projected, call.size, shade, *how))
         width, height = call.size
         sizes = whitening.shape[0], whitening.shape[1], height
@@ -158,8 +178,8 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         left = gathered(device, [p.transmittance for p in made], (*sizes, width), None)
         # the tensors own the memory that the device has
         ctx.save_for_backward(centres, whitening, depths, opacities, extents, colors, backgrounds)
-        ctx.call, ctx.left = call, left
-        return image, torch.from_numpy(1 - host_of(left))[..., None]
+        ctx.call, ctx.left = call, torch.from_numpy(left)
+        return torch.from_numpy(image), torch.from_numpy(1 - left)[..., None]
 
     @staticmethod
     def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
@@ -169,11 +189,11 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         d_image, d_left = host_of(d[0]), host_of(-d[1][..., 0])
         found: list[ChannelGradients] = []
         shared: list[DeviceArray] = []
-        for at, (batch, number) in enumerate(call.pictures()):
+        for at, (batch, number) in enumerate(np.ndindex(whitening.shape[:2])):
             given = device.share(d_image[batch, number]), device.share(d_left[batch, number])
             shared += given  # alive until the downloads
             found.append(channel_picture.backward(device, call.drawn[at], *given, call.absgrad))
-        sizes = whitening.shape[:3]
+        sizes, rows = whitening.shape[:3], call.seen.rows if call.seen else None
         names = {"d_mean2d": 2, "d_whitening": 3, "d_opacity": None, "d_color": colors.shape[-1]}
         made = {
             name: gathered(device, [getattr(one, name) for one in found], sizes, width)
@@ -184,19 +204,18 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         by_absolute = [one.d_absolute for one in found if one.d_absolute is not None]
         centres = call.centres() if call.centres is not None else None
         if call.absgrad and centres is not None:
-            absolute = packed_rows(call, gathered(device, by_absolute, sizes, 2))
-            centres.absgrad = absolute.reshape(centres.shape)
+            absolute = packed_rows(rows, gathered(device, by_absolute, sizes, 2))
+            centres.absgrad = torch.from_numpy(absolute.reshape(centres.shape))
         d_colors = made["d_color"]
         if colors.shape[1] != sizes[1]:
-            d_colors = d_colors.sum(dim=1, keepdim=True)
+            d_colors = d_colors.sum(axis=1, keepdims=True)
         d_backgrounds = None
         if ctx.needs_input_grad[7]:
             d_backgrounds = torch.einsum("bchwx,bchw->bcx", d[0], ctx.left)
-        d_centres = packed_rows(call, made["d_mean2d"]).reshape(before.shape)
-        return (
-            None, d_centres, made["d_whitening"], d_depth,
-            made["d_opacity"], None, d_colors, d_backgrounds,
-        )  # fmt: skip
+        d_centres = packed_rows(rows, made["d_mean2d"]).reshape(before.shape)
+        by_screen = d_centres, made["d_whitening"], d_depth, made["d_opacity"], None, d_colors
+        tensors = (None if one is None else torch.from_numpy(one) for one in by_screen)
+        return None, *tensors, d_backgrounds
 
 
 class Harmonics(torch.autograd.Function):  # type: ignore[misc]  # torch is Any

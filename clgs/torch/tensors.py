@@ -13,36 +13,52 @@ from torch import Tensor
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops.general import views
+from clgs.ops.tiles import TileLists
 from clgs.options import RenderOptions
 from clgs.render import channel_picture
-from clgs.render.splat_arguments import SplatArguments
+from clgs.render.splat_arguments import Floats, SplatArguments
 
 
 @dataclass
-class Call:
-    """What the functions of one call share; pictures count batches first.
+class ViewsCall:
+    """What the projection of one call shares; pictures count batches first.
 
-    rows: of what is drawn among all Gaussians of all pictures, with packed arrays; centres: the
-    tensor of ``meta``, which receives absolute gradients.
+    packed: whether centres are those of what is drawn alone. The forward pass fills the rest:
+    radii (B, C, N, 2) int32 pixels, 0 if culled; rows of what is drawn among all Gaussians of all
+    pictures; centres of all (B, C, N, 2).
     """
 
     device: Device
     given: SplatArguments
     lens: views.Lens
     size: tuple[int, int]
-    with_depth: bool
-    alpha_max: float
     options: RenderOptions
-    absgrad: bool
+    packed: bool
     splats: list[views.Splats] = field(default_factory=list)
     cameras: list[DeviceArray] = field(default_factory=list)
-    drawn: list[channel_picture.Drawn] = field(default_factory=list)
-    rows: Tensor | None = None
-    centres: Any = None
+    radii: npt.NDArray[np.int32] = field(default_factory=lambda: np.empty(0, np.int32))
+    rows: npt.NDArray[np.int64] | None = None
+    centres: Floats = field(default_factory=lambda: np.empty(0, np.float32))
 
-    def pictures(self) -> list[tuple[int, int]]:
-        """Batch and camera of every picture."""
-        return list(np.ndindex(self.given.viewmats.shape[:2]))
+
+@dataclass
+class BlendCall:
+    """What the blending of one call shares; pictures count batches first.
+
+    seen: the projection, if it is of the same call; lists: the tile lists of every picture, if
+    they are given; centres: the tensor that receives absolute gradients.
+    """
+
+    device: Device
+    size: tuple[int, int]
+    options: RenderOptions
+    with_depth: bool
+    alpha_max: float
+    absgrad: bool
+    seen: ViewsCall | None = None
+    lists: list[TileLists] | None = None
+    drawn: list[channel_picture.Drawn] = field(default_factory=list)
+    centres: Any = None
 
 
 def checked(name: str, tensor: Any) -> npt.NDArray[Any] | None:
@@ -68,23 +84,32 @@ def stacked(arrays: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
 
 def gathered(
     device: Device, arrays: list[DeviceArray], sizes: tuple[int, ...], width: int | None
-) -> Tensor:
-    """A tensor (*sizes, width) of arrays of the device that nothing writes to any more."""
+) -> Floats:
+    """An array (*sizes, width) of arrays of the device that nothing writes to any more."""
     shape = sizes if width is None else (*sizes, width)
     if not arrays:
-        return torch.zeros(shape)
-    return torch.from_numpy(stacked([device.hand_over(one) for one in arrays])).reshape(shape)
+        return np.zeros(shape, np.float32)
+    return stacked([device.hand_over(one) for one in arrays]).reshape(shape)
 
 
-def packed_rows(call: Call, every: Tensor) -> Tensor:
+def packed_rows(rows: npt.NDArray[np.int64] | None, every: Floats) -> Floats:
     """The rows that are drawn, of (B, C, N, ...); all if arrays are not packed."""
-    return every if call.rows is None else every.reshape(-1, *every.shape[3:])[call.rows]
+    return every if rows is None else every.reshape(-1, *every.shape[3:]).take(rows, axis=0)
 
 
-def unpacked_rows(call: Call, some: Tensor, sizes: torch.Size) -> Tensor:
+def unpacked_rows(
+    rows: npt.NDArray[np.int64] | None, some: Floats, sizes: tuple[int, ...]
+) -> Floats:
     """The mirror of packed_rows, of (..., 2); zeros elsewhere."""
-    if call.rows is None:
+    if rows is None:
         return some.reshape(*sizes, 2)
-    every = np.zeros((sizes.numel(), 2), np.float32)
-    every[call.rows.numpy()] = host_of(some)
-    return torch.from_numpy(every).reshape(*sizes, 2)
+    every = np.zeros((int(np.prod(sizes)), 2), np.float32)
+    every[rows] = some
+    return every.reshape(*sizes, 2)
+
+
+def tensor_rows(rows: npt.NDArray[np.int64] | None, every: Tensor) -> Tensor:
+    """The rows that are drawn, as of packed_rows, with a gradient."""
+    if rows is None:
+        return every
+    return every.reshape(-1, *every.shape[3:]).index_select(0, torch.from_numpy(rows))

@@ -93,6 +93,9 @@ def test_what_changed_since_is_refused(rng):
         ({"means": torch.zeros(40, 3, dtype=torch.float64)}, TypeError, "means: dtype is float64"),
         ({"means": torch.zeros(40, 3, device="meta")}, ValueError, "means: is on meta"),
         ({"sparse_grad": True}, NotImplementedError, "sparse_grad"),
+        ({"rays": torch.zeros(1)}, NotImplementedError, "rays"),
+        ({"global_z_order": False}, NotImplementedError, "global_z_order"),
+        ({"far": 1.0}, TypeError, "no argument 'far'"),
         ({"opacities": torch.full((40,), torch.nan)}, ValueError, "opacities"),
     ],
 )
@@ -107,6 +110,12 @@ def test_nothing_to_draw(rng):
     assert image.shape == (2, 27, 33, 3)
     assert not alpha.any()
     assert meta["means2d"].shape == (0, 2)
+
+
+def test_defaults_of_a_later_gsplat_are_accepted(rng):
+    given = tensors(scene(rng))
+    later = {"tile_size": None, "return_normals": False, "extra_signals": None}
+    assert torch.equal(ours.rasterization(**given, **later)[0], ours.rasterization(**given)[0])
 
 
 def test_strategies_are_those_of_gsplat():

@@ -1,0 +1,128 @@
+"""Gaussians to the screen: the first half of ``rasterization``, and gsplat's function of it."""
+
+from __future__ import annotations
+
+from inspect import signature
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from clgs.render.rasterization import default_device
+from clgs.render.rasterization import rasterization as rasterization_of_numpy
+from clgs.render.splat_arguments import check_arguments
+from clgs.render.splat_options import checked_lens
+from clgs.torch.functions import Project
+from clgs.torch.tensors import ViewsCall, checked, tensor_rows
+
+SIGNATURE = signature(rasterization_of_numpy)
+NAMES = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "backgrounds")
+
+
+def project(given: dict[str, Any]) -> tuple[ViewsCall, list[Tensor | None], tuple[Tensor, ...]]:
+    """Project by the arguments of ``rasterization``, which are checked first.
+
+    Returns:
+        What the call shares; means, quats, scales, covars, opacities and viewmats as flat batches;
+        centres, whitening factors, depths, opacities and extents, see :class:`Project`.
+    """
+    lens, by_covariance = checked_lens(given), given["covars"] is not None
+    hosts = {name: checked(name, given[name]) for name in (*NAMES, "covars")}
+    arguments = check_arguments(
+        **hosts, sh_degree=given["sh_degree"], render_mode=given["render_mode"]
+    )
+    device, size = given["device"] or default_device(), (given["width"], given["height"])
+    call = ViewsCall(device, arguments, lens, size, given["options"], given["packed"])
+    b, skipped = arguments.viewmats.shape[0], len(arguments.batch)
+    shapes = ("quats", "scales") if by_covariance else ("covars",)
+    names = ("means", "quats", "scales", "covars", "opacities", "viewmats")
+    flat = [
+        None if given[name] is None or name in shapes
+        else given[name].reshape(b, *given[name].shape[skipped:])
+        for name in names
+    ]  # fmt: skip
+    return call, flat, Project.apply(call, *flat)
+
+
+def conics_of(whitening: Tensor) -> Tensor:
+    """Inverse covariances (..., 3), xx, xy, yy, of whitening factors."""
+    r1, lean, r2 = whitening.unbind(-1)
+    return torch.stack([r1**2 + (lean * r2) ** 2, -lean * r2**2, r2**2], dim=-1)
+
+
+def fully_fused_projection(  # noqa: PLR0913  gsplat's arguments
+    means: Tensor,
+    covars: Tensor | None,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    viewmats: Tensor,
+    Ks: Tensor,  # noqa: N803  the field's name of intrinsics
+    width: int,
+    height: int,
+    eps2d: float = 0.3,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    radius_clip: float = 0.0,
+    packed: bool = False,
+    sparse_grad: bool = False,
+    calc_compensations: bool = False,
+    camera_model: str = "pinhole",
+    opacities: Tensor | None = None,
+) -> tuple[Tensor | None, ...]:
+    """Project Gaussians, as ``gsplat.fully_fused_projection``; units as in :func:`rasterization`.
+
+    Args:
+        means: (..., N, 3) float32.
+        covars: (..., N, 6) float32, xx, xy, xz, yy, yz, zz, or None.
+        quats: (..., N, 4) float32, if there are no covars.
+        scales: (..., N, 3) float32, if there are no covars.
+        viewmats: (..., C, 4, 4).
+        Ks: (..., C, 3, 3).
+        width: pixels.
+        height: pixels.
+        eps2d: blur, square pixels.
+        near_plane: smallest depth.
+        far_plane: largest depth.
+        radius_clip: pixels.
+        packed: whether to list only what is drawn.
+        sparse_grad: False.
+        calc_compensations: whether to return the share of the opacity that the blur leaves.
+        camera_model: "pinhole" or "ortho".
+        opacities: (..., N) float32, 0 to 1; boxes end where alpha is below 1/255; None for ones.
+
+    Returns:
+        radii (..., C, N, 2) int32, 0 if culled; means2d (..., C, N, 2), depths (..., C, N), conics
+        (..., C, N, 3), float32, 0 if culled; compensations (..., C, N) float32 or None. If packed:
+        batch, camera and Gaussian (M,) int64 of each of M rows, then the same by row.
+
+    Raises:
+        NotImplementedError: an argument asks for what is not offered; names it.
+        TypeError, ValueError: an argument cannot be used; names it and its shape.
+    """
+    if covars is not None:
+        covars = covars[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].unflatten(-1, (3, 3))
+    shown = torch.ones(means.shape[:-1]) if opacities is None else opacities
+    bound = SIGNATURE.bind(
+        means, quats, scales, shown, shown[..., None], viewmats, Ks, width, height,
+        near_plane, far_plane, radius_clip, eps2d, packed=packed, sparse_grad=sparse_grad,
+        rasterize_mode="antialiased" if calc_compensations else "classic",
+        camera_model=camera_model, covars=covars,
+    )  # fmt: skip
+    bound.apply_defaults()
+    call, flat, (centres, whitening, depths, left, _) = project(bound.arguments)
+    batch, shared = call.given.batch, flat[4]
+    if opacities is not None and shared is not None:
+        left = left / shared[:, None].clamp(min=1e-30)
+    radii = torch.from_numpy(call.radii)
+    results = [tensor_rows(call.rows, one) for one in (radii, depths, conics_of(whitening), left)]
+    results.insert(1, centres)
+    if call.rows is None:
+        results = [one.reshape(*batch, *one.shape[1:]) for one in results]
+    compensations = results[4] if calc_compensations else None
+    if call.rows is None:
+        return *results[:4], compensations
+    cameras, count = call.radii.shape[1:3]
+    pictures, gaussian_ids = np.divmod(call.rows, count)
+    ids = *np.divmod(pictures, cameras), gaussian_ids
+    return *(torch.from_numpy(one) for one in ids), *results[:4], compensations
