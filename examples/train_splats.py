@@ -25,7 +25,10 @@ def start(points: torch.Tensor, colors: torch.Tensor) -> torch.nn.ParameterDict:
     """A ball at every point, as wide as its neighbours are away."""
     count = len(points)
     near = torch.cat(
-        [torch.cdist(part, points).topk(4).values[:, 1:] for part in points.split(256)]
+        [
+            torch.cdist(part, points).topk(4, largest=False).values[:, 1:]
+            for part in points.split(256)
+        ]
     )
     sh = torch.zeros(count, HARMONICS, 3)
     sh[:, 0] = (colors - 0.5) / 0.28209479
