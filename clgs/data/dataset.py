@@ -213,7 +213,7 @@ def load_dataset(
     )
     named = points_file or (photos.points_file if load_images else None)
     if named is not None:
-        world = read_points(named, point_samples, photos.kind, seed)
+        world = read_points(named, point_samples, photos.kind, seed, photos.frame)
         dataset.points, _ = to_scene_points(dataset, world, None)
         if len(dataset.points) < LEAST_POINTS:
             raise DataError(

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from clgs.data.posed_photo import to_y_up
 from clgs.errors import DataError
+from clgs.scene.world import LOCAL
 
 Floats = npt.NDArray[np.float64]
 
@@ -36,7 +37,7 @@ _SHARING = 8
 """Times that the arrays of a GLB file, which may share bytes, may be larger than the file."""
 
 
-def read_points(path: Path, samples: int, kind: str, seed: int) -> Floats:
+def read_points(path: Path, samples: int, kind: str, seed: int, frame: int = LOCAL) -> Floats:
     """The points of a file, (P, 3) float64 in the world units of the data set.
 
     All points of clouds are taken, and samples of the surfaces of meshes, spread evenly by area;
@@ -47,6 +48,7 @@ def read_points(path: Path, samples: int, kind: str, seed: int) -> Floats:
         samples: points that are drawn on the surfaces, if the file has any.
         kind: of the data set: "blender", "transforms" or "colmap".
         seed: of the samples.
+        frame: of the data set's world, as of SceneTransform.
 
     Raises:
         DataError: missing, empty, too large, damaged, or no such format; names the file.
@@ -64,7 +66,7 @@ def read_points(path: Path, samples: int, kind: str, seed: int) -> Floats:
         raise DataError(f"{path}: is damaged ({reason}); export it again") from error
     if not len(points):
         raise DataError(f"{path}: holds neither points nor surfaces; name another file")
-    return points @ to_y_up(kind) if path.suffix.lower() == ".glb" else points
+    return points @ to_y_up(kind, frame) if path.suffix.lower() == ".glb" else points
 
 
 def _read(path: Path) -> bytes:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from clgs.data.lens import Lens
 from clgs.data.reduction import EVERY
 from clgs.errors import DataError
-from clgs.scene.world import LOCAL, NOWHERE, Place
+from clgs.scene.world import EARTH, LOCAL, MAP, NOWHERE, Place
 
 Y_UP = "polycam", "record3d"
 """Kinds of data sets whose world is that of ARKit."""
@@ -105,15 +105,19 @@ def rigid(matrix: npt.NDArray[np.float64], source: str) -> npt.NDArray[np.float6
     return np.asarray(left @ right)
 
 
-def to_y_up(kind: str) -> npt.NDArray[np.float64]:
+def to_y_up(kind: str, frame: float) -> npt.NDArray[np.float64]:
     """The rotation (3, 3) from the world of a data set to glTF's axes; its transpose goes back.
 
     glTF's y points up, and so does that of the apps of phones. COLMAP models have no up of their
-    own; it is taken to be -y, as if the first camera was held upright. All others have z up.
+    own; it is taken to be -y, as if the first camera was held upright. All others, and all worlds
+    on the Earth, have z up.
 
     Args:
         kind: of the data set, as of PhotoSet.
+        frame: of its world, as of SceneTransform.
     """
+    if frame in (EARTH, MAP):
+        return np.array(_FROM_Z_UP)
     if kind in Y_UP:
         return np.eye(3)
     return np.array(_FROM_Y_DOWN if kind == "colmap" else _FROM_Z_UP)

@@ -30,7 +30,7 @@ def cameras_glb(dataset: Dataset) -> bytes:
     from trimesh.path import Path3D
     from trimesh.path.entities import Line
 
-    turn = to_y_up(dataset.kind)
+    turn = to_y_up(dataset.kind, dataset.transform.frame)
     depth = FRUSTUM_DEPTH * dataset.radius / dataset.transform.scale
     scene = trimesh.Scene(base_frame="world")
     if len(dataset.points):

@@ -72,6 +72,7 @@ def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:
         (
             "<h1>Camera poses</h1>",
             f"<p>{escape(verdict.sure)}.</p>",
+            *(f"<p>{escape(note)}.</p>" for note in verdict.notes),
             cards(headline),
             _maps(photos, verdict),
             _table([*verdict.of(LEFT_OUT), *verdict.of(DOUBTFUL)]),

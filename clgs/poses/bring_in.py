@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -38,6 +38,7 @@ from clgs.poses.equirectangular import (
     view_size,
 )
 from clgs.poses.find import Collection, Found, find_photos, is_video
+from clgs.poses.gps import GPS
 from clgs.poses.video import extract_frames, video_library
 
 LEAST_PHOTOS = 3
@@ -248,14 +249,16 @@ def _write_views(one: Found, images: Path, masks: Path) -> None:
 
 
 def _save(color: npt.NDArray[np.uint8], original: Path, copy: Path) -> None:
-    """Write upright pixels (H, W, 3), with camera and focal length of the original's EXIF data.
+    """Write upright pixels (H, W, 3), with camera, focal length and place of the original's EXIF.
 
-    Other data stays behind: maker's notes may be longer than a JPEG's header.
+    GPS tags come along. Other data stays behind: maker's notes may be longer than a JPEG's header.
     """
     with open_image(original) as opened:
         given = read_exif(opened)
-        details = given.get_ifd(_DETAILS)
+        details, gps = given.get_ifd(_DETAILS), given.get_ifd(GPS)
     exif = Image.Exif()
+    if gps:
+        exif.get_ifd(GPS).update(gps)
     for tag in _CAMERA_TAGS:
         if tag in given:
             exif[tag] = given[tag]
@@ -269,8 +272,10 @@ def _save(color: npt.NDArray[np.uint8], original: Path, copy: Path) -> None:
         picture.save(copy, "JPEG", exif=exif, quality=JPEG_QUALITY, subsampling=0)
 
 
-def camera_numbers(paths: list[Path]) -> list[int]:
+def camera_numbers(paths: list[Path], apart: Container[str] = ()) -> list[int]:
     """Number the cameras of photos, from 0: one per size, camera and focal length.
+
+    ``apart``: stems of the names of photos that share no camera with the others.
 
     Raises:
         DataError: a photo is damaged.
@@ -283,5 +288,5 @@ def camera_numbers(paths: list[Path]) -> list[int]:
         details = exif.get_ifd(_DETAILS)
         named = [str(exif.get(tag, "")) for tag in _CAMERA_TAGS]
         focal = [str(details.get(tag, "")) for tag in _FOCAL_TAGS]
-        found.append(numbers.setdefault((*size, *named, *focal), len(numbers)))
+        found.append(numbers.setdefault((*size, *named, *focal, path.stem in apart), len(numbers)))
     return found

@@ -21,6 +21,7 @@ from clgs.poses.judging.evidence import (
     explain,
 )
 from clgs.poses.judging.judge import LOW_RATIO, MAX_DROPPED
+from clgs.poses.known import map_known
 from clgs.poses.matching import match_again, read_evidence
 from clgs.poses.workspace import Workspace
 
@@ -54,7 +55,7 @@ MANY = 150
 """Above this number of photos the global mapper is asked first: the incremental one's time grows
 with the square of the number."""
 
-INCREMENTAL, GLOBAL = "incremental", "global"
+INCREMENTAL, GLOBAL, GIVEN = "incremental", "global", "given poses"
 STRONG = "incremental, strongest pairs"
 STRONGEST_PAIRS = "strongest"
 """Folder of the last one's files."""
@@ -67,17 +68,17 @@ OTHER_SEED = 1_000_003
 
 
 def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
-    """Find a model by one mapper, and by the other one if the first model leaves doubt.
+    """Find a model by one mapper, and by the others in turn if the first model leaves doubt.
 
-    The incremental mapper is the surer one; of more than MANY photos the global one is faster.
-    ``quick``: ask no second mapper.
+    Poses that are given are refined first. The incremental mapper is the surer one; of more than
+    MANY photos the global one is faster. ``quick``: ask no second mapper.
 
     Raises:
         DataError: no two photos could be related.
     """
-    for made in (INCREMENTAL, GLOBAL, STRONGEST_PAIRS):  # from other matches
+    for made in (*MAPPERS, STRONGEST_PAIRS):  # from other matches
         shutil.rmtree(workspace.folder / made, ignore_errors=True)
-    mappers = [INCREMENTAL, GLOBAL] if len(workspace.names) <= MANY else [GLOBAL, INCREMENTAL]
+    mappers = _mappers(workspace)
     evidence, found = read_evidence(workspace), dict[str, list[Any]]()
     choice = None
     for mapper in mappers[:1] if quick or not evidence.pairs else mappers:
@@ -99,16 +100,22 @@ def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
     raise DataError(f"no two photos could be related; {advice}")
 
 
-def ask_both_mappers(
+def _mappers(workspace: Workspace) -> list[str]:
+    """List the mappers that may be asked, in their order."""
+    both = [INCREMENTAL, GLOBAL] if len(workspace.names) <= MANY else [GLOBAL, INCREMENTAL]
+    return [GIVEN, *both] if workspace.known else both
+
+
+def ask_all_mappers(
     workspace: Workspace, choice: ModelChoice, doubtful: Collection[str]
 ) -> ModelChoice:
-    """Choose once more, with a model of the mapper that was not asked yet, if there is one.
+    """Choose once more, with models of the mappers that were not asked yet, if there are any.
 
     A few ``doubtful`` photos of many are placed again by the incremental mapper, from the other
     photos' poses on.
     """
     found = dict(choice.found)
-    for mapper in MAPPERS.keys() - found:
+    for mapper in [one for one in _mappers(workspace) if one not in found]:
         few = len(doubtful) <= MAX_DROPPED * len(workspace.names)
         if mapper == INCREMENTAL and few:
             found[mapper] = _place_again(workspace, choice, doubtful)
@@ -151,14 +158,14 @@ def _choose(
 ) -> ModelChoice | None:
     """Choose the model that explains the most matches in links; None if there is no model.
 
-    If the best of both mappers contradicts links, a model of the strongest pairs alone may take its
+    If the best of all mappers contradicts links, a model of the strongest pairs alone may take its
     place; it is added to ``found``, the models of each mapper.
     """
     candidates = _largest(found, evidence)
     if not candidates:
         return None
     best = max(candidates, key=_explained).explained
-    if best.contradicted > MAX_CONTRADICTED and MAPPERS.keys() == found.keys():
+    if best.contradicted > MAX_CONTRADICTED and found.keys() >= set(_mappers(workspace)):
         found[STRONG] = _map_strongest(workspace, evidence, "other poses")
         candidates = _largest(found, evidence)
     kept = max(candidates, key=_explained)
@@ -295,7 +302,26 @@ def _map_globally(workspace: Workspace, stage: str) -> list[Any]:
     return list(models.values())
 
 
-MAPPERS = {INCREMENTAL: _map_incrementally, GLOBAL: _map_globally}
+def _map_from_given(workspace: Workspace, stage: str) -> list[Any]:
+    """Refine the given poses, and place the photos without one from there on."""
+    total = len(workspace.names)
+    workspace.on_progress(stage, 0, total)
+    folder = workspace.folder / GIVEN
+    model = map_known(workspace, folder)
+    if not model.num_points3D():
+        return []
+    if len(workspace.known) == total:
+        workspace.on_progress(stage, total, total)
+        return [model]
+    start = folder / "refined"
+    start.mkdir()
+    model.write(start)
+    options = _incremental_options(workspace)
+    options.multiple_models = False
+    return _run_incremental(workspace, stage, folder / "all", options, start) or [model]
+
+
+MAPPERS = {INCREMENTAL: _map_incrementally, GLOBAL: _map_globally, GIVEN: _map_from_given}
 
 
 def _map_strongest(workspace: Workspace, evidence: Evidence, stage: str) -> list[Any]:

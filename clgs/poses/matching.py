@@ -47,6 +47,10 @@ FIRST_FEATURES, ENOUGH_MATCHES = 3072, 200
 """A pair is matched by this number of the largest features of each photo, and by all of them only
 if one of the two photos has fewer matches than this in its best pairs, at the median."""
 
+MAX_FULL = 25
+"""Up to this number of photos pairs are matched by all features at once, which takes little time.
+"""
+
 MIN_ALIKE = 2
 """Matches of the cheap look that must agree on a turn and a change of scale."""
 
@@ -67,7 +71,7 @@ def match(workspace: Workspace, pairs: Sequence[Pair], first: int = FIRST_FEATUR
     """Match those pairs of photos that share something at a cheap look, and verify the matches.
 
     ``pairs`` are places in ``workspace.names``. The results are the same on every device. All
-    features are used of pairs with few matches, of the others the ``first`` largest.
+    features are used of few photos and of pairs with few matches, else the ``first`` largest.
 
     Returns:
         Whether that left features out.
@@ -76,6 +80,8 @@ def match(workspace: Workspace, pairs: Sequence[Pair], first: int = FIRST_FEATUR
         DataError: pycolmap fails.
         DeviceError: the device does.
     """
+    if len(workspace.names) <= MAX_FULL:
+        first = MAX_DESCRIPTORS
     workspace.on_progress("matches", 0, len(pairs))
     alike = pairs_alike(workspace, pairs)
     done = len(pairs) - len(alike)

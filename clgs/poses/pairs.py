@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from clgs.poses.triangulate import choose_pairs
 from clgs.poses.workspace import Workspace
 
 MAX_EXHAUSTIVE = 120
@@ -17,6 +18,9 @@ OVERLAP = 10
 
 It is also matched with those 16, 32, 64 ... later.
 """
+
+NEAREST = 24
+"""The photos, taken nearby in a similar direction, with which one of a given pose is matched."""
 
 LOOK_ALIKES = 20
 """And with this number of photos whose pooled descriptors are the most similar: they close loops.
@@ -36,14 +40,29 @@ Floats = npt.NDArray[np.float32]
 
 
 def pairs_to_match(workspace: Workspace) -> list[tuple[int, int]]:
-    """Choose pairs (i, j), i < j, of places in ``workspace.names``, by the photos' features."""
-    count = len(workspace.names)
-    if count <= MAX_EXHAUSTIVE:
-        return all_pairs(count)
-    with workspace.open() as database:
-        numbers = workspace.ids(database)
-        descriptors = [database.read_descriptors(number).data for number in numbers]
-    return likely_pairs(descriptors, workspace.seed)
+    """Choose pairs (i, j), i < j, of places in ``workspace.names``.
+
+    Photos with a given pose are compared with those that were taken nearby in a similar direction,
+    the others as their number and features suggest.
+    """
+    names = workspace.names
+    known = [place for place, name in enumerate(names) if name in workspace.known]
+    pairs = set[tuple[int, int]]()
+    if known:
+        near = choose_pairs([workspace.known[names[place]] for place in known], NEAREST)
+        pairs = {(known[i], known[j]) for i, j in near}
+    if len(known) == len(names):
+        return sorted(pairs)
+    if len(names) <= MAX_EXHAUSTIVE:
+        others = all_pairs(len(names))
+    else:
+        with workspace.open() as database:
+            numbers = workspace.ids(database)
+            descriptors = [database.read_descriptors(number).data for number in numbers]
+        unknown = np.full(3, np.nan)
+        positions = np.array([workspace.positions.get(name, unknown) for name in names])
+        others = likely_pairs(descriptors, workspace.seed, positions)
+    return sorted(pairs.union(pair for pair in others if not set(pair) <= set(known)))
 
 
 def all_pairs(count: int) -> list[tuple[int, int]]:
@@ -51,10 +70,18 @@ def all_pairs(count: int) -> list[tuple[int, int]]:
     return [(i, j) for i in range(count) for j in range(i + 1, count)]
 
 
-def likely_pairs(descriptors: Sequence[npt.NDArray[np.uint8]], seed: int) -> list[tuple[int, int]]:
-    """List pairs (i, j), i < j, of photos that follow each other or look alike.
+def likely_pairs(
+    descriptors: Sequence[npt.NDArray[np.uint8]],
+    seed: int,
+    positions: npt.NDArray[np.float64] | None = None,
+) -> list[tuple[int, int]]:
+    """List pairs (i, j), i < j, of photos that follow each other, look alike or are near.
 
-    ``descriptors``: (M, 128) per photo, photos in the order of their names.
+    Args:
+        descriptors: (M, 128) per photo, photos in the order of their names.
+        seed: of the clusters by which likeness is measured.
+        positions: (N, 3) of the N photos, NaN if unknown. Half of the look-alikes of a photo with a
+            position give way to those that are the nearest.
     """
     count = len(descriptors)
     steps = [*range(1, OVERLAP + 1), *(2**k for k in range(4, count.bit_length()))]
@@ -64,7 +91,13 @@ def likely_pairs(descriptors: Sequence[npt.NDArray[np.uint8]], seed: int) -> lis
     likeness = similarity([_unit(some.astype(np.float32)) for some in chosen], seed)
     np.fill_diagonal(likeness, -np.inf)
     for i, row in enumerate(np.argsort(-likeness, axis=1, kind="stable")[:, :LOOK_ALIKES]):
-        pairs |= {(min(i, j), max(i, j)) for j in row.tolist() if j != i}
+        chosen_for = row.tolist()
+        if positions is not None and np.isfinite(positions[i, 0]):
+            away = np.linalg.norm(positions - positions[i], axis=1)  # NaN comes last
+            away[i] = np.nan
+            nearest = np.argsort(away, kind="stable")[: LOOK_ALIKES // 2].tolist()
+            chosen_for = [*chosen_for[: LOOK_ALIKES // 2], *nearest]
+        pairs |= {(min(i, j), max(i, j)) for j in chosen_for if j != i}
     return sorted(pairs)
 
 

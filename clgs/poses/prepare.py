@@ -17,12 +17,14 @@ from pathlib import Path
 from PIL import Image
 
 from clgs.arguments import as_path
+from clgs.data.colmap.model import WORLD
 from clgs.data.images import read_image
 from clgs.errors import DataError, ExistsError, OutputError
 from clgs.files import STEM_KEPT, atomic_folder, check_folder, is_full
 from clgs.poses.bring_in import bring_in, find_source
 from clgs.poses.drop import drop_doubtful as drop_doubtful_photos
 from clgs.poses.judging.verdict import Verdict
+from clgs.poses.known import Known, add_photos, read_known
 from clgs.poses.pycolmap_lazy import SEEDS
 from clgs.poses.reconstruct import reconstruct
 from clgs.poses.workspace import OnProgress
@@ -48,7 +50,7 @@ if not sys.stdin.buffer.read():
         time.sleep(0.1)
 """
 
-MADE = {"images", "masks", "sparse", REPORT, CONTACT_SHEET, "report.html"}
+MADE = {"images", "masks", "sparse", WORLD, REPORT, CONTACT_SHEET, "report.html"}
 """What this function, and the command of that name, make: a folder of these may be replaced."""
 
 
@@ -64,12 +66,15 @@ def prepare(
     max_size: int = 0,
     device: str | None = None,
     equirectangular: bool = False,
+    poses: Path | str | None = None,
+    continued: Path | str | None = None,
 ) -> Verdict:
     """Find camera poses and points of the photos in and below ``photos``, or of a video.
 
     ``output`` gets images/ (undistorted), masks/ if photos are masked, sparse/0/ (binary, pinhole
-    cameras), report.json with the verdict that is returned, and contact_sheet.jpg; it appears
-    complete or not at all. A warning names the files that are skipped.
+    cameras), report.json with the verdict that is returned, contact_sheet.jpg, and world.txt if
+    ``poses`` or GPS tags tell scale or place; it appears complete or not at all. A warning names
+    the files that are skipped.
 
     Args:
         photos: the folder, or a video.
@@ -86,6 +91,9 @@ def prepare(
         device: which compares features; number or part of the name.
         equirectangular: all photos, or the video, show the whole sphere, and are cut into pinhole
             views; photos whose XMP data say so are in any case.
+        poses: a data set of any program, or one of its files, that has poses of some of the photos:
+            they are refined by the matches instead of found again, unless matches contradict them.
+        continued: a data set to which the photos are added: its photos and poses come along.
 
     Raises:
         DataError: too few or damaged photos, no reconstruction, no pycolmap; or too few photos
@@ -95,6 +103,14 @@ def prepare(
         OSError: the disk is full, or another fault of ``output``.
     """
     source, output = find_source(as_path("photos", photos), frames), as_path("output", output)
+    known = Known()
+    if poses is not None or continued is not None:
+        if source.collection is None:
+            raise DataError(f"{photos}: is a video, which has no given poses; name photos")
+        if continued is not None:
+            add_photos(as_path("continued", continued), source.collection)
+        given = as_path("poses", poses if poses is not None else continued)
+        known = read_known(given, source.collection)
     expected = source.frames or len(source.files)
     try:
         check_folder(output.parent)
@@ -107,7 +123,8 @@ def prepare(
             with owned(work), removed_if_killed(target):
                 on_progress("read", 0, expected)
                 bring_in(source, work, lambda n: on_progress("read", n, expected), equirectangular)
-                verdict = reconstruct(target, seed % SEEDS, quick, max_size, device, on_progress)
+                options = seed % SEEDS, quick, max_size, device, on_progress
+                verdict = reconstruct(target, *options, known, continued is not None)
                 if drop_doubtful:
                     verdict = drop_doubtful_photos(target, verdict)
                 names = [work / "images" / one.name for one in verdict.photos]

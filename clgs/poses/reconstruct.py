@@ -6,7 +6,7 @@ import errno
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from clgs.data.colmap.model import WORLD
 from clgs.data.images import image_size
 from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
@@ -23,14 +24,25 @@ from clgs.opencl.device import Device
 from clgs.poses.bring_in import camera_numbers
 from clgs.poses.child import OnStage, run_child
 from clgs.poses.features import extract
-from clgs.poses.judging.evidence import MAX_CONTRADICTED
+from clgs.poses.gps import fit, read_positions
+from clgs.poses.judging.agreement import poses_of
+from clgs.poses.judging.evidence import MAX_CONTRADICTED, ModelChoice
 from clgs.poses.judging.judge import judge, unconfirmed
 from clgs.poses.judging.verdict import Verdict, verdict_of
-from clgs.poses.mapping import ask_both_mappers, look_again, map_half, map_photos
-from clgs.poses.matching import match, match_in_full
+from clgs.poses.known import (
+    Known,
+    contradiction,
+    fitting,
+    put_back,
+    set_lenses,
+    to_given_world,
+)
+from clgs.poses.mapping import ask_all_mappers, look_again, map_half, map_photos
+from clgs.poses.matching import match, match_in_full, read_evidence
 from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import OnProgress, Workspace
+from clgs.scene.world import EARTH, LOCAL, NOWHERE, Place, to_text
 
 JPEG_QUALITY = 95
 
@@ -50,19 +62,22 @@ def reconstruct(
     max_size: int,
     device: str | None,
     on_progress: OnProgress,
+    known: Known,
+    apart: bool,
 ) -> Verdict:
     """Find poses and points of the photos in ``target``/work/images: fills images/ and sparse/0/.
 
     ``quick``: half the features, one mapper, no second reconstruction. ``max_size``: photos are
     reduced to about this width at the end; 0: never. ``device``: matches features, as for Device.
-    ``on_progress`` receives the progress of each stage after "read".
+    ``on_progress`` receives the progress of each stage after "read". ``known``: poses that are
+    given; ``apart``: photos with such a pose share no camera with the others.
 
     Raises:
         DataError: no reconstruction, no pycolmap, or it crashed.
         DeviceError: there is no such device.
         OSError: it failed on a full disk.
     """
-    arguments = [str(target), seed, quick, max_size, device]
+    arguments = [str(target), seed, quick, max_size, device, known.plain(), apart]
     try:
         return verdict_of(run_child(__name__, _TASK, arguments, lambda one: on_progress(*one)))
     except DataError as error:
@@ -73,15 +88,15 @@ def reconstruct(
 
 def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
     """Be the child: run all stages for the photos in a folder; returns a plain verdict."""
-    target, (seed, quick, max_size, device) = Path(arguments[0]), arguments[1:]
-    work, began = target / "work", dict[str, float]()
+    target, (seed, quick, max_size, device, given, apart) = Path(arguments[0]), arguments[1:]
+    work, began, known = target / "work", dict[str, float](), Known.of_plain(given)
 
     def on_progress(stage: str, done: int, total: int) -> None:
         began.setdefault(stage, time.perf_counter())
         on_stage([stage, done, total])
 
     with quiet_pycolmap(_TASK) as pycolmap:
-        own_names, cameras, size = _number_photos(work)
+        own_names, cameras, size = _number_photos(work, known.photos if apart else ())
         masks = work / "numbered_masks" if (work / MASKS).is_dir() else None
         workspace = Workspace(
             pycolmap,
@@ -95,17 +110,16 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
             masks,
         )
         pycolmap.set_random_seed(seed)
+        files = {work / "numbered" / file: name for file, name in own_names.items()}
+        posed, notes = fitting(known, files)
+        positions, origin = read_positions(files)
+        workspace = replace(workspace, known=posed, positions=positions)
         extract(workspace, size, quick)
-        pairs = pairs_to_match(workspace)
-        shortened = match(workspace, pairs)
-        choice = map_photos(workspace, quick)
-        if shortened and not quick and choice.kept.explained.contradicted > MAX_CONTRADICTED:
-            match_in_full(workspace, pairs)  # what looks alike may differ in small features
-            choice = map_photos(workspace, quick)
+        workspace, choice = _match_and_map(workspace, known, quick, notes)
         choice = look_again(workspace, choice)
         second = None if quick else map_half(workspace, choice)
         if not quick and (doubtful := unconfirmed(choice, second)):
-            wider = ask_both_mappers(workspace, choice, doubtful)
+            wider = ask_all_mappers(workspace, choice, doubtful)
             if wider.kept.reconstruction is not choice.kept.reconstruction:
                 second = map_half(workspace, wider)
             choice = wider
@@ -115,27 +129,77 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
                 "no photo could be placed for certain; take more, overlapping photos of a "
                 "textured, motionless scene"
             )
+        model = choice.kept.reconstruction
+        world = _put_into_world(workspace, model, known, origin, own_names, notes)
         for file, name in own_names.items():
             (work / "numbered" / file).rename(work / "images" / name)
-        _write_data_set(workspace, choice.kept.reconstruction, own_names, target, max_size)
+        _write_data_set(workspace, model, own_names, target, max_size)
+        if line := to_text(*world):
+            (target / WORLD).write_text(line + "\n", encoding="utf-8")
     # A stage ends as the next one begins.
     ends = [*list(began.values())[1:], time.perf_counter()]
     stages = zip(began.items(), ends, strict=True)
     seconds = {stage: round(end - begin, 1) for (stage, begin), end in stages}
-    return asdict(replace(verdict, seconds=seconds))
+    return asdict(replace(verdict, seconds=seconds, notes=tuple(notes)))
 
 
-def _number_photos(work: Path) -> tuple[dict[str, str], list[int], int]:
+def _match_and_map(
+    workspace: Workspace, known: Known, quick: bool, notes: list[str]
+) -> tuple[Workspace, ModelChoice]:
+    """Match the photos and find a model; the workspace that is returned has no refuted poses."""
+    cameras = set_lenses(workspace)
+    pairs = pairs_to_match(workspace)
+    shortened = match(workspace, pairs)
+    if workspace.known and (why := contradiction(workspace, read_evidence(workspace))):
+        notes.append(f"{known.source}: its poses are not used: {why}")
+        put_back(workspace, cameras)
+        workspace = replace(workspace, known={})
+        more = sorted(set(pairs_to_match(workspace)).difference(pairs))
+        shortened |= match(workspace, more)
+        pairs = sorted({*pairs, *more})
+    choice = map_photos(workspace, quick)
+    if shortened and not quick and choice.kept.explained.contradicted > MAX_CONTRADICTED:
+        match_in_full(workspace, pairs)  # what looks alike may differ in small features
+        choice = map_photos(workspace, quick)
+    return workspace, choice
+
+
+def _put_into_world(
+    workspace: Workspace,
+    model: Any,
+    known: Known,
+    origin: Place,
+    own_names: dict[str, str],
+    notes: list[str],
+) -> tuple[int, Place]:
+    """Move a model to where poses or GPS tags say that it is; returns what its world is then."""
+    turn = to_given_world(workspace, model, known)
+    if turn is not None:
+        notes.append(
+            f"{known.source}: the world is that of its {len(workspace.known)} poses, half of which "
+            f"are turned by at most {turn:.2f} degrees"
+        )
+        return known.frame, known.place
+    found, told = fit(workspace, poses_of(model), own_names)
+    notes += told
+    if found is None:
+        return LOCAL, NOWHERE
+    model.transform(found)
+    return EARTH, origin
+
+
+def _number_photos(work: Path, apart: Container[str]) -> tuple[dict[str, str], list[int], int]:
     """Move ``work``/images to ``work``/numbered under numbers: names may hold spaces and folders.
 
-    Masks are copied to ``work``/numbered_masks, if there are any.
+    Masks are copied to ``work``/numbered_masks, if there are any. ``apart``: stems of the names of
+    photos that share no camera with the others.
 
     Returns:
         The photos' own names by their new ones, their cameras, and their longest side in pixels.
     """
     images, masks = work / "images", work / MASKS
     paths = sorted(path for path in images.rglob("*") if path.is_file())
-    cameras, size = camera_numbers(paths), max(max(image_size(path)) for path in paths)
+    cameras, size = camera_numbers(paths, apart), max(max(image_size(path)) for path in paths)
     (work / "numbered").mkdir()
     if masks.is_dir():
         (work / "numbered_masks").mkdir()

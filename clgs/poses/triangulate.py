@@ -14,7 +14,7 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from clgs.errors import DataError
 from clgs.files import atomic_path, make_folder, text_bytes
 from clgs.poses.child import OnStage, run_child
 from clgs.poses.judging.evidence import sampson_error
+from clgs.poses.photo_json import from_plain, to_plain
 from clgs.poses.pycolmap_lazy import SEEDS, quiet_pycolmap
 from clgs.scene.storage import load_archive
 
@@ -102,7 +103,7 @@ def triangulate(
         return cached
     on_stage(f"finding points in {len(photos)} photos")
     with tempfile.TemporaryDirectory(prefix="clgs-") as folder:
-        plain = [_plain(photo) for photo in photos]
+        plain = [to_plain(photo) for photo in photos]
         run_child(__name__, "triangulation", [plain, folder, seed], on_stage)
         with np.load(Path(folder) / _RESULT, allow_pickle=False) as arrays:
             points = Points(arrays["position"], arrays["color"])
@@ -136,30 +137,9 @@ def _read_cache(file: Path) -> Points | None:
     return Points(position, color) if valid and typed else None
 
 
-def _plain(photo: Photo) -> dict[str, Any]:
-    """Convert a photo to what JSON can hold, exactly."""
-    arrays = {"rotation": photo.rotation.tolist(), "translation": photo.translation.tolist()}
-    mask = None if photo.mask is None else str(photo.mask)
-    files = {"path": str(photo.path), "mask": mask}
-    return {"name": photo.name, "lens": asdict(photo.lens), **files, **arrays}
-
-
-def _photo(plain: dict[str, Any]) -> Photo:
-    """Make a photo of what :func:`_plain` returned."""
-    lens: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in plain["lens"].items()
-    }
-    rotation, translation = (
-        np.array(plain[name], np.float64) for name in ("rotation", "translation")
-    )
-    mask = None if plain["mask"] is None else Path(plain["mask"])
-    return Photo(plain["name"], Path(plain["path"]), Lens(**lens), rotation, translation, mask)
-
-
 def work(arguments: Any, on_stage: OnStage) -> None:
     """Be the child: write the points, in a canonical order, into a file in the given folder."""
-    photos, folder = [_photo(one) for one in arguments[0]], Path(arguments[1])
+    photos, folder = [from_plain(one) for one in arguments[0]], Path(arguments[1])
     seed = arguments[2] % SEEDS
     (folder / "grey").mkdir()
     (folder / "masks").mkdir()
@@ -293,11 +273,11 @@ def _write_database(
     return posed
 
 
-def choose_pairs(photos: list[Photo]) -> list[tuple[int, int]]:
+def choose_pairs(photos: list[Photo], neighbours: int = NEIGHBOURS) -> list[tuple[int, int]]:
     """Choose pairs (i, j), i < j, of photos taken near each other in similar directions.
 
-    The directions differ by at most MAX_VIEW_ANGLE. Nearness is the distance, in units of the
-    median distance, plus the angle in radians.
+    Each is paired with its ``neighbours``; the directions differ by at most MAX_VIEW_ANGLE.
+    Nearness is the distance, in units of the median distance, plus the angle in radians.
     """
     centres = np.array([photo.centre for photo in photos])
     axes = np.array([photo.rotation[2] for photo in photos])
@@ -305,7 +285,7 @@ def choose_pairs(photos: list[Photo]) -> list[tuple[int, int]]:
     angle = np.arccos(np.clip(axes @ axes.T, -1.0, 1.0))
     cost = distance / max(float(np.median(distance)), 1e-12) + angle
     cost[(angle > MAX_VIEW_ANGLE) | (distance <= 0)] = np.inf
-    nearest = np.argsort(cost, axis=1, kind="stable")[:, :NEIGHBOURS]
+    nearest = np.argsort(cost, axis=1, kind="stable")[:, :neighbours]
     pairs = {
         (min(i, j), max(i, j))
         for i, row in enumerate(nearest.tolist())

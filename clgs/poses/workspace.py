@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.posed_photo import Photo
 from clgs.opencl.device import Device
 
 STAGES = (
@@ -37,7 +41,8 @@ class Workspace:
     pycolmap: the module; device: which matches features; images: folder of the photos; folder: for
     all files that are made; names: the photos' file names, in order; cameras: the camera's number
     of each photo; seed: of all random choices; masks: folder of a mask per photo, None without
-    masks.
+    masks; known: photos with a given pose, by file name, their lenses at the size of the file;
+    positions: (3,) metres east, north and up by GPS, by file name.
     """
 
     pycolmap: Any
@@ -49,6 +54,8 @@ class Workspace:
     seed: int
     on_progress: OnProgress
     masks: Path | None = None
+    known: Mapping[str, Photo] = field(default_factory=dict)
+    positions: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
 
     @property
     def database(self) -> Path:

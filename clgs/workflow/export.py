@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.arguments import as_path
 from clgs.bake.bake import (
@@ -183,7 +184,8 @@ def export(
             kind = load_dataset(photos, load_images=False).kind
         sh = scene.gaussians.sh[:, : (degree + 1) ** 2]
         gaussians = replace(scene.gaussians, sh=np.ascontiguousarray(sh))
-        encoded = _encode(output, gaussians, transform, kind, on_event)
+        up = to_y_up(kind, scene.transform.frame) if kind else None
+        encoded = _encode(output, gaussians, transform, up, on_event)
     else:
         views = ViewOptions(
             photos or _known(source),
@@ -245,7 +247,8 @@ def _bake(
     device = Device(views.device)
     advance = counter("baking", count_steps(len(seen), settings), on_event)
     gaussians = bake(device, scene, seen, settings, on_step=advance)
-    encoded = _encode(output, gaussians, transform, kind, on_event)
+    up = to_y_up(kind, scene.transform.frame) if kind else None
+    encoded = _encode(output, gaussians, transform, up, on_event)
     return encoded, baked_loss(device, scene, encoded.gaussians, scored)
 
 
@@ -253,16 +256,16 @@ def _encode(
     output: Path,
     gaussians: HostGaussians,
     transform: SceneTransform,
-    kind: str,
+    up: npt.NDArray[np.float64] | None,
     on_event: OnEvent,
 ) -> Encoded:
-    """The file that ``output`` names by its suffix; ``kind`` of the data set, "" if not known.
+    """The file that ``output`` names by its suffix; ``up``: turns y up (3, 3), None if not known.
 
     A :class:`Note` tells what the format, or programs that read it, cannot hold.
     """
     suffix = output.suffix.lower()
     if suffix == ".glb":
-        encoded = encode_glb(gaussians, transform, to_y_up(kind) if kind else None)
+        encoded = encode_glb(gaussians, transform, up)
         if gaussians.antialiased:
             text = (
                 "has no mark for antialiased splats, other programs draw them too bright from afar"

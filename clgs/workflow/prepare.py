@@ -35,6 +35,8 @@ def prepare_data(
     max_size: int = 0,
     device: str | None = None,
     equirectangular: bool = False,
+    poses: Path | str | None = None,
+    continued: Path | str | None = None,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
 ) -> PreparedData:
@@ -55,6 +57,8 @@ def prepare_data(
         max_size=max_size,
         device=device,
         equirectangular=equirectangular,
+        poses=poses,
+        continued=continued,
     )
     page = output / PAGE
     write_poses_page(page, output, verdict)

@@ -59,6 +59,20 @@ def register(parser: argparse.ArgumentParser) -> None:
         help="cut photos or frames that show the whole sphere into pinhole views (default: those "
         "photos that say so, by XMP data)",
     )
+    add(
+        "--poses",
+        type=named_path,
+        metavar="KNOWN",
+        help="data set of any program, or one of its files: its poses of the photos are refined "
+        "instead of found",
+    )
+    add(
+        "--continue",
+        dest="continued",
+        type=named_path,
+        metavar="OLD",
+        help="data set to whose photos and poses PHOTOS are added",
+    )
     add_device_name(parser)
     add_overwrite(parser, "DATA if an earlier run of this command made it (default: refuse)")
 
@@ -69,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.workflow.prepare import prepare_data
 
     names = "seed", "quick", "frames", "drop_doubtful", "max_size", "device", "overwrite"
-    options = chosen(vars(args), *names, "equirectangular")
+    options = chosen(vars(args), *names, "equirectangular", "poses", "continued")
     with Display() as display:
         made = prepare_data(args.photos, args.output, on_event=display, **options)
     show(made)
@@ -87,6 +101,8 @@ def show(made: PreparedData) -> None:
         f"track length {verdict.track_length:.1f}, {made.seconds:.0f} s"
     )
     print(verdict.sure)
+    for note in verdict.notes:
+        print(note)
     doubted = [*verdict.of(LEFT_OUT), *verdict.of(DOUBTFUL)]
     for photo in doubted[:NAMED]:
         name = photo.name if photo.name.isprintable() else repr(photo.name)

@@ -15,10 +15,17 @@ from clgs.data.lens import Lens
 from clgs.data.locate import ListedPhoto, locate_all
 from clgs.data.posed_photo import PhotoSet, hold_out, rigid
 from clgs.errors import DataError
+from clgs.scene.world import from_text
 
 NOT_UNDISTORTED = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 """Camera models whose distortion is not removed here."""
 
+
+WORLD = "world.txt"
+"""What the world of a data set is, in a line as of ``clgs.scene.world``; next to its folder sparse.
+"""
+
+MAX_WORLD_BYTES = 4096
 
 DISTORTED, DISTORTED_PHOTOS = "distorted", "input"
 """Where 3DGS's convert.py keeps the model and the photos that it undistorts."""
@@ -139,6 +146,10 @@ def read_colmap(root: Path, folder: Path) -> PhotoSet:
     found = PhotoSet(
         "colmap", *hold_out(photos), missing, model.position[usable], model.color[usable]
     )
+    if (root / WORLD).is_file():
+        with (root / WORLD).open("rb") as opened:
+            text = opened.read(MAX_WORLD_BYTES).decode("utf-8", errors="replace")
+        found.frame, found.place = from_text(text.splitlines())
     if folder != root and len(models := find_models(root)) > 1:
         found.models = {path.relative_to(root).as_posix(): n for path, n in models.items()}
     return found

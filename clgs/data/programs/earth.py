@@ -42,6 +42,15 @@ def place_of(geocentric: Floats) -> Place:
     return float(np.degrees(latitude)), float(np.degrees(np.arctan2(y, x))), float(altitude)
 
 
+def geocentric(place: Place) -> Floats:
+    """The point (3,) about the Earth's centre, metres, of a latitude, longitude and altitude."""
+    (sin_lat, sin_lon), (cos_lat, cos_lon) = (f(np.radians(place[:2])) for f in (np.sin, np.cos))
+    e2 = FLATTENING * (2 - FLATTENING)
+    normal = SEMI_MAJOR / np.sqrt(1 - e2 * sin_lat**2)
+    across = (normal + place[2]) * cos_lat
+    return np.array([across * cos_lon, across * sin_lon, (normal * (1 - e2) + place[2]) * sin_lat])
+
+
 def axes_at(place: Place) -> Floats:
     """East, north and up at a place, the rows of (3, 3), in axes about the Earth's centre."""
     (sin_lat, sin_lon), (cos_lat, cos_lon) = (f(np.radians(place[:2])) for f in (np.sin, np.cos))

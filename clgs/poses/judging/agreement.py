@@ -64,19 +64,34 @@ def poses_of(model: Any) -> Poses:
     return Poses([image.name for image in images], *arrays)
 
 
+@dataclass(frozen=True)
+class Similarity:
+    """A map between worlds: x_second = scale turn x_first + offset; turn (3, 3), offset (3,)."""
+
+    turn: Floats
+    scale: float
+    offset: Floats
+
+
+def common_similarity(first: Poses, second: Poses) -> Similarity:
+    """Align two worlds by the poses of the same photos, as suits most of them."""
+    # Each photo gives a turn, R_second^T R_first.
+    turns = np.einsum("nji,njk->nik", second.rotation, first.rotation)
+    turn, agree = _common_turn(turns)
+    return Similarity(turn, *_common_scale(first.centre @ turn.T, second.centre, agree))
+
+
 def differences(first: Poses, second: Poses) -> dict[str, PoseDifference]:
     """Compare the photos that both have, after the alignment that suits most of them, by name."""
     common = [name for name in first.names if name in set(second.names)]
     if len(common) < 2:
         return {}
     first, second = first.chosen(common), second.chosen(common)
-    # x_second = turn x_first: each photo gives a turn, R_second^T R_first.
-    turns = np.einsum("nji,njk->nik", second.rotation, first.rotation)
-    turn, agree = _common_turn(turns)
-    angles = angle(np.einsum("nji,jk->nik", turns, turn))
-    moved = first.centre @ turn.T
-    scale, offset = _common_similarity(moved, second.centre, agree)
-    away = np.linalg.norm(scale * moved + offset - second.centre, axis=1)
+    between = common_similarity(first, second)
+    turned = np.einsum("nij,kj->nik", first.rotation, between.turn)
+    angles = angle(np.einsum("nij,nkj->nik", second.rotation, turned))
+    moved = between.scale * first.centre @ between.turn.T + between.offset
+    away = np.linalg.norm(moved - second.centre, axis=1)
     shift = np.degrees(np.arctan2(away, second.depth))
     return {
         name: PoseDifference(float(a), float(b))
@@ -104,7 +119,7 @@ def _common_turn(turns: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
     return middle, agree
 
 
-def _common_similarity(
+def _common_scale(
     first: Floats, second: Floats, agree: npt.NDArray[np.bool_]
 ) -> tuple[float, Floats]:
     """Fit scale and offset (3,) from ``first`` (N, 3) to ``second``, by the photos that agree.

@@ -190,7 +190,7 @@ def judge_photos(
         doubts += _second_doubts(second) if again is not None else []
         if name in rival and rival[name].turn > FAR:
             turn = rival[name].turn
-            text = f"the incremental and the global mapper turn it {turn:.0f} degrees apart"
+            text = f"two mappers turn it {turn:.0f} degrees apart"
             doubts.append((text, SIDES if turn > OTHER_SIDE else MORE))
         # A pose that is clearly wrong goes: most matches contradict it, or it rests on little.
         ratio = one.inlier_ratio or 0.0

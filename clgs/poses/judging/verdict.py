@@ -44,7 +44,8 @@ class Verdict:
     names of photos of other models; photos: the verdicts on all photos, in the order of names;
     checked: whether a second reconstruction was to be made; ambiguous: whether the scene looks
     alike from several sides; contradicted: share of matches in links that contradict the poses;
-    sure: one sentence on how sure the poses are; seconds: of each stage.
+    sure: one sentence on how sure the poses are; seconds: of each stage; notes: sentences on what
+    was known of the poses before.
     """
 
     registered: int
@@ -62,6 +63,7 @@ class Verdict:
     contradicted: float
     sure: str
     seconds: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def of(self, status: str) -> list[PhotoVerdict]:
         """Select the photos of this status."""
@@ -74,4 +76,5 @@ def verdict_of(plain: Mapping[str, Any]) -> Verdict:
         PhotoVerdict(**{**one, "reasons": tuple(one["reasons"])}) for one in plain["photos"]
     )
     apart = tuple(tuple(names) for names in plain["apart"])
-    return Verdict(**{**plain, "photos": photos, "apart": apart})
+    notes = tuple(plain.get("notes", ()))
+    return Verdict(**{**plain, "photos": photos, "apart": apart, "notes": notes})

@@ -1,0 +1,132 @@
+"""Where photos were taken, by the GPS tags of their EXIF data: near photos, scale and place.
+
+Tags are off by metres and sometimes lie, so that they are no poses. They choose pairs of large
+sets, and a model is laid over them if they are exact enough for its size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.images import open_image, read_exif
+from clgs.data.programs.earth import axes_at, geocentric
+from clgs.poses.judging.agreement import Poses
+from clgs.poses.workspace import Workspace
+from clgs.scene.world import EARTH, NOWHERE, Place, is_world
+
+Floats = npt.NDArray[np.float64]
+
+GPS = 0x8825
+"""The EXIF tag of the table of GPS tags."""
+
+_NORTH, _LATITUDE, _EAST, _LONGITUDE, _BELOW, _ALTITUDE = range(1, 7)
+
+LEAST_TAGS = 4
+"""Fewer tags confirm no fit."""
+
+EXACT = 0.1
+"""The largest median distance of tags from the fitted model, in median distances of the tags from
+their middle."""
+
+LIE, LIE_METRES = 5.0, 20.0
+"""A tag lies if it is this many times the median distance off, and this many metres."""
+
+FLAT = 0.02
+"""The least ratio of a path's second extent to its first; a straight line tells no roll."""
+
+NAMED = 5
+
+
+def read_place(path: Path) -> Place | None:
+    """Read latitude, longitude and altitude of a photo's GPS tags; None without usable ones."""
+    with open_image(path) as picture:
+        tags = read_exif(picture).get_ifd(GPS)
+    try:
+        latitude, longitude = (_degrees(tags[tag]) for tag in (_LATITUDE, _LONGITUDE))
+        altitude = float(tags[_ALTITUDE])
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    if str(tags.get(_NORTH, "N")).strip("\0 ").upper() == "S":
+        latitude = -latitude
+    if str(tags.get(_EAST, "E")).strip("\0 ").upper() == "W":
+        longitude = -longitude
+    if tags.get(_BELOW) in (1, b"\1"):
+        altitude = -altitude
+    place = latitude, longitude, altitude
+    known = all(map(math.isfinite, place)) and is_world(EARTH, place)
+    return place if known and (latitude or longitude) else None  # 0, 0 is what no fix writes
+
+
+def _degrees(parts: Any) -> float:
+    degrees, minutes, seconds = (float(part) for part in parts)
+    return degrees + minutes / 60 + seconds / 3600
+
+
+def read_positions(paths: Iterable[Path]) -> tuple[dict[str, Floats], Place]:
+    """Read where photos were taken, (3,) metres east, north and up of a place in their middle.
+
+    Returns:
+        The positions by the names of the files, of those with GPS tags; and the place.
+    """
+    places = {path.name: place for path in paths if (place := read_place(path))}
+    if not places:
+        return {}, NOWHERE
+    middle = np.median(list(places.values()), axis=0)
+    origin = float(middle[0]), float(middle[1]), float(middle[2])
+    axes, centre = axes_at(origin), geocentric(origin)
+    return {name: axes @ (geocentric(place) - centre) for name, place in places.items()}, origin
+
+
+def fit(
+    workspace: Workspace, poses: Poses, own_names: Mapping[str, str]
+) -> tuple[Any | None, list[str]]:
+    """Fit a similarity from a model's world to that of the GPS tags.
+
+    ``own_names``: of the photos, for the notes.
+
+    Returns:
+        pycolmap's Sim3d, None if the tags do not tell one; and the notes for the user.
+    """
+    place = {name: index for index, name in enumerate(poses.names)}
+    names = [name for name in workspace.positions if name in place]
+    if len(names) < LEAST_TAGS:
+        return None, []
+    tags = np.array([workspace.positions[name] for name in names])
+    centre = poses.centre[[place[name] for name in names]]
+    away = tags - np.median(tags, axis=0)
+    extent = float(np.median(np.linalg.norm(away, axis=1)))
+    spread = np.linalg.svd(centre - centre.mean(0), compute_uv=False)
+    unused = "GPS tags give no scale"
+    if extent <= 0.0:
+        return None, [f"{unused}: all are the same"]
+    if spread[1] < FLAT * spread[0]:
+        return None, [f"{unused}: the photos were taken along a straight line"]
+    pycolmap = workspace.pycolmap
+    options = pycolmap.RANSACOptions()
+    options.max_error, options.random_seed = 2 * EXACT * extent, workspace.seed
+    found = pycolmap.estimate_sim3d_robust(centre, tags, options)
+    if found is None:
+        return None, [f"{unused}: they contradict the poses"]
+    moved = np.array([found * one for one in centre])
+    off = np.linalg.norm(moved - tags, axis=1)
+    usual = float(np.median(off))
+    if usual > EXACT * extent:
+        return None, [
+            f"{unused}: they are {usual:.1f} m off the poses at the median, on {extent:.1f} m"
+        ]
+    lying = [
+        f"{own_names[name]} by {distance:.0f} m"
+        for name, distance in zip(names, off.tolist(), strict=True)
+        if distance > max(LIE * usual, LIE_METRES)
+    ]
+    notes = [f"GPS tags give scale and place: {usual:.2f} m off the poses at the median"]
+    if lying:
+        more = ", ..." * (len(lying) > NAMED)
+        notes.append(f"GPS tags contradict the poses of {', '.join(lying[:NAMED])}{more}")
+    return found, notes

@@ -1,0 +1,298 @@
+"""Poses that are known before: of another program, of a phone, or of a data set that grows.
+
+They choose the pairs that are matched, and are refined by the matches instead of found again. If
+matches contradict them, they are not used.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.dataset import read_photo_set
+from clgs.data.images import image_size
+from clgs.data.lens import Lens
+from clgs.data.posed_photo import Photo, to_y_up
+from clgs.errors import DataError
+from clgs.poses.find import Collection, Found
+from clgs.poses.judging.agreement import Poses, angle, common_similarity, differences, poses_of
+from clgs.poses.judging.evidence import Evidence
+from clgs.poses.photo_json import from_plain, to_plain
+from clgs.poses.workspace import Workspace
+from clgs.scene.world import EARTH, LOCAL, MAP, NOWHERE, Place
+
+Floats = npt.NDArray[np.float64]
+
+MAX_OFF = 5.0
+"""Degrees by which the turn between two photos may be off that of their matches, at the median."""
+
+MIXED_UP = {
+    "camera to world is taken for world to camera": (True, 1),
+    "OpenGL's axes of cameras are taken for OpenCV's": (False, -1),
+    "camera to world is taken for world to camera, and OpenGL's axes for OpenCV's": (True, -1),
+}
+"""What may be wrong with all poses: whether they are inverted, and the sign of cameras' y and z."""
+
+NAMED = 5
+
+ASKED = 200
+"""The most pairs that test the poses."""
+
+FISHEYE, PERSPECTIVE = "OPENCV_FISHEYE", "OPENCV"
+"""COLMAP's models of the lenses that come with poses."""
+
+LOOSE, STRICT = 16.0, 4.0
+"""Largest errors of matches, pixels: before the poses are refined, and after that."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """Poses that were given, in the world that ``kind``, ``frame`` and ``place`` tell.
+
+    source: what they were read from, for messages; photos: by the stem of the photo's name in the
+    data set to be made; kind, frame, place: as of PhotoSet.
+    """
+
+    source: str = ""
+    photos: Mapping[str, Photo] = field(default_factory=dict)
+    kind: str = "colmap"
+    frame: int = LOCAL
+    place: Place = NOWHERE
+
+    def plain(self) -> dict[str, Any]:
+        """Convert to what JSON can hold."""
+        return {**vars(self), "photos": {stem: to_plain(one) for stem, one in self.photos.items()}}
+
+    @classmethod
+    def of_plain(cls, plain: dict[str, Any]) -> Known:
+        """Make this of what :meth:`plain` returned."""
+        photos = {stem: from_plain(photo) for stem, photo in plain["photos"].items()}
+        return cls(**{**plain, "photos": photos, "place": tuple(plain["place"])})
+
+
+def read_known(source: Path, found: Collection) -> Known:
+    """Read the poses that a data set of any program, or one of its files, has for found photos.
+
+    A photo is the same file, or has the only file of the same name without folder and suffix.
+
+    Raises:
+        DataError: no data set, a damaged one, or one of other photos.
+    """
+    root = source.parent if source.is_file() else source
+    given = read_photo_set(root)
+    posed = given.train + given.test
+    by_path = {photo.path.resolve(): photo for photo in posed}
+    stems = Counter(_stem(photo.path) for photo in posed)
+    by_stem = {_stem(one.path): one for one in posed if stems[_stem(one.path)] == 1}
+    photos = {}
+    for one in found.photos:
+        photo = by_path.get(one.path.resolve()) or by_stem.get(_stem(one.path))
+        if photo is not None:
+            photos[Path(one.name).stem] = photo
+    if not photos:
+        raise DataError(
+            f"{source}: none of its {len(posed)} photos is in {found.root}; name the poses of "
+            "these photos"
+        )
+    return Known(str(source), photos, given.kind, given.frame, given.place)
+
+
+def _stem(path: Path) -> str:
+    return path.stem.casefold()
+
+
+def add_photos(source: Path, found: Collection) -> None:
+    """Add the photos of a data set, with their masks, to those that were found.
+
+    Raises:
+        DataError: no data set; or a new photo has the name of one of them, or there is none.
+    """
+    given = read_photo_set(source)
+    own = {photo.path.resolve() for photo in given.train + given.test}
+    found.photos = [one for one in found.photos if one.path.resolve() not in own]
+    if not found.photos:
+        raise DataError(f"{found.root}: has no photo that {source} lacks; add some")
+    taken = {_stem(Path(one.name)): one.path for one in found.photos}
+    for photo in sorted(given.train + given.test, key=lambda one: one.name):
+        if (other := taken.get(_stem(photo.path))) is not None:
+            raise DataError(f"{other}: {source} has a photo of this name; rename the new one")
+        found.photos.append(Found(photo.path, photo.path.name, photo.mask))
+
+
+def fitting(known: Known, names: Mapping[Path, str]) -> tuple[dict[str, Photo], list[str]]:
+    """Choose the given poses whose lens suits the photo's pixels.
+
+    Args:
+        known: the given poses.
+        names: the photo's name in the data set to be made, by its file.
+
+    Returns:
+        The photos with a pose by the file's name, their lenses at the size of the file; and a note
+        if some do not fit.
+    """
+    fit, other = {}, list[str]()
+    for file, name in names.items():
+        photo = known.photos.get(Path(name).stem)
+        if photo is None:
+            continue
+        width, height = image_size(file)
+        if abs(width * photo.lens.height - height * photo.lens.width) > max(width, height):
+            other.append(name)
+        else:
+            fit[file.name] = replace(photo, lens=photo.lens.resized(width, height))
+    if not other:
+        return fit, []
+    return fit, [
+        f"{known.source}: {len(other)} poses are not used, the shape of their pictures is another "
+        f"than that of the photos: {', '.join(other[:NAMED])}"
+    ]
+
+
+def set_lenses(workspace: Workspace) -> list[Any]:
+    """Give the database's cameras the median lens of their photos with a pose.
+
+    Returns:
+        The cameras as they were.
+    """
+    lenses = defaultdict[int, list[Lens]](list)
+    with workspace.open() as database:
+        for name, photo in workspace.known.items():
+            lenses[database.read_image_with_name(name).camera_id].append(photo.lens)
+        before = [database.read_camera(number) for number in sorted(lenses)]
+        for number, some in lenses.items():
+            radial = np.array([(*one.radial, 0.0, 0.0, 0.0, 0.0)[:4] for one in some])
+            rest = radial if some[0].fisheye else radial[:, :2]
+            pixels = np.array([(one.fx, one.fy, one.cx, one.cy) for one in some])
+            bent = np.zeros((len(some), 0))
+            if not some[0].fisheye:
+                bent = np.array([one.tangential for one in some])
+            camera = workspace.pycolmap.Camera(
+                model=FISHEYE if some[0].fisheye else PERSPECTIVE,
+                width=some[0].width,
+                height=some[0].height,
+                params=np.median(np.hstack([pixels, rest, bent]), axis=0),
+                camera_id=number,
+            )
+            camera.has_prior_focal_length = True
+            database.update_camera(camera)
+    return before
+
+
+def put_back(workspace: Workspace, cameras: Sequence[Any]) -> None:
+    """Undo :func:`set_lenses`."""
+    with workspace.open() as database:
+        for camera in cameras:
+            database.update_camera(camera)
+
+
+def contradiction(workspace: Workspace, evidence: Evidence) -> str:
+    """Test given poses by the two-view geometries of neighbours.
+
+    Returns:
+        Why the poses cannot be used; empty if the matches confirm them.
+    """
+    pairs, turns = list[tuple[Floats, Floats]](), list[Floats]()
+    with workspace.open() as database:
+        names = {n: database.read_image(n).name for n in workspace.ids(database)}
+        cameras = {n: database.read_camera(database.read_image(n).camera_id) for n in names}
+        for pair in evidence.strongest(1)[:ASKED]:
+            both = pair.first, pair.second
+            given = [workspace.known.get(names[number]) for number in both]
+            if given[0] is None or given[1] is None:
+                continue
+            geometry = database.read_two_view_geometry(*both)
+            points = [evidence.keypoints[number] for number in both]
+            if workspace.pycolmap.estimate_two_view_geometry_pose(
+                *(cameras[both[0]], points[0], cameras[both[1]], points[1]), geometry
+            ):
+                turns.append(np.asarray(geometry.cam2_from_cam1.rotation.matrix()))
+                pairs.append((given[0].rotation, given[1].rotation))
+    if not turns:
+        return "no two of these photos match"
+    found, (first, second) = np.array(turns), np.array(pairs).swapaxes(0, 1)
+    off = _median_off(found, first, second)
+    if off <= MAX_OFF:
+        return ""
+    for words, (inverted, sign) in MIXED_UP.items():
+        axes = np.diag([1.0, sign, sign])
+        right = [one.swapaxes(1, 2) if inverted else one for one in (first, second)]
+        if _median_off(found, *(axes @ one for one in right)) <= MAX_OFF:
+            return f"matches contradict them by {off:.0f} degrees; it seems that {words}"
+    return f"matches contradict them by {off:.0f} degrees"
+
+
+def _median_off(found: Floats, first: Floats, second: Floats) -> float:
+    """The median angle between turns (N, 3, 3) and those between two cameras' rotations."""
+    return float(np.median(angle(found @ first @ second.swapaxes(1, 2))))
+
+
+def map_known(workspace: Workspace, folder: Path) -> Any:
+    """Triangulate the matches at the given poses, and refine poses, lenses and points.
+
+    Returns:
+        pycolmap's reconstruction of the photos with a given pose.
+    """
+    pycolmap = workspace.pycolmap
+    with workspace.open() as database:
+        cache = pycolmap.DatabaseCache.create(database, pycolmap.DatabaseCacheOptions())
+    model = pycolmap.Reconstruction()
+    model.load(cache)
+    for image in model.images.values():
+        if (photo := workspace.known.get(image.name)) is not None:
+            pose = pycolmap.Rigid3d(pycolmap.Rotation3d(photo.rotation), photo.translation)
+            model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
+            model.register_frame(image.frame_id)
+    adjusting = pycolmap.BundleAdjustmentOptions()
+    adjusting.print_summary = False
+    adjusting.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
+    adjusting.ceres.solver_options.num_threads = 1
+    # What is triangulated last rests on poses that are refined.
+    for number, error in enumerate((LOOSE, STRICT, STRICT)):
+        if number:
+            pycolmap.bundle_adjustment(model, adjusting)
+        options = pycolmap.IncrementalPipelineOptions()
+        options.num_threads = options.mapper.num_threads = 1
+        options.random_seed = options.mapper.random_seed = workspace.seed
+        options.triangulation.random_seed = workspace.seed
+        options.mapper.filter_max_reproj_error = error
+        options.triangulation.merge_max_reproj_error = error
+        options.triangulation.complete_max_reproj_error = error
+        out = folder / f"triangulated_{number}"
+        out.mkdir(parents=True)
+        model = workspace.call(
+            pycolmap.triangulate_points,
+            *(model, workspace.database, workspace.images, out),
+            options=options,
+        )
+    return model
+
+
+def to_given_world(workspace: Workspace, model: Any, known: Known) -> float | None:
+    """Put a model into the world of the given poses, as its photos suit best.
+
+    A COLMAP model has no up of its own: a world whose up is known is turned so that it is -y, which
+    is what a COLMAP model's is taken for, unless it lies on the Earth.
+
+    Returns:
+        The degrees by which the model turns the given poses, at the median; None if there are none.
+    """
+    poses = poses_of(model)
+    names = [name for name in poses.names if name in workspace.known]
+    if not names:
+        return None
+    photos = [workspace.known[name] for name in names]
+    rotation, centre = (np.array([getattr(p, n) for p in photos]) for n in ("rotation", "centre"))
+    own, given = poses.chosen(names), Poses(names, rotation, centre, np.ones(len(names)))
+    between = common_similarity(own, given)
+    turn = np.eye(3)
+    if known.frame not in (EARTH, MAP):
+        turn = to_y_up("colmap", LOCAL).T @ to_y_up(known.kind, known.frame)
+    rotated = workspace.pycolmap.Rotation3d(turn @ between.turn)
+    model.transform(workspace.pycolmap.Sim3d(between.scale, rotated, turn @ between.offset))
+    return float(np.median([one.turn for one in differences(own, given).values()]))

@@ -1,0 +1,176 @@
+"""Poses that are given: refined, refuted, completed; data sets that grow; GPS tags."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+from scipy.spatial.transform import Rotation
+
+from clgs.cli.main import explain
+from clgs.data.dataset import load_dataset, read_photo_set
+from clgs.data.programs.earth import axes_at, geocentric, place_of
+from clgs.errors import DataError
+from clgs.poses.gps import GPS, read_place
+from clgs.poses.judging.verdict import GOOD
+from clgs.poses.prepare import prepare
+from clgs.scene.world import EARTH
+from tests.data.folders import opengl, save_json, write_noise, write_room_photos
+
+pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+
+BERN = (46.948, 7.447, 540.0)
+
+
+def write_known(root: Path, count: int, pose: Callable[[np.ndarray], list[list[float]]]):
+    """Photos of a room in ``root``/photos, and a transforms.json; returns the true poses."""
+    root.mkdir()
+    poses = write_room_photos(root / "photos", count)
+    frames = [
+        {"file_path": f"photos/{number}.png", "transform_matrix": pose(one)}
+        for number, one in enumerate(poses)
+    ]
+    lens = {"fl_x": 320.0, "fl_y": 320.0, "cx": 160.0, "cy": 120.0, "w": 320, "h": 240}
+    save_json(root, {**lens, "frames": frames})
+    return poses
+
+
+def centres_of(folder: Path) -> np.ndarray:
+    found = read_photo_set(folder)
+    return np.array([p.centre for p in sorted(found.train + found.test, key=lambda p: p.name)])
+
+
+def distances(centres: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(centres[:, None] - centres, axis=2)
+
+
+def test_noisy_poses_are_refined_in_their_own_units(tmp_path: Path):
+    rng = np.random.default_rng(0)
+
+    def shaken(pose: np.ndarray) -> list[list[float]]:
+        moved = pose.copy()
+        moved[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(0.01 * rng.normal(size=3)).as_matrix()
+        moved[:3, 3] += 0.02 * rng.normal(size=3)
+        return opengl(moved)
+
+    root = tmp_path / "capture"
+    poses = write_known(root, 9, shaken)
+    verdict = prepare(root / "photos", tmp_path / "data", poses=root / "transforms.json")
+    assert (verdict.registered, verdict.mapper) == (9, "given poses")
+    assert {photo.status for photo in verdict.photos} == {GOOD}
+    (note,) = verdict.notes
+    assert "the world is that of its 9 poses" in note
+    true = distances(np.array([pose[:3, 3] for pose in poses]))
+    error = np.abs(distances(centres_of(tmp_path / "data")) - true)
+    assert error.max() <= 0.05 * true.max()  # the scale is that of the given poses
+    shaken_error = np.abs(distances(centres_of(root)) - true)
+    assert error.mean() < shaken_error.mean()
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        (lambda pose: pose.tolist(), "OpenGL's axes of cameras are taken for OpenCV's"),
+        (
+            lambda pose: opengl(np.linalg.inv(pose)),
+            "camera to world is taken for world to camera",
+        ),
+    ],
+)
+def test_poses_in_the_wrong_convention_are_named_and_not_used(
+    tmp_path: Path, pose: Callable[[np.ndarray], list[list[float]]], words: str
+):
+    root = tmp_path / "capture"
+    write_known(root, 9, pose)
+    verdict = prepare(root / "photos", tmp_path / "data", quick=True, poses=root)
+    assert (verdict.registered, verdict.mapper) == (9, "incremental")
+    (note,) = verdict.notes
+    assert "its poses are not used" in note
+    assert words in note
+
+
+def test_a_data_set_grows(tmp_path: Path):
+    """The old photos keep their world; a photo that is there already is not added twice."""
+    write_room_photos(tmp_path / "all", 9)
+    (tmp_path / "few").mkdir()
+    for number in range(6):
+        shutil.copy(tmp_path / "all" / f"{number}.png", tmp_path / "few")
+    prepare(tmp_path / "few", tmp_path / "old", quick=True)
+    (tmp_path / "more").mkdir()
+    for number in range(6, 9):
+        shutil.copy(tmp_path / "all" / f"{number}.png", tmp_path / "more")
+    old = tmp_path / "old"
+    verdict = prepare(tmp_path / "more", tmp_path / "new", continued=old)
+    assert (verdict.registered, verdict.total, verdict.mapper) == (9, 9, "given poses")
+    before, after = centres_of(old), centres_of(tmp_path / "new")[:6]
+    assert np.abs(after - before).max() <= 0.02 * distances(before).max()
+    with pytest.raises(DataError, match="has a photo of this name"):
+        prepare(tmp_path / "few", tmp_path / "twice", continued=old)
+
+
+def test_poses_of_other_photos_are_refused_in_a_line(tmp_path: Path):
+    write_known(tmp_path / "capture", 4, opengl)
+    photos = write_noise(tmp_path / "others", 4)
+    for number, photo in enumerate(sorted(photos.iterdir())):
+        photo.rename(photos / f"other{number}.png")
+    with pytest.raises(DataError, match="none of its 4 photos is in") as caught:
+        prepare(photos, tmp_path / "data", poses=tmp_path / "capture")
+    assert "\n" not in explain(caught.value)
+    assert not (tmp_path / "data").exists()
+
+
+def tag(path: Path, place: tuple[float, float, float]) -> None:
+    """Save a photo again as JPEG with a GPS tag."""
+    exif = Image.Exif()
+
+    def parts(degrees: float) -> tuple[IFDRational, ...]:
+        whole = int(abs(degrees))
+        rest = (abs(degrees) - whole) * 3600
+        return IFDRational(whole), IFDRational(0), IFDRational(round(rest * 1_000_000), 1_000_000)
+
+    latitude, longitude, altitude = place
+    exif.get_ifd(GPS).update(
+        {
+            1: "N" if latitude >= 0 else "S",
+            2: parts(latitude),
+            3: "E" if longitude >= 0 else "W",
+            4: parts(longitude),
+            5: bytes([altitude < 0]),
+            6: IFDRational(round(abs(altitude) * 1000), 1000),
+        }
+    )
+    Image.open(path).save(path.with_suffix(".jpg"), exif=exif, quality=95)
+    path.unlink()
+
+
+@pytest.mark.parametrize("place", [BERN, (-33.9, -70.1, -12.5)])
+def test_gps_tags_are_read(tmp_path: Path, place: tuple[float, float, float]):
+    photo = tmp_path / "0.png"
+    Image.new("RGB", (8, 6)).save(photo)
+    assert read_place(photo) is None
+    tag(photo, place)
+    assert read_place(photo.with_suffix(".jpg")) == pytest.approx(place, abs=1e-8)
+    assert place_of(geocentric(place)) == pytest.approx(place, abs=1e-8)
+
+
+def test_gps_tags_give_scale_and_place_and_a_lie_is_named(tmp_path: Path):
+    """The camera's path, 30 times as large, near Bern; one tag is a kilometre off."""
+    photos, output = tmp_path / "photos", tmp_path / "data"
+    poses = write_room_photos(photos, 9)
+    metres = 30.0 * np.array([pose[:3, 3] for pose in poses])
+    metres[4, 1] += 1000.0
+    for number, one in enumerate(metres):
+        tag(photos / f"{number}.png", place_of(geocentric(BERN) + axes_at(BERN).T @ one))
+    verdict = prepare(photos, output, quick=True)
+    fitted, lie = verdict.notes
+    assert fitted.startswith("GPS tags give scale and place")
+    assert lie.startswith("GPS tags contradict the poses of 4.jpg by 1000 m")
+    assert read_photo_set(output).frame == EARTH
+    assert load_dataset(output).transform.frame == EARTH
+    true = 30.0 * distances(np.array([pose[:3, 3] for pose in poses]))
+    assert np.abs(distances(centres_of(output)) - true).max() <= 0.05 * true.max()
