@@ -110,9 +110,10 @@ def fit(
     pycolmap = workspace.pycolmap
     options = pycolmap.RANSACOptions()
     options.max_error, options.random_seed = 2 * EXACT * extent, workspace.seed
-    found = pycolmap.estimate_sim3d_robust(centre, tags, options)
-    if found is None:
+    estimate = pycolmap.estimate_sim3d_robust(centre, tags, options)
+    if estimate is None:
         return None, [f"{unused}: they contradict the poses"]
+    found = estimate["tgt_from_src"]
     moved = np.array([found * one for one in centre])
     off = np.linalg.norm(moved - tags, axis=1)
     usual = float(np.median(off))
