@@ -180,8 +180,8 @@ def _put_into_world(
             f"are turned by at most {turn:.2f} degrees"
         )
         return known.frame, known.place
-    found, told = fit(workspace, poses_of(model), own_names)
-    notes += told
+    found, lines = fit(workspace, poses_of(model), own_names)
+    notes += lines
     if found is None:
         return LOCAL, NOWHERE
     model.transform(found)

@@ -14,6 +14,7 @@ import pytest
 
 from clgs.errors import DataError
 from clgs.poses import reconstruct
+from clgs.poses.known import Known
 from tests.data.folders import write_noise
 from tests.terminal import as_from_a_terminal
 
@@ -135,7 +136,7 @@ def test_a_crash_on_a_full_disk_asks_for_room(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(reconstruct, "run_child", crash)
     with pytest.raises(DataError, match="crashed"):
-        reconstruct.reconstruct(tmp_path, 0, False, 0, None, lambda *_: None)
+        reconstruct.reconstruct(tmp_path, 0, False, 0, None, lambda *_: None, Known(), False)
     monkeypatch.setattr(reconstruct.shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
     with pytest.raises(OSError, match="No space left"):
-        reconstruct.reconstruct(tmp_path, 0, False, 0, None, lambda *_: None)
+        reconstruct.reconstruct(tmp_path, 0, False, 0, None, lambda *_: None, Known(), False)
