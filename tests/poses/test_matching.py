@@ -122,6 +122,10 @@ def test_all_features_are_used_where_the_largest_give_few_matches(workspace, mon
     pairs = pairs_to_match(workspace)
     assert not matching.match(workspace, pairs)  # no photo has as many features
     whole = found(workspace)
+    monkeypatch.setattr(matching, "ENOUGH_MATCHES", 0)
+    assert not matching.match(workspace, pairs, 100)  # so few photos are matched in full
+    few = found(workspace)
+    monkeypatch.setattr(matching, "MAX_FULL", 0)
     monkeypatch.setattr(matching, "ENOUGH_MATCHES", 10**6)
     assert not matching.match(workspace, pairs, 100)
     thin = found(workspace)
@@ -137,7 +141,7 @@ def test_all_features_are_used_where_the_largest_give_few_matches(workspace, mon
             scale = matching.turn_and_scale(np.asarray(keypoints[photo], np.float64))[:, 1]
             assert scale[np.asarray(matches)[:, column]].min() >= np.sort(scale)[-100]
     matching.match_in_full(workspace, pairs)
-    for again in (thin, found(workspace)):
+    for again in (few, thin, found(workspace)):
         assert again.keys() == whole.keys()
         for number, arrays in whole.items():
             assert all(map(np.array_equal, arrays, again[number]))
