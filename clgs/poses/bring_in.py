@@ -72,10 +72,11 @@ class PhotoSource:
         return [one.path for one in self.collection.photos] if self.collection else [self.path]
 
 
-def find_source(path: Path, frames: int | None = None) -> PhotoSource:
+def find_source(path: Path, frames: int | None = None, least: int = LEAST_PHOTOS) -> PhotoSource:
     """Look at ``path``, a folder or a video; nothing is decoded, and nothing is written.
 
-    ``frames``: how many to take from a video; default DEFAULT_FRAMES.
+    ``frames``: how many to take from a video; default DEFAULT_FRAMES. ``least``: photos of a
+    folder.
 
     Raises:
         DataError: nothing there, too few photos, or no program that reads videos.
@@ -86,7 +87,7 @@ def find_source(path: Path, frames: int | None = None) -> PhotoSource:
     found = find_photos(path)
     if frames is not None:
         raise DataError(f"{path}: --frames is for videos; leave it out, or name a video")
-    _check_enough(found)
+    _check_enough(found, least)
     return PhotoSource(path, found, 0)
 
 
@@ -164,12 +165,12 @@ def bring_in(
             save_mask(np.ones(image_size(path)[::-1], np.uint8), mask)
 
 
-def _check_enough(found: Collection) -> None:
-    if len(found.photos) < LEAST_PHOTOS:
+def _check_enough(found: Collection, least: int = LEAST_PHOTOS) -> None:
+    if len(found.photos) < least:
         skipped = "".join(f"; {line.removeprefix(f'{found.root}: ')}" for line in found.lines())
         raise DataError(
             f"{found.root}: {len(found.photos)} photos that can be read (JPEG, PNG, WebP, HEIC); "
-            f"at least {LEAST_PHOTOS} are needed{skipped}"
+            f"at least {least} {'is' if least == 1 else 'are'} needed{skipped}"
         )
 
 

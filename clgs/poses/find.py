@@ -100,7 +100,7 @@ def find_photos(folder: Path) -> Collection:
     photos = [path for path in files if path not in set(masks.values())]
     taken: set[str] = set()
     for path in _without_copies(photos, collection):
-        collection.photos.append(Found(path, _new_name(files[path], taken), masks[path]))
+        collection.photos.append(Found(path, new_name(files[path], taken), masks[path]))
     used = {found.mask for found in collection.photos}
     collection.skipped += [
         (path.relative_to(folder).as_posix(), "masks of no photo")
@@ -171,8 +171,11 @@ def _without_copies(paths: list[Path], collection: Collection) -> list[Path]:
     return kept
 
 
-def _new_name(below: str, taken: set[str]) -> str:
-    """A name for the data set, without folders, that no other photo has; suffix as it was."""
+def new_name(below: str, taken: set[str]) -> str:
+    """A name for the data set, without folders, that no other photo has; suffix as it was.
+
+    ``below``: the path below the folder of photos; ``taken``: lower stems, to which it is added.
+    """
     plain = _UNSAFE.sub("_", below.replace("/", "_"))[-NAME_LENGTH:].lstrip(". ") or "photo.jpg"
     stem, dot, suffix = plain.rpartition(".")
     number, name = 1, plain

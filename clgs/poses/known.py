@@ -20,7 +20,7 @@ from clgs.data.images import image_size
 from clgs.data.lens import Lens
 from clgs.data.posed_photo import Photo, to_y_up
 from clgs.errors import DataError
-from clgs.poses.find import Collection, Found
+from clgs.poses.find import Collection, Found, new_name
 from clgs.poses.judging.agreement import Poses, angle, common_similarity, differences, poses_of
 from clgs.poses.judging.evidence import Evidence
 from clgs.poses.photo_json import from_plain, to_plain
@@ -118,11 +118,14 @@ def add_photos(source: Path, found: Collection) -> None:
     found.photos = [one for one in found.photos if one.path.resolve() not in own]
     if not found.photos:
         raise DataError(f"{found.root}: has no photo that {source} lacks; add some")
-    taken = {_stem(Path(one.name)): one.path for one in found.photos}
+    new = {
+        stem: one.path for one in found.photos for stem in (_stem(one.path), _stem(Path(one.name)))
+    }
+    taken = {Path(one.name).stem.lower() for one in found.photos}
     for photo in sorted(given.train + given.test, key=lambda one: one.name):
-        if (other := taken.get(_stem(photo.path))) is not None:
+        if (other := new.get(_stem(photo.path))) is not None:
             raise DataError(f"{other}: {source} has a photo of this name; rename the new one")
-        found.photos.append(Found(photo.path, photo.path.name, photo.mask))
+        found.photos.append(Found(photo.path, new_name(photo.path.name, taken), photo.mask))
 
 
 def fitting(known: Known, names: Mapping[Path, str]) -> tuple[dict[str, Photo], list[str]]:

@@ -21,7 +21,7 @@ from clgs.data.colmap.model import WORLD
 from clgs.data.images import read_image
 from clgs.errors import DataError, ExistsError, OutputError
 from clgs.files import STEM_KEPT, atomic_folder, check_folder, is_full
-from clgs.poses.bring_in import bring_in, find_source
+from clgs.poses.bring_in import LEAST_PHOTOS, bring_in, find_source
 from clgs.poses.drop import drop_doubtful as drop_doubtful_photos
 from clgs.poses.judging.verdict import Verdict
 from clgs.poses.known import Known, add_photos, read_known
@@ -102,7 +102,11 @@ def prepare(
         OutputError: ``output`` is not empty, or cannot be made.
         OSError: the disk is full, or another fault of ``output``.
     """
-    source, output = find_source(as_path("photos", photos), frames), as_path("output", output)
+    least = LEAST_PHOTOS if continued is None else 1
+    source, output = (
+        find_source(as_path("photos", photos), frames, least),
+        as_path("output", output),
+    )
     known = Known()
     if poses is not None or continued is not None:
         if source.collection is None:

@@ -109,8 +109,14 @@ def test_a_data_set_grows(tmp_path: Path):
     assert (verdict.registered, verdict.total, verdict.mapper) == (9, 9, "given poses")
     before, after = centres_of(old), centres_of(tmp_path / "new")[:6]
     assert np.abs(after - before).max() <= 0.02 * distances(before).max()
-    with pytest.raises(DataError, match="has a photo of this name"):
-        prepare(tmp_path / "few", tmp_path / "twice", continued=old)
+    (tmp_path / "more" / "below").mkdir()
+    (tmp_path / "more" / "6.png").rename(tmp_path / "more" / "below" / "0.png")
+    for again in ("few", "more"):  # in a folder, too, it would be taken for the old one
+        with pytest.raises(DataError, match="has a photo of this name"):
+            prepare(tmp_path / again, tmp_path / "twice", continued=old)
+    (tmp_path / "one").mkdir()
+    shutil.copy(tmp_path / "all" / "8.png", tmp_path / "one")
+    assert prepare(tmp_path / "one", tmp_path / "seven", quick=True, continued=old).registered == 7
 
 
 def test_poses_of_other_photos_are_refused_in_a_line(tmp_path: Path):
