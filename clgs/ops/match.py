@@ -43,7 +43,7 @@ Ints = npt.NDArray[np.int32]
 class Descriptors:
     """Descriptors of several photos on the device.
 
-    tiles: (T, LENGTH, LANES) uint8; first: of each photo its first tile; count: its descriptors.
+    tiles: (T, LENGTH / 2, LANES, 2) uint8; first: of each photo its first tile; count: its descriptors.
     """
 
     tiles: DeviceArray
@@ -76,10 +76,10 @@ def upload(device: Device, photos: Sequence[Bytes]) -> Descriptors:
         _check(f"photos[{number}]", photo)
         padded = np.zeros((_blocks(len(photo)) * BLOCK_ROWS, LENGTH), np.uint8)
         padded[: len(photo)] = photo
-        blocks.append(padded.reshape(-1, LANES, LENGTH).transpose(0, 2, 1))
+        blocks.append(padded.reshape(-1, LANES, LENGTH // 2, 2).transpose(0, 2, 1, 3))
         first.append(tile)
         tile += len(padded) // LANES
-    tiles = np.concatenate(blocks) if blocks else np.zeros((0, LENGTH, LANES), np.uint8)
+    tiles = np.concatenate(blocks) if blocks else np.zeros((0, LENGTH // 2, LANES, 2), np.uint8)
     uploaded = device.upload(np.ascontiguousarray(tiles))
     return Descriptors(uploaded, first, [len(photo) for photo in photos])
 

@@ -21,9 +21,7 @@ static inline void load_slice(__global const uchar *bytes, const int tile, const
     for (int i = (int)get_local_id(0); i < DEPTH * BLOCK_ROWS; i += SIDE * SIDE) {
         const int column = i % BLOCK_ROWS, own = tile + column / LANES;
         slice[i] =
-            own < end
-                ? (float)bytes[((size_t)own * LENGTH + k + i / BLOCK_ROWS) * LANES + column % LANES]
-                : 0.0f;
+            own < end ? (float)bytes[place_of(own, k + i / BLOCK_ROWS, column % LANES)] : 0.0f;
     }
 }
 
