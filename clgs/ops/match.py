@@ -43,8 +43,8 @@ Ints = npt.NDArray[np.int32]
 class Descriptors:
     """Descriptors of several photos on the device.
 
-    tiles: (T, LENGTH / 2, LANES, 2) uint8; first, count: of each photo its first tile and the number
-    of its descriptors.
+    tiles: (T, LENGTH / 2, LANES, 2) uint8; first, count: of each photo its first tile and
+    the number of its descriptors.
     """
 
     tiles: DeviceArray
