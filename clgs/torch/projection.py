@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from inspect import signature
 from typing import Any
 
@@ -17,17 +18,23 @@ from clgs.torch.functions import Project
 from clgs.torch.tensors import ViewsCall, checked, tensor_rows
 
 SIGNATURE = signature(rasterization_of_numpy)
+REACH = 3.33
+"""Where gsplat's boxes of Gaussians without opacities end, standard deviations."""
+
 NAMES = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "backgrounds")
 
 
-def project(given: dict[str, Any]) -> tuple[ViewsCall, list[Tensor | None], tuple[Tensor, ...]]:
-    """Project by the arguments of ``rasterization``, which are checked first.
+def project(
+    given: dict[str, Any], reach: float | None = None
+) -> tuple[ViewsCall, list[Tensor | None], tuple[Tensor, ...]]:
+    """Project by the arguments of ``rasterization``, which are checked; ``reach``: as of ``Lens``.
 
     Returns:
         What the call shares; means, quats, scales, covars, opacities and viewmats as flat batches;
         centres, whitening factors, depths, opacities and extents, see :class:`Project`.
     """
-    lens, by_covariance = checked_lens(given), given["covars"] is not None
+    lens = replace(checked_lens(given), reach=reach)
+    by_covariance = given["covars"] is not None
     hosts = {name: checked(name, given[name]) for name in (*NAMES, "covars")}
     arguments = check_arguments(
         **hosts, sh_degree=given["sh_degree"], render_mode=given["render_mode"]
@@ -89,7 +96,8 @@ def fully_fused_projection(  # noqa: PLR0913  gsplat's arguments
         sparse_grad: False.
         calc_compensations: whether to return the share of the opacity that the blur leaves.
         camera_model: "pinhole" or "ortho".
-        opacities: (..., N) float32, 0 to 1; boxes end where alpha is below 1/255; None for ones.
+        opacities: (..., N) float32, 0 to 1; boxes end where alpha is below 1/255; if None,
+            3.33 standard deviations from the centre.
 
     Returns:
         radii (..., C, N, 2) int32, 0 if culled; means2d (..., C, N, 2), depths (..., C, N), conics
@@ -110,7 +118,9 @@ def fully_fused_projection(  # noqa: PLR0913  gsplat's arguments
         camera_model=camera_model, covars=covars,
     )  # fmt: skip
     bound.apply_defaults()
-    call, flat, (centres, whitening, depths, left, _) = project(bound.arguments)
+    call, flat, (centres, whitening, depths, left, _) = project(
+        bound.arguments, REACH if opacities is None else None
+    )
     batch, shared = call.given.batch, flat[4]
     if opacities is not None and shared is not None:
         left = left / shared[:, None].clamp(min=1e-30)

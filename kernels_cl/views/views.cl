@@ -175,13 +175,15 @@ static inline Sight see(__global const float *mean, __global const float *shape,
 }
 
 /* As project_forward, with a far plane and a smallest radius, and the opacities that are left.
- * Radii are boxes rounded up to pixels; a Gaussian is culled if they miss the image. */
+ * Radii are boxes rounded up to pixels; a Gaussian is culled if they miss the image. With a `reach`
+ * above 0, boxes end that many standard deviations from the centre, at any opacity. */
 __kernel void views_forward(__global const float *mean, __global const float *shape,
                             __global const float *rotation, __global const float *opacity,
                             __global const float *camera, const int count, const float blur,
-                            const float far, const float smallest_radius, __global float *mean2d,
-                            __global float *whitening, __global float *depth,
-                            __global float *extent, __global float *compensated)
+                            const float far, const float smallest_radius, const float reach,
+                            __global float *mean2d, __global float *whitening,
+                            __global float *depth, __global float *extent,
+                            __global float *compensated)
 {
     const size_t first = item_from_middle() * VEC;
     if (first >= (size_t)count)
@@ -196,10 +198,17 @@ __kernel void views_forward(__global const float *mean, __global const float *sh
     for (int axis = 0; axis < 2; ++axis)
         g.centre[axis] = s.p.slope[axis] * camera[CAMERA_FX + axis] + camera[CAMERA_CX + axis];
     whiten(&s.p, g.factor);
-    half_widths(&s.p, opaque, g.extent);
+    iv shows = opaque >= (fv)(ALPHA_CUT);
+    if (reach > 0.0f) {
+        shows = opaque >= (fv)(0.0f);
+        g.extent[0] = reach * s.p.unit * sqrt(s.p.cov_xx);
+        g.extent[1] = reach * s.p.unit * sqrt(s.p.cov_yy);
+    } else {
+        half_widths(&s.p, opaque, g.extent);
+    }
     const fv radii[2] = {ceil(g.extent[0]), ceil(g.extent[1])};
-    const iv drawn = (g.depth >= (fv)(camera[CAMERA_NEAR])) & (g.depth <= (fv)(far)) &
-                     (opaque >= (fv)(ALPHA_CUT)) & is_whitening(g.factor) &
+    const iv drawn = (g.depth >= (fv)(camera[CAMERA_NEAR])) & (g.depth <= (fv)(far)) & shows &
+                     is_whitening(g.factor) &
                      ((radii[0] > (fv)(smallest_radius)) | (radii[1] > (fv)(smallest_radius))) &
                      overlaps_image(g.centre, radii, camera);
     blank(drawn, 2, g.centre);

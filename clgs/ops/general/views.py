@@ -49,7 +49,8 @@ class Lens:
     """How a camera sees: parallel rays or not, and whether opacities make up for the blur.
 
     blur: square pixels; near, far: depths within which Gaussians are drawn; smallest_radius: boxes
-    that reach no more pixels along both axes are culled.
+    that reach no more pixels along both axes are culled; reach: how many standard deviations from
+    the centre boxes end, None if they end where alpha is below its cut.
     """
 
     parallel: bool = False
@@ -58,6 +59,7 @@ class Lens:
     near: float = 0.01
     far: float = 1e10
     smallest_radius: float = 0.0
+    reach: float | None = None
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,7 @@ def forward(
         blur=np.float32(lens.blur),
         far=np.float32(lens.far),
         smallest_radius=np.float32(lens.smallest_radius),
+        reach=np.float32(lens.reach or 0.0),
         mean2d=result.mean2d,
         whitening=result.whitening,
         depth=result.depth,

@@ -28,6 +28,7 @@ class Lens:
     blur: float = 0.3
     far: float = 1e10
     smallest_radius: float = 0.0
+    reach: float | None = None
 
 
 @dataclass(frozen=True)
@@ -79,15 +80,17 @@ def forward(
         xx, xy, yy = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
         whitening = np.stack([xx**-0.5, xy / xx, np.sqrt(xx / (xx * yy - xy * xy))], 1)
         opacity = opacity * _share(seen, lens)
-        reach = np.sqrt(2 * np.log(opacity / ALPHA_CUT))
-        extent = reach[:, None] * np.sqrt(np.stack([xx, yy], 1))
+        by_alpha, shows = np.sqrt(2 * np.log(opacity / ALPHA_CUT)), opacity >= ALPHA_CUT
+        if lens.reach is not None:
+            by_alpha, shows = np.full(len(mean), lens.reach), opacity >= 0
+        extent = by_alpha[:, None] * np.sqrt(np.stack([xx, yy], 1))
         depth_of = 1 if lens.parallel else seen.point[:, 2:]
         mean2d = view.focal * seen.point[:, :2] / depth_of + view.centre2d
         radii = np.ceil(extent)
         drawn = np.all((mean2d + radii > 0) & (mean2d - radii < view.size), axis=1)
         drawn &= np.max(radii, axis=1) > lens.smallest_radius
     depth = seen.point[:, 2]
-    drawn &= (depth >= view.near) & (depth <= lens.far) & (opacity >= ALPHA_CUT)
+    drawn &= (depth >= view.near) & (depth <= lens.far) & shows
     drawn &= np.all(np.isfinite(whitening), axis=1)
     keep = drawn[:, None]
     projected = Projected(

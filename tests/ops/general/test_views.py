@@ -110,6 +110,22 @@ def test_agrees_with_reference(device, rng, parallel, compensated, by_covariance
         assert relative_l2(device.download(made.d_rotation), d_rotation) < 1e-5
 
 
+def test_boxes_of_a_reach_do_not_depend_on_the_opacity(device, rng):
+    values = gaussians(rng, 700)
+    values["opacity"][::3] = 0.001
+    wide = {name: value.astype(np.float64) for name, value in values.items()}
+    packed = views.pack_camera(*matrices(rng), SIZE, 0.01)
+    shape = reference.covariances(wide["scale"], wide["rotation"])
+    lens = reference.Lens(compensated=True, reach=3.33)
+    wanted, opacity = reference.forward(wide["mean"], shape, wide["opacity"], packed, lens)
+    splats, camera = on_device(device, values, False), device.upload(packed)
+    given = views.Lens(compensated=True, reach=3.33)
+    found = views.forward(device, splats, camera, given, device.empty((700, 0)), DEFAULT)
+    assert (wanted.extent[::3, 0] > 0).any()
+    assert relative_l2(device.download(found.extent), wanted.extent) < 3e-6
+    assert relative_l2(device.download(found.opacity), opacity) < 1e-6
+
+
 def test_flat_covariances_have_gradients(device):
     """A disk and a point: their Cholesky factors have columns of zeros."""
     rows = np.array([[0.01, 0, 0, 0.02, 0, 0], [0, 0, 0, 0, 0, 0]], np.float32)
