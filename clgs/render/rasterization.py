@@ -1,4 +1,4 @@
-"""``clgs.rasterization``: pictures of Gaussians that NumPy holds, and their gradients.
+"""``clgs.rasterization``: pictures of Gaussians that NumPy or pyopencl holds, and their gradients.
 
 Arguments, defaults and results are those of ``gsplat.rasterization`` 1.5.3; docs/reference has a
 table of what is the same, what differs and what is refused.
@@ -11,7 +11,9 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
+from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
+from clgs.opencl.lent import lent_array
 from clgs.ops.general import harmonics, views
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import channel_picture
@@ -73,9 +75,10 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
 ) -> tuple[Floats, Floats, Meta]:
     """Draw N Gaussians as C cameras see them; ``...`` are batches of both.
 
-    Camera axes are OpenCV's: x right, y down, z forward; pixel centres lie at +0.5. Arrays must
-    not change before the last call of ``meta["record"].backward``: a CPU device reads them where
-    they are.
+    Camera axes are OpenCV's: x right, y down, z forward; pixel centres lie at +0.5. Arrays are
+    NumPy's, or ``pyopencl.array.Array`` made with ``device.queue``, which are read where they lie.
+    They must not change before the last call of ``meta["record"].backward``: a CPU device reads
+    NumPy's where they are, too.
 
     Args:
         means: (..., N, 3) float32, scene units.
@@ -127,12 +130,17 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
         BudgetError: a row of tiles needs more than ``options.max_memory``.
     """
     lens = checked_lens(locals())
-    given = check_arguments(
-        means, quats, scales, opacities, colors, viewmats, Ks, sh_degree, backgrounds,
-        render_mode, covars,
-    )  # fmt: skip
     on = device or default_device()
-    record = Record(on, given, lens, sh_degree, render_mode, absgrad, (width, height), [])
+    arrays = {
+        "means": means, "quats": quats, "scales": scales, "opacities": opacities,
+        "colors": colors, "viewmats": viewmats, "Ks": Ks, "backgrounds": backgrounds,
+        "covars": covars,
+    }  # fmt: skip
+    found = {name: lent_array(on, name, value) for name, value in arrays.items()}
+    lent = {name: array for name, array in found.items() if array is not None}
+    arrays |= {name: on.hand_over(array) for name, array in lent.items()}
+    given = check_arguments(**arrays, sh_degree=sh_degree, render_mode=render_mode)
+    record = Record(on, given, lens, sh_degree, render_mode, absgrad, (width, height), lent, [])
     for batch, number in np.ndindex(given.viewmats.shape[:2]):
         record.views.append(_draw(record, batch, number, alpha_max, options))
     shape = (*given.batch, given.viewmats.shape[1], height, width)
@@ -161,10 +169,10 @@ def _draw(
         shape = given.scales if given.covars is None else given.covars
         assert shape is not None
         splats = views.Splats(
-            device.share(given.means[batch]),
-            device.share(shape[batch]),
-            None if given.quats is None else device.share(given.quats[batch]),
-            device.share(given.opacities[batch]),
+            _on_device(record, "means", given.means[batch]),
+            _on_device(record, "scales", shape[batch]),
+            None if given.quats is None else _on_device(record, "quats", given.quats[batch]),
+            _on_device(record, "opacities", given.opacities[batch]),
         )
     packed = views.pack_camera(
         given.viewmats[batch, number], given.Ks[batch, number], size, lens.near
@@ -172,11 +180,11 @@ def _draw(
     camera, stored = device.upload(packed), None
     own = given.colors[batch, number % given.colors.shape[1]]
     if shows_colors and record.sh_degree is not None:
-        stored = device.share(own)
+        stored = _on_device(record, "colors", own)
         with device.stage("harmonics forward"):
             color = harmonics.forward(device, splats.mean, stored, camera, record.sh_degree)
     else:
-        color = device.share(own) if shows_colors else device.empty((len(own), 0))
+        color = _on_device(record, "colors", own) if shows_colors else device.empty((len(own), 0))
     with device.stage("views forward"):
         projected = views.forward(device, splats, camera, lens, color, options)
     background = device.share(given.backgrounds[batch, number])
@@ -188,6 +196,14 @@ def _draw(
     if "ED" in record.render_mode:
         image[..., -1:] /= np.maximum(alpha, SMALLEST_ALPHA)
     return View(splats, camera, stored, drawn, image, alpha)
+
+
+def _on_device(record: Record, name: str, host: Floats) -> DeviceArray:
+    """An argument where it lies, if that is the whole of a lent array; else the host's, shared."""
+    lent = record.lent.get(name)
+    if lent is not None and lent.size == host.size:
+        return DeviceArray(lent.buffer, host.shape, lent.dtype)
+    return record.device.share(host)
 
 
 def _stacked(arrays: list[Floats], shape: tuple[int, ...]) -> Floats:

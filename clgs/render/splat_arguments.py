@@ -55,7 +55,7 @@ def check_arguments(
     render_mode: str,
     covars: Any,
 ) -> SplatArguments:
-    """Check all arrays against each other.
+    """Check all arrays, those of the device as the host sees them, against each other.
 
     Raises:
         TypeError: an argument is no array, or of another dtype.
@@ -100,7 +100,9 @@ def check_arguments(
 
 def _array(name: str, value: Any) -> npt.NDArray[Any]:
     if not isinstance(value, np.ndarray):
-        raise TypeError(f"{name}: is {type(value).__name__}; give a NumPy array")
+        raise TypeError(
+            f"{name}: is {type(value).__name__}; give a NumPy array, or one of pyopencl"
+        )
     return value
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
+from clgs.opencl.lent import on_host
 from clgs.ops.general import harmonics, views
 from clgs.render import channel_picture
 from clgs.render.splat_arguments import Floats, SplatArguments
@@ -39,7 +40,10 @@ class View:
 
 @dataclass(frozen=True)
 class Record:
-    """What the gradients of a call of :func:`rasterization` need; views: batches first."""
+    """What the gradients of a call of :func:`rasterization` need.
+
+    lent: the arguments that lie on the device, by their names; views: batches first.
+    """
 
     device: Device
     given: SplatArguments
@@ -48,13 +52,14 @@ class Record:
     render_mode: str
     absgrad: bool
     size: tuple[int, int]
+    lent: dict[str, DeviceArray]
     views: list[View]
 
     def backward(self, d_colors: Floats, d_alphas: Floats | None = None) -> dict[str, Floats]:
         """Gradients of ``sum(d_colors * colors) + sum(d_alphas * alphas)``.
 
         Args:
-            d_colors: (..., C, H, W, X) float32.
+            d_colors: (..., C, H, W, X) float32, of NumPy or pyopencl.
             d_alphas: (..., C, H, W, 1) float32; None for zeros.
 
         Returns:
@@ -69,6 +74,10 @@ class Record:
         b, c, n = len(given.means), given.viewmats.shape[1], given.means.shape[1]
         width, height = self.size
         x = given.backgrounds.shape[-1]
+        d_colors, d_alphas = (
+            on_host(self.device, name, value)
+            for name, value in (("d_colors", d_colors), ("d_alphas", d_alphas))
+        )
         d_image = _checked("d_colors", d_colors, (*given.batch, c, height, width, x))
         d_image = d_image.reshape(b, c, height, width, x)
         d_alpha = np.zeros((b, c, height, width), np.float32)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pyopencl.array as cl_array
 import pytest
 
 import clgs
@@ -216,3 +217,44 @@ def test_gradients_are_those_of_central_differences(open_device, rng):
         ]
         wanted = np.vdot(made[name].astype(float), direction)
         assert (ends[0] - ends[1]) / 8e-3 == pytest.approx(wanted, rel=5e-3), name
+
+
+@pytest.mark.parametrize(("cameras", "sh_degree"), [(1, None), (2, 3)])
+def test_arrays_on_the_device_have_the_bits_of_those_of_numpy(device, rng, cameras, sh_degree):
+    given = scene(rng, cameras=cameras, sh_degree=sh_degree)
+    lent = {
+        name: cl_array.to_device(device.queue, np.ascontiguousarray(value))
+        for name, value in given.items()
+        if isinstance(value, np.ndarray)
+    }
+    padded = cl_array.to_device(device.queue, np.append(np.zeros(7, np.float32), given["means"]))
+    lent["means"] = padded[7:].reshape(given["means"].shape)  # begins within its buffer
+    results, weight = [], None
+    for arrays in (given, {**given, **lent}):
+        image, alpha, meta = clgs.rasterization(**arrays, render_mode="RGB+D", device=device)
+        if weight is None:
+            weight = rng.normal(size=image.shape).astype(np.float32)
+        else:
+            weight = cl_array.to_device(device.queue, weight)
+        made = meta["record"].backward(weight)
+        results.append([image, alpha, meta["radii"], *made.values()])
+    for one, other in zip(*results, strict=True):
+        assert np.array_equal(one, other)
+    seen = meta["record"].views[0].splats
+    assert seen.opacity.buffer is lent["opacities"].base_data
+    assert seen.shape.buffer is lent["scales"].base_data
+
+
+def test_arrays_of_another_context_or_order_are_refused(device, rng):
+    given = scene(rng)
+    other = clgs.Device()
+    with pytest.raises(ValueError, match=r"means: .* is of another context"):
+        clgs.rasterization(
+            **given | {"means": cl_array.to_device(other.queue, given["means"])}, device=device
+        )
+    turned = cl_array.to_device(device.queue, np.asfortranarray(given["means"]))
+    with pytest.raises(ValueError, match=r"means: .* is not contiguous"):
+        clgs.rasterization(**given | {"means": turned}, device=device)
+    empty = cl_array.to_device(device.queue, np.zeros((0, 3), np.float32))
+    with pytest.raises(ValueError, match="opacities: shape"):
+        clgs.rasterization(**given | {"means": empty}, device=device)
