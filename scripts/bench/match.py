@@ -2,7 +2,7 @@
 
 ``match.py FOLDER [--photos N] [--features N ...] [--repeats N]``: all pairs of the first N photos
 of a folder, matched by their largest features: on the OpenCL device, by pycolmap without a GPU
-(FAISS), and by pycolmap's brute force, in turns. Prints milliseconds per pair, the median over
+(FAISS), and by its brute force, interleaved. Prints milliseconds per pair, the median over
 turns, and how many matches each of pycolmap's has more and fewer. Nothing is verified.
 """
 
