@@ -15,11 +15,18 @@ from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.errors import DataError
 from clgs.lab import limit_kernels
 from clgs.lab.observed_kernels import drawn_output
-from clgs.lab.selftest.exact_scenes import ConformanceScene, ExactRandom, conformance_scenes
+from clgs.lab.selftest.exact_scenes import (
+    TURNED,
+    ConformanceScene,
+    ExactRandom,
+    conformance_scenes,
+)
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import adam, blend, density, loss, match, project, quantize, rate, scan, sort
-from clgs.options import PRESETS, RenderOptions
+from clgs.ops.general import harmonics, views
+from clgs.options import DEFAULT, PRESETS, RenderOptions
+from clgs.render import channel_picture
 from clgs.render.frame import DeviceScene, Frame, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 
@@ -56,6 +63,7 @@ def fingerprints(device: Device) -> list[Fingerprint]:
     for one in conformance_scenes():
         found += [_fingerprint(one.name, *tensor) for tensor in _render_tensors(device, one)]
     found += [_fingerprint("numbers", *tensor) for tensor in _number_tensors(device)]
+    found += [_fingerprint("splats", *tensor) for tensor in _rasteriser_tensors(device)]
     return found
 
 
@@ -153,6 +161,39 @@ def _number_tensors(device: Device) -> Iterator[Tensor]:
     uploaded = match.upload(device, photos)
     (found,) = match.nearest(device, uploaded, uploaded, [(0, 1)])
     yield from (("match", name, values) for name, values in vars(found).items())
+
+
+def _rasteriser_tensors(device: Device) -> Iterator[Tensor]:
+    """What ``clgs.rasterization`` runs, on Gaussians in a box; opacities make up for the blur."""
+    random, size = ExactRandom(COUNT + 2), (80, 48)
+    splats = views.Splats(
+        device.upload(random.floats((COUNT, 3), -1.0, 1.0)),
+        device.upload(random.floats((COUNT, 3), 0.01, 0.125)),
+        device.upload(random.floats((COUNT, 4), -1.0, 1.0)),
+        device.upload(random.floats((COUNT,), 0.0, 1.0)),
+    )
+    matrix, lens = np.eye(4), views.Lens(compensated=True)
+    matrix[:3, :3], matrix[2, 3] = TURNED, 4.0
+    intrinsics = np.array([[80.0, 0, 40], [0, 80, 24], [0, 0, 1]])
+    camera = device.upload(views.pack_camera(matrix, intrinsics, size, lens.near))
+    sh = device.upload(random.floats((COUNT, 25, 3), -0.5, 0.5))
+    color = harmonics.forward(device, splats.mean, sh, camera, 4)
+    yield "harmonics forward", "color", device.download(color)
+    projected = views.forward(device, splats, camera, lens, color, DEFAULT)
+    names = ("mean2d", "whitening", "depth", "extent", "opacity")
+    yield from _named(device, "views forward", projected, *names)
+    background = device.upload(random.floats((4,), 0.0, 1.0))
+    drawn = channel_picture.draw(device, projected, size, background, True, 0.999, DEFAULT)
+    yield from _named(device, "channels forward", drawn.picture, "image", "transmittance")
+    d_image = device.upload(random.floats((48, 80, 4), -1.0, 1.0))
+    d_left = device.upload(random.floats((48, 80), -1.0, 1.0))
+    d = channel_picture.backward(device, drawn, d_image, d_left, absolute=True)
+    yield from _named(device, "channels backward", d, *vars(d))
+    made = views.backward(device, splats, camera, lens, projected, d, want_camera=True)
+    yield from _named(device, "views backward", made, *vars(made))
+    d_sh, d_mean = harmonics.backward(device, splats.mean, sh, camera, 4, color, d.d_color)
+    yield "harmonics backward", "d_sh", device.download(d_sh)
+    yield "harmonics backward", "d_mean", device.download(d_mean)
 
 
 def to_record(found: list[Fingerprint], facts: dict[str, object]) -> dict[str, object]:

@@ -6,7 +6,7 @@ saturation of alpha come from the device. Only rounding is left to differ.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,9 @@ from clgs.scene.scene import Scene
 
 Array = npt.NDArray[np.float64]
 Gradients = dict[str, Array]
+
+Timed = tuple[str, str, float, float, Callable[[], object]]
+"""Stage, quantity, error, limit, and the work that is timed."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from statistics import median
 
@@ -11,8 +11,10 @@ import numpy as np
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
 from clgs.lab.anchor_scene import square_camera
+from clgs.lab.selftest.rasteriser_checks import check_channels, check_harmonics, check_views
 from clgs.lab.selftest.reference_render import (
     Check,
+    Timed,
     failed,
     largest,
     relative_errors,
@@ -50,16 +52,14 @@ from clgs.scene.gaussians import OrdinaryGaussians
 
 COUNT, SEED, REPEATS = 20_000, 5, 3
 
-Found = tuple[str, str, float, float, Callable[[], object]]
-"""Stage, quantity, error, limit, and the work that is timed."""
-
 
 def training_checks(device: Device, count: int = COUNT) -> Iterator[Check]:
     """Every check, on ``count`` numbers; one that raises has failed."""
     rng = np.random.default_rng(SEED)
     numbers = check_scan, check_sort, check_quantize, check_rate, check_adam
     pictures = check_exposure, check_mask, check_splats, check_match
-    for check in (*numbers, check_density, check_growth, *pictures):
+    rasteriser = check_views, check_harmonics, check_channels
+    for check in (*numbers, check_density, check_growth, *pictures, *rasteriser):
         try:
             for stage, quantity, error, limit, work in check(device, rng, count):
                 times = []
@@ -73,7 +73,7 @@ def training_checks(device: Device, count: int = COUNT) -> Iterator[Check]:
             yield failed(check.__name__.removeprefix("check_"), problem)
 
 
-def check_scan(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_scan(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """Prefix sums and their total."""
     counts = rng.integers(0, 50, count).astype(np.int32)
     uploaded = device.upload(counts)
@@ -83,7 +83,7 @@ def check_scan(device: Device, rng: np.random.Generator, count: int) -> Iterator
     yield "scan", "offsets and total", error, 0.0, partial(scan.exclusive, device, uploaded)
 
 
-def check_sort(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_sort(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """The order of keys, of which many are equal."""
     keys = rng.integers(0, 2**32, count).astype(np.uint32)
     keys[::3] = keys[0]
@@ -93,7 +93,7 @@ def check_sort(device: Device, rng: np.random.Generator, count: int) -> Iterator
     yield "sort", "order", error, 0.0, sort_keys
 
 
-def check_quantize(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_quantize(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """Rounded values, integers, and a Q per element."""
     x = (rng.normal(0, 4, count)).astype(np.float32)
     uploaded = device.upload(x)
@@ -107,7 +107,7 @@ def check_quantize(device: Device, rng: np.random.Generator, count: int) -> Iter
     yield "quantize", "values and integers", error, 0.0, forward
 
 
-def check_rate(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_rate(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """Bits and gradient of both forms of the rate proxy."""
     x = rng.laplace(0.3, np.arange(1, 7), (count // 6, 6)).astype(np.float32)
     uploaded = device.upload(x)
@@ -123,7 +123,7 @@ def check_rate(device: Device, rng: np.random.Generator, count: int) -> Iterator
         yield "rate", f"d_x ({form})", relative_l2(device.download(d_x), gradient), 1e-5, forward
 
 
-def check_adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_adam(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """A parameter after ten steps."""
     parameter, gradient = rng.normal(size=(2, count)).astype(np.float32)
     uploaded = device.upload(parameter)
@@ -143,7 +143,7 @@ def check_adam(device: Device, rng: np.random.Generator, count: int) -> Iterator
     yield "adam", "parameter after 10 steps", error, 10 * 8 * 2.0**-24, lambda: step(11)
 
 
-def check_density(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_density(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """The statistics of anchors that a view sees."""
     anchors = count // K_OFFSETS
     output = rng.uniform(-1, 1, (OUTPUT_DIM, anchors)).astype(np.float32)
@@ -169,7 +169,7 @@ def check_density(device: Device, rng: np.random.Generator, count: int) -> Itera
     yield "density", "sums and counts", max(errors.values()), 1e-6, accumulate
 
 
-def check_growth(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_growth(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """Features of new anchors."""
     anchors = max(count // K_OFFSETS, 1)
     shapes = (anchors, 3), (anchors, K_OFFSETS, 3), (anchors, FEATURE_DIM), (anchors, 6)
@@ -200,7 +200,7 @@ def check_growth(device: Device, rng: np.random.Generator, count: int) -> Iterat
     yield "growth", "slots that ask", float(wrong), 0.0, ask
 
 
-def check_exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_exposure(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """A mapped picture, and the gradients of picture and map."""
     shape = 3, 1, count
     image, d_picture = rng.normal(size=(2, *shape)).astype(np.float32)
@@ -219,7 +219,7 @@ def check_exposure(device: Device, rng: np.random.Generator, count: int) -> Iter
     yield "exposure", "d_image and d_map", error, 1e-5, backward
 
 
-def check_mask(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_mask(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """A masked picture, and its gradient."""
     image = rng.normal(size=(3, 1, count)).astype(np.float32)
     used = rng.integers(0, 2, (1, count)).astype(np.uint8)
@@ -232,7 +232,7 @@ def check_mask(device: Device, rng: np.random.Generator, count: int) -> Iterator
     yield "mask", "picture and d_image", error, 0.0, forward
 
 
-def check_splats(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_splats(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """Ordinary Gaussians as a camera sees them, and their gradients."""
     widths = {"mean": (3,), "log_scale": (3,), "rotation": (4,), "opacity": (), "sh": (16, 3)}
     values = [0.3 * rng.normal(size=(count, *width)) for width in widths.values()]
@@ -261,7 +261,7 @@ def check_splats(device: Device, rng: np.random.Generator, count: int) -> Iterat
     yield "splats", "gradients", max(errors.values()), 1e-5, backward
 
 
-def check_match(device: Device, rng: np.random.Generator, count: int) -> Iterator[Found]:
+def check_match(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
     """The nearest descriptors of another photo; half of them are there, some of these twice."""
     photos = [
         rng.integers(0, 60, (count // part + 1, match.LENGTH)).astype(np.uint8) for part in (40, 30)

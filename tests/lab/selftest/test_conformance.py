@@ -64,7 +64,8 @@ def test_the_committed_hashes_are_those_of_today(open_device, found):
 
 def test_every_tensor_is_its_own(found):
     assert len({one.place for one in found}) == len(found)
-    assert {one.scene for one in found} == {"small", "large", "needles", "numbers"}
+    scenes = {"small", "large", "needles", "numbers", "splats"}
+    assert {one.scene for one in found} == scenes
 
 
 def test_both_forms_of_the_kernels_make_the_same_bits(open_device, found):

@@ -11,17 +11,13 @@ from clgs.opencl.source import programs_of_form
 NOT_CHECKED = {"limits/limits", "scan/fits", "blend/sums", "tiles/by_row"}
 """Programs of `clgs bench`, of limited memory, of counts of importance, and of long lists."""
 
-FOR_TRAINERS = {"channels/backward", "channels/forward", "channels/sums"}
-FOR_TRAINERS |= {"views/harmonics", "views/views"}
-"""Programs that no command of clgs runs; tests compare them with their references."""
-
 
 @pytest.mark.parametrize("count", [1, 4, 5, 6, 11, 12, 100])
 @pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
 def test_few_numbers_are_enough(open_device, specialisation, count):
     found = list(training_checks(open_device(specialisation), count))
     stages = {"scan", "sort", "quantize", "rate", "adam", "density", "growth", "exposure"}
-    stages |= {"mask", "splats", "match"}
+    stages |= {"mask", "splats", "match", "views", "harmonics", "channels"}
     assert {check.stage for check in found} == stages
     assert [check for check in found if not check.passed] == []
 
@@ -37,4 +33,4 @@ def test_a_kernel_of_every_program_is_checked(open_device, specialisation, monke
 
     monkeypatch.setattr(device, "kernel", kernel)
     assert [check for check in selftest(device, TINY) if not check.passed] == []
-    assert programs_of_form(specialisation).keys() - used <= NOT_CHECKED | FOR_TRAINERS
+    assert programs_of_form(specialisation).keys() - used <= NOT_CHECKED
