@@ -20,7 +20,7 @@ pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform"
         ("import clgs; clgs.Camera", False),
     ],
 )
-def test_the_order_that_crashes_is_named(code: str, warned: bool):
+def test_the_order_that_crashes_is_named(code, warned):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0
     assert ("pycolmap was imported before Pillow" in done.stderr) == warned

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 from clgs.cli.commands.encode import size
@@ -17,18 +15,18 @@ from tests.data.folders import write_transforms
 
 
 @pytest.fixture
-def scene(tmp_path: Path, rng: np.random.Generator) -> str:
+def scene(tmp_path, rng):
     """A file of a random scene."""
     save_scene(tmp_path / "s.npz", random_scene(rng, 2000))
     return str(tmp_path / "s.npz")
 
 
 @pytest.fixture
-def target(tmp_path: Path) -> Path:
+def target(tmp_path):
     return tmp_path / "s.clgs"
 
 
-def test_sizes() -> None:
+def test_sizes():
     assert [size(text) for text in ("800k", "1.5M", "800000", "0.002G", "7K")] == [
         *(800_000, 1_500_000, 800_000, 2_000_000, 7_000)
     ]
@@ -37,7 +35,7 @@ def test_sizes() -> None:
             size(text)
 
 
-def test_options_must_fit_each_other(scene, target, capsys) -> None:
+def test_options_must_fit_each_other(scene, target, capsys):
     for options in (
         ["--target-psnr", "30"],
         ["--data", "."],
@@ -62,7 +60,7 @@ def test_options_must_fit_each_other(scene, target, capsys) -> None:
     assert not target.exists()
 
 
-def test_without_a_dataset_the_cost_is_not_measured(scene, target, capsys) -> None:
+def test_without_a_dataset_the_cost_is_not_measured(scene, target, capsys):
     assert main(["encode", scene, "-o", str(target)]) == 0
     wanted = target.stat().st_size * 6 // 10
     capsys.readouterr()
@@ -73,7 +71,7 @@ def test_without_a_dataset_the_cost_is_not_measured(scene, target, capsys) -> No
 
 
 @pytest.mark.parametrize("level", ["fast", "default"])
-def test_the_same_file_every_time(scene, tmp_path: Path, level: str) -> None:
+def test_the_same_file_every_time(scene, tmp_path, level):
     command = ["encode", scene, "--level", level, "--target-size", "50k"]
     for name, threads in (("a.clgs", "1"), ("b.clgs", "2")):
         assert main([*command, "--threads", threads, "-o", str(tmp_path / name)]) == 0
@@ -82,7 +80,7 @@ def test_the_same_file_every_time(scene, tmp_path: Path, level: str) -> None:
     assert 0.98 * 50_000 <= len(first) <= 50_000
 
 
-def test_a_size_that_cannot_be_reached_is_one_line(scene, target, capsys) -> None:
+def test_a_size_that_cannot_be_reached_is_one_line(scene, target, capsys):
     assert main(["encode", scene, "-o", str(target), "--target-size", "50"]) == 2
     error = capsys.readouterr().err
     assert error.startswith("clgs: error: a file of 50 bytes is too small: ")
@@ -90,7 +88,7 @@ def test_a_size_that_cannot_be_reached_is_one_line(scene, target, capsys) -> Non
     assert not target.exists()
 
 
-def test_an_interrupted_run_leaves_nothing(scene, target, tmp_path: Path, monkeypatch) -> None:
+def test_an_interrupted_run_leaves_nothing(scene, target, tmp_path, monkeypatch):
     target.write_bytes(b"before")
     trials: list[int] = []
 
@@ -108,9 +106,7 @@ def test_an_interrupted_run_leaves_nothing(scene, target, tmp_path: Path, monkey
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.clgs", "s.npz"]
 
 
-def test_photos_of_a_dataset_say_what_it_costs(
-    scene, target, tmp_path: Path, open_device, capsys
-) -> None:
+def test_photos_of_a_dataset_say_what_it_costs(scene, target, tmp_path, open_device, capsys):
     write_transforms(tmp_path / "data", 16)
     command = ["encode", scene, "-o", str(target), "--data", str(tmp_path / "data")]
     command += ["--target-size", "50k", "--downscale", "1", "--device", open_device("cpu").name]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from PIL import Image
@@ -19,9 +17,7 @@ from tests.small_scene import write_scene
 
 
 @pytest.fixture
-def command(
-    tmp_path: Path, open_device: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
-) -> Callable[..., int]:
+def command(tmp_path, open_device, monkeypatch):
     """A command on photos of 40 x 40 pixels."""
     monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed
     data, device = write_scene(tmp_path / "data"), open_device("cpu").name
@@ -43,7 +39,7 @@ def sizes(folder: Path) -> set[tuple[int, int]]:
     return found
 
 
-def test_the_largest_width_goes_with_a_run(command, tmp_path: Path):
+def test_the_largest_width_goes_with_a_run(command, tmp_path):
     run, drawn = tmp_path / "run", tmp_path / "drawn"
     assert command("train", "-o", run, "--steps", 2, "--max-size", 24) == 0
     config = from_toml((run / "config.toml").read_text())
@@ -57,7 +53,7 @@ def test_the_largest_width_goes_with_a_run(command, tmp_path: Path):
     assert sizes(tmp_path / "larger") == {(40, 40)}
 
 
-def test_another_width_is_another_run(command, tmp_path: Path, capsys):
+def test_another_width_is_another_run(command, tmp_path, capsys):
     run = tmp_path / "run"
     assert command("train", "-o", run, "--steps", 2, "--downscale", 2) == 0
     again = ("train", "-o", run, "--steps", 2, "--resume")
@@ -68,14 +64,14 @@ def test_another_width_is_another_run(command, tmp_path: Path, capsys):
 
 
 @pytest.mark.parametrize("name", ["train", "eval", "render", "run"])
-def test_photos_of_a_few_pixels_are_refused(name: str, tmp_path: Path, capsys):
+def test_photos_of_a_few_pixels_are_refused(name, tmp_path, capsys):
     with pytest.raises(SystemExit) as caught:
         main([name, str(tmp_path), "--max-size", "3", *(["-o", "x"] if name != "eval" else [])])
     assert caught.value.code == 2
     assert "--max-size: 3 is out of range; give a whole number" in capsys.readouterr().err
 
 
-def test_a_scene_alone_is_drawn_at_the_default_size(command, tmp_path: Path, capsys):
+def test_a_scene_alone_is_drawn_at_the_default_size(command, tmp_path, capsys):
     assert command("train", "-o", tmp_path / "run", "--steps", 1, "--downscale", 2) == 0
     file = tmp_path / "scene.clgs"
     file.write_bytes((tmp_path / "run" / "scene.clgs").read_bytes())
@@ -85,7 +81,7 @@ def test_a_scene_alone_is_drawn_at_the_default_size(command, tmp_path: Path, cap
     assert sizes(tmp_path / "drawn") == {(40, 40)}
 
 
-def test_data_of_which_no_photo_is_known_are_used_with_a_warning(command, tmp_path: Path, capsys):
+def test_data_of_which_no_photo_is_known_are_used_with_a_warning(command, tmp_path, capsys):
     assert command("train", "-o", tmp_path / "run", "--steps", 1, "--downscale", 2) == 0
     for split in ("train", "test"):
         document = tmp_path / "data" / f"transforms_{split}.json"
@@ -109,7 +105,7 @@ def test_data_of_which_no_photo_is_known_are_used_with_a_warning(command, tmp_pa
         *(("200q", None), ("0", None), ("-5", None), ("inf", None), ("\u0665k", None)),
     ],
 )
-def test_sizes_are_taken_as_people_write_them(text: str, value: int | None):
+def test_sizes_are_taken_as_people_write_them(text, value):
     assert byte_count(text) == value
     if value:
         words = ["train", "data", "-o", "run", "--target-size", text]
@@ -126,7 +122,7 @@ def test_sizes_are_taken_as_people_write_them(text: str, value: int | None):
         *(("5x", None), ("m", None), ("", None), ("30m1h", None), ("-5m", None), ("\u0665m", None)),
     ],
 )
-def test_times_are_taken_as_people_write_them(text: str, value: float | None):
+def test_times_are_taken_as_people_write_them(text, value):
     assert seconds(text) == value
 
 
@@ -140,7 +136,7 @@ def test_times_are_taken_as_people_write_them(text: str, value: float | None):
         "\n", ";"
     ).split(";"),
 )
-def test_digits_of_other_scripts_are_refused_with_the_reason(words: str, capsys):
+def test_digits_of_other_scripts_are_refused_with_the_reason(words, capsys):
     assert exit_code(words.replace("#", "\u0665").split()) == 2
     assert re.search("\u0665[km]? has digits other than 0 to 9; ", capsys.readouterr().err)
 
@@ -157,7 +153,7 @@ def test_digits_of_other_scripts_are_refused_with_the_reason(words: str, capsys)
         ),
     ],
 )
-def test_values_are_taken_as_people_write_them(words: str, value: object):
+def test_values_are_taken_as_people_write_them(words, value):
     command = words.split()[0]
     found = build_parser([command]).parse_args(words.split())
     name = next(word for word in words.split() if word[:2] == "--").partition("=")[0]

@@ -6,7 +6,6 @@ import os
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ PROGRAM = "from clgs.cli.tell import tell; tell('one'); tell('two')"
 
 @pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no sockets that keep writes apart")
 @pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_line_is_one_write(unbuffered: str):
+def test_a_line_is_one_write(unbuffered):
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     with ours, theirs:
         environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
@@ -33,7 +32,7 @@ def test_a_line_is_one_write(unbuffered: str):
         assert [ours.recv(100), ours.recv(100)] == [b"one\n", b"two\n"]
 
 
-def test_a_closed_standard_error_is_no_error(monkeypatch: pytest.MonkeyPatch, capsys):
+def test_a_closed_standard_error_is_no_error(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stderr", None)
     tell("nobody hears this")
     assert capsys.readouterr().out == ""
@@ -43,7 +42,7 @@ def test_a_closed_standard_error_is_no_error(monkeypatch: pytest.MonkeyPatch, ca
     "encoding", ["cp1252", "latin-1", "ascii", "utf-8", "ascii:surrogateescape"]
 )
 @pytest.mark.parametrize("command", ["info", "decode", "unpack", "doctor"])
-def test_a_path_of_any_letters_is_printed(command: str, encoding: str, tmp_path: Path):
+def test_a_path_of_any_letters_is_printed(command, encoding, tmp_path):
     """Letters that the encoding lacks become backslashes, also those of no encoding at all."""
     folder = tmp_path / os.fsdecode(b"\xd0\xb6\xff\xe4\xbd\xa0")
     folder.mkdir()
@@ -71,7 +70,7 @@ def test_a_path_of_any_letters_is_printed(command: str, encoding: str, tmp_path:
     assert known in said
 
 
-def test_a_run_in_a_folder_of_any_name_has_its_pages(tmp_path: Path, monkeypatch, capsys):
+def test_a_run_in_a_folder_of_any_name_has_its_pages(tmp_path, monkeypatch, capsys):
     """Bytes that are no letters cannot be written as UTF-8: pages show backslashes as well."""
     monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed
     folder = tmp_path / os.fsdecode(b"\xff<b>")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -22,7 +21,7 @@ from clgs.train.config import preset
         ("--preset default", 600, 0.7, 2),
     ],
 )
-def test_settings_are_those_of_the_run(tmp_path: Path, words, steps, lambda_, downscale):
+def test_settings_are_those_of_the_run(tmp_path, words, steps, lambda_, downscale):
     old = replace(preset("quick").scaled(300), size_lambda=0.7, downscale=2, seed=5)
     (tmp_path / "config.toml").write_text(old.to_toml())
     (tmp_path / "results.json").write_text("{}")

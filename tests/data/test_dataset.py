@@ -54,7 +54,7 @@ def test_files_that_look_like_masks_and_are_none_are_named(tmp_path, caplog):
     assert "masks/mask_of_something.png" in caplog.text
 
 
-def test_scene_units_keep_the_projection(tmp_path: Path):
+def test_scene_units_keep_the_projection(tmp_path):
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     write_colmap(tmp_path)
     scaled, given = load_dataset(tmp_path), load_dataset(tmp_path, preset_units=True)
@@ -73,7 +73,7 @@ def test_scene_units_keep_the_projection(tmp_path: Path):
         )
 
 
-def test_far_offset_costs_no_precision(tmp_path: Path):
+def test_far_offset_costs_no_precision(tmp_path):
     """Poses a million units away give the same pixels as poses around the origin."""
     offset = np.array([1e6, -2e6, 5e5])
     views = []
@@ -91,7 +91,7 @@ def test_far_offset_costs_no_precision(tmp_path: Path):
     assert np.abs(project(views[0], points) - project(views[1], points)).max() <= 1e-4
 
 
-def test_photos_stay_in_memory_as_far_as_they_may(tmp_path: Path):
+def test_photos_stay_in_memory_as_far_as_they_may(tmp_path):
     write_transforms(tmp_path, 5)
     whole = load_dataset(tmp_path).train
     kept = []
@@ -105,7 +105,7 @@ def test_photos_stay_in_memory_as_far_as_they_may(tmp_path: Path):
     assert kept == [4, 0, 0, 2]
 
 
-def test_damaged_photos_are_found_before_training(tmp_path: Path):
+def test_damaged_photos_are_found_before_training(tmp_path):
     write_transforms(tmp_path, 2)
     for number in (0, 1):  # held out, trained on
         path = tmp_path / "images" / f"{number:03d}.png"
@@ -117,7 +117,7 @@ def test_damaged_photos_are_found_before_training(tmp_path: Path):
         path.write_bytes(whole)
 
 
-def test_every_photo_of_a_number_is_held_out_unless_the_data_set_says_which(tmp_path: Path):
+def test_every_photo_of_a_number_is_held_out_unless_the_data_set_says_which(tmp_path):
     file = tmp_path / "plain" / "transforms.json"
 
     write_transforms(file.parent, 6)
@@ -138,7 +138,7 @@ def test_every_photo_of_a_number_is_held_out_unless_the_data_set_says_which(tmp_
     assert len(load_dataset(single, test_every=0).train) == 1
 
 
-def test_a_photo_that_vanished_is_not_called_damaged(tmp_path: Path):
+def test_a_photo_that_vanished_is_not_called_damaged(tmp_path):
     write_transforms(tmp_path, 2)
     view = load_dataset(tmp_path, photo_memory=0).train[0]
     (tmp_path / view.name).unlink()
@@ -148,7 +148,7 @@ def test_a_photo_that_vanished_is_not_called_damaged(tmp_path: Path):
 
 @pytest.mark.parametrize("size", [(40, 30), (41, 31), (53, 39)])
 @pytest.mark.parametrize("downscale", [1, 2, 3])
-def test_downscaled_intrinsics(tmp_path: Path, size: tuple[int, int], downscale: int):
+def test_downscaled_intrinsics(tmp_path, size, downscale):
     """A point keeps its place relative to the borders of the image at every size."""
     write_transforms(tmp_path, 4, size, cx=17.0)
     full = load_dataset(tmp_path, load_images=False, downscale=1).train[0].camera
@@ -175,7 +175,7 @@ def test_far_points_are_dropped():
     assert not keep_near(points[:2], np.zeros(3), 4.4).any()
 
 
-def test_one_camera_is_enough_for_units(tmp_path: Path):
+def test_one_camera_is_enough_for_units(tmp_path):
     document = write_transforms(tmp_path, 2)
     document["test_filenames"] = ["images/001.png"]
     save_json(tmp_path, document)
@@ -184,7 +184,7 @@ def test_one_camera_is_enough_for_units(tmp_path: Path):
     assert data.transform.scale == 1.0
 
 
-def test_bad_folders_are_one_line(tmp_path: Path):
+def test_bad_folders_are_one_line(tmp_path):
     with pytest.raises(DataError, match="no such folder"):
         load_dataset(tmp_path / "missing")
     with pytest.raises(DataError, match="check the path"):
@@ -195,7 +195,7 @@ def test_bad_folders_are_one_line(tmp_path: Path):
         load_dataset(tmp_path)
 
 
-def test_parts_of_a_data_set_and_runs_are_named_as_what_they_are(tmp_path: Path):
+def test_parts_of_a_data_set_and_runs_are_named_as_what_they_are(tmp_path):
     data, run = tmp_path / "data", tmp_path / "run"
     write_transforms(data, 3)
     run.mkdir()
@@ -212,9 +212,7 @@ def test_parts_of_a_data_set_and_runs_are_named_as_what_they_are(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("number", "far"), [(3, 1e3), (3, 1e8), (0, 1e8)])  # 0 is held out
-def test_a_camera_astray_is_named_and_leaves_the_units_alone(
-    tmp_path: Path, caplog, number: int, far: float
-):
+def test_a_camera_astray_is_named_and_leaves_the_units_alone(tmp_path, caplog, number, far):
     document = write_transforms(tmp_path)
     document["frames"][number]["transform_matrix"][0][3] = far
     save_json(tmp_path, document)
@@ -225,7 +223,7 @@ def test_a_camera_astray_is_named_and_leaves_the_units_alone(
     assert 4.0 * found.transform.scale == pytest.approx(found.radius / 1.1, rel=0.2)
 
 
-def test_cameras_in_one_place_are_named(tmp_path: Path, caplog):
+def test_cameras_in_one_place_are_named(tmp_path, caplog):
     document = write_transforms(tmp_path)
     for frame in document["frames"]:
         for row in frame["transform_matrix"][:3]:
@@ -236,7 +234,7 @@ def test_cameras_in_one_place_are_named(tmp_path: Path, caplog):
     assert [one.getMessage() for one in caplog.records] == [said]
 
 
-def test_missing_photos_are_named(tmp_path: Path, caplog):
+def test_missing_photos_are_named(tmp_path, caplog):
     write_transforms(tmp_path, 12)
     for number in range(2, 12):
         (tmp_path / "images" / f"{number:03d}.png").unlink()
@@ -247,13 +245,13 @@ def test_missing_photos_are_named(tmp_path: Path, caplog):
     ]
 
 
-def test_an_impossible_lens_is_refused(tmp_path: Path):
+def test_an_impossible_lens_is_refused(tmp_path):
     write_transforms(tmp_path, 4, k1=-9.0)
     with pytest.raises(DataError, match="distortion"):
         load_dataset(tmp_path, load_images=False)
 
 
-def test_shared_captures_have_the_known_counts(shared_data: Path):
+def test_shared_captures_have_the_known_counts(shared_data):
     expected = {"fox": (43, 7, 17), "nerf_synthetic_400/chair": (100, 200, 0)}
     if (shared_data / "fern_colmap_8").is_dir():
         pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-from pathlib import Path
 
 import pytest
 
@@ -36,7 +35,7 @@ LAYOUTS = {
 
 @pytest.mark.parametrize("name", LAYOUTS)
 @pytest.mark.parametrize("text", [False, True])
-def test_layouts_of_other_programs(tmp_path: Path, name: str, text: bool):
+def test_layouts_of_other_programs(tmp_path, name, text):
     model, images = (tmp_path / "there" / each for each in LAYOUTS[name])
     write_colmap(tmp_path / "here", text=text)
     for source, target in (("sparse/0", model), ("images", images)):
@@ -49,7 +48,7 @@ def test_layouts_of_other_programs(tmp_path: Path, name: str, text: bool):
 
 
 @pytest.mark.parametrize("undistorted", [False, True])
-def test_each_model_of_3dgs_s_script_has_its_own_photos(tmp_path: Path, undistorted: bool):
+def test_each_model_of_3dgs_s_script_has_its_own_photos(tmp_path, undistorted):
     write_colmap(tmp_path)
     (tmp_path / "distorted").mkdir()
     shutil.copytree(tmp_path / "images", tmp_path / "input")
@@ -63,7 +62,7 @@ def test_each_model_of_3dgs_s_script_has_its_own_photos(tmp_path: Path, undistor
 
 
 @pytest.mark.parametrize("text", [False, True])
-def test_the_largest_model_is_read_and_named(tmp_path: Path, text: bool, caplog):
+def test_the_largest_model_is_read_and_named(tmp_path, text, caplog):
     write_colmap(tmp_path, text=text)
     import pycolmap
 
@@ -100,7 +99,7 @@ NAMES = {
 @pytest.mark.skipif(os.name == "nt", reason="has no such names")
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("kind", ["colmap", "transforms"])
-def test_names_that_differ_in_form_are_found(tmp_path: Path, name: str, kind: str, caplog):
+def test_names_that_differ_in_form_are_found(tmp_path, name, kind, caplog):
     listed, there = NAMES[name]
     if kind == "colmap":
         write_colmap(tmp_path)
@@ -120,7 +119,7 @@ def test_names_that_differ_in_form_are_found(tmp_path: Path, name: str, kind: st
     assert photos.missing == []
 
 
-def test_a_name_that_two_files_fit_is_missing(tmp_path: Path, caplog):
+def test_a_name_that_two_files_fit_is_missing(tmp_path, caplog):
     write_colmap(tmp_path)
     images = tmp_path / "images"
     (images / "002.png").rename(images / "002.PNG")
@@ -131,7 +130,7 @@ def test_a_name_that_two_files_fit_is_missing(tmp_path: Path, caplog):
     assert "2 files fit" in caplog.text
 
 
-def test_names_of_files_that_are_there_are_told(tmp_path: Path):
+def test_names_of_files_that_are_there_are_told(tmp_path):
     write_colmap(tmp_path)
     for path in list((tmp_path / "images").iterdir()):
         path.rename(path.with_name(f"new_{path.name}"))
@@ -153,7 +152,7 @@ MASKS = [
 
 @pytest.mark.parametrize("name", MASKS)
 @pytest.mark.parametrize("kind", ["colmap", "transforms"])
-def test_masks_are_found_by_plain_names(tmp_path: Path, name: str, kind: str):
+def test_masks_are_found_by_plain_names(tmp_path, name, kind):
     (write_colmap if kind == "colmap" else write_transforms)(tmp_path)
     for path in (tmp_path / name, tmp_path / name.replace("002", "stray")):
         path.parent.mkdir(exist_ok=True)
@@ -167,7 +166,7 @@ def test_masks_are_found_by_plain_names(tmp_path: Path, name: str, kind: str):
 @pytest.mark.parametrize(
     "name", ["masks/{}/r_1.png", "masks/{}/r_1_mask.png", "{}/masks/r_1.png", "{}/r_1_mask.png"]
 )
-def test_masks_of_blender_captures_are_found(tmp_path: Path, name: str):
+def test_masks_of_blender_captures_are_found(tmp_path, name):
     """Both splits have a photo r_1: each has its own mask."""
     write_blender(tmp_path)
     for split in ("train", "test"):
@@ -182,7 +181,7 @@ def test_masks_of_blender_captures_are_found(tmp_path: Path, name: str):
     assert photos.stray_masks == sorted(stray.format(split) for split in ("train", "test"))
 
 
-def test_a_mask_without_a_name_is_that_of_no_photo(tmp_path: Path):
+def test_a_mask_without_a_name_is_that_of_no_photo(tmp_path):
     write_blender(tmp_path)
     (tmp_path / "masks").mkdir()
     (tmp_path / "masks" / "_mask.png").write_bytes((tmp_path / "train" / "r_1.png").read_bytes())

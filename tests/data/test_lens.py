@@ -31,7 +31,7 @@ def ideal_points(lens: Lens) -> np.ndarray:
 
 
 @pytest.mark.parametrize("model", LENSES)
-def test_models_equal_colmap(model: str):
+def test_models_equal_colmap(model):
     pycolmap = pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     lens = LENSES[model]
     params = [lens.fx, lens.fy, lens.cx, lens.cy]
@@ -47,13 +47,13 @@ def test_models_equal_colmap(model: str):
 
 
 @pytest.mark.parametrize("lens", ALL)
-def test_undistort_inverts_distort(lens: Lens):
+def test_undistort_inverts_distort(lens):
     points = ideal_points(lens)
     assert np.abs(lens.undistort(lens.distort(points)) - points).max() <= 1e-7
 
 
 @pytest.mark.parametrize("lens", ALL)
-def test_every_undistorted_pixel_has_a_source(lens: Lens):
+def test_every_undistorted_pixel_has_a_source(lens):
     pinhole, _ = undistort_lens(lens)
     x, y = np.meshgrid([0.5, pinhole.width - 0.5], np.arange(pinhole.height) + 0.5)
     pixels = np.column_stack([x.ravel(), y.ravel()])
@@ -65,7 +65,7 @@ def test_every_undistorted_pixel_has_a_source(lens: Lens):
 
 
 @pytest.mark.parametrize("lens", ALL)
-def test_undistorted_image_shows_points_where_the_pinhole_projects_them(lens: Lens):
+def test_undistorted_image_shows_points_where_the_pinhole_projects_them(lens):
     """The input holds its own pixel coordinates as colour; the output then tells its sources."""
     pinhole, _ = undistort_lens(lens)
     columns, rows = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
@@ -119,7 +119,7 @@ def test_resized_scales_each_axis():
 
 
 @pytest.mark.parametrize("view", [60.0, 90.0, 120.0])
-def test_the_picture_of_a_fisheye_shows_the_chosen_view(view: float):
+def test_the_picture_of_a_fisheye_shows_the_chosen_view(view):
     """An equidistant lens of 180 degrees: half the height is a quarter of a turn."""
     lens = Lens(600, 600, 600 / np.pi, 600 / np.pi, 300.0, 300.0, fisheye=True)
     whole, _ = undistort_lens(lens)

@@ -16,7 +16,7 @@ from tests.data.folders import noise_image, write_transforms
 
 
 @pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cache(tmp_path, monkeypatch):
     """A cache of its own, for photos of any size."""
     monkeypatch.setenv("CLGS_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(photo_cache, "LEAST_PIXELS", 0)
@@ -24,7 +24,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def decoded(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+def decoded(monkeypatch):
     """The files of the photos that were decoded."""
     found: list[Path] = []
     read = dataset.read_image
@@ -50,7 +50,7 @@ def same(one: list[Pixels], other: list[Pixels]) -> bool:
 
 
 def test_photos_are_decoded_once_per_size_contents_lens_and_meaning(
-    tmp_path: Path, cache: Path, decoded: list[Path], monkeypatch: pytest.MonkeyPatch
+    tmp_path, cache, decoded, monkeypatch
 ):
     root = tmp_path / "data"
     write_transforms(root, 3, k1=0.1)
@@ -81,9 +81,7 @@ def test_photos_are_decoded_once_per_size_contents_lens_and_meaning(
     assert len(decoded) == 3
 
 
-def test_damaged_files_of_the_cache_are_made_again(
-    tmp_path: Path, cache: Path, decoded: list[Path]
-):
+def test_damaged_files_of_the_cache_are_made_again(tmp_path, cache, decoded):
     write_transforms(tmp_path / "data", 2)
     wanted = pixels(tmp_path / "data", max_size=16)
     for file in cache.iterdir():
@@ -97,13 +95,13 @@ def test_damaged_files_of_the_cache_are_made_again(
     assert len(decoded) == 2 + 2 * 4
 
 
-def test_a_cache_that_cannot_be_used_is_no_error(tmp_path: Path, cache: Path):
+def test_a_cache_that_cannot_be_used_is_no_error(tmp_path, cache):
     write_transforms(tmp_path / "data", 2)
     cache.parent.write_text("a file where the folder should be")
     assert len(pixels(tmp_path / "data", max_size=16)) == 2
 
 
-def test_faults_of_photos_stay_what_they_are(tmp_path: Path, cache: Path):
+def test_faults_of_photos_stay_what_they_are(tmp_path, cache):
     write_transforms(tmp_path / "data", 2)
     view = load_dataset(tmp_path / "data", max_size=16, photo_memory=0).train[0]
     path = tmp_path / "data" / view.name
@@ -118,9 +116,7 @@ def test_faults_of_photos_stay_what_they_are(tmp_path: Path, cache: Path):
         view.photo.pixels()
 
 
-def test_what_was_not_used_for_longest_goes(
-    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_what_was_not_used_for_longest_goes(tmp_path, cache, monkeypatch):
     root = tmp_path / "data"
     write_transforms(root, 4)
     pixels(root, max_size=16)

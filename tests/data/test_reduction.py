@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from clgs.data.dataset import load_dataset
@@ -27,11 +25,11 @@ SIZE = (1700, 20)
         (Reduction(0, 100), (5187, 3361), (100, 65)),
     ],
 )
-def test_sizes(reduction: Reduction, given: tuple[int, int], seen: tuple[int, int]):
+def test_sizes(reduction, given, seen):
     assert reduction.size(*given) == seen
 
 
-def test_wide_photos_are_reduced_by_default(tmp_path: Path):
+def test_wide_photos_are_reduced_by_default(tmp_path):
     write_transforms(tmp_path, 2, SIZE, cx=800.0)
     whole, default = (
         load_dataset(tmp_path, load_images=False, **size).train[0]
@@ -48,7 +46,7 @@ def test_wide_photos_are_reduced_by_default(tmp_path: Path):
 
 
 @pytest.mark.parametrize("times", [1.5, -1])
-def test_a_number_of_times_is_at_least_one(tmp_path: Path, times: float):
+def test_a_number_of_times_is_at_least_one(tmp_path, times):
     write_transforms(tmp_path, 2)
     with pytest.raises(DataError, match="give a whole number of at least 1"):
         load_dataset(tmp_path, downscale=times)

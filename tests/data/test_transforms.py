@@ -25,7 +25,7 @@ def project(photo: Photo, point: np.ndarray) -> np.ndarray:
     return np.array([lens.cx, lens.cy]) + local[:2] / local[2] * (lens.fx, lens.fy)
 
 
-def test_known_pose(tmp_path: Path):
+def test_known_pose(tmp_path):
     """A camera on the x axis looking at the origin: z up is image up, y right."""
     write_transforms(tmp_path, 3)
     photo = next(p for p in everything(tmp_path) if p.name == "images/000.png")
@@ -45,7 +45,7 @@ def splits(root: Path) -> tuple[list[Photo], list[Photo]]:
     return photos.train, photos.test
 
 
-def test_every_eighth_after_missing_ones_is_held_out(tmp_path: Path):
+def test_every_eighth_after_missing_ones_is_held_out(tmp_path):
     write_transforms(tmp_path, 20)
     (tmp_path / "images" / "000.png").unlink()
     (tmp_path / "images" / "005.png").unlink()
@@ -66,7 +66,7 @@ def test_every_eighth_after_missing_ones_is_held_out(tmp_path: Path):
         ("09", "1", None, "0", "1", "train_filenames: no frame has the name images/009.png"),
     ],
 )
-def test_own_split_is_honoured(tmp_path: Path, caplog, train, test, val, trained, tested, said):
+def test_own_split_is_honoured(tmp_path, caplog, train, test, val, trained, tested, said):
     document = write_transforms(tmp_path, 6)
     for key, numbers in (("train", train), ("test", test), ("val", val)):
         if numbers is not None:
@@ -79,7 +79,7 @@ def test_own_split_is_honoured(tmp_path: Path, caplog, train, test, val, trained
     assert bool(said) == bool(caplog.text)
 
 
-def test_a_listed_name_that_no_frame_has_is_told(tmp_path: Path, caplog):
+def test_a_listed_name_that_no_frame_has_is_told(tmp_path, caplog):
     document = write_transforms(tmp_path, 6) | {"test_filenames": ["images/001", "nope.jpg"]}
     save_json(tmp_path, document)
     assert [p.name for p in read_transforms(tmp_path).test] == ["images/001.png"]
@@ -87,7 +87,7 @@ def test_a_listed_name_that_no_frame_has_is_told(tmp_path: Path, caplog):
     assert [one.getMessage() for one in caplog.records] == [said]
 
 
-def test_points_that_the_file_names_are_taken(tmp_path: Path, caplog):
+def test_points_that_the_file_names_are_taken(tmp_path, caplog):
     document = write_transforms(tmp_path, 6) | {"ply_file_path": "sparse_pc.ply"}
     save_json(tmp_path, document)
     assert read_transforms(tmp_path).points_file is None
@@ -115,7 +115,7 @@ def test_points_that_the_file_names_are_taken(tmp_path: Path, caplog):
         ({}, (50, 51, 18, 14, 0.1, 0.3)),
     ],
 )
-def test_intrinsics_of_a_frame_win(tmp_path: Path, own: dict, expected: tuple):
+def test_intrinsics_of_a_frame_win(tmp_path, own, expected):
     """What belongs together comes from one place, so that no lens is a mixture of two."""
     shared = {"fl_y": 51.0, "cx": 18.0, "cy": 14.0, "k1": 0.1, "k2": 0.3}
     document = write_transforms(tmp_path, 2, **shared)
@@ -127,7 +127,7 @@ def test_intrinsics_of_a_frame_win(tmp_path: Path, own: dict, expected: tuple):
         assert found == pytest.approx(values)
 
 
-def test_angle_gives_focal_length_and_extension_is_found(tmp_path: Path):
+def test_angle_gives_focal_length_and_extension_is_found(tmp_path):
     document = write_transforms(tmp_path, 2)
     for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
         del document[key]
@@ -140,7 +140,7 @@ def test_angle_gives_focal_length_and_extension_is_found(tmp_path: Path):
     assert (lens.cx, lens.cy, lens.width, lens.height) == (20.0, 15.0, 40, 30)
 
 
-def test_smaller_images_scale_the_intrinsics(tmp_path: Path):
+def test_smaller_images_scale_the_intrinsics(tmp_path):
     write_transforms(tmp_path, 2, w=81, h=61, fl_x=100.0, cx=41.0)
     lens = splits(tmp_path)[0][0].lens
     assert (lens.width, lens.height) == (40, 30)
@@ -148,7 +148,7 @@ def test_smaller_images_scale_the_intrinsics(tmp_path: Path):
     assert lens.cx == pytest.approx(41.0 * 40 / 81)
 
 
-def test_blender_split_and_pose(tmp_path: Path):
+def test_blender_split_and_pose(tmp_path):
     write_blender(tmp_path)
     photos = read_blender(tmp_path)
     assert (len(photos.train), len(photos.test)) == (8, 3)
@@ -217,7 +217,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_fields_are_named_in_one_line(tmp_path: Path, name: str):
+def test_bad_fields_are_named_in_one_line(tmp_path, name):
     change, expected = BAD[name]
     document = copy.deepcopy(write_transforms(tmp_path, 3))
     change(document)
@@ -231,13 +231,13 @@ def test_bad_fields_are_named_in_one_line(tmp_path: Path, name: str):
 @pytest.mark.parametrize(
     "text", ["", "{", "[1]", "3", '{"frames": [NaN]}', "[" * 100_000, '{"frames": "é', "\xff"]
 )
-def test_no_json_is_one_line(tmp_path: Path, text: str):
+def test_no_json_is_one_line(tmp_path, text):
     (tmp_path / "transforms.json").write_bytes(text.encode("latin-1"))
     with pytest.raises(DataError, match=r"transforms\.json"):
         read_transforms(tmp_path)
 
 
-def test_nan_in_a_pose(tmp_path: Path):
+def test_nan_in_a_pose(tmp_path):
     write_transforms(tmp_path, 2)
     file = tmp_path / "transforms.json"
     file.write_text(file.read_text().replace("1.5", "1e999", 1))
@@ -245,7 +245,7 @@ def test_nan_in_a_pose(tmp_path: Path):
         read_transforms(tmp_path)
 
 
-def test_no_image_at_all(tmp_path: Path):
+def test_no_image_at_all(tmp_path):
     write_transforms(tmp_path, 2)
     for path in (tmp_path / "images").iterdir():
         path.unlink()
@@ -253,7 +253,7 @@ def test_no_image_at_all(tmp_path: Path):
         read_transforms(tmp_path)
 
 
-def test_link_out_of_the_folder(tmp_path: Path):
+def test_link_out_of_the_folder(tmp_path):
     root = tmp_path / "data"
     write_transforms(root, 2)
     outside = tmp_path / "outside.png"

@@ -21,7 +21,7 @@ def poses(views) -> Poses:
 
 
 @pytest.mark.slow
-def test_poses_of_the_room_are_right_or_doubted(tmp_path: Path):
+def test_poses_of_the_room_are_right_or_doubted(tmp_path):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
@@ -42,7 +42,7 @@ def test_poses_of_the_room_are_right_or_doubted(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path: Path):
+def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path):
     """Its four sides are equal: all photos may agree on one of them."""
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
@@ -61,7 +61,7 @@ def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path: Path):
     assert not wrong or verdict.sure.startswith("not sure")
 
 
-def test_the_true_poses_are_written(tmp_path: Path):
+def test_the_true_poses_are_written(tmp_path):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
     import made_captures

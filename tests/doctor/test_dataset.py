@@ -39,7 +39,7 @@ def has(found: list[str], *parts: str) -> bool:
 
 
 @pytest.fixture
-def healthy(tmp_path: Path) -> Path:
+def healthy(tmp_path):
     write_transforms(tmp_path, 24, (80, 64))
     return tmp_path
 
@@ -50,7 +50,7 @@ def change(root: Path, frame: int, **fields) -> None:
     save_json(root, document)
 
 
-def test_a_healthy_set_has_no_findings(healthy: Path, capsys):
+def test_a_healthy_set_has_no_findings(healthy, capsys):
     assert examine(healthy).findings == []
     assert main(["doctor", str(healthy)]) == 0
     out = capsys.readouterr().out.splitlines()
@@ -61,14 +61,14 @@ def test_a_healthy_set_has_no_findings(healthy: Path, capsys):
 
 
 @pytest.mark.parametrize("write", [write_blender, write_colmap])
-def test_other_kinds_have_no_errors(tmp_path: Path, write):
+def test_other_kinds_have_no_errors(tmp_path, write):
     if write is write_colmap:
         pytest.importorskip("pycolmap")
     write(tmp_path)
     assert levels(tmp_path)[ERROR] == []
 
 
-def test_all_bad_frames_are_named_at_once(healthy: Path, capsys):
+def test_all_bad_frames_are_named_at_once(healthy, capsys):
     change(healthy, 1, file_path="../outside.png")
     change(healthy, 3, transform_matrix=[[1.0] * 4] * 4)
     change(healthy, 5, fl_x=float("nan"))
@@ -92,14 +92,14 @@ def test_all_bad_frames_are_named_at_once(healthy: Path, capsys):
     assert document["findings"][0]["level"] == ERROR
 
 
-def test_missing_photos_with_other_capitals(healthy: Path):
+def test_missing_photos_with_other_capitals(healthy):
     (healthy / "images" / "004.png").rename(healthy / "images" / "004.PNG")
     change(healthy, 4, file_path="images/004.jpg")
     (warning,) = examine(healthy).findings
     assert "rename 004.PNG" in warning.remedy
 
 
-def test_lenses(healthy: Path):
+def test_lenses(healthy):
     change(healthy, 1, k1=-0.05)
     change(healthy, 2, k1=-30.0)
     change(healthy, 3, cx=10.0)
@@ -113,7 +113,7 @@ def test_lenses(healthy: Path):
     assert has(found[WARNING], "005.png", "not square")
 
 
-def test_copies_of_bits_and_of_poses(healthy: Path):
+def test_copies_of_bits_and_of_poses(healthy):
     poses = ring(24)
     change(healthy, 2, transform_matrix=opengl(poses[3]))
     images = healthy / "images"
@@ -125,7 +125,7 @@ def test_copies_of_bits_and_of_poses(healthy: Path):
     ]
 
 
-def test_cameras_apart_tipped_or_turned_away(healthy: Path):
+def test_cameras_apart_tipped_or_turned_away(healthy):
     poses = ring(24)
     far = poses[2].copy()
     far[:3, 3] *= 20
@@ -141,20 +141,20 @@ def test_cameras_apart_tipped_or_turned_away(healthy: Path):
     assert len(found) == 3
 
 
-def test_one_photo_is_an_error(tmp_path: Path):
+def test_one_photo_is_an_error(tmp_path):
     write_transforms(tmp_path, 1, (80, 64))
     found = levels(tmp_path)
     assert found[ERROR] == [": one photo is too few to train on"]
 
 
-def test_nothing_left_to_train_on_is_an_error(healthy: Path):
+def test_nothing_left_to_train_on_is_an_error(healthy):
     document = json.loads((healthy / "transforms.json").read_text())
     names = [frame["file_path"] for frame in document["frames"]]
     save_json(healthy, document | {"test_filenames": names})
     assert has(levels(healthy)[ERROR], "all photos are held out, none is left to train on")
 
 
-def test_cameras_in_one_place(healthy: Path):
+def test_cameras_in_one_place(healthy):
     document = json.loads((healthy / "transforms.json").read_text())
     for frame in document["frames"]:
         for row in frame["transform_matrix"][:3]:
@@ -163,7 +163,7 @@ def test_cameras_in_one_place(healthy: Path):
     assert has(levels(healthy)[WARNING], "all cameras are in one place")
 
 
-def test_exposure_that_jumps(healthy: Path):
+def test_exposure_that_jumps(healthy):
     path = healthy / "images" / "011.png"
     Image.fromarray(noise_image(80, 64, 11) // 4).save(path)
     (line,) = levels(healthy)[WARNING]
@@ -174,7 +174,7 @@ def test_exposure_that_jumps(healthy: Path):
 @pytest.mark.parametrize(
     ("tag", "done"), [(3, "taken as stored"), (6, "turned to fit their poses")]
 )
-def test_exif_orientations_are_named(healthy: Path, tag: int, done: str):
+def test_exif_orientations_are_named(healthy, tag, done):
     path, exif = healthy / "images" / "001.png", Image.Exif()
     exif[0x0112] = tag
     pixels = Image.open(path)
@@ -187,7 +187,7 @@ def test_exif_orientations_are_named(healthy: Path, tag: int, done: str):
 @pytest.mark.parametrize(
     ("tag", "done"), [(3, "taken as stored"), (6, "turned to fit their poses")]
 )
-def test_exif_orientations_of_masks_are_named(healthy: Path, tag: int, done: str):
+def test_exif_orientations_of_masks_are_named(healthy, tag, done):
     mask, exif = Image.new("L", (64, 80) if tag == 6 else (80, 64), 255), Image.Exif()
     exif[0x0112] = tag
     mask.save(healthy / "mask.png", exif=exif)
@@ -197,7 +197,7 @@ def test_exif_orientations_of_masks_are_named(healthy: Path, tag: int, done: str
     assert note.endswith(done)
 
 
-def test_masks_are_checked(healthy: Path):
+def test_masks_are_checked(healthy):
     (healthy / "masks").mkdir()
     half = np.zeros((64, 80), np.uint8)
     half[:32] = 255
@@ -212,7 +212,7 @@ def test_masks_are_checked(healthy: Path):
     assert has(found, "frame 3:", "mask_path")
 
 
-def test_photos_alone_and_nothing_at_all(tmp_path: Path, capsys):
+def test_photos_alone_and_nothing_at_all(tmp_path, capsys):
     with pytest.raises(DataError, match="no such folder"):
         examine(tmp_path / "none")
     with pytest.raises(DataError, match="no transforms"):
@@ -227,7 +227,7 @@ def test_photos_alone_and_nothing_at_all(tmp_path: Path, capsys):
     assert "-> " in capsys.readouterr().out
 
 
-def test_damaged_photos_alone_are_named_and_not_counted(tmp_path: Path):
+def test_damaged_photos_alone_are_named_and_not_counted(tmp_path):
     for seed, name in enumerate("abc"):
         Image.fromarray(noise_image(64, 64, seed)).save(tmp_path / f"{name}.png")
     whole = (tmp_path / "b.png").read_bytes()
@@ -240,12 +240,12 @@ def test_damaged_photos_alone_are_named_and_not_counted(tmp_path: Path):
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"frames": [1]}', '{"frames": "x"}', "{" * 9999])
-def test_files_that_are_none(tmp_path: Path, text: str):
+def test_files_that_are_none(tmp_path, text):
     (tmp_path / "transforms.json").write_text(text)
     assert levels(tmp_path)[ERROR]
 
 
-def test_a_damaged_colmap_model(tmp_path: Path):
+def test_a_damaged_colmap_model(tmp_path):
     pytest.importorskip("pycolmap")
     write_colmap(tmp_path)
     file = tmp_path / "sparse" / "0" / "images.bin"
@@ -253,7 +253,7 @@ def test_a_damaged_colmap_model(tmp_path: Path):
     assert len(levels(tmp_path)[ERROR]) == 1
 
 
-def test_a_damaged_file_of_points(healthy: Path):
+def test_a_damaged_file_of_points(healthy):
     document = json.loads((healthy / "transforms.json").read_text())
     save_json(healthy, document | {"ply_file_path": "points.ply"})
     points = healthy / "points.ply"

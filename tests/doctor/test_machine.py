@@ -39,14 +39,14 @@ def run_clgs(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture
-def pocl_alone() -> None:
+def pocl_alone():
     names = [device.platform.name for device in choose.list_devices()]
     if set(names) != {"Portable Computing Language"} or not absence.drivers():
         pytest.skip("needs PoCL from the system, and no other driver")
 
 
 @pytest.mark.usefixtures("pocl_alone")
-def test_an_unwritable_cache_is_named(tmp_path: Path):
+def test_an_unwritable_cache_is_named(tmp_path):
     (tmp_path / "file").touch()
     done = run_clgs("devices", POCL_CACHE_DIR=str(tmp_path / "file" / "kcache"))
     assert done.returncode == 4
@@ -59,7 +59,7 @@ def test_an_unwritable_cache_is_named(tmp_path: Path):
 
 
 @pytest.mark.usefixtures("pocl_alone")
-def test_drivers_that_are_not_named_or_do_not_load(tmp_path: Path):
+def test_drivers_that_are_not_named_or_do_not_load(tmp_path):
     done = run_clgs("doctor", OCL_ICD_VENDORS=str(tmp_path))
     assert done.returncode == 4
     assert f"{tmp_path} names no driver" in done.stdout

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,7 +18,7 @@ LOCAL_MEMORY = 32 * 1024
 
 
 @pytest.fixture(scope="module")
-def script() -> Any:
+def script():
     path = ROOT / "scripts" / "checks" / "vendor_compilers.py"
     spec = importlib.util.spec_from_file_location("vendor_compilers", path)
     assert spec is not None
@@ -30,7 +29,7 @@ def script() -> Any:
 
 
 @pytest.fixture(scope="module")
-def table() -> Any:
+def table():
     if not TABLE.exists():
         pytest.skip("documentation is not part of this tree")
     return json.loads(TABLE.read_text(encoding="utf-8"))

@@ -7,7 +7,6 @@ import struct
 import zipfile
 from dataclasses import replace
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,7 +55,7 @@ def test_texts_that_are_none_are_local():
 
 
 @pytest.mark.parametrize(("frame", "place"), WORLDS)
-def test_bitstreams_and_archives_keep_it_to_the_last_bit(tmp_path: Path, frame, place):
+def test_bitstreams_and_archives_keep_it_to_the_last_bit(tmp_path, frame, place):
     scene = scene_in(frame, place)
     data = encode(scene)
     assert decode(data).transform == scene.transform
@@ -71,7 +70,7 @@ def test_bitstreams_and_archives_keep_it_to_the_last_bit(tmp_path: Path, frame, 
     assert load_scaffold(tmp_path / "scene.ply").transform == scene.transform
 
 
-def test_local_scenes_are_written_as_ever(tmp_path: Path):
+def test_local_scenes_are_written_as_ever(tmp_path):
     scene = scene_in(LOCAL, NOWHERE)
     data = encode(scene)
     found = describe(data)
@@ -97,7 +96,7 @@ def test_local_scenes_are_written_as_ever(tmp_path: Path):
         pack_geor(EARTH, (0.0, 0.0, float("inf"))),
     ],
 )
-def test_damaged_sections_are_refused(bad: bytes):
+def test_damaged_sections_are_refused(bad):
     with pytest.raises(ValueError, match=r"instead of 32|out of range"):
         unpack_geor(bad)
     data = encode(scene_in(EARTH, PLACE))
@@ -108,7 +107,7 @@ def test_damaged_sections_are_refused(bad: bytes):
 
 
 @pytest.mark.parametrize(("frame", "place"), WORLDS)
-def test_exported_files_say_it(tmp_path: Path, capsys, frame, place):
+def test_exported_files_say_it(tmp_path, capsys, frame, place):
     transform = SceneTransform((1.0, 2.0, 3.0), 2.0, frame, place)
     splats = gaussians(0)
     for encoded, name in ((encode_ply, "x.ply"), (encode_sog, "x.sog")):
@@ -129,7 +128,7 @@ def test_exported_files_say_it(tmp_path: Path, capsys, frame, place):
         assert json.loads(archive.read("meta.json"))["asset"]["world"] == to_text(frame, place)
 
 
-def test_spz_says_that_it_cannot_hold_the_place(tmp_path: Path):
+def test_spz_says_that_it_cannot_hold_the_place(tmp_path):
     transform = SceneTransform(frame=EARTH, place=PLACE)
     (tmp_path / "x.ply").write_bytes(encode_ply(gaussians(0), transform).data)
     notes = []

@@ -13,7 +13,7 @@ from clgs.train.config import LearningRates, TrainConfig, from_toml, options_of,
 from clgs.train.config.option import at_least, option
 
 
-def test_the_paper_is_the_published_one() -> None:
+def test_the_paper_is_the_published_one():
     config = preset("paper")
     assert (config.steps, config.switch_step) == (30_000, 15_000)
     assert (config.l1_weight, config.ssim_weight, config.rate_weight) == (0.8, 0.2, 1e-4)
@@ -42,22 +42,20 @@ def test_the_paper_is_the_published_one() -> None:
         ("paper", "colmap", 0.005, 200.0, 0.01),
     ],
 )
-def test_open_settings_follow_the_dataset(
-    name: str, kind: str, voxel: float, position_q: float, volume_weight: float
-) -> None:
+def test_open_settings_follow_the_dataset(name, kind, voxel, position_q, volume_weight):
     config = preset(name).for_dataset(kind)
     assert (config.voxel, config.position_q) == (voxel, position_q)
     assert config.volume_weight == volume_weight
     assert config.for_dataset(kind) == config
 
 
-def test_given_settings_win_over_the_dataset() -> None:
+def test_given_settings_win_over_the_dataset():
     config = TrainConfig(voxel=0.01, volume_weight=0.0).for_dataset("colmap")
     assert (config.voxel, config.position_q, config.volume_weight) == (0.01, 100.0, 0.0)
     assert TrainConfig(position_q=256).for_dataset("blender").position_q == 256.0
 
 
-def test_scaled_moves_moments_and_keeps_intervals() -> None:
+def test_scaled_moves_moments_and_keeps_intervals():
     full, short = TrainConfig(), TrainConfig().scaled(3000)
     moved = {
         "steps": 3000,
@@ -98,12 +96,12 @@ def test_scaled_moves_moments_and_keeps_intervals() -> None:
         ),
     ],
 )
-def test_what_cannot_be_met_is_refused(values: dict, message: str) -> None:
+def test_what_cannot_be_met_is_refused(values, message):
     with pytest.raises(UsageError, match=message):
         TrainConfig(**values)
 
 
-def test_scaling_twice_is_scaling_once() -> None:
+def test_scaling_twice_is_scaling_once():
     once, twice = TrainConfig().scaled(900), TrainConfig().scaled(3000).scaled(900)
     for one in dataclasses.fields(LearningRates):
         name = one.name
@@ -113,13 +111,13 @@ def test_scaling_twice_is_scaling_once() -> None:
     assert dataclasses.replace(twice, learning_rates=once.learning_rates) == once
 
 
-def test_scaled_rounds_to_the_nearest_step() -> None:
+def test_scaled_rounds_to_the_nearest_step():
     short = TrainConfig().scaled(777)  # 12.95, 38.85, 388.5
     assert (short.statistics_start, short.growth_start, short.switch_step) == (13, 39, 389)
 
 
 @given(st.integers(1, 200_000))
-def test_any_number_of_steps_gives_a_valid_run(steps: int) -> None:
+def test_any_number_of_steps_gives_a_valid_run(steps):
     config = TrainConfig().scaled(steps)
     assert config.steps == steps
     assert config.statistics_start <= config.growth_start <= config.growth_end
@@ -127,7 +125,7 @@ def test_any_number_of_steps_gives_a_valid_run(steps: int) -> None:
     assert config.learning_rate_steps == steps
 
 
-def test_presets() -> None:
+def test_presets():
     assert preset("quick") == dataclasses.replace(TrainConfig().scaled(3000), preset="quick")
     with pytest.raises(UsageError, match="default, quick or paper"):
         preset("best")
@@ -141,7 +139,7 @@ def test_presets() -> None:
         TrainConfig(seed=2**40, learning_rates=LearningRates(offset=(0.1, 0.3))).scaled(777),
     ],
 )
-def test_toml_round_trip(config: TrainConfig) -> None:
+def test_toml_round_trip(config):
     text = config.to_toml()
     assert from_toml(text) == config
     assert from_toml(text).to_toml() == text
@@ -150,7 +148,7 @@ def test_toml_round_trip(config: TrainConfig) -> None:
     assert names - set(tomllib.loads(text)) <= {"volume_weight", "size_lambda"}
 
 
-def test_digest_tells_settings_apart_but_not_spellings() -> None:
+def test_digest_tells_settings_apart_but_not_spellings():
     assert TrainConfig(seed=1).digest() != TrainConfig().digest()
     assert TrainConfig(near=1).digest() == TrainConfig(near=1.0).digest()
 
@@ -160,7 +158,7 @@ class Newer(TrainConfig):
     more: int = option(0, "a setting that came later", at_least(0), unit="none", later=True)
 
 
-def test_runs_from_before_a_setting_keep_their_digest() -> None:
+def test_runs_from_before_a_setting_keep_their_digest():
     assert Newer().digest() == TrainConfig().digest()
     assert Newer(more=1).digest() != TrainConfig().digest()
     assert all(
@@ -193,7 +191,7 @@ def test_runs_from_before_a_setting_keep_their_digest() -> None:
         ("steps = ", "not a TOML file"),
     ],
 )
-def test_bad_files_are_refused_with_one_line(text: str, message: str) -> None:
+def test_bad_files_are_refused_with_one_line(text, message):
     with pytest.raises(DataError) as caught:
         from_toml(text, "run/config.toml")
     assert message in str(caught.value)
@@ -202,14 +200,14 @@ def test_bad_files_are_refused_with_one_line(text: str, message: str) -> None:
 
 
 @pytest.mark.parametrize("kept", [0, 0.3, 0.8])
-def test_a_run_s_file_that_was_cut_short_is_refused(kept: float) -> None:
+def test_a_run_s_file_that_was_cut_short_is_refused(kept):
     lines = preset("quick").to_toml().splitlines()
     rest = "\n".join(lines[: int(kept * lines.index("[learning_rates]"))])
     with pytest.raises(DataError, match=r"^config.toml: has no .*, as if cut short; restore it"):
         from_toml(rest)
 
 
-def test_bad_values_in_code_are_usage_errors() -> None:
+def test_bad_values_in_code_are_usage_errors():
     with pytest.raises(UsageError) as caught:
         TrainConfig(growth_interval=0)
     assert caught.value.exit_code == 2
@@ -219,7 +217,7 @@ def test_bad_values_in_code_are_usage_errors() -> None:
 
 
 @pytest.mark.parametrize("name", ["l1_weight", "ssim_weight", "volume_weight", "rate_weight"])
-def test_weights_have_a_bound_that_is_said(name: str) -> None:
+def test_weights_have_a_bound_that_is_said(name):
     assert getattr(TrainConfig(**{name: 1e6}), name) == 1e6
     with pytest.raises(
         UsageError, match=rf"{name}: 1e\+30 is out of range; give a number from 0 to 1e\+06"
@@ -227,14 +225,14 @@ def test_weights_have_a_bound_that_is_said(name: str) -> None:
         TrainConfig(**{name: 1e30})
 
 
-def test_a_loss_without_weights_is_refused() -> None:
+def test_a_loss_without_weights_is_refused():
     assert TrainConfig(l1_weight=0).ssim_weight > 0
     assert TrainConfig(ssim_weight=0).l1_weight > 0
     with pytest.raises(UsageError, match="both are 0"):
         TrainConfig(l1_weight=0, ssim_weight=0)
 
 
-def test_what_is_logged_and_saved_when_is_no_part_of_the_digest() -> None:
+def test_what_is_logged_and_saved_when_is_no_part_of_the_digest():
     config = TrainConfig()
     assert replace(config, checkpoint_interval=9, log_interval=7).digest() == config.digest()
     assert replace(config, growth_interval=9).digest() != config.digest()

@@ -64,7 +64,7 @@ def as_text(value: Any) -> str:
     return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-def test_bytes_may_have_a_suffix() -> None:
+def test_bytes_may_have_a_suffix():
     target = options_of(TrainConfig)["target_size"]
     assert [target.parse(text) for text in ("800k", "1.5M", "700000")] == [
         800_000,
@@ -100,7 +100,7 @@ def parse_command(*words: str) -> TrainConfig:
         ("--set max_anchors=3", "--set max_anchors: 3 is out of range; give a whole number, 0 or"),
     ],
 )
-def test_what_does_not_go_together_is_named_as_it_was_given(words: str, said: str) -> None:
+def test_what_does_not_go_together_is_named_as_it_was_given(words, said):
     with pytest.raises(UsageError) as caught:
         parse_command(*words.split())
     assert str(caught.value).startswith(said)
@@ -112,7 +112,7 @@ def value_in(config: TrainConfig, name: str) -> Any:
 
 
 @pytest.mark.parametrize("one", OPTIONS, ids=by_name)
-def test_every_option_has_help_range_and_unit(one: Option) -> None:
+def test_every_option_has_help_range_and_unit(one):
     assert one.help[0].islower()
     assert not one.help.endswith(".")
     assert one.group
@@ -127,7 +127,7 @@ def test_every_option_has_help_range_and_unit(one: Option) -> None:
 
 
 @pytest.mark.parametrize("one", OPTIONS, ids=by_name)
-def test_option_file_and_set_give_the_same(one: Option, tmp_path: Path) -> None:
+def test_option_file_and_set_give_the_same(one, tmp_path):
     value = other_value(one)
     flag = one.flag
     word = as_text(value)
@@ -148,7 +148,7 @@ def test_option_file_and_set_give_the_same(one: Option, tmp_path: Path) -> None:
     assert from_toml(wanted.to_toml()) == wanted
 
 
-def test_the_table_lists_the_fields_in_order() -> None:
+def test_the_table_lists_the_fields_in_order():
     assert len({one.flag for one in OPTIONS}) == len(OPTIONS)
     by = {one.name: one for one in OPTIONS}
     assert (by["near"].default_text, by["near"].unit, by["near"].range) == (
@@ -165,7 +165,7 @@ def test_the_table_lists_the_fields_in_order() -> None:
     assert groups == sorted(groups, key=list(dict.fromkeys(groups)).index), "one is interrupted"
 
 
-def test_the_help_of_the_command_holds_the_table() -> None:
+def test_the_help_of_the_command_holds_the_table():
     parser = Parser(prog="clgs train")
     training.add_training_options(parser)
     by_flag = {flag: action for action in parser._actions for flag in action.option_strings}
@@ -184,7 +184,7 @@ def test_the_help_of_the_command_holds_the_table() -> None:
 
 @pytest.mark.skipif(not DOCUMENTS, reason="needs a checkout")
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
-def test_documents_name_options_that_exist(path: Path) -> None:
+def test_documents_name_options_that_exist(path):
     parser = build_parser()
     (commands,) = (one for one in parser._actions if one.dest == "command")
     assert commands.choices is not None
@@ -193,7 +193,7 @@ def test_documents_name_options_that_exist(path: Path) -> None:
         assert set(re.findall(r"--[a-z][a-z.-]*", words)) <= known, words
 
 
-def test_what_counts_more(tmp_path: Path) -> None:
+def test_what_counts_more(tmp_path):
     file = tmp_path / "some.toml"
     file.write_text(
         'preset = "paper"\nnear = 0.5\nvoxel = 0.25\n[learning_rates]\noffset = [1, 2]\n'
@@ -209,7 +209,7 @@ def test_what_counts_more(tmp_path: Path) -> None:
     )
 
 
-def test_steps_scale_what_lies_below() -> None:
+def test_steps_scale_what_lies_below():
     assert layered({"steps": 300}) == TrainConfig().scaled(300)
     assert layered({"preset": "quick"}, {"steps": 300}).switch_step == 150
     assert layered({"switch_step": 20_000}, {"steps": 3000}).switch_step == 2000
@@ -217,13 +217,13 @@ def test_steps_scale_what_lies_below() -> None:
     assert layered({"steps": 3000, "switch_step": 2500}).switch_step == 2500
 
 
-def test_values_that_fit_only_together() -> None:
+def test_values_that_fit_only_together():
     config = layered({"growth_end": 20_000}, {"switch_step": 25_000})
     assert (config.growth_end, config.switch_step) == (20_000, 25_000)
 
 
 @pytest.mark.parametrize("name", ["default", "quick", "paper"])
-def test_the_file_of_a_run_gives_the_same_run(tmp_path: Path, name: str) -> None:
+def test_the_file_of_a_run_gives_the_same_run(tmp_path, name):
     config = replace(preset(name).scaled(1234), seed=7).for_dataset("colmap")
     (tmp_path / "config.toml").write_text(config.to_toml())
     assert parse_command("--config", str(tmp_path / "config.toml")) == config
@@ -250,7 +250,7 @@ def test_the_file_of_a_run_gives_the_same_run(tmp_path: Path, name: str) -> None
         (f"steps={'1' * 5000}", "is not a whole number"),
     ],
 )
-def test_a_wrong_word_is_one_line(word: str, message: str) -> None:
+def test_a_wrong_word_is_one_line(word, message):
     with pytest.raises(UsageError) as caught:
         parse_command("--set", word)
     assert message in str(caught.value)
@@ -271,9 +271,7 @@ def test_a_wrong_word_is_one_line(word: str, message: str) -> None:
         (b"x = " + b"[" * 5000, "not a TOML file"),
     ],
 )
-def test_a_wrong_file_is_one_line_of_wrong_usage(
-    tmp_path: Path, content: bytes, message: str
-) -> None:
+def test_a_wrong_file_is_one_line_of_wrong_usage(tmp_path, content, message):
     (tmp_path / "some.toml").write_bytes(content)
     with pytest.raises(UsageError) as caught:
         read_settings(tmp_path / "some.toml")
@@ -282,7 +280,7 @@ def test_a_wrong_file_is_one_line_of_wrong_usage(
     assert caught.value.exit_code == 2
 
 
-def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_none_is_named(tmp_path):
     for path in (tmp_path, tmp_path / "none.toml"):
         with pytest.raises(UsageError, match=f"{path.name}: .*; name a TOML file of settings"):
             read_settings(path)
@@ -295,7 +293,7 @@ class Newcomer:
     wobble: int = option(3, "waves per step", at_least(0), unit="waves", group="new")
 
 
-def test_a_new_option_needs_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_option_needs_one_place(monkeypatch):
     one = options_of(Newcomer)["wobble"]
     assert Newcomer(wobble=one.parse("4")).wobble == 4
     with pytest.raises(
@@ -308,7 +306,7 @@ def test_a_new_option_needs_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "--wobble N  waves per step (waves; at least 0; default: 3)" in parser.format_help()
 
 
-def test_a_field_that_is_not_declared_is_named() -> None:
+def test_a_field_that_is_not_declared_is_named():
     @dataclass(frozen=True)
     class Careless:
         wobble: int = 3
@@ -317,5 +315,5 @@ def test_a_field_that_is_not_declared_is_named() -> None:
         options_of(Careless)
 
 
-def test_names_may_have_hyphens() -> None:
+def test_names_may_have_hyphens():
     assert parse_word("learning-rates.mlp-color=1,2") == ("learning_rates.mlp_color", (1.0, 2.0))

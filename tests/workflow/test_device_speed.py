@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from clgs.opencl.device import Device
@@ -16,9 +14,7 @@ SLOW = StepSpeed(90.0, 1e-3)
 
 
 @pytest.mark.parametrize(("start", "slow"), [(device_speed.GROWN + 500, False), (200, True)])
-def test_few_anchors_at_the_start_say_little_of_later_steps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: int, slow: bool
-) -> None:
+def test_few_anchors_at_the_start_say_little_of_later_steps(tmp_path, monkeypatch, start, slow):
     write_blender(tmp_path / "data")
     monkeypatch.setattr("clgs.data.points.HULL_POINTS", start)
     monkeypatch.setattr(device_speed, "synthetic_speed", lambda device: SLOW)
@@ -29,7 +25,7 @@ def test_few_anchors_at_the_start_say_little_of_later_steps(
     assert found.step(1600) < SLOW.step(1600)
 
 
-def test_between_never_shortens() -> None:
+def test_between_never_shortens():
     assert device_speed._between(0.01, 0.04) == pytest.approx(0.02)
     assert device_speed._between(0.04, 0.01) == 0.04
     assert device_speed._between(0.0, 1.0) == 0.0

@@ -30,7 +30,7 @@ def load(root: Path) -> PhotoSet:
 @pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("rigs", [True, False])
 @pytest.mark.parametrize("shared", [True, False])
-def test_forms_of_a_model(tmp_path: Path, text: bool, rigs: bool, shared: bool):
+def test_forms_of_a_model(tmp_path, text, rigs, shared):
     write_colmap(tmp_path, text=text, rigs=rigs, shared=shared)
     photos = load(tmp_path)
     assert [p.name for p in photos.test] == ["001.png", "009.png"]
@@ -44,34 +44,34 @@ def test_forms_of_a_model(tmp_path: Path, text: bool, rigs: bool, shared: bool):
 
 
 @pytest.mark.parametrize("model", ["SIMPLE_PINHOLE", "RADIAL", "OPENCV", "FULL_OPENCV"])
-def test_camera_models(tmp_path: Path, model: str):
+def test_camera_models(tmp_path, model):
     write_colmap(tmp_path, model=model)
     lens = load(tmp_path).train[0].lens
     assert lens.fx == pytest.approx(50.0)
     assert lens.distorted == (model != "SIMPLE_PINHOLE")
 
 
-def test_model_without_undistortion_here(tmp_path: Path):
+def test_model_without_undistortion_here(tmp_path):
     write_colmap(tmp_path, model="THIN_PRISM_FISHEYE")
     with pytest.raises(DataError, match="image_undistorter"):
         load(tmp_path)
 
 
 @pytest.mark.parametrize("text", [False, True])
-def test_pycolmap_is_not_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: bool):
+def test_pycolmap_is_not_needed(tmp_path, monkeypatch, text):
     write_colmap(tmp_path, text=text)
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     assert len(load(tmp_path).train) == 8
 
 
-def test_a_listed_name_may_lack_its_suffix(tmp_path: Path):
+def test_a_listed_name_may_lack_its_suffix(tmp_path):
     write_colmap(tmp_path)
     file = tmp_path / "sparse" / "0" / "images.bin"
     file.write_bytes(file.read_bytes().replace(b"002.png", b"002"))
     assert load(tmp_path).train[0].name == "002.png"
 
 
-def test_missing_images_are_counted_before_the_split(tmp_path: Path):
+def test_missing_images_are_counted_before_the_split(tmp_path):
     write_colmap(tmp_path)
     (tmp_path / "images" / "001.png").unlink()
     photos = load(tmp_path)
@@ -79,7 +79,7 @@ def test_missing_images_are_counted_before_the_split(tmp_path: Path):
     assert [p.name for p in photos.test] == ["002.png", "010.png"]
 
 
-def test_sparse_without_number_and_missing_file(tmp_path: Path):
+def test_sparse_without_number_and_missing_file(tmp_path):
     write_colmap(tmp_path)
     for file in (tmp_path / "sparse" / "0").iterdir():
         file.rename(tmp_path / "sparse" / file.name)
@@ -126,7 +126,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("name", DAMAGE)
-def test_damage_is_found(tmp_path: Path, name: str):
+def test_damage_is_found(tmp_path, name):
     write_colmap(tmp_path)
     file, at, data = DAMAGE[name]
     patch(tmp_path / "sparse" / "0" / f"{file}.bin", at, data)
@@ -136,7 +136,7 @@ def test_damage_is_found(tmp_path: Path, name: str):
 
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D", "rigs", "frames"])
-def test_truncations_are_found(tmp_path: Path, name: str):
+def test_truncations_are_found(tmp_path, name):
     write_colmap(tmp_path)
     file = tmp_path / "sparse" / "0" / f"{name}.bin"
     whole = file.read_bytes()
@@ -147,7 +147,7 @@ def test_truncations_are_found(tmp_path: Path, name: str):
             read_binary(file.parent)
 
 
-def test_bit_flips_are_refused_or_harmless(tmp_path: Path, rng: np.random.Generator):
+def test_bit_flips_are_refused_or_harmless(tmp_path, rng):
     """A damaged model is refused with a DataError, or has finite poses and points."""
     write_colmap(tmp_path)
     for name in ("cameras", "images", "points3D", "rigs", "frames"):
@@ -216,9 +216,7 @@ IMAGE = "1 1 0 0 0 0 0 0 1 001.png\n"
         ("points3D", "7 2 3 4 1 2 3 0.1 1 99\n", "line 1: TRACK: images.txt has no point 99 of"),
     ],
 )
-def test_damaged_text_is_one_line_with_file_and_field(
-    tmp_path: Path, name: str, text: str, fault: str
-):
+def test_damaged_text_is_one_line_with_file_and_field(tmp_path, name, text, fault):
     write_colmap(tmp_path, text=True, rigs=False)
     file = tmp_path / "sparse" / "0" / f"{name}.txt"
     file.write_text(text)
@@ -243,7 +241,7 @@ RIG = "1 3 CAMERA 1 CAMERA 2 0 CAMERA 3 1 1 0 0 0 0.1 0 0\n"
         ("rigs", RIG.removesuffix(" 0\n"), "line 1: TZ is missing"),
     ],
 )
-def test_poses_of_rigs_in_text_are_checked(tmp_path: Path, name: str, text: str, fault: str):
+def test_poses_of_rigs_in_text_are_checked(tmp_path, name, text, fault):
     write_colmap(tmp_path, text=True)
     folder = tmp_path / "sparse" / "0"
     (folder / "frames.txt").write_text(FRAME)
@@ -255,7 +253,7 @@ def test_poses_of_rigs_in_text_are_checked(tmp_path: Path, name: str, text: str,
     assert str(caught.value).startswith(f"{folder / name}.txt: {fault}")
 
 
-def test_a_name_with_a_blank_is_read_from_binary_models_alone(tmp_path: Path):
+def test_a_name_with_a_blank_is_read_from_binary_models_alone(tmp_path):
     for text in (False, True):
         root = tmp_path / str(text)
         write_colmap(root, text=text, rigs=False)
@@ -269,7 +267,7 @@ def test_a_name_with_a_blank_is_read_from_binary_models_alone(tmp_path: Path):
 
 
 @pytest.mark.parametrize("text", [False, True])
-def test_a_photo_with_two_poses_is_refused(tmp_path: Path, text: bool):
+def test_a_photo_with_two_poses_is_refused(tmp_path, text):
     write_colmap(tmp_path, text=text)
     file = tmp_path / "sparse" / "0" / f"images.{'txt' if text else 'bin'}"
     file.write_bytes(file.read_bytes().replace(b"002.png", b"001.png"))
@@ -281,7 +279,7 @@ def test_a_photo_with_two_poses_is_refused(tmp_path: Path, text: bool):
 
 
 @pytest.mark.parametrize("content", ["", "# nothing\n"])
-def test_a_model_without_images_is_one_line(tmp_path: Path, content: str):
+def test_a_model_without_images_is_one_line(tmp_path, content):
     write_colmap(tmp_path, text=True, rigs=False)
     (tmp_path / "sparse" / "0" / "images.txt").write_text(content)
     with pytest.raises(DataError, match="none of the 0 listed photos") as caught:
@@ -289,7 +287,7 @@ def test_a_model_without_images_is_one_line(tmp_path: Path, content: str):
     assert "\n" not in str(caught.value)
 
 
-def test_images_of_no_camera_are_named(tmp_path: Path):
+def test_images_of_no_camera_are_named(tmp_path):
     write_colmap(tmp_path, text=True, rigs=False)
     (tmp_path / "sparse" / "0" / "cameras.txt").write_text("")
     with pytest.raises(DataError, match=r"images\.txt: line \d+: CAMERA_ID 1 is not in cameras\.t"):
@@ -306,7 +304,7 @@ def test_names_and_numbers_of_camera_models_are_those_of_pycolmap():
 
 
 @pytest.mark.parametrize("name", ["fern_colmap_8", "can", "rig"])
-def test_both_forms_hold_what_pycolmap_reads(tmp_path: Path, request, name: str):
+def test_both_forms_hold_what_pycolmap_reads(tmp_path, request, name):
     import pycolmap
 
     if name == "rig":

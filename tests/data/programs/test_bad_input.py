@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -64,7 +63,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("form", "old", "new", "said"), CASES)
-def test_one_line_says_what_is_wrong(tmp_path: Path, form: str, old: str, new: str, said: str):
+def test_one_line_says_what_is_wrong(tmp_path, form, old, new, said):
     root = Capture(tmp_path).form(form)
     file = root / FILES[form]
     text = file.read_text()
@@ -79,7 +78,7 @@ def test_one_line_says_what_is_wrong(tmp_path: Path, form: str, old: str, new: s
     assert [one.level for one in examine(root).findings] == ["error"]
 
 
-def test_a_quaternion_that_is_none_is_refused(tmp_path: Path):
+def test_a_quaternion_that_is_none_is_refused(tmp_path):
     root = Capture(tmp_path).form("record3d")
     document = json.loads((root / "metadata.json").read_text())
     document["poses"][2][:4] = [0, 0, 0, 0.5]
@@ -88,7 +87,7 @@ def test_a_quaternion_that_is_none_is_refused(tmp_path: Path):
         read_photo_set(root)
 
 
-def test_cameras_that_are_disabled_or_not_aligned_are_left_out(tmp_path: Path, caplog):
+def test_cameras_that_are_disabled_or_not_aligned_are_left_out(tmp_path, caplog):
     root = Capture(tmp_path).form("metashape")
     pose = "<transform>1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</transform>"
     extra = (
@@ -101,7 +100,7 @@ def test_cameras_that_are_disabled_or_not_aligned_are_left_out(tmp_path: Path, c
     assert "1 cameras are not aligned and are left out" in caplog.text
 
 
-def test_the_largest_component_without_a_place_is_read(tmp_path: Path, caplog):
+def test_the_largest_component_without_a_place_is_read(tmp_path, caplog):
     root = Capture(tmp_path).form("metashape")
     text = metashape_xml(Capture(tmp_path), component=True).replace(
         'component_id="3"', 'component_id="4"', 2
@@ -112,7 +111,7 @@ def test_the_largest_component_without_a_place_is_read(tmp_path: Path, caplog):
     assert "of 2 components with 6 cameras the largest with 4 is read" in caplog.text
 
 
-def test_skew_of_metashape_is_that_of_its_manual(tmp_path: Path):
+def test_skew_of_metashape_is_that_of_its_manual(tmp_path):
     capture = Capture(tmp_path, coefficients={"k1": -0.05, "p1": 0.001, "p2": 0.002})
     root = capture.form("metashape")
     text = (root / "cameras.xml").read_text()
@@ -128,7 +127,7 @@ def test_skew_of_metashape_is_that_of_its_manual(tmp_path: Path):
     assert np.abs(found - expected).max() <= 1e-12
 
 
-def test_realityscan_looks_where_heading_pitch_and_roll_say(tmp_path: Path):
+def test_realityscan_looks_where_heading_pitch_and_roll_say(tmp_path):
     """Level with the horizon (pitch 90) and heading 90: east; not turned: down, north on top."""
     root = Capture(tmp_path).form("realityscan")
     head = "#name,x,y,alt,heading,pitch,roll,f\n"
@@ -142,7 +141,7 @@ def test_realityscan_looks_where_heading_pitch_and_roll_say(tmp_path: Path):
     assert down.lens == Lens(*SIZE, 160.0, 160.0, 80.0, 60.0, (0.0,) * 4)
 
 
-def test_other_tables_and_documents_are_no_cameras(tmp_path: Path):
+def test_other_tables_and_documents_are_no_cameras(tmp_path):
     root = Capture(tmp_path).form("colmap")
     shutil.rmtree(root / "sparse")
     (root / "points.csv").write_text("name,x,y\na,1,2\n")

@@ -41,7 +41,7 @@ def load_alike(one: Path, other: Path):
 
 
 @pytest.mark.parametrize("form", OTHERS)
-def test_cameras_and_photos_are_those_of_the_colmap_form(tmp_path: Path, form: str):
+def test_cameras_and_photos_are_those_of_the_colmap_form(tmp_path, form):
     capture = capture_of(tmp_path, form)
     expected, found, pairs = load_alike(capture.form("colmap"), capture.form(form))
     for wanted, view in pairs:
@@ -56,7 +56,7 @@ def test_cameras_and_photos_are_those_of_the_colmap_form(tmp_path: Path, form: s
 
 
 @pytest.mark.parametrize("form", ["metashape", "opensfm"])
-def test_fisheye_is_that_of_the_colmap_form(tmp_path: Path, form: str):
+def test_fisheye_is_that_of_the_colmap_form(tmp_path, form):
     capture = Capture(tmp_path, (95.0, 95.0), coefficients=FISHEYE, model="OPENCV_FISHEYE")
     _, _, pairs = load_alike(capture.form("colmap"), capture.form(form))
     for wanted, view in pairs:
@@ -64,7 +64,7 @@ def test_fisheye_is_that_of_the_colmap_form(tmp_path: Path, form: str):
         assert np.array_equal(view.photo.pixels().color, wanted.photo.pixels().color)
 
 
-def test_fisheye_photos_show_the_chosen_view(tmp_path: Path):
+def test_fisheye_photos_show_the_chosen_view(tmp_path):
     capture = Capture(tmp_path, (60.0, 60.0), coefficients=FISHEYE, model="OPENCV_FISHEYE")
     root = capture.form("metashape")
     whole, narrow = load_dataset(root).train[0], load_dataset(root, fisheye_view=70).train[0]
@@ -80,7 +80,7 @@ def test_fisheye_photos_show_the_chosen_view(tmp_path: Path):
 
 
 @pytest.mark.parametrize("form", OTHERS)
-def test_the_same_picture_is_rendered(tmp_path: Path, form: str, open_device):
+def test_the_same_picture_is_rendered(tmp_path, form, open_device):
     capture = capture_of(tmp_path, form)
     expected, _, pairs = load_alike(capture.form("colmap"), capture.form(form))
     mean = expected.transform.to_scene(capture.points).astype(np.float32)
@@ -97,7 +97,7 @@ def test_the_same_picture_is_rendered(tmp_path: Path, form: str, open_device):
         assert np.abs(wanted - found).max() <= 1e-3
 
 
-def test_points_come_along(tmp_path: Path):
+def test_points_come_along(tmp_path):
     capture = Capture(tmp_path, coefficients=BROWN)
     expected = load_dataset(capture.form("colmap")).points
     for form in ("opensfm", "realityscan"):
@@ -106,7 +106,7 @@ def test_points_come_along(tmp_path: Path):
     assert load_dataset(capture.form("opensfm")).point_colors.tolist() == [[9, 90, 200]] * 50
 
 
-def test_worlds_are_known(tmp_path: Path):
+def test_worlds_are_known(tmp_path):
     capture = Capture(tmp_path)
     frames = {form: load_dataset(capture.form(form)).transform for form in OTHERS}
     for form in ("metashape on the Earth", "opensfm"):
@@ -120,7 +120,7 @@ def test_worlds_are_known(tmp_path: Path):
 
 
 @pytest.mark.parametrize("form", OTHERS)
-def test_missing_photos_are_named_and_the_doctor_finds_no_error(tmp_path: Path, form: str, caplog):
+def test_missing_photos_are_named_and_the_doctor_finds_no_error(tmp_path, form, caplog):
     root = capture_of(tmp_path, form).form(form)
     photo = sorted(root.rglob("*.png"))[2]
     photo.unlink()
@@ -133,7 +133,7 @@ def test_missing_photos_are_named_and_the_doctor_finds_no_error(tmp_path: Path, 
     assert any("1 of 6 photos are missing" in one.problem for one in findings)
 
 
-def test_a_map_is_told_from_a_world_of_its_own(tmp_path: Path):
+def test_a_map_is_told_from_a_world_of_its_own(tmp_path):
     far = np.eye(4)
     far[:3, 3] = 602_123.5, 5_200_321.25, 431.0
     capture = Capture(tmp_path)

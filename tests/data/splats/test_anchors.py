@@ -25,7 +25,7 @@ from tests.codec.scenes import assert_same, random_scene
 
 
 @pytest.fixture
-def scene(rng: np.random.Generator) -> QuantizedScene:
+def scene(rng):
     scales = QuantizationScales(1 / 0.003, 1.5, 0.7, 8.0)
     transform = SceneTransform((0.1, -2.0, 1 / 3), 0.7)
     settings = RenderSettings(background=(0.25, 1.0, 0.0))
@@ -33,7 +33,7 @@ def scene(rng: np.random.Generator) -> QuantizedScene:
 
 
 @pytest.mark.parametrize("name", ["scene.ply", "scene.quantized.ply"])
-def test_the_way_and_back_is_exact(scene: QuantizedScene, tmp_path: Path, name: str) -> None:
+def test_the_way_and_back_is_exact(scene, tmp_path, name):
     save_scaffold(tmp_path / name, scene)
     assert mlps_path(tmp_path / name) == tmp_path / "scene.mlps.npz"
     assert_same(load_scaffold(tmp_path / name), scene)
@@ -45,9 +45,7 @@ _Q = st.floats(2.0**-64, 2.0**64) | st.floats(0.01, 1000) | st.sampled_from([200
 
 @settings(max_examples=150, deadline=None)
 @given(st.lists(_PLACE, min_size=1, max_size=12), st.tuples(_Q, _Q, _Q, _Q), st.booleans())
-def test_every_integer_of_every_q_comes_back(
-    places: list[int], q: tuple[float, float, float, float], quantized: bool
-) -> None:
+def test_every_integer_of_every_q_comes_back(places, q, quantized):
     def filled(*shape: int) -> npt.NDArray[np.int32]:
         return np.resize(np.array(places, np.int32), (3, *shape))
 
@@ -62,9 +60,7 @@ def test_every_integer_of_every_q_comes_back(
     assert kinds == {"<f4"} if small else kinds <= {"<f4", "<f8"}
 
 
-def test_far_positions_are_doubles_and_the_rest_floats(
-    scene: QuantizedScene, tmp_path: Path
-) -> None:
+def test_far_positions_are_doubles_and_the_rest_floats(scene, tmp_path):
     """16.5 million at Q 200 is 82,500.00x: float32 has steps of 1/128 there, coarser than 1/200."""
     scene = replace(scene, scales=QuantizationScales())
     scene.anchors.position[:, 0] += 16_500_001
@@ -74,7 +70,7 @@ def test_far_positions_are_doubles_and_the_rest_floats(
     assert_same(load_scaffold(tmp_path / "s.ply"), scene)
 
 
-def test_layout_is_that_of_the_reference(scene: QuantizedScene, tmp_path: Path) -> None:
+def test_layout_is_that_of_the_reference(scene, tmp_path):
     save_scaffold(tmp_path / "s.quantized.ply", scene)
     save_scaffold(tmp_path / "s.ply", scene)
     integers, floats = (
@@ -89,7 +85,7 @@ def test_layout_is_that_of_the_reference(scene: QuantizedScene, tmp_path: Path) 
     np.testing.assert_array_equal(floats["scale_5"], expected)
 
 
-def test_files_of_others_need_no_comments(scene: QuantizedScene, tmp_path: Path) -> None:
+def test_files_of_others_need_no_comments(scene, tmp_path):
     path = tmp_path / "s.ply"
     save_scaffold(path, scene)
     path.write_bytes(pack_ply(PlyTable(read_ply(path).columns)))
@@ -121,9 +117,7 @@ def change(path: Path, name: str, value: float | None) -> None:
         ("scale_0", 0.5, r"not all numbers are whole; give it another name, or round them$"),
     ],
 )
-def test_damaged_anchors_are_refused(
-    scene: QuantizedScene, tmp_path: Path, name: str, value: float | None, message: str
-) -> None:
+def test_damaged_anchors_are_refused(scene, tmp_path, name, value, message):
     path = tmp_path / "s.quantized.ply"
     save_scaffold(path, scene)
     change(path, name, value)
@@ -136,9 +130,7 @@ def test_damaged_anchors_are_refused(
     [("x", "P"), ("f_offset_29", "O"), ("f_anchor_feat_3", "A"), ("scale_5", "S")],
 )
 @pytest.mark.parametrize("value", [-4.5e9, 1e25])
-def test_the_q_that_is_named_in_a_refusal_works(
-    scene: QuantizedScene, tmp_path: Path, name: str, letter: str, value: float
-) -> None:
+def test_the_q_that_is_named_in_a_refusal_works(scene, tmp_path, name, letter, value):
     path, field = tmp_path / "s.ply", dict(P="position", O="offset", A="feature", S="scaling")
     save_scaffold(path, scene)
     change(path, name, value)
@@ -150,7 +142,7 @@ def test_the_q_that_is_named_in_a_refusal_works(
     assert np.ptp(found.anchors.position, axis=0).max() < 2**21
 
 
-def test_a_number_that_no_q_holds(scene: QuantizedScene, tmp_path: Path) -> None:
+def test_a_number_that_no_q_holds(scene, tmp_path):
     save_scaffold(tmp_path / "s.ply", scene)
     change(tmp_path / "s.ply", "x", 3e38)
     with pytest.raises(
@@ -159,7 +151,7 @@ def test_a_number_that_no_q_holds(scene: QuantizedScene, tmp_path: Path) -> None
         load_scaffold(tmp_path / "s.ply")
 
 
-def test_ordinary_splats_are_for_another_command(tmp_path: Path) -> None:
+def test_ordinary_splats_are_for_another_command(tmp_path):
     column = np.zeros(2, np.float32)
     (tmp_path / "s.ply").write_bytes(pack_ply(PlyTable({"x": column, "y": column, "z": column})))
     with pytest.raises(
@@ -179,9 +171,7 @@ def test_ordinary_splats_are_for_another_command(tmp_path: Path) -> None:
         (b"transform.scale 0.7", b"transform.scale 1 2"),
     ],
 )
-def test_damaged_comments_are_refused(
-    scene: QuantizedScene, tmp_path: Path, old: bytes, new: bytes
-) -> None:
+def test_damaged_comments_are_refused(scene, tmp_path, old, new):
     path = tmp_path / "s.ply"
     save_scaffold(path, scene)
     assert old in path.read_bytes()
@@ -190,7 +180,7 @@ def test_damaged_comments_are_refused(
         load_scaffold(path)
 
 
-def test_comments_of_other_programs_are_passed_over(scene: QuantizedScene, tmp_path: Path) -> None:
+def test_comments_of_other_programs_are_passed_over(scene, tmp_path):
     path = tmp_path / "s.ply"
     save_scaffold(path, scene)
     lines = ["clgs", "clgs is great", "clgs 1 2", "clgs scalesx 1", "clgs my.scale 7", "scale 7"]
@@ -199,7 +189,7 @@ def test_comments_of_other_programs_are_passed_over(scene: QuantizedScene, tmp_p
     assert_same(load_scaffold(path), scene)
 
 
-def test_q_of_integers_is_what_the_file_says(scene: QuantizedScene, tmp_path: Path) -> None:
+def test_q_of_integers_is_what_the_file_says(scene, tmp_path):
     """Another Q would make another scene; floats may be rounded to it."""
     floats, integers = tmp_path / "s.ply", tmp_path / "s.quantized.ply"
     for path in (floats, integers):
@@ -217,9 +207,7 @@ def test_q_of_integers_is_what_the_file_says(scene: QuantizedScene, tmp_path: Pa
     assert found.scales == other
 
 
-def test_both_files_are_written_or_none(
-    scene: QuantizedScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_both_files_are_written_or_none(scene, tmp_path, monkeypatch):
     path, replaced = tmp_path / "s.ply", []
     save_scaffold(path, scene)
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
@@ -249,7 +237,7 @@ def test_both_files_are_written_or_none(
     assert list(tmp_path.iterdir()) == [mlps_path(path)]
 
 
-def test_other_mlps_are_not_overwritten_unasked(scene: QuantizedScene, tmp_path: Path) -> None:
+def test_other_mlps_are_not_overwritten_unasked(scene, tmp_path):
     path = tmp_path / "s.ply"
     for content in (b"my own", pack_mlps(Mlps(scene.mlps.flat * 2))):
         mlps_path(path).write_bytes(content)
@@ -268,9 +256,7 @@ def test_other_mlps_are_not_overwritten_unasked(scene: QuantizedScene, tmp_path:
 
 
 @pytest.mark.parametrize("name", ["S.PLY", "S.Quantized.Ply", "S.quantized.PLY"])
-def test_the_case_of_the_name_does_not_matter(
-    scene: QuantizedScene, tmp_path: Path, name: str
-) -> None:
+def test_the_case_of_the_name_does_not_matter(scene, tmp_path, name):
     save_scaffold(tmp_path / name, scene)
     assert sorted(file.name for file in tmp_path.iterdir()) == sorted(["S.mlps.npz", name])
     assert_same(load_scaffold(tmp_path / name), scene)
@@ -278,9 +264,7 @@ def test_the_case_of_the_name_does_not_matter(
     assert whole.all() == ("uant" in name)
 
 
-def test_archives_that_are_none_are_told_without_options_of_numpy(
-    scene: QuantizedScene, tmp_path: Path
-) -> None:
+def test_archives_that_are_none_are_told_without_options_of_numpy(scene, tmp_path):
     path = tmp_path / "s.ply"
     save_scaffold(path, scene)
     arrays = {"mlps": np.array([{}, 1], object)}
@@ -301,7 +285,7 @@ def test_archives_that_are_none_are_told_without_options_of_numpy(
             load_scaffold(path, tmp_path / name)
 
 
-def test_mlps_are_needed_and_checked(scene: QuantizedScene, tmp_path: Path) -> None:
+def test_mlps_are_needed_and_checked(scene, tmp_path):
     path = tmp_path / "s.ply"
     save_scaffold(path, scene)
     mlps_path(path).unlink()

@@ -54,14 +54,12 @@ def steps_of(
 
 
 @pytest.fixture
-def warned(caplog: pytest.LogCaptureFixture) -> pytest.LogCaptureFixture:
+def warned(caplog):
     caplog.set_level(logging.WARNING)
     return caplog
 
 
-def test_ordinary_splats_have_an_eighth_of_their_median_scale(
-    rng: np.random.Generator, tmp_path: Path, warned: pytest.LogCaptureFixture
-) -> None:
+def test_ordinary_splats_have_an_eighth_of_their_median_scale(rng, tmp_path, warned):
     assert steps_of(tmp_path, cloud(rng)) == [2.0**-9] * 3
     assert steps_of(tmp_path, cloud(rng, scale=0.1)) == [2.0**-7] * 3
     assert steps_of(tmp_path, cloud(rng, scale=None)) == [2.0**-14] * 3  # 8 / 65536 = 2^-13
@@ -73,9 +71,7 @@ def test_ordinary_splats_have_an_eighth_of_their_median_scale(
     assert not warned.messages
 
 
-def test_far_from_zero_float32_says_what_is_fine_enough(
-    rng: np.random.Generator, tmp_path: Path, warned: pytest.LogCaptureFixture
-) -> None:
+def test_far_from_zero_float32_says_what_is_fine_enough(rng, tmp_path, warned):
     """Float32 has steps of 0.5 at 4.5e6 and of 1 / 32 at 4e5: coarse steps add no error."""
     columns = {name: column.astype("f4") for name, column in cloud(rng, UTM).items()}
     assert steps_of(tmp_path, columns) == [0.5, 2.0**-5, 2.0**-9]
@@ -88,9 +84,7 @@ def test_far_from_zero_float32_says_what_is_fine_enough(
     assert not warned.messages
 
 
-def test_doubles_far_from_zero_keep_their_steps_and_come_back_as_doubles(
-    rng: np.random.Generator, tmp_path: Path, warned: pytest.LogCaptureFixture
-) -> None:
+def test_doubles_far_from_zero_keep_their_steps_and_come_back_as_doubles(rng, tmp_path, warned):
     assert steps_of(tmp_path, cloud(rng, UTM, scale=0.1), "f8") == [2.0**-7] * 3
     assert not warned.messages
     kinds = {name: c.dtype.str for name, c in read_ply(tmp_path / "s.ply").columns.items()}
@@ -104,9 +98,7 @@ def test_doubles_far_from_zero_keep_their_steps_and_come_back_as_doubles(
     ]
 
 
-def test_a_floater_is_told_and_limits_no_more_than_it_must(
-    rng: np.random.Generator, tmp_path: Path, warned: pytest.LogCaptureFixture
-) -> None:
+def test_a_floater_is_told_and_limits_no_more_than_it_must(rng, tmp_path, warned):
     columns = cloud(rng)
     columns["y"][7] = 4000.0
     assert steps_of(tmp_path, columns) == [2.0**-9] * 3  # 2^21 / 512 = 4096
@@ -122,9 +114,7 @@ def test_a_floater_is_told_and_limits_no_more_than_it_must(
     assert not warned.messages
 
 
-def test_floaters_do_not_move_the_step_of_clouds_without_scales(
-    rng: np.random.Generator, tmp_path: Path, warned: pytest.LogCaptureFixture
-) -> None:
+def test_floaters_do_not_move_the_step_of_clouds_without_scales(rng, tmp_path, warned):
     columns = cloud(rng, scale=None)
     columns["z"][3] = 200.0
     assert steps_of(tmp_path, columns) == [2.0**-12] * 3  # at most 4 times that of the cube
@@ -135,7 +125,7 @@ def test_floaters_do_not_move_the_step_of_clouds_without_scales(
     assert usual_extent(np.array([2.0])) == 0.0
 
 
-def test_resolution() -> None:
+def test_resolution():
     assert resolution(np.array([4.5e6, -4.5e6]), np.dtype("f4")) == 0.5
     assert resolution(np.array([4.5e6]), np.dtype("f8")) == 0.0
     assert resolution(np.append(np.full(1000, 1e6), [0.0] * 5), np.dtype("f4")) == 2.0**-4
@@ -153,18 +143,13 @@ def test_resolution() -> None:
     st.floats(-30, 30),
     st.sampled_from(["f4", "f8"]),
 )
-def test_every_cloud_is_packed(
-    tmp_path_factory: pytest.TempPathFactory,
-    points: list[tuple[float, float, float]],
-    scale: float,
-    kind: str,
-) -> None:
+def test_every_cloud_is_packed(tmp_path_factory, points, scale, kind):
     columns = dict(zip("xyz", np.array(points).T, strict=True))
     columns |= {f"scale_{i}": np.full(len(points), scale) for i in range(3)}
     steps_of(tmp_path_factory.getbasetemp(), columns, kind, scale=1.0)
 
 
-def test_splats_come_back_as_floats_wherever_they_can() -> None:
+def test_splats_come_back_as_floats_wherever_they_can():
     values = np.array([[2**24 + 1, 5, -1, 2**30 + 1]], np.int32)
     columns = parse_ply(
         write_splats(QuantizedSplats([*"xyz", "id"], [0.25, 0.1, 3.0, 1.0], values))
@@ -174,19 +159,15 @@ def test_splats_come_back_as_floats_wherever_they_can() -> None:
     assert columns["id"][0] == 2**30 + 1
 
 
-def test_groups() -> None:
+def test_groups():
     assert [group_of(name) for name in ("x", "nz", "f_rest_12", "opacity", "scale_0", "7")] == [
         *("position", "normal", "f_rest", "opacity", "scale", "7")
     ]
 
 
 def test_pack_says_the_steps_of_every_axis_and_warns_in_one_line(
-    rng: np.random.Generator,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    warned: pytest.LogCaptureFixture,
-) -> None:
+    rng, tmp_path, monkeypatch, capsys, warned
+):
     monkeypatch.chdir(tmp_path)
     columns = {name: column.astype("f4") for name, column in cloud(rng, UTM).items()}
     (tmp_path / "s.ply").write_bytes(pack_ply(PlyTable(columns)))
@@ -204,7 +185,7 @@ def test_pack_says_the_steps_of_every_axis_and_warns_in_one_line(
     assert "--step position=STEP" in said[0]
 
 
-def test_steps_that_are_missing_or_name_nothing(rng: np.random.Generator, tmp_path: Path) -> None:
+def test_steps_that_are_missing_or_name_nothing(rng, tmp_path):
     with pytest.raises(UsageError, match="--step weight: the file has no such property or group"):
         steps_of(tmp_path, cloud(rng), weight=1.0)
     with pytest.raises(UsageError, match="property odd has no default step; give --step odd=STEP"):
@@ -213,7 +194,7 @@ def test_steps_that_are_missing_or_name_nothing(rng: np.random.Generator, tmp_pa
         steps_of(tmp_path, cloud(rng) | {"odd": np.zeros(1000), "even": np.zeros(1000)})
 
 
-def test_points_that_are_no_splats_are_called_so(tmp_path, rng, capsys) -> None:
+def test_points_that_are_no_splats_are_called_so(tmp_path, rng, capsys):
     path = tmp_path / "points.ply"
     path.write_bytes(pack_ply(PlyTable(cloud(rng) | {"odd": np.zeros(1000, np.float32)}, [])))
     words = ["pack", str(path), "-o", str(tmp_path / "p.clgs"), "--step", "odd=1"]

@@ -9,7 +9,6 @@ import os
 import shutil
 import sys
 import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,7 +47,7 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> Iterator[str]:
+def page(tmp_path):
     """The address of the page, in a folder with three.js; a test puts scene.glb there, too."""
     three = installed("node_modules/three/examples/jsm/objects/GaussianSplat.js")
     os.symlink(three.parents[4], tmp_path / "node_modules")

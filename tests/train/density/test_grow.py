@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
-from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
 from clgs.train.state.parameters import HostRows
 from tests.train.density.density_cases import (
@@ -29,7 +28,7 @@ from tests.train.density.density_cases import (
 )
 
 
-def test_a_new_anchor_by_hand(device: Device) -> None:
+def test_a_new_anchor_by_hand(device):
     state = state_at([(0, 0, 0), (100, 0, 0)])
     ask(state, 0, 3, (8.9, -6.5, 1.9), 0.3)
     assert grow(device, state, CONFIG, Draws()) == 1
@@ -42,7 +41,7 @@ def test_a_new_anchor_by_hand(device: Device) -> None:
     assert (state.statistics.opacity_sum.tolist(), state.statistics.visits[2]) == ([1, 2, 0], 0)
 
 
-def test_slot_position_scales_with_exp_of_scaling(device: Device) -> None:
+def test_slot_position_scales_with_exp_of_scaling(device):
     state = state_at([(11, 0, 0)])
     ask(state, 0, 0, (4.0, 4.0, 4.0), 0.3)
     state.anchors.scaling[0] = [np.log(2), np.log(3), 0, 7, 7, 7]
@@ -50,7 +49,7 @@ def test_slot_position_scales_with_exp_of_scaling(device: Device) -> None:
     assert integers_of(state)[1] == (20, 12, 4)  # cell 5 of 4 voxels is nearest to 11 + 2 * 4
 
 
-def test_levels_have_cells_of_4_and_1_voxels_and_doubled_thresholds(device: Device) -> None:
+def test_levels_have_cells_of_4_and_1_voxels_and_doubled_thresholds(device):
     state = state_at([(0, 0, 0)])
     ask(state, 0, 0, (9.0, 0, 0), 0.25)  # asks at level 0 only
     ask(state, 0, 1, (21.0, 0, 0), 0.5)  # at levels 0 and 1
@@ -65,7 +64,7 @@ def test_levels_have_cells_of_4_and_1_voxels_and_doubled_thresholds(device: Devi
     )
 
 
-def test_without_room_for_all_the_slots_of_the_largest_gradient_grow(device: Device) -> None:
+def test_without_room_for_all_the_slots_of_the_largest_gradient_grow(device):
     state = state_at([(0, 0, 0), (100, 0, 0)])
     ask(state, 0, 0, (12.0, 0, 0), 0.3)
     ask(state, 1, 9, (8.0, 0, 0), 0.4)
@@ -75,7 +74,7 @@ def test_without_room_for_all_the_slots_of_the_largest_gradient_grow(device: Dev
     assert grow(device, state, replace(CONFIG, max_anchors=4), Draws()) == 0
 
 
-def test_large_scenes_may_use_three_levels(device: Device) -> None:
+def test_large_scenes_may_use_three_levels(device):
     state = state_at([(0, 0, 0)])
     ask(state, 0, 0, (37.0, 0, 0), 1.0)
     config = TrainConfig(voxel=VOXEL, growth_threshold=0.25, growth_cell=16)
@@ -83,14 +82,14 @@ def test_large_scenes_may_use_three_levels(device: Device) -> None:
     assert integers_of(state)[1:] == [(32, 0, 0), (36, 0, 0), (37, 0, 0)]
 
 
-def test_a_cell_that_holds_an_anchor_is_not_new(device: Device) -> None:
+def test_a_cell_that_holds_an_anchor_is_not_new(device):
     state = state_at([(0, 0, 0), (9, 0, 0)])
     ask(state, 0, 0, (8.0, 0, 0), 0.3)  # cell 2, where voxel 9 lies too
     assert grow(device, state, CONFIG, Draws()) == 0
     assert_rows(state, [1, 2])
 
 
-def test_deeper_levels_wait_for_level_0(device: Device) -> None:
+def test_deeper_levels_wait_for_level_0(device):
     state = state_at([(0, 0, 0)])
     ask(state, 0, 0, (1.0, 0, 0), 9.0)  # its own cell at level 0, a free voxel at level 1
     draws = Draws()
@@ -102,13 +101,13 @@ def test_deeper_levels_wait_for_level_0(device: Device) -> None:
     assert integers_of(state)[1:] == [(8, 0, 0), (1, 0, 0)]
 
 
-def test_an_anchor_of_level_0_occupies_its_voxel_at_level_1(device: Device) -> None:
+def test_an_anchor_of_level_0_occupies_its_voxel_at_level_1(device):
     state = state_at([(0, 0, 0)])
     ask(state, 0, 0, (8.0, 0, 0), 9.0)
     assert grow(device, state, CONFIG, Draws()) == 1
 
 
-def test_offset_zero_stays_in_the_anchors_own_cell(device: Device) -> None:
+def test_offset_zero_stays_in_the_anchors_own_cell(device):
     """Also halfway between two cells, where float32 positions would round either way."""
     config = TrainConfig(voxel=0.005, growth_threshold=0.25)
     state = state_at([(4 * i + 2, -4 * i - 2, 6 * i) for i in range(50)])
@@ -118,7 +117,7 @@ def test_offset_zero_stays_in_the_anchors_own_cell(device: Device) -> None:
     assert grow(device, state, config, Draws()) == 0
 
 
-def test_kept_with_probability_1_minus_half_to_the_level_plus_1(device: Device) -> None:
+def test_kept_with_probability_1_minus_half_to_the_level_plus_1(device):
     state = state_at([(0, 0, 0)])
     for slot in range(4):
         ask(state, 0, slot, (8.0 + 8 * slot + 1, 0, 0), 1.0)
@@ -128,7 +127,7 @@ def test_kept_with_probability_1_minus_half_to_the_level_plus_1(device: Device) 
     assert integers_of(state)[1:] == [(24, 0, 0), (32, 0, 0), (25, 0, 0), (33, 0, 0)]
 
 
-def test_feature_is_the_maximum_over_the_anchors_that_asked(device: Device) -> None:
+def test_feature_is_the_maximum_over_the_anchors_that_asked(device):
     state = state_at([(0, 0, 0), (20, 0, 0), (0, 20, 0), (20, 20, 0)])
     feature = state.anchors.feature
     feature[:] = np.random.default_rng(0).normal(-3, 1, feature.shape)
@@ -142,7 +141,7 @@ def test_feature_is_the_maximum_over_the_anchors_that_asked(device: Device) -> N
     np.testing.assert_array_equal(state.anchors.feature[4], expected)
 
 
-def test_slots_seen_often_start_anew_and_others_accumulate(device: Device) -> None:
+def test_slots_seen_often_start_anew_and_others_accumulate(device):
     state = state_at([(0, 0, 0), (40, 0, 0)])
     statistics = state.statistics
     statistics.gradient_count[0, :3] = [40, 41, 500]
@@ -157,7 +156,7 @@ def test_slots_seen_often_start_anew_and_others_accumulate(device: Device) -> No
 
 
 @pytest.mark.parametrize("voxels", [np.nan, np.inf, 2.0**21, -(2.0**21), 1e30])
-def test_slots_beyond_the_grid_are_not_served(device: Device, voxels: float) -> None:
+def test_slots_beyond_the_grid_are_not_served(device, voxels):
     state = state_at([(0, 0, 0), (5, 0, 0)])
     ask(state, 0, 0, (voxels, 0, 0), 9.0)
     ask(state, 0, 1, (16, 0, 0), 0.3)
@@ -165,7 +164,7 @@ def test_slots_beyond_the_grid_are_not_served(device: Device, voxels: float) -> 
     assert integers_of(state)[2] == (16, 0, 0)
 
 
-def test_growth_never_makes_the_scene_too_large(device: Device) -> None:
+def test_growth_never_makes_the_scene_too_large(device):
     half = 2**20
     state = state_at([(0, 0, 0), (half, 0, 0)])
     ask(state, 0, 0, (-(half // 2) + 4, 0, 0), 9.0)
@@ -212,7 +211,7 @@ def brute_grow(state: HostRows, config: TrainConfig, rng: np.random.Generator) -
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_growth_agrees_with_plain_loops(device: Device, seed: int) -> None:
+def test_growth_agrees_with_plain_loops(device, seed):
     state = random_state(seed)
     expected = brute_grow(state, CONFIG, np.random.default_rng(seed))
     before, old = copy.deepcopy(state), len(state.anchors)

@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 
 from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
-from clgs.opencl.device import Device
-from clgs.train.config import TrainConfig
 from clgs.train.density import grow_and_prune
 from clgs.train.density.grow_and_prune import merge_cells
 from clgs.train.density.voxel_grid import position_integers
@@ -34,7 +32,7 @@ from tests.train.density.density_cases import (
 )
 
 
-def test_mask_prune_by_hand(device: Device) -> None:
+def test_mask_prune_by_hand(device):
     state = state_at([(i, 0, 0) for i in range(5)])
     state.anchors.offset[:] = 1.0
     opacity = np.full((3, K_OFFSETS), -0.5, np.float32)
@@ -49,7 +47,7 @@ def test_mask_prune_by_hand(device: Device) -> None:
     np.testing.assert_array_equal(state.anchors.offset, np.repeat(drawn[..., None], 3, axis=2))
 
 
-def test_mask_prune_without_visible_anchors_changes_nothing(device: Device) -> None:
+def test_mask_prune_without_visible_anchors_changes_nothing(device):
     state = random_state(1)
     before = copy.deepcopy(state)
     assert (
@@ -58,7 +56,7 @@ def test_mask_prune_without_visible_anchors_changes_nothing(device: Device) -> N
     assert_same(state, before)
 
 
-def test_prune_by_hand(device: Device) -> None:
+def test_prune_by_hand(device):
     state = state_at([(i, 0, 0) for i in range(6)])
     statistics = state.statistics
     least = np.float32(0.005) * np.float32(100)
@@ -72,7 +70,7 @@ def test_prune_by_hand(device: Device) -> None:
     assert state.statistics.opacity_sum.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_prune_keeps_sums_of_rarely_visited_anchors(device: Device) -> None:
+def test_prune_keeps_sums_of_rarely_visited_anchors(device):
     state = state_at([(0, 0, 0), (1, 0, 0)])
     state.statistics.visits[:] = [80, 81]
     state.statistics.opacity_sum[:] = [0.25, 9.0]
@@ -83,7 +81,7 @@ def test_prune_keeps_sums_of_rarely_visited_anchors(device: Device) -> None:
     assert (state.statistics.gradient_sum == 3.0).all()
 
 
-def test_prune_caps_the_shape_scaling_of_all_anchors(device: Device) -> None:
+def test_prune_caps_the_shape_scaling_of_all_anchors(device):
     state = state_at([(0, 0, 0), (1, 0, 0)])
     state.anchors.scaling[0] = [1, 2, 3, 1, 0.05, -4]
     assert prune(device, state, CONFIG) == 0
@@ -92,7 +90,7 @@ def test_prune_caps_the_shape_scaling_of_all_anchors(device: Device) -> None:
     )
 
 
-def test_pruning_everything_is_an_error(device: Device) -> None:
+def test_pruning_everything_is_an_error(device):
     state = state_at([(0, 0, 0)])
     with pytest.raises(ClgsError, match="left no anchors"):
         mask_prune(device, state, np.array([0], np.int32), np.zeros((1, K_OFFSETS), np.float32))
@@ -104,7 +102,7 @@ def test_pruning_everything_is_an_error(device: Device) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_rows_stay_together_through_a_whole_step(device: Device, seed: int) -> None:
+def test_rows_stay_together_through_a_whole_step(device, seed):
     """Every surviving anchor keeps its own values and moments; the step is deterministic."""
 
     def step() -> HostRows:
@@ -132,7 +130,7 @@ def test_rows_stay_together_through_a_whole_step(device: Device, seed: int) -> N
     assert_same(state, step())
 
 
-def test_merge_by_hand() -> None:
+def test_merge_by_hand():
     state = state_at([(0, 0, 0), (1, 0, 0), (7, 0, 0), (9, 0, 0), (8, 0, 0), (40, 0, 0)])
     state.statistics.opacity_sum[:] = [0.1, 0.2, 0.5, 0.5, 0.4, 0.0]
     assert merge_cells(state, 0.5) == 3  # cells of 4 voxels; 7, 8 and 9 lie in cell 2
@@ -140,7 +138,7 @@ def test_merge_by_hand() -> None:
     assert state.anchors.position[:, 0].tolist() == [0.0, 4.0, 20.0]
 
 
-def test_a_finer_grid_merges_nothing_and_moves_by_half_a_cell_at_most() -> None:
+def test_a_finer_grid_merges_nothing_and_moves_by_half_a_cell_at_most():
     state = random_state(3)
     state.anchors.position[:] *= np.float32(0.001 / VOXEL)
     before = copy.deepcopy(state)
@@ -155,7 +153,7 @@ def test_a_finer_grid_merges_nothing_and_moves_by_half_a_cell_at_most() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 0.256, 0.7]))
-def test_merge_agrees_with_plain_loops(seed: int, q_position: float) -> None:
+def test_merge_agrees_with_plain_loops(seed, q_position):
     state = random_state(seed, count=60, spread=8)
     sums = state.statistics.opacity_sum
     sums[:] = np.round(sums, 1)  # so that ties occur
@@ -171,7 +169,7 @@ def test_merge_agrees_with_plain_loops(seed: int, q_position: float) -> None:
     np.testing.assert_array_equal(state.anchors.position, expected)
 
 
-def test_a_grid_too_fine_for_the_extent_is_refused() -> None:
+def test_a_grid_too_fine_for_the_extent_is_refused():
     state = state_at([(0, 0, 0), (1000, 0, 0)])
     with pytest.raises(ClgsError, match="smaller Q_P"):
         merge_cells(state, 1e5)
@@ -182,9 +180,7 @@ CAPPED = replace(CONFIG, max_anchors=33)
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([CONFIG, CAPPED]))
-def test_events_with_hidden_rows_end_as_events_without(
-    device: Device, seed: int, config: TrainConfig
-) -> None:
+def test_events_with_hidden_rows_end_as_events_without(device, seed, config):
     """Two events of growth: rows are left out after every part of them, or at the end."""
     often, late = random_state(seed), random_state(seed)
     there, position = on_device(device, late)
@@ -208,6 +204,6 @@ def test_events_with_hidden_rows_end_as_events_without(
     assert first.bit_generator.state == second.bit_generator.state
 
 
-def test_leaving_out_nothing_keeps_the_arrays(device: Device) -> None:
+def test_leaving_out_nothing_keeps_the_arrays(device):
     there, _ = on_device(device, random_state(4))
     assert grow_and_prune.compacted(device, there) is there

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,7 +13,7 @@ from clgs.train.density.voxel_grid import initial_anchors, voxel_integers
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], np.float32)
 
 
-def test_scaling_by_hand() -> None:
+def test_scaling_by_hand():
     anchors = initial_anchors(CORNERS, 0.5)
     assert anchors.position.tolist() == sorted(CORNERS.tolist())
     # squared distances from the origin: 1, 4, 9; from (1, 0, 0): 1, 5, 10; and so on
@@ -31,7 +30,7 @@ def test_scaling_by_hand() -> None:
     hnp.arrays(np.float32, (40, 3), elements=st.floats(-3, 3, width=32)),
     st.sampled_from([0.001, 0.005, 0.3, 1.0]),
 )
-def test_against_brute_force(points: npt.NDArray[np.float32], voxel: float) -> None:
+def test_against_brute_force(points, voxel):
     rows = {tuple(np.rint(p * np.float64(1 / voxel)).astype(int)) for p in points.astype(float)}
     if len(rows) < 4:
         with pytest.raises(DataError, match="at least 4"):
@@ -47,7 +46,7 @@ def test_against_brute_force(points: npt.NDArray[np.float32], voxel: float) -> N
     np.testing.assert_allclose(anchors.scaling, np.repeat(expected[:, None], 6, 1), atol=1e-5)
 
 
-def test_positions_are_the_dequantised_integers() -> None:
+def test_positions_are_the_dequantised_integers():
     points = np.random.default_rng(1).uniform(-2.0, 2.0, (500, 3)).astype(np.float32)
     for voxel in (0.001, 0.005, 0.003):
         anchors = initial_anchors(points, voxel)
@@ -63,7 +62,7 @@ def test_positions_are_the_dequantised_integers() -> None:
         np.testing.assert_array_equal(anchors.position, expected.position)
 
 
-def test_duplicates_and_order_do_not_matter() -> None:
+def test_duplicates_and_order_do_not_matter():
     rng = np.random.default_rng(2)
     points = rng.uniform(-1.0, 1.0, (200, 3)).astype(np.float32)
     twice = rng.permutation(np.concatenate([points, points + np.float32(1e-5)]))
@@ -72,7 +71,7 @@ def test_duplicates_and_order_do_not_matter() -> None:
     np.testing.assert_array_equal(first.scaling, second.scaling)
 
 
-def test_squared_distance_is_floored() -> None:
+def test_squared_distance_is_floored():
     anchors = initial_anchors(CORNERS * np.float32(1e-5), 1e-5)
     np.testing.assert_allclose(anchors.scaling, 0.5 * np.log(1e-7), rtol=1e-6)
 
@@ -89,15 +88,13 @@ def test_squared_distance_is_floored() -> None:
         (CORNERS + np.float32(2.2e6), 1.0, "from the origin"),
     ],
 )
-def test_bad_points_are_refused(
-    points: npt.NDArray[np.float32], voxel: float, message: str
-) -> None:
+def test_bad_points_are_refused(points, voxel, message):
     with pytest.raises(DataError, match=message) as caught:
         initial_anchors(points, voxel)
     assert "\n" not in str(caught.value)
 
 
-def test_the_largest_extent_is_exact() -> None:
+def test_the_largest_extent_is_exact():
     points = np.array([[0, 0, 0], [2**21 - 1, 1, 0], [5, 0, 0], [0, 7, 0]], np.float32)
     anchors = initial_anchors(points * np.float32(0.25), 0.25)
     assert sorted((anchors.position * 4).tolist()) == sorted(points.tolist())

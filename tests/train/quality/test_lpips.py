@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ of pictures that differ plainly; ten times that."""
 
 
 @pytest.fixture(scope="module", params=["random", "published"])
-def weights_file(request: Any, tmp_path_factory: Any) -> Path:
+def weights_file(request, tmp_path_factory):
     pytest.importorskip("onnxruntime", reason='pip install "clgs[lpips]"')
     if request.param == "random":
         path = tmp_path_factory.mktemp("lpips") / "weights.npz"
@@ -32,11 +31,11 @@ def weights_file(request: Any, tmp_path_factory: Any) -> Path:
 
 
 @pytest.fixture(scope="module")
-def network(weights_file: Path) -> Lpips:
+def network(weights_file):
     return Lpips(read_lpips_weights(weights_file))
 
 
-def test_agrees_with_float64(network: Lpips, weights_file: Path) -> None:
+def test_agrees_with_float64(network, weights_file):
     arrays = reference.load_arrays(weights_file)
     for size in ((16, 16), (19, 37)):  # odd sizes lose a row or column when halved
         x, y = pictures(*size, seed=size[0])
@@ -45,7 +44,7 @@ def test_agrees_with_float64(network: Lpips, weights_file: Path) -> None:
         assert abs(network(x, y) / expected - 1) <= BOUND
 
 
-def test_is_a_symmetric_distance_that_grows_with_noise(network: Lpips) -> None:
+def test_is_a_symmetric_distance_that_grows_with_noise(network):
     x, y = pictures()
     assert network(x, x.copy()) == 0.0
     assert network(x, y) == network(y, x)
@@ -53,7 +52,7 @@ def test_is_a_symmetric_distance_that_grows_with_noise(network: Lpips) -> None:
     assert 0 < network(x, little) < network(x, y)
 
 
-def test_small_and_other_pictures_are_errors(network: Lpips) -> None:
+def test_small_and_other_pictures_are_errors(network):
     x, y = pictures(15, 40)
     with pytest.raises(DataError, match="photo of 40x15: LPIPS needs 16x16"):
         network(x, y)
@@ -78,13 +77,13 @@ KERNEL = "VGG16_0/Conv_0/kernel"
         ({KERNEL: np.zeros((3, 3, 3, 64), np.float32)}, "array VGG16_0/Conv_0/bias is missing"),
     ],
 )
-def test_a_wrong_archive_is_named(tmp_path: Path, arrays: dict[str, Any], said: str) -> None:
+def test_a_wrong_archive_is_named(tmp_path, arrays, said):
     np.savez(tmp_path / "w.npz", **arrays)
     with pytest.raises(DataError, match=f"w.npz: not the weights of LPIPS with VGG-16.*{said}"):
         read_lpips_weights(tmp_path / "w.npz")
 
 
-def test_what_is_no_archive_is_named(tmp_path: Path) -> None:
+def test_what_is_no_archive_is_named(tmp_path):
     with pytest.raises(DataError, match=r"w.npz: no such file; name the .npz"):
         read_lpips_weights(tmp_path / "w.npz")
     with pytest.raises(DataError, match="not the weights of LPIPS"):
@@ -95,7 +94,7 @@ def test_what_is_no_archive_is_named(tmp_path: Path) -> None:
             read_lpips_weights(tmp_path / "w.npz")
 
 
-def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(ClgsError, match=r'LPIPS needs onnx and .*pip install "clgs\[lpips\]"'):
         require_onnx()

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +30,7 @@ def pictures(
     return smooth.astype(np.uint8), np.clip(noisy, 0, 255).astype(np.uint8)
 
 
-def test_psnr_is_one_mse_over_all_channels() -> None:
+def test_psnr_is_one_mse_over_all_channels():
     render, photo = np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2, 3), np.uint8)
     render[0, 0] = [51, 0, 0]  # 0.2 of white in one of 12 values
     assert psnr_8bit(render, photo) == pytest.approx(-10 * math.log10(0.04 / 12))
@@ -39,13 +38,13 @@ def test_psnr_is_one_mse_over_all_channels() -> None:
     assert psnr_8bit(render, photo) == pytest.approx(peak_signal_noise_ratio(photo, render))
 
 
-def test_equal_pictures_have_infinite_psnr_and_ssim_one() -> None:
+def test_equal_pictures_have_infinite_psnr_and_ssim_one():
     render, _ = pictures()
     assert psnr_8bit(render, render.copy()) == math.inf
     assert ssim(render, render.copy()) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_channel_mean_by_hand_and_unclamped() -> None:
+def test_channel_mean_by_hand_and_unclamped():
     photo = np.zeros((2, 2, 3), np.uint8)
     photo[...] = [0, 255, 255]
     render = np.zeros((3, 2, 2), np.float32)
@@ -54,7 +53,7 @@ def test_channel_mean_by_hand_and_unclamped() -> None:
     assert psnr_channel_mean(render, photo) == pytest.approx(expected, rel=1e-6)
 
 
-def test_channel_mean_is_never_below_the_pooled_psnr() -> None:
+def test_channel_mean_is_never_below_the_pooled_psnr():
     render, photo = pictures()
     planar = (render / 255.0).transpose(2, 0, 1)
     assert psnr_channel_mean(planar, photo) >= psnr_8bit(render, photo) - 1e-9
@@ -64,7 +63,7 @@ def test_channel_mean_is_never_below_the_pooled_psnr() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_ssim_map_agrees_with_scikit_image_away_from_the_border(seed: int) -> None:
+def test_ssim_map_agrees_with_scikit_image_away_from_the_border(seed):
     render, photo = pictures(seed=seed)
     _, expected = structural_similarity(
         render / 255.0,
@@ -81,7 +80,7 @@ def test_ssim_map_agrees_with_scikit_image_away_from_the_border(seed: int) -> No
     np.testing.assert_allclose(ssim_map(render, photo)[inner], expected[inner], atol=1e-10)
 
 
-def test_ssim_pads_with_zeros_and_averages_over_all_pixels() -> None:
+def test_ssim_pads_with_zeros_and_averages_over_all_pixels():
     render, photo = pictures(16, 20)
     ring = ((5, 5), (5, 5), (0, 0))
     padded = ssim_map(np.pad(render, ring), np.pad(photo, ring))[5:-5, 5:-5]
@@ -89,7 +88,7 @@ def test_ssim_pads_with_zeros_and_averages_over_all_pixels() -> None:
     assert ssim(render, photo) == pytest.approx(float(padded.mean()))
 
 
-def test_ssim_against_direct_sums_at_one_pixel() -> None:
+def test_ssim_against_direct_sums_at_one_pixel():
     render, photo = pictures(11, 11)
     distance = np.arange(11) - 5
     window = np.exp(-(distance[:, None] ** 2 + distance[None] ** 2) / (2 * 1.5**2))
@@ -105,23 +104,21 @@ def test_ssim_against_direct_sums_at_one_pixel() -> None:
 
 
 @pytest.mark.parametrize("height", [1, 64, 65, 200])
-def test_ssim_is_that_of_the_whole_picture_at_once(
-    height: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ssim_is_that_of_the_whole_picture_at_once(height, monkeypatch):
     render, photo = np.random.default_rng(2).integers(0, 256, (2, height, 31, 3)).astype(np.uint8)
     by_bands = ssim_map(render, photo)
     monkeypatch.setattr("clgs.train.quality.metrics.BAND", height)
     np.testing.assert_array_equal(by_bands, ssim_map(render, photo))
 
 
-def test_ssim_is_symmetric_and_falls_with_noise() -> None:
+def test_ssim_is_symmetric_and_falls_with_noise():
     render, photo = pictures()
     assert ssim(render, photo) == pytest.approx(ssim(photo, render), abs=1e-14)
     assert ssim(render, photo) < 0.9
     assert ssim(render, np.clip(render.astype(int) + 1, 0, 255).astype(np.uint8)) > 0.99
 
 
-def test_to_8bit_rounds_to_nearest_and_clamps() -> None:
+def test_to_8bit_rounds_to_nearest_and_clamps():
     values = np.array([-1.0, 0.0, 0.49 / 255, 0.51 / 255, 1.0, 7.0], np.float32)
     image = np.stack([values, values[::-1], np.zeros(6, np.float32)])[:, None, :]
     picture = to_8bit(image)
@@ -133,21 +130,21 @@ def test_to_8bit_rounds_to_nearest_and_clamps() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_to_8bit_returns_every_level(dtype: type) -> None:
+def test_to_8bit_returns_every_level(dtype):
     levels = np.arange(256)
     image = np.broadcast_to((levels / 255.0).astype(dtype), (3, 1, 256))
     assert (to_8bit(image)[0] == levels[:, None]).all()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_to_8bit_refuses_broken_pixels(bad: float) -> None:
+def test_to_8bit_refuses_broken_pixels(bad):
     image = np.zeros((3, 4, 4), np.float32)
     image[1, 2, 3] = bad
     with pytest.raises(ClgsError, match="not finite"):
         to_8bit(image)
 
 
-def test_other_sizes_and_types_are_errors() -> None:
+def test_other_sizes_and_types_are_errors():
     render, photo = pictures()
     for score in (psnr_8bit, ssim):
         with pytest.raises(ValueError, match="photo: shape"):
@@ -158,7 +155,7 @@ def test_other_sizes_and_types_are_errors() -> None:
         psnr_channel_mean(render / 255.0, photo)
 
 
-def test_counts_each_slot_that_some_view_draws_once(device: Any) -> None:
+def test_counts_each_slot_that_some_view_draws_once(device):
     floats, camera = anchor_scene(2_000, 64)
     scene = QuantizedScene(quantize(floats.anchors, QuantizationScales()), floats.mlps)
     turned = replace(camera, translation=camera.translation + 0.5)

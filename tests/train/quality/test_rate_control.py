@@ -37,7 +37,7 @@ def fast(scene: QuantizedScene) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def seen(device: Device) -> tuple[QuantizedScene, View]:
+def seen(device):
     """A scene of integers, and a noisy photo of it: about 42 dB."""
     scene, camera = anchor_scene(1200, 64)
     scales = QuantizationScales(position=2000.0, offset=16.0, feature=16.0, scaling=16.0)
@@ -68,9 +68,7 @@ def without(
     return Renderer(device, left.dequantize()).render(view.camera)
 
 
-def test_importance_is_what_leaving_out_costs(
-    device: Device, seen: tuple[QuantizedScene, View], rng: np.random.Generator
-) -> None:
+def test_importance_is_what_leaving_out_costs(device, seen, rng):
     scene, view = seen
     repeats = 24
     estimate = importance(device, scene, [view.camera] * repeats) / repeats
@@ -86,9 +84,7 @@ def test_importance_is_what_leaving_out_costs(
     assert (np.abs(np.log(ratio)) < np.log(4)).all()
 
 
-def test_importance_is_the_same_every_time(
-    device: Device, seen: tuple[QuantizedScene, View]
-) -> None:
+def test_importance_is_the_same_every_time(device, seen):
     scene, view = seen
     first, second = (importance(device, scene, [view.camera]) for _ in range(2))
     np.testing.assert_array_equal(first, second)
@@ -96,9 +92,7 @@ def test_importance_is_the_same_every_time(
 
 
 @pytest.mark.parametrize("share", [0.95, 0.75])
-def test_a_size_is_met_and_the_useful_kept(
-    device: Device, seen: tuple[QuantizedScene, View], share: float
-) -> None:
+def test_a_size_is_met_and_the_useful_kept(device, seen, share):
     scene, view = seen
     judge = SceneJudge(device, [view] * 4, [view])
     target = int(share * len(fast(scene)))
@@ -114,7 +108,7 @@ def test_a_size_is_met_and_the_useful_kept(
     assert before > after > judge.psnr(blind.scene)
 
 
-def test_a_scene_that_fits_is_left_alone(device: Device, seen: tuple[QuantizedScene, View]) -> None:
+def test_a_scene_that_fits_is_left_alone(device, seen):
     scene, view = seen
     found = reduce_to_size(scene, len(fast(scene)), fast, SceneJudge(device, [view], [view]))
     assert found.scene is scene
@@ -122,9 +116,7 @@ def test_a_scene_that_fits_is_left_alone(device: Device, seen: tuple[QuantizedSc
     assert found.psnr[0] == found.psnr[1]
 
 
-def test_a_psnr_is_kept_with_fewer_anchors(
-    device: Device, seen: tuple[QuantizedScene, View]
-) -> None:
+def test_a_psnr_is_kept_with_fewer_anchors(device, seen):
     scene, view = seen
     judge = SceneJudge(device, [view], [view])
     whole = judge.psnr(scene)
@@ -138,7 +130,7 @@ def test_a_psnr_is_kept_with_fewer_anchors(
         reduce_to_psnr(scene, whole + 0.1, fast, judge)
 
 
-def test_the_same_bytes_every_time(device: Device, seen: tuple[QuantizedScene, View]) -> None:
+def test_the_same_bytes_every_time(device, seen):
     scene, view = seen
     target = int(0.8 * len(fast(scene)))
     judge = SceneJudge(device, [view] * 2, [view])
@@ -148,18 +140,14 @@ def test_the_same_bytes_every_time(device: Device, seen: tuple[QuantizedScene, V
 
 
 @pytest.mark.parametrize("tight", [1, 2])
-def test_nearly_the_whole_file_is_met(
-    device: Device, seen: tuple[QuantizedScene, View], tight: int
-) -> None:
+def test_nearly_the_whole_file_is_met(device, seen, tight):
     scene, view = seen
     target = len(fast(scene)) - tight
     found = reduce_to_size(scene, target, fast, SceneJudge(device, [view], [view]))
     assert 0.98 * target <= len(found.data) <= target
 
 
-def test_what_cannot_be_reached_is_refused_before_rendering(
-    device: Device, seen: tuple[QuantizedScene, View]
-) -> None:
+def test_what_cannot_be_reached_is_refused_before_rendering(device, seen):
     scene, view = seen
     renders: list[None] = []
     judge = SceneJudge(device, [view], [view], on_render=lambda: renders.append(None))
@@ -170,9 +158,7 @@ def test_what_cannot_be_reached_is_refused_before_rendering(
     assert renders
 
 
-def test_pictures_with_room_are_judged_at_half_the_resolution(
-    device: Device, seen: tuple[QuantizedScene, View], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pictures_with_room_are_judged_at_half_the_resolution(device, seen, monkeypatch):
     scene, view = seen
     widths: list[int] = []
 
@@ -190,9 +176,7 @@ def test_pictures_with_room_are_judged_at_half_the_resolution(
     assert widths == [side - 1, round(side / 2)]
 
 
-def test_masked_pixels_make_nothing_important(
-    device: Device, seen: tuple[QuantizedScene, View]
-) -> None:
+def test_masked_pixels_make_nothing_important(device, seen):
     """A masked half of the picture: what it alone shows is the first to go."""
     scene, view = seen
     mask = np.ones((64, 64), np.uint8)
@@ -207,7 +191,7 @@ def test_masked_pixels_make_nothing_important(
     assert half.curvature["feature"][right].sum() < 0.05 * whole.curvature["feature"][right].sum()
 
 
-def test_without_views_large_anchors_come_first(seen: tuple[QuantizedScene, View]) -> None:
+def test_without_views_large_anchors_come_first(seen):
     useful = importance_without_views(seen[0])
     shape = np.sort(seen[0].anchors.scaling[:, 3:], axis=1)[:, 1:].sum(axis=1)
     assert (np.diff(shape[np.argsort(useful, kind="stable")]) >= 0).all()
@@ -224,7 +208,7 @@ class Counting(SceneJudge):
 
 
 @pytest.mark.parametrize("anchors", [1, 2, 3, 53])
-def test_the_fewest_anchors_are_found_however_few(device: Device, anchors: int) -> None:
+def test_the_fewest_anchors_are_found_however_few(device, anchors):
     scene = random_scene(np.random.default_rng(2), 20_000)
     judge = Counting(device, [], [])
     found = reduce_to_psnr(scene, 7.0 + anchors, lambda _: b"", judge)
@@ -232,9 +216,7 @@ def test_the_fewest_anchors_are_found_however_few(device: Device, anchors: int) 
     assert found.psnr == (7.0 + len(scene.anchors), 7.0 + len(found.scene.anchors))
 
 
-def test_a_psnr_that_needs_no_anchor_is_refused(
-    device: Device, seen: tuple[QuantizedScene, View]
-) -> None:
+def test_a_psnr_that_needs_no_anchor_is_refused(device, seen):
     """A size that no file meets is refused likewise; both say what a file without anchors has."""
     scene, view = seen
     judge = SceneJudge(device, [view], [view])
@@ -253,7 +235,7 @@ def cameras(centres: list[float]) -> list[Camera]:
     return [Camera(np.eye(3), np.array([-x, 0.0, 0.0]), *size) for x in centres]
 
 
-def test_the_farthest_come_first() -> None:
+def test_the_farthest_come_first():
     line = cameras([0.0, 1.0, 2.0, 3.0, 10.0, 11.0, 5.0])
     assert spread(line, 1) == [0]
     assert spread(line, 2) == [0, 5]
@@ -261,7 +243,7 @@ def test_the_farthest_come_first() -> None:
     assert spread(line, 4) == [0, 2, 5, 6]
 
 
-def test_no_camera_comes_twice() -> None:
+def test_no_camera_comes_twice():
     one_place = cameras([1.0] * 5)
     assert spread(one_place, 3) == [0, 1, 2]
     assert spread(one_place, 9) == [0, 1, 2, 3, 4]

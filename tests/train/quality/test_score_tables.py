@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import csv
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ def scored(lpips: bool = True) -> tuple[dict[str, Any], list[ViewScore]]:
     return summarize(random_scene(np.random.default_rng(0)), scores, 1234), scores
 
 
-def test_a_summary_says_which_psnr_is_which() -> None:
+def test_a_summary_says_which_psnr_is_which():
     summary, scores = scored()
     assert (summary["psnr"], summary["psnr_channel_mean"], summary["lpips"]) == (30.5, 31.0, 0.5)
     for name in ("psnr:", "psnr_channel_mean:", "lpips: VGG"):
@@ -35,7 +34,7 @@ def test_a_summary_says_which_psnr_is_which() -> None:
     assert "lpips" not in scores[0].record()
 
 
-def test_inria_files_hold_means_and_views(tmp_path: Path) -> None:
+def test_inria_files_hold_means_and_views(tmp_path):
     write_inria(tmp_path / "new" / "scores", "ours_30000", *scored())
     results = json.loads((tmp_path / "new/scores/results.json").read_text())
     assert list(results) == ["ours_30000"]
@@ -50,7 +49,7 @@ def test_inria_files_hold_means_and_views(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-def test_survey_rows_are_added_under_one_header(tmp_path: Path) -> None:
+def test_survey_rows_are_added_under_one_header(tmp_path):
     table = tmp_path / "mic.csv"
     summary = scored()[0] | {"gaussians": 77}
     append_survey(table, "Baseline", summary)
@@ -65,7 +64,7 @@ def test_survey_rows_are_added_under_one_header(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"a,b\n1,2\n", b"\xff\x00", b"Submethod,PSNR\n"])
-def test_other_tables_stay_as_they_are(tmp_path: Path, content: bytes) -> None:
+def test_other_tables_stay_as_they_are(tmp_path, content):
     table = tmp_path / "other.csv"
     table.write_bytes(content)
     for act in (lambda: check_survey(table), lambda: append_survey(table, "", scored()[0])):

@@ -43,7 +43,7 @@ def drawn(seed: int, spread: float) -> tuple[npt.NDArray[np.float32], Floats]:
     price=st.sampled_from([0.0, 1e-5, 1e-2]),
 )
 @settings(max_examples=40, deadline=None)
-def test_no_integer_costs_less(seed: int, spread: float, q: float, price: float) -> None:
+def test_no_integer_costs_less(seed, spread, q, price):
     values, curvature = drawn(seed, spread)
     found = cheaper_integers(values, curvature, q, price)
     exact = values.astype(np.float64) * q
@@ -63,19 +63,19 @@ def test_no_integer_costs_less(seed: int, spread: float, q: float, price: float)
 
 
 @pytest.mark.parametrize("shape", [(40, 10, 3), (40, 6)])
-def test_keeps_the_shape(shape: tuple[int, ...], rng: np.random.Generator) -> None:
+def test_keeps_the_shape(shape, rng):
     values = rng.normal(size=shape).astype(np.float32)
     assert cheaper_integers(values, np.ones(shape), 4.0, 0.1).shape == shape
 
 
-def test_a_law_gives_the_nats_of_the_reference(rng: np.random.Generator) -> None:
+def test_a_law_gives_the_nats_of_the_reference(rng):
     integers = np.rint(rng.laplace(2.2, [0.0, 0.2, 1.0, 30.0], (300, 4)))
     wanted = nats_of(integers, integers)
     np.testing.assert_allclose(LaplaceLaw.of(integers).nats(integers), wanted, rtol=1e-12)
 
 
 @pytest.mark.parametrize("price", [1e-7, 1e-5, 1e-3])
-def test_the_best_scale_is_no_worse_than_any_other(price: float, rng: np.random.Generator) -> None:
+def test_the_best_scale_is_no_worse_than_any_other(price, rng):
     values = rng.laplace(0.0, 1.5, (3000, 4)).astype(np.float32)
     curvature = 10.0 ** rng.uniform(-5, -3, values.shape)
 
@@ -90,14 +90,14 @@ def test_the_best_scale_is_no_worse_than_any_other(price: float, rng: np.random.
     assert cost(found) <= 1.0001 * min(map(cost, tried))
 
 
-def test_values_near_integers_do_not_hold_the_scale_at_one(rng: np.random.Generator) -> None:
+def test_values_near_integers_do_not_hold_the_scale_at_one(rng):
     # At one integer per unit all share one integer; a little finer, they all lie between two.
     values = (rng.uniform(-0.05, 0.05, (500, 6)) - 4.0).astype(np.float32)
     curvature = np.full(values.shape, 1.0)
     assert best_scale(values, curvature, 1e-6) >= 32.0
 
 
-def test_dearer_bits_make_coarser_scales(rng: np.random.Generator) -> None:
+def test_dearer_bits_make_coarser_scales(rng):
     values = rng.laplace(0.0, 1.5, (500, 4)).astype(np.float32)
     curvature = np.full(values.shape, 1e-4)
     fine, coarse = (best_scale(values, curvature, price) for price in (1e-7, 1e-4))

@@ -29,7 +29,7 @@ WEIGHTS = loss.Weights(CONFIG.l1_weight, CONFIG.ssim_weight)
 
 
 @pytest.fixture(scope="module")
-def seen(device: Device) -> tuple[Scene, View]:
+def seen(device):
     """A scene, and a noisy photo of it."""
     scene, camera = anchor_scene(300, 48)
     frame = rasterise(
@@ -49,9 +49,7 @@ def picture(device: Device, scene: Scene, view: View) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["offset", "feature", "scaling"])
-def test_curvature_is_the_squared_length_of_the_derivative(
-    device: Device, seen: tuple[Scene, View], name: str
-) -> None:
+def test_curvature_is_the_squared_length_of_the_derivative(device, seen, name):
     scene, view = seen
     cameras = [view.camera] * VIEWS
     uploaded = upload_scene(device, scene)
@@ -73,9 +71,7 @@ def test_curvature_is_the_squared_length_of_the_derivative(
     assert 0.6 < np.median(ratio) < 2.0
 
 
-def test_the_room_that_earlier_views_left_changes_nothing(
-    device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_room_that_earlier_views_left_changes_nothing(device, monkeypatch):
     scene, camera = anchor_scene(8000, 64)
     uploaded, settings = upload_scene(device, scene), RenderSettings()
     aside = replace(camera, cx=camera.cx + 0.9 * camera.width)
@@ -106,7 +102,7 @@ def judged(device: Device, seen: tuple[Scene, View], scene: DeviceScene, unseen_
     return judge(found, *compare(device, CONFIG, scene, [seen[1]] * VIEWS), unseen_stay)
 
 
-def test_looks_are_means_over_the_views_asked(device: Device, seen: tuple[Scene, View]) -> None:
+def test_looks_are_means_over_the_views_asked(device, seen):
     scene, view = seen
     uploaded = upload_scene(device, scene)
     other = replace(view, camera=replace(view.camera, cx=view.camera.cx + 5.0))
@@ -127,7 +123,7 @@ def test_looks_are_means_over_the_views_asked(device: Device, seen: tuple[Scene,
     np.testing.assert_array_equal(left.seen, (firsts.seen | seconds.seen)[kept])
 
 
-def test_the_loss_is_that_of_the_views(device: Device, seen: tuple[Scene, View]) -> None:
+def test_the_loss_is_that_of_the_views(device, seen):
     scene, view = seen
     uploaded = upload_scene(device, scene)
     frame = rasterise(device, uploaded, upload_view(device, view.camera, RenderSettings()))
@@ -136,9 +132,7 @@ def test_the_loss_is_that_of_the_views(device: Device, seen: tuple[Scene, View])
     assert judged(device, seen, uploaded).loss == pytest.approx(value, rel=1e-6)
 
 
-def test_what_an_anchor_saves_in_units_of_the_loss(
-    device: Device, seen: tuple[Scene, View]
-) -> None:
+def test_what_an_anchor_saves_in_units_of_the_loss(device, seen):
     """Leaving out an anchor adds about e / (2 E) of the loss while that is small."""
     scene, view = seen
     found = judged(device, seen, upload_scene(device, scene))
@@ -156,7 +150,7 @@ def test_what_an_anchor_saves_in_units_of_the_loss(
     assert 0.5 < np.median(ratio) < 2.0
 
 
-def test_what_some_views_do_not_see_is_kept(device: Device, seen: tuple[Scene, View]) -> None:
+def test_what_some_views_do_not_see_is_kept(device, seen):
     scene, view = seen
     position = scene.anchors.position.copy()
     position[:7] = view.camera.centre - 50.0 * view.camera.rotation[2]  # behind the camera

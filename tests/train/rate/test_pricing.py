@@ -19,7 +19,6 @@ from clgs.train.rate.pricing import (
     priced_for_size,
     priced_within_loss,
 )
-from clgs.train.state.parameters import HostRows
 from tests.train.density.density_cases import state_at
 
 COUNT = 40
@@ -27,7 +26,7 @@ SCALES = QuantizationScales(position=2.0, offset=2.0, feature=2.0, scaling=2.0)
 
 
 @pytest.fixture
-def state(rng: np.random.Generator) -> HostRows:
+def state(rng):
     state = state_at(np.arange(3 * COUNT).reshape(COUNT, 3))
     for name, array in state.anchors.items():
         if name != "position":
@@ -36,7 +35,7 @@ def state(rng: np.random.Generator) -> HostRows:
 
 
 @pytest.fixture
-def now(state: HostRows, rng: np.random.Generator) -> Situation:
+def now(state, rng):
     shapes = {"offset": (K_OFFSETS, 3), "feature": (FEATURE_DIM,), "scaling": (6,)}
     curvature = {
         name: 10.0 ** rng.uniform(-9, -5, (COUNT, *shape)) for name, shape in shapes.items()
@@ -51,7 +50,7 @@ def measure(anchors: QuantizedAnchors, scales: QuantizationScales) -> int:
     return int(sum(np.log2(1 + np.abs(getattr(anchors, name))).sum() for name in names))
 
 
-def test_bits_for_nothing_change_nothing(now: Situation, state: HostRows) -> None:
+def test_bits_for_nothing_change_nothing(now, state):
     offer = priced(0.0, now)
     assert len(offer.kept) == COUNT
     before = state.anchors.map(np.copy)
@@ -62,7 +61,7 @@ def test_bits_for_nothing_change_nothing(now: Situation, state: HostRows) -> Non
         np.testing.assert_array_equal(array, getattr(state.anchors, name))
 
 
-def test_dearer_bits_leave_less(now: Situation) -> None:
+def test_dearer_bits_leave_less(now):
     sizes = []
     for price in (1e-9, 1e-7, 1e-5):
         offer = priced(price, now)
@@ -71,14 +70,14 @@ def test_dearer_bits_leave_less(now: Situation) -> None:
     assert sizes[0] > sizes[-1]
 
 
-def test_only_free_scales_change(now: Situation) -> None:
+def test_only_free_scales_change(now):
     free = Situation(now.anchors, now.judged, SCALES, frozenset({"feature"}))
     offer = priced(1e-6, free)
     assert offer.scales.feature != SCALES.feature
     assert (offer.scales.offset, offer.scales.scaling) == (SCALES.offset, SCALES.scaling)
 
 
-def test_a_price_that_loses_too_much_is_lowered(now: Situation) -> None:
+def test_a_price_that_loses_too_much_is_lowered(now):
     tried = []
 
     def loss(offer: PricedAnchors) -> float:
@@ -95,7 +94,7 @@ def test_a_price_that_loses_too_much_is_lowered(now: Situation) -> None:
 
 
 @pytest.mark.parametrize("share", [0.9, 0.5, 0.2])
-def test_a_size_is_met_from_below(now: Situation, share: float) -> None:
+def test_a_size_is_met_from_below(now, share):
     whole = priced(0.0, now)
     size = int(share * measure(whole.kept, whole.scales))
     offer = priced_for_size(size, now, measure)
@@ -105,7 +104,7 @@ def test_a_size_is_met_from_below(now: Situation, share: float) -> None:
     assert measure(cheaper.kept, cheaper.scales) >= found
 
 
-def test_a_size_that_holds_everything_is_seen_soon(now: Situation) -> None:
+def test_a_size_that_holds_everything_is_seen_soon(now):
     measured = []
 
     def counted(anchors: QuantizedAnchors, scales: QuantizationScales) -> int:
@@ -117,7 +116,7 @@ def test_a_size_that_holds_everything_is_seen_soon(now: Situation) -> None:
     assert len(measured) <= 5
 
 
-def test_what_is_applied(now: Situation, state: HostRows) -> None:
+def test_what_is_applied(now, state):
     offer = priced(3e-6, now)
     integers, rows = offer.integers, np.flatnonzero(offer.worth >= offer.price)
     first = {name: moments.first.copy() for name, moments in state.moments.items()}
@@ -134,7 +133,7 @@ def test_what_is_applied(now: Situation, state: HostRows) -> None:
         assert (state.moments[name].first[~still] == 0).all()
 
 
-def test_at_most_a_share_goes(now: Situation, state: HostRows) -> None:
+def test_at_most_a_share_goes(now, state):
     offer = priced(1.0, now)
     assert len(offer.kept) == 0
     before = state.anchors.position[:, 0].copy()
@@ -143,7 +142,7 @@ def test_at_most_a_share_goes(now: Situation, state: HostRows) -> None:
     assert np.isin(state.anchors.position[:, 0], before).all()
 
 
-def test_something_must_be_left(now: Situation, state: HostRows) -> None:
+def test_something_must_be_left(now, state):
     offer = priced(1.0, now)
     with pytest.raises(ClgsError, match="no anchors"):
         replace(offer, worth=np.full(COUNT, np.nan)).apply(state, 1.0)

@@ -23,7 +23,7 @@ CONFIG = TrainConfig(switch_step=0, growth_end=0, growth_start=0, statistics_sta
 
 
 @pytest.fixture
-def parameters(device: Device, rng: np.random.Generator) -> Parameters:
+def parameters(device, rng):
     shapes = ((COUNT, 3), (COUNT, 10, 3), (COUNT, 50), (COUNT, 6))
     anchors = AnchorSet(*(rng.laplace(0, 2, shape).astype(np.float32) for shape in shapes))
     return new_parameters(device, anchors, init_mlps(rng))
@@ -46,9 +46,7 @@ def added(device: Device, term: Priced, parameters: Parameters, step: int) -> di
     return {"bits": bits, **{name: device.download(zeros[f"d_{name}"]) for name in ANCHOR_GROUPS}}
 
 
-def test_the_gradient_is_that_of_the_price_of_all_bits(
-    device: Device, parameters: Parameters
-) -> None:
+def test_the_gradient_is_that_of_the_price_of_all_bits(device, parameters):
     price = 1e-6
     found = added(device, term_of(device, price), parameters, 10)
     total = 0.0
@@ -62,9 +60,7 @@ def test_the_gradient_is_that_of_the_price_of_all_bits(
     assert found["bits"] == pytest.approx(total, rel=1e-4)
 
 
-def test_every_step_gets_it_and_only_some_look_at_all_anchors(
-    device: Device, parameters: Parameters
-) -> None:
+def test_every_step_gets_it_and_only_some_look_at_all_anchors(device, parameters):
     term = term_of(device, 1e-6)
     assert added(device, term, parameters, 10)["bits"] is not None
     between = added(device, term, parameters, 13)
@@ -73,20 +69,16 @@ def test_every_step_gets_it_and_only_some_look_at_all_anchors(
 
 
 @pytest.mark.parametrize(("step", "due"), [(0, False), (1, True), (28_500, True), (28_501, False)])
-def test_between_the_switch_and_the_rest(
-    device: Device, parameters: Parameters, step: int, due: bool
-) -> None:
+def test_between_the_switch_and_the_rest(device, parameters, step, due):
     found = added(device, term_of(device, 1e-6), parameters, step)
     assert (np.abs(found["feature"]).max() > 0) == due
 
 
-def test_no_price_no_gradient(device: Device, parameters: Parameters) -> None:
+def test_no_price_no_gradient(device, parameters):
     assert not added(device, term_of(device, 0.0), parameters, 10)["feature"].any()
 
 
-def test_the_code_weighs_the_bits_of_an_anchor_now_and_then(
-    device: Device, parameters: Parameters
-) -> None:
+def test_the_code_weighs_the_bits_of_an_anchor_now_and_then(device, parameters):
     config = TrainConfig(
         switch_step=0, growth_end=0, growth_start=0, statistics_start=0, rate_weight=1e-4
     )
@@ -98,7 +90,7 @@ def test_the_code_weighs_the_bits_of_an_anchor_now_and_then(
     np.testing.assert_allclose(per_anchor, wanted, atol=2e-4 * np.abs(wanted).max())
 
 
-def test_a_step_done_again_gets_the_table_of_before(device: Device, parameters: Parameters) -> None:
+def test_a_step_done_again_gets_the_table_of_before(device, parameters):
     term = term_of(device, 1e-6)
     added(device, term, parameters, 10)
     first = added(device, term, parameters, 19)
@@ -111,7 +103,7 @@ def test_a_step_done_again_gets_the_table_of_before(device: Device, parameters: 
     np.testing.assert_array_equal(again["feature"], first["feature"])
 
 
-def test_size_that_is_shown_is_that_of_the_integers(device: Device, parameters: Parameters) -> None:
+def test_size_that_is_shown_is_that_of_the_integers(device, parameters):
     anchors = quantize(parameters.scene.anchors.map(device.download), SCALES)
     integers = {name: getattr(anchors, name) for name in ANCHOR_GROUPS}
     wanted = MLP_BYTES["float32"] + (sum(coded_bits(integers).values()) + COUNT * 12.0) / 8

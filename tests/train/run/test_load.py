@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ from tests.data.folders import (
 )
 
 
-def test_points_are_triangulated_once(tmp_path: Path):
+def test_points_are_triangulated_once(tmp_path):
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     write_room(tmp_path / "data", 6)
     stages: list[str] = []
@@ -43,7 +42,7 @@ def test_points_are_triangulated_once(tmp_path: Path):
     assert len(few.points) != len(data.points)
 
 
-def test_a_start_has_the_number_of_points_that_is_asked_for(tmp_path: Path):
+def test_a_start_has_the_number_of_points_that_is_asked_for(tmp_path):
     write_blender(tmp_path)
     data = load_dataset(tmp_path)
     assert len(with_points(data, TrainConfig(start_points=500)).points) == 500
@@ -54,7 +53,7 @@ def test_a_start_has_the_number_of_points_that_is_asked_for(tmp_path: Path):
     np.testing.assert_allclose(cube.mean(axis=0), 0.0, atol=0.06)
 
 
-def test_blender_points_are_carved_and_seeded(tmp_path: Path):
+def test_blender_points_are_carved_and_seeded(tmp_path):
     write_blender(tmp_path)
     read = load_dataset(tmp_path)
     assert len(read.points) == 0
@@ -71,7 +70,7 @@ def test_blender_points_are_carved_and_seeded(tmp_path: Path):
     assert not np.array_equal(with_points(read, TrainConfig(seed=1)).points, data.points)
 
 
-def test_photos_that_do_not_match_start_from_random_points(tmp_path: Path):
+def test_photos_that_do_not_match_start_from_random_points(tmp_path):
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     write_transforms(tmp_path)
     data = with_points(load_dataset(tmp_path), cache=tmp_path / "cache")
@@ -90,7 +89,7 @@ def turn_around(document: dict) -> None:
         frame["transform_matrix"] = matrix.tolist()
 
 
-def test_photos_from_the_middle_outwards_start_from_what_two_see(tmp_path: Path, monkeypatch):
+def test_photos_from_the_middle_outwards_start_from_what_two_see(tmp_path, monkeypatch):
     monkeypatch.setattr(load, "triangulate", no_points)
     document = write_transforms(tmp_path, 40)
     turn_around(document)
@@ -107,7 +106,7 @@ def no_points(*arguments: object) -> None:
     raise DataError("none")
 
 
-def test_cameras_that_share_no_sight_are_one_line(tmp_path: Path, monkeypatch):
+def test_cameras_that_share_no_sight_are_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(load, "triangulate", no_points)
     document = write_transforms(tmp_path, 5)
     turn_around(document)
@@ -116,7 +115,7 @@ def test_cameras_that_share_no_sight_are_one_line(tmp_path: Path, monkeypatch):
         with_points(load_dataset(tmp_path))
 
 
-def test_a_single_training_photo_starts_from_random_points(tmp_path: Path, caplog):
+def test_a_single_training_photo_starts_from_random_points(tmp_path, caplog):
     write_transforms(tmp_path, 2)
     assert len(with_points(load_dataset(tmp_path)).points) >= 50_000
     (warning,) = [record.getMessage() for record in caplog.records]
@@ -124,7 +123,7 @@ def test_a_single_training_photo_starts_from_random_points(tmp_path: Path, caplo
 
 
 @pytest.mark.parametrize("count", [0, 3])
-def test_a_model_of_few_points_starts_from_random_ones(tmp_path: Path, caplog, count: int):
+def test_a_model_of_few_points_starts_from_random_ones(tmp_path, caplog, count):
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     write_colmap(tmp_path, text=True)
     points = "".join(f"{i} 0 0 {i} 1 2 3 0.1\n" for i in range(1, count + 1))

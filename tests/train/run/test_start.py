@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,11 +21,11 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(5)
 
 
-def test_random_ones_are_those_of_the_seed() -> None:
+def test_random_ones_are_those_of_the_seed():
     np.testing.assert_array_equal(start_mlps(RANDOM, rng()).flat, init_mlps(rng()).flat)
 
 
-def test_trained_ones_are_the_same_for_all_seeds() -> None:
+def test_trained_ones_are_the_same_for_all_seeds():
     flat = start_mlps(TRAINED, rng()).flat
     assert flat.shape == (MLP_SIZE,)
     assert np.isfinite(flat).all()
@@ -34,7 +33,7 @@ def test_trained_ones_are_the_same_for_all_seeds() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".clgs"])
-def test_those_of_a_scene(tmp_path: Path, suffix: str) -> None:
+def test_those_of_a_scene(tmp_path, suffix):
     scene, path = random_scene(rng()), tmp_path / f"scene{suffix}"
     if suffix == ".npz":
         save_scene(path, scene)
@@ -44,19 +43,19 @@ def test_those_of_a_scene(tmp_path: Path, suffix: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["nothing.clgs", "nothing.npz", "photo.png", "gone"])
-def test_what_is_no_scene_is_refused(tmp_path: Path, name: str) -> None:
+def test_what_is_no_scene_is_refused(tmp_path, name):
     with pytest.raises(DataError, match=r"start_mlps|[Nn]o such file"):
         start_mlps(str(tmp_path / name), rng())
 
 
-def test_damaged_scenes_are_refused(tmp_path: Path) -> None:
+def test_damaged_scenes_are_refused(tmp_path):
     path = tmp_path / "scene.clgs"
     path.write_bytes(b"CLGS" + bytes(40))
     with pytest.raises(ClgsError):
         start_mlps(str(path), rng())
 
 
-def test_runs_start_from_them(dataset, cpu) -> None:
+def test_runs_start_from_them(dataset, cpu):
     settings = replace(preset("default").scaled(400), voxel=0.02).for_dataset(dataset.kind)
     assert (settings.start_mlps, preset("paper").start_mlps) == (TRAINED, RANDOM)
     for name in (TRAINED, RANDOM):
@@ -65,7 +64,7 @@ def test_runs_start_from_them(dataset, cpu) -> None:
         np.testing.assert_array_equal(found, start_mlps(name, np.random.default_rng(0)).flat)
 
 
-def test_photos_start_from_fewer_points_than_pixels(dataset, cpu) -> None:
+def test_photos_start_from_fewer_points_than_pixels(dataset, cpu):
     settings = replace(preset("default").scaled(400), voxel=0.02, start_pixels=4.0)
     photos = replace(dataset, kind="colmap")
     counts = [

@@ -51,18 +51,18 @@ def save(folder: Path, step: int, digest: str = DIGEST) -> Path:
     return checkpoint.save(folder, *content(step), digest)
 
 
-def test_round_trip_is_bit_exact(tmp_path: Path) -> None:
+def test_round_trip_is_bit_exact(tmp_path):
     path = save(tmp_path / "new" / "folder", 7)
     assert_content(checkpoint.load(path.parent, DIGEST), 7)
     with np.load(path, allow_pickle=False) as plain:  # an ordinary .npz
         np.testing.assert_array_equal(plain["position"], content(7)[0]["position"])
 
 
-def test_same_content_same_bytes(tmp_path: Path) -> None:
+def test_same_content_same_bytes(tmp_path):
     assert save(tmp_path / "a", 3).read_bytes() == save(tmp_path / "b", 3).read_bytes()
 
 
-def test_strided_and_fortran_arrays(tmp_path: Path) -> None:
+def test_strided_and_fortran_arrays(tmp_path):
     arrays: Arrays = {
         "strided": np.arange(20)[::3],
         "fortran": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
@@ -73,7 +73,7 @@ def test_strided_and_fortran_arrays(tmp_path: Path) -> None:
         np.testing.assert_array_equal(loaded[name], array)
 
 
-def test_the_last_two_are_kept(tmp_path: Path) -> None:
+def test_the_last_two_are_kept(tmp_path):
     (tmp_path / ".step_00000001.dead.npz").write_bytes(b"left by a killed process")
     (tmp_path / "notes.txt").write_text("not ours")
     for step in (100, 200, 300, 400):
@@ -83,7 +83,7 @@ def test_the_last_two_are_kept(tmp_path: Path) -> None:
     assert_content(checkpoint.load(tmp_path, DIGEST), 400)
 
 
-def test_a_run_that_went_back_drops_later_checkpoints(tmp_path: Path) -> None:
+def test_a_run_that_went_back_drops_later_checkpoints(tmp_path):
     for step in (100, 200):
         save(tmp_path, step)
     save(tmp_path, 150)
@@ -104,7 +104,7 @@ def damaged(data: bytes, kind: str, rng: np.random.Generator) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["flip", "truncate", "zero"])
-def test_damage_never_goes_unnoticed(tmp_path: Path, kind: str) -> None:
+def test_damage_never_goes_unnoticed(tmp_path, kind):
     """The newest loads with its own bits or the one before it is used, with a warning."""
     save(tmp_path, 100)
     newest = save(tmp_path, 200)
@@ -122,7 +122,7 @@ def test_damage_never_goes_unnoticed(tmp_path: Path, kind: str) -> None:
     assert fallbacks >= 120
 
 
-def test_every_byte_of_an_array_is_checked(tmp_path: Path) -> None:
+def test_every_byte_of_an_array_is_checked(tmp_path):
     save(tmp_path, 100)
     newest = save(tmp_path, 200)
     data = bytearray(newest.read_bytes())
@@ -135,7 +135,7 @@ def test_every_byte_of_an_array_is_checked(tmp_path: Path) -> None:
             assert_content(checkpoint.load(tmp_path, DIGEST), 100)
 
 
-def test_a_consistent_zip_with_other_arrays_is_noticed(tmp_path: Path) -> None:
+def test_a_consistent_zip_with_other_arrays_is_noticed(tmp_path):
     """The metadata's own checksums hold even where every CRC of the zip is right."""
     path = save(tmp_path, 5)
     with zipfile.ZipFile(path) as archive:
@@ -151,7 +151,7 @@ def test_a_consistent_zip_with_other_arrays_is_noticed(tmp_path: Path) -> None:
         checkpoint.load(tmp_path, DIGEST)
 
 
-def test_none_usable_is_one_clear_line(tmp_path: Path) -> None:
+def test_none_usable_is_one_clear_line(tmp_path):
     with pytest.raises(DataError, match="no checkpoint"):
         checkpoint.load(tmp_path, DIGEST)
     with pytest.raises(DataError, match="no checkpoint"):
@@ -166,14 +166,14 @@ def test_none_usable_is_one_clear_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_another_configuration_is_refused(tmp_path: Path) -> None:
+def test_another_configuration_is_refused(tmp_path):
     save(tmp_path, 1)
     save(tmp_path, 2, "b" * 64)
     with pytest.raises(DataError, match="was made with other settings or photos"):
         checkpoint.load(tmp_path, DIGEST)
 
 
-def test_another_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_format_is_refused(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "FORMAT_VERSION", 2)
         save(tmp_path, 1)
@@ -181,7 +181,7 @@ def test_another_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         checkpoint.load(tmp_path, DIGEST)
 
 
-def test_pickles_are_neither_written_nor_read(tmp_path: Path) -> None:
+def test_pickles_are_neither_written_nor_read(tmp_path):
     with pytest.raises((TypeError, ValueError)):
         checkpoint.save(tmp_path, {"x": np.array([{}], object)}, {"step": 1}, DIGEST)
     assert not list(tmp_path.iterdir())
@@ -203,9 +203,7 @@ def test_pickles_are_neither_written_nor_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("call", ["fsync", "replace"])
-def test_a_full_disk_leaves_the_previous_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
-) -> None:
+def test_a_full_disk_leaves_the_previous_one(tmp_path, monkeypatch, call):
     save(tmp_path, 100)
 
     def full(*_: object) -> None:
@@ -221,7 +219,7 @@ def test_a_full_disk_leaves_the_previous_one(
 
 
 @pytest.fixture
-def small_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def small_disk(tmp_path, monkeypatch):
     """There is room for two checkpoints, with the one that is being written."""
     whole = os.fsync
 
@@ -234,7 +232,7 @@ def small_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("small_disk")
-def test_the_checkpoint_before_the_newest_makes_room(tmp_path: Path) -> None:
+def test_the_checkpoint_before_the_newest_makes_room(tmp_path):
     for step in (100, 200, 300, 400):
         save(tmp_path, step)
         assert_content(checkpoint.load(tmp_path, DIGEST), step)
@@ -244,7 +242,7 @@ def test_the_checkpoint_before_the_newest_makes_room(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("small_disk")
-def test_what_a_killed_process_left_makes_room(tmp_path: Path) -> None:
+def test_what_a_killed_process_left_makes_room(tmp_path):
     save(tmp_path, 100)
     (tmp_path / ".step_00000200.dead.npz").write_bytes(b"left by a killed process")
     save(tmp_path, 200)
@@ -252,7 +250,7 @@ def test_what_a_killed_process_left_makes_room(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("small_disk")
-def test_the_only_whole_checkpoint_never_makes_room(tmp_path: Path) -> None:
+def test_the_only_whole_checkpoint_never_makes_room(tmp_path):
     save(tmp_path, 100)
     save(tmp_path, 200).write_bytes(b"damaged")
     with pytest.raises(ClgsError, match="No space left on device"):
@@ -273,7 +271,7 @@ for step in range(10**6):
 """
 
 
-def test_killed_while_writing(tmp_path: Path) -> None:
+def test_killed_while_writing(tmp_path):
     """What the killed process had reported as saved is there, or something later."""
     for wait in range(4):
         with subprocess.Popen(

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from clgs.lab.anchor_scene import anchor_scene
-from clgs.opencl.device import Device
 from clgs.ops.rate import forward
 from clgs.scene.anchors import QuantizationScales
 from clgs.train.config import TrainConfig
@@ -24,7 +23,7 @@ DIGEST = "d" * 64
 
 @pytest.mark.parametrize("exposure", [False, True])
 @pytest.mark.parametrize("late", [False, True])
-def test_a_checkpoint_brings_everything_back(device: Device, tmp_path, exposure, late):
+def test_a_checkpoint_brings_everything_back(device, tmp_path, exposure, late):
     """Before a first round nothing is known of the anchors, and there are no tables."""
     config = replace(TrainConfig(), exposure=exposure).for_dataset("photos")
     scene, _ = anchor_scene(300, 16)
@@ -75,7 +74,7 @@ def arrays_of(device, state):
     return {name: (array.shape, array.tobytes()) for name, array in host.items()}
 
 
-def test_every_view_once_an_epoch_in_changing_order() -> None:
+def test_every_view_once_an_epoch_in_changing_order():
     views = ViewOrder(20, 3)
     epochs = [[views.next() for _ in range(20)] for _ in range(5)]
     for epoch in epochs:
@@ -83,7 +82,7 @@ def test_every_view_once_an_epoch_in_changing_order() -> None:
     assert len({tuple(epoch) for epoch in epochs}) == 5
 
 
-def test_order_depends_on_the_seed_alone() -> None:
+def test_order_depends_on_the_seed_alone():
     def deal(seed: int) -> list[int]:
         views = ViewOrder(30, seed)
         return [views.next() for _ in range(60)]
@@ -93,7 +92,7 @@ def test_order_depends_on_the_seed_alone() -> None:
 
 
 @pytest.mark.parametrize("taken", [0, 1, 6, 7, 8, 20])
-def test_restored_views_continues_exactly(taken: int) -> None:
+def test_restored_views_continues_exactly(taken):
     views = ViewOrder(7, 5)
     for _ in range(taken):
         views.next()
@@ -101,7 +100,7 @@ def test_restored_views_continues_exactly(taken: int) -> None:
     assert [restored.next() for _ in range(30)] == [views.next() for _ in range(30)]
 
 
-def test_state_is_a_copy() -> None:
+def test_state_is_a_copy():
     views = ViewOrder(4, 0)
     views.next()
     state = views.record()
@@ -111,6 +110,6 @@ def test_state_is_a_copy() -> None:
     assert json.dumps(state) == before
 
 
-def test_no_views_is_an_error() -> None:
+def test_no_views_is_an_error():
     with pytest.raises(ValueError, match="no view"):
         ViewOrder(0, 0)

@@ -9,7 +9,7 @@ from clgs.train.config import LearningRates, TrainConfig, preset
 from clgs.train.step.schedule import learning_rates, log_linear
 
 
-def test_rates_at_start_middle_and_end() -> None:
+def test_rates_at_start_middle_and_end():
     config, radius = TrainConfig(), 4.0
     start = learning_rates(config, 0, radius)
     assert start == pytest.approx(
@@ -33,7 +33,7 @@ def test_rates_at_start_middle_and_end() -> None:
     assert learning_rates(config, 40_000, radius) == end
 
 
-def test_constant_groups_stay_exactly_constant() -> None:
+def test_constant_groups_stay_exactly_constant():
     config = preset("paper")
     for step in (1, 777, 29_999):
         rates = learning_rates(config, step, 2.0)
@@ -42,7 +42,7 @@ def test_constant_groups_stay_exactly_constant() -> None:
         )
 
 
-def test_horizon_scales_with_steps() -> None:
+def test_horizon_scales_with_steps():
     full, short = TrainConfig(), TrainConfig().scaled(3000)
     at_a_third, short_third = learning_rates(full, 10_000, 1.0), learning_rates(short, 1_000, 1.0)
     grown = {"feature": 10**0.5, "offset": 10**0.25, "exposure": 10**0.5}
@@ -51,11 +51,11 @@ def test_horizon_scales_with_steps() -> None:
 
 
 @given(st.floats(1e-6, 1.0), st.floats(1e-6, 1.0), st.floats(0.0, 1.0))
-def test_log_linear_is_linear_in_the_logarithm(first: float, last: float, progress: float) -> None:
+def test_log_linear_is_linear_in_the_logarithm(first, last, progress):
     expected = (1 - progress) * np.log(first) + progress * np.log(last)
     assert np.log(log_linear(first, last, progress)) == pytest.approx(expected, abs=1e-9)
 
 
-def test_rising_rates_are_allowed() -> None:
+def test_rising_rates_are_allowed():
     config = TrainConfig(learning_rates=LearningRates(feature=(0.001, 0.1)))
     assert learning_rates(config, 15_000, 1.0)["feature"] == pytest.approx(0.01)
