@@ -17,15 +17,16 @@ from pathlib import Path
 from typing import Any
 
 from reproduce.baseline import read_baseline
-from reproduce.cluster import connected, require_distributed, run_jobs
 from reproduce.report import write_report
 from reproduce.results import read_results
 from reproduce.table import Entry, Table, chosen, entries, jobs, read_table, run_folder
-from reproduce.worker import Row, stored_row
+from reproduce.worker import run_job, stored_row
 
 from clgs import __version__
-from clgs.cli.main import explain
+from clgs.cluster.engine import connected, require_distributed, run_tasks
+from clgs.cluster.worker import Row
 from clgs.errors import ClgsError, DataError
+from clgs.explain import explain
 from clgs.files import check_folder
 from clgs.lab.bench.plots import require_pyplot
 
@@ -163,7 +164,7 @@ def train(args: argparse.Namespace, table: Table, wanted: list[Entry]) -> list[R
         print(f"{name}: {figures}; {done}", file=sys.stderr, flush=True)
 
     with connected(args.workers, args.scheduler) as client:
-        rows = run_jobs(client, waiting, show_row, show_step)
+        rows = run_tasks(client, run_job, waiting, args.output / "kernels", show_row, show_step)
     return [row for row in rows if "error" in row]
 
 

@@ -21,6 +21,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "clgs train data -o small --target-size 500000",
         "clgs train data -o longer --from run --steps 6000",
     ),
+    "batch": (
+        "clgs batch scenes.toml -o runs --workers 2",
+        "clgs batch scenes.toml -o runs --scheduler tls://host:8786",
+    ),
     "encode": (
         "clgs encode run -o scene.clgs --level max",
         "clgs encode run -o small.clgs --target-size 600k --data data",

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 from clgs import __version__
 from clgs.cli.interruptions import Interruptions
 from clgs.cli.tell import tell
-from clgs.errors import ClgsError, DeviceError
-from clgs.files import is_full
+from clgs.errors import ClgsError
+from clgs.explain import explain
 
 if TYPE_CHECKING:
     import argparse
@@ -30,6 +30,7 @@ COMMANDS = {
     "doctor": "say what is wrong with a data set or with this machine",
     "prepare": "find the camera poses of a folder of photos, or of a video",
     "train": "train a scene from photos with poses",
+    "batch": "train the scenes of a table, side by side or on many machines",
     "encode": "compress a trained scene into one .clgs file",
     "decode": "decompress a .clgs file into a NumPy archive",
     "pack": "compress an ordinary 3DGS PLY file",
@@ -52,9 +53,6 @@ LABORATORY = ("selftest", "bench", "conformance", "accept")
 A module has ``register(parser)``, which adds the options, and ``run(args)``, which returns the exit
 code. It is imported only if its command is the one that runs.
 """
-
-LOST = ("OUT_OF_RESOURCES", "DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE", "INVALID_CONTEXT")
-"""What drivers answer once a device has failed, or is gone."""
 
 EPILOG = """\
 exit codes: 0 success, 1 failure, 2 usage, 3 data, 4 device, 130 interrupted
@@ -195,37 +193,3 @@ def complain(error: Exception) -> int:
     for line in (message, *notes):
         tell(f"clgs: error: {' '.join(line.split())}")
     return code
-
-
-def explain(error: Exception) -> tuple[str, int]:
-    """One line for the user and the exit code."""
-    if isinstance(error, ClgsError):
-        return str(error), error.exit_code
-    if isinstance(error, OSError):
-        name = f"{error.filename}: " if error.filename is not None else ""
-        remedy = "; free space and run it again" if is_full(error) else ""
-        return f"{name}{error.strerror or error}{remedy}", ClgsError.exit_code
-    if isinstance(error, MemoryError):
-        return "out of memory", ClgsError.exit_code
-    if isinstance(error, ImportError):
-        name = error.name or "a library"
-        if name.startswith("pyopencl"):
-            remedy = "install it: pip install pyopencl"
-            return f"pyopencl cannot be loaded ({error}); {remedy}", DeviceError.exit_code
-        return f"{name} cannot be loaded ({error}); install clgs again", ClgsError.exit_code
-    if type(error).__module__.startswith("pyopencl"):
-        return _explain_opencl(error), DeviceError.exit_code
-    hint = "this is a bug in clgs; CLGS_DEBUG=1 shows where"
-    return f"{type(error).__name__}: {error} ({hint})", ClgsError.exit_code
-
-
-def _explain_opencl(error: Exception) -> str:
-    first = (str(error).strip().splitlines() or ["unknown error"])[0]
-    if "MemoryError" in type(error).__name__:
-        return f"the device is out of memory ({first}); try a larger --downscale"
-    if any(code in first for code in LOST):
-        return (
-            f"the OpenCL device failed or was lost ({first}); run it again, a training with "
-            "--resume; if it fails again, `clgs accept` shows where"
-        )
-    return f"OpenCL: {type(error).__name__}: {first}"

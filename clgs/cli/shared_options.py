@@ -113,6 +113,24 @@ def add_overwrite(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--overwrite", action="store_true", help=f"replace {what}")
 
 
+def add_cluster(parser: argparse.ArgumentParser) -> None:
+    """Add --workers and --scheduler of the commands that train as tasks on dask.distributed."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--workers",
+        type=positive_int,
+        default=1,
+        metavar="N",
+        help="processes on this machine (default: 1)",
+    )
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of a dask scheduler, such as tls://host:8786, whose workers see all folders under "
+        "the same names; who reaches a scheduler can run code on its workers",
+    )
+
+
 def add_device_name(parser: argparse.ArgumentParser) -> None:
     """Add --device of the commands that use one device."""
     parser.add_argument("--device", help="number or part of the name, see `clgs devices`")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from clgs.cluster.table import Settings, checked, named, only, read_toml
 from clgs.errors import UsageError
 from clgs.train.config import TrainConfig, layered
 from clgs.train.config.sources import find
@@ -28,10 +27,6 @@ DIGITS = 12
 """Length of the digest in the name of a run."""
 
 MAX_SEED = 2**31
-NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
-
-Settings = dict[str, Any]
-"""Checked settings of training by name; those of tables are dotted."""
 
 
 @dataclass(frozen=True)
@@ -82,14 +77,7 @@ def read_table(path: Path) -> Table:
     Raises:
         UsageError: no such file, not TOML, or a name or value that cannot be; names where.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}; name a table of runs") from None
-    except UnicodeDecodeError:
-        raise UsageError(f"{path}: is not UTF-8 text; name a table of runs") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise UsageError(f"{path}: not a TOML file: {error}; correct it") from None
+    table = read_toml(path)
     try:
         return _table(table)
     except UsageError as error:
@@ -155,8 +143,8 @@ def jobs(
 ) -> list[dict[str, Any]]:
     """The runs of some entries, each once, as plain dictionaries that a worker is sent.
 
-    Keys: run (its name), data and folder (paths), settings, kernels (folder of built kernels), and
-    those of ``facts``, which come back in the row.
+    Keys: run (its name), data, folder and lock (paths), settings, and those of ``facts``, which
+    come back in the row.
     """
     found: dict[str, dict[str, Any]] = {}
     for one in wanted:
@@ -165,7 +153,7 @@ def jobs(
             "data": str((data / table.scenes[one.scene].data).resolve()),
             "folder": str(run_folder(output, one.run).resolve()),
             "settings": one.settings,
-            "kernels": str((output / "kernels").resolve()),
+            "lock": str(run_folder(output, one.run).resolve() / "lock"),
             "facts": dict(facts),
         }
     return list(found.values())
@@ -177,32 +165,17 @@ def run_folder(output: Path, run: str) -> Path:
 
 
 def _table(table: Mapping[str, Any]) -> Table:
-    _only(table, "the table", ("scene", "experiment"))
-    scenes = {name: _scene(name, one) for name, one in _named(table, "scene")}
-    experiments = {
-        name: _experiment(name, one, scenes) for name, one in _named(table, "experiment")
-    }
+    only(table, "the table", ("scene", "experiment"))
+    scenes = {name: _scene(name, one) for name, one in named(table, "scene")}
+    experiments = {name: _experiment(name, one, scenes) for name, one in named(table, "experiment")}
     if both := set(scenes) & set(experiments):
         raise UsageError(f"{min(both)}: names a scene and an experiment; rename one")
     return Table(scenes, experiments)
 
 
-def _named(table: Mapping[str, Any], kind: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """(name, table) of every ``[kind.name]``."""
-    found = table.get(kind)
-    if not isinstance(found, dict) or not found:
-        raise UsageError(f"{kind}: there is none; write [{kind}.NAME] and its fields")
-    for name, one in found.items():
-        if not NAME.fullmatch(name):
-            raise UsageError(f"{kind}.{name!r}: is no name; give letters, digits, . _ + or -")
-        if not isinstance(one, dict):
-            raise UsageError(f"{kind}.{name}: is not a table; write [{kind}.{name}]")
-        yield name, one
-
-
 def _scene(name: str, one: Mapping[str, Any]) -> Scene:
     where = f"scene.{name}"
-    _only(one, where, ("data", "settings", "protocol"))
+    only(one, where, ("data", "settings", "protocol"))
     settings = _settings(one.get("settings", {}), f"{where}.settings")
     protocol = one.get("protocol", "")
     if not isinstance(protocol, str):
@@ -215,7 +188,7 @@ def _scene(name: str, one: Mapping[str, Any]) -> Scene:
 
 def _experiment(name: str, one: Mapping[str, Any], scenes: Mapping[str, Scene]) -> Experiment:
     where = f"experiment.{name}"
-    _only(one, where, ("kind", "scenes", "seeds", "settings", "setting", "values", "variants"))
+    only(one, where, ("kind", "scenes", "seeds", "settings", "setting", "values", "variants"))
     kind = one.get("kind")
     if kind not in KINDS:
         raise UsageError(f"{where}.kind: {kind!r}; give {', '.join(KINDS)}")
@@ -266,14 +239,10 @@ def _ablation(variants: Any, where: str, settings: Settings) -> dict[str, Settin
 
 def _settings(values: Any, where: str) -> Settings:
     """Checked settings; what the table or the options choose is none of them."""
-    if not isinstance(values, dict):
-        raise UsageError(f"{where}: is not a table of settings")
-    if taken := {"seed", "checkpoint_interval"} & set(values):
+    found = checked(values, where)
+    if taken := {"seed", "checkpoint_interval"} & set(found):
         raise UsageError(f"{where}: {min(taken)} is no setting here; give the experiment's seeds")
-    try:
-        return {name: find(name).check(value) for name, value in values.items()}
-    except UsageError as error:
-        raise UsageError(f"{where}: {error}") from None
+    return found
 
 
 def _scenes(wanted: Any, where: str, scenes: Mapping[str, Scene]) -> list[str]:
@@ -293,12 +262,6 @@ def _seeds(one: Mapping[str, Any], where: str) -> list[int]:
     if not usable or not seeds:
         raise UsageError(f"{where}.seeds: {seeds!r}; give whole numbers, such as [0, 1, 2]")
     return list(dict.fromkeys(seeds))
-
-
-def _only(table: Mapping[str, Any], where: str, known: tuple[str, ...]) -> None:
-    for name in table:
-        if name not in known:
-            raise UsageError(f"{where}: no field {name!r}; it may have {', '.join(known)}")
 
 
 def config_of(job: Mapping[str, Any]) -> TrainConfig:

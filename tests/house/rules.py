@@ -10,13 +10,13 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path, PurePath
 
 LAYERS = [  # a package may import from its own row and the rows above it
-    {"arguments", "constants", "errors", "ffmpeg", "files", "machine", "memory", "options"}
-    | {"quantities", "reference", "shapes", "signals"},
+    {"arguments", "constants", "errors", "explain", "ffmpeg", "files", "machine", "memory"}
+    | {"options", "quantities", "reference", "shapes", "signals"},
     {"opencl", "scene"},
     {"ops", "codec", "data"},
     {"render", "exports", "poses"},
     {"bake", "jax", "torch", "train"},
-    {"viewer", "workflow"},
+    {"cluster", "viewer", "workflow"},
     {"cli", "doctor"},
     {"__main__", "lab"},  # the laboratory measures the product, which never needs it
 ]

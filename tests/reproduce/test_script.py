@@ -62,11 +62,11 @@ def test_wrong_options_are_refused(script, words):
 
 def test_without_dask_one_line_says_what_to_install(call, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    assert call() == (1, ['reproduce: error: tasks need dask: pip install "clgs[reproduce]"'])
+    assert call() == (1, ['reproduce: error: tasks need dask: pip install "clgs[distributed]"'])
 
 
 def test_no_scheduler_is_one_line(call, monkeypatch):
-    monkeypatch.setattr("reproduce.cluster.CONNECT_SECONDS", 1)
+    monkeypatch.setattr("clgs.cluster.engine.CONNECT_SECONDS", 1)
     code, lines = call("--scheduler", "tcp://127.0.0.1:1")
     assert code == 2
     assert lines[-1].startswith("reproduce: error: --scheduler tcp://127.0.0.1:1: no scheduler")

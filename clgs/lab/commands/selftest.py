@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the checks; exit code 0, or 1 if one fails."""
     from dataclasses import asdict
 
-    from clgs.cli.main import explain
+    from clgs.explain import explain
     from clgs.files import write_json
     from clgs.lab.facts import machine_facts
     from clgs.lab.selftest.render_checks import selftest

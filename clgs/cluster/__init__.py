@@ -1,0 +1,1 @@
+"""Runs as tasks on dask.distributed: on this machine, or wherever a scheduler has workers."""

@@ -1,0 +1,43 @@
+"""Any failure in one line for the user, with the exit code of a command."""
+
+from __future__ import annotations
+
+from clgs.errors import ClgsError, DeviceError
+from clgs.files import is_full
+
+LOST = ("OUT_OF_RESOURCES", "DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE", "INVALID_CONTEXT")
+"""What drivers answer once a device has failed, or is gone."""
+
+
+def explain(error: Exception) -> tuple[str, int]:
+    """One line for the user and the exit code."""
+    if isinstance(error, ClgsError):
+        return str(error), error.exit_code
+    if isinstance(error, OSError):
+        name = f"{error.filename}: " if error.filename is not None else ""
+        remedy = "; free space and run it again" if is_full(error) else ""
+        return f"{name}{error.strerror or error}{remedy}", ClgsError.exit_code
+    if isinstance(error, MemoryError):
+        return "out of memory", ClgsError.exit_code
+    if isinstance(error, ImportError):
+        name = error.name or "a library"
+        if name.startswith("pyopencl"):
+            remedy = "install it: pip install pyopencl"
+            return f"pyopencl cannot be loaded ({error}); {remedy}", DeviceError.exit_code
+        return f"{name} cannot be loaded ({error}); install clgs again", ClgsError.exit_code
+    if type(error).__module__.startswith("pyopencl"):
+        return _explain_opencl(error), DeviceError.exit_code
+    hint = "this is a bug in clgs; CLGS_DEBUG=1 shows where"
+    return f"{type(error).__name__}: {error} ({hint})", ClgsError.exit_code
+
+
+def _explain_opencl(error: Exception) -> str:
+    first = (str(error).strip().splitlines() or ["unknown error"])[0]
+    if "MemoryError" in type(error).__name__:
+        return f"the device is out of memory ({first}); try a larger --downscale"
+    if any(code in first for code in LOST):
+        return (
+            f"the OpenCL device failed or was lost ({first}); run it again, a training with "
+            "--resume; if it fails again, `clgs accept` shows where"
+        )
+    return f"OpenCL: {type(error).__name__}: {first}"
