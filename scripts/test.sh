@@ -5,6 +5,8 @@
 # a clean environment, outside of the checkout. scripts/release_checks.sh has what takes hours.
 set -euo pipefail
 
+unset PYTHONDONTWRITEBYTECODE # else each of the many processes compiles tests and clgs again
+
 ci=
 if [ "${1:-}" = --ci ]; then
     ci=1

@@ -173,7 +173,7 @@ def hashes() -> dict[str, str]:
     return {line[66:]: line[:64] for line in lines}
 
 
-@pytest.mark.parametrize("name", vectors())
+@pytest.mark.parametrize("name", hashes())
 def test_vector(name):
     encode, decoders, expected = vectors()[name]
     data = encode()

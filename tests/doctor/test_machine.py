@@ -39,6 +39,12 @@ def run_clgs(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture
+def no_packages(monkeypatch):
+    """They are imported in processes of their own, which takes most of an examination."""
+    monkeypatch.setattr(machine, "OPTIONAL", {})
+
+
+@pytest.fixture
 def pocl_alone():
     names = [device.platform.name for device in choose.list_devices()]
     if set(names) != {"Portable Computing Language"} or not absence.drivers():
@@ -71,6 +77,7 @@ def test_drivers_that_are_not_named_or_do_not_load(tmp_path):
     assert "empty.icd" in done.stderr
 
 
+@pytest.mark.usefixtures("no_packages")
 def test_a_device_that_computes_wrongly_is_an_error(monkeypatch):
     monkeypatch.setattr(machine, "device_errors", lambda device: [("scan", 2.0, 1.0)])
     monkeypatch.setattr("clgs.opencl.device.Device.build_all", lambda device: iter(()))
@@ -90,6 +97,7 @@ def test_a_device_that_computes_wrongly_is_an_error(monkeypatch):
 def test_a_package_that_cannot_be_loaded_is_found(tmp_path, monkeypatch, source, problem):
     (tmp_path / "pycolmap.py").write_text(source)
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(machine, "OPTIONAL", {"pycolmap": machine.OPTIONAL["pycolmap"]})
     monkeypatch.setattr(machine, "_devices", lambda: iter(()))  # which have tests of their own
     (found,) = [one for one in examine_machine().findings if one.where == "pycolmap"]
     assert found.level == WARNING
@@ -97,6 +105,7 @@ def test_a_package_that_cannot_be_loaded_is_found(tmp_path, monkeypatch, source,
     assert found.remedy == "pip install --force-reinstall pycolmap"
 
 
+@pytest.mark.usefixtures("no_packages")
 @pytest.mark.parametrize("variable", ["CLGS_LANES", "CLGS_SPECIALISATION"])
 def test_a_variable_that_says_nothing_known_is_to_be_corrected(monkeypatch, variable):
     monkeypatch.setenv(variable, "9")
@@ -125,6 +134,7 @@ def test_memory_is_known_on_linux():
         assert (available_memory() or 0) > 0
 
 
+@pytest.mark.usefixtures("no_packages")
 def test_a_program_that_does_not_build_is_named(monkeypatch):
     from clgs.opencl import programs
 
