@@ -14,7 +14,7 @@ from urllib.parse import unquote
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.images import SUFFIXES, list_images, posed_size, scales_evenly
+from clgs.data.images import SUFFIXES, posed_size, scales_evenly
 from clgs.data.lens import Lens
 from clgs.data.masks import find_mask
 from clgs.data.posed_photo import Photo
@@ -51,8 +51,8 @@ class PhotoFolder:
     """The files of a folder, found by the names that a data set has for them.
 
     A name that no file has also finds the one file that differs from it in no more than these:
-    capitals, slashes, Unicode's forms of one letter, escapes of URLs, characters that Windows
-    replaces, .jpeg for .jpg, and the folders above, if the name is that of another machine.
+    capitals, slashes, Unicode's forms of one letter or space, escapes of URLs, characters that
+    Windows replaces, .jpeg for .jpg, and the folders above, if the name is that of another machine.
     """
 
     def __init__(self, path: Path) -> None:
@@ -92,13 +92,13 @@ class PhotoFolder:
         return there and path.resolve().is_relative_to(self.path.resolve())
 
     def _find_alike(self, listed: ListedPhoto) -> Path | None:
-        name = _plain(listed.name)
+        name = plain_name(listed.name)
         if self._alike is None:
             self._alike = {}
             for where, _, files in os.walk(self.path):
                 for path in (Path(where, file) for file in files):
                     if path.suffix.lower() in SUFFIXES:
-                        key = _plain(path.relative_to(self.path).as_posix())
+                        key = plain_name(path.relative_to(self.path).as_posix())
                         self._alike.setdefault(key, []).append(path)
         names = [name, *(name + suffix for suffix in SUFFIXES)]
         found = [path for each in names for path in self._alike.get(each, ())]
@@ -149,10 +149,11 @@ def locate_all(
             photos[photo.name] = photo
     if not photos:
         first = f" ({missing[0][:80]} and so on)" if missing else ""
-        others = list_images(folder) if folder.is_dir() else []
-        there = (
-            f"; {others[0].name[:80]!r} is one of {len(others)} that are there" if others else ""
-        )
+        others = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)
+        there = ""
+        if others:
+            example = others[0].relative_to(folder).as_posix()
+            there = f"; {example[:80]!r} is one of {len(others)} that are there"
         raise DataError(
             f"{source}: none of the {len(listed)} listed photos is in {folder}{there}; put them "
             f"there{first}"
@@ -191,9 +192,9 @@ def locate(listed: ListedPhoto, root: Path, files: PhotoFolder) -> Photo | None:
     return Photo(name, path, lens, listed.rotation, listed.translation, mask, other)
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """A name of a photo without what may differ between machines."""
-    text = unicodedata.normalize("NFC", unquote(name).replace("\\", "/")).casefold()
+    text = unicodedata.normalize("NFKC", unquote(name).replace("\\", "/")).casefold()
     text = PurePosixPath(re.sub(r'[<>:"|?*]', "_", text)).as_posix()
     return re.sub(r"\.jpeg$", ".jpg", text)
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.lens import Lens
-from clgs.data.locate import ListedPhoto, inside, locate_all
+from clgs.data.locate import ListedPhoto, inside, locate_all, plain_name
 from clgs.data.posed_photo import Photo, PhotoSet, hold_out, rigid
 from clgs.errors import DataError
 
@@ -85,30 +85,29 @@ def read_transforms(root: Path) -> PhotoSet:
     if not keys:
         return found
     found.split = True
-    known = {name for photo in photos for name in photo.names} | set(missing)
-    known |= {str(PurePosixPath(name).with_suffix("")) for name in known}
     lists: dict[str, set[str]] = {}
     for key in keys:
         given = document[key]
         if not (isinstance(given, list) and all(isinstance(name, str) for name in given)):
             raise DataError(f"{file}: {key} is not a list of strings; correct it")
-        lists[key] = {PurePosixPath(name.replace("\\", "/")).as_posix() for name in given}
-    for key, names in lists.items():
-        if strangers := sorted(names - known):
+        lists[key], strangers = _find_listed(given, photos, missing)
+        if strangers:
             said = ", ".join(strangers[:8])
             _log.warning("%s: %s: no frame has the name %s", file, key, said)
+        if key == "train_filenames" and not lists[key]:
+            raise DataError(f"{file}: {key} lists no photo of a frame; correct or remove it")
     held_out = {name for key in SPLITS[1:] for name in lists.get(key, ())}
     tested = lists.get("test_filenames") or lists.get("val_filenames", set())
     wanted = lists.get("train_filenames")
-    found.test = [photo for photo in photos if _listed(photo, tested)]
-    found.train = [photo for photo in photos if not _listed(photo, held_out)]
+    found.test = [photo for photo in photos if photo.name in tested]
+    found.train = [photo for photo in photos if photo.name not in held_out]
     if wanted is not None:
-        if both := [p.name for p in photos if _listed(p, wanted) and _listed(p, held_out)]:
+        if both := [p.name for p in photos if p.name in wanted & held_out]:
             said = "is held out as well, so it is not trained on"
             _log.warning("%s: train_filenames: %s %s", file, ", ".join(both[:8]), said)
         if keys == ["train_filenames"]:
-            found.test = [photo for photo in photos if not _listed(photo, wanted)]
-        found.train = [photo for photo in found.train if _listed(photo, wanted)]
+            found.test = [photo for photo in photos if photo.name not in wanted]
+        found.train = [photo for photo in found.train if photo.name in wanted]
     return found
 
 
@@ -287,7 +286,32 @@ def read_json(file: Path, lenient: bool = False) -> Any:
         raise DataError(f"{file}: invalid JSON ({problem}); correct it") from error
 
 
-def _listed(photo: Photo, names: set[str]) -> bool:
-    return any(
-        name in names or str(PurePosixPath(name).with_suffix("")) in names for name in photo.names
-    )
+def _find_listed(
+    given: list[str], photos: list[Photo], missing: list[str]
+) -> tuple[set[str], list[str]]:
+    """The names of the photos that a list means, and those on the list that no frame has.
+
+    An entry may lack its suffix, differ as names on two machines do, or lack folders or have more
+    of them than the frame, as long as it fits one photo alone.
+    """
+    known = [(photo.name, name) for photo in photos for name in photo.names]
+    known += [("", name) for name in missing]
+    exact: dict[str, set[str]] = {}
+    alike: dict[str, set[str]] = {}
+    bare: dict[str, set[str]] = {}
+    for photo, name in known:
+        for form in (name, str(PurePosixPath(name).with_suffix(""))):
+            plain = plain_name(form)
+            exact.setdefault(form, set()).add(photo)
+            alike.setdefault(plain, set()).add(photo)
+            bare.setdefault(PurePosixPath(plain).name, set()).add(photo)
+    found: set[str] = set()
+    strangers = set()
+    for name in given:
+        plain, portable = plain_name(name), PurePosixPath(name.replace("\\", "/")).as_posix()
+        named = bare.get(PurePosixPath(plain).name, set())
+        fitting = exact.get(portable) or alike.get(plain) or (named if len(named) == 1 else set())
+        found |= fitting
+        if not fitting:
+            strangers.add(portable)
+    return found - {""}, sorted(strangers)

@@ -138,6 +138,25 @@ def test_names_of_files_that_are_there_are_told(tmp_path):
         read_photo_set(tmp_path)
 
 
+def test_files_in_folders_are_told_as_well(tmp_path):
+    document = write_transforms(tmp_path, 4)
+    for frame in document["frames"]:
+        frame["file_path"] = Path(frame["file_path"]).name
+    save_json(tmp_path, document)
+    with pytest.raises(DataError, match=r"'images/000\.png' is one of 4 that are there; put them"):
+        read_photo_set(tmp_path)
+
+
+def test_spaces_of_other_widths_are_spaces(tmp_path):
+    document = write_transforms(tmp_path, 4)
+    for frame in document["frames"]:
+        path = tmp_path / frame["file_path"]
+        path.rename(path.with_name(f"shot 9.41\u202f{path.name}"))
+        frame["file_path"] = f"images/shot 9.41 {path.name}"
+    save_json(tmp_path, document)
+    assert read_photo_set(tmp_path).missing == []
+
+
 MASKS = [
     *("masks/002.png", "masks/002.png.png", "masks/002.jpg", "mask/002.png.jpg"),
     *(

@@ -87,6 +87,27 @@ def test_a_listed_name_that_no_frame_has_is_told(tmp_path, caplog):
     assert [one.getMessage() for one in caplog.records] == [said]
 
 
+@pytest.mark.parametrize("form", ["{}", "{}.PNG", "/home/me/set/images/{}.png", "images\\{}.png"])
+def test_a_list_may_name_its_photos_as_another_machine_does(tmp_path, caplog, form):
+    document = write_transforms(tmp_path, 6)
+    save_json(tmp_path, document | {"train_filenames": [form.format(f"00{n}") for n in (1, 4)]})
+    photos = read_transforms(tmp_path)
+    assert [p.name for p in photos.train] == ["images/001.png", "images/004.png"]
+    assert len(photos.test) == 4
+    assert not caplog.text
+
+
+def test_a_list_that_names_no_photo_is_told_and_not_guessed(tmp_path):
+    document = write_transforms(tmp_path, 6)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "images" / "001.png").rename(tmp_path / "other" / "000.png")
+    document["frames"][1]["file_path"] = "other/000.png"
+    for names in ([], ["nope.png"], ["000.png"]):  # the last fits two photos
+        save_json(tmp_path, document | {"train_filenames": names})
+        with pytest.raises(DataError, match="train_filenames lists no photo of a frame"):
+            read_transforms(tmp_path)
+
+
 def test_points_that_the_file_names_are_taken(tmp_path, caplog):
     document = write_transforms(tmp_path, 6) | {"ply_file_path": "sparse_pc.ply"}
     save_json(tmp_path, document)
