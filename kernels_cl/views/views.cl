@@ -325,8 +325,7 @@ __kernel void views_backward(__global const float *mean, __global const float *s
     load_rows1(d_depth, item, used, &d_deep);
     load_rows1(opacity, item, used, &opaque);
     load_rows1(d_compensated, item, used, &d_opaque);
-    load_rows3(mean, item, used, position);
-    const Sight s = see(mean, shape, rotation, camera, blur, item, used);
+    Sight s = see(mean, shape, rotation, camera, blur, item, used);
     const iv drawn = box[0] > (fv)(0.0f);
     factor_gradient(&s.p, factor, d_factor, d_a, d_b, d_size);
     const fv d_share = COMPENSATED ? d_opaque * opaque * s.share : (fv)(0.0f);
@@ -342,6 +341,9 @@ __kernel void views_backward(__global const float *mean, __global const float *s
     store_rows3(d_position, d_mean, item, used);
     store_rows1(&d_opaque, d_opacity, item, used);
 
+    /* Read again: kept in registers until here, they leave Intel's compiler 8 work-items. */
+    load_rows3(mean, item, used, position);
+    load_shape(&s, shape, rotation, item, used);
     fv d_seen[3][3]; /* by the columns of the shape in camera space */
     for (int k = 0; k < 3; ++k)
         for (int row = 0; row < 3; ++row)
