@@ -9,7 +9,7 @@ from typing import Any
 from clgs.data.masks import MASKS
 from clgs.errors import DataError
 from clgs.poses.child import OnStage, run_child
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict
+from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict, point_figures
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 
 LEAST_GOOD = 3
@@ -54,9 +54,4 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, float]:
         for name in names:
             (target / "images" / name).unlink()
             (target / MASKS / f"{name}.png").unlink(missing_ok=True)
-        return {
-            "points": model.num_points3D(),
-            "observations": model.compute_num_observations(),
-            "error": model.compute_mean_reprojection_error(),
-            "track_length": model.compute_mean_track_length(),
-        }
+        return point_figures(model)

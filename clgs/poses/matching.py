@@ -214,7 +214,7 @@ def _match(
     matches = {}
     with workspace.open() as database:
         numbers = workspace.ids(database)
-        for some in _by_tiles(pairs):
+        for some in by_tiles(pairs):
             used = sorted({place for pair in some for place in pair})
             rows, photos = [], []
             for place in used:
@@ -245,7 +245,9 @@ def _write_and_verify(workspace: Workspace, found: Mapping[Pair, Matches], stage
     verify(workspace, strong, stage)
 
 
-def _by_tiles(pairs: Sequence[Pair]) -> Iterator[list[Pair]]:
+def by_tiles(pairs: Sequence[Pair]) -> Iterator[list[Pair]]:
+    """Group pairs so that each group is of few photos."""
+
     def tiles(pair: Pair) -> Pair:
         return pair[0] // TILE, pair[1] // TILE
 

@@ -28,7 +28,7 @@ from clgs.poses.gps import fit, read_positions
 from clgs.poses.judging.agreement import poses_of
 from clgs.poses.judging.evidence import MAX_CONTRADICTED, ModelChoice
 from clgs.poses.judging.judge import judge, unconfirmed
-from clgs.poses.judging.verdict import Verdict, verdict_of
+from clgs.poses.judging.verdict import Verdict, point_figures, verdict_of
 from clgs.poses.known import (
     Known,
     contradiction,
@@ -39,6 +39,7 @@ from clgs.poses.known import (
 )
 from clgs.poses.mapping import ask_all_mappers, look_again, map_half, map_photos
 from clgs.poses.matching import match, match_in_full, read_evidence
+from clgs.poses.more_points import add_points
 from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import OnProgress, Workspace
@@ -115,7 +116,7 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         positions, origin = read_positions(files)
         workspace = replace(workspace, known=posed, positions=positions)
         extract(workspace, size, quick)
-        workspace, choice = _match_and_map(workspace, known, quick, notes)
+        workspace, choice, shortened = _match_and_map(workspace, known, quick, notes)
         choice = look_again(workspace, choice)
         second = None if quick else map_half(workspace, choice)
         if not quick and (doubtful := unconfirmed(choice, second)):
@@ -130,6 +131,9 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
                 "textured, motionless scene"
             )
         model = choice.kept.reconstruction
+        if shortened:
+            add_points(workspace, model, choice.evidence)
+            verdict = replace(verdict, **point_figures(model))
         world = _put_into_world(workspace, model, known, origin, own_names, notes)
         for file, name in own_names.items():
             (work / "numbered" / file).rename(work / "images" / name)
@@ -145,8 +149,12 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
 
 def _match_and_map(
     workspace: Workspace, known: Known, quick: bool, notes: list[str]
-) -> tuple[Workspace, ModelChoice]:
-    """Match the photos and find a model; the workspace that is returned has no refuted poses."""
+) -> tuple[Workspace, ModelChoice, bool]:
+    """Match the photos and find a model.
+
+    Returns:
+        The workspace without poses that are refuted, the model, and whether features were left out.
+    """
     cameras = set_lenses(workspace)
     pairs = pairs_to_match(workspace)
     shortened = match(workspace, pairs)
@@ -160,8 +168,8 @@ def _match_and_map(
     choice = map_photos(workspace, quick)
     if shortened and not quick and choice.kept.explained.contradicted > MAX_CONTRADICTED:
         match_in_full(workspace, pairs)  # what looks alike may differ in small features
-        choice = map_photos(workspace, quick)
-    return workspace, choice
+        choice, shortened = map_photos(workspace, quick), False
+    return workspace, choice, shortened
 
 
 def _put_into_world(

@@ -17,7 +17,7 @@ from clgs.opencl.device import Device
 
 STAGES = (
     *("read", "features", "matches", "geometry", "poses", "other poses", "second look"),
-    *("more poses", "check", "undistort", "masks", "report"),
+    *("more poses", "check", "points", "undistort", "masks", "report"),
 )
 """The stages of ``prepare`` in order; some reconstructions skip some of them."""
 

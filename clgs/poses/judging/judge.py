@@ -13,7 +13,14 @@ import numpy as np
 
 from clgs.poses.judging.agreement import PoseDifference, Poses, angle, differences, poses_of
 from clgs.poses.judging.evidence import MAX_CONTRADICTED, Explained, ModelChoice
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
+from clgs.poses.judging.verdict import (
+    DOUBTFUL,
+    GOOD,
+    LEFT_OUT,
+    PhotoVerdict,
+    Verdict,
+    point_figures,
+)
 
 MAX_TURN, MAX_SHIFT = 0.5, 2.0
 """Degrees by which a second reconstruction may differ: half of what training forgives."""
@@ -92,10 +99,7 @@ def judge(
     return Verdict(
         registered=model.num_reg_images(),
         total=len(names),
-        points=model.num_points3D(),
-        observations=model.compute_num_observations(),
-        error=float(model.compute_mean_reprojection_error()),
-        track_length=float(model.compute_mean_track_length()),
+        **point_figures(model),
         mapper=kept.mapper,
         explained={one.mapper: one.explained.total for one in choice.candidates},
         apart=tuple(filter(None, apart)),

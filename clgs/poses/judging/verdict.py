@@ -70,6 +70,16 @@ class Verdict:
         return [photo for photo in self.photos if photo.status == status]
 
 
+def point_figures(model: Any) -> dict[str, Any]:
+    """Compute the fields of a verdict that count points, of a pycolmap reconstruction."""
+    return {
+        "points": model.num_points3D(),
+        "observations": model.compute_num_observations(),
+        "error": float(model.compute_mean_reprojection_error()),
+        "track_length": float(model.compute_mean_track_length()),
+    }
+
+
 def verdict_of(plain: Mapping[str, Any]) -> Verdict:
     """Make a verdict of what ``dataclasses.asdict`` made of one, perhaps with lists for tuples."""
     photos = tuple(

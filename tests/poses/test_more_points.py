@@ -1,0 +1,75 @@
+"""Features that matching left out become points where the scene is, and move nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clgs.opencl.device import Device
+from clgs.poses import matching
+from clgs.poses.features import extract
+from clgs.poses.judging.agreement import Poses, common_similarity, poses_of
+from clgs.poses.mapping import map_photos
+from clgs.poses.more_points import MAX_REPROJECTION_ERROR, add_points
+from clgs.poses.pairs import pairs_to_match
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.workspace import Workspace
+from tests.data.folders import write_room_photos
+
+pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+
+PHOTOS = 8
+LARGEST = 200
+"""Features of a photo by which the first model is made."""
+
+
+def test_points_are_added_on_the_walls_of_a_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(matching, "MAX_FULL", 0)
+    monkeypatch.setattr(matching, "ENOUGH_MATCHES", 0)
+    truth = write_room_photos(tmp_path / "images", PHOTOS)
+    names, progress = [f"{number}.png" for number in range(PHOTOS)], []
+    with quiet_pycolmap("a test") as pycolmap:
+        workspace = Workspace(
+            pycolmap,
+            Device(),
+            tmp_path / "images",
+            tmp_path,
+            names,
+            [0] * PHOTOS,
+            0,
+            lambda *step: progress.append(step),
+        )
+        pycolmap.set_random_seed(0)
+        extract(workspace, 320, quick=False)
+        assert matching.match(workspace, pairs_to_match(workspace), LARGEST)
+        choice = map_photos(workspace, quick=True)
+        model = choice.kept.reconstruction
+        before = {number: (point.xyz, point.track) for number, point in model.points3D.items()}
+        poses = poses_of(model)
+        add_points(workspace, model, choice.evidence)
+    after = poses_of(model)
+    assert np.array_equal(poses.rotation, after.rotation)
+    assert np.array_equal(poses.centre, after.centre)
+    stage, done, total = progress[-1]
+    assert stage == "points"
+    assert done == total > 0
+    assert all(
+        np.array_equal(model.point3D(number).xyz, xyz) for number, (xyz, _) in before.items()
+    )
+    added = [point for number, point in model.points3D.items() if number not in before]
+    assert len(added) > len(before) > 50
+    used = [
+        (e.image_id, e.point2D_idx)
+        for point in model.points3D.values()
+        for e in point.track.elements
+    ]
+    assert len(used) == len(set(used))
+    assert all(point.error <= MAX_REPROJECTION_ERROR for point in added)
+    rotation = np.array([pose[:3, :3].T for pose in truth])
+    centre = np.array([pose[:3, 3] for pose in truth])
+    world = common_similarity(after, Poses(names, rotation, centre, np.ones(PHOTOS)))
+    placed = np.array([point.xyz for point in added])
+    placed = world.scale * placed @ world.turn.T + world.offset
+    assert np.quantile(np.abs(placed).min(axis=1), 0.95) < 0.05
