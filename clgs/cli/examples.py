@@ -33,6 +33,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "clgs decode scene.clgs -o scene.npz",
         "clgs decode scene.clgs -o part.npz --box -1,-1,-1,1,1,1",
     ),
+    "crop": (
+        "clgs crop run -o part.clgs --box -1,-1,-1,1,1,1",
+        "clgs crop run -o object.clgs --object --seen 3",
+        "clgs crop scene.clgs -o near.clgs --sphere 0,0,0,2 --data data",
+    ),
     "pack": ("clgs pack splat.ply -o splat.clgs --step scale=0.03",),
     "unpack": ("clgs unpack splat.clgs -o splat.ply",),
     "render": (

@@ -33,6 +33,7 @@ COMMANDS = {
     "batch": "train the scenes of a table, side by side or on many machines",
     "encode": "compress a trained scene into one .clgs file",
     "decode": "decompress a .clgs file into a NumPy archive",
+    "crop": "keep a part of a trained scene, without training",
     "pack": "compress an ordinary 3DGS PLY file",
     "unpack": "decompress what `clgs pack` made into a PLY file",
     "render": "render views or a clip of a scene",

@@ -96,6 +96,12 @@ def add_files(parser: argparse.ArgumentParser, name: str, source: str, output: s
     add_overwrite(parser, "the output if it exists (default: refuse)")
 
 
+def add_box(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--box``: six numbers."""
+    form = "x0,y0,z0,x1,y1,z1"
+    parser.add_argument("--box", type=numbers(form), metavar=form, help="only the part in this box")
+
+
 def add_level(parser: argparse.ArgumentParser) -> None:
     """Add the option ``--level``, which the encoder checks."""
     parser.add_argument("--level", default="default", help="fast, default, max or paper")
@@ -227,6 +233,23 @@ def frame_size(text: str) -> tuple[int, int]:
     if not all(len(side) < 10 and 1 <= int(side) <= MAX_SIDE for side in found.groups()):
         raise argparse.ArgumentTypeError(f"{text}: sides are 1 to {MAX_SIDE} pixels")
     return int(found[1]), int(found[2])
+
+
+def numbers(form: str) -> Callable[[str], list[float]]:
+    """The type of arguments that are as many numbers, with commas between, as names in ``form``."""
+    count = form.count(",") + 1
+
+    def parse(text: str) -> list[float]:
+        try:
+            found = [float(value) for value in plain_digits(text).split(",")]
+        except ValueError:
+            found = []
+        if len(found) != count:
+            needed = f"{count} numbers are needed, {form}"
+            raise argparse.ArgumentTypeError(f"{text}: {needed}")
+        return found
+
+    return parse
 
 
 def number_within(least: float, most: float, words: str) -> Callable[[str], float]:

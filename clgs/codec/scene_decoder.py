@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -30,8 +29,8 @@ from clgs.codec.container.sections import (
 )
 from clgs.codec.workers import workers
 from clgs.constants import K_OFFSETS
-from clgs.errors import UsageError
 from clgs.scene.anchors import QuantizedAnchors, take
+from clgs.scene.region import Box
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.world import in_words
 
@@ -62,33 +61,6 @@ def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
         if join_hashes(list(hashes)) != reader.meta.content_hash:
             raise reader.error(META, "the decoded integers do not match their hash")
     return reader.scene(anchors, weights.result())
-
-
-@dataclass(frozen=True)
-class Box:
-    """lower <= x < upper on every axis, in the units of the input data; ends may be infinite.
-
-    Raises:
-        UsageError: an end is not a number, or a lower end is not below the upper one.
-    """
-
-    lower: tuple[float, float, float]
-    upper: tuple[float, float, float]
-
-    def __post_init__(self) -> None:
-        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
-            if not low < high:
-                raise UsageError(f"box: {axis} from {low:g} to {high:g} is empty; lower end first")
-
-    def holds(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-        """Whether each of ``points`` (N, 3) lies in the box."""
-        return np.asarray(((points >= self.lower) & (points < self.upper)).all(axis=1))
-
-    def meets(
-        self, least: npt.NDArray[np.float64], greatest: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.bool_]:
-        """Whether each of the closed boxes with these corners (N, 3) has a point in this one."""
-        return np.asarray(((greatest >= self.lower) & (least < self.upper)).all(axis=1))
 
 
 def decode_box(source: RandomAccess, box: Box, threads: int | None = None) -> QuantizedScene:

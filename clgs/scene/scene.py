@@ -100,6 +100,10 @@ class QuantizedScene:
         """One line: the fields would be pages."""
         return f"<QuantizedScene: {len(self.anchors):,} anchors>"
 
+    def world_position(self) -> npt.NDArray[np.float64]:
+        """Positions of the anchors (A, 3) in the units of the input data."""
+        return self.transform.to_world(self.anchors.position / np.float64(self.scales.position))
+
     def dequantize(self) -> Scene:
         """The float32 scene that is rendered."""
         anchors = dequantize(self.anchors, self.scales)

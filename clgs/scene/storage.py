@@ -76,8 +76,7 @@ def save_scene(path: Path | str, scene: QuantizedScene) -> None:
             if f"{group}.{name}" in LATER and scene.transform.frame == LOCAL:
                 continue
             arrays[f"{group}.{name}"] = np.array(value, np.float64)
-    position = scene.anchors.position / np.float64(scene.scales.position)
-    arrays["world_position"] = scene.transform.to_world(position)
+    arrays["world_position"] = scene.world_position()
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
     atomic_write(path, buffer.getvalue())

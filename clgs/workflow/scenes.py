@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from clgs.codec.container.sections import BytesSource, FileSource
-from clgs.codec.scene_decoder import Box, decode, decode_box
+from clgs.codec.scene_decoder import decode, decode_box
 from clgs.codec.splat_packing import is_splats, unpack
 from clgs.data.splats.sog import images_in
 from clgs.errors import CodecError, DataError
+from clgs.scene.region import Box
 from clgs.scene.scene import QuantizedScene, SplatScene
 from clgs.scene.storage import load_scene
 from clgs.scene.world import in_words

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from clgs.cli.shared_options import add_files, add_threads, plain_digits
+from clgs.cli.shared_options import add_box, add_files, add_threads
 
 DESCRIPTION = """\
 Decompress a .clgs file into a NumPy archive, or into a PLY file as the reference code writes it.
@@ -25,30 +25,18 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Add the command and its options."""
     parser.description = DESCRIPTION
     add_files(parser, "scene", "FILE.clgs", "FILE.npz|FILE.ply")
-    add = parser.add_argument
-    add("--box", type=_box, metavar="x0,y0,z0,x1,y1,z1", help="only the part in this box")
+    add_box(parser)
     add_threads(parser)
-
-
-def _box(text: str) -> list[float]:
-    try:
-        numbers = [float(number) for number in plain_digits(text).split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 6:
-        needed = "six numbers are needed, x0,y0,z0,x1,y1,z1"
-        raise argparse.ArgumentTypeError(f"{text}: {needed}")
-    return numbers
 
 
 def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
     from clgs.cli.tell import tell
-    from clgs.codec.scene_decoder import Box
     from clgs.data.splats.anchors import save_scaffold
     from clgs.data.splats.mlps_archive import mlps_path
     from clgs.errors import UsageError
     from clgs.files import check_output
+    from clgs.scene.region import Box
     from clgs.scene.storage import save_scene
     from clgs.workflow.outputs import check_new
     from clgs.workflow.scenes import read_bitstream, read_box

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from clgs.codec.container.sections import BytesSource, FileSource
-from clgs.codec.scene_decoder import Box, decode, decode_box
+from clgs.codec.scene_decoder import decode, decode_box
 from clgs.codec.scene_encoder import encode
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.region import Box
 from clgs.scene.scene import SceneTransform
 from tests.codec.scenes import GOLDEN, assert_same, random_scene
 

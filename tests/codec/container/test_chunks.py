@@ -12,9 +12,10 @@ from clgs import _codec
 from clgs.codec import octree
 from clgs.codec.container import chunks
 from clgs.codec.container.sections import BytesSource, read_table
-from clgs.codec.scene_decoder import Box, decode, decode_box, describe
+from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.errors import CodecError
+from clgs.scene.region import Box
 from codec_c.reader.coding import xxh64
 from tests.codec.container.damage import checked, contents, directory, rebuilt, unpack_rows
 from tests.codec.scenes import GOLDEN, assert_same, random_scene

@@ -1,0 +1,58 @@
+"""Parts of space that are kept of a scene, in the units of the input data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Box:
+    """lower <= x < upper on every axis, in the units of the input data; ends may be infinite.
+
+    Raises:
+        UsageError: an end is not a number, or a lower end is not below the upper one.
+    """
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
+            if not low < high:
+                raise UsageError(f"box: {axis} from {low:g} to {high:g} is empty; lower end first")
+
+    def holds(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """Whether each of ``points`` (N, 3) lies in the box."""
+        return np.asarray(((points >= self.lower) & (points < self.upper)).all(axis=1))
+
+    def meets(
+        self, least: npt.NDArray[np.float64], greatest: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.bool_]:
+        """Whether each of the closed boxes with these corners (N, 3) has a point in this one."""
+        return np.asarray(((greatest >= self.lower) & (least < self.upper)).all(axis=1))
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """All points within ``radius`` of ``centre``, in the units of the input data.
+
+    Raises:
+        UsageError: the radius is not above 0, or a number is not finite.
+    """
+
+    centre: tuple[float, float, float]
+    radius: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([*self.centre, self.radius]).all() and self.radius > 0):
+            shown = ",".join(f"{value:g}" for value in (*self.centre, self.radius))
+            raise UsageError(f"sphere: {shown} is none; give a centre and a radius above 0")
+
+    def holds(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """Whether each of ``points`` (N, 3) lies in the sphere or on it."""
+        return np.asarray(np.linalg.norm(points - self.centre, axis=1) <= self.radius)

@@ -1,0 +1,123 @@
+"""A part of a trained scene, without training: `clgs crop`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs.codec.fit_size import take
+from clgs.data.masks import USED, Mask
+from clgs.data.reduction import OBJECT
+from clgs.data.view import View
+from clgs.errors import DataError, UsageError
+from clgs.opencl.device import Device
+from clgs.render.frame import upload_scene
+from clgs.render.renderer import Renderer
+from clgs.scene.region import Box, Sphere
+from clgs.scene.scene import QuantizedScene
+from clgs.train.quality.score_views import mean_psnr
+from clgs.train.quality.visibility import visibility
+from clgs.workflow.events import OnEvent, counter, ignore
+from clgs.workflow.options import ViewOptions
+from clgs.workflow.views import data_of, drawing_options, load_views
+
+INSIDE = 0.5
+"""Share of an anchor's weight in masked pictures that must lie where the masks show the object."""
+
+
+@dataclass(frozen=True)
+class CroppedScene:
+    """The part that was kept, its file, and PSNR (dB) before and after on ``views`` photos.
+
+    psnr is None, and views 0, if no data set is known.
+    """
+
+    scene: QuantizedScene
+    data: bytes
+    psnr: tuple[float, float] | None
+    views: int
+
+
+def crop(
+    path: Path,
+    scene: QuantizedScene,
+    encode: Callable[[QuantizedScene], bytes],
+    views: ViewOptions,
+    *,
+    regions: Sequence[Box | Sphere] = (),
+    masked: bool = False,
+    least_views: int = 0,
+    on_event: OnEvent = ignore,
+) -> CroppedScene:
+    """Keep the anchors that meet all conditions, with all their integers; the MLPs stay.
+
+    Args:
+        path: where ``scene`` was read.
+        scene: what is cropped.
+        encode: gives the bytes of a scene.
+        views: names the data set, if there is one, and how its photos are read.
+        regions: an anchor must lie in each.
+        masked: at least INSIDE of an anchor's weight in the training photos that have a mask, or
+            alpha, must lie where these show the object. PSNR is over the background there.
+        least_views: the least number of training photos that must show an anchor.
+        on_event: called as pictures are drawn.
+
+    Raises:
+        UsageError: nothing would be left, or photos are needed and not known.
+        DataError: the data set is damaged, that of another scene, or has no masks.
+    """
+    if views.data is None and (masked or least_views):
+        views = replace(views, data=data_of(path))
+    kept = np.ones(len(scene.anchors), bool)
+    for region in regions:
+        kept &= region.holds(scene.world_position())
+    if views.data is None:
+        cropped = _left(path, scene, kept)
+        return CroppedScene(cropped, encode(cropped), None, 0)
+    dataset = load_views(path, scene, views, on_event)
+    if masked and any(view.mask for view in dataset.train):
+        dataset = load_views(path, scene, replace(views, masks=OBJECT), on_event)
+    device, options = Device(views.device), drawing_options(path, views, scene)
+    if masked or least_views:
+        masks = [_object_mask(view) if masked else None for view in dataset.train]
+        if masked and not any(mask is not None for mask in masks):
+            raise DataError(f"{views.data}: no training photo has a mask; leave out --object")
+        seen = visibility(
+            device,
+            upload_scene(device, scene.dequantize()),
+            scene.settings,
+            [view.camera for view in dataset.train],
+            masks,
+            options,
+            counter("looking at views", len(dataset.train), on_event),
+        )
+        kept &= seen.views >= least_views
+        if masked:
+            kept &= (seen.inside >= INSIDE * seen.weight) & (seen.weight > 0)
+    cropped = _left(path, scene, kept)
+    scored = dataset.test or dataset.train
+    advance = counter("measuring PSNR", 2 * len(scored), on_event)
+    before, after = (
+        mean_psnr(
+            Renderer(device, one.dequantize(), options), scored, one.settings.background, advance
+        )
+        for one in (scene, cropped)
+    )
+    return CroppedScene(cropped, encode(cropped), (before, after), len(scored))
+
+
+def _left(path: Path, scene: QuantizedScene, kept: npt.NDArray[np.bool_]) -> QuantizedScene:
+    """The anchors where ``kept`` (A,) is true; UsageError if there are none."""
+    if not kept.any():
+        raise UsageError(f"{path}: nothing would be left; `clgs info` shows the extent of a file")
+    return take(scene, np.flatnonzero(kept))
+
+
+def _object_mask(view: View) -> Mask | None:
+    """Where the photo shows the object, by its alpha; None if it has none."""
+    alpha = view.photo.pixels().alpha
+    return None if alpha is None else (alpha >= USED).astype(np.uint8)
