@@ -186,7 +186,8 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         """Gradients by all that lies on the screen, colors and backgrounds."""
         call, device = ctx.call, ctx.call.device
         before, whitening, _, _, _, colors, _ = ctx.saved_tensors
-        d_image, d_left = host_of(d[0]), host_of(-d[1][..., 0])
+        # in NumPy: threads of PyTorch would take those of the device
+        d_image, d_left = host_of(d[0]), np.negative(host_of(d[1]))[..., 0]
         found: list[ChannelGradients] = []
         shared: list[DeviceArray] = []
         for at, (batch, number) in enumerate(np.ndindex(whitening.shape[:2])):

@@ -93,8 +93,11 @@ def gathered(
 
 
 def packed_rows(rows: npt.NDArray[np.int64] | None, every: Floats) -> Floats:
-    """The rows that are drawn, of (B, C, N, ...); all if arrays are not packed."""
-    return every if rows is None else every.reshape(-1, *every.shape[3:]).take(rows, axis=0)
+    """The rows that are drawn, of (B, C, N, 2); all if arrays are not packed."""
+    if rows is None:
+        return every
+    pairs = every.reshape(-1, 2).view(np.int64)  # two floats as one number move faster
+    return pairs.take(rows, axis=0).view(np.float32)
 
 
 def unpacked_rows(
@@ -103,9 +106,9 @@ def unpacked_rows(
     """The mirror of packed_rows, of (..., 2); zeros elsewhere."""
     if rows is None:
         return some.reshape(*sizes, 2)
-    every = np.zeros((int(np.prod(sizes)), 2), np.float32)
-    every[rows] = some
-    return every.reshape(*sizes, 2)
+    every = np.zeros(int(np.prod(sizes)), np.int64)
+    every[rows] = np.ascontiguousarray(some).view(np.int64)[:, 0]
+    return every.view(np.float32).reshape(*sizes, 2)
 
 
 def tensor_rows(rows: npt.NDArray[np.int64] | None, every: Tensor) -> Tensor:
