@@ -172,14 +172,14 @@ def usable_workers(
 
 def _kinds(client: Client, kernels: Path, device: str | None) -> dict[str, dict[str, str]]:
     """The kind of every worker by its address."""
-    told = {}
+    kinds = {}
     for address, facts in client.scheduler_info(n_workers=-1)["workers"].items():
         ask = partial(describe, str(kernels.resolve()), device, str(facts["id"]))
         found = client.run(ask, workers=[address], on_error="return")[address]
         if isinstance(found, Exception):  # clgs is missing there, or has no such module
             raise UsageError(f"worker {facts['id']} at {address}: {_explain(found)}")
-        told[address] = found
-    return told
+        kinds[address] = found
+    return kinds
 
 
 def _explain(error: Exception) -> str:

@@ -86,7 +86,7 @@ def describe(kernels: str, device: str | None, name: str) -> dict[str, str]:
 
 
 def difference(own: dict[str, str], wanted: dict[str, str]) -> str:
-    """Why a worker of the kind ``own`` cannot work beside those that are ``wanted``; "" if it can.
+    """Why a worker of the kind ``own`` cannot work with those that are ``wanted``; "" if it can.
 
     Both as of :func:`describe`.
     """
