@@ -20,14 +20,21 @@ def poses(views) -> Poses:
     return Poses(list(names), np.array(rotation), np.array(centre), np.full(len(names), 3.0))
 
 
-@pytest.mark.slow
-def test_poses_of_the_room_are_right_or_doubted(tmp_path):
+@pytest.mark.parametrize(
+    "width",
+    [
+        pytest.param(320, marks=pytest.mark.slow),
+        pytest.param(None, marks=pytest.mark.release, id="full"),
+    ],
+)
+def test_poses_of_the_room_are_right_or_doubted(tmp_path, width):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     import made_captures
 
-    taken = made_captures.photograph("room", tmp_path / "room")
+    size = {} if width is None else {"width": width}
+    taken = made_captures.photograph("room", tmp_path / "room", **size)
     # Of this seed the model of all pairs lays one side of the room onto another on some machines.
     verdict = prepare(tmp_path / "room", tmp_path / "data", seed=4)
     photos = read_colmap(tmp_path / "data", tmp_path / "data" / "sparse" / "0")
