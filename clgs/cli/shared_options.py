@@ -96,10 +96,10 @@ def add_files(parser: argparse.ArgumentParser, name: str, source: str, output: s
     add_overwrite(parser, "the output if it exists (default: refuse)")
 
 
-def add_box(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--box``: six numbers."""
+def add_box(parser: argparse.ArgumentParser, what: str = "only the part in this box") -> None:
+    """Add the option ``--box``: six numbers; ``what`` it does, in words."""
     form = "x0,y0,z0,x1,y1,z1"
-    parser.add_argument("--box", type=numbers(form), metavar=form, help="only the part in this box")
+    parser.add_argument("--box", type=numbers(form), metavar=form, help=what)
 
 
 def add_level(parser: argparse.ArgumentParser) -> None:

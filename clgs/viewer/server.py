@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.data.view import View
 from clgs.errors import ClgsError
@@ -22,6 +23,8 @@ FRUSTUM_DEPTH = 0.05
 
 LINE = 1.5
 """Pixels."""
+
+BOX_COLOR = (240, 200, 40)
 
 COLORS = {"train": (40, 90, 220), "test": (230, 120, 20)}
 START = 1.25
@@ -37,7 +40,8 @@ class Shown:
     """A scene, photos by split, and where to begin.
 
     background: red, green and blue in [0, 1]; unit: what the scene is made of, "anchors" or
-    "Gaussians"; nbytes: of its file, if there is one.
+    "Gaussians"; nbytes: of its file, if there is one; box: two opposite corners (2, 3) of a box
+    whose edges are shown, in scene units.
     """
 
     live: LiveScene
@@ -46,6 +50,7 @@ class Shown:
     background: tuple[float, float, float]
     unit: str
     nbytes: int | None
+    box: npt.NDArray[np.float64] | None = None
 
 
 def load_viser() -> Any:
@@ -73,6 +78,9 @@ def open_server(shown: Shown, host: str, port: int, token: str) -> Any:
             server = viser.ViserServer(host=host, port=port, label="clgs", verbose=False)
     except OSError as error:
         raise ClgsError(f"port {port} cannot be opened ({error}); give another --port") from error
+    if shown.box is not None:
+        edges, width = box_edges(shown.box), {"thickness": LINE, "thickness_units": "screen"}
+        server.scene.add_line_segments("/box", edges, BOX_COLOR, **width)
     framing = shown.framing
     server.scene.set_up_direction(tuple(framing.up))
     start = framing.place(framing.arc[0] if framing.closed else sum(framing.arc) / 2)
@@ -92,6 +100,14 @@ def open_server(shown: Shown, host: str, port: int, token: str) -> Any:
     server.on_client_connect(enter)
     server.on_client_disconnect(leave)
     return server
+
+
+def box_edges(box: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+    """The ends of the 12 edges, (12, 2, 3), of the box between two opposite corners (2, 3)."""
+    bits = np.indices((2, 2, 2)).reshape(3, 8).T
+    corners = np.where(bits, box[1], box[0])
+    pairs = [(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit]
+    return np.asarray(corners[pairs], np.float32)
 
 
 def close_server(server: Any) -> None:

@@ -174,6 +174,8 @@ def test_splats_are_scored_and_over_another_background_differ(here, tmp_path):
         ("render splats.ply --path orbit --smallest-anchor 2 -o x", 2, "--smallest-anchor: splats"),
         ("eval splats.ply --data data --smallest-anchor 2", 2, "--smallest-anchor: splats.ply"),
         ("view splats.ply --smallest-anchor 2", 2, "--smallest-anchor: splats.ply holds splats"),
+        ("view s.npz --box -inf,0,0,1,1,1", 2, "--box: a box without an end cannot be shown"),
+        ("view s.npz --box 0,0,0,1,-1,1", 2, "box: y from 0 to -1 is empty; lower end first"),
         ("view s.npz --max-size 90", 2, "--max-size: no photos are known without --data"),
         ("view s.npz --masks object", 2, "--masks: no photos are known without --data"),
         ("eval splats.ply --hashes s.npz", 2, "splats.ply: holds splats; --hashes are those of"),

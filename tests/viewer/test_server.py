@@ -13,7 +13,7 @@ from clgs.exports.clip.framing import frame_cameras, frame_scene
 from clgs.lab.anchor_scene import anchor_scene
 from clgs.viewer.guard import may_enter
 from clgs.viewer.live import LiveScene, eye_of
-from clgs.viewer.server import Shown, close_server, open_server
+from clgs.viewer.server import Shown, box_edges, close_server, open_server
 from tests.codec.scenes import random_scene
 from tests.exports.clip.test_paths import ring
 from tests.viewer.test_live import photo_view
@@ -21,6 +21,8 @@ from tests.viewer.test_live import photo_view
 viser = pytest.importorskip("viser", reason="needs clgs[view]")
 
 TOKEN = "secret"
+
+BOX = np.array([[-1.0, -2.0, 0.5], [1.0, 3.0, 1.5]])
 
 PATIENCE = 120
 """Seconds after which an answer is taken for missing."""
@@ -34,7 +36,7 @@ def server(open_device, rng):
     framing = frame_cameras(cameras, frame_scene(random_scene(rng, 20), (80, 60)))
     photos = {"train": [photo_view(camera) for camera in cameras], "test": []}
     opened = open_server(
-        Shown(live, photos, framing, (0.0, 0.0, 0.0), "anchors", 1_000_000),
+        Shown(live, photos, framing, (0.0, 0.0, 0.0), "anchors", 1_000_000, BOX),
         "127.0.0.1",
         18_080,
         TOKEN,
@@ -101,6 +103,19 @@ def test_a_browser_gets_a_coarse_and_a_fine_picture_after_a_move(server):
         received = messages(socket)
         heights = {next_picture(received).shape[0] for _ in range(2)}
     assert max(heights) == 160
+
+
+def test_the_edges_of_a_box_are_shown(server):
+    with connect(server) as socket:
+        send(socket, camera_message(eye_of(ring(1)[0], (240, 160))))
+        names = (message.get("name") for message in messages(socket))
+        assert "/box" in names
+    edges = box_edges(BOX)
+    assert len({tuple(map(tuple, edge)) for edge in edges.tolist()}) == 12
+    lengths = np.abs(edges[:, 1] - edges[:, 0])
+    assert sorted(lengths.sum(axis=1).tolist()) == [1.0] * 4 + [2.0] * 4 + [5.0] * 4
+    assert ((lengths > 0).sum(axis=1) == 1).all()
+    assert ((edges == BOX[0]) | (edges == BOX[1])).all()
 
 
 def test_a_photo_is_gone_to_and_shown(server):

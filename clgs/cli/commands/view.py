@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from clgs.cli.shared_options import (
     AS_TRAINED,
+    add_box,
     add_masks,
     add_view_options,
     view_options,
@@ -51,6 +52,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     add_view_options(parser, split=False)
     add_masks(parser, AS_TRAINED)
+    add_box(parser, "show the edges of this box, such as that of `clgs crop`")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
     load_viser()
     with Display() as display:
-        shown = scene_to_show(args.scene, view_options(vars(args)), display)
+        shown = scene_to_show(args.scene, view_options(vars(args)), args.box, display)
     token = secrets.token_urlsafe(12)
     server = open_server(shown, args.host, args.port, token)
     if server.get_port() != args.port:
@@ -78,10 +80,16 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def scene_to_show(path: Path, views: ViewOptions, on_event: OnEvent) -> Shown:
-    """Read a scene, and all that the viewer shows of it."""
+def scene_to_show(
+    path: Path, views: ViewOptions, ends: list[float] | None, on_event: OnEvent
+) -> Shown:
+    """Read a scene, and all that the viewer shows of it; ``ends`` of a box as --box gives them."""
+    import numpy as np
+
+    from clgs.errors import UsageError
     from clgs.exports.clip.framing import frame_cameras, frame_scene
     from clgs.opencl.device import Device
+    from clgs.scene.region import Box
     from clgs.scene.scene import SplatScene, drawable
     from clgs.viewer.live import LiveScene, chosen, scene_importance
     from clgs.viewer.server import Shown
@@ -95,6 +103,10 @@ def scene_to_show(path: Path, views: ViewOptions, on_event: OnEvent) -> Shown:
         over_background,
     )
 
+    corners = np.array(ends or [0, 0, 0, 1, 1, 1], np.float64).reshape(2, 3)
+    Box(tuple(corners[0]), tuple(corners[1]))
+    if not np.isfinite(corners).all():
+        raise UsageError("--box: a box without an end cannot be shown; give finite numbers")
     scene, size = read_drawable(path)
     scene = over_background(scene, views.background)
     options = drawing_options(path, views, scene)
@@ -112,4 +124,5 @@ def scene_to_show(path: Path, views: ViewOptions, on_event: OnEvent) -> Shown:
     importance = scene_importance(device, scene, cameras, options, advance)
     live = LiveScene(device, drawable(scene), importance, options)
     unit = "Gaussians" if is_splats else "anchors"
-    return Shown(live, photos, framing, scene.settings.background, unit, size)
+    box = scene.transform.to_scene(corners) if ends else None
+    return Shown(live, photos, framing, scene.settings.background, unit, size, box)
