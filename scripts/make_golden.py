@@ -52,6 +52,7 @@ def golden_file(name: str) -> bytes:
 OPTIONS: dict[str, dict[str, Any]] = {
     "chunks": {"chunk": 64},
     "fast": {"level": "fast"},
+    "layers": {"chunk": 64, "layers": 3},
     "max": {"level": "max"},
     "paper": {"level": "paper"},
 }
@@ -70,6 +71,7 @@ def golden_scenes() -> dict[str, QuantizedScene]:
         "default": _follow(_scene(_surface(14) * 3 - 11, 3, 15, None, transform), 1),
         "max": _follow(_scene(_surface(17), 1, 16), 1),
         "paper": _scene(_scattered(), 9, 17),
+        "layers": _follow(_scene(_surface(13), 2, 19, settings, transform), 2),
         "deep": _scene(_deep(), 2**31 - 1, 18),
     }
 

@@ -179,17 +179,20 @@ def runs(count: int, most: int) -> list[slice]:
     return [slice(at, min(at + most, count)) for at in range(0, count, most)]
 
 
-def cut(position: npt.NDArray[np.int32], most: int) -> list[slice]:
-    """Chunks of at most ``most`` points of a cloud (A, 3) int32 in Morton order.
+def cut(position: npt.NDArray[np.int32], most: int, part: slice = slice(None)) -> list[slice]:
+    """Chunks of at most ``most`` points of ``part`` of a cloud (A, 3) int32, in Morton order there.
+
+    Codes are relative to the least corner of the whole cloud.
 
     If ``most`` is below COMPACT, a chunk is a cell of the octree, or some neighbouring children of
     one cell. These fill less space than any run of points, and so they meet fewer boxes.
     """
+    first, end, _ = part.indices(len(position))
     if most >= COMPACT:
-        return runs(len(position), most)
+        return [slice(first + run.start, first + run.stop) for run in runs(end - first, most)]
     code = morton_codes(position)
     chunks: list[slice] = []
-    todo = [(0, len(position), MAX_DEPTH)] if len(position) else []
+    todo = [(first, end, MAX_DEPTH)] if first < end else []
     while todo:
         start, stop, level = todo.pop()
         if stop - start <= most:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -10,15 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
+from clgs.arguments import check_integer
 from clgs.codec import octree
 from clgs.codec.attributes.model import NearRows
 from clgs.codec.attributes.row_coder import RowModel
 from clgs.codec.container.chunks import Chunk
-from clgs.codec.container.meta import array_hash, content_arrays, join_hashes
+from clgs.codec.container.meta import array_hash, content_arrays, content_hash, join_hashes
 from clgs.codec.container.reader import CHANNELS, SceneReader
 from clgs.codec.container.sections import (
+    BODY,
     CHNK,
     FEAT,
+    LAYR,
     META,
     OFFS,
     SCAL,
@@ -29,6 +34,7 @@ from clgs.codec.container.sections import (
 )
 from clgs.codec.workers import workers
 from clgs.constants import K_OFFSETS
+from clgs.errors import UsageError
 from clgs.scene.anchors import QuantizedAnchors, take
 from clgs.scene.region import Box
 from clgs.scene.scene import QuantizedScene
@@ -37,43 +43,111 @@ from clgs.scene.world import in_words
 Positions = npt.NDArray[np.int32]
 
 
-def decode(data: bytes, threads: int | None = None) -> QuantizedScene:
+def decode(data: bytes, threads: int | None = None, layers: int | None = None) -> QuantizedScene:
     """The scene that ``encode`` was given, rows in Morton order.
 
     Args:
-        data: a whole file.
+        data: a whole file; one in layers may be cut after the first layer, and a UserWarning then
+            says which layers it has.
         threads: at most this many, by default one per processor.
+        layers: of a file in layers, only this many, from the first on; others have one.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged anywhere.
         TypeError: ``data`` is no bytes, such as the name of a file.
+        UsageError: the number of layers is below 1, or above what the file was made with.
     """
     if not isinstance(data, bytes | bytearray | memoryview):
         wanted = "bytes are needed; Path(name).read_bytes() reads a file"
         raise TypeError(f"data: is {type(data).__name__}, {wanted}")
     table, _ = read_container(data)
     reader = SceneReader(BytesSource(data), table)
+    chosen = choose_layers(reader, layers)
     with workers(threads) as pool:
         weights = pool.submit(reader.weights)
-        chunks = reader.chunks()
+        chunks = reader.chunks()[: chosen.chunks]
         anchors = _decode_rows(reader, chunks, _decode_positions(reader, chunks, pool), pool)
+        _check_layers(reader, anchors, chunks, weights.result())
+        anchors = _in_order(reader, anchors)
+        if not chosen.whole:
+            return reader.scene(anchors, weights.result())
         hashes = pool.map(array_hash, content_arrays(anchors, weights.result()))
         if join_hashes(list(hashes)) != reader.meta.content_hash:
             raise reader.error(META, "the decoded integers do not match their hash")
     return reader.scene(anchors, weights.result())
 
 
-def decode_box(source: RandomAccess, box: Box, threads: int | None = None) -> QuantizedScene:
-    """The scene with only the anchors whose position lies in ``box``.
+@dataclass(frozen=True)
+class ChosenLayers:
+    """The layers that are decoded: their number, that of their chunks, and whether they are all."""
+
+    count: int
+    chunks: int
+    whole: bool
+
+
+def choose_layers(reader: SceneReader, layers: int | None) -> ChosenLayers:
+    """The first ``layers`` layers of a file, or all that it has; a UserWarning if it is cut.
+
+    Raises:
+        CodecError: the file is cut before its first layer ends.
+        UsageError: ``layers`` is not a number of its layers.
+    """
+    count = max(len(reader.layers), 1)
+    if layers is not None and not 1 <= check_integer("layers", layers) <= count:
+        raise UsageError(f"layers: {layers}; the file has {count}, give 1 to {count}")
+    if not reader.layers:
+        return ChosenLayers(1, reader.head.count, True)
+    there = reader.whole_layers()
+    if there < (layers or count):
+        names = "layer 1" if there == 1 else f"layers 1 to {there}"
+        has = f"it has {names} of {count}, a coarser scene"
+        warnings.warn(f"the file is cut; {has}", stacklevel=3)
+    used = min(layers or count, there)
+    return ChosenLayers(used, reader.layer_ends()[used - 1], used == count)
+
+
+def _check_layers(
+    reader: SceneReader,
+    anchors: QuantizedAnchors,
+    chunks: list[Chunk],
+    weights: npt.NDArray[np.float32],
+) -> None:
+    """Raise CodecError if a layer whose chunks are all given has another hash than LAYR says."""
+    ends = [0, *(chunks[end - 1].span.stop for end in reader.layer_ends() if end <= len(chunks))]
+    for number, (layer, rows) in enumerate(zip(reader.layers, pairwise(ends), strict=False), 1):
+        if content_hash(take(anchors, slice(*rows)), weights) != layer.content_hash:
+            raise reader.error(LAYR, f"the integers of layer {number} do not match their hash")
+
+
+def _in_order(reader: SceneReader, anchors: QuantizedAnchors) -> QuantizedAnchors:
+    """The anchors of several layers in Morton order; CodecError if positions repeat."""
+    if len(reader.layers) < 2:
+        return anchors
+    code = np.empty(len(anchors), np.uint64)
+    _codec.morton_encode(anchors.position, code, *reader.meta.origin)
+    order = np.argsort(code)
+    if not octree.ascends(code[order]):
+        raise reader.error(CHNK, "layers have an anchor in common")
+    return take(anchors, order)
+
+
+def decode_box(
+    source: RandomAccess, box: Box, threads: int | None = None, layers: int | None = None
+) -> QuantizedScene:
+    """The scene with only the anchors whose position lies in ``box``; ``layers`` as of ``decode``.
 
     Only these are read: the section table, META, MLPS, the lists of chunks and the positions of
-    those that meet the box, and the attributes of those that have an anchor in it. World positions
-    are computed as for ``world_position`` of a scene archive.
+    those that meet the box, and the attributes of those that have an anchor in it. Of a file in
+    layers, chunks that meet the box are read whole, neighbours at once. World positions are
+    computed as for ``world_position`` of a scene archive.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged in what is read.
+        UsageError: as ``decode``.
     """
     reader = SceneReader(source, read_table(source))
+    chosen = choose_layers(reader, layers)
 
     def world(position: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.float64]:
         """Positions (A, 3) in the units of the input data; on each axis it never decreases."""
@@ -81,14 +155,17 @@ def decode_box(source: RandomAccess, box: Box, threads: int | None = None) -> Qu
 
     with workers(threads) as pool:
         weights = pool.submit(reader.weights)
-        chunks = reader.chunks(lambda least, greatest: box.meets(world(least), world(greatest)))
+        met = reader.chunks(lambda least, greatest: box.meets(world(least), world(greatest)))
+        chunks = [chunk for chunk in met if chunk.number < chosen.chunks]
+        if reader.layers:
+            reader.fetch(chunks)
         positions = _decode_positions(reader, chunks, pool)
         inside = [box.holds(world(position)) for position in positions]
         used = [i for i, kept in enumerate(inside) if kept.any()]
-        met = [chunks[i] for i in used]
-        anchors = _decode_rows(reader, met, [positions[i] for i in used], pool)
+        filled = [chunks[i] for i in used]
+        anchors = _decode_rows(reader, filled, [positions[i] for i in used], pool)
     kept = np.concatenate([np.empty(0, bool), *(inside[i] for i in used)])
-    return reader.scene(take(anchors, kept), weights.result())
+    return reader.scene(_in_order(reader, take(anchors, kept)), weights.result())
 
 
 def _decode_positions(
@@ -107,13 +184,17 @@ def _decode_rows(
 ) -> QuantizedAnchors:
     """The anchors of some chunks, whose positions are known.
 
+    Rows are in the order of the file: layer by layer, each in Morton order.
+
     Raises:
         CodecError: a chunk is damaged, or does not follow the one before in Morton order.
     """
     position = np.concatenate([np.empty((0, 3), np.int32), *positions])
     code = np.empty(len(position), np.uint64)
     _codec.morton_encode(position, code, *reader.meta.origin)
-    if not octree.ascends(code):
+    layer_of = np.searchsorted(reader.layer_ends(), [c.number for c in chunks], side="right")
+    layer = np.repeat(layer_of, [len(one) for one in positions])
+    if ((code[1:] <= code[:-1]) & (layer[1:] == layer[:-1])).any():
         raise reader.error(CHNK, "the chunks are not in Morton order")
     spans = [slice(*ends) for ends in pairwise(np.cumsum([0, *map(len, positions)]).tolist())]
     streams = [reader.streams(chunk) for chunk in chunks]
@@ -143,8 +224,9 @@ def describe(data: bytes) -> dict[str, Any]:
 
     Keys: version, bytes, anchors, extent (the corners of the anchors' box, in the units of the
     input data; absent if there are none), level, origin, depth, chunks (anchors per chunk at most,
-    count), scales, world (what these units are, in words), transform, settings, content_hash (hex),
-    and sections (bytes by tag, ``container`` for the signature and the table).
+    count), layers (of a file in layers: for each its anchors, the byte where it ends, and whether
+    the file has it whole), scales, world (what these units are, in words), transform, settings,
+    content_hash (hex), and sections (bytes by tag, ``container`` for the signature and the table).
 
     Raises:
         CodecError: as ``decode``, but for damage that only decoding can show.
@@ -153,6 +235,8 @@ def describe(data: bytes) -> dict[str, Any]:
     reader = SceneReader(BytesSource(data), table)
     meta = reader.meta
     sizes = {tag: len(section.data) for tag, section in sections.items()}
+    if table.size > len(data):
+        sizes[BODY] = len(data) - reader.body
     extent, groups = {}, reader.head.groups
     if len(groups):
         corners = np.stack([groups[:, 1:4].min(axis=0), groups[:, 4:7].max(axis=0)])
@@ -167,6 +251,7 @@ def describe(data: bytes) -> dict[str, Any]:
         "origin": meta.origin,
         "depth": meta.depth,
         "chunks": {"anchors": reader.head.chunk, "count": reader.head.count},
+        **({"layers": describe_layers(reader, len(data))} if reader.layers else {}),
         "scales": dict(vars(meta.scales)),
         "world": in_words(meta.transform.frame, meta.transform.place),
         "transform": dict(vars(meta.transform)),
@@ -174,3 +259,15 @@ def describe(data: bytes) -> dict[str, Any]:
         "content_hash": meta.content_hash.hex(),
         "sections": {"container": len(data) - sum(sizes.values()), **sizes},
     }
+
+
+def describe_layers(reader: SceneReader, size: int) -> list[dict[str, Any]]:
+    """Anchors and end of each layer of a file of which there are ``size`` bytes."""
+    chunks, body = reader.chunks(), reader.body
+    found, done = [], 0
+    for end in reader.layer_ends():
+        last = chunks[end - 1]
+        there = body + last.end <= size
+        found.append({"anchors": last.span.stop - done, "end": body + last.end, "there": there})
+        done = last.span.stop
+    return found

@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.arguments import check_choice, check_integer, check_type
-from clgs.codec import octree, weights
+from clgs.codec import layering, octree, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import NearRows
 from clgs.codec.container.chunks import DEFAULT_CHUNK, MAX_CHUNK, MIN_CHUNK, TAGS, pack_directory
 from clgs.codec.container.geor import pack_geor
+from clgs.codec.container.layers import MAX_LAYERS, Layer, pack_layers
 from clgs.codec.container.meta import (
     LEVELS,
     Meta,
     array_hash,
     check_meta,
     content_arrays,
+    content_hash,
     join_hashes,
 )
 from clgs.codec.container.sections import (
     ANCH,
+    BODY,
     CHNK,
     FEAT,
     GEOR,
+    LAYR,
     META,
     MLPS,
     OFFS,
@@ -34,7 +40,7 @@ from clgs.codec.container.sections import (
 )
 from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
-from clgs.scene.anchors import QuantizedAnchors
+from clgs.scene.anchors import QuantizedAnchors, take
 from clgs.scene.mlps import MLP_SIZE
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.world import LOCAL
@@ -44,29 +50,37 @@ from clgs.shapes import Shapes
 def encode(
     scene: QuantizedScene,
     level: str = "default",
-    chunk: int = DEFAULT_CHUNK,
+    chunk: int | None = None,
     threads: int | None = None,
     mlp: str = "auto",
+    layers: int | None = None,
+    importance: npt.NDArray[np.float64] | None = None,
 ) -> bytes:
-    """The .clgs file of ``scene``: a pure function of it, of ``level``, ``chunk`` and ``mlp``.
+    """The .clgs file of ``scene``: a pure function of it and of the options but ``threads``.
 
     Args:
         scene: rows may come in any order; the file keeps them in Morton order.
         level: one of LEVELS; slower levels make smaller files.
         chunk: anchors that are decoded together, at most: 16 to 2^20. Small ones let a box of the
-            scene be read without the rest, and cost bytes.
+            scene be read without the rest, and cost bytes. Default: 65,536, or 1024 in layers.
         threads: at most this many, by default one per processor; no byte depends on it.
         mlp: one of ``weights.MODES``, how the weights are stored; lossless either way.
+        layers: cut the scene into this many layers, 1 to 64, the most useful anchors first: the
+            beginning of the file up to the end of a layer is a coarser scene.
+        importance: of each anchor (A,) float64, at least 0, for ``layers``; default:
+            ``clgs.codec.contribution``, opacity times area as seen from all around.
 
     Raises:
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
             number; the message names the field and the remedy.
-        UsageError: no such level or mode, or a chunk or number of threads out of range.
+        UsageError: no such level or mode, or a chunk or a number of threads or layers out of range.
         TypeError: ``scene`` is no quantised scene, a chunk or number of threads no integer, or a
             level or mode no string.
     """
     check_type("scene", scene, QuantizedScene, "a run has it as .scene, clgs.load_scene reads one")
-    check_options(level, chunk, mlp)
+    if chunk is None:
+        chunk = DEFAULT_CHUNK if layers is None else layering.CHUNK
+    check_options(level, chunk, mlp, layers)
     flat = scene.mlps.flat
     Shapes(M=MLP_SIZE).check("mlps", flat, "M", np.float32)
     bad = np.flatnonzero(~np.isfinite(flat))
@@ -77,10 +91,18 @@ def encode(
     except ValueError as error:
         raise CodecError(f"header: {error}, which no file may hold; correct the scene") from error
     with workers(threads) as pool:
-        anchors = sort_anchors(scene.anchors, pool.map)
+        whole = anchors = sort_anchors(scene.anchors, pool.map)
+        ends = [0, len(anchors)]
+        if layers is not None:
+            if importance is not None:
+                importance = importance[octree.morton_order(scene.anchors.position)]
+            layer = layering.choose_layers(replace(scene, anchors=whole), layers, importance)
+            anchors = take(anchors, np.argsort(layer, kind="stable"))
+            ends = [0, *np.cumsum(np.bincount(layer)).tolist()]
         position = anchors.position
         rows = {FEAT: anchors.feature, OFFS: flatten(anchors.offset), SCAL: anchors.scaling}
-        spans = octree.cut(position, chunk)
+        cuts = [octree.cut(position, chunk, slice(*layer_ends)) for layer_ends in pairwise(ends)]
+        spans = [span for cut in cuts for span in cut]
         near = NearRows(position, spans)
         origins = octree.cell_corners(position, spans)
 
@@ -92,7 +114,7 @@ def encode(
             return [model.encode(rows[tag][spans[i]], near_of(i)) for i in batch]
 
         # What takes longest begins first.
-        hashes = pool.map(array_hash, content_arrays(anchors, scene.mlps.flat))
+        hashes = pool.map(array_hash, content_arrays(whole, scene.mlps.flat))
         models = {tag: pool.submit(row_coder.fit, rows[tag], level, spans, near) for tag in rows}
         batches = octree.batches(spans)
         tasks = {ANCH: [pool.submit(encode_positions, batch) for batch in batches]}
@@ -111,15 +133,19 @@ def encode(
     transform = scene.transform
     local = transform.frame == LOCAL
     geor = {} if local else {GEOR: pack_geor(transform.frame, transform.place)}
-    return write_container(
-        {
-            META: meta.pack(),
-            CHNK: pack_directory(chunk, position, spans, headers, streams),
-            **{tag: b"".join([headers[tag], *streams[tag]]) for tag in TAGS},
-            MLPS: packed.result(),
-            **geor,
-        }
-    )
+    directory = pack_directory(chunk, position, spans, headers, streams)
+    front = {META: meta.pack(), CHNK: directory}
+    if layers is None:
+        joined = {tag: b"".join([headers[tag], *streams[tag]]) for tag in TAGS}
+        return write_container({**front, **joined, MLPS: packed.result(), **geor})
+    listed = [
+        Layer(len(cut), content_hash(take(anchors, slice(*layer_ends)), scene.mlps.flat))
+        for cut, layer_ends in zip(cuts, pairwise(ends), strict=True)
+    ]
+    body = b"".join(data for parts in zip(*streams.values(), strict=True) for data in parts)
+    last = {LAYR: pack_layers(listed), BODY: body}
+    shared = {tag: headers[tag] for tag in TAGS}
+    return write_container({**front, **shared, MLPS: packed.result(), **geor, **last})
 
 
 def sort_anchors(
@@ -142,9 +168,13 @@ def flatten(offset: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     return offset.reshape(len(offset), offset.shape[1] * 3)
 
 
-def check_options(level: str, chunk: int, mlp: str = "auto") -> None:
+def check_options(
+    level: str, chunk: int | None, mlp: str = "auto", layers: int | None = None
+) -> None:
     """Raise UsageError or TypeError unless ``encode`` takes these options."""
+    if layers is not None and not 1 <= check_integer("layers", layers) <= MAX_LAYERS:
+        raise UsageError(f"layers: {layers}; 1 to {MAX_LAYERS} are possible")
     check_choice("level", level, LEVELS)
-    if not MIN_CHUNK <= check_integer("chunk", chunk) <= MAX_CHUNK:
+    if chunk is not None and not MIN_CHUNK <= check_integer("chunk", chunk) <= MAX_CHUNK:
         raise UsageError(f"chunk: {chunk}; {MIN_CHUNK} to {MAX_CHUNK} anchors are possible")
     check_choice("mlp", mlp, weights.MODES)

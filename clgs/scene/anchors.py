@@ -78,9 +78,9 @@ DeviceAnchors = Anchors[DeviceArray]
 
 
 def take(
-    anchors: Anchors[npt.NDArray[Number]], rows: npt.NDArray[np.generic]
+    anchors: Anchors[npt.NDArray[Number]], rows: npt.NDArray[np.generic] | slice
 ) -> Anchors[npt.NDArray[Number]]:
-    """The anchors of some rows: indices, or a mask (A,)."""
+    """The anchors of some rows: indices, a mask (A,) or a slice."""
     return anchors.map(lambda array: array[rows])
 
 

@@ -6,6 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
+from clgs.codec.contribution import contribution
 from clgs.opencl.device import Device
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.rate_control import (
@@ -85,3 +89,16 @@ def encode_within(
         assert target_size is not None
         found = reduce_to_size(scene, target_size, encode, judge)
     return FittedScene(found, len(chosen), len(every))
+
+
+def importance_in_views(
+    path: Path, scene: QuantizedScene, views: ViewOptions, on_event: OnEvent = ignore
+) -> npt.NDArray[np.float64]:
+    """What each anchor (A,) contributes to training views of the data set that ``views`` names.
+
+    Raises:
+        DataError: the data set is damaged, or that of another scene.
+    """
+    every = select_views(path, scene, replace(views, split="train"), on_event)
+    cameras = [view.camera for view in every]
+    return contribution(scene, [cameras[i] for i in spread(cameras, MAX_VIEWS)])

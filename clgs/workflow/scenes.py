@@ -137,8 +137,10 @@ def instead(folder: Path) -> str:
     return "name a run folder; a data set is trained first (`clgs train`)"
 
 
-def read_bitstream(path: Path, threads: int | None = None) -> tuple[QuantizedScene, int]:
-    """The scene in a .clgs file, and the file's size.
+def read_bitstream(
+    path: Path, threads: int | None = None, layers: int | None = None
+) -> tuple[QuantizedScene, int]:
+    """The scene in a .clgs file, or ``layers`` of it, and the file's size.
 
     Raises:
         DataError: there is no file, or it is a folder.
@@ -146,10 +148,12 @@ def read_bitstream(path: Path, threads: int | None = None) -> tuple[QuantizedSce
     """
     data = read_bytes(path)
     with naming(path):
-        return decode(data, threads), len(data)
+        return decode(data, threads, layers), len(data)
 
 
-def read_box(path: Path, box: Box, threads: int | None) -> tuple[QuantizedScene, int, int]:
+def read_box(
+    path: Path, box: Box, threads: int | None, layers: int | None = None
+) -> tuple[QuantizedScene, int, int]:
     """The scene in a box of a .clgs file, the bytes that were read, and the file's size.
 
     Raises:
@@ -159,10 +163,10 @@ def read_box(path: Path, box: Box, threads: int | None) -> tuple[QuantizedScene,
     if stat.S_ISFIFO(_mode(path)):
         data = path.read_bytes()
         with naming(path):
-            return decode_box(BytesSource(data), box, threads), len(data), len(data)
+            return decode_box(BytesSource(data), box, threads, layers), len(data), len(data)
     with _readable(path), path.open("rb", buffering=0) as file, naming(path):
         source = FileSource(file)
-        scene = decode_box(source, box, threads)
+        scene = decode_box(source, box, threads, layers)
         return scene, source.bytes_read, source.size
 
 

@@ -21,6 +21,8 @@ def main(arguments: list[str]) -> str:
         arrays = dict(zip(found.names, found.integers.T, strict=True))
     else:
         print(*(f"{name}: {value}" for name, value in found.meta._asdict().items()), sep="\n")
+        if found.layers[1]:
+            print("layers: {} of {}".format(*found.layers))
         arrays = {"positions": found.positions, **found.attributes, "weights": found.weights}
     for name, array in arrays.items():
         least, most = (array.min(), array.max()) if array.size else ("-", "-")

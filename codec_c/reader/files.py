@@ -1,4 +1,4 @@
-"""Whole files and single streams: parts 2, 3, 5, 10 and 11 of FORMAT.md."""
+"""Whole files: parts 2, 3, 5 and 11 of FORMAT.md."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .arrays import Corner, check_order, declared_shape, decode_attributes, decode_positions
 from .attributes import Attributes, near_rows
 from .coding import ByteReader, check, crc32c, in_int32, morton_code, xxh64
 from .octree import decode_octree
@@ -15,15 +16,10 @@ from .rows import WEIGHTS, decode_rows, decode_weights
 MAGIC = bytes.fromhex("8B434C47530D0A1A")
 SCENE = ("META", "CHNK", "ANCH", "OFFS", "FEAT", "SCAL", "MLPS")
 SPLATS = ("SPLT", "SPOS", "SMUL", "SATR")
+LAYERED = ("LAYR", "BODY")
 CHUNKED = ("ANCH", "OFFS", "FEAT", "SCAL")
 CHANNELS = {"OFFS": 30, "FEAT": 50, "SCAL": 6}
 LEVELS = ("fast", "default", "max", "paper")
-
-POSITIONS, LATTICE = bytes.fromhex("8B435002"), bytes.fromhex("8B435003")
-ATTRIBUTES = bytes.fromhex("8B434102")
-POINTS_PER_CHUNK, ROWS_PER_CHUNK = 131072, 65536
-
-Corner = list[int]
 
 
 class Meta(NamedTuple):
@@ -46,12 +42,16 @@ class Meta(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """A decoded scene: integers (N, 3), integers (N, channels) by section, weights f32."""
+    """A decoded scene: integers (N, 3), integers (N, channels) by section, weights f32.
+
+    `layers`: how many of the file's layers it has, and how many the file was made with; 0 without.
+    """
 
     meta: Meta
     positions: np.ndarray
     attributes: dict[str, np.ndarray]
     weights: np.ndarray
+    layers: tuple[int, int] = (0, 0)
 
 
 class Splats(NamedTuple):
@@ -71,6 +71,23 @@ class Extent(NamedTuple):
     sizes: list[int]
 
 
+class CutBytes(bytes):
+    """The beginning of a section of `length` bytes."""
+
+    length: int
+
+    def __new__(cls, data: bytes, length: int) -> CutBytes:
+        """What there is of it."""
+        found = super().__new__(cls, data)
+        found.length = length
+        return found
+
+
+def length_of(section: bytes) -> int:
+    """How many bytes the table says that a section has."""
+    return section.length if isinstance(section, CutBytes) else len(section)
+
+
 def read_file(data: bytes) -> Scene | Splats:
     """What a whole .clgs file holds; ValueError if the document forbids the file."""
     sections = read_sections(data)
@@ -78,7 +95,7 @@ def read_file(data: bytes) -> Scene | Splats:
 
 
 def read_sections(data: bytes) -> dict[str, bytes]:
-    """The required sections of a file (part 2)."""
+    """The sections of a file that must be understood (part 2); BODY may be cut (5.3)."""
     check(data[:8] == MAGIC, "not a .clgs file")
     reader = ByteReader(data)
     _, _, major, _, count = reader.fields("IIHHI")
@@ -88,23 +105,30 @@ def read_sections(data: bytes) -> dict[str, bytes]:
     (header_crc,) = reader.fields("I")
     check(header_crc == crc32c(data[: 16 + 32 * count]), "the CRC of the header differs")
     required = SPLATS if table.data[:4] == b"SPLT" else SCENE
-    seen, sections = set(), {}
+    seen: list[str] = []
+    sections = {}
     for _ in range(count):
         name = table.take(4)
         flags, offset, length, crc, zero = table.fields("IQQII")
         check(name.isalpha(), f"a tag is {name!r}")  # of bytes: ASCII letters
         tag = name.decode("ascii")
-        check(flags == (tag in required), f"{tag}: flags {flags}")
+        layered = required == SCENE and tag in LAYERED
+        check(flags == (tag in required or layered), f"{tag}: flags {flags}")
         check(zero == 0, f"{tag}: the last field of its entry is not 0")
         check(offset == reader.at, f"{tag}: a gap or an overlap")
         check(tag not in seen, f"{tag}: occurs twice")
-        seen.add(tag)
+        seen.append(tag)
+        if layered and tag == "BODY" and length > reader.left and not table.left:
+            sections[tag] = CutBytes(reader.rest(), length)
+            continue
         section = reader.take(length)
         check(crc32c(section) == crc, f"{tag}: the CRC differs")
-        if tag in required:
+        if tag in required or layered:
             sections[tag] = section
     reader.finish()
-    check(tuple(sections) == required, f"the sections are {' '.join(sections)}")
+    tags = tuple(sections)
+    check(tags in (required, required + LAYERED), f"the sections are {' '.join(sections)}")
+    check(tags == required or tuple(seen[-2:]) == LAYERED, "LAYR and BODY are not the last")
     return sections
 
 
@@ -173,6 +197,18 @@ class Directory(NamedTuple):
     chunks: list[tuple[Extent, int, int]]
 
 
+def read_layers(data: bytes, chunks: int) -> list[tuple[int, int]]:
+    """Section LAYR (5.3): for each layer the number of its chunks, and its content hash."""
+    reader = ByteReader(data)
+    (count,) = reader.fields("I")
+    check(1 <= count <= 64, f"LAYR: {count} layers")
+    layers = [reader.fields("IQ") for _ in range(count)]
+    reader.finish()
+    check(all(number >= 1 for number, _ in layers), "LAYR: a layer without chunks")
+    check(sum(number for number, _ in layers) == chunks, "LAYR: the chunks do not add up")
+    return layers
+
+
 def read_directory(sections: dict[str, bytes], meta: Meta) -> Directory:
     """Section CHNK (part 5), compared with META and with the lengths of the other sections."""
     data = sections["CHNK"]
@@ -186,9 +222,12 @@ def read_directory(sections: dict[str, bytes], meta: Meta) -> Directory:
     check(crc32c(data[:44] + table + rows) == head_crc, "CHNK: the CRC of the head differs")
     groups = _extents(decode_rows(rows, len(table) // 8, 11), [0, 0, 0], None)
     whole = _union(groups) if groups else Extent(0, [], [], 4 * [0])
+    in_body = "BODY" in sections
     for tag, (length, _), bytes_of_chunks in zip(CHUNKED, headers, whole.sizes, strict=True):
-        total = length + bytes_of_chunks
+        total = length + (0 if in_body else bytes_of_chunks)
         check(total == len(sections[tag]), f"CHNK: the bytes of {tag} do not add up")
+    if in_body:
+        check(sum(whole.sizes) == length_of(sections["BODY"]), "CHNK: BODY does not add up")
     check(whole.anchors == meta.anchors, "CHNK: the anchors do not add up")
     if groups:
         corners = [v for group in groups for v in group.least + group.greatest]
@@ -228,6 +267,11 @@ class SceneDecoder:
             if tag != "ANCH":
                 self.decoders[tag] = Attributes(header, CHANNELS[tag])
         self.last_code = -1
+        self.layers: list[tuple[int, int]] = []
+        if "BODY" in sections:
+            self.layers = read_layers(sections["LAYR"], len(self.chunks))
+            body = ByteReader(sections["BODY"])
+            self.readers = dict.fromkeys(CHUNKED, body)
 
     def positions(self, chunk: Extent, data: bytes, crc: int) -> list[list[int]]:
         """The positions of a chunk."""
@@ -241,14 +285,14 @@ class SceneDecoder:
         axes = list(zip(*points, strict=True))
         corners = [min(axis) for axis in axes], [max(axis) for axis in axes]
         check(corners == (chunk.least, chunk.greatest), "ANCH: a chunk has other corners")
-        self.last_code = _check_order(points, origin, self.last_code)
+        self.last_code = check_order(points, origin, self.last_code)
         return points
 
-    def decode(self) -> Scene:
-        """The scene, compared with its content hash."""
+    def rows(self, chunks: list[tuple[Extent, int, int]]) -> tuple[np.ndarray, ...]:
+        """Positions and attributes of chunks that follow those before, in one Morton order."""
         positions: list[list[int]] = []
         parts = {tag: [np.empty((0, columns), "<i4")] for tag, columns in CHANNELS.items()}
-        for chunk, positions_crc, others_crc in self.chunks:
+        for chunk, positions_crc, others_crc in chunks:
             anchors, *others = (
                 self.readers[tag].take(size) for tag, size in zip(CHUNKED, chunk.sizes, strict=True)
             )
@@ -258,86 +302,46 @@ class SceneDecoder:
             for (tag, decoder), data in zip(self.decoders.items(), others, strict=True):
                 near = near_rows(points) if decoder.looks_near else None
                 parts[tag].append(decoder.decode(data, chunk.anchors, near))
-        attributes = {tag: np.concatenate(arrays) for tag, arrays in parts.items()}
+        found = (np.concatenate(arrays) for arrays in parts.values())
+        return (np.array(positions, "<i4").reshape(-1, 3), *found)
+
+    def decode(self) -> Scene:
+        """The scene, compared with its content hash; of a file that is cut the layers it has."""
         weights = decode_weights(self.weights)
-        scene = Scene(self.meta, np.array(positions, "<i4").reshape(-1, 3), attributes, weights)
-        arrays = [scene.positions, *attributes.values(), weights]
-        content = struct.pack("<5Q", *(xxh64(array.tobytes()) for array in arrays))
-        check(xxh64(content) == self.meta.content_hash, "META: the content hash differs")
-        return scene
+        if not self.layers:
+            arrays = self.rows(self.chunks)
+            check(_hash(arrays, weights) == self.meta.content_hash, "META: the hash differs")
+            return self.scene(arrays, weights)
+        found, first = [], 0
+        for number, expected in self.layers:
+            chunks, first = self.chunks[first : first + number], first + number
+            if sum(sum(chunk.sizes) for chunk, *_ in chunks) > self.readers["ANCH"].left:
+                break
+            self.last_code = -1
+            found.append(self.rows(chunks))
+            check(_hash(found[-1], weights) == expected, "LAYR: the hash of a layer differs")
+        check(len(found) > 0, "the file is cut before its first layer ends")
+        joined = tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))
+        codes = [morton_code(*(int(v) for v in point - self.meta.origin)) for point in joined[0]]
+        order = sorted(range(len(codes)), key=codes.__getitem__)
+        ordered = tuple(array[order] for array in joined)
+        check_order(ordered[0].tolist(), self.meta.origin)
+        if len(found) == len(self.layers):
+            check(_hash(ordered, weights) == self.meta.content_hash, "META: the hash differs")
+        return self.scene(ordered, weights, (len(found), len(self.layers)))
+
+    def scene(
+        self, arrays: tuple[np.ndarray, ...], weights: np.ndarray, layers: tuple[int, int] = (0, 0)
+    ) -> Scene:
+        """The scene of these arrays."""
+        attributes = dict(zip(CHANNELS, arrays[1:], strict=True))
+        return Scene(self.meta, arrays[0], attributes, weights, layers)
 
 
-def _check_order(points: list[list[int]], origin: tuple[int, ...] | Corner, last: int = -1) -> int:
-    """Refuse points that are not in Morton order, after the code `last`; the code of the last."""
-    for point in points:
-        code = morton_code(*(v - o for v, o in zip(point, origin, strict=True)))
-        check(code > last, "points are not in Morton order")
-        last = code
-    return last
-
-
-def _open_stream(data: bytes) -> tuple[bytes, ByteReader]:
-    """The signature of a stream, and a reader of the bytes between it and the CRC (part 10)."""
-    check(len(data) >= 8, "a stream is cut")
-    check(crc32c(data[:-4]) == int.from_bytes(data[-4:], "little"), "the CRC of a stream differs")
-    return data[:4], ByteReader(data[4:-4])
-
-
-def _chunks(reader: ByteReader, n: int, most: int, header: int = 0) -> list[tuple[int, int]]:
-    """Rows and bytes of the chunks of a stream of n rows."""
-    counts = [min(most, n - at) for at in range(0, n, most)]
-    lengths = reader.fields(f"{len(counts)}I")
-    check(header + sum(lengths) == reader.left, "the lengths of the chunks do not add up")
-    return list(zip(counts, lengths, strict=True))
-
-
-def decode_positions(data: bytes) -> np.ndarray:
-    """The positions of a stream (part 10), (N, 3) int32."""
-    signature, reader = _open_stream(data)
-    check(signature in (POSITIONS, LATTICE), "not a stream of positions")
-    (n,) = reader.fields("I")
-    factors = reader.fields("3I") if signature == LATTICE else (1, 1, 1)
-    check(all(1 <= f <= 2**21 for f in factors), "a factor is out of range")
-    check(n > 0 or signature == POSITIONS, "a lattice without points")
-    points: list[list[int]] = []
-    for count, length in _chunks(reader, n, POINTS_PER_CHUNK):
-        points += decode_octree(reader.take(length), count)
-    if points:
-        least = [min(axis) for axis in zip(*points, strict=True)]
-        _check_extent(points)
-        _check_order(points, least)
-        points = [
-            [c + f * (v - c) for c, f, v in zip(least, factors, point, strict=True)]
-            for point in points
-        ]
-        check(all(in_int32(v) for point in points for v in point), "a point outside of int32")
-        _check_extent(points)
-        points.sort(key=lambda p: morton_code(*(v - c for v, c in zip(p, least, strict=True))))
-    return np.array(points, np.int32).reshape(n, 3)
-
-
-def _check_extent(points: list[list[int]]) -> None:
-    """Refuse points that span 2^21 cells or more."""
-    spans = [max(axis) - min(axis) for axis in zip(*points, strict=True)]
-    check(max(spans) < 2**21, "points span more than 2^21 cells")
-
-
-def decode_attributes(data: bytes) -> np.ndarray:
-    """The rows of a stream of attributes (part 10), (N, channels) int32."""
-    signature, reader = _open_stream(data)
-    check(signature == ATTRIBUTES, "not a stream of attributes")
-    n, channels, header = reader.fields("IHI")
-    check(1 <= channels <= 256 and 4 * n * channels <= 2**32, f"{n} rows of {channels} channels")
-    chunks = _chunks(reader, n, ROWS_PER_CHUNK, header)
-    decoder = Attributes(reader.take(header), channels)
-    parts = [decoder.decode(reader.take(length), count) for count, length in chunks]
-    return np.concatenate([np.empty((0, channels), np.int32), *parts])
-
-
-def _declared_shape(data: bytes) -> tuple[int, int]:
-    """Rows and columns that a stream declares, before it is decoded."""
-    columns = int.from_bytes(data[8:10], "little") if data[:4] == ATTRIBUTES else 3
-    return int.from_bytes(data[4:8], "little"), columns
+def _hash(arrays: tuple[np.ndarray, ...], weights: np.ndarray) -> int:
+    """The content hash (part 3) of positions, attributes and weights."""
+    hashes = (xxh64(array.tobytes()) for array in (*arrays, weights))
+    return xxh64(struct.pack("<5Q", *hashes))
 
 
 def read_splats(sections: dict[str, bytes]) -> Splats:
@@ -359,7 +363,7 @@ def read_splats(sections: dict[str, bytes]) -> Splats:
     check(len(set(names)) == properties, "SPLT: a name occurs twice")
     shapes = {"SPOS": (voxels, 3), "SMUL": (voxels, 1), "SATR": (n, properties - 3)}
     for tag, shape in shapes.items():
-        check(_declared_shape(sections[tag]) == shape, f"{tag}: rows or columns are not SPLT's")
+        check(declared_shape(sections[tag]) == shape, f"{tag}: rows or columns are not SPLT's")
     more = decode_attributes(sections["SMUL"])[:, 0]
     check(bool((more >= 0).all()), "SMUL: a number below 0")
     check(int(more.astype(np.int64).sum()) + voxels == n, "SMUL: the sum is not that of SPLT")

@@ -12,7 +12,7 @@ import pytest
 
 from clgs import _codec, codec
 from clgs.codec.container.meta import LEVELS
-from clgs.codec.scene_decoder import decode
+from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import QuantizedSplats, is_splats, pack, unpack
 from clgs.errors import CodecError
@@ -87,6 +87,18 @@ def test_two_groups_of_chunks() -> None:
     assert_scene(data)
 
 
+def test_layers_of_whole_files_and_of_files_that_are_cut() -> None:
+    data = encode(small_scene(40), chunk=16, layers=3)
+    assert_scene(data)
+    assert read_file(data).layers == (3, 3)
+    ends = [layer["end"] for layer in describe(data)["layers"]]
+    for size, there in ((ends[0], 1), (ends[1] - 1, 1), (ends[1], 2), (ends[2] - 1, 2)):
+        assert read_file(data[:size]).layers == (there, 3)
+        with pytest.warns(UserWarning, match=f"{there} of 3"):
+            assert_scene(data[:size])
+    assert_alike(read_by_clgs, read_by_the_document, data[: ends[0] - 1])
+
+
 def rows_of(spread: float, rows: int) -> np.ndarray:
     """Three channels, of which one differs little from another and one is smooth."""
     value = np.rint(np.random.default_rng(5).laplace(spread / 3, spread, (rows, 3)))
@@ -149,6 +161,7 @@ def streams() -> list[tuple]:
 def files() -> list[bytes]:
     """Small files of scenes, in several chunks, and of splats."""
     scenes = [encode(small_scene(), level, 16) for level in LEVELS]
+    scenes += [encode(small_scene(), level, 16, layers=3) for level in ("default", "paper")]
     return scenes + [pack(some_splats(), level) for level in LEVELS]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from clgs.cli.shared_options import add_box, add_files, add_threads
+from clgs.cli.shared_options import add_box, add_files, add_threads, positive_int
 
 DESCRIPTION = """\
 Decompress a .clgs file into a NumPy archive, or into a PLY file as the reference code writes it.
@@ -16,7 +16,10 @@ stays; one with others is replaced by --overwrite alone.
 
 --box: only the anchors with x0 <= x < x1, y0 <= y < y1 and z0 <= z < z1, in the units of the input
 data; `clgs info` shows the extent. Of the file, only the header, the MLPs and the chunks that the
-box meets are read: see `clgs encode --chunk`."""
+box meets are read: see `clgs encode --chunk`.
+
+A file of `clgs encode --layers` that was cut, as by a download that broke off, gives the scene of
+the layers that it has, and a warning says which. --layers N: only the first N."""
 
 LESS_MEMORY = "--threads 1 needs less, and --box decodes a part alone"
 
@@ -26,6 +29,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.description = DESCRIPTION
     add_files(parser, "scene", "FILE.clgs", "FILE.npz|FILE.ply")
     add_box(parser)
+    parser.add_argument("--layers", type=positive_int, metavar="N", help="only the first N layers")
     add_threads(parser)
 
 
@@ -49,11 +53,11 @@ def run(args: argparse.Namespace) -> int:
     check_new(args.output, args.overwrite, args.scene)
     read = ""
     if args.box is None:
-        scene, _ = read_bitstream(args.scene, args.threads)
+        scene, _ = read_bitstream(args.scene, args.threads, args.layers)
     else:
         x0, y0, z0, x1, y1, z1 = args.box
         box = Box((x0, y0, z0), (x1, y1, z1))
-        scene, count, size = read_box(args.scene, box, args.threads)
+        scene, count, size = read_box(args.scene, box, args.threads, args.layers)
         read = f" in the box, {count:,} of {size:,} bytes read"
         if not len(scene.anchors):
             tell(f"clgs: warning: the box holds no anchors; `clgs info {args.scene}` shows where")

@@ -22,9 +22,14 @@ from clgs.cli.shared_options import (
     positive_int,
     size,
     view_options,
+    whole_number,
 )
+from clgs.codec.container.layers import MAX_LAYERS
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
     from clgs.scene.scene import QuantizedScene
     from clgs.workflow.encode import FittedScene
 
@@ -38,6 +43,11 @@ small ones let it read less. They make the file larger by 0.2 to 0.5 % (4096), 0
 0.8 to 1.4 % (256), 1.3 to 2.3 % (128) or 2.3 to 5.5 % (64), the more the fewer anchors there are; a
 box with a tenth of 300,000 anchors then reads about 2, 1.5, 1.3, 1.2 or 1.2 times a tenth of it.
 Below 256, max is no smaller than default, and paper grows by a quarter (64).
+--layers N: the file is made of N layers, and its beginning up to the end of any of them is a
+coarser scene, the first one with about a tenth of the bytes. Anchors come in the order of their
+importance: opacity times area in training views (--data, or the data set that RUN names), or else
+from all around. 4 layers with their chunks of 1024 anchors cost 1 % of the bytes. To meet a target
+too, encode to the target first, and that file in layers.
 --mlp: float32 keeps the weights of the MLPs as floats, auto packs them as integers if training
 has rounded them; the same weights come back either way.
 
@@ -65,9 +75,14 @@ def register(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--chunk",
         type=positive_int,
-        default=65_536,
         metavar="N",
-        help="most anchors per chunk, 16 to 2^20 (default: 65536)",
+        help="most anchors per chunk, 16 to 2^20 (default: 65536, with --layers 1024)",
+    )
+    parser.add_argument(
+        "--layers",
+        type=whole_number(MAX_LAYERS),
+        metavar="N",
+        help="this many layers, the most important anchors first",
     )
     parser.add_argument("--mlps", type=Path, metavar="FILE.npz", help="MLPs of a PLY file")
     parser.add_argument(
@@ -106,19 +121,17 @@ def run(args: argparse.Namespace) -> int:
     from clgs.workflow.scenes import read_scene, run_folder
 
     path, is_ply = args.scene, args.scene.suffix.lower() == ".ply"
-    check_options(args.level, args.chunk, args.mlp)
+    check_options(args.level, args.chunk, args.mlp, args.layers)
     mlps = (args.mlps or mlps_path(path)) if is_ply else run_folder(path) / "scene.npz"
     check_new(args.output, args.overwrite, path, mlps)
     check_suffix(args.output, ".clgs")
     target = args.target_size is not None or args.target_psnr is not None
-    for option in ("--data",) * (args.data is not None) + ("--all-views",) * args.all_views:
-        if not target:
-            raise UsageError(f"{option} serves --target-size and --target-psnr; give one of them")
+    _check_together(args, target)
     views = view_options(vars(args))
-    if target:  # imports much that a plain encode does not need
-        from clgs.workflow.encode import encode_within
+    if target or args.layers:  # imports much that a plain encode does not need
+        from clgs.workflow.encode import encode_within, importance_in_views
         from clgs.workflow.views import data_of, known_data
-    if target and views.data is None:
+    if (target or args.layers) and views.data is None:
         needed = args.target_psnr is not None or args.all_views
         views = replace(views, data=data_of(path) if needed else known_data(path))
     if is_ply:
@@ -128,9 +141,10 @@ def run(args: argparse.Namespace) -> int:
     else:
         scene, _ = read_scene(path)
 
-    def pack(scene: QuantizedScene) -> bytes:
+    def pack(scene: QuantizedScene, importance: npt.NDArray[np.float64] | None = None) -> bytes:
+        options = args.level, args.chunk, args.threads, args.mlp, args.layers
         with _in_words_of_options(path):
-            return encode(scene, args.level, args.chunk, args.threads, args.mlp)
+            return encode(scene, *options, importance)
 
     if target:
         with Display() as display:
@@ -138,11 +152,26 @@ def run(args: argparse.Namespace) -> int:
             fitted = encode_within(path, scene, pack, views, *targets, args.all_views, display)
         _show_fitted(fitted, len(scene.anchors))
         scene, data = fitted.found.scene, fitted.found.data
+    elif args.layers and views.data is not None:
+        with Display() as display:
+            data = pack(scene, importance_in_views(path, scene, views, display))
     else:
         data = pack(scene)
     atomic_write(args.output, data)
     show(args.output, len(data), len(scene.anchors))
     return 0
+
+
+def _check_together(args: argparse.Namespace, target: bool) -> None:
+    """Raise UsageError if an option has no use, or does not go with another."""
+    from clgs.errors import UsageError
+
+    if args.all_views and not target:
+        raise UsageError("--all-views serves --target-size and --target-psnr; give one of them")
+    if args.data is not None and not (target or args.layers):
+        raise UsageError("--data serves --target-size, --target-psnr and --layers; give one")
+    if target and args.layers:
+        raise UsageError("--layers and a target: encode to the target, then that file in layers")
 
 
 def show(path: Path, size: int, anchors: int) -> None:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec.container.meta import Meta
-from clgs.codec.container.sections import ANCH, FEAT, OFFS, SCAL
+from clgs.codec.container.sections import ANCH, BODY, FEAT, OFFS, SCAL
 
 TAGS = (ANCH, OFFS, FEAT, SCAL)
 """The sections in chunks, in the order of the columns."""
@@ -62,7 +62,9 @@ class DirectoryHead:
     size: int
 
     def length(self, tag: str) -> int:
-        """Bytes of section ``tag``."""
+        """Bytes of section ``tag``; of the chunks in all of TAGS if it is BODY."""
+        if tag == BODY:
+            return int(self.groups[:, 7:].sum())
         return self.headers[tag][0].length + int(self.groups[:, 7 + TAGS.index(tag)].sum())
 
 
@@ -70,6 +72,7 @@ class DirectoryHead:
 class Chunk:
     """Neighbouring anchors: their rows, their corners, and their bytes in each of TAGS.
 
+    In a file in layers, the bytes are places of BODY, one after the other.
     ``position_crc`` is of the bytes in ANCH; ``rows_crc`` of those in the other sections, one
     after the other.
     """
@@ -84,6 +87,16 @@ class Chunk:
 
     def __len__(self) -> int:
         return int(self.span.stop - self.span.start)
+
+    @property
+    def start(self) -> int:
+        """The first byte of a chunk in BODY."""
+        return self.places[ANCH].offset
+
+    @property
+    def end(self) -> int:
+        """The byte after the last one of a chunk in BODY."""
+        return self.places[SCAL].offset + self.places[SCAL].length
 
 
 def pack_directory(
@@ -178,6 +191,15 @@ def _starts(rows: Rows, first: Rows) -> Rows:
     return np.asarray(first + np.cumsum(sizes, axis=0) - sizes)
 
 
+def _joined_starts(rows: Rows, first: Rows | None = None) -> Rows:
+    """The same if the parts of a row follow each other, from ``first``'s anchor and byte on."""
+    parts = np.cumsum(rows[:, 7:], axis=1)
+    before = np.cumsum(parts[:, -1]) - parts[:, -1]
+    anchors = np.cumsum(rows[:, 0]) - rows[:, 0]
+    starts = np.concatenate([anchors[:, None], before[:, None] + parts - rows[:, 7:]], axis=1)
+    return np.asarray(starts if first is None else starts + first[[0, 1, 1, 1, 1]])
+
+
 def head_size(data: bytes | memoryview) -> int:
     """Bytes of the whole head, from its first HEAD_SIZE ones; ValueError if they are fewer."""
     if len(data) < HEAD_SIZE:
@@ -231,8 +253,13 @@ def check_head(head: DirectoryHead, meta: Meta) -> None:
         raise ValueError(f"corners of a group do not fit depth {meta.depth}")
 
 
-def unpack_group(data: bytes | memoryview, head: DirectoryHead, index: int) -> list[Chunk]:
-    """The chunks of group ``index``; ValueError if they are damaged, or do not fit the head."""
+def unpack_group(
+    data: bytes | memoryview, head: DirectoryHead, index: int, layered: bool = False
+) -> list[Chunk]:
+    """The chunks of group ``index``; ValueError if they are damaged, or do not fit the head.
+
+    ``layered``: the four parts of a chunk lie together, in BODY.
+    """
     first_chunk = GROUP * index
     count = min(GROUP, head.count - first_chunk)
     if len(data) < 8 * count:
@@ -247,7 +274,10 @@ def unpack_group(data: bytes | memoryview, head: DirectoryHead, index: int) -> l
     if (rows[:, 1:4] > rows[:, 4:7]).any() or (_join(rows) != total).any():
         raise ValueError("chunks do not fit their group")
     headers = [0, *(head.headers[tag][0].length for tag in TAGS)]
-    starts = _starts(rows, _starts(head.groups, np.array(headers, np.int64))[index])
+    if layered:
+        starts = _joined_starts(rows, _joined_starts(head.groups)[index])
+    else:
+        starts = _starts(rows, _starts(head.groups, np.array(headers, np.int64))[index])
     found = []
     for i, (row, start) in enumerate(zip(rows.tolist(), starts.tolist(), strict=True)):
         places = {tag: ByteRange(start[1 + k], row[7 + k]) for k, tag in enumerate(TAGS)}

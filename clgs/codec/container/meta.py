@@ -116,3 +116,8 @@ def array_hash(array: npt.NDArray[np.int32] | npt.NDArray[np.float32]) -> int:
 def join_hashes(hashes: list[int]) -> bytes:
     """XXH64 (8 bytes, little-endian) of the arrays' hashes, each 8 bytes, little-endian."""
     return _codec.xxh64(struct.pack(f"<{len(hashes)}Q", *hashes)).to_bytes(8, "little")
+
+
+def content_hash(anchors: QuantizedAnchors, weights: npt.NDArray[np.float32]) -> bytes:
+    """The content hash (8 bytes, little-endian) of a scene, or of a layer of one."""
+    return join_hashes([array_hash(array) for array in content_arrays(anchors, weights)])

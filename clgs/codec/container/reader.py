@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import accumulate
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -15,12 +16,15 @@ from clgs.codec.attributes import row_coder
 from clgs.codec.container import chunks, sections
 from clgs.codec.container.chunks import HEAD_SIZE, TAGS, ByteRange, Chunk
 from clgs.codec.container.geor import unpack_geor
+from clgs.codec.container.layers import Layer, unpack_layers
 from clgs.codec.container.meta import SCALING_DIM, unpack_meta
 from clgs.codec.container.sections import (
     ANCH,
+    BODY,
     CHNK,
     FEAT,
     GEOR,
+    LAYR,
     META,
     MLPS,
     OFFS,
@@ -47,6 +51,8 @@ _T = TypeVar("_T")
 class SceneReader:
     """META and the head of CHNK, checked, and functions for the chunks, which threads may share.
 
+    ``layers``: of a file in layers, else none.
+
     Raises:
         CodecError: one of them is damaged, or other sections are not as long as CHNK says.
     """
@@ -65,13 +71,24 @@ class SceneReader:
         part = Section(CHNK, part.offset, memoryview(b"".join([part.data, rest.data])))
         self.head = head = guarded(part, chunks.unpack_head)
         guarded(part, lambda _: chunks.check_head(head, self.meta))
+        layered = LAYR in table.entries
+        sizes = {CHNK: head.size, **{tag: head.length(tag) for tag in TAGS}}
+        if layered:
+            shared = {tag: place.length for tag, (place, _) in head.headers.items()}
+            sizes |= {**shared, BODY: head.length(BODY)}
         # No count is believed before there are bytes that can hold it.
-        for tag, size in {CHNK: head.size, **{tag: head.length(tag) for tag in TAGS}}.items():
+        for tag, size in sizes.items():
             length = table.entries[tag].length
             if length != size:
                 raise self.error(tag, f"{length} bytes, its chunks have {size}")
         if head.headers[ANCH] != (ByteRange(0, 0), 0):
             raise self.error(ANCH, "a header that must be empty")
+        self.layers: list[Layer] = []
+        if layered:
+            part = sections.read_section(source, table.entries[LAYR])
+            self.layers = guarded(part, unpack_layers, head.count)
+        self._home = {tag: BODY if layered else tag for tag in TAGS}
+        self._fetched: dict[int, Section] = {}
 
     def chunks(self, meets: Meets | None = None) -> list[Chunk]:
         """All chunks, or those whose box ``meets`` takes; then other groups are not read.
@@ -90,19 +107,61 @@ class SceneReader:
     def _group(self, index: int) -> list[Chunk]:
         """The chunks of a group, after all checks that need no decoding."""
         part = self._verified(CHNK, *self.head.places[index], f"checksum of group {index} differs")
-        listed = guarded(part, chunks.unpack_group, self.head, index)
+        listed = guarded(part, chunks.unpack_group, self.head, index, bool(self.layers))
         for chunk in listed:
             length = chunk.places[ANCH].length
             if len(chunk) > length * octree.MAX_POINTS_PER_BYTE:
                 what = f"chunk {chunk.number}: {length} bytes cannot hold {len(chunk)} points"
-                raise self.error(ANCH, what)
+                raise self.error(self._home[ANCH], what)
         return listed
+
+    @property
+    def body(self) -> int:
+        """Where BODY begins, in a file in layers."""
+        return self._entries[BODY].offset
+
+    def layer_ends(self) -> list[int]:
+        """The number of chunks up to the end of each layer; none without layers."""
+        return list(accumulate(layer.chunks for layer in self.layers))
+
+    def whole_layers(self) -> int:
+        """How many layers the file has, without those that it is cut in or before.
+
+        Raises:
+            CodecError: the file is cut before the first one ends, or a group is damaged.
+        """
+        there = self._source.size - self.body
+        if there >= self._entries[BODY].length:
+            return len(self.layers)
+        listed = [chunk for index in range(len(self.head.places)) for chunk in self._group(index)]
+        whole = sum(listed[end - 1].end <= there for end in self.layer_ends())
+        if whole == 0:
+            missing = listed[self.layers[0].chunks - 1].end - there
+            what = f"the file is cut {missing} bytes before the end of layer 1"
+            raise self.error(BODY, f"{what} of {len(self.layers)}")
+        return whole
+
+    def fetch(self, listed: list[Chunk]) -> None:
+        """Read the chunks of a file in layers, neighbours at once, and keep them."""
+        runs: list[list[Chunk]] = []
+        for chunk in listed:
+            if runs and runs[-1][-1].end == chunk.start:
+                runs[-1].append(chunk)
+            else:
+                runs.append([chunk])
+        for run in runs:
+            part = self._read(BODY, ByteRange(run[0].start, run[-1].end - run[0].start))
+            for chunk in run:
+                at = chunk.start - run[0].start
+                data = part.data[at : at + chunk.end - chunk.start]
+                self._fetched[chunk.number] = Section(BODY, part.offset + at, data)
 
     def positions(self, chunk: Chunk) -> npt.NDArray[np.int32]:
         """Positions (n, 3) int32 of a chunk; CodecError if the chunk is damaged."""
         name = f"chunk {chunk.number}"
-        place, crc = chunk.places[ANCH], chunk.position_crc
-        part = self._verified(ANCH, place, crc, f"{name}: checksum differs")
+        part = self._part(chunk, ANCH)
+        if _codec.crc32c(part.data) != chunk.position_crc:
+            raise part.error(f"{name}: checksum differs")
         corner, depth = octree.enclosing_cell(chunk.least, chunk.greatest, self.meta.origin)
         try:
             position = octree.decode_in(part.data, len(chunk), corner, depth)
@@ -117,7 +176,7 @@ class SceneReader:
 
     def streams(self, chunk: Chunk) -> dict[str, Section]:
         """The bytes of the attributes of a chunk, by section; CodecError if they are damaged."""
-        parts = {tag: self._read(tag, chunk.places[tag]) for tag in CHANNELS}
+        parts = {tag: self._part(chunk, tag) for tag in CHANNELS}
         joined = b"".join(part.data for part in parts.values())
         if _codec.crc32c(joined) != chunk.rows_crc:
             places = ", ".join(f"{tag} at byte {part.offset}" for tag, part in parts.items())
@@ -146,6 +205,14 @@ class SceneReader:
     def error(self, tag: str, what: str) -> Exception:
         """A CodecError that names section ``tag``."""
         return Section(tag, self._entries[tag].offset, memoryview(b"")).error(what)
+
+    def _part(self, chunk: Chunk, tag: str) -> Section:
+        """The bytes of a chunk that section ``tag`` has in a file without layers."""
+        place = chunk.places[tag]
+        if (fetched := self._fetched.get(chunk.number)) is None:
+            return self._read(self._home[tag], place)
+        at = place.offset - chunk.start
+        return Section(BODY, fetched.offset + at, fetched.data[at : at + place.length])
 
     def _read(self, tag: str, place: ByteRange) -> Section:
         entry, end = self._entries[tag], place.offset + place.length

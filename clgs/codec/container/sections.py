@@ -25,17 +25,23 @@ SCENE = (META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS)
 GEOR = "GEOR"
 """A section that a file of a scene may have, after the required ones."""
 
+LAYR, BODY = "LAYR", "BODY"
+"""Sections that a file in layers has after all others: its layers, and the bytes of all chunks."""
+
 SPLT, SPOS, SMUL, SATR = "SPLT", "SPOS", "SMUL", "SATR"
 SPLATS = (SPLT, SPOS, SMUL, SATR)
 """The required sections of a file that holds splats in place of a scene."""
 
-MAJOR, MINOR, MINOR_WITH_GEOR = 1, 0, 1
+MAJOR, MINOR, MINOR_WITH_GEOR, MINOR_WITH_LAYERS = 1, 0, 1, 2
 """The versions that are written. Every minor version of this major one can be read."""
 
 REQUIRED = 1
 """Flag of a section that a reader must understand."""
 
 MAX_SECTIONS = 64
+
+MAX_SIZE = 1 << 40
+"""Bytes of a file, at most, if a reader has only its beginning."""
 
 _HEAD = struct.Struct("<8sHHI")
 _ENTRY = struct.Struct("<4sIQQII")
@@ -121,10 +127,14 @@ class SectionEntry:
 
 @dataclass(frozen=True)
 class SectionTable:
-    """The version of a file, such as "1.0", and its sections by tag, unknown ones included."""
+    """The version of a file, such as "1.0", and its sections by tag, unknown ones included.
+
+    ``size``: bytes of the whole file, more than there are if it is cut within BODY.
+    """
 
     version: str
     entries: dict[str, SectionEntry]
+    size: int
 
 
 def damage(where: str, what: str) -> CodecError:
@@ -135,6 +145,7 @@ def damage(where: str, what: str) -> CodecError:
 def write_container(contents: dict[str, bytes]) -> bytes:
     """The file that holds ``contents`` (tag to bytes, all required but GEOR), in this order."""
     minor = MINOR_WITH_GEOR if GEOR in contents else MINOR
+    minor = MINOR_WITH_LAYERS if LAYR in contents else minor
     offset = _HEAD.size + len(contents) * _ENTRY.size + _CRC.size
     header = _HEAD.pack(MAGIC, MAJOR, minor, len(contents))
     for tag, data in contents.items():
@@ -148,15 +159,19 @@ def write_container(contents: dict[str, bytes]) -> bytes:
 def read_container(data: bytes, splats: bool = False) -> tuple[SectionTable, dict[str, Section]]:
     """The table of a whole file and its known sections, every section's checksum verified.
 
-    The file must hold a scene, or ``splats``.
+    The file must hold a scene, or ``splats``. If it is cut within BODY, that section is left out.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged.
     """
     source = BytesSource(data)
     table = read_table(source, splats)
-    sections = {tag: read_section(source, entry) for tag, entry in table.entries.items()}
-    known = SPLATS if splats else (*SCENE, GEOR)
+    sections = {
+        tag: read_section(source, entry)
+        for tag, entry in table.entries.items()
+        if entry.offset + entry.length <= source.size
+    }
+    known = SPLATS if splats else (*SCENE, GEOR, LAYR, BODY)
     return table, {tag: sections[tag] for tag in known if tag in sections}
 
 
@@ -171,7 +186,7 @@ def read_section(source: RandomAccess, entry: SectionEntry) -> Section:
 def read_table(source: RandomAccess, splats: bool = False) -> SectionTable:
     """The section table, after all checks but the checksums of the sections themselves.
 
-    The file must hold a scene, or ``splats``.
+    The file must hold a scene, or ``splats``. It may be cut within BODY.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged.
@@ -189,18 +204,22 @@ def read_table(source: RandomAccess, splats: bool = False) -> SectionTable:
     entries: dict[str, SectionEntry] = {}
     end = table_end + _CRC.size
     for at in range(_HEAD.size, table_end, _ENTRY.size):
-        entry = _add_entry(entries, at, _ENTRY.unpack_from(header, at), known)
-        if entry.offset != end or entry.length > source.size - end:
+        entry = _add_entry(entries, at, _ENTRY.unpack_from(header, at), known, splats)
+        may_be_cut = not splats and entry.tag == BODY and at == table_end - _ENTRY.size
+        fits = entry.length <= (MAX_SIZE if may_be_cut else source.size) - end
+        if entry.offset != end or end > source.size or not fits:
             where = f"section {entry.tag} at byte {entry.offset}"
             raise damage(where, f"{entry.length} bytes do not fit the file")
         end += entry.length
-    if end != source.size:
+    if end < source.size:
         raise damage(f"file at byte {end}", f"{source.size - end} bytes follow the last section")
     if missing := [tag for tag in known if tag not in entries]:
         raise damage("section table at byte 16", f"section {missing[0]} is missing")
     if [tag for tag in entries if tag in known] != list(known):
         raise damage("section table at byte 16", f"order is {' '.join(entries)}")
-    return SectionTable(f"{MAJOR}.{minor}", entries)
+    if not splats and (LAYR in entries or BODY in entries) and [*entries][-2:] != [LAYR, BODY]:
+        raise damage("section table at byte 16", "LAYR and BODY are not the last sections")
+    return SectionTable(f"{MAJOR}.{minor}", entries, end)
 
 
 def _add_entry(
@@ -208,10 +227,12 @@ def _add_entry(
     at: int,
     fields: tuple[bytes, int, int, int, int, int],
     known: tuple[str, ...],
+    splats: bool,
 ) -> SectionEntry:
     """The entry at byte ``at``, which is added to ``entries`` unless it must be refused."""
     raw_tag, flags, offset, length, crc, reserved = fields
     tag = raw_tag.decode("ascii", "replace")
+    known = known if splats else (*known, LAYR, BODY)
     malformed = not raw_tag.isalpha() or reserved != 0 or flags > REQUIRED
     if malformed or tag in entries or (tag in known and flags != REQUIRED):
         raise damage(f"section table at byte {at}", f"entry {tag!r} is repeated or malformed")

@@ -10,6 +10,8 @@ import numpy as np
 from clgs import _codec
 from clgs.codec.container import chunks
 from clgs.codec.container.sections import (
+    BODY,
+    LAYR,
     SCENE,
     SPLATS,
     BytesSource,
@@ -26,7 +28,7 @@ def contents(data: bytes) -> dict[str, bytes]:
     source = BytesSource(data)
     splats = data[HEAD : HEAD + 4] == b"SPLT"
     entries = read_table(source, splats).entries
-    tags = SPLATS if splats else SCENE
+    tags = SPLATS if splats else (*SCENE, *(tag for tag in (LAYR, BODY) if tag in entries))
     return {tag: bytes(read_section(source, entries[tag]).data) for tag in tags}
 
 
@@ -41,14 +43,18 @@ def rebuilt(data: bytes, **changed: bytes) -> bytes:
 def checked(sections: dict[str, bytes]) -> bytes:
     """CHNK with the checksums of what lies at its chunks' places now."""
     chunk, shared, _, table = unpack_rows(sections["CHNK"])
-    streams = {}
+    streams: dict[str, list[bytes]] = {tag: [] for tag in chunks.TAGS}
+    ends = {}
     for column, tag in enumerate(chunks.TAGS):
-        at = shared[2 * column]
-        shared[2 * column + 1] = _codec.crc32c(sections[tag][:at])
-        streams[tag] = []
-        for length in table[:, 7 + column].tolist():
-            streams[tag].append(sections[tag][at : at + length])
-            at += length
+        ends[tag] = shared[2 * column]
+        shared[2 * column + 1] = _codec.crc32c(sections[tag][: ends[tag]])
+    home = {tag: BODY if BODY in sections else tag for tag in chunks.TAGS}
+    ends[BODY] = 0
+    for lengths in table[:, 7:].tolist():
+        for tag, length in zip(chunks.TAGS, lengths, strict=True):
+            at = ends[home[tag]]
+            streams[tag].append(sections[home[tag]][at : at + length])
+            ends[home[tag]] += length
     crcs = [_codec.crc32c(stream) for stream in streams["ANCH"]]
     rows = zip(*(streams[tag] for tag in chunks.TAGS[1:]), strict=True)
     crcs += [_codec.crc32c(b"".join(row)) for row in rows]

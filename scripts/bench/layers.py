@@ -1,0 +1,61 @@
+"""What the layers of a file show, and files of the same size: PSNR and bytes of every prefix.
+
+``python scripts/bench/layers.py SCENE.clgs --data DATA [--downscale N] [--layers 4] [--views 4]``
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from clgs.codec.scene_decoder import decode, describe
+from clgs.codec.scene_encoder import encode
+from clgs.opencl.device import Device
+from clgs.render.renderer import Renderer
+from clgs.scene.scene import QuantizedScene
+from clgs.train.quality.score_views import mean_psnr
+from clgs.workflow.encode import encode_within, importance_in_views
+from clgs.workflow.options import ViewOptions
+from clgs.workflow.views import drawing_options, select_views
+
+
+def main() -> None:
+    """Print a line of JSON for every layer."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--downscale", type=int)
+    parser.add_argument("--layers", type=int, default=4)
+    parser.add_argument("--views", type=int, default=4, help="held-out views, at most")
+    parser.add_argument("--target", action="store_true", help="--target-size of each prefix, too")
+    args = parser.parse_args()
+    plain = args.scene.read_bytes()
+    scene = decode(plain)
+    views = ViewOptions(args.data, downscale=args.downscale)
+    every = select_views(args.scene, scene, replace(views, split="test"))
+    test = every[:: max(1, len(every) // args.views)][: args.views]
+    device, options = Device(None), drawing_options(args.scene, views, scene)
+
+    def psnr(shown: QuantizedScene) -> float:
+        renderer = Renderer(device, shown.dequantize(), options)
+        return round(mean_psnr(renderer, test, shown.settings.background), 2)
+
+    orders = {"around": None, "views": importance_in_views(args.scene, scene, views)}
+    for name, importance in orders.items():
+        data = encode(scene, layers=args.layers, importance=importance)
+        overhead = round(100 * (len(data) / len(plain) - 1), 2)
+        for number, layer in enumerate(describe(data)["layers"], 1):
+            row = {"scene": args.scene.stem, "order": name, "layer": number, **layer}
+            row |= {"of": len(data), "overhead": overhead}
+            row["psnr"] = psnr(decode(data, layers=number))
+            if args.target and number < args.layers:
+                for known, chosen in {"plain": replace(views, data=None), "judged": views}.items():
+                    found = encode_within(args.scene, scene, encode, chosen, layer["end"]).found
+                    row[f"target_{known}"] = [len(found.data), psnr(found.scene)]
+            print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()
