@@ -66,7 +66,7 @@ def add_option(group: argparse._ArgumentGroup, one: Option) -> None:
     else:
         metavar = {int: "N", Pair: "FIRST,LAST"}.get(one.kind, "X")
         if isinstance(one.allowed, Text):
-            metavar = "FILE"
+            metavar = one.allowed.metavar
         group.add_argument(one.flag, type=value_of(one), metavar=metavar, **shared)
 
 

@@ -50,7 +50,7 @@ def other_value(one: Option) -> Any:
     if isinstance(one.allowed, tuple):
         return next(word for word in one.allowed if word != one.default)
     if isinstance(one.allowed, Text):
-        return "other.ply"
+        return "-1,-1,-1,1,1,1" if one.name == "box" else "other.ply"
     if one.kind == Pair:
         return tuple(2 * rate for rate in one.default)
     steps = {"growth_end": -1, "target_size": 100_000, "max_anchors": 1000, "start_points": 9}

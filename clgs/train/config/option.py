@@ -73,9 +73,13 @@ def at_least(least: float) -> Range:
 
 @dataclass(frozen=True)
 class Text:
-    """Any text but an empty one; ``what`` says what it names, such as "a file"."""
+    """Any text but an empty one; ``what`` says what it names, such as "a file".
+
+    metavar: what stands for it in the help of the command line.
+    """
 
     what: str
+    metavar: str = "FILE"
 
 
 Allowed = Range | Text | tuple[str, ...]

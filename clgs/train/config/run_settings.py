@@ -93,6 +93,14 @@ class RunSettings:
         "those of a scene: its .clgs or .npz file",
         Text("trained, random or the name of a file"),
     )
+    box: str = option(
+        "",
+        "learn, grow and prune only the anchors in this box, x0,y0,z0,x1,y1,z1; the MLPs rest, the "
+        "other anchors are drawn as they are, and nothing is priced or capped; empty: all learn",
+        Text("six numbers with commas between them", "X0,Y0,Z0,X1,Y1,Z1"),
+        unit="scene units",
+        later=True,
+    )
     fixed_views: int = option(
         4, "training views on which PSNR is logged", at_least(0), unit="views"
     )

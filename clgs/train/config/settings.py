@@ -19,6 +19,7 @@ from typing import Any
 from clgs.data.reduction import OBJECT
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
+from clgs.train.config.box import Box, parse_box
 from clgs.train.config.learning_rates import LearningRates
 from clgs.train.config.option import WEIGHT, at_least, option, options_of
 from clgs.train.config.run_settings import FULL_STEPS, LEAST_ANCHORS, PhotoSettings, RunSettings
@@ -174,6 +175,8 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
                 object.__setattr__(self, name, one.check(getattr(self, name)))
         if self.l1_weight == self.ssim_weight == 0:
             raise UsageError("l1_weight, ssim_weight: both are 0, so nothing would be learned")
+        if self.learning_box and self.adam == "visible":
+            raise UsageError("box: goes with adam = dense alone; leave out one of the two")
         least = LEAST_TARGET[self.mlp]
         if 0 < self.target_size < least:
             raise UsageError(
@@ -191,6 +194,11 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
                     f"{first}: {earlier} is after {second} {later}; give at most that, "
                     f"or a later {second}"
                 )
+
+    @property
+    def learning_box(self) -> Box | None:
+        """Where anchors learn; None: everywhere."""
+        return parse_box(self.box) if self.box else None
 
     @property
     def held_anchors(self) -> int:

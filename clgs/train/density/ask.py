@@ -38,7 +38,8 @@ def wanted_anchors(
     ``growth_threshold`` * 2^i ask, with probability 1 - 0.5^(i+1), for an anchor at their position
     rounded to cells of ``growth_cell`` // 4^i voxels. Cells that hold no anchor get one, with
     log(cell edge) as scalings; those that asked are its parents. Levels with cells below a voxel
-    are skipped, and those after a first level that added nothing. Cells more than 2^20 voxels from
+    are skipped, and those after a first level that added nothing. Cells outside the box, if one is
+    given, and more than 2^20 voxels from
     the middle of the anchors are not served, and none once there are ``most_anchors``: the first
     slots to ask are then those with the largest gradient.
 
@@ -54,7 +55,7 @@ def wanted_anchors(
         ClgsError: the anchors are too far apart.
     """
     occupied = np.compress(~np.isnan(position[:, 0]), voxels_of(position, 1.0 / config.voxel), 1)
-    window = VoxelWindow.around(occupied)
+    window, box = VoxelWindow.around(occupied), config.learning_box
     most = config.most_anchors
     room = max(0, most - occupied.shape[1]) if most else 1 << 62
     voxels, children, parents = [occupied], [], []
@@ -76,7 +77,10 @@ def wanted_anchors(
         shift = place[:3] * np.exp(log_scale.astype(np.float64))
         own = voxels_of(position[asked // K_OFFSETS], 1.0 / config.voxel)
         wanted = np.rint((own + shift / config.voxel) / factor)
-        inside = np.flatnonzero(window.holds(wanted * factor))
+        served = window.holds(wanted * factor)
+        if box is not None:
+            served &= box.holds(wanted.T * (factor * config.voxel))
+        inside = np.flatnonzero(served)
         keys = window.keys(np.take(wanted, inside, axis=1), factor)
         order = np.argsort(keys, kind="stable")
         keys, inside = keys[order], inside[order]

@@ -72,11 +72,36 @@ def replace_anchors(
     Raises:
         ClgsError: no anchor is left.
     """
-    seen = frame.activations.visible, frame.activations.output
-    position = mask_prune(device, parameters, *seen)
+    visible = frame.activations.visible
+    if (box := config.learning_box) is not None:
+        outside = ~box.holds(device.download(parameters.scene.anchors.position))
+        parameters, visible = without(device, parameters, visible, outside)
+    position = mask_prune(device, parameters, visible, frame.activations.output)
     parameters, position = grow(device, config, parameters, position, rng)
     prune(device, config, parameters, position)
     return replace(parameters, hidden=count_hidden(position))
+
+
+def without(
+    device: Device,
+    parameters: Parameters,
+    visible: DeviceArray,
+    outside: npt.NDArray[np.bool_],
+) -> tuple[Parameters, DeviceArray]:
+    """The parameters and the visible anchors (V,) as if the anchors ``outside`` were never seen.
+
+    Their statistics become 0, so that they neither go nor ask for others.
+    """
+    seen = device.download(visible)
+    seen[(seen >= 0) & outside[seen]] = -1
+
+    def forget(array: DeviceArray) -> DeviceArray:
+        values = device.download(array)
+        values[outside] = 0
+        return device.upload(values)
+
+    forgotten = replace(parameters, statistics=parameters.statistics.map(forget))
+    return forgotten, device.upload(seen)
 
 
 def count_hidden(position: Positions) -> int:
@@ -149,12 +174,14 @@ def prune(device: Device, config: TrainConfig, parameters: Parameters, position:
 
     Of the anchors visited more than ``anchor_visits`` times, those with a summed opacity below
     ``prune_opacity`` per visit go, and the sums of the others are zeroed. Scaling [3:6] of all that
-    stay is capped at ``scaling_cap``.
+    stay is capped at ``scaling_cap``, unless only the anchors of a box learn.
 
     Raises:
         ClgsError: no anchor is left.
     """
-    limits = config.anchor_visits, config.prune_opacity, config.scaling_cap
+    # a cap would change anchors outside of a box, too
+    cap = float(np.finfo(np.float32).max) if config.box else config.scaling_cap
+    limits = config.anchor_visits, config.prune_opacity, cap
     rows = growth.prune(device, parameters.scene.anchors, parameters.statistics, *limits)
     position[rows] = np.nan
     count_hidden(position)

@@ -119,7 +119,7 @@ class Economy:
         self._lambda = config.size_lambda or 0.0
         usual = default_lambda(dataset.kind, config.steps)
         self._most_loss = MOST_LOSS ** min(max(1.0, self._lambda / usual), NO_LIMIT)
-        active = self._lambda > 0 or config.target_size > 0
+        active = (self._lambda > 0 or config.target_size > 0) and not config.box
         thinned = [share * config.switch_step for share in THINNED]
         if config.switch_step < UNLEARNED:
             thinned = []

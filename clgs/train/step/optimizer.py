@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from clgs.constants import HEAD_DIMS
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
@@ -21,6 +23,8 @@ class Optimizer:
         """``radius`` in scene units scales the learning rate of offsets."""
         self._device, self._config, self._radius = device, config, radius
         self._adam = numpy_adam if config.optimizer == "numpy" else adam
+        self._box = config.learning_box
+        self._inside: tuple[DeviceArray, DeviceArray] | None = None
 
     def step(
         self,
@@ -35,16 +39,21 @@ class Optimizer:
 
         ``stop`` (1,) int32 is set if a gradient or ``loss``, float32 of any shape, is not finite;
         unless it holds 0 nothing changes. Without ``anchors_learn`` only the MLPs learn: in steps
-        that replace the anchors, and if these rest.
+        that replace the anchors, and if these rest. If only those in a box learn, the MLPs rest.
         """
         device = self._device
         rates = learning_rates(self._config, step, self._radius)
         names = (*ANCHOR_GROUPS, "weights") if anchors_learn else ("weights",)
+        if self._box is not None:
+            names = names[:-1]
         by_name = {name: getattr(gradients, f"d_{name}") for name in names}
         by_rows = [name for name in names if self._config.adam == "visible" and name != "weights"]
         whole = [array for name, array in by_name.items() if name not in by_rows]
         adam.check_finite(device, [*whole, loss], stop)
         marks = {name: adam.mark_rows(device, by_name[name], stop) for name in by_rows}
+        if self._box is not None:
+            inside = self._rows_inside(parameters.scene.anchors.position)
+            marks = dict.fromkeys(names, inside)
         tensors, updates = dict(parameters.scene.items()), []
         for name in names:
             trained = adam.Trained(tensors[name], by_name[name], parameters.moments[name])
@@ -58,3 +67,11 @@ class Optimizer:
                 else:
                     updates.append(adam.Update(trained, now, part))
         self._adam.step(device, updates, stop)
+
+    def _rows_inside(self, position: DeviceArray) -> DeviceArray:
+        """(A,) int32: 1 for the anchors that learn; positions stay until others replace them."""
+        assert self._box is not None
+        if self._inside is None or self._inside[0] is not position:
+            inside = self._box.holds(self._device.download(position))
+            self._inside = position, self._device.upload(inside.astype(np.int32))
+        return self._inside[1]
