@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -17,6 +18,7 @@ from clgs.codec import octree
 from clgs.codec.attributes.model import NearRows
 from clgs.codec.attributes.row_coder import RowModel
 from clgs.codec.container.chunks import Chunk
+from clgs.codec.container.http_source import HttpSource
 from clgs.codec.container.meta import array_hash, content_arrays, content_hash, join_hashes
 from clgs.codec.container.reader import CHANNELS, SceneReader
 from clgs.codec.container.sections import (
@@ -42,24 +44,39 @@ from clgs.scene.world import in_words
 
 Positions = npt.NDArray[np.int32]
 
+EVERYWHERE = Box((-np.inf,) * 3, (np.inf,) * 3)
 
-def decode(data: bytes, threads: int | None = None, layers: int | None = None) -> QuantizedScene:
+
+def decode(
+    data: bytes | str,
+    threads: int | None = None,
+    layers: int | None = None,
+    box: Box | None = None,
+) -> QuantizedScene:
     """The scene that ``encode`` was given, rows in Morton order.
 
     Args:
         data: a whole file; one in layers may be cut after the first layer, and a UserWarning then
-            says which layers it has.
+            says which layers it has. Or the http or https address of one: only what is needed is
+            read, by range requests, and checked by the checksums of chunks.
         threads: at most this many, by default one per processor.
         layers: of a file in layers, only this many, from the first on; others have one.
+        box: only the anchors in it.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged anywhere.
-        TypeError: ``data`` is no bytes, such as the name of a file.
+        DataError: nothing answers at the address, or not with the range that was asked for.
+        TypeError: ``data`` is neither bytes nor an address.
         UsageError: the number of layers is below 1, or above what the file was made with.
     """
+    if isinstance(data, str) and "://" in data:
+        with closing(HttpSource(data)) as source:
+            return decode_box(source, box or EVERYWHERE, threads, layers)
     if not isinstance(data, bytes | bytearray | memoryview):
         wanted = "bytes are needed; Path(name).read_bytes() reads a file"
         raise TypeError(f"data: is {type(data).__name__}, {wanted}")
+    if box is not None:
+        return decode_box(BytesSource(data), box, threads, layers)
     table, _ = read_container(data)
     reader = SceneReader(BytesSource(data), table)
     chosen = choose_layers(reader, layers)

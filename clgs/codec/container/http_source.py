@@ -1,0 +1,97 @@
+"""A file behind an address, read by HTTP range requests: http and https, no redirects."""
+
+from __future__ import annotations
+
+import http.client
+import re
+import threading
+from urllib.parse import urlsplit
+
+from clgs.errors import DataError
+
+FRONT = 1 << 15
+"""Bytes of the first request: most directories, with what decoding needs, fit in."""
+
+SECONDS = 30.0
+"""How long a server may say nothing."""
+
+_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+)")
+
+
+class HttpSource:
+    """The bytes of a file at ``url``; threads may share it. ``bytes_read`` counts those received.
+
+    Raises:
+        DataError: the address is none of http or https, nothing answers there, or the server
+            answers otherwise than with the range that was asked for.
+    """
+
+    def __init__(self, url: str) -> None:
+        try:
+            parts = urlsplit(url)
+            host, port = parts.hostname, parts.port
+        except ValueError as error:
+            raise DataError(f"{url}: no address ({error}); correct it") from None
+        if parts.scheme not in ("http", "https") or not host:
+            raise DataError(f"{url}: no http or https address; name one, or read the file's bytes")
+        kind = (
+            http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
+        )
+        self._connection = kind(host, port, timeout=SECONDS)
+        self._url = url
+        self._target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+        self._turn = threading.Lock()
+        self.bytes_read, self.size = 0, 0
+        self._front = memoryview(self._request(0, FRONT))
+
+    def close(self) -> None:
+        """End the connection."""
+        self._connection.close()
+
+    def read(self, offset: int, length: int) -> memoryview:
+        """The bytes, received unless they were among the first ones."""
+        if offset + length <= len(self._front):
+            return self._front[offset : offset + length]
+        if length == 0:
+            return memoryview(b"")
+        with self._turn:
+            return memoryview(self._request(offset, length))
+
+    def _request(self, offset: int, length: int) -> bytes:
+        """Up to ``length`` bytes; fewer only where the file ends."""
+        asked = {"Range": f"bytes={offset}-{offset + length - 1}", "Accept-Encoding": "identity"}
+        try:
+            self._connection.request("GET", self._target, headers=asked)
+            answer = self._connection.getresponse()
+            size = self._check(answer, offset, length)
+            data = answer.read(size)
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            self.close()
+            problem = " ".join(str(error).split()) or type(error).__name__
+            raise DataError(f"{self._url}: not read ({problem}); look at the address") from None
+        if len(data) != size:
+            self.close()
+            raise DataError(f"{self._url}: the answer is cut; try again")
+        self.bytes_read += size
+        return data
+
+    def _check(self, answer: http.client.HTTPResponse, offset: int, length: int) -> int:
+        """The bytes of an answer that has the range asked for, which sets the file's size."""
+        problem = ""
+        if answer.status == 200:
+            problem = "the server ignores ranges; download the file and read its bytes"
+        elif 300 <= answer.status < 400:
+            problem = "the file has moved; name the address that it has now"
+        elif answer.status != 206:
+            problem = f"the server says {answer.status}; look at the address"
+        found = _RANGE.fullmatch(answer.headers.get("Content-Range", ""))
+        first, last, size = map(int, found.groups()) if found else (-1, -1, -1)
+        if not problem and (first, last) != (offset, min(offset + length, size) - 1):
+            problem = "the server sends another range; download the file and read its bytes"
+        if not problem and self.size not in (0, size):
+            problem = "the file has changed meanwhile; try again"
+        if problem:
+            self.close()
+            raise DataError(f"{self._url}: {problem}")
+        self.size = size
+        return last - first + 1

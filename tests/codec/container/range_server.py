@@ -1,0 +1,48 @@
+"""A plain file server on the loopback address that knows ranges, or ignores them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+
+@contextmanager
+def serve(files: dict[str, bytes], ranges: bool = True) -> Iterator[str]:
+    """The address that the names of ``files`` are added to; /moved leads to a file of the disk."""
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self) -> None:
+            data = files.get(self.path.lstrip("/"))
+            if data is None:
+                self.send_response(302 if self.path == "/moved" else 404)
+                self.send_header("Location", "file:///etc/passwd")
+                self.send_header("Content-Length", "0")
+                self.end_headers()
+                return
+            part, asked = data, self.headers.get("Range")
+            if ranges and asked:
+                first, last = map(int, asked.removeprefix("bytes=").split("-"))
+                part = data[first : last + 1]
+                self.send_response(206)
+                end = first + len(part) - 1
+                self.send_header("Content-Range", f"bytes {first}-{end}/{len(data)}")
+            else:
+                self.send_response(200)
+            self.send_header("Content-Length", str(len(part)))
+            self.end_headers()
+            self.wfile.write(part)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/"
+    finally:
+        server.shutdown()
+        server.server_close()

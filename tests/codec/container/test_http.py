@@ -1,0 +1,63 @@
+"""Scenes behind an address: what is asked for, and what servers do wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clgs.codec.container.http_source import FRONT, HttpSource
+from clgs.codec.scene_decoder import decode, decode_box, describe
+from clgs.codec.scene_encoder import encode
+from clgs.errors import DataError
+from clgs.scene.region import Box
+from tests.codec.container.range_server import serve
+from tests.codec.scenes import assert_same, random_scene
+
+
+@pytest.fixture(scope="module")
+def data():
+    """More bytes than a first request asks for."""
+    data = encode(random_scene(np.random.default_rng(5), 3000), "fast", 64, layers=3)
+    assert len(data) > 1.5 * FRONT
+    return data
+
+
+def test_a_scene_its_layers_and_a_box_of_it(data):
+    box = Box((-np.inf,) * 3, (-0.02, np.inf, np.inf))
+    with serve({"s.clgs": data, "plain.clgs": encode(decode(data))}) as url:
+        assert_same(decode(url + "s.clgs"), decode(data))
+        assert_same(decode(url + "plain.clgs"), decode(data))
+        assert_same(decode(url + "s.clgs", layers=2), decode(data, layers=2))
+        assert_same(decode(url + "s.clgs", box=box), decode(data, box=box))
+        source = HttpSource(url + "s.clgs")
+        part = decode_box(source, box)
+        source.close()
+    assert 0 < len(part.anchors) < len(decode(data).anchors)
+    assert source.bytes_read < len(data)
+
+
+def test_a_file_that_is_cut_at_the_server_is_a_coarser_scene(data):
+    second = describe(data)["layers"][1]["end"]
+    cut = pytest.warns(UserWarning, match="layers 1 to 2 of 3")
+    with serve({"s.clgs": data[: second + 5]}) as url, cut:
+        assert_same(decode(url + "s.clgs"), decode(data, layers=2))
+
+
+def test_servers_and_addresses_that_do_not_serve(data):
+    with serve({"s.clgs": data}, ranges=False) as url:
+        for name, said in (
+            ("s.clgs", "the server ignores ranges; download the file"),
+            ("none.clgs", "the server says 404"),
+            ("moved", "the file has moved"),
+        ):
+            with pytest.raises(DataError, match=said) as error:
+                decode(url + name)
+            assert str(error.value).startswith(url + name)
+            assert "\n" not in str(error.value)
+    with pytest.raises(DataError, match="not read"):
+        decode(url + "s.clgs")  # the server is gone
+    for address in ("file:///etc/passwd", "ftp://host/x.clgs", "http://", "http://[::1/x"):
+        with pytest.raises(DataError):
+            decode(address)
+    with pytest.raises(TypeError, match="bytes are needed"):
+        decode("scene.clgs")
