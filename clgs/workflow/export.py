@@ -22,6 +22,7 @@ from clgs.bake.bake import (
 )
 from clgs.bake.cameras import cameras_around
 from clgs.codec import scene_decoder, splat_packing
+from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import load_dataset
 from clgs.data.origin import repose
 from clgs.data.posed_photo import to_y_up
@@ -326,5 +327,8 @@ def _scene_file(path: Path) -> bytes:
         return splat_packing.pack(read_splats(path, {})[0])
     data = read_bytes(path)
     with naming(path):
-        (splat_packing if splat_packing.is_splats(data) else scene_decoder).describe(data)
+        reader = splat_packing if splat_packing.is_splats(data) else scene_decoder
+        found = reader.describe(data)
+        if "layers" in found:  # a page holds a file as a whole: layers would only cost bytes
+            return encode(scene_decoder.decode(data), found["level"])
     return data

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from clgs.cli import main as cli
+from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.errors import ClgsError
 from clgs.exports import page
@@ -118,3 +119,10 @@ def test_a_build_without_the_decoder_says_so(monkeypatch, data, tmp_path, capsys
     monkeypatch.setattr(page.importlib.resources, "files", lambda name: tmp_path)
     with pytest.raises(ClgsError, match="install clang with lld"):
         page._decoder()
+
+
+def test_a_page_of_a_file_in_layers_holds_it_without_them(decoder, data, tmp_path):
+    file, output = tmp_path / "s.clgs", tmp_path / "s.html"
+    file.write_bytes(encode(decode(data), layers=3))
+    assert cli.main(["export", str(file), "-o", str(output)]) == 0
+    assert base64.b64decode(part(output.read_text(), "scene")) == data
