@@ -170,7 +170,7 @@ def run(
             stages.begin(kept=() if found is None else (DATA,))
         data = given.path
         if not given.posed:
-            data = stages.prepare(given, must_hurry(given.photos.count, CORES, allowed), max_size)
+            data = stages.prepare(given, must_hurry(given.photos, CORES, allowed), max_size)
         if training is not None:
             posed = _measured(given, data, settings or {}, on_event)
             if not given.complete:
@@ -252,7 +252,7 @@ def _shortened(given: RunInput, allowed: float) -> RunInput:
     """The input with as many frames as the time allows, if it is a video."""
     if not given.video:
         return given
-    photos = replace(given.photos, count=frames_within(CORES, allowed))
+    photos = replace(given.photos, count=frames_within(given.photos, CORES, allowed))
     return replace(given, photos=photos)
 
 
@@ -276,12 +276,11 @@ class _Planner:
     start: float = field(default_factory=time.perf_counter)
 
     def plan(self, given: RunInput) -> RunPlan:
-        count = given.photos.count
-        hurry = must_hurry(count, CORES, self.allowed)
+        hurry = must_hurry(given.photos, CORES, self.allowed)
         if given.complete:
             training = self.plan_training(given.photos, 0.0, given.path)
         else:
-            preparing = prepare_seconds(count, CORES, hurry or given.pointless)
+            preparing = prepare_seconds(given.photos, CORES, hurry or given.pointless)
             training = self.plan_training(given.photos, preparing, None)
         return RunPlan(given, training, self.stages.device.name, hurry, self.allowed)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from clgs.data.reduction import IGNORE, OBJECT
+from clgs.poses.features import DOUBLED_SIZE, FINEST_SIZE
 from clgs.poses.pairs import MAX_EXHAUSTIVE
 from clgs.train.step.schedule import COARSE_STAGES
 
@@ -32,11 +33,15 @@ MOST_STEPS = 30_000
 LEAST_STEPS = 300
 """Fewer give nothing that is worth looking at."""
 
-FEATURE_SECONDS, PAIR_SECONDS = {True: 0.6, False: 1.0}, {True: 0.03, False: 0.07}
-"""Seconds of one core per photo and per pair of photos; True: with `prepare --quick`."""
+PHOTO_SECONDS, PIXEL_SECONDS = {True: 0.4, False: 0.6}, {True: 0.15e-6, False: 0.25e-6}
+"""Seconds of one core for the features of a photo, and per pixel that is searched; True: with
+`prepare --quick`."""
 
-MAPPING_SECONDS = {True: 0.5, False: 1.2}
-"""Seconds per photo of mappers, which use one core."""
+PAIR_SECONDS = {True: 0.03, False: 0.05}
+"""Seconds of one core per pair of photos."""
+
+MAPPING_SECONDS, MAPPING_GROWTH = {True: 0.3, False: 0.5}, 600
+"""Seconds per photo of mappers, which use one core; a second more per this number of photos."""
 
 FIXED_SECONDS = 5.0
 
@@ -199,22 +204,30 @@ def fit_speed(small: tuple[int, float], large: tuple[int, float]) -> StepSpeed:
     return StepSpeed(max(1e-4, small[1] - pixel * small[0]), pixel)
 
 
-def prepare_seconds(count: int, cores: int, quick: bool) -> float:
-    """What structure from motion usually takes for ``count`` photos."""
+def prepare_seconds(photos: Photos, cores: int, quick: bool) -> float:
+    """What structure from motion usually takes for photos of about one size."""
+    count, size = photos.count, max(photos.width, photos.height)
+    shrink = min(2.0 if size <= DOUBLED_SIZE else 1.0, FINEST_SIZE / size)
+    searched = photos.width * photos.height * shrink**2
     pairs = count * (count - 1) / 2 if count <= MAX_EXHAUSTIVE else MOST_PAIRS * count
-    seconds = count * FEATURE_SECONDS[quick] + pairs * PAIR_SECONDS[quick]
-    return FIXED_SECONDS + seconds / max(1, min(cores, 8)) + count * MAPPING_SECONDS[quick]
+    seconds = count * (PHOTO_SECONDS[quick] + PIXEL_SECONDS[quick] * searched)
+    seconds += pairs * PAIR_SECONDS[quick]
+    mapping = count * (MAPPING_SECONDS[quick] + count / MAPPING_GROWTH)
+    return FIXED_SECONDS + seconds / max(1, min(cores, 8)) + mapping
 
 
-def must_hurry(count: int, cores: int, seconds: float) -> bool:
+def must_hurry(photos: Photos, cores: int, seconds: float) -> bool:
     """Whether ``seconds`` for everything leave no time for tests of the poses."""
-    return prepare_seconds(count, cores, quick=False) > POSES_SHARE * seconds
+    return prepare_seconds(photos, cores, quick=False) > POSES_SHARE * seconds
 
 
-def frames_within(cores: int, seconds: float) -> int:
+def frames_within(video: Photos, cores: int, seconds: float) -> int:
     """Frames of a video that leave time for the rest, if ``seconds`` are for everything."""
-    fitting = (n for n in FRAMES if prepare_seconds(n, cores, quick=True) <= POSES_SHARE * seconds)
-    return next(fitting, FRAMES[-1])
+    for count in FRAMES:
+        frames = replace(video, count=count)
+        if prepare_seconds(frames, cores, quick=True) <= POSES_SHARE * seconds:
+            return count
+    return FRAMES[-1]
 
 
 def make_plan(

@@ -75,7 +75,7 @@ def test_plan_takes_as_many_frames_of_a_video_as_the_time_allows(tmp_path, capsy
     for allowed in ("1m", "2h"):
         words = ["run", str(clip), "-o", str(tmp_path / "out"), "--plan", "--time", allowed]
         assert cli.main(words) == 0
-        frames = frames_within(os.cpu_count() or 1, duration(allowed))
+        frames = frames_within(Photos(0, 96, 64), os.cpu_count() or 1, duration(allowed))
         assert f"frames, {frames} of 96 x 64 pixels" in capsys.readouterr().out
     assert frames == FRAMES[0]
 

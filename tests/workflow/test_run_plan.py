@@ -108,15 +108,24 @@ def test_noise_never_gives_a_speed_below_zero(pixels):
 
 
 def test_more_photos_take_longer_to_pose_and_more_cores_less():
-    assert prepare_seconds(50, 2, True) < prepare_seconds(100, 2, True)
-    assert prepare_seconds(100, 2, False) < prepare_seconds(1000, 2, False)
-    assert prepare_seconds(50, 8, False) < prepare_seconds(50, 2, False)
+    few, more, many = (replace(PHOTOS, count=count) for count in (50, 100, 1000))
+    assert prepare_seconds(few, 2, True) < prepare_seconds(more, 2, True)
+    assert prepare_seconds(more, 2, False) < prepare_seconds(many, 2, False)
+    assert prepare_seconds(few, 8, False) < prepare_seconds(few, 2, False)
+
+
+def test_more_pixels_take_longer_to_pose_up_to_those_that_are_searched():
+    sizes = [(400, 300), (1600, 1200), (3200, 2400), (6400, 4800)]
+    seconds = [prepare_seconds(Photos(50, *size), 2, False) for size in sizes]
+    # Photos up to 1,600 pixels are searched at twice their size.
+    assert seconds[0] < seconds[1] == seconds[2] == seconds[3]
+    assert prepare_seconds(Photos(50, 1700, 1275), 2, False) < seconds[1]
 
 
 def test_poses_are_tested_if_there_is_time():
-    assert must_hurry(50, 2, 200.0)
-    assert not must_hurry(50, 2, 3600.0)
-    assert not must_hurry(11, 2, 300.0)
+    assert must_hurry(PHOTOS, 2, 200.0)
+    assert not must_hurry(PHOTOS, 2, 3600.0)
+    assert not must_hurry(replace(PHOTOS, count=11), 2, 300.0)
 
 
 @pytest.mark.parametrize(
@@ -138,11 +147,14 @@ def test_times_are_shown_in_fitting_units():
 
 @given(st.floats(20, 1e5), st.integers(1, 64))
 def test_frames_leave_time_for_the_rest(seconds, cores):
-    count = frames_within(cores, seconds)
+    count = frames_within(PHOTOS, cores, seconds)
     share = POSES_SHARE * seconds
-    assert count == FRAMES[-1] or prepare_seconds(count, cores, quick=True) <= share
-    more = [n for n in FRAMES if n > count]
-    assert all(prepare_seconds(n, cores, quick=True) > share for n in more)
+
+    def taken(frames):
+        return prepare_seconds(replace(PHOTOS, count=frames), cores, quick=True)
+
+    assert count == FRAMES[-1] or taken(count) <= share
+    assert all(taken(n) > share for n in FRAMES if n > count)
 
 
 @given(st.floats(20, 1e5), st.integers(2, 8000), st.integers(2, 8000))

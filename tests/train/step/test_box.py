@@ -52,7 +52,7 @@ def test_only_the_anchors_in_the_box_learn_come_and_go(dataset, cpu):
 
 
 def test_a_box_around_everything_moves_anchors_as_without_a_box(dataset, cpu):
-    """In the first step: after it, the MLPs of the run without a box are others."""
+    """Only the first step is compared: the MLPs of the run without a box change in it."""
     whole, boxed = trainer(cpu, dataset), trainer(cpu, dataset, box="-inf,-inf,-inf,inf,inf,inf")
     before = rows(whole)
     for one in (whole, boxed):
