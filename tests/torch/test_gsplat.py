@@ -15,7 +15,7 @@ from tests.render.splat_scene import scene  # noqa: E402
 from tests.torch import gsplat_reference as theirs  # noqa: E402
 
 MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
-LIMIT = 1e-4
+LIMIT, QUOTIENT_LIMIT = 1e-4, 1e-3
 
 
 def compare(given, how, rng):
@@ -69,18 +69,26 @@ def random_case(rng, number, channels):
 
 
 def check(rng, cases):
-    """How many scenes have an entry at a boundary, which decides otherwise in float32."""
+    """The scenes beyond LIMIT: (render mode, errors) of each.
+
+    Only expected depths may be: they are quotients. If few Gaussians are in a pixel, a gradient of
+    the quotient is the small difference of two large ones, which gsplat's code in float32 misses
+    by as much.
+    """
     beyond = []
     for number, channels in cases:
-        errors = compare(*random_case(rng, number, channels), rng)
+        given, how = random_case(rng, number, channels)
+        errors = compare(given, how, rng)
         if max(errors.values()) > LIMIT:
-            beyond.append((number, channels, errors))
+            beyond.append((how["render_mode"], errors))
+    assert all("ED" in mode for mode, _ in beyond), beyond
+    assert all(max(errors["colors"], errors["alphas"]) <= LIMIT for _, errors in beyond), beyond
+    assert all(max(errors.values()) <= QUOTIENT_LIMIT for _, errors in beyond), beyond
     return beyond
 
 
 def test_agrees_with_gsplat(rng):
-    cases = [(number, 3) for number in range(12)]
-    beyond = check(rng, cases)
+    beyond = check(rng, [(number, 3) for number in range(12)])
     assert len(beyond) <= 1, beyond
 
 
@@ -88,7 +96,7 @@ def test_agrees_with_gsplat(rng):
 def test_agrees_with_gsplat_on_200_scenes(rng):
     cases = list(itertools.islice(itertools.product(range(34), (1, 2, 3, 4, 8, 33)), 200))
     beyond = check(rng, cases)
-    print(f"{len(beyond)} of {len(cases)} scenes have an entry at a boundary")
+    print(f"{len(beyond)} of {len(cases)} scenes have a gradient of expected depths beyond {LIMIT}")
     assert len(beyond) <= 10, beyond
 
 
