@@ -48,7 +48,7 @@ MATRICES = {
 
 def section_of(number: int) -> str:
     """The text of an example."""
-    return re.split(r"\*\*Example \d+\.\*\*|\n## ", TEXT.split(f"**Example {number}.**")[1])[0]
+    return re.split(r"\*\*Example \d+\.\*\*|\n##+ ", TEXT.split(f"**Example {number}.**")[1])[0]
 
 
 def documented(number: int) -> list[bytes]:
