@@ -66,9 +66,11 @@ def decode(
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged anywhere.
         DataError: nothing answers at the address, or not with the range that was asked for.
-        TypeError: ``data`` is neither bytes nor an address.
+        TypeError: ``data`` is neither bytes nor an address, or ``box`` no box.
         UsageError: the number of layers is below 1, or above what the file was made with.
     """
+    if not isinstance(box, Box | None):
+        raise TypeError(f"box: is {type(box).__name__}, give a clgs.scene.region.Box")
     if isinstance(data, str) and "://" in data:
         with closing(HttpSource(data)) as source:
             return decode_box(source, box or EVERYWHERE, threads, layers)

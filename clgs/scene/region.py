@@ -55,4 +55,8 @@ class Sphere:
 
     def holds(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         """Whether each of ``points`` (N, 3) lies in the sphere or on it."""
-        return np.asarray(np.linalg.norm(points - self.centre, axis=1) <= self.radius)
+        # In units of the radius, so that squares of large numbers do not overflow.
+        away = points / self.radius - np.asarray(self.centre) / self.radius
+        near = np.abs(away).max(axis=1, initial=0) <= 1
+        near[near] = np.linalg.norm(away[near], axis=1) <= 1
+        return np.asarray(near)

@@ -72,6 +72,12 @@ def test_spheres_that_are_none(radius):
         Sphere((0.0, 0.0, 0.0), radius)
 
 
+def test_a_sphere_of_any_size_holds_what_is_near():
+    far = Sphere((1e300, 0.0, 0.0), 1e300)
+    points = np.array([[1e299, 0.0, 0.0], [1.0, 1.0, 1.0], [-1e299, 0.0, 0.0], [1e300, 1e300, 0.0]])
+    assert far.holds(points).tolist() == [True, True, False, True]
+
+
 def test_nothing_left(scene):
     with pytest.raises(UsageError, match=r"^scene\.clgs: nothing would be left"):
         crop(PATH, scene, encode, ViewOptions(), regions=[Sphere((9.0, 9.0, 9.0), 1.0)])

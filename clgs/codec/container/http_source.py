@@ -15,7 +15,9 @@ FRONT = 1 << 15
 SECONDS = 30.0
 """How long a server may say nothing."""
 
-_RANGE = re.compile(r"bytes (\d+)-(\d+)/(\d+)")
+_RANGE = re.compile(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})", re.IGNORECASE)
+
+_OTHER_LENGTH = "the answer is not as long as its range; download the file and read its bytes"
 
 
 class HttpSource:
@@ -61,19 +63,31 @@ class HttpSource:
         """Up to ``length`` bytes; fewer only where the file ends."""
         asked = {"Range": f"bytes={offset}-{offset + length - 1}", "Accept-Encoding": "identity"}
         try:
-            self._connection.request("GET", self._target, headers=asked)
-            answer = self._connection.getresponse()
+            try:
+                answer = self._ask(asked)
+            except ConnectionError:  # a server may end a connection that waits; a new one opens
+                self.close()
+                answer = self._ask(asked)
             size = self._check(answer, offset, length)
             data = answer.read(size)
+            # An answer in pieces ends with an empty one, which must be read before the next answer.
+            more = answer.read(1) if answer.length is None and len(data) == size else b""
         except (OSError, http.client.HTTPException, ValueError) as error:
             self.close()
             problem = " ".join(str(error).split()) or type(error).__name__
             raise DataError(f"{self._url}: not read ({problem}); look at the address") from None
+        if more:
+            self.close()
+            raise DataError(f"{self._url}: {_OTHER_LENGTH}")
         if len(data) != size:
             self.close()
             raise DataError(f"{self._url}: the answer is cut; try again")
         self.bytes_read += size
         return data
+
+    def _ask(self, headers: dict[str, str]) -> http.client.HTTPResponse:
+        self._connection.request("GET", self._target, headers=headers)
+        return self._connection.getresponse()
 
     def _check(self, answer: http.client.HTTPResponse, offset: int, length: int) -> int:
         """The bytes of an answer that has the range asked for, which sets the file's size."""
@@ -88,6 +102,10 @@ class HttpSource:
         first, last, size = map(int, found.groups()) if found else (-1, -1, -1)
         if not problem and (first, last) != (offset, min(offset + length, size) - 1):
             problem = "the server sends another range; download the file and read its bytes"
+        if not problem and answer.headers.get("Content-Encoding", "identity") != "identity":
+            problem = "the server packs what it sends; download the file and read its bytes"
+        if not problem and answer.length not in (None, last - first + 1):
+            problem = _OTHER_LENGTH
         if not problem and self.size not in (0, size):
             problem = "the file has changed meanwhile; try again"
         if problem:

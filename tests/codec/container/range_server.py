@@ -9,8 +9,13 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 
 @contextmanager
-def serve(files: dict[str, bytes], ranges: bool = True) -> Iterator[str]:
-    """The address that the names of ``files`` are added to; /moved leads to a file of the disk."""
+def serve(files: dict[str, bytes], ranges: bool = True, way: str = "") -> Iterator[str]:
+    """The address that the names of ``files`` are added to; /moved leads to a file of the disk.
+
+    way: "pieces": answers come in pieces without a length; "long": they are longer than their
+    range; "packed": they say that they are; "leaving": the connection ends after each one,
+    unannounced.
+    """
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -32,9 +37,17 @@ def serve(files: dict[str, bytes], ranges: bool = True) -> Iterator[str]:
                 self.send_header("Content-Range", f"bytes {first}-{end}/{len(data)}")
             else:
                 self.send_response(200)
-            self.send_header("Content-Length", str(len(part)))
+            if way == "pieces":
+                self.send_header("Transfer-Encoding", "chunked")
+                part = b"%x\r\n%b\r\n0\r\n\r\n" % (len(part), part)
+            else:
+                part += b"!" * (way == "long")
+                self.send_header("Content-Length", str(len(part)))
+            if way == "packed":
+                self.send_header("Content-Encoding", "gzip")
             self.end_headers()
             self.wfile.write(part)
+            self.close_connection |= way == "leaving"
 
         def log_message(self, *_: object) -> None:
             pass

@@ -61,3 +61,22 @@ def test_servers_and_addresses_that_do_not_serve(data):
             decode(address)
     with pytest.raises(TypeError, match="bytes are needed"):
         decode("scene.clgs")
+
+
+@pytest.mark.parametrize("way", ["pieces", "leaving"])
+def test_answers_in_pieces_and_connections_that_end_serve(data, way):
+    box = Box((-np.inf,) * 3, (-0.02, np.inf, np.inf))
+    with serve({"s.clgs": data}, way=way) as url:
+        assert_same(decode(url + "s.clgs"), decode(data))
+        assert_same(decode(url + "s.clgs", box=box), decode(data, box=box))
+
+
+@pytest.mark.parametrize(("way", "said"), [("long", "not as long as"), ("packed", "packs")])
+def test_answers_that_are_not_their_range_are_named(data, way, said):
+    with serve({"s.clgs": data}, way=way) as url, pytest.raises(DataError, match=said):
+        decode(url + "s.clgs")
+
+
+def test_a_box_is_a_box(data):
+    with pytest.raises(TypeError, match=r"box: is tuple, give a clgs\.scene\.region\.Box"):
+        decode(data, box=(0, 0, 0, 1, 1, 1))
