@@ -13,6 +13,9 @@ from clgs.arguments import check_type
 from clgs.constants import ALPHA_CUT, TRANSMITTANCE_STOP
 from clgs.errors import UsageError
 
+MAX_LAYERS = 64
+"""The most layers of a file."""
+
 
 @dataclass(frozen=True)
 class Accuracy:

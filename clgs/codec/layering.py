@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.container.layers import MAX_LAYERS
 from clgs.codec.contribution import contribution
 from clgs.codec.fit_size import anchor_bits
 from clgs.errors import UsageError
+from clgs.options import MAX_LAYERS
 from clgs.scene.scene import QuantizedScene
 
 FIRST = 0.05

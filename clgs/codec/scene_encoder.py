@@ -15,7 +15,7 @@ from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import NearRows
 from clgs.codec.container.chunks import DEFAULT_CHUNK, MAX_CHUNK, MIN_CHUNK, TAGS, pack_directory
 from clgs.codec.container.geor import pack_geor
-from clgs.codec.container.layers import MAX_LAYERS, Layer, pack_layers
+from clgs.codec.container.layers import Layer, pack_layers
 from clgs.codec.container.meta import (
     LEVELS,
     Meta,
@@ -40,6 +40,7 @@ from clgs.codec.container.sections import (
 )
 from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
+from clgs.options import MAX_LAYERS
 from clgs.scene.anchors import QuantizedAnchors, take
 from clgs.scene.mlps import MLP_SIZE
 from clgs.scene.scene import QuantizedScene

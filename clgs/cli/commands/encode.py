@@ -24,7 +24,7 @@ from clgs.cli.shared_options import (
     view_options,
     whole_number,
 )
-from clgs.codec.container.layers import MAX_LAYERS
+from clgs.options import MAX_LAYERS
 
 if TYPE_CHECKING:
     import numpy as np

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-MAX_LAYERS = 64
+from clgs.options import MAX_LAYERS
 
 _COUNT = struct.Struct("<I")
 _LAYER = struct.Struct("<IQ")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING
 
 from clgs.errors import UsageError
 from clgs.quantities import number
+
+if TYPE_CHECKING:  # options import no arrays
+    import numpy as np
+    import numpy.typing as npt
 
 REMEDY = "give six numbers x0,y0,z0,x1,y1,z1, such as -1,-1,-1,1,1,1; inf is a side without end"
 
@@ -22,6 +24,8 @@ class Box:
 
     def holds(self, position: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
         """Which of ``position`` (n, 3) are inside, (n,); NaN is not."""
+        import numpy as np
+
         wide = position.astype(np.float64)
         return np.asarray(((wide >= self.low) & (wide < self.high)).all(axis=1))
 

@@ -73,7 +73,9 @@ def test_truncations_and_trailing_bytes_are_codec_errors():
 def test_every_flip_and_cut_of_every_golden_file(path):
     file = path.read_bytes()
     refuse_flips(file, range(8 * len(file)))
-    refuse_cuts(file, range(len(file)))
+    layers = describe(file).get("layers")
+    # A cut file in layers is a scene from the first layer's end on: test_layers.
+    refuse_cuts(file, range(layers[0]["end"] if layers else len(file)))
 
 
 def refuse_flips(file: bytes, bits: Iterable[int]) -> None:
