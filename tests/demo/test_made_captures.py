@@ -20,21 +20,14 @@ def poses(views) -> Poses:
     return Poses(list(names), np.array(rotation), np.array(centre), np.full(len(names), 3.0))
 
 
-@pytest.mark.parametrize(
-    "width",
-    [
-        pytest.param(320, marks=pytest.mark.slow),
-        pytest.param(None, marks=pytest.mark.release, id="full"),
-    ],
-)
-def test_poses_of_the_room_are_right_or_doubted(tmp_path, width):
+@pytest.mark.slow
+def test_poses_of_the_room_are_right_or_doubted(tmp_path: Path):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     import made_captures
 
-    size = {} if width is None else {"width": width}
-    taken = made_captures.photograph("room", tmp_path / "room", **size)
+    taken = made_captures.photograph("room", tmp_path / "room")
     # Of this seed the model of all pairs lays one side of the room onto another on some machines.
     verdict = prepare(tmp_path / "room", tmp_path / "data", seed=4)
     photos = read_colmap(tmp_path / "data", tmp_path / "data" / "sparse" / "0")
@@ -49,7 +42,7 @@ def test_poses_of_the_room_are_right_or_doubted(tmp_path, width):
 
 
 @pytest.mark.slow
-def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path):
+def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path: Path):
     """Its four sides are equal: all photos may agree on one of them."""
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
@@ -68,7 +61,7 @@ def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path):
     assert not wrong or verdict.sure.startswith("not sure")
 
 
-def test_the_true_poses_are_written(tmp_path):
+def test_the_true_poses_are_written(tmp_path: Path):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
     import made_captures
