@@ -23,6 +23,7 @@ from reproduce.table import Entry, Table, chosen, entries, jobs, read_table, run
 from reproduce.worker import run_job, stored_row
 
 from clgs import __version__
+from clgs.cli.shared_options import add_cluster, positive_int
 from clgs.cluster.engine import connected, require_distributed, run_tasks
 from clgs.cluster.worker import Row
 from clgs.errors import ClgsError, DataError
@@ -54,7 +55,10 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         help="train only an experiment or a scene of the table; may be given several times",
     )
     add(
-        "--steps", type=_positive, metavar="N", help="of every run, in place of the table's: to try"
+        "--steps",
+        type=positive_int,
+        metavar="N",
+        help="of every run, in place of the table's: to try",
     )
     add(
         "--data",
@@ -83,25 +87,8 @@ def parse(argv: list[str] | None) -> argparse.Namespace:
         help="results.json of another state, for BD-rates",
     )
     add("--note", default="", metavar="TEXT", help="a sentence for the head of the page")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--workers",
-        type=_positive,
-        default=1,
-        metavar="N",
-        help="processes on this machine (default: 1; times hold for 1 alone)",
-    )
-    where.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a dask scheduler, such as tcp://host:8786"
-    )
+    add_cluster(parser)
     return parser.parse_args(argv)
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise ValueError(text)
-    return number
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Parts of space that are kept of a scene, in the units of the input data."""
+"""Parts of space: what is kept of a scene, or what learns."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from clgs.errors import UsageError
 
 @dataclass(frozen=True)
 class Box:
-    """lower <= x < upper on every axis, in the units of the input data; ends may be infinite.
+    """lower <= x < upper on every axis; ends may be infinite. Units are those of the points.
 
     Raises:
         UsageError: an end is not a number, or a lower end is not below the upper one.
@@ -26,8 +26,8 @@ class Box:
             if not low < high:
                 raise UsageError(f"box: {axis} from {low:g} to {high:g} is empty; lower end first")
 
-    def holds(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-        """Whether each of ``points`` (N, 3) lies in the box."""
+    def holds(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+        """Whether each of ``points`` (N, 3) lies in the box; NaN does not."""
         return np.asarray(((points >= self.lower) & (points < self.upper)).all(axis=1))
 
     def meets(

@@ -14,12 +14,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from clgs.data.reduction import OBJECT
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
-from clgs.train.config.box import Box, parse_box
+from clgs.train.config.box import parse_box
 from clgs.train.config.learning_rates import LearningRates
 from clgs.train.config.option import WEIGHT, at_least, option, options_of
 from clgs.train.config.run_settings import FULL_STEPS, LEAST_ANCHORS, PhotoSettings, RunSettings
@@ -32,6 +32,9 @@ from clgs.train.config.size_settings import (
     GrowthSettings,
     SizeSettings,
 )
+
+if TYPE_CHECKING:
+    from clgs.scene.region import Box
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,24 +12,14 @@ from clgs.codec import octree
 from clgs.codec.container import chunks
 from clgs.codec.container.sections import BytesSource, read_table
 from clgs.codec.scene_decoder import decode, decode_box, describe
-from clgs.codec.scene_encoder import encode, sort_anchors
+from clgs.codec.scene_encoder import encode
 from clgs.errors import CodecError
 from clgs.scene.region import Box
 from codec_c.reader.coding import xxh64
 from tests.codec.container.damage import checked, contents, directory, rebuilt, unpack_rows
-from tests.codec.scenes import GOLDEN, assert_same, random_scene
+from tests.codec.scenes import GOLDEN, assert_same
 
 CHUNKED = (GOLDEN / "chunks.clgs").read_bytes()
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return random_scene(np.random.default_rng(9), 1500)
-
-
-@pytest.fixture(scope="module")
-def sorted_scene(scene):
-    return replace(scene, anchors=sort_anchors(scene.anchors))
 
 
 @pytest.mark.parametrize("chunk", [16, 65, 1024, 2**20])

@@ -19,19 +19,9 @@ from clgs.scene.anchors import take
 from clgs.scene.region import Box
 from tests.codec.container.damage import contents, patched, rebuilt
 from tests.codec.container.mutations import ROOM
-from tests.codec.scenes import GOLDEN, assert_same, random_scene
+from tests.codec.scenes import GOLDEN, assert_same
 
 GOLD = (GOLDEN / "layers.clgs").read_bytes()
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return random_scene(np.random.default_rng(9), 1500)
-
-
-@pytest.fixture(scope="module")
-def sorted_scene(scene):
-    return replace(scene, anchors=sort_anchors(scene.anchors))
 
 
 @pytest.fixture(scope="module")

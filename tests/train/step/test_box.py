@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from clgs.errors import UsageError
+from clgs.scene.region import Box
 from clgs.train.config import preset
-from clgs.train.config.box import Box, parse_box
+from clgs.train.config.box import parse_box
 from clgs.train.run.trainer import Trainer
 
 LEFT = "-inf,-inf,-inf,0.01,inf,inf"
@@ -66,7 +67,7 @@ def test_a_box_around_everything_moves_anchors_as_without_a_box(dataset, cpu):
 
 def test_a_box_is_read_as_it_is_written():
     box = Box((-np.inf, 0.1, 1 / 3), (np.inf, 0.1025, 7.0))
-    assert parse_box(box.text()) == box
+    assert parse_box(",".join(map(repr, (*box.lower, *box.upper)))) == box
     inside = box.holds(np.array([[0, 0.1, 0.5], [0, 0.1025, 0.5], [np.nan, 0.1, 0.5]]))
     assert inside.tolist() == [True, False, False]
 
