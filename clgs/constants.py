@@ -49,6 +49,9 @@ TRANSMITTANCE_STOP = 1e-4
 LOG_SCALE_LIMIT = 20.0
 """|log scale| is clamped to this before exponentiation; zero gradient outside."""
 
+LEAST_CONTRIBUTION = 0.1
+"""Share of a picture that a block must make up for the camera to belong to it."""
+
 SSIM_WINDOW = 11
 SSIM_SIGMA = 1.5
 SSIM_C1 = 0.01**2

@@ -119,15 +119,22 @@ def add_overwrite(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument("--overwrite", action="store_true", help=f"replace {what}")
 
 
-def add_cluster(parser: argparse.ArgumentParser) -> None:
-    """Add --workers and --scheduler of the commands that train as tasks on dask.distributed."""
+def add_cluster(
+    parser: argparse.ArgumentParser,
+    workers: str = "processes on this machine (default: 1)",
+    default: int | None = 1,
+) -> None:
+    """Add --workers and --scheduler of the commands that train as tasks on dask.distributed.
+
+    ``workers``: the help of --workers; ``default``: its value if it is not given.
+    """
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--workers",
         type=positive_int,
-        default=1,
+        default=default,
         metavar="N",
-        help="processes on this machine (default: 1)",
+        help=workers,
     )
     where.add_argument(
         "--scheduler",

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from clgs import __version__
 from clgs.cluster.worker import TOPIC, Row, Task, Work, describe, difference, run_on_worker
 from clgs.errors import ClgsError, UsageError
+from clgs.machine import available_memory
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -168,6 +171,18 @@ def usable_workers(
     if not found:
         raise UsageError(f"no worker with clgs {wanted['version']} on {wanted['device']} is left")
     return found
+
+
+def memory_per_worker(client: Client) -> int | None:
+    """Bytes that each worker can have if those of a machine share what is free; None: unknown."""
+    free = client.run(available_memory)
+    machines = Counter(urlsplit(address).hostname for address in free)
+    shares = [
+        None if size is None else size // machines[urlsplit(address).hostname]
+        for address, size in free.items()
+    ]
+    known = [share for share in shares if share is not None]
+    return min(known, default=None)
 
 
 def _kinds(client: Client, kernels: Path, device: str | None) -> dict[str, dict[str, str]]:

@@ -26,7 +26,7 @@ class Box:
             if not low < high:
                 raise UsageError(f"box: {axis} from {low:g} to {high:g} is empty; lower end first")
 
-    def holds(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    def holds(self, points: npt.NDArray[np.number]) -> npt.NDArray[np.bool_]:
         """Whether each of ``points`` (N, 3) lies in the box; NaN does not."""
         return np.asarray(((points >= self.lower) & (points < self.upper)).all(axis=1))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from clgs.train.run.run_folder import (
 )
 from clgs.train.run.savings import Saving, savings
 from clgs.train.run.session import Progress, Session
+from clgs.train.run.start import state_of_run
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
 from clgs.workflow.views import scene_name
@@ -95,7 +97,8 @@ def train(
     config = config.for_dataset(dataset.kind)
     if resume and (finished := finished_run(folder, dataset, config)):
         return TrainedRun(finished, config.steps, was_finished=True)
-    session = Session(dataset, folder, config, opened, resume, start)
+    first = None if start is None else partial(state_of_run, opened, dataset, folder=start)
+    session = Session(dataset, folder, config, opened, resume, first)
 
     def report(progress: Progress) -> None:
         on_event(TrainingProgress(progress, config.steps))

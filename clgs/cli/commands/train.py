@@ -7,11 +7,18 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import add_device_name, add_overwrite, chosen, named_path
+from clgs.cli.shared_options import (
+    add_cluster,
+    add_device_name,
+    add_overwrite,
+    chosen,
+    named_path,
+)
 from clgs.cli.training_options import add_training_options, make_config
 from clgs.errors import UsageError
 
 if TYPE_CHECKING:
+    from clgs.train.config import TrainConfig
     from clgs.train.run.session import Progress
     from clgs.workflow.train import TrainedRun
 
@@ -58,6 +65,16 @@ def register(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="write RUN/tensorboard/ as training goes on; needs the extra clgs[tensorboard]",
     )
+    add(
+        "--blocks",
+        metavar="NxM",
+        help="train the scene in N x M blocks that start from a coarse scene, learn one after the "
+        "other or on --workers or --scheduler, and are merged; auto: as few as the memory of a "
+        "worker allows",
+    )
+    add_cluster(
+        parser, "processes on this machine that train blocks (default: this one does)", None
+    )
     add_training_options(parser)
 
 
@@ -68,6 +85,10 @@ def run(args: argparse.Namespace) -> int:
     from clgs.workflow.train import train
 
     config = make_config(vars(args))
+    if args.blocks is not None:
+        return run_blocks(args, config)
+    if args.workers is not None or args.scheduler is not None:
+        raise UsageError("--workers, --scheduler: train blocks; add --blocks auto")
     if args.tensorboard and find_spec("tensorboard") is None:
         raise UsageError("--tensorboard: is not installed; pip install 'clgs[tensorboard]'")
     events = EventLog(args.output / "tensorboard") if args.tensorboard else None
@@ -83,6 +104,31 @@ def run(args: argparse.Namespace) -> int:
     try:
         with display:
             trained = train(args.data, args.output, config, on_event=follow, **options)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
+    show(trained)
+    return 0
+
+
+def run_blocks(args: argparse.Namespace, config: TrainConfig) -> int:
+    """Train in blocks; exit code 0."""
+    from clgs.cli.display import Display
+    from clgs.cluster.blocks.run import train_in_blocks
+
+    for name, flag in (
+        ("start", "--from"),
+        ("profile", "--profile"),
+        ("tensorboard", "--tensorboard"),
+    ):
+        if getattr(args, name):
+            raise UsageError(f"{flag}: not with --blocks; leave out one of both")
+    options = chosen(vars(args), "workers", "scheduler", "device", "resume", "overwrite")
+    options["command"] = args.command_line.replace(" --resume", "")
+    try:
+        with Display() as display:
+            trained = train_in_blocks(
+                args.data, args.output, config, args.blocks, on_event=display, **options
+            )
     except KeyboardInterrupt:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
     show(trained)

@@ -6,7 +6,7 @@ gradient of a picture's sum by a Gaussian's color is the sum of its weights over
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -59,24 +59,45 @@ def visibility(
     Raises:
         BudgetError: the memory of ``options`` is too small for a picture.
     """
-    count, room = len(scene.anchors), EXACT_ROOM
+    count = len(scene.anchors)
     views, weight, inside = np.zeros(count, np.int64), np.zeros(count), np.zeros(count)
+    found = view_weights(device, scene, settings, cameras, masks, options)
+    for mask, (whole, part) in zip(masks, found, strict=True):
+        views += whole >= LEAST_WEIGHT
+        if mask is not None:
+            weight += whole
+            inside += part
+        on_render()
+    return Visibility(views, weight, inside)
+
+
+def view_weights(
+    device: Device,
+    scene: DeviceScene,
+    settings: RenderSettings,
+    cameras: Sequence[Camera],
+    masks: Sequence[Mask | None],
+    options: RenderOptions = DEFAULT,
+) -> Iterator[tuple[Weights, Weights]]:
+    """The weights (A,) of all anchors per camera: over all pixels, and over those of its mask.
+
+    The arguments are those of :func:`visibility`; without a mask the second weights are 0.
+
+    Raises:
+        BudgetError: as there.
+    """
+    room = EXACT_ROOM
     for camera, mask in zip(cameras, masks, strict=True):
         view = upload_view(device, camera, settings)
         draw = partial(rasterise, device, scene, view, options)
         frame, room = with_enough_room(device, room, draw)
         used = np.zeros((camera.height, camera.width)) if mask is None else mask
-        whole, part = _view_weights(device, frame, used.astype(np.float32), count)
-        views += whole >= LEAST_WEIGHT
-        if mask is not None:
-            weight += whole
-            inside += part
+        weights = _frame_weights(device, frame, used.astype(np.float32), len(scene.anchors))
         del frame  # before the next one is made
-        on_render()
-    return Visibility(views, weight, inside)
+        yield weights
 
 
-def _view_weights(
+def _frame_weights(
     device: Device, frame: Frame, used: npt.NDArray[np.float32], count: int
 ) -> tuple[Weights, Weights]:
     """The weights of ``count`` anchors in a picture, over all pixels and over ``used`` (H, W)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,7 @@ from clgs.train.run.start import state_of_run
 from clgs.train.run.trainer import StepResult, Trainer
 from clgs.train.state.checkpoint import checkpoints
 from clgs.train.state.hashes import fingerprint, run_digest
+from clgs.train.state.run_state import RunState
 
 HASHED_VIEWS = 3
 TRAINING_VIEWS = 16
@@ -68,12 +70,12 @@ class Session:
         config: TrainConfig,
         device: Device,
         resume: bool,
-        start: Path | None = None,
+        first: Callable[[TrainConfig], RunState] | None = None,
     ) -> None:
         """Prepare a new run, in place of one in ``folder``, or the continuation of one.
 
-        ``start``: the folder of the finished run that a new one goes on from, see
-        :func:`clgs.train.run.start.state_of_run`.
+        ``first``: gives the state that a new run begins with, for its settings; without it the run
+        begins with the points of ``dataset``.
 
         Raises:
             DataError: there is nothing to train on, the checkpoints are of another run, or another
@@ -88,8 +90,8 @@ class Session:
         lock = FolderLock(folder) if folder.is_dir() else None
         goes_on = resume and bool(checkpoints(folder / "checkpoint"))
         state = None
-        if start is not None and not goes_on:
-            state = state_of_run(device, dataset, config, start)
+        if first is not None and not goes_on:
+            state = first(config)
         self.trainer = Trainer(device, dataset, config, state=state)
         if goes_on:
             self.trainer.resume(folder / "checkpoint")
@@ -287,5 +289,7 @@ def train_scene(
     finished = finished_run(Path(folder), dataset, resolved) if resume else None
     if finished is not None:
         return finished
-    session = Session(dataset, Path(folder), resolved, device or Device(), resume, origin)
+    device = device or Device()
+    first = None if origin is None else partial(state_of_run, device, dataset, folder=origin)
+    session = Session(dataset, Path(folder), resolved, device, resume, first)
     return session.run(on_progress)

@@ -1,0 +1,1 @@
+"""One scene as blocks, each trained as a task: `clgs train --blocks`."""

@@ -1,0 +1,273 @@
+"""A whole run in blocks: a coarse scene, blocks side by side, the merged scene."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from clgs.cluster.blocks.cuts import parse_counts
+from clgs.cluster.blocks.merge import merged_scene
+from clgs.cluster.blocks.plan import (
+    PLAN,
+    Plan,
+    counts_for_memory,
+    look,
+    make_plan,
+    read_plan,
+    up_of,
+)
+from clgs.cluster.blocks.schedule import check_settings, coarse_config, joint_begin, joint_config
+from clgs.cluster.blocks.task import block_state, block_tasks, train_block
+from clgs.cluster.engine import (
+    Message,
+    common_kind,
+    connected,
+    memory_per_worker,
+    require_distributed,
+    run_tasks,
+)
+from clgs.cluster.worker import Row, Task, Tell, forget_peak_memory, opened_device
+from clgs.data.dataset import load_dataset
+from clgs.data.origin import repose
+from clgs.errors import ClgsError, DataError, UsageError
+from clgs.exports.run_report import write_run_report
+from clgs.files import check_folder, make_folder, write_json
+from clgs.machine import available_memory
+from clgs.memory import peak_memory, return_freed_memory
+from clgs.opencl.device import Device
+from clgs.train.config import TrainConfig
+from clgs.train.run.load import load_for
+from clgs.train.run.run_folder import (
+    RESULTS,
+    FolderLock,
+    RunResult,
+    check_run_folder,
+    check_same_data,
+    finished_run,
+    remove_run,
+)
+from clgs.train.run.session import Progress, Session
+from clgs.workflow.events import Note, OnEvent, StageProgress, TrainingProgress, counter, ignore
+from clgs.workflow.outputs import check_apart
+from clgs.workflow.train import TrainedRun
+from clgs.workflow.views import scene_name
+
+COARSE, BLOCKS = "coarse", "blocks"
+"""Folders in that of the run: the coarse scene, and the blocks with their plan."""
+
+ROWS = "rows.json"
+"""What is known of each block: its time, its anchors, the peak of its worker's memory."""
+
+
+class BlockError(ClgsError):
+    """A block failed, with the exit code of its own error."""
+
+    def __init__(self, problem: str, exit_code: int) -> None:
+        super().__init__(problem)
+        self.exit_code = exit_code
+
+
+def train_in_blocks(
+    data: Path,
+    folder: Path,
+    config: TrainConfig,
+    blocks: str,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    device: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    command: str = "",
+    on_event: OnEvent = ignore,
+) -> TrainedRun:
+    """Train on ``data`` in blocks; ``folder`` receives what an ordinary run has, and more.
+
+    That is a coarse scene of all photos at half their size, blocks that start from it, with MLPs
+    that rest, and the scene of all that blocks own, which is priced and learns as a whole. The
+    result depends on the blocks and not on who trained them.
+
+    Args:
+        data: folder of the data set; workers see it, and ``folder``, under the same names.
+        folder: run folder, made if it is missing.
+        config: settings, not yet resolved for the data set.
+        blocks: NxM, or "auto": as few as the memory of a worker allows.
+        workers: processes on this machine; None: blocks are trained in this one.
+        scheduler: address of a scheduler of dask, in place of them.
+        device: number or part of the name, as workers see it, too.
+        resume: go on with the run in ``folder``.
+        overwrite: replace it.
+        command: what repeats the run, for the report.
+        on_event: receives progress and notes.
+
+    Raises:
+        UsageError: blocks or settings that cannot be, no scheduler, or a worker that is refused.
+        DataError, ExistsError, BudgetError: as :func:`clgs.workflow.train.train`.
+        ClgsError: a block failed; names it.
+    """
+    counts = parse_counts(blocks)
+    check_settings(config)
+    check_apart(folder, data)
+    check_folder(folder)
+    for place in (folder, folder / COARSE):
+        check_run_folder(place, resume, overwrite)
+    if resume:
+        check_same_data(folder / COARSE, data)
+    memory = _memory_of_a_worker(folder, workers, scheduler, device)
+    return_freed_memory()
+    config, width = _resolved(data, config)
+    if overwrite:
+        _remove(folder)
+    joint = joint_config(config)
+    if (folder / RESULTS).exists():
+        whole = load_for(joint, data, folder)
+        if found := finished_run(folder, whole, joint):
+            return TrainedRun(found, config.steps, was_finished=True)
+    make_folder(folder)
+    lock = FolderLock(folder)
+    opened = opened_device(device)
+    try:
+        reduced = coarse_config(config, width)
+        coarse, plan = _coarse_and_plan(data, folder, reduced, counts, opened, memory, on_event)
+        _say(plan, on_event)
+        tasks = block_tasks(data, folder, config, plan)
+        on_message = _follow(tasks, on_event)
+        if workers is None and scheduler is None:
+            rows = [train_block({**task, "device": device}, on_message) for task in tasks]
+        else:
+            with connected(workers or 1, scheduler) as client:
+                kernels = folder / BLOCKS / "kernels"
+                rows = run_tasks(
+                    client, train_block, tasks, kernels, lambda row: None, on_message, device
+                )
+        _check_rows(rows)
+        write_json(folder / BLOCKS / ROWS, sorted(rows, key=lambda row: str(row["run"])))
+    finally:
+        lock.release()
+    forget_peak_memory()
+    merged = merged_scene(folder / BLOCKS, plan.cuts, coarse.scene)
+    on_event(Note(f"{len(merged.anchors):,} anchors merged; all learn for the steps that are left"))
+    whole = load_for(joint, data, folder, lambda line: on_event(Note(line)))
+    whole = repose(whole, merged.transform)
+    first = partial(block_state, opened, whole, merged, joint_begin(config))
+    session = Session(whole, folder, joint, opened, resume=True, first=first)
+    result = session.run(_report(joint, on_event))
+    lead = f"Trained on {data} in {len(tasks)} blocks."
+    write_run_report(folder, command, lead=lead, title=scene_name(data))
+    return TrainedRun(result, config.steps)
+
+
+def _memory_of_a_worker(
+    folder: Path, workers: int | None, scheduler: str | None, device: str | None
+) -> int | None:
+    """Bytes that each worker can have; None: unknown. Makes sure that those there can be used."""
+    if scheduler is not None:
+        with connected(1, scheduler) as client:
+            common_kind(client, folder / BLOCKS / "kernels", device)
+            return memory_per_worker(client)
+    if workers is not None:
+        require_distributed()
+    free = available_memory()
+    return None if free is None else free // (workers or 1)
+
+
+def _resolved(data: Path, config: TrainConfig) -> tuple[TrainConfig, int]:
+    """The settings for the data set, and the width of its widest photo in pixels; none is read."""
+    outline = load_dataset(
+        *(data,),
+        downscale=config.downscale,
+        max_size=config.max_size,
+        load_images=False,
+        test_every=config.test_every,
+        fisheye_view=config.fisheye_view,
+    )
+    if not outline.train:
+        raise DataError("the dataset has no training views; check the folder of images")
+    width = max(view.camera.width for view in outline.train)
+    return config.for_dataset(outline.kind), width
+
+
+def _remove(folder: Path) -> None:
+    """Remove the run in ``folder`` with its coarse scene and its blocks."""
+    for place in (folder, folder / COARSE):
+        if place.is_dir():
+            FolderLock(place).release()  # DataError: another process works there
+            remove_run(place)
+    if (folder / BLOCKS / PLAN).is_file():
+        shutil.rmtree(folder / BLOCKS)
+
+
+def _coarse_and_plan(
+    data: Path,
+    folder: Path,
+    config: TrainConfig,
+    counts: tuple[int, int] | None,
+    device: Device,
+    memory: int | None,
+    on_event: OnEvent,
+) -> tuple[RunResult, Plan]:
+    """The coarse scene, whose settings are ``config``, and the plan, made as far as they are not.
+
+    ``counts`` rows and columns; None: as the ``memory`` of a worker asks for.
+    """
+    forget_peak_memory()
+    idle = peak_memory() or 0
+    photos = load_for(config, data, folder, lambda line: on_event(Note(line)))
+    coarse = finished_run(folder / COARSE, photos, config)
+    if coarse is None:
+        on_event(Note(f"a coarse scene of all photos first, {config.steps} steps"))
+        session = Session(photos, folder / COARSE, config, device, resume=True)
+        coarse = session.run(_report(config, on_event))
+    plan = read_plan(folder / BLOCKS)
+    if plan is not None:
+        if counts is not None and counts != plan.cuts.counts:
+            there = "x".join(map(str, plan.cuts.counts))
+            raise UsageError(f"--blocks: {folder} was begun with {there}; give that, or auto")
+        return coarse, plan
+    photos = repose(photos, coarse.scene.transform)
+    advance = counter("looking at views", len(photos.train + photos.test), on_event)
+    seen = look(device, coarse.scene, photos, config.render_options(), advance)
+    if counts is None:
+        if memory is None:
+            raise UsageError(
+                "--blocks auto: the system does not say how much memory is free; give NxM"
+            )
+        used = idle, int(coarse.summary["peak_memory_bytes"] or 0)
+        contribution = seen.contribution(len(coarse.scene.anchors))
+        counts = counts_for_memory(coarse.scene, contribution, up_of(photos), used, memory)
+    return coarse, make_plan(folder / BLOCKS, coarse.scene, photos, seen, counts)
+
+
+def _say(plan: Plan, on_event: OnEvent) -> None:
+    """Tell the plan before anything of it is done."""
+    rows, columns = plan.cuts.counts
+    photos = ", ".join(f"{name}: {len(names)}" for name, names in plan.train.items())
+    on_event(Note(f"{rows} x {columns} blocks; training photos of each: {photos}"))
+
+
+def _follow(tasks: list[Task], on_event: OnEvent) -> Tell:
+    """What receives the messages of workers and reports the steps of all blocks together."""
+    total = sum(task["steps"] - task["begun"] for task in tasks)
+    begun = {task["run"]: task["begun"] for task in tasks}
+    done = dict.fromkeys(begun, 0)
+
+    def follow(message: Message) -> None:
+        name = message["run"]
+        done[name] = max(done[name], message["step"] - begun[name])
+        on_event(StageProgress("blocks", sum(done.values()), total))
+
+    return follow
+
+
+def _report(config: TrainConfig, on_event: OnEvent) -> Callable[[Progress], None]:
+    """What receives the progress of a run of these settings and reports it."""
+    return lambda progress: on_event(TrainingProgress(progress, config.steps))
+
+
+def _check_rows(rows: list[Row]) -> None:
+    """Raise BlockError if a block failed."""
+    failed = [row for row in rows if "error" in row]
+    if failed:
+        raise BlockError(f"block {failed[0]['run']}: {failed[0]['error']}", failed[0]["exit_code"])

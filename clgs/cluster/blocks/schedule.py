@@ -1,0 +1,112 @@
+"""The settings of the three parts of a run in blocks: coarse scene, blocks, and all of it again.
+
+The parts share the steps, the learning rates and the growth of one run. A block does as many of
+the steps as it has of the cameras, so that each of its anchors is seen as often as in that run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from clgs.data.reduction import LEAST_SIZE
+from clgs.errors import UsageError
+from clgs.train.config import TrainConfig
+from clgs.train.config.option import options_of
+from clgs.train.config.settings import FINE_Q
+
+COARSE_SHARE = 0.25
+"""Share of the steps that the coarse scene takes."""
+
+JOINT_SHARE = 0.2
+"""Share of the steps at the end, in which the merged scene is priced and learns as a whole."""
+
+LEAST_STEPS = 10
+"""Shorter runs have no room for three parts."""
+
+
+def check_settings(config: TrainConfig) -> None:
+    """Raise UsageError if a run of these settings cannot be cut in blocks."""
+    if config.steps < LEAST_STEPS:
+        raise UsageError(f"steps: {config.steps} are too few for --blocks; give {LEAST_STEPS}")
+    if config.box:
+        raise UsageError("--box: each block has a box of its own; leave out --box or --blocks")
+    if config.exposure:
+        raise UsageError("--exposure: a photo would have one in each block; leave out one of both")
+    if config.adam == "visible":
+        raise UsageError("--adam visible: blocks learn by adam = dense; leave it or --blocks out")
+
+
+def coarse_config(config: TrainConfig, width: int) -> TrainConfig:
+    """The settings of the coarse scene: photos at half their size, the widest has ``width``.
+
+    ``config`` is resolved for the data set.
+    """
+    steps = round(COARSE_SHARE * config.steps)
+    limits: dict[str, Any] = {"max_anchors": config.most_anchors, "target_size": 0}
+    if config.downscale:
+        return _unpriced(replace(config, **limits, downscale=2 * config.downscale), steps)
+    return _unpriced(replace(config, **limits, max_size=max(LEAST_SIZE, width // 2)), steps)
+
+
+def block_config(config: TrainConfig, share: float, box: str) -> tuple[TrainConfig, int]:
+    """The settings of a block, and the number of the last step that the coarse scene did for it.
+
+    ``share``: of the cameras that the block has; ``box``: where anchors learn, as the setting says.
+    """
+    own = {
+        name: max(one.least, round(share * getattr(config, name)))
+        for name, one in options_of(TrainConfig).items()
+        if one.scaled
+    }
+    begun = round(share * COARSE_SHARE * config.steps)
+    steps = max(begun + 2, round(share * joint_begin(config)))
+    own["steps"] = max(steps, round(share * config.steps))
+    own["freeze_step"] = min(own["freeze_step"], own["steps"])
+    priceless = replace(config, **own, target_size=0, max_anchors=0, box=box)
+    return _unpriced(priceless, steps), begun
+
+
+def joint_begin(config: TrainConfig) -> int:
+    """The number of the last step before the merged scene is trained as a whole."""
+    return config.steps - max(2, round(JOINT_SHARE * config.steps))
+
+
+def joint_config(config: TrainConfig) -> TrainConfig:
+    """The settings of the merged scene: what follows the switch to integers, in fewer steps."""
+    begin, switch = joint_begin(config), config.switch_step
+    times = (config.steps - begin) / max(1, config.steps - switch)
+    later = {
+        name: min(config.steps, begin + round(times * max(0, getattr(config, name) - switch)))
+        for name in ("prune_end", "freeze_step", "mlp_switch_step")
+    }
+    growth = {
+        name: min(getattr(config, name), begin)
+        for name in ("statistics_start", "growth_start", "growth_end")
+    }
+    return replace(config, switch_step=begin, coarse_to_fine=False, **growth, **later)
+
+
+def _unpriced(config: TrainConfig, steps: int) -> TrainConfig:
+    """The first ``steps`` of a run, in which nothing is priced.
+
+    Only the last of them is at integers, fine ones, for which positions move to their grid.
+    """
+    growth = {
+        name: min(getattr(config, name), steps - 1)
+        for name in ("statistics_start", "growth_start", "growth_end")
+    }
+    return replace(
+        config,
+        **growth,
+        **{name: getattr(config, name) or q for name, q in FINE_Q.items()},
+        steps=steps,
+        switch_step=steps - 1,
+        prune_end=steps,
+        freeze_step=steps,
+        mlp_switch_step=steps,
+        mlp="float32",
+        size_lambda=0.0,
+        rate_weight=0.0,
+        coarse_to_fine=False,
+    )

@@ -1,0 +1,108 @@
+"""`clgs train --blocks`: an ordinary run of merged blocks, the same bytes with any workers."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from clgs.cli.main import main
+from clgs.cluster import engine
+from clgs.cluster.blocks.plan import read_plan
+from clgs.errors import UsageError
+from clgs.scene.storage import load_scene
+from clgs.train.run.run_folder import RESULTS
+from tests.small_scene import write_scene
+
+needs_dask = pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is None, reason="needs dask.distributed"
+)
+
+OPTIONS = "--steps 60 --voxel 0.05 --start-points 1000 --checkpoint-interval 5 --growth-interval 10"
+
+
+@pytest.fixture(scope="module")
+def balls(tmp_path_factory):
+    return write_scene(tmp_path_factory.mktemp("data") / "balls", train=8, test=2, size=32)
+
+
+def train(balls, folder, *words):
+    return main(["train", str(balls), "-o", str(folder), *OPTIONS.split(), *words])
+
+
+@pytest.fixture(scope="module")
+def trained(balls, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    assert train(balls, folder, "--blocks", "2x1") == 0
+    return folder
+
+
+def test_blocks_make_an_ordinary_run_that_is_scored_and_read(trained, capsys):
+    assert main(["eval", str(trained)]) == 0
+    summary = json.loads((trained / RESULTS).read_text())
+    assert f"{summary['psnr']:.2f}" in capsys.readouterr().out
+    assert summary["psnr"] > 20
+    assert summary["steps"] == 60
+    assert summary["bytes"] == (trained / "scene.clgs").stat().st_size
+    assert (trained / "report.html").is_file()
+
+
+def test_blocks_learn_their_own_anchors_and_leave_the_networks(trained):
+    plan = read_plan(trained / "blocks")
+    coarse = load_scene(trained / "coarse" / "scene.npz")
+    for number, name in enumerate(plan.cuts.names):
+        start = load_scene(trained / "blocks" / name / "start.npz")
+        block = load_scene(trained / "blocks" / name / "scene.npz")
+        np.testing.assert_array_equal(block.mlps.flat, coarse.mlps.flat)
+        box = plan.cuts.box(number, margin=True)
+        before, after = (
+            {tuple(p): f.tolist() for p, f in zip(p_f.position, p_f.feature, strict=True)}
+            for p_f in (start.anchors, block.anchors)
+        )
+        outside = {p for p in before if not box.holds(np.array([p]))[0]}
+        assert outside == {p for p in after if not box.holds(np.array([p]))[0]}
+        assert all(before[place] == after[place] for place in outside)
+        inside = set(before) & set(after) - outside
+        assert sum(before[place] != after[place] for place in inside) > len(inside) / 2
+
+
+def test_a_finished_run_is_left_as_it_is_and_other_blocks_are_refused(trained, balls, capsys):
+    assert train(balls, trained, "--blocks", "2x1") == UsageError.exit_code
+    assert "holds a run already" in capsys.readouterr().err
+    assert train(balls, trained, "--blocks", "2x1", "--resume") == 0
+    assert "is finished already" in capsys.readouterr().out
+    unfinished = trained.parent / "unfinished"
+    shutil.copytree(trained, unfinished, ignore=shutil.ignore_patterns(RESULTS))
+    shutil.copy(trained / "coarse" / RESULTS, unfinished / "coarse")
+    assert train(balls, unfinished, "--blocks", "1x2", "--resume") == UsageError.exit_code
+    assert "was begun with 2x1; give that, or auto" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--blocks", "0x2"), "--blocks 0x2: is not NxM"),
+        (("--blocks", "1x1"), "--blocks 1x1: is the whole scene"),
+        (("--workers", "2"), "--workers, --scheduler: train blocks; add --blocks auto"),
+        (("--blocks", "2x1", "--exposure"), "--exposure: a photo would have one in each block"),
+        (("--blocks", "2x1", "--profile"), "--profile: not with --blocks"),
+    ],
+)
+def test_what_cannot_be_is_one_line(balls, tmp_path, capsys, words, named):
+    assert train(balls, tmp_path / "run", *words) == UsageError.exit_code
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"clgs: error: {named}")
+    assert not (tmp_path / "run").exists()
+
+
+@needs_dask
+def test_no_scheduler_is_one_line_before_anything_is_trained(balls, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(engine, "CONNECT_SECONDS", 1)
+    words = ("--blocks", "auto", "--scheduler", "tcp://127.0.0.1:1")
+    assert train(balls, tmp_path / "run", *words) == UsageError.exit_code
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("clgs: error: --scheduler tcp://127.0.0.1:1: no scheduler answers")
+    assert not (tmp_path / "run").exists()
