@@ -16,7 +16,7 @@ from clgs.scene.scene import QuantizedScene, SplatScene
 from clgs.train.config import TrainConfig, from_toml
 from clgs.workflow.events import Note, OnEvent, ignore
 from clgs.workflow.options import BACKGROUNDS, ViewOptions
-from clgs.workflow.scenes import run_folder
+from clgs.workflow.scenes import check_there, run_folder
 
 DrawableScene = TypeVar("DrawableScene", QuantizedScene, SplatScene, QuantizedScene | SplatScene)
 
@@ -39,8 +39,10 @@ def data_of(scene: Path) -> Path:
     """The data set that the run folder of ``scene`` names.
 
     Raises:
-        UsageError: it names none, or that is gone.
+        DataError: there is no ``scene``.
+        UsageError: its run folder names none, or that is gone.
     """
+    check_there(scene)
     origin = read_origin(run_folder(scene))
     if origin is None:
         raise UsageError("the photos are not known; name their data set with --data")

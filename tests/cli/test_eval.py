@@ -116,3 +116,8 @@ def test_photos_that_are_gone_are_named(folder, capsys, tmp_path):
     for words in (["eval", str(run)], ["render", str(run), "-o", str(tmp_path / "pictures")]):
         assert cli.main(words) == 2
         assert said in capsys.readouterr().err
+
+
+def test_a_run_that_is_not_there_is_named(tmp_path, capsys):
+    assert cli.main(["eval", str(tmp_path / "run")]) == 3
+    assert "run: no such file or folder" in capsys.readouterr().err
