@@ -1,7 +1,8 @@
 """A scene as one web page: its file, the decoder as WebAssembly, and a viewer, in one HTML file.
 
 The parts lie in ``web/``: ``page`` is text, ``wasm`` is C that the package's build compiles to
-``scene.wasm`` if it finds a compiler for WebAssembly. The page loads nothing from elsewhere.
+``scene.wasm`` if it finds a compiler for WebAssembly. A page that holds its scene loads nothing
+from elsewhere.
 """
 
 from __future__ import annotations
@@ -39,10 +40,14 @@ class Start:
     fov: float
 
 
-def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
+def scene_page(
+    data: bytes, title: str, start: Start | None = None, address: str | None = None
+) -> bytes:
     """The page that shows a .clgs file, all of ``data``; without it one to drop such files on.
 
-    The page verifies the file. It begins at ``start``, or guesses a view.
+    The page verifies the file. It begins at ``start``, or guesses a view. A page without ``data``
+    reads the file at ``address``, relative to its own, or else the one that ``?scene=ADDRESS``
+    names; layers are shown as they come.
 
     Raises:
         ClgsError: the package was built without the decoder.
@@ -50,6 +55,7 @@ def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
     settings = {
         "title": title,
         "start": asdict(start) if start else None,
+        "address": address,
         "margin": constants.FRUSTUM_MARGIN,
     }
     values = {
@@ -59,7 +65,7 @@ def scene_page(data: bytes, title: str, start: Start | None = None) -> bytes:
         "scene": base64.b64encode(data).decode(),
         "scripts": "\n".join(_text(name) for name in SCRIPTS),
         "page.css": _text("page.css"),
-        "worker.js": _text("worker.js"),
+        "worker": _text("worker.js") + ("" if data else "\n\n" + _text("stream.js")),
     }
     page = re.sub(r"\{\{([\w.]+)\}\}", lambda match: values[match[1]], _text("page.html"))
     return text_bytes(page)

@@ -158,7 +158,7 @@ def export(
         _refuse({"name": name}, "only a page has a title")
     if suffix == ".html":
         _refuse(drawn | baking, "a page holds the scene as it is")
-        return _page(source, output, photos or _known(source), name)
+        return _page(source, output, photos, name, None)
     if suffix == ".glb" and not (
         source and (source.is_file() or (run_folder(source) / "scene.npz").exists())
     ):
@@ -290,12 +290,56 @@ def _encode(
     return encoded
 
 
-def _page(source: Path | None, output: Path, photos: Path | None, name: str | None) -> ExportedPage:
-    """Write the web page of a scene, or one without a scene.
+def export_link(
+    source: Path | str | None,
+    output: Path | str,
+    link: str,
+    *,
+    data: Path | str | None = None,
+    name: str | None = None,
+    overwrite: bool = False,
+) -> ExportedPage:
+    """Write the web page of a scene that it does not hold, but reads when it is opened.
+
+    Args:
+        source: run folder, .clgs file or file of splats, which gives title and first view; None for
+            a page that guesses a view.
+        output: the new .html file.
+        link: the address of the .clgs file, as seen from the page; if it is in layers, they are
+            shown as they come.
+        data: the data set of the scene; default: the one that its run folder names.
+        name: title of the page; default: that of the photos' folder, or of ``source``.
+        overwrite: whether ``output`` may be replaced.
+
+    Raises:
+        UsageError: ``output`` is no .html file, or ``link`` is empty.
+        ExistsError: ``output`` exists, and ``overwrite`` is false.
+        DataError: ``source`` or the data set is missing or damaged.
+    """
+    output = as_path("output", output)
+    if output.suffix.lower() != ".html":
+        raise UsageError(f"{output}: only a page has a link to its scene; name an .html file")
+    if not link:
+        raise UsageError("link: is empty; name the .clgs file as seen from the page")
+    check_new(output, overwrite)
+    return _page(
+        None if source is None else as_path("source", source),
+        output,
+        None if data is None else as_path("data", data),
+        name,
+        link,
+    )
+
+
+def _page(
+    source: Path | None, output: Path, photos: Path | None, name: str | None, link: str | None
+) -> ExportedPage:
+    """Write the web page of a scene, which holds it or names its address, or one without a scene.
 
     It starts at the first held-out view of the data set ``photos``, if there is one.
     """
     data, start = b"", None
+    photos = photos or _known(source)
     if source is not None:
         data = _scene_file(source)
         check_output(output, source)
@@ -307,9 +351,10 @@ def _page(source: Path | None, output: Path, photos: Path | None, name: str | No
         first = (views.test or views.train)[0]
         start = start_at(first.camera, [view.camera for view in views.train])
     named = scene_name(photos) if photos and source else source.stem if source else ""
-    page = scene_page(data, name or named, start)
+    held = data if link is None else b""
+    page = scene_page(held, name or named, start, link)
     atomic_write(output, page)
-    return ExportedPage(output, len(page), len(data))
+    return ExportedPage(output, len(page), len(held))
 
 
 def _scene_file(path: Path) -> bytes:

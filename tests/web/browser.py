@@ -84,11 +84,11 @@ class Browser:
         assert "error" not in answer, answer
         return answer["result"]
 
-    def open(self, path: Path, width: int = 800, height: int = 600) -> None:
-        """Go to a file in a window of this size."""
+    def open(self, page: Path | str, width: int = 800, height: int = 600) -> None:
+        """Go to a file or an address in a window of this size."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
-        self.call("Page.navigate", url=path.resolve().as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
 
     def value(self, expression: str) -> Any:
         """The value of a JavaScript expression."""

@@ -25,21 +25,47 @@ def build(folder: Path, compiler: str) -> ctypes.CDLL:
     return ctypes.CDLL(str(output))
 
 
+def sizes(library: ctypes.CDLL, data: bytes) -> tuple[int, int]:
+    """What the beginning of a file says of its size, and of what comes before a BODY."""
+    library.page_room.restype, library.page_problem.restype = ctypes.c_void_p, ctypes.c_char_p
+    library.page_size.restype = ctypes.c_double
+    ctypes.memmove(library.page_room(ctypes.c_size_t(len(data))), data, len(data))
+    size, front = (int(library.page_size(which)) for which in (0, 1))
+    if size < 0:
+        raise ValueError(library.page_problem().decode())
+    return size, front
+
+
 class Page:
     """One scene; raises ValueError with the page's message if a file is damaged."""
 
-    def __init__(self, library: ctypes.CDLL, data: bytes) -> None:
+    def __init__(self, library: ctypes.CDLL, data: bytes, there: int | None = None) -> None:
+        """``there``: how many bytes of ``data`` have come; default: all."""
         self._library = library
         for name in ("room", "numbers", "hashes", "positions", "records", "order"):
             getattr(library, f"page_{name}").restype = ctypes.c_void_p
         library.page_problem.restype = ctypes.c_char_p
         library.page_count.restype = library.page_sort.restype = ctypes.c_size_t
+        library.page_layers.restype = ctypes.c_size_t
         ctypes.memmove(library.page_room(ctypes.c_size_t(len(data))), data, len(data))
-        left = library.page_open()
+        if there is not None:
+            library.page_arrived(ctypes.c_size_t(there))
+        self._decode(library.page_open())
+
+    def arrive(self, there: int) -> None:
+        """Decode what is complete with this many bytes."""
+        self._decode(self._library.page_arrived(ctypes.c_size_t(there)))
+
+    def _decode(self, left: int) -> None:
         while left > 0:
-            left = library.page_step()
+            left = self._library.page_step()
         if left < 0:
-            raise ValueError(library.page_problem().decode())
+            raise ValueError(self._library.page_problem().decode())
+
+    @property
+    def layers(self) -> tuple[int, int]:
+        """How many layers there are, and are decoded."""
+        return self._library.page_layers(0), self._library.page_layers(1)
 
     def array(self, name: str, kind: type, count: int) -> np.ndarray:
         """A copy of ``count`` numbers that ``page_<name>`` points to."""

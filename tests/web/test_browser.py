@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from clgs.cli import main as cli
+from clgs.codec.scene_decoder import describe
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import pack, unpack
 from clgs.data.origin import move_camera
@@ -28,6 +29,7 @@ from tests.ops.cases.project import camera_at
 from tests.ops.cases.splats import stored
 from tests.web.browser import Browser, find_browser
 from tests.web.scenes import grey_wall, quantized_scene
+from tests.web.slow_server import serve_slowly
 
 SIZE = 96
 LEAST_PSNR = 45.0
@@ -106,6 +108,54 @@ def test_a_file_given_to_the_viewer_is_shown(browser, scene, tmp_path):
     assert state["failed"] is None
     assert state["hash"] == state["expectedHash"]
     assert state["gaussians"] > 0
+    assert browser.errors == []
+
+
+def status(browser):
+    return browser.value("document.getElementById('status').textContent")
+
+
+def test_a_scene_behind_an_address_is_shown_while_it_comes(browser, scene):
+    _, quantized, camera = scene
+    data = encode(quantized, chunk=64, layers=4)
+    ends = [layer["end"] for layer in describe(data)["layers"]]
+    view = to_8bit(render_view(quantized.dequantize(), camera)).astype(np.float64)
+    with serve_slowly(page.scene_page(b"", "far", None, "s.clgs"), data) as server:
+        browser.open(server.address + "page.html", 2 * SIZE, 2 * SIZE)
+        errors = []
+        for count, end in enumerate(ends, 1):
+            server.let(end)
+            browser.wait(f"window.clgs && clgs.state().layersReady === {count}")
+            errors.append(np.mean((show(browser, camera) - view) ** 2))
+            wanted = "file intact" if count == 4 else f"{count} of 4 layers, more comes"
+            assert wanted in status(browser)
+    assert 10 * np.log10(255**2 / errors[-1]) >= LEAST_PSNR
+    assert errors == sorted(errors, reverse=True)
+    assert server.asked == ["/page.html", "/s.clgs"]
+    assert browser.errors == []
+
+
+def test_a_download_that_ends_early_is_a_coarser_scene(browser, scene):
+    data = encode(scene[1], chunk=64, layers=4)
+    ends = [layer["end"] for layer in describe(data)["layers"]]
+    with serve_slowly(page.scene_page(b"", ""), data) as server:
+        server.let(ends[1] + 50, cut=True)
+        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
+        browser.wait("window.clgs && clgs.state().whole && clgs.state().ready")
+        assert "2 of 4 layers, the rest is lost" in status(browser)
+        server.let(ends[0] - 50, cut=True)
+        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
+        assert browser.wait("window.clgs && clgs.state().failed")
+        browser.open(server.address + "page.html?scene=gone.clgs", SIZE, SIZE)
+        assert "the server says 404" in browser.wait("window.clgs && clgs.state().failed")
+
+
+def test_a_file_without_layers_comes_from_an_address_too(browser, scene):
+    with serve_slowly(page.scene_page(b"", ""), scene[0]) as server:
+        server.let(len(scene[0]))
+        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
+        browser.wait("window.clgs && clgs.state().ready")
+        assert "file intact" in status(browser)
     assert browser.errors == []
 
 

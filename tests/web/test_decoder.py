@@ -173,9 +173,68 @@ def test_the_order_is_by_depth_and_leaves_out_what_is_near(library):
     assert (np.diff(depth[order]) <= 0).all()
 
 
-@pytest.mark.parametrize("kind", ["scene", "splats"])
+def layer_ends(data):
+    """The bytes of the file up to the end of each layer."""
+    return [layer["end"] for layer in describe(data)["layers"]]
+
+
+def assert_anchors(page, scene):
+    """The page's anchors are those of ``scene``, in some order."""
+    found = page.array("positions", ctypes.c_float, scene.anchors.position.size).reshape(-1, 3)
+    wanted = scene.dequantize().anchors.position
+    assert page.array("numbers", ctypes.c_double, 1)[0] == len(wanted)
+    assert sorted(map(tuple, found.tolist())) == sorted(map(tuple, wanted.tolist()))
+
+
+@pytest.mark.parametrize("chunk", [32, 65_536])
+def test_layers_are_shown_while_they_come(library, chunk):
+    data = encode(random_scene(np.random.default_rng(4), 1500), chunk=chunk, layers=4)
+    ends, (_, front) = layer_ends(data), native.sizes(library, data)
+    page = native.Page(library, data, front)
+    assert page.layers == (4, 0)
+    for count, end in enumerate(ends, 1):
+        page.arrive(end - 1)
+        assert page.layers == (4, count - 1)
+        page.arrive(end)
+        assert page.layers == (4, count)
+        assert page.hashes[0] == page.hashes[1]
+        assert_anchors(page, decode(data, layers=count))
+        assert len(page.gaussians(np.zeros(3))["opacity"]) > 0
+    whole = native.Page(library, data).gaussians(np.ones(3))
+    plain = native.Page(library, encode(decode(data))).gaussians(np.ones(3))
+    for name in whole:  # the same Gaussians, those of the most important anchors first
+        order = [np.lexsort(one["mean"].T) for one in (whole, plain)]
+        np.testing.assert_array_equal(whole[name][order[0]], plain[name][order[1]])
+
+
+def test_sizes_are_known_from_the_table(library):
+    for layers in (None, 3):
+        data = encode(random_scene(np.random.default_rng(4), 200), chunk=64, layers=layers)
+        size, front = native.sizes(library, data)
+        assert size == len(data)
+        if layers:
+            size = int.from_bytes(data[data.index(b"BODY") + 8 :][:8], "little")  # where it begins
+        assert front == size
+        assert native.sizes(library, data[:100]) == (0, 0)
+    with pytest.raises(ValueError, match=r"no \.clgs file"):
+        native.sizes(library, b"<!doctype html>" * 99)
+
+
+def test_a_cut_file_in_layers_is_the_scene_of_those_that_are_whole(library):
+    data = encode(random_scene(np.random.default_rng(4), 900), chunk=64, layers=3)
+    ends = layer_ends(data)
+    page = native.Page(library, data[: ends[1] + 7])
+    assert page.layers == (3, 2)
+    assert_anchors(page, decode(data, layers=2))
+    assert native.Page(library, data[: ends[0] - 1]).layers == (3, 0)
+    with pytest.raises(ValueError, match="copy"):
+        native.Page(library, data[: native.sizes(library, data)[1] - 1])
+
+
+@pytest.mark.parametrize("kind", ["scene", "layers", "splats"])
 def test_damaged_files_are_refused_in_words(library, kind):
-    data = encode(random_scene(np.random.default_rng(2), 300))
+    layers = 3 if kind == "layers" else None
+    data = encode(random_scene(np.random.default_rng(2), 300), layers=layers)
     if kind == "splats":
         data = splat_packing.pack(random_splats(np.random.default_rng(2), 300, 0, 5))
     with pytest.raises(ValueError, match=r"no \.clgs file"):
@@ -186,7 +245,8 @@ def test_damaged_files_are_refused_in_words(library, kind):
         damaged[at] ^= 1 << int(rng.integers(8))
         with pytest.raises(ValueError, match="copy"):
             native.Page(library, bytes(damaged))
-    for size in rng.integers(0, len(data), 100).tolist():
+    front = native.sizes(library, data)[1]  # cut later, a file in layers is a coarser scene
+    for size in rng.integers(0, front, 100).tolist():
         with pytest.raises(ValueError, match=r"copy|no \.clgs file"):
             native.Page(library, data[:size])
 

@@ -126,3 +126,34 @@ def test_a_page_of_a_file_in_layers_holds_it_without_them(decoder, data, tmp_pat
     file.write_bytes(encode(decode(data), layers=3))
     assert cli.main(["export", str(file), "-o", str(output)]) == 0
     assert base64.b64decode(part(output.read_text(), "scene")) == data
+
+
+def test_a_page_with_a_link_holds_no_scene(decoder, data, tmp_path, capsys):
+    scene, output = tmp_path / "scene.clgs", tmp_path / "scene.html"
+    scene.write_bytes(data)
+    photos = write_scene(tmp_path / "photos", train=3, test=1)
+    command = ["export", str(scene), "-o", str(output), "--link", "files/a b.clgs"]
+    assert cli.main([*command, "--data", str(photos)]) == 0
+    text = output.read_text()
+    assert capsys.readouterr().out == f"{output}: {len(text.encode()):,} bytes\n"
+    assert part(text, "scene") == ""
+    settings = json.loads(part(text, "settings"))
+    assert settings["address"] == "files/a b.clgs"
+    assert settings["start"]["eye"]
+    assert "fetch(" in part(text, "worker")
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["-o", "a.ply", "--link", "x"], "a.ply: only a page has a link"),
+        (["-o", "a.html", "--link", ""], "link: is empty"),
+        (["-o", "a.html", "--link", "x", "--steps", "3"], "--steps: has no effect with --link"),
+    ],
+)
+def test_a_link_that_is_none_is_refused(data, tmp_path, monkeypatch, capsys, more, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.clgs").write_bytes(data)
+    assert cli.main(["export", "scene.clgs", *more]) == 2
+    assert said in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.clgs"]

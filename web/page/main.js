@@ -1,4 +1,5 @@
-// The page: reads its own file or one that is dropped, and draws whenever something has changed.
+// The page: reads its own file, one that is dropped, or one behind an address, and draws whenever
+// something has changed.
 
 const element = (id) => document.getElementById(id);
 const settings = JSON.parse(element("settings").textContent);
@@ -99,20 +100,22 @@ function show(view) {
 const handlers = {
   progress: ({share}) => note("Decoding", share),
   failed: ({reason}) => fail(reason),
+  // Of a file in layers it comes once for each layer; the camera stays where it is then.
   scene(message) {
+    const first = !viewer.scene;
     const scene = viewer.scene = {...message, margin: settings.margin};
-    const start = settings.start && viewer.own ? {...settings.start} : guessStart(scene.positions);
-    if (settings.start && viewer.own) {
-      start.eye = add(start.eye, scene.origin, -1);
-      start.target = add(start.target, scene.origin, -1);
+    if (first) {
+      const start = settings.start && viewer.own ? {...settings.start} : guessStart(scene.positions);
+      if (settings.start && viewer.own) {
+        start.eye = add(start.eye, scene.origin, -1);
+        start.target = add(start.target, scene.origin, -1);
+      }
+      viewer.camera = viewer.hands.camera = new Camera(start);
+      note("Drawing", 1);
     }
     delete scene.positions;
-    viewer.camera = viewer.hands.camera = new Camera(start);
-    const same = scene.hash === scene.expectedHash;
-    const count = `${scene.items.toLocaleString("en")} ${scene.splats ? "splats" : "anchors"}`;
-    element("status").textContent =
-      `${settings.title || viewer.name} \u00b7 ${count} \u00b7 ` + (same ? "file intact" : "file damaged");
-    note("Drawing", 1);
+    viewer.settled = false;
+    element("status").textContent = `${settings.title || viewer.name} \u00b7 ${contents(scene)}`;
     wake();
   },
   order({order, records, number, settled}) {
@@ -125,6 +128,16 @@ const handlers = {
   },
 };
 
+function contents(scene) {
+  const count = `${scene.items.toLocaleString("en")} ${scene.splats ? "splats" : "anchors"}`;
+  if (scene.ready < scene.layers) {
+    const rest = scene.whole ? "the rest is lost" : "more comes";
+    return `${count} \u00b7 ${scene.ready} of ${scene.layers} layers, ${rest}`;
+  }
+  return `${count} \u00b7 file ${scene.hash === scene.expectedHash ? "intact" : "damaged"}`;
+}
+
+// `file`: its bytes, or the address that the worker reads them from.
 function load(file, name) {
   viewer.worker?.terminate();
   const source = new Blob([element("worker").textContent], {type: "text/javascript"});
@@ -144,7 +157,8 @@ function load(file, name) {
   element("loading").className = "";
   canvas.classList.remove("shown");
   note("Decoding", 0);
-  worker.postMessage({kind: "load", wasm: bytesOf("wasm"), file}, [file.buffer]);
+  const what = file instanceof Uint8Array ? {file} : {address: file};
+  worker.postMessage({kind: "load", wasm: bytesOf("wasm"), ...what}, file.buffer ? [file.buffer] : []);
 }
 
 async function take(file) {
@@ -201,6 +215,7 @@ window.clgs = {
     ready: viewer.settled && viewer.drawn === viewer.number && !viewer.renderer.busy(),
     failed: viewer.failed || null,
     hash: viewer.scene?.hash, expectedHash: viewer.scene?.expectedHash,
+    layers: viewer.scene?.layers, layersReady: viewer.scene?.ready, whole: viewer.scene?.whole,
     frames: viewer.renderer?.frames, updates: viewer.updates, gaussians: viewer.renderer?.count,
     width: canvas.width, height: canvas.height,
     yaw: viewer.camera?.yaw, pitch: viewer.camera?.pitch, distance: viewer.camera?.distance,
@@ -211,9 +226,13 @@ window.clgs = {
 try {
   viewer.renderer = new Renderer(canvas);
   listen();
+  const named = new URLSearchParams(location.search).get("scene") || settings.address;
   if (element("scene").textContent.trim()) {
     viewer.own = true;
     load(bytesOf("scene"), settings.title);
+  } else if (named) {
+    viewer.own = named === settings.address;
+    load(new URL(named, location.href).href, named.split("/").pop());
   } else {
     element("loading").className = "done";
     element("drop").hidden = false;

@@ -51,28 +51,58 @@ function facts() {
     antialiased: rest[4], origin: [...rest.slice(5, 8)],
     hash: hex(hashes, rest[3]), expectedHash: hex(hashes + 8, rest[3]),
     positions: copy(Float32Array, code.page_positions(), 3 * items),
+    layers: code.page_layers(0), ready: code.page_layers(1),
   };
 }
 
-async function load(wasm, file) {
+async function start(wasm) {
   code = null;
   camera = seen = null;
   making = false;
   sorted = -1;
   const {instance} = await WebAssembly.instantiate(wasm);
-  const exports = instance.exports;
-  memory = exports.memory;
-  const room = exports.page_room(file.length);
-  if (room) new Uint8Array(memory.buffer, room, file.length).set(file);
-  const steps = room ? exports.page_open() : -1;
-  for (let left = steps; left !== 0;) {
-    if (left > 0) left = exports.page_step();
-    if (left < 0) return fail(text(exports.page_problem()));
-    postMessage({kind: "progress", share: 1 - left / steps});
+  memory = instance.exports.memory;
+  return instance.exports;
+}
+
+// Room for a file of this size, with its first bytes.
+function place(exports, size, first) {
+  const room = exports.page_room(size);
+  if (!room) throw new Error(text(exports.page_problem()));
+  new Uint8Array(memory.buffer, room, first.length).set(first);
+  return room;
+}
+
+// What a function of page.c gives, unless it has failed.
+function checked(exports, result) {
+  if (result < 0) throw new Error(text(exports.page_problem()));
+  return result;
+}
+
+// Take `steps` steps; in a scene that is shown already, pictures go on in between.
+async function decode(exports, steps) {
+  for (let left = steps; left > 0;) {
+    left = checked(exports, exports.page_step());
+    if (!code) postMessage({kind: "progress", share: 1 - left / steps});
+    else await new Promise((done) => setTimeout(done));
   }
+}
+
+// Say what there is, and draw it; `whole`: no more bytes will come.
+function show(exports, whole) {
   code = exports;
   const scene = facts();
-  postMessage({kind: "scene", ...scene}, [scene.positions.buffer]);
+  if (whole && scene.ready < 1) throw new Error("the file is cut before its first layer ends");
+  seen = null;
+  postMessage({kind: "scene", ...scene, whole}, [scene.positions.buffer]);
+  wake();
+}
+
+async function load(wasm, file) {
+  const exports = await start(wasm);
+  place(exports, file.length, file);
+  await decode(exports, checked(exports, exports.page_open()));
+  show(exports, true);
 }
 
 function moved() {
@@ -111,7 +141,8 @@ function turn() {
 
 onmessage = ({data}) => {
   if (data.kind === "load") {
-    load(data.wasm, data.file).catch((error) => fail(String(error.message || error)));
+    const loading = data.address ? stream(data.wasm, data.address) : load(data.wasm, data.file);
+    loading.catch((error) => fail(String(error.message || error)));
   } else {
     camera = data.camera;
     wake();

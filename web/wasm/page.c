@@ -44,7 +44,7 @@ static struct page {
     neural neural;
     splats splat;
     gaussians all;
-    size_t items, steps, step, decoding, begun;
+    size_t items, decoding, prepared, begun; /* decoding: steps that are left of splats */
     float centre[3];
     double number[NUMBERS];
 } page;
@@ -55,7 +55,8 @@ static int fail(problem wrong)
     return -1;
 }
 
-/* Room for a file of `size` bytes; what was there before is forgotten. NULL: too large. */
+/* Room for a file of `size` bytes; what was there before is forgotten. NULL: too large. All of the
+ * bytes count as there until page_arrived says otherwise. */
 uint8_t *EXPORT(page_room)(size_t size)
 {
     memory_release(0);
@@ -92,17 +93,53 @@ static int read_numbers(const uint8_t *meta)
     return 1;
 }
 
+/* How many steps of those bytes that are there. */
+static int steps_left(void)
+{
+    if (page.sections.splats)
+        return (int)page.decoding;
+    const anchors *a = &page.anchor;
+    if (!a->file)
+        return 0;
+    size_t layers = anchors_layers(a, page.sections.section[BODY].size);
+    size_t bare = layers > 0 ? a->list.layer[layers - 1].rows - page.prepared : 0;
+    return (int)(anchors_left(a, layers) + (bare + PREPARED - 1) / PREPARED);
+}
+
+/* How many bytes the whole file has, by its table, or, if `front`, what page_open needs of them. 0:
+ * more of the beginning is needed to tell. */
+double EXPORT(page_size)(int front)
+{
+    uint64_t size[2];
+    problem wrong = container_size(page.file, size, size + 1);
+    return wrong ? fail(wrong) : (double)size[front != 0];
+}
+
+/* This many bytes of the file are there. The number of steps that can be taken with them. */
+int EXPORT(page_arrived)(size_t size)
+{
+    page.file.size = size;
+    if (page.sections.layers)
+        page.sections.section[BODY].size = size - page.sections.begin;
+    return steps_left();
+}
+
+/* How many layers the file has, or, if `ready`, how many of them page_numbers counts. */
+size_t EXPORT(page_layers)(int ready)
+{
+    const anchors *a = &page.anchor;
+    return page.sections.splats ? 1 : ready ? a->layer : a->list.layers;
+}
+
 static problem open_anchors(void)
 {
-    problem wrong = anchors_open(&page.sections, &page.anchor, &page.decoding);
+    problem wrong = anchors_open(&page.sections, &page.anchor);
     if (wrong)
         return wrong;
     if (!read_numbers(page.sections.section[META].data))
         return "a setting of the file is out of range; encode it again";
-    page.items = page.anchor.list.anchors;
-    page.steps = page.decoding + (page.items + PREPARED - 1) / PREPARED;
     wrong = neural_open(&page.anchor, &page.neural);
-    return wrong ? wrong : gaussians_open(OFFSETS * page.items, &page.all);
+    return wrong ? wrong : gaussians_open(OFFSETS * page.anchor.list.anchors, &page.all);
 }
 
 static problem open_splats(void)
@@ -112,42 +149,57 @@ static problem open_splats(void)
     page.number[ALPHA_CUT] = ALPHA_CUT_OF_SPLATS;
     page.number[ALPHA_MAX] = ALPHA_MAX_OF_SPLATS;
     page.number[BLUR] = BLUR_OF_SPLATS;
-    page.items = page.splat.count;
-    page.steps = page.decoding;
-    return wrong ? wrong : gaussians_open(page.items, &page.all);
+    return wrong ? wrong : gaussians_open(page.splat.count, &page.all);
 }
 
-/* Read the file's lists; the number of steps that decoding takes. */
+/* Read the file's lists; the number of steps that can be taken. */
 int EXPORT(page_open)(void)
 {
     problem wrong = container_read(page.file, &page.sections);
     if (!wrong)
         wrong = page.sections.splats ? open_splats() : open_anchors();
-    page.number[ITEMS] = (double)page.items;
-    return wrong ? fail(wrong) : (int)page.steps;
+    return wrong ? fail(wrong) : steps_left();
+}
+
+static problem step_of_splats(void)
+{
+    problem wrong = splats_step(&page.splat);
+    if (wrong || --page.decoding > 0)
+        return wrong;
+    page.number[NEAR] = page.splat.near;
+    page.number[ANTIALIASED] = page.splat.keeps_light;
+    memcpy(page.number + ORIGIN, page.splat.origin, sizeof page.splat.origin);
+    page.items = page.splat.count;
+    return NULL;
+}
+
+static problem step_of_anchors(void)
+{
+    anchors *a = &page.anchor;
+    if (page.prepared < a->rows) {
+        size_t rest = a->rows - page.prepared;
+        size_t count = rest < PREPARED ? rest : PREPARED;
+        neural_prepare(&page.neural, page.prepared, count);
+        page.prepared += count;
+    } else {
+        int read = a->read;
+        problem wrong = anchors_step(a);
+        if (wrong)
+            return wrong;
+        if (!read)
+            neural_weights(&page.neural);
+    }
+    if (page.prepared == a->rows)
+        page.items = a->rows;
+    return NULL;
 }
 
 /* The next step; the number of those that are left. */
 int EXPORT(page_step)(void)
 {
-    size_t step = page.step++;
-    if (step < page.decoding) {
-        int of_splats = page.sections.splats;
-        problem wrong = of_splats ? splats_step(&page.splat) : anchors_step(&page.anchor);
-        if (wrong)
-            return fail(wrong);
-        if (step + 1 == page.decoding && !of_splats)
-            neural_weights(&page.neural);
-        if (step + 1 == page.decoding && of_splats) {
-            page.number[NEAR] = page.splat.near;
-            page.number[ANTIALIASED] = page.splat.keeps_light;
-            memcpy(page.number + ORIGIN, page.splat.origin, sizeof page.splat.origin);
-        }
-    } else if (step < page.steps) {
-        size_t first = PREPARED * (step - page.decoding), rest = page.items - first;
-        neural_prepare(&page.neural, first, rest < PREPARED ? rest : PREPARED);
-    }
-    return (int)(page.steps - step) - 1;
+    problem wrong = page.sections.splats ? step_of_splats() : step_of_anchors();
+    page.number[ITEMS] = (double)page.items;
+    return wrong ? fail(wrong) : steps_left();
 }
 
 /* ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND (3), SPLATS: whether it is made of them,

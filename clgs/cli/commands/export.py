@@ -78,6 +78,12 @@ def register(parser: argparse.ArgumentParser) -> None:
     add_device_name(parser)
     add("--viewer", action="store_true", help=".html: a page without a scene, to drop files on")
     add("--name", metavar="TITLE", help=".html: title (default: the photos' folder)")
+    add(
+        "--link",
+        metavar="ADDRESS",
+        help=".html: read the .clgs file at ADDRESS, as seen from the page, instead of holding it; "
+        "layers of `clgs encode --layers` are shown as they come",
+    )
     add_overwrite(parser, "the file if it exists (default: refuse)")
 
 
@@ -85,16 +91,23 @@ def run(args: argparse.Namespace) -> int:
     """Write the file and print what it holds; exit code 0."""
     from clgs.cli.display import Display
     from clgs.errors import UsageError
-    from clgs.workflow.export import export
+    from clgs.workflow.export import export, export_link
 
     if args.viewer and args.source is not None:
         raise UsageError("--viewer makes a page without a scene; leave it out, or the SCENE")
     if not args.viewer and args.source is None and args.output.suffix.lower() == ".html":
         raise UsageError("name a SCENE, or give --viewer for a page without one")
-    names = "data", "sh_degree", "steps", "units", "downscale", "max_size", "device", "name"
-    options = chosen({"masks": None} | vars(args), *names, "masks", "overwrite")
+    shared = chosen(vars(args), "data", "name", "overwrite")
+    names = "sh_degree", "steps", "units", "downscale", "max_size", "device", "masks"
+    others = chosen({"masks": None} | vars(args), *names)
+    if args.link is not None:
+        for name, value in others.items():
+            if value is not None:
+                raise UsageError(f"--{name.replace('_', '-')}: has no effect with --link")
+        show(export_link(args.source, args.output, args.link, **shared))
+        return 0
     with Display() as display:
-        made = export(args.source, args.output, on_event=display, **options)
+        made = export(args.source, args.output, on_event=display, **shared, **others)
     show(made)
     return 0
 

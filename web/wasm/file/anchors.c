@@ -20,7 +20,7 @@ static double scale_of(const anchors *a, int part)
     return load_double(a->file->section[META].data + 16 + 8 * part);
 }
 
-problem anchors_open(const container *file, anchors *result, size_t *steps)
+problem anchors_open(const container *file, anchors *result)
 {
     *result = (anchors){.file = file};
     problem wrong = directory_read(file, &result->list);
@@ -39,8 +39,23 @@ problem anchors_open(const container *file, anchors *result, size_t *steps)
             return wrong;
     }
     result->weight = memory_take(4 * WEIGHTS);
-    *steps = CODED * result->list.chunks + 2;
     return result->weight ? NULL : NO_MEMORY;
+}
+
+size_t anchors_layers(const anchors *a, size_t bytes)
+{
+    size_t count = 0;
+    while (count < a->list.layers && a->list.layer[count].bytes <= bytes)
+        count++;
+    return count;
+}
+
+size_t anchors_left(const anchors *a, size_t layers)
+{
+    if (layers <= a->layer)
+        return 0;
+    size_t chunks = a->list.layer[layers - 1].chunks - a->chunk;
+    return !a->read + CODED * chunks - a->part + layers - a->layer;
 }
 
 /* What a stream that leaves out its corner and depth would begin with; returns the bytes. */
@@ -124,29 +139,34 @@ static problem read_weights(anchors *a)
     return NULL;
 }
 
-static problem compare_hash(anchors *a)
+/* The hash of the integers from row a->rows to `end`. */
+static problem compare_hash(anchors *a, size_t end)
 {
     uint8_t joined[8 * (CODED + 1)];
     for (int i = 0; i <= CODED; i++) {
-        const void *array = i < CODED ? (void *)a->array[i].integer : (void *)a->weight;
-        size_t count = i < CODED ? COLUMNS_OF[i] * a->list.anchors : WEIGHTS;
+        const void *array = a->weight;
+        size_t count = WEIGHTS;
+        if (i < CODED) {
+            array = a->array[i].integer + COLUMNS_OF[i] * a->rows;
+            count = COLUMNS_OF[i] * (end - a->rows);
+        }
         uint64_t hash = clgs_xxh64(array, 4 * count); /* wasm is little-endian, as the hash is */
         clgs_store32(joined + 8 * i, (uint32_t)hash);
         clgs_store32(joined + 8 * i + 4, (uint32_t)(hash >> 32));
     }
     a->hash = clgs_xxh64(joined, sizeof joined);
-    a->expected_hash = clgs_load64(a->file->section[META].data + 144);
+    a->expected_hash = a->list.layer[a->layer].hash;
     return a->hash == a->expected_hash ? NULL
                                        : "the decoded integers do not match their hash; copy the "
                                          "file again";
 }
 
-/* Integers to the floats that are rendered, in place. */
-static void dequantize(anchors *a)
+/* Integers from row a->rows to `end` to the floats that are rendered, in place. */
+static void dequantize(anchors *a, size_t end)
 {
     for (int i = 0; i < CODED; i++) {
         double scale = scale_of(a, i);
-        for (size_t k = 0; k < COLUMNS_OF[i] * a->list.anchors; k++) {
+        for (size_t k = COLUMNS_OF[i] * a->rows; k < COLUMNS_OF[i] * end; k++) {
             float value = (float)(a->array[i].integer[k] / scale);
             memcpy(a->array[i].integer + k, &value, sizeof value);
         }
@@ -155,14 +175,18 @@ static void dequantize(anchors *a)
 
 problem anchors_step(anchors *a)
 {
-    if (a->chunk < a->list.chunks)
-        return read_part(a);
     if (!a->read) {
         a->read = 1;
         return read_weights(a);
     }
-    problem wrong = compare_hash(a);
-    if (!wrong)
-        dequantize(a);
-    return wrong;
+    const layer *next = a->list.layer + a->layer;
+    if (a->chunk < next->chunks)
+        return read_part(a);
+    problem wrong = compare_hash(a, next->rows);
+    if (wrong)
+        return wrong;
+    dequantize(a, next->rows);
+    a->rows = next->rows;
+    a->layer++;
+    return NULL;
 }

@@ -1,4 +1,4 @@
-/* A scene of anchors, decoded in steps so that a page can show how far it is. */
+/* A scene of anchors, decoded layer by layer, in steps so that a page can show how far it is. */
 #ifndef CLGS_WEB_ANCHORS_H
 #define CLGS_WEB_ANCHORS_H
 
@@ -7,7 +7,7 @@
 
 enum { OFFSETS = 10, FEATURES = 50, SCALINGS = 6, WEIGHTS = 13710 };
 
-/* The integers of all anchors, then floats in the same memory; rows in Morton order. */
+/* The integers of all anchors, then floats in the same memory; rows in the file's order. */
 typedef union numbers {
     int32_t *integer;
     float *value;
@@ -20,18 +20,25 @@ typedef struct anchors {
     numbers array[CODED];    /* (A, 3), (A, 30), (A, 50), (A, 6) */
     float *weight;
     int32_t *near; /* of the present chunk */
-    size_t chunk, part, chunk_mark;
-    int read;
-    uint64_t expected_hash, hash;
+    size_t layer, chunk, part, chunk_mark;
+    size_t rows;                  /* of the layers that are decoded */
+    int read;                     /* whether the weights are */
+    uint64_t expected_hash, hash; /* of the last layer that was decoded */
 } anchors;
 
 /* Columns of the arrays. */
 extern const size_t COLUMNS_OF[CODED];
 
-/* Begin with a file that holds a scene; `*steps`: how many calls of anchors_step there will be. */
-problem anchors_open(const container *file, anchors *result, size_t *steps);
+/* Begin with a file that holds a scene. */
+problem anchors_open(const container *file, anchors *result);
 
-/* One step: a part of a chunk; after all chunks the weights, then hash and floats. */
+/* How many layers can be decoded, with these bytes of BODY. */
+size_t anchors_layers(const anchors *a, size_t bytes);
+
+/* How many calls of anchors_step decode the first `layers` layers. */
+size_t anchors_left(const anchors *a, size_t layers);
+
+/* One step: first the weights, then a part of a chunk, or hash and floats of a layer. */
 problem anchors_step(anchors *a);
 
 #endif

@@ -15,18 +15,26 @@ typedef struct span {
     size_t size;
 } span;
 
-/* Sections of a scene, and of a file of splats. */
-enum { META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS };
+#define CUT "the file is cut or damaged; copy it again"
+
+/* Sections of a scene, those that a scene in layers has last, and those of a file of splats. */
+enum { META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS, LAYR, BODY };
 enum { SPLT, SPOS, SMUL, SATR };
 
-#define SECTIONS 7
+#define SECTIONS 9
 
 typedef struct container {
     int splats; /* whether it holds splats in place of a scene */
+    int layers; /* whether it has LAYR and BODY */
     span section[SECTIONS];
+    size_t begin, body_size; /* where BODY begins, and its bytes when all have come */
 } container;
 
-/* Find the sections of `file`; all checksums are verified. */
+/* How many bytes the file has, by its table, and how many come before a BODY that may be cut; both
+ * 0 if more of the beginning is needed to tell. */
+problem container_size(span file, uint64_t *size, uint64_t *front);
+
+/* Find the sections of `file`; all checksums are verified, but that of a BODY that is cut. */
 problem container_read(span file, container *result);
 
 /* The IEEE number at `at`. */

@@ -8,6 +8,8 @@
 #define GROUP 64
 #define HEAD 48
 #define MAX_ANCHORS 12000000
+#define MAX_LAYERS 64
+#define LAYER 12 /* bytes: chunks, hash */
 #define MAX_POINTS_PER_BYTE 32768
 #define WRONG "the list of the file's chunks is damaged; copy the file again"
 
@@ -71,15 +73,20 @@ static problem find_cell(const row from, const uint8_t *origin, chunk *result)
     return NULL;
 }
 
-/* The next chunk, whose parts follow those before, which end at `end`. */
+/* The next chunk, whose parts follow those before, which end at `end`; of BODY at `end[0]`. */
 static problem place_chunk(const container *file, const row from, size_t end[CODED], chunk *result)
 {
     for (int i = 0; i < CODED; i++) {
         span section = file->section[ANCH + i];
-        if (from[7 + i] < 0 || (uint64_t)from[7 + i] > section.size - end[i])
+        size_t *at = &end[i];
+        if (file->layers) {
+            section = (span){file->section[BODY].data, file->body_size};
+            at = &end[0];
+        }
+        if (from[7 + i] < 0 || (uint64_t)from[7 + i] > section.size - *at)
             return WRONG;
-        result->part[i] = (span){section.data + end[i], (size_t)from[7 + i]};
-        end[i] += result->part[i].size;
+        result->part[i] = (span){section.data + *at, (size_t)from[7 + i]};
+        *at += result->part[i].size;
     }
     result->rows = (size_t)from[0];
     if (result->rows > result->part[0].size * (uint64_t)MAX_POINTS_PER_BYTE)
@@ -142,9 +149,41 @@ static problem read_headers(reader *r, span list)
         if (size > r->file->section[ANCH + i].size)
             return WRONG;
         r->result->header[i] = (span){r->file->section[ANCH + i].data, size};
-        r->end[i] = size;
+        r->end[i] = r->file->layers ? 0 : size;
     }
     return NULL;
+}
+
+/* The ends of layers, once the chunks are known. */
+static problem read_layers(const container *file, directory *result)
+{
+    span list = file->section[LAYR];
+    result->layers = 1;
+    if (file->layers) {
+        result->layers = list.size < 4 ? 0 : clgs_load32(list.data);
+        if (result->layers < 1 || result->layers > MAX_LAYERS)
+            return WRONG;
+        if (list.size != 4 + LAYER * result->layers)
+            return WRONG;
+    }
+    result->layer = memory_take(result->layers * sizeof *result->layer);
+    if (!result->layer)
+        return NO_MEMORY;
+    result->layer[0] =
+        (layer){result->chunks, result->anchors, 0, clgs_load64(file->section[META].data + 144)};
+    size_t end = 0;
+    for (size_t i = 0; file->layers && i < result->layers; i++) {
+        const uint8_t *entry = list.data + 4 + LAYER * i;
+        size_t chunks = clgs_load32(entry);
+        if (chunks < 1 || chunks > result->chunks - end)
+            return WRONG;
+        end += chunks;
+        const chunk *last = result->chunk + end - 1;
+        size_t bytes = (size_t)(last->part[CODED - 1].data - file->section[BODY].data);
+        result->layer[i] = (layer){end, last->first + last->rows,
+                                   bytes + last->part[CODED - 1].size, clgs_load64(entry + 4)};
+    }
+    return !file->layers || end == result->chunks ? NULL : WRONG;
 }
 
 problem directory_read(const container *file, directory *result)
@@ -168,5 +207,5 @@ problem directory_read(const container *file, directory *result)
         return wrong;
     const chunk *last = result->chunk + result->chunks - 1;
     size_t end = result->chunks > 0 ? last->first + last->rows : 0;
-    return end == result->anchors ? NULL : WRONG;
+    return end == result->anchors ? read_layers(file, result) : WRONG;
 }

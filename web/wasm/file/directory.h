@@ -1,5 +1,5 @@
-/* Which bytes belong to which anchors: META's counts and CHNK (codec_c/FORMAT.md, parts 3 and 5).
- */
+/* Which bytes belong to which anchors: META's counts, CHNK and LAYR (codec_c/FORMAT.md, parts 3
+ * and 5). */
 #ifndef CLGS_WEB_DIRECTORY_H
 #define CLGS_WEB_DIRECTORY_H
 
@@ -14,16 +14,24 @@ typedef struct chunk {
     span part[CODED];
 } chunk;
 
+/* Where a layer ends: the first chunk, row and byte of BODY that are not in it or those before. */
+typedef struct layer {
+    size_t chunks, rows, bytes;
+    uint64_t hash; /* of its integers and the weights */
+} layer;
+
 typedef struct directory {
-    size_t anchors, chunks;
+    size_t anchors, chunks, layers;
     chunk *chunk;
+    layer *layer;       /* one of all chunks and no bytes, unless the file has layers */
     span header[CODED]; /* what all chunks of a section share */
 } directory;
 
 /* Read META's counts and CHNK, and verify what they say of the other sections.
  *
- * The chunks lie in memory that is taken. CRCs of single chunks are not looked at: those of whole
- * sections cover them. Nor are corners and order, which the content hash covers. */
+ * The chunks lie in memory that is taken; those of a BODY that is cut may lie beyond its end. CRCs
+ * of single chunks are not looked at: those of whole sections and the hashes of layers cover them.
+ * Nor are corners and order, which the hashes cover. */
 problem directory_read(const container *file, directory *result);
 
 #endif
