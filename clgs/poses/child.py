@@ -22,6 +22,14 @@ from clgs.memory import return_freed_memory
 OnStage = Callable[[Any], None]
 """The type of a function that receives a child's reports of progress; they can be JSON."""
 
+
+class CrashError(DataError):
+    """A child process ended by itself: nothing is known of the data."""
+
+
+ERRORS = {"error": DataError, "crash": CrashError}
+"""What a child writes, and what its parent raises."""
+
 IMPORT_SECONDS = 60
 """An import that takes longer counts as failed."""
 
@@ -37,7 +45,8 @@ def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
     Arguments, results and reports of progress pass as JSON; messages name the ``task``.
 
     Raises:
-        DataError: the work failed, or the child crashed.
+        DataError: the work failed.
+        CrashError: the child, or one of its own, crashed or was killed.
     """
     program = (
         f"import sys; sys.path[:] = {sys.path!r}; from clgs.poses.child import serve; "
@@ -61,13 +70,15 @@ def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
                 kind, value = json.loads(line)
                 if kind == "result":
                     return value
-                if kind == "error":
-                    raise DataError(value)
+                if kind in ERRORS:
+                    raise ERRORS[kind](value)
                 on_stage(value)
             exit_code = child.wait()
             if problem := import_problem("pycolmap"):  # then the data is not at fault
                 raise DataError(f"{task}: pycolmap cannot be loaded ({problem}); install it again")
-            raise DataError(f"{task}: pycolmap crashed (exit code {exit_code}); try other photos")
+            if exit_code == -signal.SIGKILL:
+                raise CrashError(f"{task}: pycolmap was killed; see if there is enough memory")
+            raise CrashError(f"{task}: pycolmap crashed (exit code {exit_code}); try other photos")
         except BaseException:
             if _serving or os.name == "nt":
                 child.kill()
@@ -109,7 +120,7 @@ def serve(work: Callable[[Any, OnStage], Any]) -> None:
     try:
         result = work(arguments, lambda stage: write("stage", stage))
     except DataError as error:
-        write("error", str(error))
+        write("crash" if isinstance(error, CrashError) else "error", str(error))
     else:
         write("result", result)
 

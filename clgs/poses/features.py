@@ -57,16 +57,40 @@ def extract(workspace: Workspace, size: int, quick: bool) -> None:
     reader = pycolmap.ImageReaderOptions()
     if workspace.masks is not None:
         reader.mask_path = workspace.masks
+    kept = workspace.finished
+    todo = [name for name in workspace.names if not _take_up(workspace, name)]
     total = len(workspace.names)
-    for start in range(0, total, BATCH):
-        workspace.on_progress("features", start, total)
+    for start in range(0, len(todo), BATCH):
+        workspace.on_progress("features", total - len(todo) + start, total)
+        some = todo[start : start + BATCH]
         workspace.call(
             pycolmap.extract_features,
             workspace.database,
             workspace.images,
-            image_names=workspace.names[start : start + BATCH],
+            image_names=some,
             reader_options=reader,
             extraction_options=options,
             device=pycolmap.Device.cpu,
         )
+        if kept is not None:
+            with workspace.open() as database:
+                for name in some:
+                    number = database.read_image_with_name(name).image_id
+                    descriptors = database.read_descriptors(number).data
+                    kept.keep_features(name, database.read_keypoints(number), descriptors)
     workspace.on_progress("features", total, total)
+
+
+def _take_up(workspace: Workspace, name: str) -> bool:
+    """Write the features of a photo into the database if an earlier process found them."""
+    found = workspace.finished and workspace.finished.features(name)
+    if not found:
+        return False
+    keypoints, descriptors = found
+    kind = workspace.pycolmap.FeatureExtractorType.SIFT
+    with workspace.open() as database:
+        number = database.read_image_with_name(name).image_id
+        database.write_keypoints(number, keypoints)
+        described = workspace.pycolmap.FeatureDescriptors(kind, descriptors)
+        database.write_descriptors(number, described)
+    return True

@@ -82,7 +82,7 @@ def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
     evidence, found = read_evidence(workspace), dict[str, list[Any]]()
     choice = None
     for mapper in mappers[:1] if quick or not evidence.pairs else mappers:
-        found[mapper] = MAPPERS[mapper](workspace, _stage(found))
+        found[mapper] = _map(mapper, workspace, _stage(found))
         choice = _choose(workspace, found, evidence)
         if choice and not _incomplete(choice):
             break
@@ -120,7 +120,7 @@ def ask_all_mappers(
         if mapper == INCREMENTAL and few:
             found[mapper] = _place_again(workspace, choice, doubtful)
         else:
-            found[mapper] = MAPPERS[mapper](workspace, _stage(found))
+            found[mapper] = _map(mapper, workspace, _stage(found))
     if found.keys() == choice.found.keys():
         return choice
     return _choose(workspace, found, choice.evidence) or choice
@@ -137,8 +137,10 @@ def _place_again(workspace: Workspace, choice: ModelChoice, doubtful: Collection
     model.write(start)
     options = _incremental_options(workspace)
     options.multiple_models = False
-    folder = workspace.folder / "placed_again"
-    return _run_incremental(workspace, "other poses", folder, options, start)
+    folder, stage = workspace.folder / "placed_again", "other poses"
+    return workspace.models(
+        stage, lambda: _run_incremental(workspace, stage, folder, options, start)
+    )
 
 
 def _stage(found: Mapping[str, list[Any]]) -> str:
@@ -208,8 +210,10 @@ def look_again(workspace: Workspace, choice: ModelChoice) -> ModelChoice:
     options.multiple_models = False
     options.mapper.abs_pose_min_num_inliers = LOOSE_INLIERS
     options.mapper.abs_pose_min_inlier_ratio = LOOSE_SHARE
-    folder = workspace.folder / "second_look"
-    again = _run_incremental(workspace, "more poses", folder, options, start)
+    folder, stage = workspace.folder / "second_look", "more poses"
+    again = workspace.models(
+        stage, lambda: _run_incremental(workspace, stage, folder, options, start)
+    )
     evidence = read_evidence(workspace)
     found = [model, *again]
     models = [MappedModel(choice.kept.mapper, one, explain(one, evidence)) for one in found]
@@ -244,7 +248,7 @@ def map_half(workspace: Workspace, choice: ModelChoice) -> Any | None:
                     halves[number][index] = drawn[point.point3D_id]
     _write_half(workspace, half, halves, evidence)
     part, mapper = read_evidence(half), choice.kept.mapper
-    found = {} if mapper == STRONG else {mapper: MAPPERS[mapper](half, "check")}
+    found = {} if mapper == STRONG else {mapper: _map(mapper, half, "check")}
     models = _largest(found, part)
     if not models or models[0].explained.contradicted > MAX_CONTRADICTED:
         found[STRONG] = _map_strongest(half, part, "check")
@@ -273,6 +277,10 @@ def _write_half(
                 geometry.inlier_matches = kept
                 part.write_matches(pair.first, pair.second, kept)
                 part.write_two_view_geometry(pair.first, pair.second, geometry)
+
+
+def _map(mapper: str, workspace: Workspace, stage: str) -> list[Any]:
+    return workspace.models(stage, lambda: MAPPERS[mapper](workspace, stage))
 
 
 def _map_incrementally(workspace: Workspace, stage: str) -> list[Any]:
@@ -338,7 +346,7 @@ def _map_strongest(workspace: Workspace, evidence: Evidence, stage: str) -> list
         for pair in evidence.pairs:
             if (pair.first, pair.second) not in kept:
                 database.delete_two_view_geometry(pair.first, pair.second)
-    return _map_incrementally(strongest, stage)
+    return _map(INCREMENTAL, strongest, stage)
 
 
 def _incremental_options(workspace: Workspace) -> Any:

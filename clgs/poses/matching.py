@@ -80,6 +80,19 @@ def match(workspace: Workspace, pairs: Sequence[Pair], first: int = FIRST_FEATUR
         DataError: pycolmap fails.
         DeviceError: the device does.
     """
+    strong, shortened = workspace.matches("matches", lambda: _find(workspace, pairs, first))
+    workspace.matches("geometry", lambda: verify(workspace, strong, "geometry"))
+    return bool(shortened)
+
+
+def _find(
+    workspace: Workspace, pairs: Sequence[Pair], first: int
+) -> tuple[list[tuple[int, int]], bool]:
+    """Match pairs, and write their matches.
+
+    Returns:
+        The images' numbers of the pairs with enough matches, and whether features were left out.
+    """
     if len(workspace.names) <= MAX_FULL:
         first = MAX_DESCRIPTORS
     workspace.on_progress("matches", 0, len(pairs))
@@ -99,8 +112,8 @@ def match(workspace: Workspace, pairs: Sequence[Pair], first: int = FIRST_FEATUR
     again = [(a, b) for a, b in alike if thin & {a, b} and (rich[a] or rich[b])]
     done -= len(again)
     found |= _match(workspace, again, MAX_RATIO, count)
-    _write_and_verify(workspace, found, "geometry")
-    return any(rich[a] or rich[b] for a, b in set(alike).difference(again))
+    shortened = any(rich[a] or rich[b] for a, b in set(alike).difference(again))
+    return _write(workspace, found), shortened
 
 
 def match_in_full(workspace: Workspace, pairs: Sequence[Pair]) -> None:
@@ -233,8 +246,8 @@ def _match(
     return matches
 
 
-def _write_and_verify(workspace: Workspace, found: Mapping[Pair, Matches], stage: str) -> None:
-    """Write the matches of each pair that has enough of them, and verify these pairs."""
+def _write(workspace: Workspace, found: Mapping[Pair, Matches]) -> list[tuple[int, int]]:
+    """Write the matches of each pair that has enough of them; returns their images' numbers."""
     strong = []
     with workspace.open() as database:
         numbers = workspace.ids(database)
@@ -242,7 +255,7 @@ def _write_and_verify(workspace: Workspace, found: Mapping[Pair, Matches], stage
             if len(matches) >= MIN_MATCHES:
                 database.write_matches(numbers[a], numbers[b], matches)
                 strong.append((numbers[a], numbers[b]))
-    verify(workspace, strong, stage)
+    return strong
 
 
 def by_tiles(pairs: Sequence[Pair]) -> Iterator[list[Pair]]:
@@ -267,17 +280,19 @@ def match_again(workspace: Workspace, left_out: list[int]) -> None:
                 database.delete_matches(first, second)
             if database.exists_two_view_geometry(first, second):
                 database.delete_two_view_geometry(first, second)
-    stage = "second look"
-
-    done = 0
+    stage, done = "second look", 0
 
     def count(matched: int) -> None:
         nonlocal done
         done += matched
         workspace.on_progress(stage, done, len(pairs))
 
-    count(0)
-    _write_and_verify(workspace, _match(workspace, pairs, LOOSE_RATIO, count), stage)
+    def find() -> list[tuple[int, int]]:
+        count(0)
+        return _write(workspace, _match(workspace, pairs, LOOSE_RATIO, count))
+
+    strong = workspace.matches(stage, find)
+    workspace.matches(stage, lambda: verify(workspace, strong, stage))
 
 
 def read_evidence(workspace: Workspace) -> Evidence:

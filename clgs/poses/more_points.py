@@ -28,10 +28,11 @@ MAX_REPROJECTION_ERROR = 2.0
 STAGE = "points"
 
 
-def add_points(workspace: Workspace, model: Any, evidence: Evidence) -> None:
+def add_points(workspace: Workspace, model: Any, evidence: Evidence) -> Any:
     """Match the features that have no point between neighbouring photos, and add their points.
 
-    ``model``: pycolmap's reconstruction; its poses, cameras and points stay as they are.
+    ``model``: pycolmap's reconstruction, which is returned; its poses, cameras and points stay as
+    they are.
 
     Raises:
         DeviceError: the device fails.
@@ -72,6 +73,7 @@ def add_points(workspace: Workspace, model: Any, evidence: Evidence) -> None:
         if point.error <= MAX_REPROJECTION_ERROR:
             model.add_point3D(point.xyz, point.track, point.color)
     model.update_point_3d_errors()
+    return model
 
 
 def _match(

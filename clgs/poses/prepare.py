@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import re
+import logging
 import shutil
-import subprocess
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -20,14 +16,24 @@ from clgs.arguments import as_path
 from clgs.data.colmap.model import WORLD
 from clgs.data.images import read_image
 from clgs.errors import DataError, ExistsError, OutputError
-from clgs.files import STEM_KEPT, atomic_folder, check_folder, is_full
+from clgs.files import atomic_folder, check_folder, is_full
 from clgs.poses.bring_in import LEAST_PHOTOS, bring_in, find_source
 from clgs.poses.drop import drop_doubtful as drop_doubtful_photos
+from clgs.poses.finished import Finished
 from clgs.poses.judging.verdict import Verdict
 from clgs.poses.known import Known, add_photos, read_known
 from clgs.poses.pycolmap_lazy import SEEDS
 from clgs.poses.reconstruct import reconstruct
+from clgs.poses.unfinished import (
+    digest_of,
+    kept_pieces,
+    owned,
+    remove_leftovers,
+    removed_if_killed,
+)
 from clgs.poses.workspace import OnProgress
+
+_log = logging.getLogger(__name__)
 
 REPORT = "report.json"
 CONTACT_SHEET = "contact_sheet.jpg"
@@ -38,17 +44,6 @@ CELL = (160, 120)
 """Width and height of a photo on the sheet, pixels."""
 
 QUALITY = 80
-
-OWNER = "owner"
-"""A file in the folder work/ of an unfinished data set; the running process holds a lock on it."""
-
-_GUARD = """
-import shutil, sys, time
-if not sys.stdin.buffer.read():
-    for _ in range(50):  # children of the killed process may write for a moment more
-        shutil.rmtree(sys.argv[1], ignore_errors=True)
-        time.sleep(0.1)
-"""
 
 MADE = {"images", "masks", "sparse", WORLD, REPORT, CONTACT_SHEET, "report.html"}
 """What this function, and the command of that name, make: a folder of these may be replaced."""
@@ -74,7 +69,8 @@ def prepare(
     ``output`` gets images/ (undistorted), masks/ if photos are masked, sparse/0/ (binary, pinhole
     cameras), report.json with the verdict that is returned, contact_sheet.jpg, and world.txt if
     ``poses`` or GPS tags tell scale or place; it appears complete or not at all. A warning names
-    the files that are skipped.
+    the files that are skipped. Until then a hidden folder next to it keeps what is finished: if the
+    process is killed, the same call goes on from there, to the same result, and a warning says so.
 
     Args:
         photos: the folder, or a video.
@@ -122,13 +118,24 @@ def prepare(
         remove_leftovers(output)
         if overwrite:
             _check_replaceable(output, source.files)
-        with atomic_folder(output, overwrite) as target:
+        options = seed % SEEDS, quick, equirectangular, known.plain(), continued is not None
+        kept_for = digest_of(source.files, [source.frames, *options])
+        with (
+            kept_pieces(output, kept_for) as kept,
+            atomic_folder(output, overwrite) as target,
+        ):
             work = target / "work"
-            with owned(work), removed_if_killed(target):
+            with owned(work), removed_if_killed(target, kept):
+                finished = kept or work / "finished"
+                finished.mkdir(exist_ok=True)
+                if line := Finished(finished).summary():
+                    _log.warning("%s: goes on where an earlier call was stopped: %s", output, line)
                 on_progress("read", 0, expected)
                 bring_in(source, work, lambda n: on_progress("read", n, expected), equirectangular)
-                options = seed % SEEDS, quick, max_size, device, on_progress
-                verdict = reconstruct(target, *options, known, continued is not None)
+                verdict = reconstruct(
+                    *(target, seed % SEEDS, quick, max_size, device, on_progress),
+                    *(known, continued is not None, finished),
+                )
                 if drop_doubtful:
                     verdict = drop_doubtful_photos(target, verdict)
                 names = [work / "images" / one.name for one in verdict.photos]
@@ -185,54 +192,3 @@ def contact_sheet(
     buffer = io.BytesIO()
     sheet.save(buffer, "JPEG", quality=QUALITY)
     return buffer.getvalue()
-
-
-@contextmanager
-def removed_if_killed(folder: Path) -> Iterator[None]:
-    """Remove ``folder`` and all that it holds if this process is killed within the block.
-
-    A killed process cannot do that, so another process waits for its end.
-    """
-    with subprocess.Popen(
-        [sys.executable, "-I", "-S", "-c", _GUARD, str(folder)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,  # so that it survives what ends all processes of a terminal
-    ) as guard:
-        try:
-            yield
-        finally:
-            with suppress(BrokenPipeError):
-                guard.communicate(b"done")
-
-
-@contextmanager
-def owned(work: Path) -> Iterator[None]:
-    """Make the folder ``work`` and show other processes that it is in use within the block."""
-    work.mkdir()
-    with (work / OWNER).open("wb") as file:
-        if os.name != "nt":
-            import fcntl
-
-            with suppress(OSError):  # a file system without locks
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-
-
-def remove_leftovers(output: Path) -> None:
-    """Remove the hidden folders that killed runs with the same ``output`` left next to it."""
-    if os.name == "nt" or not output.parent.is_dir():
-        return
-    import fcntl
-
-    name = rf"\.{re.escape(output.stem[:STEM_KEPT])}\.[0-9a-f]{{8}}{re.escape(output.suffix)}"
-    for folder in output.parent.iterdir():
-        if not re.fullmatch(name, folder.name):
-            continue
-        try:
-            with (folder / "work" / OWNER).open("rb") as file:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError:  # there is no such file, or a running process holds the lock
-            continue
-        shutil.rmtree(folder, ignore_errors=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import time
 from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -24,6 +23,7 @@ from clgs.opencl.device import Device
 from clgs.poses.bring_in import camera_numbers
 from clgs.poses.child import OnStage, run_child
 from clgs.poses.features import extract
+from clgs.poses.finished import Finished
 from clgs.poses.gps import fit, read_positions
 from clgs.poses.judging.agreement import poses_of
 from clgs.poses.judging.evidence import MAX_CONTRADICTED, ModelChoice
@@ -39,7 +39,7 @@ from clgs.poses.known import (
 )
 from clgs.poses.mapping import ask_all_mappers, look_again, map_half, map_photos
 from clgs.poses.matching import match, match_in_full, read_evidence
-from clgs.poses.more_points import add_points
+from clgs.poses.more_points import STAGE, add_points
 from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.workspace import OnProgress, Workspace
@@ -65,13 +65,15 @@ def reconstruct(
     on_progress: OnProgress,
     known: Known,
     apart: bool,
+    finished: Path | None = None,
 ) -> Verdict:
     """Find poses and points of the photos in ``target``/work/images: fills images/ and sparse/0/.
 
     ``quick``: half the features, one mapper, no second reconstruction. ``max_size``: photos are
     reduced to about this width at the end; 0: never. ``device``: matches features, as for Device.
     ``on_progress`` receives the progress of each stage after "read". ``known``: poses that are
-    given; ``apart``: photos with such a pose share no camera with the others.
+    given; ``apart``: photos with such a pose share no camera with the others. ``finished``: folder
+    of pieces that are taken up and kept; None: nothing is.
 
     Raises:
         DataError: no reconstruction, no pycolmap, or it crashed.
@@ -79,6 +81,7 @@ def reconstruct(
         OSError: it failed on a full disk.
     """
     arguments = [str(target), seed, quick, max_size, device, known.plain(), apart]
+    arguments.append(None if finished is None else str(finished))
     try:
         return verdict_of(run_child(__name__, _TASK, arguments, lambda one: on_progress(*one)))
     except DataError as error:
@@ -89,11 +92,12 @@ def reconstruct(
 
 def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
     """Be the child: run all stages for the photos in a folder; returns a plain verdict."""
-    target, (seed, quick, max_size, device, given, apart) = Path(arguments[0]), arguments[1:]
-    work, began, known = target / "work", dict[str, float](), Known.of_plain(given)
+    target, (seed, quick, max_size, device, given, apart, kept) = Path(arguments[0]), arguments[1:]
+    work, known = target / "work", Known.of_plain(given)
+    finished = Finished(Path(kept) if kept else work)
 
     def on_progress(stage: str, done: int, total: int) -> None:
-        began.setdefault(stage, time.perf_counter())
+        finished.begin(stage)
         on_stage([stage, done, total])
 
     with quiet_pycolmap(_TASK) as pycolmap:
@@ -114,7 +118,9 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         files = {work / "numbered" / file: name for file, name in own_names.items()}
         posed, notes = fitting(known, files)
         positions, origin = read_positions(files)
-        workspace = replace(workspace, known=posed, positions=positions)
+        workspace = replace(
+            workspace, known=posed, positions=positions, finished=finished if kept else None
+        )
         extract(workspace, size, quick)
         workspace, choice, shortened = _match_and_map(workspace, known, quick, notes)
         choice = look_again(workspace, choice)
@@ -132,7 +138,9 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
             )
         model = choice.kept.reconstruction
         if shortened:
-            add_points(workspace, model, choice.evidence)
+            (model,) = workspace.models(
+                STAGE, lambda: [add_points(workspace, model, choice.evidence)]
+            )
             verdict = replace(verdict, **point_figures(model))
         world = _put_into_world(workspace, model, known, origin, own_names, notes)
         for file, name in own_names.items():
@@ -140,11 +148,7 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         _write_data_set(workspace, model, own_names, target, max_size)
         if line := to_text(*world):
             (target / WORLD).write_text(line + "\n", encoding="utf-8")
-    # A stage ends as the next one begins.
-    ends = [*list(began.values())[1:], time.perf_counter()]
-    stages = zip(began.items(), ends, strict=True)
-    seconds = {stage: round(end - begin, 1) for (stage, begin), end in stages}
-    return asdict(replace(verdict, seconds=seconds, notes=tuple(notes)))
+    return asdict(replace(verdict, seconds=finished.seconds(), notes=tuple(notes)))
 
 
 def _match_and_map(

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
+import sqlite3
 import time
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,7 @@ import numpy.typing as npt
 
 from clgs.data.posed_photo import Photo
 from clgs.opencl.device import Device
+from clgs.poses.finished import Finished
 
 STAGES = (
     *("read", "features", "matches", "geometry", "poses", "other poses", "second look"),
@@ -33,6 +37,10 @@ LOCKED = "database factory"
 WAITS = (0.1, 0.3, 1.0, 3.0)
 """Seconds between attempts: another connection may be closing or opening."""
 
+_TABLES = ("matches", "two_view_geometries")
+_PAIRS, _RESULT = "pairs.db", "result.json"
+"""Files of a finished piece: these tables of the database, and what its maker returned."""
+
 
 @dataclass(frozen=True)
 class Workspace:
@@ -42,7 +50,8 @@ class Workspace:
     all files that are made; names: the photos' file names, in order; cameras: the camera's number
     of each photo; seed: of all random choices; masks: folder of a mask per photo, None without
     masks; known: photos with a given pose, by file name, their lenses at the size of the file;
-    positions: (3,) metres east, north and up by GPS, by file name.
+    positions: (3,) metres east, north and up by GPS, by file name; finished: what earlier processes
+    made, None if nothing is kept.
     """
 
     pycolmap: Any
@@ -56,6 +65,7 @@ class Workspace:
     masks: Path | None = None
     known: Mapping[str, Photo] = field(default_factory=dict)
     positions: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
+    finished: Finished | None = None
 
     @property
     def database(self) -> Path:
@@ -84,3 +94,44 @@ class Workspace:
     def ids(self, database: Any) -> list[int]:
         """Read each photo's number in the open ``database``, in the order of ``names``."""
         return [int(database.read_image_with_name(name).image_id) for name in self.names]
+
+    def models(self, stage: str, make: Callable[[], list[Any]]) -> list[Any]:
+        """Make reconstructions, unless they are finished; those that are kept come from files."""
+        if self.finished is None:
+            return make()
+
+        def write(folder: Path) -> None:
+            self.pycolmap.set_random_seed(self.seed)
+            for number, model in enumerate(make()):
+                (folder / str(number)).mkdir()
+                model.write(folder / str(number))
+
+        folder = self.finished.piece(stage, write)
+        made = len(list(folder.iterdir()))
+        return [self.pycolmap.Reconstruction(folder / str(number)) for number in range(made)]
+
+    def matches(self, stage: str, make: Callable[[], Any]) -> Any:
+        """Change matches and geometries in the database, unless that is finished.
+
+        Returns:
+            What ``make`` returned; it can be JSON.
+        """
+        if self.finished is None:
+            return make()
+
+        def write(folder: Path) -> None:
+            self.pycolmap.set_random_seed(self.seed)
+            result = make()
+            with closing(sqlite3.connect(self.database)) as database, database:
+                database.execute("ATTACH ? AS kept", (str(folder / _PAIRS),))
+                for table in _TABLES:
+                    database.execute(f"CREATE TABLE kept.{table} AS SELECT * FROM main.{table}")
+            (folder / _RESULT).write_text(json.dumps(result), encoding="utf-8")
+
+        folder = self.finished.piece(stage, write)
+        with closing(sqlite3.connect(self.database)) as database, database:
+            database.execute("ATTACH ? AS kept", (str(folder / _PAIRS),))
+            for table in _TABLES:
+                database.execute(f"DELETE FROM main.{table}")
+                database.execute(f"INSERT INTO main.{table} SELECT * FROM kept.{table}")
+        return json.loads((folder / _RESULT).read_text(encoding="utf-8"))

@@ -189,7 +189,8 @@ def run(
 
 def _find_input(path: Path, settings: Mapping[str, Any]) -> RunInput:
     given = find_input(path)
-    return replace(given, photos=_with_meaning(given.photos, settings))
+    pointless = given.pointless and not settings.get("points")
+    return replace(given, photos=_with_meaning(given.photos, settings), pointless=pointless)
 
 
 def _measured(

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from clgs.data.dataset import TRANSFORMS, is_posed, load_dataset
+from clgs.data.dataset import Dataset, is_posed, load_dataset, read_photo_set
 from clgs.data.masks import meaning_of
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.files import write_json
@@ -16,6 +16,7 @@ from clgs.poses.bring_in import find_source, readable_sizes
 from clgs.poses.video import frame_size
 from clgs.train.config.option import FLAGS
 from clgs.train.config.settings import BLENDER
+from clgs.train.run.load import must_triangulate
 from clgs.workflow.run_plan import Photos, TrainingPlan
 from clgs.workflow.scenes import PLAN
 
@@ -59,7 +60,9 @@ def find_input(path: Path) -> RunInput:
     if (path / PLAN).is_file():
         raise DataError(f"{path}: was made by clgs run; name the photos or the data set")
     if is_posed(path):
-        return RunInput(path, True, measure_data(path), (path / TRANSFORMS).is_file())
+        dataset = load_dataset(path, max_size=0, load_images=False)
+        pointless = must_triangulate(dataset) and read_photo_set(path).points_file is None
+        return RunInput(path, True, _photos_of(dataset), pointless)
     found = find_source(path)
     listed = [f"{file.name}\0{file.stat().st_size}" for file in found.files]
     names = "\n".join(listed).encode("utf-8", "surrogateescape")
@@ -76,7 +79,10 @@ def find_input(path: Path) -> RunInput:
 
 def measure_data(folder: Path) -> Photos:
     """Number and size of the photos of a data set."""
-    dataset = load_dataset(folder, max_size=0, load_images=False)
+    return _photos_of(load_dataset(folder, max_size=0, load_images=False))
+
+
+def _photos_of(dataset: Dataset) -> Photos:
     first = dataset.train[0].camera
     count = len(dataset.train) + len(dataset.test)
     masks = sum(view.mask is not None for view in dataset.train + dataset.test)

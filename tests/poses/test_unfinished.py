@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from clgs.poses.prepare import OWNER, owned, remove_leftovers, removed_if_killed
+from clgs.errors import DataError
+from clgs.poses.child import CrashError
+from clgs.poses.unfinished import (
+    HINT,
+    OWNER,
+    digest_of,
+    kept_pieces,
+    owned,
+    remove_leftovers,
+    removed_if_killed,
+)
 
 PROCESS = """
 import subprocess, sys
 from pathlib import Path
-from clgs.poses.prepare import removed_if_killed
+from clgs.poses.unfinished import removed_if_killed
 folder = Path(sys.argv[1])
 folder.mkdir()
 with removed_if_killed(folder):
@@ -75,3 +87,49 @@ def test_what_a_killed_run_left_is_removed(tmp_path: Path):
     with owned(running / "work"):
         remove_leftovers(tmp_path / "data")
         assert sorted(tmp_path.iterdir()) == sorted([other, mine, running])
+
+
+def stop(output: Path, digest: str, error: BaseException, *made: str) -> set[str]:
+    """Make folders of pieces, and end by an error; returns the names that were there before."""
+    with suppress(type(error)), kept_pieces(output, digest) as kept:
+        assert kept is not None
+        found = {path.name for path in kept.iterdir()} - {".owner"}
+        with kept_pieces(output, digest) as other:  # of a process that works next to it
+            assert other is None
+        for name in made:
+            (kept / name).mkdir()
+        raise error
+    return found
+
+
+def test_finished_pieces_stay_for_the_same_input_alone(tmp_path: Path):
+    output, stopped = tmp_path / "data", KeyboardInterrupt()
+    assert not stop(output, "one", stopped, "01 matches", ".02 poses.0123")
+    assert stopped.__notes__ == [HINT]
+    assert stop(output, "one", CrashError("killed")) == {"01 matches"}
+    with kept_pieces(output, "one"):
+        assert not stop(output, "two", KeyboardInterrupt())
+        assert [path.name for path in tmp_path.iterdir()] == [".data.unfinished-one"]
+    assert not list(tmp_path.iterdir())
+    stop(output, "one", OSError(28, "No space left on device"), "01 matches")
+    assert not stop(output, "two", KeyboardInterrupt())
+    assert not list(tmp_path.iterdir())  # nothing of the other was finished
+
+
+@pytest.mark.parametrize("error", [DataError("no two photos could be related"), ValueError("bug")])
+def test_finished_pieces_go_once_the_photos_are_at_fault(tmp_path: Path, error: Exception):
+    stop(tmp_path / "data", "one", error, "01 matches")
+    assert bool(list(tmp_path.iterdir())) == isinstance(error, ValueError)
+
+
+def test_a_digest_tells_photos_and_options_apart(tmp_path: Path):
+    photo = tmp_path / "a.png"
+    photo.write_bytes(b"1234")
+    os.utime(photo, (1, 1))
+    first = digest_of([photo], [0])
+    assert digest_of([photo], [1]) != first
+    os.utime(photo, (2, 2))
+    assert digest_of([photo], [0]) != first
+    os.utime(photo, (1, 1))
+    assert digest_of([photo], [0]) == first
+    assert digest_of([photo.rename(tmp_path / "b.png")], [0]) != first

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -33,7 +35,8 @@ from clgs.workflow.run_plan import (
     plan_clip,
     prepare_seconds,
 )
-from clgs.workflow.run_record import in_words
+from clgs.workflow.run_record import find_input, in_words
+from tests.data.folders import save_json, write_blender, write_colmap, write_transforms
 
 PHOTOS = Photos(50, 4000, 3000)
 SPEED = StepSpeed(0.02, 2e-7)
@@ -175,3 +178,16 @@ def test_what_is_chosen_of_a_clip_stays():
     assert (plan.path, plan.frames, plan.width, plan.height) == ("spiral", 90, 64, 48)
     assert plan_clip(PHOTOS, SPEED, 600.0, Presentation(path="none")).seconds == 0
     assert make_plan(PHOTOS, SPEED, 0.0, 3600.0).clip.height == 1080
+
+
+def test_points_are_planned_for_only_where_there_are_none(tmp_path):
+    document = write_transforms(tmp_path / "bare", 6)
+    assert find_input(tmp_path / "bare").pointless
+    points = np.random.default_rng(0).uniform(-1, 1, (200, 3))
+    trimesh.PointCloud(points).export(tmp_path / "bare" / "sparse_pc.ply")
+    assert find_input(tmp_path / "bare").pointless  # the file is not named
+    save_json(tmp_path / "bare", document | {"ply_file_path": "sparse_pc.ply"})
+    assert find_input(tmp_path / "bare").complete
+    for write in (write_blender, write_colmap):  # begin with random points, or have their own
+        write(tmp_path / write.__name__)
+        assert find_input(tmp_path / write.__name__).complete

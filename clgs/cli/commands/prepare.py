@@ -84,8 +84,12 @@ def run(args: argparse.Namespace) -> int:
 
     names = "seed", "quick", "frames", "drop_doubtful", "max_size", "device", "overwrite"
     options = chosen(vars(args), *names, "equirectangular", "poses", "continued")
-    with Display() as display:
-        made = prepare_data(args.photos, args.output, on_event=display, **options)
+    try:
+        with Display() as display:
+            made = prepare_data(args.photos, args.output, on_event=display, **options)
+    except KeyboardInterrupt as error:
+        notes = getattr(error, "__notes__", [])
+        raise KeyboardInterrupt("".join(f"; {note}" for note in notes)) from None
     show(made)
     return 0
 

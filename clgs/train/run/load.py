@@ -74,7 +74,7 @@ def with_points(
         return dataset
     if dataset.kind == "colmap":
         _log.warning(_TOO_FEW, dataset.folder, len(dataset.points))
-    elif dataset.kind != "blender":
+    elif must_triangulate(dataset):
         dataset = _triangulated(dataset, cache, config.seed, on_stage)
         if len(dataset.points) >= LEAST_POINTS:
             return dataset
@@ -87,6 +87,11 @@ def with_points(
             "axes"
         )
     return replace(dataset, points=points, point_colors=None)
+
+
+def must_triangulate(dataset: Dataset) -> bool:
+    """Whether :func:`with_points` triangulates points, which takes minutes."""
+    return len(dataset.points) < LEAST_POINTS and dataset.kind not in ("colmap", "blender")
 
 
 _TOO_FEW = "%s: only %d usable points, starting from random ones"

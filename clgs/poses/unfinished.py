@@ -1,0 +1,161 @@
+"""The hidden folders of a ``prepare`` that has not ended: one goes with it, one outlives it.
+
+What becomes the data set goes if its process is killed. The finished pieces of the work stay, for
+the next process that is given the same photos and options.
+"""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import importlib.metadata
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from clgs import __version__
+from clgs.errors import DataError
+from clgs.files import STEM_KEPT
+from clgs.poses.child import CrashError
+
+OWNER = "owner"
+"""A file in the folder work/ of an unfinished data set; the running process holds a lock on it."""
+
+_LOCK = ".owner"
+"""The same in a folder of finished pieces, whose names begin with no dot."""
+
+HINT = "what was finished is kept; the same command goes on from there"
+
+_GUARD = """
+import os, shutil, sys, time
+if not sys.stdin.buffer.read():
+    for _ in range(50):  # children of the killed process may write for a moment more
+        shutil.rmtree(sys.argv[1], ignore_errors=True)
+        for kept in sys.argv[2:]:
+            if os.path.isdir(kept) and all(name.startswith(".") for name in os.listdir(kept)):
+                shutil.rmtree(kept, ignore_errors=True)
+        time.sleep(0.1)
+"""
+
+
+@contextmanager
+def removed_if_killed(folder: Path, kept: Path | None = None) -> Iterator[None]:
+    """Remove ``folder`` and all that it holds if this process is killed within the block.
+
+    A killed process cannot do that, so another process waits for its end. The folder ``kept`` goes,
+    too, if nothing in it is finished.
+    """
+    with subprocess.Popen(
+        [sys.executable, "-I", "-S", "-c", _GUARD, str(folder), *([str(kept)] if kept else [])],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # so that it survives what ends all processes of a terminal
+    ) as guard:
+        try:
+            yield
+        finally:
+            with suppress(BrokenPipeError):
+                guard.communicate(b"done")
+
+
+@contextmanager
+def owned(work: Path) -> Iterator[None]:
+    """Make the folder ``work`` and show other processes that it is in use within the block."""
+    work.mkdir()
+    with (work / OWNER).open("wb") as file:
+        if os.name != "nt":
+            import fcntl
+
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+
+
+def remove_leftovers(output: Path) -> None:
+    """Remove the hidden folders that killed runs with the same ``output`` left next to it."""
+    if os.name == "nt" or not output.parent.is_dir():
+        return
+    name = rf"\.{re.escape(output.stem[:STEM_KEPT])}\.[0-9a-f]{{8}}{re.escape(output.suffix)}"
+    for folder in output.parent.iterdir():
+        if re.fullmatch(name, folder.name) and _is_left(folder / "work" / OWNER):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_left(owner: Path) -> bool:
+    """Whether a file OWNER is there, and no running process holds its lock."""
+    import fcntl
+
+    try:
+        with owner.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def digest_of(files: Iterable[Path], options: Any) -> str:
+    """Compute what finished pieces depend on: 16 hexadecimal digits.
+
+    Args:
+        files: that are read; they count by name, size and time of their last change.
+        options: as JSON can hold them.
+    """
+    stats = [(path.name, path.stat()) for path in files]
+    listed = [(name, stat.st_size, stat.st_mtime_ns) for name, stat in stats]
+    programs = [__version__]
+    with suppress(importlib.metadata.PackageNotFoundError):
+        programs.append(importlib.metadata.version("pycolmap"))
+    digest = hashlib.blake2b(json.dumps([listed, options, programs]).encode(), digest_size=8)
+    for module in sorted(Path(__file__).parent.rglob("*.py")):  # of a version that is changed
+        digest.update(module.read_bytes())
+    return digest.hexdigest()
+
+
+@contextmanager
+def kept_pieces(output: Path, digest: str) -> Iterator[Path | None]:
+    """A folder next to ``output`` for finished pieces; those of an earlier call are in it.
+
+    Those of another ``digest`` are removed. The folder goes once the block is done, or knows what
+    is wrong with the photos. It stays if this process or a child of it is killed, and at any other
+    error, if something is finished. Within the block it belongs to this process; None if it
+    belongs to another.
+    """
+    prefix = f".{output.name[:STEM_KEPT]}.unfinished-"
+    folder = output.parent / f"{prefix}{digest}"
+    for other in output.parent.glob(f"{glob.escape(prefix)}*"):
+        if other != folder and (os.name == "nt" or _is_left(other / _LOCK)):
+            shutil.rmtree(other, ignore_errors=True)
+    folder.mkdir(exist_ok=True)
+    with (folder / _LOCK).open("wb") as file:
+        if os.name != "nt":
+            import fcntl
+
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                yield None
+                return
+            except OSError:  # a file system without locks
+                pass
+        for broken in folder.glob(".[!o]*"):
+            shutil.rmtree(broken, ignore_errors=True)
+        stays = False
+        try:
+            yield folder
+        except BaseException as error:
+            finished = any(not path.name.startswith(".") for path in folder.iterdir())
+            stays = finished and (isinstance(error, CrashError) or not isinstance(error, DataError))
+            if stays:
+                error.add_note(HINT)
+            raise
+        finally:
+            if not stays:
+                shutil.rmtree(folder, ignore_errors=True)
