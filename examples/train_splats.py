@@ -26,7 +26,9 @@ def start(points: torch.Tensor, colors: torch.Tensor) -> torch.nn.ParameterDict:
     count = len(points)
     near = torch.cat(
         [
-            torch.cdist(part, points).topk(4, largest=False).values[:, 1:]
+            torch.cdist(part, points, compute_mode="donot_use_mm_for_euclid_dist")
+            .topk(4, largest=False)
+            .values[:, 1:]
             for part in points.split(256)
         ]
     )
@@ -86,6 +88,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("data")
     parser.add_argument("output", type=Path)
     parser.add_argument("--steps", type=int, default=3000, help="in all, those before included")
+    parser.add_argument("--minutes", type=float, default=1e9, help="of this call, before steps end")
     parser.add_argument("--downscale", type=int, default=0)
     given = parser.parse_args(arguments)
     data = clgs.load_dataset(given.data, downscale=given.downscale)
@@ -108,8 +111,8 @@ def main(arguments: list[str] | None = None) -> None:
         for name, one in optimizers.items():
             one.load_state_dict(saved["optimizers"][name])
         state.update(saved["strategy"])
-    begin = time.monotonic()
-    for step in range(first, given.steps):
+    begin, step = time.monotonic(), first
+    while step < given.steps and time.monotonic() - begin < 60 * given.minutes:
         order = torch.randperm(
             len(data.train), generator=torch.Generator().manual_seed(step // len(data.train))
         )
@@ -128,7 +131,8 @@ def main(arguments: list[str] | None = None) -> None:
             print(
                 f"step {step}: L1 {loss.item():.4f}, {len(splats['means'])} splats, {seconds:.0f} s"
             )
-    print(f"held out: PSNR {psnr(splats, data.test):.2f} dB")
+        step += 1
+    print(f"held out after {step} steps: PSNR {psnr(splats, data.test):.2f} dB")
     names = ("means", "scales", "quats", "opacities", "sh")
     arrays = [splats[name].detach().numpy() for name in names]
     atomic_write(
@@ -137,7 +141,7 @@ def main(arguments: list[str] | None = None) -> None:
     with atomic_path(state_file) as path:
         torch.save(
             {
-                "step": given.steps,
+                "step": step,
                 "splats": dict(splats.items()),
                 "optimizers": {name: one.state_dict() for name, one in optimizers.items()},
                 "strategy": state,

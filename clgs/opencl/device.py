@@ -243,9 +243,17 @@ class Device:
 
         On a CPU it is not copied: the host's array is the device's memory, and keeps it.
         """
-        if array.nbytes and self.cl_device.type & cl.device_type.CPU:
-            return self._transfers.hand_over(array)
-        return self.download(array)
+        return self.hand_over_all([array])[0]
+
+    def hand_over_all(self, arrays: Sequence[DeviceArray]) -> list[npt.NDArray[Any]]:
+        """Download several as :meth:`hand_over` does, with one wait for all."""
+        if not self.cl_device.type & cl.device_type.CPU:
+            downloads = [self.download_later(array) for array in arrays]
+            return [download.get() for download in downloads]
+        filled = iter(self._transfers.hand_over([array for array in arrays if array.nbytes]))
+        return [
+            next(filled) if array.nbytes else np.empty(array.shape, array.dtype) for array in arrays
+        ]
 
     @contextmanager
     def mapped(self, *arrays: DeviceArray) -> Iterator[list[npt.NDArray[Any]]]:

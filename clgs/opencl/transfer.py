@@ -99,9 +99,11 @@ class _Mapped:
     """Device memory as NumPy's array interface shows it; keeps it mapped and out of the pool."""
 
     def __init__(self, queue: Any, array: DeviceArray) -> None:
-        """Waits for the work before it."""
+        """Begin to map it; does not wait."""
         flags: Any = cl.map_flags.READ | cl.map_flags.WRITE
-        view, _ = cl.enqueue_map_buffer(queue, array.buffer, flags, 0, array.shape, array.dtype)
+        view, self.event = cl.enqueue_map_buffer(
+            queue, array.buffer, flags, 0, array.shape, array.dtype, is_blocking=False
+        )
         self.__array_interface__ = view.__array_interface__
         self._view, self._array = view, array
 
@@ -153,6 +155,9 @@ class Transfers:
         """``array``, which is not empty, for the host to read where it is."""
         return MappedView(self._queue, array, self._waits)
 
-    def hand_over(self, array: DeviceArray) -> npt.NDArray[Any]:
-        """The memory of ``array``, which is not empty, as an array of the host; waits for it."""
-        return np.asarray(_Mapped(self._queue, array))
+    def hand_over(self, arrays: list[DeviceArray]) -> list[npt.NDArray[Any]]:
+        """The memory of arrays, none of them empty, as arrays of the host; waits once for all."""
+        mapped = [_Mapped(self._queue, array) for array in arrays]
+        if mapped:
+            self._waits.wait(mapped[-1].event)
+        return [np.asarray(one) for one in mapped]

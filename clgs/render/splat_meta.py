@@ -6,7 +6,8 @@ for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, MutableMapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,29 +19,35 @@ from clgs.ops.tiles import tile_count
 from clgs.render.channel_picture import Drawn, lists_of
 
 
-class Meta(dict[str, Any]):
+class Meta(MutableMapping[str, Any]):
     """A dictionary whose arrays are made at first use; see :func:`meta_of` for its keys."""
 
     def __init__(self, known: dict[str, Any], makers: dict[str, Callable[[], Any]]) -> None:
         """``makers``: how to make what is not known, by key."""
-        super().__init__(known)
-        self._makers = makers
+        self._known, self._makers = dict(known), dict(makers)
 
-    def __missing__(self, key: str) -> Any:
-        if key not in self._makers:
+    def __getitem__(self, key: str) -> Any:
+        if key not in self._known:
+            self._known[key] = self._makers[key]()
+        return self._known[key]
+
+    def __setitem__(self, key: str, value: Any) -> None:
+        self._known[key] = value
+
+    def __delitem__(self, key: str) -> None:
+        if key not in self:
             raise KeyError(key)
-        self[key] = self._makers[key]()
-        return self[key]
+        self._known.pop(key, None)
+        self._makers.pop(key, None)
 
     def __contains__(self, key: object) -> bool:
-        return super().__contains__(key) or key in self._makers
+        return key in self._known or key in self._makers
 
-    def get(self, key: str, default: Any = None) -> Any:
-        """The value of ``key``, made if need be."""
-        try:
-            return self[key]
-        except KeyError:
-            return default
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._known | self._makers)
+
+    def __len__(self) -> int:
+        return len(self._known | self._makers)
 
 
 def meta_of(
@@ -51,7 +58,7 @@ def meta_of(
     count: int,
     size: tuple[int, int],
     packed: bool,
-    radii: npt.NDArray[np.int32] | None = None,
+    radii: Callable[[], npt.NDArray[np.int32]] | None = None,
 ) -> Meta:
     """Describe pictures, batches first, of ``count`` Gaussians each.
 
@@ -61,7 +68,7 @@ def meta_of(
     (3): inverse covariances xx, xy, yy; opacities: compensated ones, if they are; tiles_per_gauss
     int32. isect_ids (I,) int64: bits of picture, tile and depth of every entry of the tile lists;
     flatten_ids (I,) int32: its row in the arrays; isect_offsets (..., C, rows, columns) int32.
-    ``radii`` (pictures, N, 2): None if they are not known yet.
+    ``radii``: makes those of (pictures, N, 2), if they are kept elsewhere.
     """
     shape = (*batch, cameras, count)
 
@@ -70,16 +77,17 @@ def meta_of(
         return np.array(arrays, np.float32).reshape(len(drawn), count, *width)
 
     def radii_of() -> npt.NDArray[np.int32]:
-        return np.asarray(np.ceil(projected("extent", 2)), np.int32) if radii is None else radii
+        return radii() if radii else np.asarray(np.ceil(projected("extent", 2)), np.int32)
 
-    ids: list[npt.NDArray[np.int64] | None] = [None] * 4
-    if packed:
-        image_ids, gaussian_ids = np.divmod(np.flatnonzero(radii_of()[..., 0]), max(count, 1))
-        ids = [image_ids, *np.divmod(image_ids, max(cameras, 1)), gaussian_ids]
+    @cache
+    def ids() -> tuple[npt.NDArray[np.int64], ...]:
+        """Picture, batch, camera and Gaussian of each packed row."""
+        image, gaussian = np.divmod(np.flatnonzero(radii_of()[..., 0]), max(count, 1))
+        return image, *np.divmod(image, max(cameras, 1)), gaussian
 
     def shaped(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
         if packed:
-            return np.asarray(array[ids[0], ids[3]])
+            return np.asarray(array[ids()[0], ids()[3]])
         return array.reshape(*shape, *array.shape[2:])
 
     def conics() -> npt.NDArray[np.float32]:
@@ -88,9 +96,6 @@ def meta_of(
 
     columns, rows = tile_count(size[0], 1), tile_count(1, size[1])
     known = {
-        "batch_ids": ids[1],
-        "camera_ids": ids[2],
-        "gaussian_ids": ids[3],
         "tile_width": columns,
         "tile_height": rows,
         "width": size[0],
@@ -101,6 +106,9 @@ def meta_of(
     }
     lists = _Lists(device, drawn, columns * rows, radii_of if packed else None)
     makers: dict[str, Callable[[], Any]] = {
+        "batch_ids": lambda: ids()[1] if packed else None,
+        "camera_ids": lambda: ids()[2] if packed else None,
+        "gaussian_ids": lambda: ids()[3] if packed else None,
         "radii": lambda: shaped(radii_of()),
         "means2d": lambda: shaped(projected("mean2d", 2)),
         "depths": lambda: shaped(projected("depth")),

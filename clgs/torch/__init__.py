@@ -10,10 +10,12 @@ Voxel-GS scenes. ``torch.utils.checkpoint`` and ``no_grad`` work as usual.
 from __future__ import annotations
 
 import weakref
-from functools import wraps
+from collections.abc import Callable
+from functools import partial, wraps
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -143,7 +145,10 @@ def _meta(
     """The third result: tensors, of which those of the tile lists are made when asked for."""
     batch, count = call.given.batch, call.given.means.shape[1]
     cameras = call.given.viewmats.shape[1]
-    radii = call.radii.reshape(call.radii.shape[0] * cameras, count, 2)
+
+    def radii() -> npt.NDArray[np.int32]:
+        return call.radii.reshape(call.radii.shape[0] * cameras, count, 2)
+
     host = meta_of(call.device, blend.drawn, batch, cameras, count, call.size, call.packed, radii)
 
     def shaped(tensor: Tensor) -> Tensor:
@@ -154,15 +159,18 @@ def _meta(
         value = host[key]
         return None if value is None else torch.from_numpy(np.ascontiguousarray(value))
 
-    known = {name: value for name, value in host.items() if not name.endswith("_ids")}
-    known |= {name: tensor_of(name) for name in ("batch_ids", "camera_ids", "gaussian_ids")}
-    known["means2d"] = means2d
-    lazy = ("tiles_per_gauss", "isect_ids", "flatten_ids", "isect_offsets")
-    makers = {name: lambda name=name: tensor_of(name) for name in lazy}
-    rest = {
+    makers: dict[str, Callable[[], Tensor | None]] = {
+        "batch_ids": partial(tensor_of, "batch_ids"),
+        "camera_ids": partial(tensor_of, "camera_ids"),
+        "gaussian_ids": partial(tensor_of, "gaussian_ids"),
+        "tiles_per_gauss": partial(tensor_of, "tiles_per_gauss"),
+        "isect_ids": partial(tensor_of, "isect_ids"),
+        "flatten_ids": partial(tensor_of, "flatten_ids"),
+        "isect_offsets": partial(tensor_of, "isect_offsets"),
         "radii": lambda: shaped(torch.from_numpy(call.radii)),
         "depths": lambda: shaped(depths),
         "opacities": lambda: shaped(opacities),
         "conics": lambda: shaped(conics_of(whitening)),
     }
-    return Meta(known, {**makers, **rest})
+    known = {name: host[name] for name in host if name not in makers and name != "means2d"}
+    return Meta({**known, "means2d": means2d}, makers)

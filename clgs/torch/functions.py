@@ -69,53 +69,53 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
                 )
         sizes = given.viewmats.shape[0], given.viewmats.shape[1], given.means.shape[1]
         names = {"mean2d": 2, "whitening": 3, "depth": None, "opacity": None, "extent": 2}
-        results = [
-            gathered(device, [getattr(one, name) for one in found], sizes, width)
-            for name, width in names.items()
-        ]
-        call.centres = results[0]
-        call.radii = np.ceil(results[4]).astype(np.int32)  # PyTorch's threads would wait
+        results = list(gathered(device, found, names, sizes).values())
+        call.centres, call.extents = results[0], results[4]
         if call.packed:
-            call.rows = np.flatnonzero(call.radii[..., 0])
+            call.rows = np.flatnonzero(call.extents[..., 0])
         results[0] = packed_rows(call.rows, call.centres)
         results = [torch.from_numpy(one) for one in results]
         ctx.call, ctx.by_covariance = call, covars is not None
         given_too = means, quats, scales, covars, opacities, viewmats  # must not have changed
         ctx.save_for_backward(results[1], results[4], *given_too)
         ctx.mark_non_differentiable(results[4])
-        ctx.set_materialize_grads(True)
+        ctx.set_materialize_grads(False)  # PyTorch's threads would fill zeros, and wait
         return tuple(results)
 
     @staticmethod
-    def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, *d: Tensor | None) -> tuple[Tensor | None, ...]:
         """Gradients by the Gaussians and the cameras."""
         call, device = ctx.call, ctx.call.device
         whitening, extent = (host_of(one) for one in ctx.saved_tensors[:2])
-        d_centres, d_whitening, d_depth, d_opacity = (host_of(one) for one in d[:4])
-        d_mean2d = unpacked_rows(call.rows, d_centres, extent.shape[:3])
+        sizes = extent.shape[:3]
+        by_screen = [None if one is None else host_of(one) for one in d[:4]]
+        if by_screen[0] is not None:
+            by_screen[0] = unpacked_rows(call.rows, by_screen[0], sizes)
         want_camera = ctx.needs_input_grad[6]
         sums: dict[str, list[npt.NDArray[Any]]] = {}
         d_viewmats = np.zeros(call.given.viewmats.shape, np.float32)
         for at, (batch, number) in enumerate(np.ndindex(extent.shape[:2])):
             splats, camera = call.splats[batch], call.cameras[at]
             none = device.empty((len(splats), 0))
-            shared = [
-                device.share(one[batch, number])
-                for one in (whitening, extent, d_mean2d, d_whitening, d_opacity, d_depth)
-            ]
+            shared = [device.share(one[batch, number]) for one in (whitening, extent)]
             unused = device.empty((1,))
             seen = Projected(unused, shared[0], unused, shared[1], none, unused)
-            given = ChannelGradients(shared[2], shared[3], shared[4], none, shared[5], None)
+            d_mean2d, d_whitening, d_depth, d_opacity = (
+                device.zeros((sizes[2], *width))
+                if one is None
+                else device.share(one[batch, number])
+                for one, width in zip(by_screen, ((2,), (3,), (), ()), strict=True)
+            )
+            given = ChannelGradients(d_mean2d, d_whitening, d_opacity, none, d_depth, None)
             with device.stage("views backward"):
                 made = views.backward(device, splats, camera, call.lens, seen, given, want_camera)
             if made.d_camera is not None:
                 rows = device.download(made.d_camera).sum(axis=2, dtype=np.float64)
                 d_viewmats[batch, number, :3] = rows
-            for name in ("d_mean", "d_shape", "d_rotation", "d_opacity"):
-                array = getattr(made, name)
-                if array is None:
-                    continue
-                host = device.hand_over(array)
+            arrays = {n: one for n, one in vars(made).items() if one is not None}
+            arrays.pop("d_camera", None)
+            hosts = device.hand_over_all(list(arrays.values()))
+            for name, host in zip(arrays, hosts, strict=True):
                 if number:
                     sums[name][batch] += host
                 else:
@@ -174,47 +174,53 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         width, height = call.size
         sizes = whitening.shape[0], whitening.shape[1], height
         made = [one.picture for one in call.drawn]
-        image = gathered(device, [p.image for p in made], (*sizes, width), backgrounds.shape[-1])
-        left = gathered(device, [p.transmittance for p in made], (*sizes, width), None)
+        names = {"image": backgrounds.shape[-1], "transmittance": None}
+        image, left = gathered(device, made, names, (*sizes, width)).values()
         # the tensors own the memory that the device has
         ctx.save_for_backward(centres, whitening, depths, opacities, extents, colors, backgrounds)
         ctx.call, ctx.left = call, torch.from_numpy(left)
+        ctx.set_materialize_grads(False)
         return torch.from_numpy(image), torch.from_numpy(1 - left)[..., None]
 
     @staticmethod
-    def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, *d: Tensor | None) -> tuple[Tensor | None, ...]:
         """Gradients by all that lies on the screen, colors and backgrounds."""
         call, device = ctx.call, ctx.call.device
         before, whitening, _, _, _, colors, _ = ctx.saved_tensors
         # in NumPy: threads of PyTorch would take those of the device
-        d_image, d_left = host_of(d[0]), np.negative(host_of(d[1]))[..., 0]
+        d_image = None if d[0] is None else host_of(d[0])
+        d_left = None if d[1] is None else np.negative(host_of(d[1]))[..., 0]
         found: list[ChannelGradients] = []
         shared: list[DeviceArray] = []
         for at, (batch, number) in enumerate(np.ndindex(whitening.shape[:2])):
-            given = device.share(d_image[batch, number]), device.share(d_left[batch, number])
-            shared += given  # alive until the downloads
-            found.append(channel_picture.backward(device, call.drawn[at], *given, call.absgrad))
+            drawn = call.drawn[at]
+            by_image, by_left = (
+                device.zeros(made.shape) if one is None else device.share(one[batch, number])
+                for one, made in (
+                    (d_image, drawn.picture.image),
+                    (d_left, drawn.picture.transmittance),
+                )
+            )
+            shared += by_image, by_left  # alive until the downloads
+            found.append(channel_picture.backward(device, drawn, by_image, by_left, call.absgrad))
         sizes, rows = whitening.shape[:3], call.seen.rows if call.seen else None
         names = {"d_mean2d": 2, "d_whitening": 3, "d_opacity": None, "d_color": colors.shape[-1]}
-        made = {
-            name: gathered(device, [getattr(one, name) for one in found], sizes, width)
-            for name, width in names.items()
-        }
-        by_depth = [one.d_depth for one in found if one.d_depth is not None]
-        d_depth = gathered(device, by_depth, sizes, None) if call.with_depth else None
-        by_absolute = [one.d_absolute for one in found if one.d_absolute is not None]
+        names |= {"d_depth": None} if call.with_depth else {}
+        names |= {"d_absolute": 2} if call.absgrad else {}
+        made = gathered(device, found, names, sizes)
         centres = call.centres() if call.centres is not None else None
         if call.absgrad and centres is not None:
-            absolute = packed_rows(rows, gathered(device, by_absolute, sizes, 2))
+            absolute = packed_rows(rows, made["d_absolute"])
             centres.absgrad = torch.from_numpy(absolute.reshape(centres.shape))
         d_colors = made["d_color"]
         if colors.shape[1] != sizes[1]:
             d_colors = d_colors.sum(axis=1, keepdims=True)
         d_backgrounds = None
-        if ctx.needs_input_grad[7]:
+        if ctx.needs_input_grad[7] and d[0] is not None:
             d_backgrounds = torch.einsum("bchwx,bchw->bcx", d[0], ctx.left)
         d_centres = packed_rows(rows, made["d_mean2d"]).reshape(before.shape)
-        by_screen = d_centres, made["d_whitening"], d_depth, made["d_opacity"], None, d_colors
+        by_depth = made.get("d_depth")
+        by_screen = d_centres, made["d_whitening"], by_depth, made["d_opacity"], None, d_colors
         tensors = (None if one is None else torch.from_numpy(one) for one in by_screen)
         return None, *tensors, d_backgrounds
 

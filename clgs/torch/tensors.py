@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,7 +26,7 @@ class ViewsCall:
     """What the projection of one call shares; pictures count batches first.
 
     packed: whether centres are those of what is drawn alone. The forward pass fills the rest:
-    radii (B, C, N, 2) int32 pixels, 0 if culled; rows of what is drawn among all Gaussians of all
+    extents (B, C, N, 2) pixels, 0 if culled; rows of what is drawn among all Gaussians of all
     pictures; centres of all (B, C, N, 2).
     """
 
@@ -36,9 +38,14 @@ class ViewsCall:
     packed: bool
     splats: list[views.Splats] = field(default_factory=list)
     cameras: list[DeviceArray] = field(default_factory=list)
-    radii: npt.NDArray[np.int32] = field(default_factory=lambda: np.empty(0, np.int32))
+    extents: Floats = field(default_factory=lambda: np.empty(0, np.float32))
     rows: npt.NDArray[np.int64] | None = None
     centres: Floats = field(default_factory=lambda: np.empty(0, np.float32))
+
+    @cached_property
+    def radii(self) -> npt.NDArray[np.int32]:
+        """Half sizes of the boxes (B, C, N, 2), pixels, rounded up."""
+        return np.ceil(self.extents).astype(np.int32)  # PyTorch's threads would wait
 
 
 @dataclass
@@ -83,13 +90,20 @@ def stacked(arrays: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
 
 
 def gathered(
-    device: Device, arrays: list[DeviceArray], sizes: tuple[int, ...], width: int | None
-) -> Floats:
-    """An array (*sizes, width) of arrays of the device that nothing writes to any more."""
-    shape = sizes if width is None else (*sizes, width)
-    if not arrays:
-        return np.zeros(shape, np.float32)
-    return stacked([device.hand_over(one) for one in arrays]).reshape(shape)
+    device: Device, found: Sequence[object], names: dict[str, int | None], sizes: tuple[int, ...]
+) -> dict[str, Floats]:
+    """Fields of the records of all pictures, arrays of the device that nothing writes to any more.
+
+    ``names``: of the fields, and the length of their last axis, if they have one after ``sizes``.
+    """
+    arrays = [getattr(one, name) for name in names for one in found]
+    hosts = iter(device.hand_over_all(arrays))
+    result = {}
+    for name, width in names.items():
+        shape = sizes if width is None else (*sizes, width)
+        own = [next(hosts) for _ in found]
+        result[name] = stacked(own).reshape(shape) if own else np.zeros(shape, np.float32)
+    return result
 
 
 def packed_rows(rows: npt.NDArray[np.int64] | None, every: Floats) -> Floats:

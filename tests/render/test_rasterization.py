@@ -109,9 +109,7 @@ def test_meta_describes_the_pictures(device, rng, packed):
     given["means"][7, 2] = -9.0  # behind the cameras
     meta = clgs.rasterization(**given, packed=packed, device=device)[2]
     radii, opacities = meta["radii"], meta["opacities"]
-    assert {"width", "isect_ids", "means2d"} <= {
-        key for key in ("width", "isect_ids", "means2d") if key in meta
-    }
+    assert {"width", "isect_ids", "means2d", "record"} <= set(meta)
     assert meta.get("nothing") is None
     assert (meta["n_cameras"], meta["n_batches"], meta["tile_width"]) == (2, 1, 3)
     if packed:

@@ -48,7 +48,23 @@ def test_splats_are_trained_and_resumed(tmp_path, capsys):
     second = clgs.load_splats(tmp_path / "out" / "splats.ply").gaussians
     assert len(first) == len(second)
     assert not np.array_equal(first.mean, second.mean)
-    assert "step 0:" in capsys.readouterr().out
+    arguments = "--steps", 9, "--minutes", 0
+    run("train_splats.py", tmp_path / "data", tmp_path / "out", *arguments)
+    found = capsys.readouterr().out
+    assert "step 0:" in found
+    assert "held out after 5 steps" in found.splitlines()[-1]
+
+
+def test_splats_begin_as_wide_as_their_nearest_neighbours_are_away(rng):
+    """Far from the origin, too, and if one point is far from all others."""
+    points = np.float32(100) + rng.uniform(-1, 1, (600, 3)).astype(np.float32)
+    points[-1] += 50
+    start = runpy.run_path(str(EXAMPLES / "train_splats.py"))["start"]
+    scales = start(torch.tensor(points), torch.zeros(600, 3))["scales"].detach().numpy()
+    exact = points.astype(float)
+    away = np.linalg.norm(exact[:, None] - exact, axis=-1)
+    nearest = np.sort(away, axis=1)[:, 1:4].mean(axis=1)
+    assert np.allclose(np.exp(scales), nearest[:, None], rtol=1e-4)
 
 
 def test_a_scene_of_anchors_is_trained_by_a_loss_of_its_own(tmp_path, capsys):

@@ -73,7 +73,46 @@ def test_has_the_bits_of_the_numpy_form(rng):
     assert np.allclose(
         info["means2d"].absgrad.numpy(), made["absgrad"][drawn], rtol=1e-4, atol=1e-5
     )
-    assert meta.keys() - {"record"} <= info.keys() | {"isect_ids"}
+    assert meta.keys() - {"record"} == info.keys()
+
+
+def test_meta_is_a_dictionary_of_all_that_is_made_when_asked_for(rng):
+    meta = ours.rasterization(**tensors(scene(rng)))[2]
+    assert len(meta) == len(dict(meta)) == len(list(meta.items()))
+    assert dict(meta)["gaussian_ids"] is meta["gaussian_ids"]
+    meta["loss"] = 1.0
+    del meta["radii"]
+    assert {"loss", "depths"} <= set(meta)
+    assert "radii" not in meta
+    with pytest.raises(KeyError, match="radii"):
+        del meta["radii"]
+
+
+def test_gradients_of_some_results_alone(rng):
+    """What the loss does not depend on counts as zeros, which nobody makes."""
+    given = scene(rng)
+    _, alpha, meta = clgs.rasterization(**given, render_mode="RGB+D")
+    zeros = np.zeros((2, 27, 33, 4), np.float32)
+    made = meta["record"].backward(zeros, np.ones_like(alpha))
+    values = tensors(given)
+    for name in ("means", "opacities", "viewmats"):
+        values[name] = values[name].float().requires_grad_()
+    ours.rasterization(**values, render_mode="RGB+D")[1].sum().backward()
+    for name in ("means", "opacities", "viewmats"):
+        grad = values[name].grad.numpy()
+        assert np.linalg.norm(grad - made[name]) < 1e-5 * np.linalg.norm(made[name]), name
+    assert not values["viewmats"].grad[:, 3].any()
+
+
+def test_gradient_of_a_depth_alone(rng):
+    values = tensors(scene(rng))
+    means = values["means"].requires_grad_()
+    depths = ours.fully_fused_projection(
+        means, None, *(values[name] for name in ("quats", "scales", "viewmats", "Ks")), 33, 27
+    )[2]
+    depths.sum().backward()
+    wanted = (depths > 0).float().T @ values["viewmats"][:, 2, :3].float()
+    assert torch.allclose(means.grad, wanted, rtol=1e-5)
 
 
 def test_what_changed_since_is_refused(rng):
