@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 
 from clgs.cli.main import main
-from clgs.cluster import engine
+from clgs.cluster import engine, worker
+from clgs.cluster.blocks import run as blocks_run
 from clgs.cluster.blocks.plan import read_plan
-from clgs.errors import UsageError
+from clgs.errors import DataError, UsageError
 from clgs.scene.storage import load_scene
 from clgs.train.run.run_folder import RESULTS
+from clgs.train.state.checkpoint import checkpoints
+from tests.cluster.kill import killed_once
 from tests.small_scene import write_scene
 
 needs_dask = pytest.mark.skipif(
@@ -106,3 +109,70 @@ def test_no_scheduler_is_one_line_before_anything_is_trained(balls, tmp_path, mo
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("clgs: error: --scheduler tcp://127.0.0.1:1: no scheduler answers")
     assert not (tmp_path / "run").exists()
+
+
+@needs_dask
+@pytest.mark.slow
+def test_two_workers_one_of_them_killed_make_the_same_file(trained, balls, tmp_path, monkeypatch):
+    """The killed worker's block has a checkpoint by then, from which the other goes on."""
+    folder = tmp_path / "run"
+    rows = []
+
+    def saved():
+        found = folder / "blocks" / "1-0"
+        return checkpoints(found / "checkpoint") and not (found / RESULTS).exists()
+
+    def run_and_kill(client, *args, **kwargs):
+        with killed_once(client, saved) as killed:
+            rows.extend(engine.run_tasks(client, *args, **kwargs))
+        assert len(killed) == 1
+        return rows
+
+    monkeypatch.setattr(blocks_run, "run_tasks", run_and_kill)
+    assert train(balls, folder, "--blocks", "2x1", "--workers", "2") == 0
+    assert sorted(row["run"] for row in rows) == ["0-0", "1-0"]
+    for name in ("scene.clgs", "blocks/0-0/scene.clgs", "blocks/1-0/scene.clgs"):
+        assert (folder / name).read_bytes() == (trained / name).read_bytes(), name
+
+
+@needs_dask
+@pytest.mark.slow
+def test_a_block_that_fails_is_named_and_the_command_goes_on_later(
+    balls, trained, tmp_path, capsys
+):
+    folder = tmp_path / "run"
+    shutil.copytree(trained, folder)
+    (folder / RESULTS).unlink()
+    shutil.rmtree(folder / "checkpoint")
+    start = folder / "blocks" / "0-0" / "start.npz"
+    whole = start.read_bytes()
+    start.write_bytes(whole[:100])
+    words = ("--blocks", "auto", "--workers", "1", "--resume")
+    assert train(balls, folder, *words) == DataError.exit_code
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith(f"clgs: error: block 0-0: {start}: not a scene archive")
+    start.write_bytes(whole)
+    assert train(balls, folder, *words) == 0
+    assert (folder / "scene.clgs").read_bytes() == (trained / "scene.clgs").read_bytes()
+
+
+def as_another_version(*asked):
+    """What a worker with an older clgs would answer."""
+    return {**worker.describe(*asked), "version": "0.0.1"}
+
+
+@needs_dask
+@pytest.mark.slow
+def test_a_worker_of_another_version_is_refused_before_anything_is_trained(
+    balls, tmp_path, monkeypatch, capsys
+):
+    from distributed import LocalCluster
+
+    monkeypatch.setattr(engine, "describe", as_another_version)
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
+        words = ("--blocks", "2x1", "--scheduler", cluster.scheduler_address)
+        assert train(balls, tmp_path / "run", *words) == UsageError.exit_code
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("clgs: error: worker 0 at tcp://")
+    assert "has clgs 0.0.1, not " in last
+    assert not (tmp_path / "run" / "coarse").exists()
