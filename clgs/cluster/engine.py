@@ -46,6 +46,7 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
     from dask import config
     from distributed import Client, LocalCluster
 
+    logging.getLogger("distributed").setLevel(logging.ERROR)  # it reports every connection
     if scheduler:
         try:
             client = Client(scheduler, timeout=CONNECT_SECONDS)

@@ -46,6 +46,7 @@ def test_a_block_learns_as_fast_as_the_whole_at_the_same_share_of_the_steps():
     for step in (1875, 3000, 6000):
         assert learning_rates(block, step, 1.0) == learning_rates(WHOLE, 4 * step, 1.0)
     assert block.growth_end == WHOLE.growth_end // 4
+    assert block.growth_interval == 25  # its anchors are seen four times as often
 
 
 def test_the_coarse_scene_has_half_the_size_of_the_photos():

@@ -138,7 +138,7 @@ def test_two_workers_one_of_them_killed_make_the_same_file(trained, balls, tmp_p
 @needs_dask
 @pytest.mark.slow
 def test_a_block_that_fails_is_named_and_the_command_goes_on_later(
-    balls, trained, tmp_path, capsys
+    balls, trained, tmp_path, capsys, caplog
 ):
     folder = tmp_path / "run"
     shutil.copytree(trained, folder)
@@ -150,6 +150,7 @@ def test_a_block_that_fails_is_named_and_the_command_goes_on_later(
     words = ("--blocks", "auto", "--workers", "1", "--resume")
     assert train(balls, folder, *words) == DataError.exit_code
     last = capsys.readouterr().err.splitlines()[-1]
+    assert not [one for one in caplog.records if one.name.startswith("distributed")]
     assert last.startswith(f"clgs: error: block 0-0: {start}: not a scene archive")
     start.write_bytes(whole)
     assert train(balls, folder, *words) == 0

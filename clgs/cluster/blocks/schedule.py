@@ -59,6 +59,7 @@ def block_config(config: TrainConfig, share: float, box: str) -> tuple[TrainConf
         for name, one in options_of(TrainConfig).items()
         if one.scaled
     }
+    own["growth_interval"] = max(1, round(share * config.growth_interval))
     begun = round(share * COARSE_SHARE * config.steps)
     steps = max(begun + 2, round(share * joint_begin(config)))
     own["steps"] = max(steps, round(share * config.steps))
