@@ -204,7 +204,10 @@ def _mode(path: Path) -> int:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise DataError(f"{path}: no such file; `clgs encode` and `clgs pack` make some") from None
+        remedy = "`clgs encode` and `clgs pack` make some"
+        if path.parts[0] in ("http:", "https:"):
+            remedy = "download it, or read the address by clgs.decode in Python"
+        raise DataError(f"{path}: no such file; {remedy}") from None
     if stat.S_ISDIR(mode):
         file = path / "scene.clgs"
         remedy = instead(path) if holds_run(path) else "name a .clgs file"

@@ -17,6 +17,8 @@ from tests.exports.splats.cases import gaussians
 def test_a_missing_file_exits_3(tmp_path, capsys):
     assert main(["info", str(tmp_path / "none.clgs")]) == 3
     assert "none.clgs: no such file" in capsys.readouterr().err
+    assert main(["info", "https://example.org/scene.clgs"]) == 3
+    assert "or read the address by clgs.decode" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("data", [b"", b"x", b"PK\x03\x04" * 100, bytes(1000)])
