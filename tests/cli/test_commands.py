@@ -112,6 +112,7 @@ def test_hashes_tell_a_difference(run, tmp_path):
     assert "render 1" in done.stdout
 
 
+@pytest.mark.slow
 def test_accuracy_is_that_of_the_run_unless_another_is_named(data, tmp_path):
     run = tmp_path / "run"
     said = succeed("train", data, "-o", run, "--steps", 20, "--accuracy", "preview", "--profile")
@@ -147,6 +148,7 @@ def test_a_memory_budget_changes_nothing(data, run):
     assert grouped == whole
 
 
+@pytest.mark.slow
 def test_same_command_same_file_for_any_number_of_threads(data, run, tmp_path):
     """``run`` was trained on two."""
     folder = tmp_path / "run"

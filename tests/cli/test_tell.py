@@ -70,6 +70,7 @@ def test_a_path_of_any_letters_is_printed(command, encoding, tmp_path):
     assert known in said
 
 
+@pytest.mark.slow
 def test_a_run_in_a_folder_of_any_name_has_its_pages(tmp_path, monkeypatch, capsys):
     """Bytes that are no letters cannot be written as UTF-8: pages show backslashes as well."""
     monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed

@@ -18,6 +18,7 @@ from clgs.machine import available_memory
 from clgs.opencl import absence, choose
 
 
+@pytest.mark.slow
 def test_a_device_passes_and_the_machine_is_described(capsys, monkeypatch):
     once = examine_machine()
     monkeypatch.setattr("clgs.doctor.machine.examine_machine", lambda: once)

@@ -72,6 +72,7 @@ def test_the_first_change(tree: Path) -> None:
     assert "--warm-up" in run(tree, "clgs", "train", "--help")
 
 
+@pytest.mark.slow
 def test_add_an_op(tree: Path) -> None:
     text = (PAGES / "add_an_op.md").read_text(encoding="utf-8")
     pattern = r"^## \d\. [^\n]*`(\S+)`\n.*?^```(?:python|c)\n(.*?)^```$"

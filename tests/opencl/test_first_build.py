@@ -114,6 +114,7 @@ def test_an_error_in_a_program_is_an_exception_as_before(device, monkeypatch):
         device.kernel(*MASK)
 
 
+@pytest.mark.slow
 def test_every_program_is_built_and_the_broken_one_named(device, broken, monkeypatch):
     found = {file: (kernels, problem) for file, kernels, problem in device.build_all()}
     assert [file for file, (_, problem) in found.items() if problem] == ["loss/mask.cl"]

@@ -22,6 +22,7 @@ PHOTOS = 7
 DOUBTED = "3.png"
 
 
+@pytest.mark.slow
 def test_what_is_in_doubt_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

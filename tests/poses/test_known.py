@@ -49,6 +49,7 @@ def distances(centres: np.ndarray) -> np.ndarray:
     return np.linalg.norm(centres[:, None] - centres, axis=2)
 
 
+@pytest.mark.slow
 def test_noisy_poses_are_refined_in_their_own_units(tmp_path: Path):
     rng = np.random.default_rng(0)
 
@@ -72,6 +73,7 @@ def test_noisy_poses_are_refined_in_their_own_units(tmp_path: Path):
     assert error.mean() < shaken_error.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pose", "words"),
     [
@@ -94,6 +96,7 @@ def test_poses_in_the_wrong_convention_are_named_and_not_used(
     assert words in note
 
 
+@pytest.mark.slow
 def test_a_data_set_grows(tmp_path: Path):
     """The old photos keep their world; a photo that is there already is not added twice."""
     write_room_photos(tmp_path / "all", 9)
@@ -164,6 +167,7 @@ def test_gps_tags_are_read(tmp_path: Path, place: tuple[float, float, float]):
     assert place_of(geocentric(place)) == pytest.approx(place, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_gps_tags_give_scale_and_place_and_a_lie_is_named(tmp_path: Path):
     """The camera's path, 30 times as large, near Bern; one tag is a kilometre off."""
     photos, output = tmp_path / "photos", tmp_path / "data"

@@ -60,6 +60,7 @@ def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str
         prepare(photos, output)
 
 
+@pytest.mark.slow
 def test_photos_are_written_at_the_width_that_is_asked_for(tmp_path: Path):
     """Poses and points stay; a lens and the pixels of a mask follow."""
     photos = tmp_path / "photos"

@@ -56,6 +56,7 @@ def hashes_of_forms(folder, what, steps, cases):
     return set().union(*(hashes(folder, what, form, steps, cases) for form in FORMS))
 
 
+@pytest.mark.slow
 @pytest.mark.family("N29")
 def test_gradients_have_one_hash(folder):
     """Three repeats in each process."""

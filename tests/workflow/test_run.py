@@ -65,6 +65,7 @@ def test_plan_alone_writes_nothing(data, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_plan_takes_as_many_frames_of_a_video_as_the_time_allows(tmp_path, capsys):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     clip = tmp_path / "clip.mp4"
@@ -120,6 +121,7 @@ def test_finished_run_is_left_as_it_is(data, finished, capsys):
     assert (finished / "report.html").read_text() == page
 
 
+@pytest.mark.slow
 def test_what_is_damaged_or_gone_is_made_again(data, finished, capsys):
     files = [finished / name for name in ("scene.clgs", "scene.ply", "run/scene.clgs")]
     whole = [file.read_bytes() for file in files]
@@ -242,6 +244,7 @@ def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, capsys
     assert "is damaged" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_follows_from_the_plan_is_kept(data, tmp_path, capsys):
     """A run that began coarse goes on so; the command that repeats it names what may be chosen."""
     out = tmp_path / "out"
@@ -333,6 +336,7 @@ def test_a_failing_stage_ends_the_run_and_passes_its_exit_code_on(
     }
 
 
+@pytest.mark.slow
 def test_a_failing_export_does_not_end_the_run(data, tmp_path, monkeypatch, capsys):
     def fail(source, output, **_):
         raise DataError(f"no {output.name}")

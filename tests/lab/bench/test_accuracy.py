@@ -76,6 +76,7 @@ def test_presets_are_compared_with_parity(figures):
     assert against_parity(figures)["fast"] == {"forward": 2.0, "both": 2.0, "largest": 1.5}
 
 
+@pytest.mark.slow
 def test_the_plot_is_the_same_file_each_time(figures, tmp_path):
     pytest.importorskip("matplotlib")
     from clgs.lab.bench.accuracy import plot_accuracy

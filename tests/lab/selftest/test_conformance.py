@@ -44,6 +44,7 @@ def test_two_runs_agree(open_device, found):
     assert differences(fingerprints(open_device("cpu")), found) == []
 
 
+@pytest.mark.slow
 def test_vectors_of_8_and_of_16_lanes_make_the_same_bits(open_device, found, monkeypatch):
     width = open_device("cpu").register_lanes
     monkeypatch.setenv("CLGS_LANES", "8" if width == 16 else "16")

@@ -51,6 +51,7 @@ def test_without_lambda_pictures_are_not_worse(cpu, dataset, untouched):
     assert untouched.psnr(dataset.train) > priced.psnr(dataset.train) - 0.1
 
 
+@pytest.mark.slow
 def test_lambda_trades_size_for_quality(cpu, dataset, untouched):
     """The second lambda is the largest one that may be asked for."""
     small, smaller = (trained(cpu, dataset, size_lambda=value) for value in (2.0, 1e6))
@@ -120,6 +121,7 @@ def test_anchors_rest_after_the_last_round(cpu, dataset):
     assert not np.array_equal(cpu.download(weights), weights_before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.8, 0.6])
 def test_a_size_is_met_and_never_exceeded(cpu, dataset, untouched, share):
     target = int(share * len(encode(untouched.quantized_scene())))

@@ -61,6 +61,7 @@ def test_interrupted_runs_end_alike(dataset, open_device, tmp_path):
         train_scene(other, tmp_path / "legs", config(), device=device, resume=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_finished_run_is_trained_on(dataset, open_device, tmp_path, kept):
     """It goes on from the checkpoint or the scene, with other settings, and after a break."""

@@ -52,6 +52,7 @@ def trainer(device, dataset, **settings):
     return Trainer(device, dataset, config.for_dataset(dataset.kind))
 
 
+@pytest.mark.slow
 def test_held_out_views_of_true_exposure_gain(cpu, uneven):
     psnr = {}
     for exposure in (False, True):

@@ -121,6 +121,7 @@ def test_a_run_has_the_same_bits(dataset, cpu, tmp_path, rng, rows):
     assert results[0].scene.anchors.offset.any(), "something was learned"
 
 
+@pytest.mark.slow
 def test_a_run_resumes_with_its_own_optimizer_alone(dataset, cpu, tmp_path):
     whole = train_scene(dataset, tmp_path / "whole", config("numpy", "dense"), device=cpu)
 

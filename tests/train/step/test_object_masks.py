@@ -78,6 +78,7 @@ def test_what_masks_mean_is_told_by_what_they_leave(masked, tmp_path):
     assert meaning_of(sorted(tmp_path.glob("?.png"))) == IGNORE
 
 
+@pytest.mark.slow
 def test_the_plan_of_a_run_tells_what_masks_mean(masked, tmp_path, capsys):
     words = ["run", str(masked), "-o", str(tmp_path / "out"), "--plan", "--steps", "30"]
     for more, said in ([], "they cut out the object"), (["--masks", "ignore"], "not compared"):
