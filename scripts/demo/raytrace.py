@@ -172,13 +172,15 @@ class RayScene:
         """Linear colour (R, 3) that each ray sees, with a sun in direction ``towards_sun`` (3,)."""
         hits = self.trace(origin, direction)
         paint = self._lookup(self._surface[np.maximum(hits.face, 0)], hits.uv)
-        incidence = np.einsum("rc,c->r", hits.normal, towards_sun)
-        lit = np.flatnonzero((hits.face >= 0) & (incidence > 0))
-        start = origin[lit] + hits.distance[lit, None] * direction[lit] + LIFT * hits.normal[lit]
-        sunward = np.broadcast_to(towards_sun, start.shape).copy()
-        lit = lit[self._embree.run(start, sunward, query="OCCLUDED") < 0]
         color = paint[:, 3:]
-        color[lit] += paint[lit, :3] * (incidence[lit, None] * self.light.sun)
+        if self.light.sun.any():
+            incidence = np.einsum("rc,c->r", hits.normal, towards_sun)
+            lit = np.flatnonzero((hits.face >= 0) & (incidence > 0))
+            way = hits.distance[lit, None] * direction[lit]
+            start = origin[lit] + way + LIFT * hits.normal[lit]
+            sunward = np.broadcast_to(towards_sun, start.shape).copy()
+            lit = lit[self._embree.run(start, sunward, query="OCCLUDED") < 0]
+            color[lit] += paint[lit, :3] * (incidence[lit, None] * self.light.sun)
         color[hits.face < 0] = self.light.sky
         return color
 
