@@ -61,7 +61,7 @@ class Display:
                 tell(f"clgs: {text}")
             case StageProgress(stage, done, total):
                 if stage != self._stage:
-                    self._begin(stage, 0)
+                    self._begin(stage, done)
                 self._update(done, total, "")
             case TrainingProgress(progress, steps):
                 step = progress.result.step

@@ -19,16 +19,19 @@ from clgs.train.run.run_folder import FolderLock
 from clgs.workflow.camera_paths import check_path_name
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
 from clgs.workflow.options import PATHS
+from clgs.workflow.poses_clock import PosesClock
 from clgs.workflow.run_plan import (
     DEFAULT_SECONDS,
     LATE,
     LEAST_SHARE,
     Photos,
     Presentation,
+    StepSpeed,
     TrainingPlan,
     frames_within,
     make_plan,
     must_hurry,
+    poses_time,
     prepare_seconds,
 )
 from clgs.workflow.run_record import (
@@ -170,7 +173,9 @@ def run(
             stages.begin(kept=() if found is None else (DATA,))
         data = given.path
         if not given.posed:
-            data = stages.prepare(given, must_hurry(given.photos, CORES, allowed), max_size)
+            hurry = must_hurry(given.photos, CORES, allowed)
+            follow = on_event if training is None else planner.follow(given.photos, hurry)
+            data = stages.prepare(given, hurry, max_size, follow)
         if training is not None:
             posed = _measured(given, data, settings or {}, on_event)
             if not given.complete:
@@ -275,6 +280,8 @@ class _Planner:
     max_size: int | None
     shown: Presentation | None
     start: float = field(default_factory=time.perf_counter)
+    speed: StepSpeed | None = None
+    """That of the last measurement."""
 
     def plan(self, given: RunInput) -> RunPlan:
         hurry = must_hurry(given.photos, CORES, self.allowed)
@@ -288,7 +295,7 @@ class _Planner:
     def plan_training(self, photos: Photos, preparing: float, data: Path | None) -> TrainingPlan:
         """The plan by the speed on the data set ``data``, if there is one already."""
         with self.stages.timed("plan"):
-            speed = self.stages.measure_speed(photos, data)
+            self.speed = speed = self.stages.measure_speed(photos, data)
         used = time.perf_counter() - self.start
         left = max(self.allowed - used, LEAST_SHARE * self.allowed + preparing)
         plan = make_plan(photos, speed, preparing, left, self.steps, self.max_size, self.shown)
@@ -298,3 +305,25 @@ class _Planner:
             kept = f"{LEAST_SHARE:.0%} of the time are kept for training and what follows"
             self.on_event(Note(f"{spent}; {kept}, so that all takes about {in_words(whole)}"))
         return plan
+
+    def follow(self, photos: Photos, hurry: bool) -> PosesClock:
+        """Receive events of the stage that finds poses; training is planned again if it is off."""
+        began = time.perf_counter()
+
+        def plan_again(said: float, taken: float) -> None:
+            used = time.perf_counter() - self.start
+            left = taken - (time.perf_counter() - began)
+            self.on_event(
+                Note(
+                    f"by the first photos, poses take about {in_words(taken)} instead of "
+                    f"{in_words(said)}; this is the plan now"
+                )
+            )
+            assert self.speed is not None
+            within = max(self.allowed - used, LEAST_SHARE * self.allowed + left)
+            plan = make_plan(
+                photos, self.speed, left, within, self.steps, self.max_size, self.shown
+            )
+            self.on_event(StageRecord(plan))
+
+        return PosesClock(poses_time(photos, CORES, hurry), plan_again, self.on_event)

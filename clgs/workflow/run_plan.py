@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from clgs.data.reduction import IGNORE, OBJECT
 from clgs.poses.features import DOUBLED_SIZE, FINEST_SIZE
+from clgs.poses.matching import FIRST_FEATURES, MAX_FULL
 from clgs.poses.pairs import MAX_EXHAUSTIVE
 from clgs.train.step.schedule import COARSE_STAGES
 
@@ -33,15 +34,24 @@ MOST_STEPS = 30_000
 LEAST_STEPS = 300
 """Fewer give nothing that is worth looking at."""
 
-PHOTO_SECONDS, PIXEL_SECONDS = {True: 0.4, False: 0.6}, {True: 0.15e-6, False: 0.25e-6}
+PHOTO_SECONDS, PIXEL_SECONDS = 0.05, {True: 0.5e-6, False: 0.6e-6}
 """Seconds of one core for the features of a photo, and per pixel that is searched; True: with
 `prepare --quick`."""
 
-PAIR_SECONDS = {True: 0.03, False: 0.05}
-"""Seconds of one core per pair of photos."""
+FEATURES_PER_PIXEL, MOST_FEATURES = 2.7e-3, {True: 6000, False: 12_000}
+"""Features per pixel that is searched. One place may give several, so that a photo has more than
+`prepare` looks for."""
 
-MAPPING_SECONDS, MAPPING_GROWTH = {True: 0.3, False: 0.5}, 600
-"""Seconds per photo of mappers, which use one core; a second more per this number of photos."""
+PAIR_SECONDS, PRODUCT_SECONDS, GEOMETRY_SECONDS = 0.004, 3.2e-9, 0.02
+"""Seconds of one core per pair of photos, for the cheap look; per product of a feature of one with
+a feature of the other; and for the geometry of the pair."""
+
+MAPPING_SECONDS, MAPPING_GROWTH = {True: 0.28, False: 0.5}, 400
+"""Seconds per photo of FIRST_FEATURES of mappers, which use one core; a second more per this number
+of photos."""
+
+WRITTEN_SECONDS = 0.08e-6
+"""Seconds per pixel that is undistorted and written."""
 
 FIXED_SECONDS = 5.0
 
@@ -204,16 +214,41 @@ def fit_speed(small: tuple[int, float], large: tuple[int, float]) -> StepSpeed:
     return StepSpeed(max(1e-4, small[1] - pixel * small[0]), pixel)
 
 
-def prepare_seconds(photos: Photos, cores: int, quick: bool) -> float:
+@dataclass(frozen=True)
+class PosesTime:
+    """Seconds that structure from motion takes for features, for matches, and for all else."""
+
+    features: float
+    matches: float
+    other: float
+
+    @property
+    def seconds(self) -> float:
+        """The sum."""
+        return self.features + self.matches + self.other
+
+
+def poses_time(photos: Photos, cores: int, quick: bool) -> PosesTime:
     """What structure from motion usually takes for photos of about one size."""
-    count, size = photos.count, max(photos.width, photos.height)
+    count, size, cores = photos.count, max(photos.width, photos.height), max(1, min(cores, 8))
     shrink = min(2.0 if size <= DOUBLED_SIZE else 1.0, FINEST_SIZE / size)
-    searched = photos.width * photos.height * shrink**2
+    pixels = photos.width * photos.height
+    found = min(FEATURES_PER_PIXEL * pixels * shrink**2, MOST_FEATURES[quick])
+    used = found if count <= MAX_FULL else min(found, FIRST_FEATURES)
     pairs = count * (count - 1) / 2 if count <= MAX_EXHAUSTIVE else MOST_PAIRS * count
-    seconds = count * (PHOTO_SECONDS[quick] + PIXEL_SECONDS[quick] * searched)
-    seconds += pairs * PAIR_SECONDS[quick]
-    mapping = count * (MAPPING_SECONDS[quick] + count / MAPPING_GROWTH)
-    return FIXED_SECONDS + seconds / max(1, min(cores, 8)) + mapping
+    features = count * (PHOTO_SECONDS + PIXEL_SECONDS[quick] * pixels * shrink**2)
+    mapping = MAPPING_SECONDS[quick] * used / FIRST_FEATURES + count / MAPPING_GROWTH
+    written = WRITTEN_SECONDS * photos.at(SIZES[0])
+    return PosesTime(
+        features / cores,
+        pairs * (PAIR_SECONDS + PRODUCT_SECONDS * used**2) / cores,
+        FIXED_SECONDS + pairs * GEOMETRY_SECONDS / cores + count * (mapping + written),
+    )
+
+
+def prepare_seconds(photos: Photos, cores: int, quick: bool) -> float:
+    """The sum of :func:`poses_time`."""
+    return poses_time(photos, cores, quick).seconds
 
 
 def must_hurry(photos: Photos, cores: int, seconds: float) -> bool:

@@ -113,10 +113,12 @@ class RunStages:
         self._record.plan.update(asdict(plan), title=title)
         self._record.write(self._out)
 
-    def prepare(self, given: RunInput, quick: bool, max_size: int | None) -> Path:
+    def prepare(
+        self, given: RunInput, quick: bool, max_size: int | None, on_event: OnEvent
+    ) -> Path:
         """Find the poses; the folder of the data set. ``max_size``: of training, if it is given.
 
-        Photos are written no larger than training may want them.
+        ``on_event`` receives the progress. Photos are no larger than training may want them.
         """
         width = SIZES[0] if max_size is None else SPARE * max_size
         data = self._out / DATA
@@ -126,7 +128,7 @@ class RunStages:
         words += ["--max-size", width, "--device", self.device.name]
         work = partial(prepare_data, given.path, data, seed=self.seed, quick=quick, frames=frames)
         work = partial(work, max_size=width, device=self.device.name)
-        self._stage("prepare", data, words, partial(work, on_event=self._on_event))
+        self._stage("prepare", data, words, partial(work, on_event=on_event))
         return data
 
     def train(self, data: Path) -> None:
