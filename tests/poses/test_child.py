@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from clgs.errors import DataError
-from clgs.poses.child import run_child
+from clgs.poses.child import CrashError, run_child
 
 MODULE = """
 import atexit, os, time
@@ -39,6 +39,11 @@ from clgs.poses.pycolmap_lazy import quiet_pycolmap
 def work(arguments, on_stage):
     with quiet_pycolmap("a test"):
         pass
+"""
+KILLED = """
+import os, signal
+def work(arguments, on_stage):
+    os.kill(os.getpid(), signal.SIGKILL)
 """
 HANG = 60
 """Seconds after which the clean-up is given up."""
@@ -110,3 +115,11 @@ def test_an_interruption_ends_the_children_of_children(folder: Path):
 
 def test_a_nested_result_comes_through(folder: Path):
     assert run_child("nested", "a test", [str(folder), 0], lambda stage: None) == 42
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such signals")
+def test_a_killed_child_of_a_child_is_no_fault_of_the_data(folder: Path):
+    (folder.parent / "child_work.py").write_text(KILLED)
+    said = "^a nested test: pycolmap was killed; see if there is enough memory$"
+    with pytest.raises(CrashError, match=said):
+        run_child("nested", "a test", [], lambda stage: None)
