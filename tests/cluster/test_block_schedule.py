@@ -42,11 +42,11 @@ def test_the_parts_follow_each_other(steps, share):
 def test_a_block_learns_as_fast_as_the_whole_at_the_same_share_of_the_steps():
     block, begun = block_config(WHOLE, 0.25, LEFT)
     assert begun == 1875
-    assert block.steps == 6000
-    for step in (1875, 3000, 6000):
+    assert block.steps == 5250
+    for step in (1875, 3000, 5250):
         assert learning_rates(block, step, 1.0) == learning_rates(WHOLE, 4 * step, 1.0)
-    assert block.growth_end == WHOLE.growth_end // 4
     assert block.growth_interval == 25  # its anchors are seen four times as often
+    assert block.growth_end == WHOLE.growth_end // 4 + 25
 
 
 def test_the_coarse_scene_has_half_the_size_of_the_photos():

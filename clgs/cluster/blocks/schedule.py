@@ -18,7 +18,7 @@ from clgs.train.config.settings import FINE_Q
 COARSE_SHARE = 0.25
 """Share of the steps that the coarse scene takes."""
 
-JOINT_SHARE = 0.2
+JOINT_SHARE = 0.3
 """Share of the steps at the end, in which the merged scene is priced and learns as a whole."""
 
 LEAST_STEPS = 10
@@ -63,7 +63,9 @@ def block_config(config: TrainConfig, share: float, box: str) -> tuple[TrainConf
     begun = round(share * COARSE_SHARE * config.steps)
     steps = max(begun + 2, round(share * joint_begin(config)))
     own["steps"] = max(steps, round(share * config.steps))
-    own["freeze_step"] = min(own["freeze_step"], own["steps"])
+    own["switch_step"] = own["freeze_step"] = own["steps"]
+    grown = own["growth_end"] + own["growth_interval"]  # statistics begin anew
+    own["growth_end"] = min(grown, own["steps"])
     priceless = replace(config, **own, target_size=0, max_anchors=0, box=box)
     return _unpriced(priceless, steps), begun
 

@@ -49,6 +49,7 @@ def save_state(folder: Path, device: Device, state: RunState, digest: str) -> No
     scalars = {
         "step": state.step,
         "merged": state.merged,
+        "begun": state.begun,
         "rng": state.rng.bit_generator.state,
         "sampler": state.views.record(),
     }
@@ -111,6 +112,7 @@ def load_state(folder: Path, device: Device, digest: str, changed: str = "") -> 
         known=known,
         merged=int(scalars["merged"]),
         step=int(scalars["step"]),
+        begun=int(scalars.get("begun", 0)),
     )
 
 

@@ -112,7 +112,8 @@ class RunState:
 
     rng: what growing and random backgrounds draw from; exposures: None if they are not learned;
     known: what rounds have found out about the anchors, None before the first round at integers;
-    merged: anchors that were merged when positions moved to a coarser grid.
+    merged: anchors that were merged when positions moved to a coarser grid; begun: the step after
+    which all moments of Adam were zero, 0 but for scenes that go on without theirs.
     """
 
     parameters: Parameters
@@ -123,6 +124,7 @@ class RunState:
     known: Sensitivity | None = None
     merged: int = 0
     step: int = 0
+    begun: int = 0
 
 
 def new_state(

@@ -34,8 +34,11 @@ class Optimizer:
         anchors_learn: bool,
         step: int,
         stop: DeviceArray,
+        begun: int = 0,
     ) -> None:
         """Do Adam's step number ``step`` (from 1) on ``parameters``, in place.
+
+        The moments were zero after step number ``begun``: Adam corrects for that.
 
         ``stop`` (1,) int32 is set if a gradient or ``loss``, float32 of any shape, is not finite;
         unless it holds 0 nothing changes. Without ``anchors_learn`` only the MLPs learn: in steps
@@ -61,7 +64,7 @@ class Optimizer:
             if name == "weights":  # each MLP has its own learning rate
                 parts = [(head_slice(head), rates[f"mlp_{head}"]) for head in HEAD_DIMS]
             for part, rate in parts:
-                now = adam.factors(rate, step)
+                now = adam.factors(rate, step - begun)
                 if name in marks:
                     self._adam.step_rows(device, trained, now, stop, marks[name])
                 else:

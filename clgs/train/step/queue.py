@@ -115,7 +115,7 @@ class StepQueue:
         with device.stage("adam"):
             learn = not replaces and step <= config.freeze_step
             found = gradients, compared.sums.partials
-            self._optimizer.step(parameters, *found, learn, step, self._stop)
+            self._optimizer.step(parameters, *found, learn, step, self._stop, state.begun)
             if state.exposures is not None:
                 self._exposure.learn(state.exposures, given.index, step, self._stop)
         with device.stage("density"):
