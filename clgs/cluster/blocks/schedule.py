@@ -64,7 +64,7 @@ def block_config(config: TrainConfig, share: float, box: str) -> tuple[TrainConf
     steps = max(begun + 2, round(share * joint_begin(config)))
     own["steps"] = max(steps, round(share * config.steps))
     own["switch_step"] = own["freeze_step"] = own["steps"]
-    grown = own["growth_end"] + own["growth_interval"]  # statistics begin anew
+    grown = own["growth_end"] + own["growth_interval"]  # its statistics begin at zero
     own["growth_end"] = min(grown, own["steps"])
     priceless = replace(config, **own, target_size=0, max_anchors=0, box=box)
     return _unpriced(priceless, steps), begun
@@ -81,8 +81,9 @@ def joint_config(config: TrainConfig) -> TrainConfig:
     times = (config.steps - begin) / max(1, config.steps - switch)
     later = {
         name: min(config.steps, begin + round(times * max(0, getattr(config, name) - switch)))
-        for name in ("prune_end", "freeze_step", "mlp_switch_step")
+        for name in ("freeze_step", "mlp_switch_step")
     }
+    later["prune_end"] = later["freeze_step"]  # no round before thinned what grew
     growth = {
         name: min(getattr(config, name), begin)
         for name in ("statistics_start", "growth_start", "growth_end")
