@@ -47,7 +47,7 @@ _HOMES = {
     "rasterization": "clgs.render.rasterization",
     "render_options": "clgs.options",
     "render_view": "clgs.render.renderer",
-    "run": "clgs.workflow.run",
+    "run": "clgs.workflow.runs.run",
     "save_scene": "clgs.scene.storage",
     "train_scene": "clgs.train.run.session",
 }

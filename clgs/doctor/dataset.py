@@ -17,7 +17,7 @@ from clgs.doctor.cameras import check_lenses, check_poses
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named
 from clgs.doctor.pictures import check_pictures, damaged
 from clgs.errors import DataError
-from clgs.poses.find import find_photos
+from clgs.poses.input.find import find_photos
 
 FILES = ("transforms_train.json", "transforms_test.json", "transforms.json")
 

@@ -29,8 +29,8 @@ from clgs.data.posed_photo import Photo
 from clgs.errors import DataError
 from clgs.files import atomic_path, make_folder, text_bytes
 from clgs.poses.child import OnStage, run_child
+from clgs.poses.input.photo_json import from_plain, to_plain
 from clgs.poses.judging.evidence import sampson_error
-from clgs.poses.photo_json import from_plain, to_plain
 from clgs.poses.pycolmap_lazy import SEEDS, quiet_pycolmap
 from clgs.scene.storage import load_archive
 

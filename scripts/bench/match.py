@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 from clgs.opencl.device import Device
 from clgs.ops.match import upload
-from clgs.poses.matching import MAX_RATIO, mutual_matches, turn_and_scale
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.stages.matching import MAX_RATIO, mutual_matches, turn_and_scale
 
 Bytes = npt.NDArray[np.uint8]
 Found = set[tuple[int, int, int, int]]

@@ -22,7 +22,7 @@ from clgs.data.images import list_images
 from clgs.errors import ClgsError, DataError, DeviceError
 from clgs.exports.image import picture_names, save_png
 from clgs.exports.run_report import sections
-from clgs.workflow.run_record import measure_data
+from clgs.workflow.runs.record import measure_data
 
 STEPS = 1000
 """What two cores do in the time that the demo may take."""

@@ -16,7 +16,7 @@ from clgs.cli.main import explain
 from clgs.data.dataset import load_dataset, read_photo_set
 from clgs.data.programs.earth import axes_at, geocentric, place_of
 from clgs.errors import DataError
-from clgs.poses.gps import GPS, read_place
+from clgs.poses.input.gps import GPS, read_place
 from clgs.poses.judging.verdict import GOOD
 from clgs.poses.prepare import prepare
 from clgs.scene.world import EARTH

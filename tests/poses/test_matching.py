@@ -12,10 +12,10 @@ from PIL import Image
 from clgs.errors import DataError
 from clgs.opencl.device import Device
 from clgs.ops import match as nearest_descriptors
-from clgs.poses import matching, verify
-from clgs.poses.features import extract
-from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.stages import matching, verify
+from clgs.poses.stages.features import extract
+from clgs.poses.stages.pairs import pairs_to_match
 from clgs.poses.workspace import Workspace
 from tests.data.folders import room_image, room_poses
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from clgs.opencl.device import Device
-from clgs.poses import matching
-from clgs.poses.features import extract
 from clgs.poses.judging.agreement import Poses, common_similarity, poses_of
-from clgs.poses.mapping import map_photos
-from clgs.poses.more_points import MAX_REPROJECTION_ERROR, add_points
-from clgs.poses.pairs import pairs_to_match
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.stages import matching
+from clgs.poses.stages.features import extract
+from clgs.poses.stages.mapping import map_photos
+from clgs.poses.stages.more_points import MAX_REPROJECTION_ERROR, add_points
+from clgs.poses.stages.pairs import pairs_to_match
 from clgs.poses.workspace import Workspace
 from tests.data.folders import write_room_photos
 

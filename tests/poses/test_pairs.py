@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.poses.pairs import LOOK_ALIKES, OVERLAP, all_pairs, likely_pairs
+from clgs.poses.stages.pairs import LOOK_ALIKES, OVERLAP, all_pairs, likely_pairs
 
 
 def photos(count: int, places: int, seed: int = 0) -> list[np.ndarray]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from clgs.opencl.device import Device
-from clgs.workflow import device_speed
 from clgs.workflow.events import ignore
-from clgs.workflow.run_plan import Photos, StepSpeed
+from clgs.workflow.runs import device_speed
+from clgs.workflow.runs.plan import Photos, StepSpeed
 from tests.data.folders import write_blender
 
 SLOW = StepSpeed(90.0, 1e-3)

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from clgs.workflow.events import Note, StageProgress, StageRecord
-from clgs.workflow.poses_clock import PosesClock
-from clgs.workflow.run import CORES, _Planner
-from clgs.workflow.run_plan import Photos, PosesTime, StepSpeed, TrainingPlan, poses_time
+from clgs.workflow.runs.plan import Photos, PosesTime, StepSpeed, TrainingPlan, poses_time
+from clgs.workflow.runs.poses_clock import PosesClock
+from clgs.workflow.runs.run import CORES, _Planner
 
 PLANNED = PosesTime(features=20.0, matches=10.0, other=30.0)
 

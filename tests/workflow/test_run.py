@@ -17,10 +17,10 @@ from clgs.cli.shared_options import duration
 from clgs.errors import DataError
 from clgs.train.config import from_toml
 from clgs.train.run.run_folder import FolderLock
-from clgs.workflow import run_stages
-from clgs.workflow.run import run
-from clgs.workflow.run_plan import FRAMES, Photos, frames_within
-from clgs.workflow.run_record import RunRecord, find_input
+from clgs.workflow.runs import stages
+from clgs.workflow.runs.plan import FRAMES, Photos, frames_within
+from clgs.workflow.runs.record import RunRecord, find_input
+from clgs.workflow.runs.run import run
 from tests.small_scene import write_scene
 from tests.terminal import as_from_a_terminal
 
@@ -322,7 +322,7 @@ def test_a_failing_stage_ends_the_run_and_passes_its_exit_code_on(
     def fail(*_, **__):
         raise DataError("the photos are gone")
 
-    monkeypatch.setattr(run_stages, "train", fail)
+    monkeypatch.setattr(stages, "train", fail)
     assert cli.main(words(data, tmp_path / "out")) == 3
     said = capsys.readouterr()
     assert "[train] clgs train" in said.out
@@ -341,7 +341,7 @@ def test_a_failing_export_does_not_end_the_run(data, tmp_path, monkeypatch, caps
     def fail(source, output, **_):
         raise DataError(f"no {output.name}")
 
-    monkeypatch.setattr(run_stages, "export", fail)
+    monkeypatch.setattr(stages, "export", fail)
     done = run(data, tmp_path / "out", steps=30)
     assert {name: str(error) for name, error in done.failures.items()} == {
         "page": "no scene.html",

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clgs.cli.shared_options import duration
-from clgs.workflow.run_plan import (
+from clgs.workflow.runs.plan import (
     CLIP_SHARE,
     CLIPS,
     ENOUGH_STEPS,
@@ -35,7 +35,7 @@ from clgs.workflow.run_plan import (
     plan_clip,
     prepare_seconds,
 )
-from clgs.workflow.run_record import find_input, in_words
+from clgs.workflow.runs.record import find_input, in_words
 from tests.data.folders import save_json, write_blender, write_colmap, write_transforms
 
 PHOTOS = Photos(50, 4000, 3000)

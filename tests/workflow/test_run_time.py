@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 from clgs.cli import main as cli
-from clgs.workflow.run import _Planner
-from clgs.workflow.run_plan import LEAST_SHARE, Photos, StepSpeed
+from clgs.workflow.runs.plan import LEAST_SHARE, Photos, StepSpeed
+from clgs.workflow.runs.run import _Planner
 from tests.small_scene import write_scene
 
 

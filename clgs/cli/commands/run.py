@@ -24,8 +24,8 @@ from clgs.train.config import TrainConfig, parse_word
 from clgs.train.config.option import options_of
 
 if TYPE_CHECKING:
-    from clgs.workflow.run_plan import TrainingPlan
-    from clgs.workflow.run_record import FinishedRun, RunPlan
+    from clgs.workflow.runs.plan import TrainingPlan
+    from clgs.workflow.runs.record import FinishedRun, RunPlan
 
 TRAINING = ("size_lambda", "target_size", "exposure", "max_anchors", "background")
 """Settings of training that have options of their own."""
@@ -95,8 +95,8 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.main import complain
     from clgs.cli.tell import warnings_once
     from clgs.workflow.events import Event, RunStage, StageFailure, StageRecord
-    from clgs.workflow.run import plan_run
-    from clgs.workflow.run import run as run_all
+    from clgs.workflow.runs.run import plan_run
+    from clgs.workflow.runs.run import run as run_all
 
     code, display = 0, Display()
 
@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
             case _:
                 display(event)
 
-    from clgs.workflow.run_plan import Presentation
+    from clgs.workflow.runs.plan import Presentation
 
     known = options_of(TrainConfig)
     settings = {name: value for name, value in vars(args).items() if name in known}
@@ -148,8 +148,8 @@ def _show(record: object) -> None:
     from clgs.workflow.evaluate import Evaluation
     from clgs.workflow.pictures import Clip
     from clgs.workflow.prepare import PreparedData
-    from clgs.workflow.run_plan import TrainingPlan
-    from clgs.workflow.run_record import FinishedRun, RunPlan
+    from clgs.workflow.runs.plan import TrainingPlan
+    from clgs.workflow.runs.record import FinishedRun, RunPlan
     from clgs.workflow.train import TrainedRun
 
     show: dict[type, Callable[[Any], None]] = {
@@ -166,8 +166,8 @@ def _show(record: object) -> None:
 
 
 def _show_plan(plan: RunPlan) -> None:
-    from clgs.workflow.run_plan import LATE
-    from clgs.workflow.run_record import in_words
+    from clgs.workflow.runs.plan import LATE
+    from clgs.workflow.runs.record import in_words
 
     given, photos, training = plan.input, plan.input.photos, plan.training
     kind = "data set" if given.posed else "frames" if given.video else "photos"
@@ -196,7 +196,7 @@ def _show_plan(plan: RunPlan) -> None:
 
 
 def _training(plan: TrainingPlan) -> str:
-    from clgs.workflow.run_record import in_words
+    from clgs.workflow.runs.record import in_words
 
     return (
         f"{plan.steps:,} steps on photos at most {plan.max_size} wide, "
@@ -211,8 +211,8 @@ def _show_box(done: FinishedRun) -> None:
     from rich.text import Text
 
     from clgs.cli.tell import counted
-    from clgs.workflow.run_record import in_words
-    from clgs.workflow.run_stages import REPORT
+    from clgs.workflow.runs.record import in_words
+    from clgs.workflow.runs.stages import REPORT
 
     scores, seconds = done.scores, done.seconds
     stages = "  ".join(f"{name} {one:.0f}" for name, one in seconds.items())

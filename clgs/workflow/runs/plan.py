@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 from clgs.data.reduction import IGNORE, OBJECT
-from clgs.poses.features import DOUBLED_SIZE, FINEST_SIZE
-from clgs.poses.matching import FIRST_FEATURES, MAX_FULL
-from clgs.poses.pairs import MAX_EXHAUSTIVE
+from clgs.poses.stages.features import DOUBLED_SIZE, FINEST_SIZE
+from clgs.poses.stages.matching import FIRST_FEATURES, MAX_FULL
+from clgs.poses.stages.pairs import MAX_EXHAUSTIVE
 from clgs.train.step.schedule import COARSE_STAGES
 
 DEFAULT_SECONDS = 600.0

@@ -28,7 +28,7 @@ from clgs.data.images import (
 )
 from clgs.data.masks import MASKS, USED, Mask, read_mask, save_mask, whole
 from clgs.errors import DataError
-from clgs.poses.equirectangular import (
+from clgs.poses.input.equirectangular import (
     DIRECTIONS,
     FOCAL_35MM,
     check_shape,
@@ -37,9 +37,9 @@ from clgs.poses.equirectangular import (
     view_name,
     view_size,
 )
-from clgs.poses.find import Collection, Found, find_photos, is_video
-from clgs.poses.gps import GPS
-from clgs.poses.video import extract_frames, video_library
+from clgs.poses.input.find import Collection, Found, find_photos, is_video
+from clgs.poses.input.gps import GPS
+from clgs.poses.input.video import extract_frames, video_library
 
 LEAST_PHOTOS = 3
 JPEG_QUALITY = 95

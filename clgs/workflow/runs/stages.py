@@ -22,7 +22,6 @@ from clgs.opencl.device import Device
 from clgs.train.config import layered
 from clgs.train.config.option import FLAGS
 from clgs.train.run.run_folder import RESULTS
-from clgs.workflow.device_speed import speed_on, synthetic_speed
 from clgs.workflow.encode import EncodedFile
 from clgs.workflow.evaluate import Evaluation, evaluate
 from clgs.workflow.events import Note, OnEvent, RunStage, StageFailure, StageRecord
@@ -30,7 +29,8 @@ from clgs.workflow.export import export
 from clgs.workflow.options import FPS, FRAMES, PathOptions, ViewOptions
 from clgs.workflow.pictures import render_clip
 from clgs.workflow.prepare import prepare_data
-from clgs.workflow.run_plan import (
+from clgs.workflow.runs.device_speed import speed_on, synthetic_speed
+from clgs.workflow.runs.plan import (
     SIZES,
     SKETCH_STEPS,
     SKETCH_TIMES,
@@ -40,7 +40,7 @@ from clgs.workflow.run_plan import (
     StepSpeed,
     TrainingPlan,
 )
-from clgs.workflow.run_record import (
+from clgs.workflow.runs.record import (
     DATA,
     RUN,
     FinishedRun,

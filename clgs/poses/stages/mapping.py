@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from clgs.errors import DataError
+from clgs.poses.input.known import map_known
 from clgs.poses.judging.evidence import (
     MAX_CONTRADICTED,
     MIN_MATCHES,
@@ -21,8 +22,7 @@ from clgs.poses.judging.evidence import (
     explain,
 )
 from clgs.poses.judging.judge import LOW_RATIO, MAX_DROPPED
-from clgs.poses.known import map_known
-from clgs.poses.matching import match_again, read_evidence
+from clgs.poses.stages.matching import match_again, read_evidence
 from clgs.poses.workspace import Workspace
 
 MIN_MODEL = 3

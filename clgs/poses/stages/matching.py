@@ -17,8 +17,8 @@ from clgs.opencl.device import Device
 from clgs.ops import match as nearest_descriptors
 from clgs.ops.match import MAX_DESCRIPTORS, Descriptors, Nearest
 from clgs.poses.judging.evidence import LINKS, MIN_MATCHES, Evidence, MatchedPair
-from clgs.poses.pairs import all_pairs
-from clgs.poses.verify import verify
+from clgs.poses.stages.pairs import all_pairs
+from clgs.poses.stages.verify import verify
 from clgs.poses.workspace import Workspace
 
 TILE = 12

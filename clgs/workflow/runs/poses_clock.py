@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from clgs.workflow.events import Event, OnEvent, StageProgress
-from clgs.workflow.run_plan import PosesTime
+from clgs.workflow.runs.plan import PosesTime
 
 OFF = 0.3
 """A plan is made again if the poses take this share more or less than was said."""

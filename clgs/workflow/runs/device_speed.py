@@ -22,7 +22,7 @@ from clgs.train.run.load import load_for
 from clgs.train.run.trainer import Trainer
 from clgs.train.step.schedule import COARSE_STAGES
 from clgs.workflow.events import Note, OnEvent
-from clgs.workflow.run_plan import Photos, StepSpeed, fit_speed
+from clgs.workflow.runs.plan import Photos, StepSpeed, fit_speed
 
 SYNTHETIC_ANCHORS, EDGES = 12_500, (160, 960)
 """Anchors of the synthetic scene, and pixels of the edges of its two photos."""

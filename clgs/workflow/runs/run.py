@@ -19,8 +19,7 @@ from clgs.train.run.run_folder import FolderLock
 from clgs.workflow.camera_paths import check_path_name
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
 from clgs.workflow.options import PATHS
-from clgs.workflow.poses_clock import PosesClock
-from clgs.workflow.run_plan import (
+from clgs.workflow.runs.plan import (
     DEFAULT_SECONDS,
     LATE,
     LEAST_SHARE,
@@ -34,7 +33,8 @@ from clgs.workflow.run_plan import (
     poses_time,
     prepare_seconds,
 )
-from clgs.workflow.run_record import (
+from clgs.workflow.runs.poses_clock import PosesClock
+from clgs.workflow.runs.record import (
     DATA,
     FinishedRun,
     RunInput,
@@ -45,7 +45,7 @@ from clgs.workflow.run_record import (
     measure_data,
     read_record,
 )
-from clgs.workflow.run_stages import MADE, RunStages
+from clgs.workflow.runs.stages import MADE, RunStages
 from clgs.workflow.views import scene_name
 
 CORES = os.cpu_count() or 1

@@ -1,0 +1,1 @@
+"""What users bring: photos, videos, GPS tags, poses that are known before."""
